@@ -62,7 +62,7 @@ def packing(spheres: int, friction: float = 0.3) -> tuple[wc.Scene, float, float
     # They start with speeds of some diameters per unit of time, so that no lattice is left.
     speeds = 2 * DIAMETER / UNIT * rng.uniform(-1, 1, places.shape)
     balls = scene.add_bodies(places, MASS, [0.1 * MASS * DIAMETER**2] * 3, linear_velocities=speeds, name="ball")
-    template = wc.Template(
+    material = wc.ContactMaterial(
         law=wc.laws.KelvinVoigt(stiffness=stiffness, restitution=0.5),
         friction=wc.frictions.Tanh(mu=friction, velocity_scale=0.002),
     )
@@ -72,8 +72,8 @@ def packing(spheres: int, friction: float = 0.3) -> tuple[wc.Scene, float, float
     # Above the tube and beside it a sphere is not deep in its wall.
     sizes = {"radius": 0.5 * DIAMETER, "max_depth": 0.5 * DIAMETER}
     for surface in (walls, floor):
-        scene.add_contact(point, surface, template, name=f"on_{surface.name}", **sizes)
-    scene.add_mutual_contact(scene.add_shape(balls, wc.shapes.Sphere(0.5 * DIAMETER)), template, name="pile")
+        scene.add_contact(point, surface, material, name=f"on_{surface.name}", **sizes)
+    scene.add_mutual_contact(scene.add_shape(balls, wc.shapes.Sphere(0.5 * DIAMETER)), material, name="pile")
     return scene, width, np.pi * np.sqrt(MASS / (2 * stiffness)) / 15
 
 

@@ -27,8 +27,8 @@ def ball_on_terrain() -> wc.Recording:
     scene = wc.Scene()
     ground = scene.add_surface(wc.meshes.sinusoidal_terrain(), name="ground")
     ball = scene.add_body(mass=0.5, inertia=(5e-4,) * 3, position=(0, 0, 1.0), name="ball")
-    template = wc.Template(law=wc.laws.HuntCrossley(stiffness=1e5, exponent=1.5, restitution=0.7))
-    scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, template, radius=0.05, name="touch")
+    material = wc.ContactMaterial(law=wc.laws.HuntCrossley(stiffness=1e5, exponent=1.5, restitution=0.7))
+    scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, material, radius=0.05, name="touch")
     return recorded(scene)
 
 

@@ -45,13 +45,13 @@ def study(envs: int, outcomes: dict[str, Any]) -> dict[str, Any]:
         "surface": [{"name": "ground", "mesh": terrain | {"amplitude": 0.2, "wavelength": 2.5}}],
         "body": [{"name": "ball", "mass": work.mass, "inertia": [work.inertia] * 3, "position": [0, 0, 1]}],
         "point": [{"name": "centre", "body": "ball", "position": [0, 0, 0]}],
-        "template": [{"name": "rubber", "law": law, "friction": {"type": "Tanh", "mu": FRICTION}}],
+        "material": [{"name": "rubber", "law": law, "friction": {"type": "Tanh", "mu": FRICTION}}],
         "contact": [
             {
                 "name": "touch",
                 "points": "centre",
                 "surface": "ground",
-                "template": "rubber",
+                "material": "rubber",
                 "radius": work.radius,
             }
         ],

@@ -33,8 +33,8 @@ def recording(envs: int, bodies: int) -> wc.Recording:
         body = scene.add_body(1.0, (1.0, 1.0, 1.0), name="body")
     else:
         body, items = scene.add_bodies(rng.random((bodies, 3)), 1.0, (1.0, 1.0, 1.0), name="body"), ("item",)
-    template = wc.Template(law=wc.laws.Hooke(stiffness=1e3))
-    scene.add_contact(scene.add_point(body, (0.0, 0.0, 0.0)), ground, template, radius=0.05, name="touch")
+    material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e3))
+    scene.add_contact(scene.add_point(body, (0.0, 0.0, 0.0)), ground, material, radius=0.05, name="touch")
     shape = (RECORDS, envs) + ((bodies,) if items else ())
     turns = rng.normal(size=(*shape, 4))
     turns /= np.linalg.norm(turns, axis=-1, keepdims=True)

@@ -31,7 +31,7 @@ def ball(device: str) -> wc.Model:
     body = scene.add_body(
         mass=1.0, inertia=[0.4 * RADIUS**2] * 3, position=(0.0, 0.0, HEIGHT + RADIUS), name="ball"
     )
-    hard = wc.Template(law=wc.laws.Rigid(restitution=RESTITUTION))
+    hard = wc.ContactMaterial(law=wc.laws.Rigid(restitution=RESTITUTION))
     scene.add_contact(scene.add_point(body, (0.0, 0.0, 0.0)), ground, hard, radius=RADIUS, name="touch")
     return scene.build(device=device, precision="float64")
 

@@ -135,7 +135,9 @@ def simulate(tosses: Tosses, start: str = "raw", device: str = "auto") -> wc.Rec
     cube = scene.add_body(mass=tosses.mass, inertia=[tosses.inertia] * 3, name="cube")
     # A box with rounded edges touches a plane with the spheres in its corners and nothing else.
     corners = scene.add_points(cube, (tosses.half_width - CORNER_RADIUS) * CORNERS, name="corners")
-    scene.add_contact(corners, table, wc.Template(law=LAW, friction=FRICTION), radius=CORNER_RADIUS, name="touch")
+    scene.add_contact(
+        corners, table, wc.ContactMaterial(law=LAW, friction=FRICTION), radius=CORNER_RADIUS, name="touch"
+    )
 
     model = scene.build(envs=len(tosses.frames), device=device)
     linear, angular = tosses.linear_velocity, tosses.angular_velocity

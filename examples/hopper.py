@@ -86,7 +86,7 @@ def hopper(spheres: int, orifice: float, part: float, seed: int = 0) -> tuple[wc
     grains = scene.add_bodies(places, masses, moments, name="grains")
     centres = scene.add_point(grains, (0, 0, 0), name="centres")
     stiffness = STIFFNESS * MASS * GRAVITY / DIAMETER
-    template = wc.Template(
+    material = wc.ContactMaterial(
         law=wc.laws.KelvinVoigt(stiffness=stiffness, restitution=RESTITUTION),
         friction=wc.frictions.CundallStrack(
             mu_static=FRICTION,
@@ -103,11 +103,11 @@ def hopper(spheres: int, orifice: float, part: float, seed: int = 0) -> tuple[wc
     ground = scene.add_surface(wc.meshes.grid((16.0 * heap, 16.0 * heap)), position=(0, 0, -depth), name="floor")
     # A sphere beside the orifice, below the funnel, is not deep in its wall.
     options = {"radius": radii, "max_depth": 0.5 * DIAMETER}
-    scene.add_contact(centres, wall, template, rim="outer", name="on_funnel", **options)
-    scene.add_contact(centres, gate, template, name="on_gate", **options)
-    scene.add_contact(centres, ground, template, name="on_floor", **options)
+    scene.add_contact(centres, wall, material, rim="outer", name="on_funnel", **options)
+    scene.add_contact(centres, gate, material, name="on_gate", **options)
+    scene.add_contact(centres, ground, material, name="on_floor", **options)
     forms = [wc.shapes.Sphere(float(radius)) for radius in radii]
-    scene.add_mutual_contact(scene.add_shape(grains, forms), template, name="pile")
+    scene.add_mutual_contact(scene.add_shape(grains, forms), material, name="pile")
     return scene, radii
 
 

@@ -35,11 +35,11 @@ def scene_in_space() -> wc.Scene:
         angular_velocity=(0.0, 10.0, 0.0),
         name="ball",
     )
-    template = wc.Template(
+    material = wc.ContactMaterial(
         law=wc.laws.HuntCrossley(stiffness=1.0e7, exponent=1.5, restitution=0.5),
         friction=wc.frictions.Tanh(mu=0.3, velocity_scale=0.02),
     )
-    scene.add_contact(scene.add_point(ball, (0, 0, 0)), hull, template, radius=RADIUS, name="touch")
+    scene.add_contact(scene.add_point(ball, (0, 0, 0)), hull, material, radius=RADIUS, name="touch")
     return scene
 
 

@@ -55,8 +55,8 @@ def drop(dampings: np.ndarray, device: str = "auto") -> wc.Recording:
         linear_velocity=(SIDEWAYS, 0.0, 0.0),
         name="ball",
     )
-    template = wc.Template(law=CubicSpring(stiffness=1.0e14), friction=Lubricated(drag=DRAG))
-    scene.add_contact(scene.add_point(ball, (0, 0, 0)), plate, template, radius=RADIUS, name="touch")
+    material = wc.ContactMaterial(law=CubicSpring(stiffness=1.0e14), friction=Lubricated(drag=DRAG))
+    scene.add_contact(scene.add_point(ball, (0, 0, 0)), plate, material, radius=RADIUS, name="touch")
 
     model = scene.build(envs=len(dampings), device=device)
     model["touch.law.damping"] = dampings  # one value per environment; nothing is compiled again

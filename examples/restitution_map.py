@@ -59,9 +59,9 @@ def experiment(masses: np.ndarray, speeds: np.ndarray) -> wc.Experiment:
             "surface": [{"name": "plate", "mesh": {"shape": "grid", "size": [4, 4]}}],
             "body": bodies,
             "point": [{"name": f"{name}_tip", "body": name, "position": [0, 0, 0]} for name in LAWS],
-            "template": [{"name": f"{name}_law", "law": law} for name, law in LAWS.items()],
+            "material": [{"name": f"{name}_law", "law": law} for name, law in LAWS.items()],
             "contact": [
-                {"name": f"{name}_hit", "points": f"{name}_tip", "surface": "plate", "template": f"{name}_law"}
+                {"name": f"{name}_hit", "points": f"{name}_tip", "surface": "plate", "material": f"{name}_law"}
                 for name in LAWS
             ],
             "variation": variation,

@@ -29,7 +29,7 @@ def force(sides: str, first: str, count: int, device: str) -> float:
     skin = scene.add_surface(wc.meshes.icosphere(RADIUS, subdivisions=6), ball, name="skin")
     pair = (skin, plate) if first == "sphere" else (plate, skin)
     # Each point stands for a part of its surface: the law takes the area from there.
-    pad = wc.Template(law=wc.laws.ElasticFoundation(stiffness=MODULUS))
+    pad = wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=MODULUS))
     scene.add_surface_contact(*pair, pad, samples=count, sides=sides, name="press")
     model = scene.build(device=device, precision="float64")
     return float(model.reading("ball.force")[0, 2])

@@ -43,7 +43,9 @@ def wall(columns: int, rows: int) -> wc.Scene:
     """A wall about the plane y = 0 and a ball before it."""
     scene = wc.Scene(gravity=(0.0, 0.0, -GRAVITY))
     ground = scene.add_surface(wc.meshes.grid((20.0, 20.0)), name="ground", color=(0.5, 0.55, 0.5))
-    template = wc.Template(law=wc.laws.Rigid(restitution=RESTITUTION), friction=wc.frictions.Coulomb(mu=FRICTION))
+    material = wc.ContactMaterial(
+        law=wc.laws.Rigid(restitution=RESTITUTION), friction=wc.frictions.Coulomb(mu=FRICTION)
+    )
     points, surfaces = [], []
     for number, (x, z, length) in enumerate(bond(columns, rows)):
         size = np.array([length, DEPTH, HEIGHT])
@@ -64,16 +66,16 @@ def wall(columns: int, rows: int) -> wc.Scene:
         color=(0.2, 0.25, 0.3),
     )
     centre = scene.add_point(ball, (0.0, 0.0, 0.0), name="centre")
-    scene.add_contact(centre, ground, template, radius=BALL_RADIUS, name="ball_on_ground")
+    scene.add_contact(centre, ground, material, radius=BALL_RADIUS, name="ball_on_ground")
     # A corner deeper than this came from the other side.
     half = 0.5 * min(DEPTH, HEIGHT)
     for number, corners in enumerate(points):
-        scene.add_contact(corners, ground, template, radius=ROUNDING, name=f"feet{number}")
-        scene.add_contact(centre, surfaces[number], template, radius=BALL_RADIUS, name=f"hit{number}")
+        scene.add_contact(corners, ground, material, radius=ROUNDING, name=f"feet{number}")
+        scene.add_contact(centre, surfaces[number], material, radius=BALL_RADIUS, name=f"hit{number}")
         for other, surface in enumerate(surfaces):
             if other != number:
                 scene.add_contact(
-                    corners, surface, template, radius=ROUNDING, max_depth=half, name=f"on{number}_{other}"
+                    corners, surface, material, radius=ROUNDING, max_depth=half, name=f"on{number}_{other}"
                 )
     return scene
 

@@ -54,7 +54,7 @@ law: normal_law contact_law solref solimp stiffness damping restitution
 friction: friction_model mu mu_s mu_d friction_coefficient
 rolling: rolling_friction rolling_resistance mu_r
 torsion: torsional_friction spinning_friction spin_friction drilling_friction
-template: material contact_material law friction rolling torsion mu stiffness damping restitution
+material: contact_material law friction rolling torsion mu stiffness damping restitution
 radius: r rc sphere_radius
 rest_length length: l l0 natural_length free_length initial_length rest
 length: l l0 total_length

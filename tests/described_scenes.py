@@ -50,7 +50,7 @@ def touching(gravity=(0.1, -0.2, -9.7)):
         external_force=(0.01, 0.02, 0.03), external_torque=(1e-4, 2e-4, 3e-4), name="ball", color=(0.1, 0.2, 0.3),
     )  # fmt: skip
     law = wc.laws.HuntCrossley(stiffness=1.1e5, exponent=1.4, restitution=0.7)
-    rubber = wc.Template(
+    rubber = wc.ContactMaterial(
         law=law,
         friction=wc.frictions.CundallStrack(mu_static=0.5, mu_dynamic=0.4, stiffness=1e4),
         rolling=wc.frictions.Tanh(mu=0.01),
@@ -64,7 +64,7 @@ def touching(gravity=(0.1, -0.2, -9.7)):
     plate = scene.add_body(2.0, (0.1, 0.1, 0.15), (0.0, 0.0, 0.4), motion=wc.motions.Planar(normal=(0, 1, 0.1)))
     sheet = scene.add_surface(wavy(3, 4, 0.3), plate, (0, 0, 0.01), turned(odd), name="sheet", visible=False)
     under = scene.add_points(sheet, wc.sample_surface(wavy(3, 4, 0.3), 7), name="under")
-    bed = wc.Template(law=wc.laws.ElasticFoundation(stiffness=1e6, damping=10.0))
+    bed = wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=1e6, damping=10.0))
     scene.add_contact(under, ground, bed, radius=0.02 + 0.001 * np.arange(7), name="bed", enabled=False)
     scene.add_points(plate, odd.normal(size=(3, 3)), areas=(0.1, 0.2, 0.3), name="loose")
     keep = wc.ContactRange.from_impact(mass=2.0, area=0.02, speed=1.5, effective_range=0.2, closest=0.005)
@@ -103,7 +103,9 @@ def shaped():
     shell = scene.add_shape(
         egg, wc.shapes.Ellipsoid((0.03, 0.022, 0.021)), (0.001, 0, 0), turned(odd), name="shell"
     )
-    stone = wc.Template(law=wc.laws.KelvinVoigt(stiffness=1e4, damping=1.0), friction=wc.frictions.Tanh(mu=0.3))
+    stone = wc.ContactMaterial(
+        law=wc.laws.KelvinVoigt(stiffness=1e4, damping=1.0), friction=wc.frictions.Tanh(mu=0.3)
+    )
     scene.add_smooth_contact(shell, plane, stone, kappa=0.3, max_depth=0.02, name="tap")
     places = odd.uniform(0.0, 0.1, (5, 3)) + np.array([0, 0, 0.6])
     grains = scene.add_bodies(
@@ -140,6 +142,6 @@ def own():
     scene = wc.Scene()
     ground = scene.add_surface(wavy(4))
     ball = scene.add_body(0.5, (1e-3, 1e-3, 1e-3), (0, 0, 0.15), name="ball")
-    template = wc.Template(law=Cubic(stiffness=1e7))
-    scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, template, radius=0.1)
+    material = wc.ContactMaterial(law=Cubic(stiffness=1e7))
+    scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, material, radius=0.1)
     return scene

@@ -10,12 +10,12 @@ HARD = wc.integrators.MoreauJean()
 
 
 def rigid(restitution=0.0, mu=None, **parts):
-    """A template of hard contact; without ``mu`` nothing opposes sliding."""
+    """A material of hard contact; without ``mu`` nothing opposes sliding."""
     friction = None if mu is None else wc.frictions.Coulomb(mu=mu)
-    return wc.Template(law=wc.laws.Rigid(restitution=restitution), friction=friction, **parts)
+    return wc.ContactMaterial(law=wc.laws.Rigid(restitution=restitution), friction=friction, **parts)
 
 
-def add_box(scene, edges, surface, template, *, name="box", density=1000.0, feet=None, **options):
+def add_box(scene, edges, surface, material, *, name="box", density=1000.0, feet=None, **options):
     """Adds a box with a contact, ``<name>_feet``, of its corners with ``surface``; ``feet`` are places instead."""
     edges = np.asarray(edges, dtype=float)
     mass = options.pop("mass", density * edges.prod())
@@ -24,7 +24,7 @@ def add_box(scene, edges, surface, template, *, name="box", density=1000.0, feet
     if feet is None:
         feet = 0.5 * edges * np.array(np.meshgrid(*[(-1, 1)] * 3)).T.reshape(-1, 3)
     points = scene.add_points(body, feet, name=f"{name}_points")
-    scene.add_contact(points, surface, template, name=f"{name}_feet")
+    scene.add_contact(points, surface, material, name=f"{name}_feet")
     return body
 
 
@@ -58,7 +58,7 @@ def ball(
     spin=(0.0, 0.0, 0.0),
     envs=1,
     gravity=G,
-    template=None,
+    material=None,
     **options,
 ):
     """A solid ball of 1 kg whose lowest point starts ``height`` above a plane at z = 0.
@@ -76,7 +76,7 @@ def ball(
         name="ball",
     )
     centre = scene.add_point(body, (0.0, 0.0, 0.0))
-    scene.add_contact(centre, ground, template or rigid(restitution, mu), radius=radius, kappa=1.0, name="touch")
+    scene.add_contact(centre, ground, material or rigid(restitution, mu), radius=radius, kappa=1.0, name="touch")
     return scene.build(envs=envs, **{"precision": "float64", **options})
 
 

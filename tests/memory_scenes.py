@@ -14,8 +14,8 @@ def ball_scene():
     ground = scene.add_surface(wc.meshes.sinusoidal_terrain((4, 4), (20, 20)), name="ground")
     ball = scene.add_body(0.5, (5e-4,) * 3, position=(0, 0, 1), name="ball")
     law = wc.laws.HuntCrossley(stiffness=1e5, restitution=0.7)
-    template = wc.Template(law=law, friction=wc.frictions.Tanh(mu=0.4))
-    scene.add_contact(scene.add_point(ball, (0, 0, 0), name="centre"), ground, template, radius=0.05, name="touch")
+    material = wc.ContactMaterial(law=law, friction=wc.frictions.Tanh(mu=0.4))
+    scene.add_contact(scene.add_point(ball, (0, 0, 0), name="centre"), ground, material, radius=0.05, name="touch")
     return scene
 
 
@@ -26,14 +26,14 @@ def busy_scene():
     box = scene.add_body(1.0, (1e-2,) * 3, position=(0, 0, 2), name="box")
     skin = scene.add_surface([wc.meshes.box((1, 1, 1)), wc.meshes.icosphere(0.5)], box, name="skin")
     hull = scene.add_points(box, np.random.default_rng(1).uniform(-0.5, 0.5, (40, 3)), name="hull")
-    stuck = wc.Template(
+    stuck = wc.ContactMaterial(
         law=wc.laws.Jankowski(stiffness=1e5, restitution=0.5),
         friction=wc.frictions.CundallStrack(mu_static=0.6, mu_dynamic=0.4, stiffness=1e3, damping=1.0),
     )
     scene.add_contact(hull, scene.surfaces[0], stuck, name="stand", swept=True)
     scene.add_contact(scene.points[0], skin, stuck, radius=0.05, name="bump", entry="latched")
     tip = scene.add_points(ball, np.eye(3), name="tips")
-    scene.add_contact(tip, skin, wc.Template(law=wc.laws.Hooke(stiffness=1e4)), name="tips_on_skin")
+    scene.add_contact(tip, skin, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4)), name="tips_on_skin")
     return scene
 
 
@@ -44,7 +44,7 @@ def set_scene():
     grains = scene.add_bodies(
         at, mass=1.0, inertia=(1e-2,) * 3, motion=wc.motions.Slider(axis=(0, 0, 1)), name="grains"
     )
-    scene.add_contact(scene.add_point(grains, (0, 0, 0)), *scene.surfaces, scene.contacts[0].template, radius=0.05)
+    scene.add_contact(scene.add_point(grains, (0, 0, 0)), *scene.surfaces, scene.contacts[0].material, radius=0.05)
     return scene
 
 
@@ -81,7 +81,7 @@ def pile_scene():
     scene = ball_scene()
     places = np.stack(np.meshgrid(*[np.arange(4.0)] * 3), -1).reshape(-1, 3)
     grains = scene.add_bodies(places, 1.0, (1, 1, 1), name="grains")
-    stuck = wc.Template(
+    stuck = wc.ContactMaterial(
         law=wc.laws.Hooke(stiffness=1e5),
         friction=wc.frictions.CundallStrack(mu_static=0.6, mu_dynamic=0.4, stiffness=1e3, damping=1.0),
     )
@@ -100,14 +100,14 @@ def smooth_scene():
     egg = scene.add_shape(scene.bodies[0], wc.shapes.Ellipsoid((0.3, 0.2, 0.1)), name="egg")
     discs = scene.add_shape(grains, wc.shapes.Cylinder(0.2, 0.1), name="discs")
     floor = scene.add_shape(None, wc.shapes.Plane(), name="floor")
-    stuck = wc.Template(
+    stuck = wc.ContactMaterial(
         law=wc.laws.HertzElastic(modulus=1e8),
         friction=wc.frictions.CundallStrack(mu_static=0.6, mu_dynamic=0.4, stiffness=1e3, damping=1.0),
         rolling=wc.frictions.Tanh(mu=0.01),
     )
     scene.add_smooth_contact(discs, egg, stuck, name="lie")
     scene.add_smooth_contact(egg, floor, stuck, name="stand")
-    scene.add_smooth_contact(discs, floor, scene.contacts[0].template, name="rest")
+    scene.add_smooth_contact(discs, floor, scene.contacts[0].material, name="rest")
     return scene
 
 

@@ -38,14 +38,14 @@ CRATE = {
         }
     ],
     "points": [{"name": "corners", "body": "crate", "positions": CORNERS}],
-    "template": [
+    "material": [
         {
             "name": "wood",
             "law": {"type": "HuntCrossley", "stiffness": 1e5, "restitution": 0.4},
             "friction": {"type": "Tanh", "mu": 0.4, "velocity_scale": 0.05},
         }
     ],
-    "contact": [{"name": "feet", "points": "corners", "surface": "ground", "template": "wood", "radius": 0.01}],
+    "contact": [{"name": "feet", "points": "corners", "surface": "ground", "material": "wood", "radius": 0.01}],
     "variation": {
         "crate.angular_velocity": {"uniform": [[-3, -3, -3], [3, 3, 3]]},
         "feet.friction.mu": {"uniform": [0.1, 0.8]},

@@ -8,8 +8,8 @@ G = 9.81
 
 
 def rigid(mu=0.0, restitution=0.0):
-    """A template of hard contact; always with friction, so that all scenes share their kernels."""
-    return wc.Template(law=wc.laws.Rigid(restitution=restitution), friction=wc.frictions.Coulomb(mu=mu))
+    """A material of hard contact; always with friction, so that all scenes share their kernels."""
+    return wc.ContactMaterial(law=wc.laws.Rigid(restitution=restitution), friction=wc.frictions.Coulomb(mu=mu))
 
 
 def box_inertia(mass, size):

@@ -32,14 +32,14 @@ position = [0.0, 0.0, 0.15]
 name = "centre"
 body = "ball"
 position = [0.0, 0.0, 0.0]
-[[template]]
+[[material]]
 name = "rubber"
 law = { type = "HuntCrossley", stiffness = 1e5, restitution = 0.7 }
 [[contact]]
 name = "touch"
 points = "centre"
 surface = "ground"
-template = "rubber"
+material = "rubber"
 radius = 0.1
 [variation]
 "ball.mass" = { uniform = [0.5, 2.0] }
@@ -97,13 +97,13 @@ positions = {places}
 name = "grain"
 body = "grains"
 form = {{ type = "Sphere", radius = 0.1 }}
-[[template]]
+[[material]]
 name = "soft"
 law = {{ type = "Hooke", stiffness = 100.0 }}
 [[mutual_contact]]
 name = "pile"
 shapes = ["grain"]
-template = "soft"
+material = "soft"
 skin = 0.01
 partners = 1
 [variation]

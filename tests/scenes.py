@@ -7,7 +7,7 @@ import warpcontact as wc
 
 def oracle_law():
     """The law and friction of the worked numbers of SPEC 1.6: k = 1e5 N/m, c = 100 N·s/m, μ = 0.3."""
-    return wc.Template(
+    return wc.ContactMaterial(
         law=wc.laws.KelvinVoigt(stiffness=1.0e5, damping=100.0),
         friction=wc.frictions.Tanh(mu=0.3, velocity_scale=1.0e-3),
     )
@@ -29,8 +29,8 @@ def probe(mesh, positions, *, device="cpu", precision="float32", **options):
     scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
     surface = scene.add_surface(mesh, name="surface", **surface_options)
     body = scene.add_body(mass=1.0, inertia=(0.1, 0.1, 0.1), name="body")
-    template = options.pop("template", None) or wc.Template(law=wc.laws.Hooke(stiffness=1.0e4))
-    scene.add_contact(scene.add_point(body, (0, 0, 0)), surface, template, name="touch", **options)
+    material = options.pop("material", None) or wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1.0e4))
+    scene.add_contact(scene.add_point(body, (0, 0, 0)), surface, material, name="touch", **options)
     positions = np.atleast_2d(positions)
     model = scene.build(envs=len(positions), device=device, precision=precision)
     model["body.position"] = positions
@@ -65,6 +65,6 @@ def dropped_sphere(
     )
     centre = scene.add_point(ball, (0, 0, 0), name="centre")
     scene.add_contact(
-        centre, ground, wc.Template(law=law, friction=friction), radius=radius, name="touch", **contact
+        centre, ground, wc.ContactMaterial(law=law, friction=friction), radius=radius, name="touch", **contact
     )
     return scene.build(envs=envs, device=device, precision=precision)

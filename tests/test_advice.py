@@ -79,7 +79,7 @@ def test_points_that_touch_together_share_the_mass(scale, device):
     ground = scene.add_surface(square(5.0), name="ground")
     box = scene.add_body(2.0, [1.0] * 3, (0, 0, 0.06 * scale), linear_velocity=(0, 0, -2), name="box")
     hull = scene.add_surface(wc.meshes.box((0.4, 0.3, 0.1)), box, scale=scale, name="hull")
-    bed = wc.Template(law=wc.laws.ElasticFoundation(stiffness=1e6))
+    bed = wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=1e6))
     scene.add_surface_contact(hull, ground, bed, samples=400, name="touch")
     model = scene.build(device=device, precision="float64")
     exact = np.pi * np.sqrt(2.0 / (1e6 * 0.12 * scale**2))
@@ -98,7 +98,7 @@ def test_points_beside_what_they_touch_do_not_count(device):
     ground = scene.add_surface(wc.meshes.grid((10.0, 10.0)), name="ground")
     ball = scene.add_body(1.0, [1.0] * 3, (0, 0, 0.06), name="ball")
     skin = scene.add_surface(wc.meshes.icosphere(0.05), ball, name="skin")
-    bed = wc.Template(law=wc.laws.ElasticFoundation(stiffness=1e8))
+    bed = wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=1e8))
     scene.add_contact(scene.add_points(ground, wc.sample_surface(ground.mesh, 2000)), skin, bed, name="touch")
     model = scene.build(device=device)
     (found,) = told(wc.Simulation(model, dt=1e-2), r"a contact takes (\S+) s")
@@ -111,7 +111,7 @@ def test_energies_of_all_points_throw_a_body_out(device):
     ground = scene.add_surface(square(), name="ground")
     body = scene.add_body(1.0, [1.0] * 3, (0, 0, 0), name="body")
     feet = scene.add_points(body, [(0.1, 0.1, -0.5), (0.1, -0.2, -0.5), (-0.1, 0.1, -0.5), (-0.1, -0.2, -0.5)])
-    scene.add_contact(feet, ground, wc.Template(law=wc.laws.Hooke(stiffness=2500.0)), name="touch")
+    scene.add_contact(feet, ground, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=2500.0)), name="touch")
     with pytest.warns(wc.ContactWarning, match=r"touch: starts 0.5 m deep .* 50 m/s"):
         wc.Simulation(scene.build(device=device), dt=1e-4).step()
 
@@ -121,7 +121,7 @@ def test_a_swept_contact_that_lets_through_what_crosses_is_named(radius, device)
     scene = wc.Scene(gravity=(0, 0, 0))
     ground = scene.add_surface(square(), name="ground")
     ball = scene.add_body(1.0, [1e-3] * 3, (0, 0, 0.055), name="ball")
-    spring = wc.Template(law=wc.laws.Hooke(stiffness=1e3))
+    spring = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e3))
     options = {"radius": radius, "max_depth": 0.02, "swept": True, "name": "touch"}
     scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, spring, **options)
     model = scene.build(envs=2, device=device)
@@ -190,9 +190,9 @@ def test_a_step_in_which_a_friction_overshoots_is_told(parts, limit, device):
     scene = wc.Scene()
     ground = scene.add_surface(square(), name="ground")
     ball = scene.add_body(1.0, [0.4 * 0.01] * 3, position=(0, 0, 0.1), name="ball")
-    template = wc.Template(**({"law": wc.laws.Hooke(stiffness=1e3)} | parts))
+    material = wc.ContactMaterial(**({"law": wc.laws.Hooke(stiffness=1e3)} | parts))
     options = {"torsion_radius": 0.01} if part == "torsion" else {}
-    scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, template, radius=0.1, name="touch", **options)
+    scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, material, radius=0.1, name="touch", **options)
     model = scene.build(envs=3, device=device, precision="float64")
     with pytest.warns(wc.ContactWarning, match=f"too long for its {part}, {type(friction).__name__}") as caught:
         wc.Simulation(model, dt=1.1 * limit).step()
@@ -211,7 +211,7 @@ def two_balls(gap, device):
     for number, (mass, x) in enumerate([(1.0, 0.0), (3.0, 0.2 + gap), (1000.0, 5.0)]):
         body = scene.add_body(mass, (1.0, 1.0, 1.0), (x, 0, 0), name=f"ball_{number}")
         shapes += [scene.add_shape(body, wc.shapes.Sphere(radius)) for radius in (0.1, 0.05)]
-    scene.add_mutual_contact(shapes, wc.Template(law=wc.laws.Hooke(stiffness=1e4)), name="pile")
+    scene.add_mutual_contact(shapes, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4)), name="pile")
     return scene.build(2, device)
 
 

@@ -12,10 +12,10 @@ from warpcontact.integrators import SemiImplicitEuler
 
 pytestmark = pytest.mark.launch_shapes
 STATE = ("position", "orientation", "linear_velocity", "angular_velocity")
-TEMPLATE = wc.Template(
+MATERIAL = wc.ContactMaterial(
     law=wc.laws.KelvinVoigt(stiffness=2e3, damping=4.0), friction=wc.frictions.Tanh(mu=0.5, velocity_scale=0.01)
 )
-STUCK = wc.Template(
+STUCK = wc.ContactMaterial(
     law=wc.laws.HuntCrossley(stiffness=2e4, restitution=0.5),
     friction=wc.frictions.CundallStrack(mu_static=0.6, mu_dynamic=0.4, stiffness=1e3, damping=1.0),
     rolling=wc.frictions.Tanh(mu=0.05, velocity_scale=0.01),
@@ -25,7 +25,7 @@ HILLS = wc.meshes.sinusoidal_terrain((4, 4), (30, 30), amplitude=0.15, wavelengt
 ENVS = 45
 
 
-def box(count, template=TEMPLATE, radius=0.01, **body):
+def box(count, material=MATERIAL, radius=0.01, **body):
     """A box of points on hills."""
 
     def make(scene):
@@ -33,7 +33,7 @@ def box(count, template=TEMPLATE, radius=0.01, **body):
         body_ = scene.add_body(1.0, (4e-3, 5e-3, 6e-3), position=(0, 0, 0.5), name="body", **body)
         points = np.random.default_rng(3).uniform(-0.1, 0.1, (count, 3))
         points[np.arange(count), np.arange(count) % 3] = np.where(np.arange(count) % 2, 0.1, -0.1)
-        scene.add_contact(scene.add_points(body_, points), ground, template, radius=radius, name="touch")
+        scene.add_contact(scene.add_points(body_, points), ground, material, radius=radius, name="touch")
 
     return make
 
@@ -44,7 +44,7 @@ def weighed(scene):
     body = scene.add_body(1.0, (4e-3, 5e-3, 6e-3), position=(0, 0, 0.5), name="body")
     shell = scene.add_surface(wc.meshes.box((0.2, 0.2, 0.2)), body, name="shell")
     law = wc.laws.ElasticFoundation(stiffness=4e4, damping=200.0)
-    scene.add_surface_contact(shell, ground, wc.Template(law=law), samples=30, name="touch")
+    scene.add_surface_contact(shell, ground, wc.ContactMaterial(law=law), samples=30, name="touch")
 
 
 def carries_the_surface(scene):
@@ -244,13 +244,13 @@ def on_a_spring(scene):
 def on_two_surfaces(scene):
     ALONE["a few points"](scene)
     wall = scene.add_surface(wc.meshes.grid((4, 4), (3, 3)), position=(0, 0, -1), name="wall")
-    scene.add_contact(scene.points[0], wall, TEMPLATE, name="second")
+    scene.add_contact(scene.points[0], wall, MATERIAL, name="second")
 
 
 def with_a_latch(scene):
     ground = scene.add_surface(HILLS, name="ground")
     body = scene.add_body(1.0, (4e-3, 5e-3, 6e-3), position=(0, 0, 0.5), name="body")
-    scene.add_contact(scene.add_point(body, (0, 0, 0)), ground, TEMPLATE, entry="latched", name="touch")
+    scene.add_contact(scene.add_point(body, (0, 0, 0)), ground, MATERIAL, entry="latched", name="touch")
 
 
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")

@@ -29,7 +29,7 @@ READINGS = ("gap", "normal_force", "friction_force", "point", "status", "frictio
 
 
 def sticky():
-    return wc.Template(
+    return wc.ContactMaterial(
         law=wc.laws.HuntCrossley(stiffness=2e4, exponent=1.5, restitution=0.6),
         friction=wc.frictions.CundallStrack(mu_static=0.5, mu_dynamic=0.3, stiffness=5e3, damping=1.0),
     )
@@ -43,7 +43,7 @@ def rolling_scene(together, n=N):
     lid = scene.add_surface(wc.meshes.box((0.6, 0.6, 0.2)), box, name="lid")
     hull = scene.add_points(box, [(x, y, -0.1) for x in (-0.3, 0.3) for y in (-0.3, 0.3)], name="hull")
     scene.add_contact(hull, ground, oracle_law(), name="stand")
-    template = sticky()
+    material = sticky()
     if together:
         grains = scene.add_bodies(
             POSITIONS[:n],
@@ -56,8 +56,8 @@ def rolling_scene(together, n=N):
             name="grains",
         )
         points = scene.add_points(grains, PLACES[:n], name="middles")
-        scene.add_contact(points, ground, template, radius=RADII[:n], name="touch")
-        scene.add_contact(scene.add_point(grains, (0, 0, 0.02)), lid, template, radius=0.1, name="hit")
+        scene.add_contact(points, ground, material, radius=RADII[:n], name="touch")
+        scene.add_contact(scene.add_point(grains, (0, 0, 0.02)), lid, material, radius=0.1, name="hit")
     else:
         bodies = [
             scene.add_body(
@@ -74,13 +74,13 @@ def rolling_scene(together, n=N):
         ]
         for i, body in enumerate(bodies):
             point = scene.add_point(body, PLACES[i], name=f"middle_{i}")
-            scene.add_contact(point, ground, template, radius=RADII[i], name=f"touch_{i}")
+            scene.add_contact(point, ground, material, radius=RADII[i], name=f"touch_{i}")
         for i, body in enumerate(bodies):
-            scene.add_contact(scene.add_point(body, (0, 0, 0.02)), lid, template, radius=0.1, name=f"hit_{i}")
+            scene.add_contact(scene.add_point(body, (0, 0, 0.02)), lid, material, radius=0.1, name=f"hit_{i}")
     last = scene.add_body(1.0, (0.1, 0.1, 0.1), position=(0, 0, 2), name="last")
     end = scene.add_point(last, (0, 0, 0))
     scene.add_spring_damper(end, scene.add_point(box, (0, 0, 0)), stiffness=50.0, name="spring")
-    scene.add_contact(end, ground, template, radius=0.1, name="tip")
+    scene.add_contact(end, ground, material, radius=0.1, name="tip")
     return scene
 
 
@@ -261,8 +261,8 @@ def test_many_bodies_are_built_as_arrays(device):
     ground = scene.add_surface(square(20.0), position=(10, 5, 0), name="ground")
     grains = scene.add_bodies(at, mass=1.0, inertia=(1e-3,) * 3, name="grains")
     radii = np.linspace(0.01, 0.05, n)
-    template = wc.Template(law=wc.laws.KelvinVoigt(stiffness=1e5, damping=10.0))
-    scene.add_contact(scene.add_point(grains, (0, 0, 0)), ground, template, radius=radii, name="touch")
+    material = wc.ContactMaterial(law=wc.laws.KelvinVoigt(stiffness=1e5, damping=10.0))
+    scene.add_contact(scene.add_point(grains, (0, 0, 0)), ground, material, radius=radii, name="touch")
     # Elements do not grow with the number of bodies.
     assert [len(part) for part in (scene.bodies, scene.points, scene.contacts)] == [1, 1, 1]
     model = scene.build(1, device)
@@ -321,7 +321,7 @@ def test_a_step_too_long_for_one_body_of_a_set_is_told(device):
     )
     law = wc.laws.KelvinVoigt(stiffness=1e4, damping=1.0)
     points = scene.add_point(grains, (0, 0, 0))
-    scene.add_contact(points, ground, wc.Template(law=law), radius=0.1, name="touch")
+    scene.add_contact(points, ground, wc.ContactMaterial(law=law), radius=0.1, name="touch")
     model = scene.build(2, device)
     # π √(m/k): 31 ms of the first body, 0.31 ms of the second.
     with pytest.warns(wc.ContactWarning, match=r"touch: dt = 0\.0001 s is too long: a contact takes 0\.00031 s"):

@@ -49,7 +49,7 @@ def scene_of(mesh, radius, *, count=1, scale=1.0):
     body = scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0))
     point = scene.add_point(body, (0, 0, 0))
     for _ in range(count):
-        scene.add_contact(point, scene.add_surface(mesh, scale=scale), wc.Template(law=LAW), radius=radius)
+        scene.add_contact(point, scene.add_surface(mesh, scale=scale), wc.ContactMaterial(law=LAW), radius=radius)
     return scene
 
 
@@ -269,7 +269,7 @@ def test_all_meshes_have_cells_or_none(monkeypatch):
 def test_swept_points_and_sheets_without_sides_have_none():
     mesh, radius, _ = CASES["ball"]
     scene = scene_of(mesh, radius)
-    scene.add_contact(scene.points[0], scene.surfaces[0], wc.Template(law=LAW), radius=radius, swept=True)
+    scene.add_contact(scene.points[0], scene.surfaces[0], wc.ContactMaterial(law=LAW), radius=radius, swept=True)
     assert grids_of(scene) is None
     # Two sheets above each other: which of them is nearest tells nothing of the side.
     sheet = wc.meshes.grid((1.0, 0.6), (10, 7))
@@ -314,7 +314,7 @@ def told(scene, steps, *, change=lambda model: None, **options):
 def falling_points(places, mesh, height, **options):
     scene = wc.Scene()
     body = scene.add_body(1.0, (1e9, 1e9, 1e9), position=(0, 0, height), linear_velocity=(0, 0, -1))
-    soft = wc.Template(law=wc.laws.Hooke(stiffness=5.0))
+    soft = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=5.0))
     scene.add_contact(scene.add_points(body, places), scene.add_surface(mesh), soft, name="touch", **options)
     return scene
 
@@ -374,7 +374,7 @@ def test_a_narrow_gap_within_a_body_frees_nothing(precision, device):
     scene = wc.Scene()
     point = scene.add_point(scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0)), (0, 0, 0))
     surface = scene.add_surface([near, wc.Mesh(near.vertices + far, faces)])
-    scene.add_contact(point, surface, wc.Template(law=LAW), radius=0.0)
+    scene.add_contact(point, surface, wc.ContactMaterial(law=LAW), radius=0.0)
     model = scene.build(device=device, precision=precision)
     own = model.parts[0].arrays.model
     for patch, middle in enumerate((0.0 * far, far)):
@@ -421,8 +421,8 @@ def test_a_reading_of_a_state_that_is_no_number_finds_nothing_in_cells(monkeypat
     for name in ("touch", "other"):
         body = scene.add_body(1.0, (4e-3, 5e-3, 6e-3), position=(0, 0, 0.4))
         points = scene.add_points(body, rng.uniform(-0.1, 0.1, (20, 3)))
-        template = wc.Template(law=wc.laws.Hooke(stiffness=1e4))
-        scene.add_contact(points, ground, template, radius=0.01, name=name)
+        material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4))
+        scene.add_contact(points, ground, material, radius=0.01, name=name)
     model = scene.build(envs=4, device="cpu")
     wc.Simulation(model, dt=1e-3).step(400)
     own = model.parts[0].arrays

@@ -12,7 +12,7 @@ from warpcontact import Status
 from warpcontact.advice import to_search
 from warpcontact.clearance import is_clear
 
-LAW = wc.Template(law=wc.laws.Hooke(stiffness=1e4))
+LAW = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4))
 TERRAIN = wc.meshes.sinusoidal_terrain(size=(2.0, 2.0), cells=(12, 12), amplitude=0.2, wavelength=1.0)
 CONTAINER = wc.meshes.box((2.0, 2.0, 1.0)).flipped()
 
@@ -161,8 +161,8 @@ import sys, warpcontact as wc
 scene = wc.Scene()
 ground = scene.add_surface(wc.meshes.grid((4.0, 4.0), (4, 4)))
 ball = scene.add_body(1.0, (1, 1, 1), (0, 0, 1), name="ball")
-point, template = scene.add_point(ball, (0, 0, 0)), wc.Template(law=wc.laws.Hooke(stiffness=1e4))
-scene.add_contact(point, ground, template, radius=0.1)
+point, material = scene.add_point(ball, (0, 0, 0)), wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4))
+scene.add_contact(point, ground, material, radius=0.1)
 model = scene.build(envs=2, device="cpu")
 model["ball.position"] = [(0, 0, 1), (0, 0, float(sys.argv[1]))]
 wc.Simulation(model, dt=1e-3).step()

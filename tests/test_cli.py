@@ -65,8 +65,8 @@ def test_frozen_environments_are_said_without_a_warning(tmp_path, capsys):
         '[[surface]]\nname = "s"\nmesh = { shape = "grid" }\n'
         '[[body]]\nname = "b"\nmass = 1\ninertia = [1, 1, 1]\n'
         '[[point]]\nname = "p"\nbody = "b"\nposition = [0, 0, -0.1]\n'
-        '[[template]]\nname = "t"\nlaw = { type = "Hooke", stiffness = 1e38 }\n'
-        '[[contact]]\nname = "c"\npoints = "p"\nsurface = "s"\ntemplate = "t"\nradius = 10.0\n'
+        '[[material]]\nname = "t"\nlaw = { type = "Hooke", stiffness = 1e38 }\n'
+        '[[contact]]\nname = "c"\npoints = "p"\nsurface = "s"\nmaterial = "t"\nradius = 10.0\n'
     )
     assert main(["run", str(path), "--out", str(tmp_path / "out"), "--device", "cpu"]) == 0
     assert "2 of 2 environments turned non-finite and are frozen" in capsys.readouterr().out

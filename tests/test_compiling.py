@@ -110,7 +110,7 @@ def heap():
 
 
 def crossing():
-    scene = falling_on(wc.meshes.grid((4, 4), (5, 5)), template=STUCK, swept=True)()
+    scene = falling_on(wc.meshes.grid((4, 4), (5, 5)), material=STUCK, swept=True)()
     return wc.Simulation(scene.build(envs=3, device="cpu"), dt=1e-3, crossing_steps=3)
 
 
@@ -158,17 +158,17 @@ class OwnLaw(wc.Law):
 def all_kinds(law):
     """A contact, a smooth one, a pile, a spring and a motion, of formulas of the library but the law."""
     scene = wc.Scene()
-    template = wc.Template(law=law, friction=wc.frictions.Tanh(mu=0.3, velocity_scale=0.1))
+    material = wc.ContactMaterial(law=law, friction=wc.frictions.Tanh(mu=0.3, velocity_scale=0.1))
     ground = scene.add_surface(wc.meshes.grid((4.0, 4.0)))
     slow = wc.motions.Harmonic(direction=(0, 0, 1), amplitude=0.1, frequency=1.0)
     ball, other, moved = (
         scene.add_body(1.0, (1, 1, 1), (x, 0, 1), motion=motion) for x, motion in ((0, None), (1, None), (2, slow))
     )
     middle = scene.add_point(ball, (0, 0, 0))
-    scene.add_contact(middle, ground, template, radius=0.1)
+    scene.add_contact(middle, ground, material, radius=0.1)
     round_ones = [scene.add_shape(body, wc.shapes.Sphere(0.1)) for body in (ball, other, moved)]
-    scene.add_smooth_contact(round_ones[0], round_ones[2], template)
-    scene.add_mutual_contact(round_ones[:2], template)
+    scene.add_smooth_contact(round_ones[0], round_ones[2], material)
+    scene.add_mutual_contact(round_ones[:2], material)
     scene.add_spring_damper(middle, scene.add_point(None, (0, 0, 2)), spring=wc.springs.Linear(stiffness=1.0))
     return scene
 

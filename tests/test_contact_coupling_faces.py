@@ -247,7 +247,7 @@ def test_couplings_and_contacts_side_by_side_say_what_each_says_alone(device):
             if name not in names:
                 continue
             if kinds[name] is None:
-                law = wc.Template(law=wc.laws.ContactRange(k1=K1))
+                law = wc.ContactMaterial(law=wc.laws.ContactRange(k1=K1))
                 scene.add_surface_contact(hull, plane, law, samples="centroids", radius=0.03, name=name)
             else:
                 made = wc.ContactRange(k1=K1 * (1 + number), k2=K2, effective_range=RANGE + 0.001 * number)

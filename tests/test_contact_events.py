@@ -13,7 +13,7 @@ def box(envs=3, device="cpu"):
     """A box of four points that falls on a square, tilted another way in each environment, and a ball."""
     scene = wc.Scene()
     ground = scene.add_surface(square(), name="ground")
-    law = wc.Template(law=wc.laws.HuntCrossley(stiffness=1e4, exponent=1.0, restitution=0.6))
+    law = wc.ContactMaterial(law=wc.laws.HuntCrossley(stiffness=1e4, exponent=1.0, restitution=0.6))
     body = scene.add_body(mass=1.0, inertia=(0.005,) * 3, position=(0, 0, 0.15), name="box")
     corners = scene.add_points(body, [(x, y, -0.1) for x in (-0.1, 0.1) for y in (-0.1, 0.1)], name="corners")
     scene.add_contact(corners, ground, law, name="feet")
@@ -111,8 +111,8 @@ def test_what_has_no_events_is_refused(make, problem):
 def test_mutual_contacts_have_no_events():
     scene = wc.Scene()
     grains = scene.add_bodies([(0, 0, 0), (0, 0, 1)], mass=1.0, inertia=(0.1,) * 3, name="grains")
-    template = wc.Template(law=wc.laws.Hooke(stiffness=1e4))
-    scene.add_mutual_contact(scene.add_shape(grains, wc.shapes.Sphere(0.1)), template, name="pile")
+    material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4))
+    scene.add_mutual_contact(scene.add_shape(grains, wc.shapes.Sphere(0.1)), material, name="pile")
     model = scene.build()
     with pytest.raises(
         ValueError, match="events: 'pile' is a mutual contact, the touches of which have no numbers"

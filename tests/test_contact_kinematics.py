@@ -316,7 +316,7 @@ def test_a_surface_moves_with_its_body(device):
     # The body is turned by 90° about y: its z axis points along x of the world.
     surface = scene.add_surface(square(), plate, position=(0, 0, 0.5), name="surface")
     point = scene.add_point(None, (5.49, 0.1, 0.2))
-    scene.add_contact(point, surface, wc.Template(law=wc.laws.Hooke(stiffness=1e4)), name="touch")
+    scene.add_contact(point, surface, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4)), name="touch")
     model = scene.build(device=device)
     np.testing.assert_allclose(model.reading("touch.gap"), -0.01, atol=2 * LENGTH)
     np.testing.assert_allclose(model.reading("touch.normal")[0], (1, 0, 0), atol=LENGTH)
@@ -329,7 +329,7 @@ def test_surface_pose_may_differ_between_environments(device):
     surface = scene.add_surface(square(), name="surface")
     body = scene.add_body(1.0, (1, 1, 1), position=(0, 0, 1.0), name="body")
     point = scene.add_point(body, (0, 0, 0))
-    scene.add_contact(point, surface, wc.Template(law=wc.laws.Hooke(stiffness=1.0)), name="touch")
+    scene.add_contact(point, surface, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1.0)), name="touch")
     model = scene.build(envs=3, device=device)
     model["surface.position"] = [(0, 0, 0), (0, 0, 0.5), (0, 0, -1)]
     np.testing.assert_allclose(model.reading("touch.gap"), [1.0, 0.5, 2.0], atol=LENGTH)
@@ -342,7 +342,7 @@ def latched(entry, z0, velocity, device, steps=200, **options):
     scene = wc.Scene(gravity=(0, 0, 0))
     surface = scene.add_surface(square(), name="surface")
     body = scene.add_body(1.0, (1, 1, 1), position=(0, 0, z0), linear_velocity=velocity, name="body")
-    law = wc.Template(law=wc.laws.Hooke(stiffness=1.0e4))
+    law = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1.0e4))
     scene.add_contact(scene.add_point(body, (0, 0, 0)), surface, law, name="touch", entry=entry, **options)
     sim = wc.Simulation(scene.build(device=device), dt=1e-3)
     sim.step(steps)

@@ -71,8 +71,8 @@ def test_a_corner_that_turns_its_body_gains_no_energy_either(precision, device):
     body = scene.add_body(mass, inertia, name="body")
     arm = np.cross(corner, [0.0, 0.0, 1.0])
     opposed = 1.0 / (1.0 / mass + arm @ np.linalg.solve(inertia, arm))
-    template = wc.Template(law=wc.laws.Hooke(stiffness=opposed * 30.0**2))
-    scene.add_contact(scene.add_point(body, corner), plate, template, name="touch", swept=True)
+    material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=opposed * 30.0**2))
+    scene.add_contact(scene.add_point(body, corner), plate, material, name="touch", swept=True)
     model = scene.build(envs=32, device=device, precision=precision)
     # The corner arrives at 2 m/s, half of it from turning, at all times of the first step.
     model["body.position"] = np.linspace([0.0, 0.0, 0.103], [0.0, 0.0, 0.119], 32)

@@ -16,10 +16,10 @@ def terrain_model(envs, device, spread=None):
     scene = wc.Scene()
     ground = scene.add_surface(wc.meshes.sinusoidal_terrain((4, 4), (30, 30)), name="ground")
     ball = scene.add_body(0.5, (5e-4, 5e-4, 5e-4), position=(0.1, 0.2, 0.3), name="ball")
-    template = wc.Template(
+    material = wc.ContactMaterial(
         law=wc.laws.HuntCrossley(stiffness=2e4, restitution=0.7), friction=wc.frictions.Tanh(mu=0.4)
     )
-    scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, template, radius=0.05, name="touch")
+    scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, material, radius=0.05, name="touch")
     model = scene.build(envs=envs, device=device)
     spread = np.linspace(0, 1, envs) if spread is None else np.atleast_1d(spread)
     model["ball.mass"] = 0.2 + spread

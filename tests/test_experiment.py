@@ -29,9 +29,9 @@ def content(**changes):
         "surface": [{"name": "ground", "mesh": {"shape": "grid", "size": [4.0, 4.0]}}],
         "body": [{"name": "ball", "mass": 1.0, "inertia": [4.0e-3] * 3, "position": [0.0, 0.0, 0.105]}],
         "point": [{"name": "centre", "body": "ball", "position": [0, 0, 0]}],
-        "template": [{"name": "rubber", "law": {"type": "Hooke", "stiffness": 1.0e4}}],
+        "material": [{"name": "rubber", "law": {"type": "Hooke", "stiffness": 1.0e4}}],
         "contact": [
-            {"name": "touch", "points": "centre", "surface": "ground", "template": "rubber", "radius": 0.1}
+            {"name": "touch", "points": "centre", "surface": "ground", "material": "rubber", "radius": 0.1}
         ],
         "record": {"readings": ["touch.gap"]},
     } | changes
@@ -124,14 +124,14 @@ def test_spheres_of_the_example_gain_no_energy_and_stay_above_the_ground(device,
 def test_experiment_is_what_the_same_script_does(device, tmp_path):
     varied = {"ball.linear_velocity": {"uniform": [[0, 0, -2], [0, 0, -1]]}}
     friction = {"type": "Tanh", "mu": 0.3}
-    raw = content(variation=varied, template=[{**content()["template"][0], "friction": friction}])
+    raw = content(variation=varied, material=[{**content()["material"][0], "friction": friction}])
     recorded = wc.Experiment(raw).run(tmp_path / "out", device=device).recording
 
     scene = wc.Scene()
     ground = scene.add_surface(wc.meshes.grid(size=(4.0, 4.0)), name="ground")
     ball = scene.add_body(mass=1.0, inertia=[4.0e-3] * 3, position=(0.0, 0.0, 0.105), name="ball")
     centre = scene.add_point(ball, (0, 0, 0), name="centre")
-    rubber = wc.Template(law=wc.laws.Hooke(stiffness=1.0e4), friction=wc.frictions.Tanh(mu=0.3))
+    rubber = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1.0e4), friction=wc.frictions.Tanh(mu=0.3))
     scene.add_contact(centre, ground, rubber, radius=0.1, name="touch")
     model = scene.build(envs=4, device=device)
     model["ball.linear_velocity"] = recorded["ball.linear_velocity.initial"].values
@@ -154,7 +154,7 @@ def test_defaults_are_those_of_the_python_api():
         (ContactSettings, wc.Scene.add_contact),
     ):
         parameters = inspect.signature(function).parameters
-        assert set(settings.model_fields) <= set(parameters) | {"template"}
+        assert set(settings.model_fields) <= set(parameters) | {"material"}
         for name, field in settings.model_fields.items():
             if name != "name" and not field.is_required():
                 default = parameters[name].default
@@ -180,9 +180,9 @@ def test_every_law_and_friction_can_be_used(kind):
         if field.name not in optional
     }
     part = "law" if kind in wc.laws.CATALOGUE else "friction"
-    template = content()["template"][0] | {part: {"type": kind.__name__, **values}}
-    scene = wc.Experiment(content(template=[template])).scene()
-    assert getattr(scene.contacts[0].template, part) == kind(**values)
+    material = content()["material"][0] | {part: {"type": kind.__name__, **values}}
+    scene = wc.Experiment(content(material=[material])).scene()
+    assert getattr(scene.contacts[0].material, part) == kind(**values)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -224,7 +224,7 @@ def test_all_that_a_file_may_say_reads_back_as_it_was_written(tmp_path):
         contact=[
             *content()["contact"],
             {
-                **{"name": "edge", "points": "corners", "surface": "roof", "template": "rubber", "kappa": 1},
+                **{"name": "edge", "points": "corners", "surface": "roof", "material": "rubber", "kappa": 1},
                 **{"search": "active", "entry": "latched", "max_depth": 0.1, "rim": "outer", "search_radius": 2},
                 "enabled": False,
             },
@@ -295,7 +295,7 @@ def test_box_slides_down_the_slope_as_fast_as_the_closed_form_says(device, tmp_p
 
 def test_rolling_and_torsion_are_parts_of_a_template(device, tmp_path):
     stick = {"type": "CundallStrack", "mu_static": 0.5, "mu_dynamic": 0.4, "stiffness": 1.0e4}
-    template = {
+    material = {
         "name": "felt",
         "law": {"type": "Hooke", "stiffness": 1.0e4},
         "friction": stick,
@@ -303,10 +303,10 @@ def test_rolling_and_torsion_are_parts_of_a_template(device, tmp_path):
         "torsion": {"type": "Tanh", "mu": 0.4, "velocity_scale": 1.0e-3},
     }
     ball = content()["body"][0] | {"position": [0.0, 0.0, 0.099], "angular_velocity": [0.0, 10.0, 5.0]}
-    contact = content()["contact"][0] | {"template": "felt", "torsion_radius": 0.002}
+    contact = content()["contact"][0] | {"material": "felt", "torsion_radius": 0.002}
     study = wc.Experiment(
         content(
-            body=[ball], template=[template], contact=[contact],
+            body=[ball], material=[material], contact=[contact],
             variation={"touch.rolling.mu": {"values": [0.0, 0.01, 0.02, 0.04]}},
             record={"readings": ["touch.torque", "touch.normal_force"]},
         )

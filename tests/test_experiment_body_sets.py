@@ -20,10 +20,10 @@ STUDY = {
     "surface": [{"name": "ground", "mesh": {"shape": "grid", "size": [20, 20], "cells": [2, 2]}}],
     "point": [{"name": "middles", "body": "grains", "position": [0, 0, 0]}],
     "points": [{"name": "tips", "body": "grains", "positions": [[0, 0, 0.01 * i] for i in range(4)]}],
-    "template": [{"name": "soft", "law": {"type": "KelvinVoigt", "stiffness": 1000, "damping": 1}}],
+    "material": [{"name": "soft", "law": {"type": "KelvinVoigt", "stiffness": 1000, "damping": 1}}],
     "contact": [
-        {"name": "touch", "points": "middles", "surface": "ground", "template": "soft", "radius": RADII},
-        {"name": "scratch", "points": "tips", "surface": "ground", "template": "soft"},
+        {"name": "touch", "points": "middles", "surface": "ground", "material": "soft", "radius": RADII},
+        {"name": "scratch", "points": "tips", "surface": "ground", "material": "soft"},
     ],
     "variation": {"grains.mass": {"values": [[1, 2, 3, 4], [2, 2, 2, 2], [4, 3, 2, 1]]}},
     "record": {"readings": ["touch.gap", "scratch.gap", "grains.kinetic_energy", "scene.kinetic_energy"]},

@@ -158,7 +158,7 @@ def test_a_friction_of_ones_own_works_and_is_copied_along(tmp_path):
             {"surface_a": "quay", "surface_b": "hull"},
             "contact_coupling[0].surface_a must be on a body, got 'quay' on the world",
         ),
-        ({"template": "wood"}, "contact_coupling[0].template is not known"),
+        ({"material": "wood"}, "contact_coupling[0].material is not known"),
     ],
 )
 def test_problems_name_the_key(changes, problem):

@@ -15,15 +15,15 @@ RIGHT = {
     "body": [{"name": "ball", "mass": 1.0, "inertia": [0.1, 0.1, 0.1], "position": [0, 0, 1]}],
     "point": [{"name": "centre", "body": "ball", "position": [0, 0, 0]}],
     "points": [{"name": "hull", "body": "ball", "positions": [[0, 0, 0], [0, 0, 1]]}],
-    "template": [{"name": "rubber", "law": {"type": "HuntCrossley", "stiffness": 1e5, "restitution": 0.7}}],
-    "contact": [{"name": "touch", "points": "centre", "surface": "ground", "template": "rubber"}],
+    "material": [{"name": "rubber", "law": {"type": "HuntCrossley", "stiffness": 1e5, "restitution": 0.7}}],
+    "contact": [{"name": "touch", "points": "centre", "surface": "ground", "material": "rubber"}],
     "variation": {"ball.mass": {"uniform": [1, 2]}},
     "record": {"every": 0.01, "readings": ["touch.gap"]},
     "output": {"usd_envs": 2},
 }
 LEFT_OUT = object()
 VARIED = ("variation", "ball.mass")
-LAW = ("template", 0, "law")
+LAW = ("material", 0, "law")
 GROUND = ("surface", 0)
 NAMES = ", ".join(law.__name__ for law in (*wc.laws.CATALOGUE, *wc.laws.RIGID)) + ", or FILE.py:CLASS"
 RUBBING = (*wc.frictions.CATALOGUE, *wc.frictions.RIGID)
@@ -59,9 +59,9 @@ BAD = [
     (("xyz",), 1, "xyz is not known; allowed: name, envs, duration"),
     (("body", 0, "mas"), 1, "body[0].mas is not known; did you mean 'mass'?"),
     (("body", 0, "velocity"), [0, 0, 1], "body[0].velocity is not known; did you mean 'linear_velocity'?"),
-    ((*LAW, "k"), 1, "template[0].law.k is not known; did you mean 'stiffness'?"),
+    ((*LAW, "k"), 1, "material[0].law.k is not known; did you mean 'stiffness'?"),
     (("contact", 0, "raduis"), 1, "contact[0].raduis is not known; did you mean 'radius'?"),
-    ((*LAW, "stifness"), 1, "template[0].law.stifness is not known; did you mean 'stiffness'?"),
+    ((*LAW, "stifness"), 1, "material[0].law.stifness is not known; did you mean 'stiffness'?"),
     ((*GROUND, "mesh", "celss"), 1, "surface[0].mesh.celss is not known; did you mean 'cells'?"),
     (("record", "evry"), 1, "record.evry is not known; did you mean 'every'?"),
     (("output", "usd_env"), 1, "output.usd_env is not known; did you mean 'usd_envs'?"),
@@ -72,8 +72,8 @@ BAD = [
     (("body",), LEFT_OUT, "body is missing: an experiment needs a [[body]]"),
     (("body", 0, "mass"), LEFT_OUT, "body[0].mass is missing: mass [kg]"),
     (("body", 0, "name"), LEFT_OUT, "body[0].name is missing"),
-    ((*LAW, "stiffness"), LEFT_OUT, "template[0].law.stiffness is missing: stiffness K [N/mⁿ]"),
-    ((*LAW, "type"), LEFT_OUT, f"template[0].law.type is missing: one of {NAMES}"),
+    ((*LAW, "stiffness"), LEFT_OUT, "material[0].law.stiffness is missing: stiffness K [N/mⁿ]"),
+    ((*LAW, "type"), LEFT_OUT, f"material[0].law.type is missing: one of {NAMES}"),
     ((*GROUND, "mesh", "shape"), LEFT_OUT, "surface[0].mesh.shape is missing: one of grid, "),
     # Types: a text is no number, true is not 1.
     (("dt",), "1e-3", "dt must be a number [s], got '1e-3'"),
@@ -95,7 +95,7 @@ BAD = [
     ((*GROUND, "mesh"), "grid", "surface[0].mesh must be a table, got 'grid'; write mesh = { shape = 'grid', … }"),
     ((*GROUND, "mesh", "cells"), [2.5, 1], "surface[0].mesh.cells must be 2 whole numbers, got [2.5, 1]"),
     ((*GROUND, "active_faces"), [0, True], "surface[0].active_faces must be a list of face numbers"),
-    (LAW, "Hooke", "template[0].law must be a table, got 'Hooke'; write law = { type = 'Hooke', … }"),
+    (LAW, "Hooke", "material[0].law must be a table, got 'Hooke'; write law = { type = 'Hooke', … }"),
     (
         ("record", "readings"),
         ["foo"],
@@ -126,25 +126,25 @@ BAD = [
         {"name": "my eye", "position": [0, 0, 0]},
         "point[1].name must be letters, digits, _ and -, not starting with a digit",
     ),
-    ((*LAW, "stiffness"), -5, "template[0].law.stiffness must be greater than 0, got -5 N/mⁿ"),
-    ((*LAW, "exponent"), 9, "template[0].law.exponent must be at least 1 and at most 4, got 9"),
-    ((*LAW, "damping"), 1, "template[0].law: HuntCrossley takes exactly one of restitution and damping, got"),
+    ((*LAW, "stiffness"), -5, "material[0].law.stiffness must be greater than 0, got -5 N/mⁿ"),
+    ((*LAW, "exponent"), 9, "material[0].law.exponent must be at least 1 and at most 4, got 9"),
+    ((*LAW, "damping"), 1, "material[0].law: HuntCrossley takes exactly one of restitution and damping, got"),
     (
         (*LAW, "type"),
         "HuntCrosley",
-        f"template[0].law.type must be one of {NAMES}, got 'HuntCrosley'; did you mean 'HuntCrossley'?",
+        f"material[0].law.type must be one of {NAMES}, got 'HuntCrosley'; did you mean 'HuntCrossley'?",
     ),
     ((*LAW, "type"), "huntcrossley", "got 'huntcrossley'; did you mean 'HuntCrossley'?"),
-    ((*LAW, "type"), ["Hooke"], f"template[0].law.type must be one of {NAMES}, got"),
+    ((*LAW, "type"), ["Hooke"], f"material[0].law.type must be one of {NAMES}, got"),
     (
-        ("template", 0, "friction"),
+        ("material", 0, "friction"),
         {"type": "Tanh", "mu": -1},
-        "template[0].friction.mu must be at least 0, got -1",
+        "material[0].friction.mu must be at least 0, got -1",
     ),
     (
-        ("template", 0, "friction"),
+        ("material", 0, "friction"),
         {"type": "tahn"},
-        f"template[0].friction.type must be one of {FRICTIONS}, got 'tahn'; did you mean 'Tanh'?",
+        f"material[0].friction.type must be one of {FRICTIONS}, got 'tahn'; did you mean 'Tanh'?",
     ),
     (("contact", 0, "radius"), -0.1, "contact[0].radius must be at least 0, got -0.1 m"),
     (("contact", 0, "kappa"), 1.5, "contact[0].kappa must be at least 0 and at most 1, got 1.5"),
@@ -176,10 +176,10 @@ BAD = [
         "contact[0].points must be the name of a point, got 'center'; did you mean",
     ),
     (("contact", 0, "surface"), "grund", "contact[0].surface must be the name of a surface, got 'grund'; did you"),
-    (("contact", 0, "template"), "ruber", "contact[0].template must be the name of a template, got 'ruber'; did"),
+    (("contact", 0, "material"), "ruber", "contact[0].material must be the name of a material, got 'ruber'; did"),
     ((*GROUND, "body"), "ball", "contact[0]: points and surface are both fixed to body 'ball'; one must move"),
     (("point", 1), {"name": "ball", "position": [0, 0, 0]}, "point[1]: name 'ball' of a point is taken"),
-    (("template", 1), RIGHT["template"][0], "template[1]: name 'rubber' of a template is taken"),
+    (("material", 1), RIGHT["material"][0], "material[1]: name 'rubber' of a material is taken"),
     (
         ("record", "readings"),
         ["touch.gpa"],

@@ -26,9 +26,9 @@ STUDY = {
             "orientation": [0.0, -(0.5**0.5), 0.0, 0.5**0.5],
         },
     ],
-    "template": [{"name": "hard", "law": {"type": "Rigid", "restitution": 1.0}}],
-    "mutual_contact": [{"name": "pile", "shapes": ["first", "second"], "template": "hard"}],
-    "smooth_contact": [{"name": "touch", "shape": "second", "other_shape": "wall", "template": "hard"}],
+    "material": [{"name": "hard", "law": {"type": "Rigid", "restitution": 1.0}}],
+    "mutual_contact": [{"name": "pile", "shapes": ["first", "second"], "material": "hard"}],
+    "smooth_contact": [{"name": "touch", "shape": "second", "other_shape": "wall", "material": "hard"}],
     "variation": {"pile.law.restitution": {"values": [0.5, 1.0]}},
     "record": {
         "every": 1e-3,

@@ -44,9 +44,9 @@ def content(mesh=MESHES, choice=None, *, active_faces=None, **changes):
         "surface": [surface],
         "body": [{"name": "ball", "mass": 1, "inertia": [4e-3] * 3, "position": [0.5, 0.3, 0.29]}],
         "point": [{"name": "centre", "body": "ball", "position": [0, 0, 0]}],
-        "template": [{"name": "rubber", "law": {"type": "Hooke", "stiffness": 1e4}}],
+        "material": [{"name": "rubber", "law": {"type": "Hooke", "stiffness": 1e4}}],
         "contact": [
-            {"name": "touch", "points": "centre", "surface": "ground", "template": "rubber", "radius": 0.1}
+            {"name": "touch", "points": "centre", "surface": "ground", "material": "rubber", "radius": 0.1}
         ],
         "variation": {} if choice is None else {"ground.mesh": choice},
         "record": {"readings": ["touch.gap", "touch.status"]},
@@ -70,7 +70,7 @@ def test_it_does_what_the_same_script_does(device, folder, tmp_path):
     ground = scene.add_surface(meshes, active_faces=[None, "left", [0]], name="ground")
     ball = scene.add_body(1, [4e-3] * 3, (0.5, 0.3, 0.29), name="ball")
     centre = scene.add_point(ball, (0, 0, 0), name="centre")
-    rubber = wc.Template(law=wc.laws.Hooke(stiffness=1e4))
+    rubber = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4))
     scene.add_contact(centre, ground, rubber, radius=0.1, name="touch")
     model = scene.build(envs=ENVS, device=device)
     model["ground.mesh"] = CHOSEN

@@ -25,9 +25,9 @@ CUBIC = {"type": "my_laws.py:Cubic", "stiffness": 1e9}
 def study(law=CUBIC, friction=None, **changes):
     """A ball 2 mm deep in the ground that slides, with laws of the user."""
     body = content()["body"][0] | {"position": [0.0, 0.0, 0.098], "linear_velocity": [1.0, 0.0, 0.0]}
-    template = {"name": "rubber", "law": law} | ({"friction": friction} if friction else {})
+    material = {"name": "rubber", "law": law} | ({"friction": friction} if friction else {})
     readings = {"readings": ["touch.normal_force", "touch.friction_force", "ball.position"]}
-    return content(body=[body], template=[template], record=readings) | changes
+    return content(body=[body], material=[material], record=readings) | changes
 
 
 @pytest.fixture
@@ -55,7 +55,7 @@ linear_velocity = [1, 0, 0]
 name = "centre"
 body = "ball"
 position = [0, 0, 0]
-[[template]]
+[[material]]
 name = "rubber"
 law = { type = "my_laws.py:Cubic", stiffness = 1e9 }
 friction = { type = "my_laws.py:Lubricated", drag = 0.1 }
@@ -63,7 +63,7 @@ friction = { type = "my_laws.py:Lubricated", drag = 0.1 }
 name = "touch"
 points = "centre"
 surface = "ground"
-template = "rubber"
+material = "rubber"
 radius = 0.1
 [variation]
 "touch.law.stiffness" = { loguniform = [1e9, 1e10] }
@@ -96,7 +96,7 @@ def test_the_command_runs_laws_of_the_user_like_the_same_script(device, folder, 
     scene = wc.Scene()
     ground = scene.add_surface(wc.meshes.grid(size=(4.0, 4.0)), name="ground")
     ball = scene.add_body(1.0, [4e-3] * 3, (0, 0, 0.098), linear_velocity=(1, 0, 0), name="ball")
-    rubber = wc.Template(law=module.Cubic(stiffness=1e9), friction=module.Lubricated(drag=0.1))
+    rubber = wc.ContactMaterial(law=module.Cubic(stiffness=1e9), friction=module.Lubricated(drag=0.1))
     scene.add_contact(scene.add_point(ball, (0, 0, 0), name="centre"), ground, rubber, radius=0.1, name="touch")
     model = scene.build(envs=3, device=device)
     model["touch.law.stiffness"] = recorded["touch.law.stiffness"].values
@@ -136,17 +136,17 @@ def test_copies_of_files_of_one_name_are_told_apart(folder):
         (folder / sub).mkdir()
         text = LAWS.replace("return p.stiffness *", f"return type(c.delta)({factor}) * p.stiffness *")
         (folder / sub / "laws.py").write_text(text, encoding="utf-8")
-    templates = [
+    materials = [
         {"name": sub, "law": {"type": f"{sub}/laws.py:Cubic", "stiffness": 1e9}}
         for sub in ("soft", "hard", "soft")
     ]
-    templates[2] |= {"name": "again", "friction": {"type": "./soft/laws.py:Lubricated", "drag": 1}}
-    contacts = [content()["contact"][0] | {"name": f"{t['name']}_touch", "template": t["name"]} for t in templates]
-    raw = study(template=templates, contact=contacts)
+    materials[2] |= {"name": "again", "friction": {"type": "./soft/laws.py:Lubricated", "drag": 1}}
+    contacts = [content()["contact"][0] | {"name": f"{t['name']}_touch", "material": t["name"]} for t in materials]
+    raw = study(material=materials, contact=contacts)
     raw["record"] = {"readings": [f"{contact['name']}.normal_force" for contact in contacts]}
     run = wc.Experiment.from_dict(raw, folder).run(folder.parent / "out", device="cpu")
-    written = tomllib.loads(run.files["experiment"].read_text())["template"]
-    assert [template["law"]["type"] for template in written] == [
+    written = tomllib.loads(run.files["experiment"].read_text())["material"]
+    assert [material["law"]["type"] for material in written] == [
         *("laws.py:Cubic", "laws_2.py:Cubic", "laws.py:Cubic")
     ]
     assert written[2]["friction"]["type"] == "laws.py:Lubricated"
@@ -195,7 +195,7 @@ def test_an_interrupted_run_goes_on_with_its_copies(folder):
 
 
 def law_of(experiment):
-    return experiment.scene().contacts[0].template.law
+    return experiment.scene().contacts[0].material.law
 
 
 def force_of(experiment, device="cpu"):
@@ -281,7 +281,7 @@ def test_parameters_of_the_user_are_varied_and_may_be_left_out(folder, device):
     run = wc.Experiment.from_dict(study(law={"type": "my_laws.py:Pad", "stiffness": 1e3}), folder).run(
         folder.parent / "out", device=device
     )
-    written = tomllib.loads(run.files["experiment"].read_text())["template"][0]["law"]
+    written = tomllib.loads(run.files["experiment"].read_text())["material"][0]["law"]
     assert written == {"type": "my_laws.py:Pad", "stiffness": 1e3, "damping": 0.5}
 
 
@@ -307,8 +307,8 @@ def test_the_example_rebounds_as_its_closed_form_says(device, tmp_path):
 
 def test_own_frictions_that_remember_serve_every_part(folder, device, tmp_path):
     spring = {"type": "my_laws.py:StickSpring", "mu": 0.4, "stiffness": 1e5}
-    template = {"name": "rubber", "law": CUBIC, "friction": spring, "rolling": spring, "torsion": spring}
-    experiment = wc.Experiment(study(template=[template]), folder=folder)
+    material = {"name": "rubber", "law": CUBIC, "friction": spring, "rolling": spring, "torsion": spring}
+    experiment = wc.Experiment(study(material=[material]), folder=folder)
     run = experiment.run(tmp_path / "out", device=device)
     force = run.recording["touch.friction_force"].sel(axis="x").values
     normal = run.recording["touch.normal_force"].values

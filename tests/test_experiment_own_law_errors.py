@@ -70,7 +70,7 @@ BAD = [
 def test_mistake_with_a_law_of_the_user_is_named_by_its_key(law, message, folder):
     (folder / "folder.py").mkdir()
     (problem,) = problems_of(study(law=law), folder)
-    assert problem.startswith("template[0].law")
+    assert problem.startswith("material[0].law")
     assert message in problem
     assert "_warpcontact_own_" not in problem
 
@@ -96,7 +96,7 @@ def test_error_in_the_file_of_the_user_is_told_with_its_line(text, message, fold
     (folder / "my_laws.py").write_text(text, encoding="utf-8")
     modules = set(sys.modules)
     (problem,) = problems_of(study(), folder)
-    assert problem.startswith("template[0].law.type: my_laws.py")
+    assert problem.startswith("material[0].law.type: my_laws.py")
     assert message in problem
     assert not {name for name in set(sys.modules) - modules if "my_laws" in name}
     # A file that failed is tried again.
@@ -107,9 +107,9 @@ def test_error_in_the_file_of_the_user_is_told_with_its_line(text, message, fold
 def test_the_bases_are_no_laws(folder):
     (folder / "my_laws.py").write_text("from warpcontact import Law\n")
     (problem,) = problems_of(study(law=own("Law")), folder)
-    assert problem == "template[0].law.type: Law.force in my_laws.py must be a wp.func of (coefficients, state)"
+    assert problem == "material[0].law.type: Law.force in my_laws.py must be a wp.func of (coefficients, state)"
     (problem,) = problems_of(study(law=own("Cubic")), folder)
-    assert problem == "template[0].law.type: my_laws.py has no law 'Cubic'; there are: none"
+    assert problem == "material[0].law.type: my_laws.py has no law 'Cubic'; there are: none"
 
 
 def test_a_link_out_of_the_folder_is_refused_and_one_within_is_followed(folder):
@@ -123,9 +123,9 @@ def test_a_link_out_of_the_folder_is_refused_and_one_within_is_followed(folder):
         pytest.skip("no links here")
     for name in ("linked.py", "away/outside.py"):
         (problem,) = problems_of(study(law=CUBIC | {"type": f"{name}:Cubic"}), folder)
-        assert problem.startswith("template[0].law.type must name a file inside of the folder of the experiment")
+        assert problem.startswith("material[0].law.type must name a file inside of the folder of the experiment")
     (problem,) = problems_of(study(law=CUBIC | {"type": "loop.py:Cubic"}), folder)
-    assert problem.startswith("template[0].law.type")
+    assert problem.startswith("material[0].law.type")
     run = wc.Experiment.from_dict(study(law=CUBIC | {"type": "inner.py:Cubic"}), folder).run(
         folder.parent / "out", device="cpu"
     )
@@ -133,23 +133,23 @@ def test_a_link_out_of_the_folder_is_refused_and_one_within_is_followed(folder):
 
 
 def test_all_problems_are_found_together_with_those_of_the_file(folder):
-    template = {"name": "rubber", "law": {"type": "my_laws.py:Misspelt", "stiffness": 1}}
+    material = {"name": "rubber", "law": {"type": "my_laws.py:Misspelt", "stiffness": 1}}
     unused = {
         "name": "unused",
         "law": {"type": "my_laws.py:Careless", "stiffness": 1},
         "friction": {"type": "my_laws.py:Pad"},
     }
     idle = {"name": "idle", "law": {"type": "my_laws.py:Careless", "stiffness": 1}}
-    raw = study(template=[template, unused, idle], precision="float64")
+    raw = study(material=[material, unused, idle], precision="float64")
     raw["variation"] = {"ball.mas": {"uniform": [1, 2]}, "touch.law.stiffness": {"uniform": [1, 2]}}
     raw["record"] = {"readings": ["ball.positon", "touch.gap"]}
     raw["contact"].append(content()["contact"][0] | {"name": "other", "points": "center"})
     problems = problems_of(raw, folder)
     begins = [
-        "template[1].friction.type: 'Pad' in my_laws.py is a law and no friction",
+        "material[1].friction.type: 'Pad' in my_laws.py is a law and no friction",
         "contact[1].points must be the name of a point",
-        "template[0].law: law Misspelt ",
-        "template[2].law: law Careless ",
+        "material[0].law: law Misspelt ",
+        "material[2].law: law Careless ",
         'variation."ball.mas" is not the name of a parameter',
         "record.readings[0] must be the name of a reading",
     ]
@@ -217,7 +217,7 @@ def test_a_mistake_in_a_function_is_told_with_file_and_line_and_no_kernels(part,
     number = laws[: laws.index(text)].count("\n") + 1
     (problem,) = problems_of(study(law=own(name, stiffness=1)), folder)
     place = f"{folder / 'my_laws.py'}, line {number}: {wrong}\n        return {text}\n    {HELP}"
-    assert problem == f"template[0].law: law {name} does not compile in float32: {place}"
+    assert problem == f"material[0].law: law {name} does not compile in float32: {place}"
 
 
 def test_results_of_the_wrong_type_are_told_without_kernels(folder):
@@ -228,10 +228,10 @@ def test_results_of_the_wrong_type_are_told_without_kernels(folder):
         "friction a vector."
     )
     told = f"law Twofold does not compile in float32: Twofold.force returns vec2f\n    {HELP}\n    {results}"
-    assert problem == f"template[0].law: {told}"
+    assert problem == f"material[0].law: {told}"
     (problem,) = problems_of(study(friction=own("Straight")), folder)
     told = "friction Straight does not compile in float32: Straight.force returns float32\n    In the friction, "
-    assert problem.startswith(f"template[0].friction: {told}")
+    assert problem.startswith(f"material[0].friction: {told}")
     assert problem.endswith(results)
 
 

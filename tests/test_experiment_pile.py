@@ -21,12 +21,12 @@ STUDY = {
         {"name": "second", "body": "middle", "form": {"type": "Capsule", "radius": 0.1, "half_length": 0.2}},
         {"name": "third", "body": "right", "form": {"type": "Sphere", "radius": 0.1}},
     ],
-    "template": [{"name": "soft", "law": {"type": "Hooke", "stiffness": 1000.0}}],
+    "material": [{"name": "soft", "law": {"type": "Hooke", "stiffness": 1000.0}}],
     "mutual_contact": [
         {
             "name": "pile",
             "shapes": ["first", "second", "third"],
-            "template": "soft",
+            "material": "soft",
             "exclude": [["second", "third"]],
             "skin": 0.01,
             "partners": 5,
@@ -53,13 +53,13 @@ def test_all_problems_of_a_pile_are_told_at_once(tmp_path):
     study = copy.deepcopy(STUDY)
     study["mutual_contact"][0] |= {
         "shapes": ["first", "secnd"],
-        "template": "sfot",
+        "material": "sfot",
         "exclude": [["third", "gone"]],
     }
     with pytest.raises(ValueError, match="secnd") as error:
         wc.Experiment.from_dict(study, tmp_path)
     text = str(error.value).replace(" ('pile')", "")
-    for words in ("mutual_contact[0].shapes[1]", "mutual_contact[0].template", "mutual_contact[0].exclude[0][1]"):
+    for words in ("mutual_contact[0].shapes[1]", "mutual_contact[0].material", "mutual_contact[0].exclude[0][1]"):
         assert words in text
     study = copy.deepcopy(STUDY)
     study["mutual_contact"][0] |= {"skin": -1.0, "partners": 0, "kapa": 0.5}

@@ -39,10 +39,10 @@ STUDY = {
         {"name": "bowl", "form": {"type": "bowls.py:Bowl", "depth": 1.0}},
         {"name": "floor", "form": {"type": "Plane"}, "group": 2, "mask": 1},
     ],
-    "template": [{"name": "soft", "law": {"type": "Hooke", "stiffness": 1000.0}}],
+    "material": [{"name": "soft", "law": {"type": "Hooke", "stiffness": 1000.0}}],
     "smooth_contact": [
-        {"name": "in_bowl", "shape": "sphere", "other_shape": "bowl", "template": "soft"},
-        {"name": "on_floor", "shape": "oval", "other_shape": "floor", "template": "soft", "max_depth": 0.5},
+        {"name": "in_bowl", "shape": "sphere", "other_shape": "bowl", "material": "soft"},
+        {"name": "on_floor", "shape": "oval", "other_shape": "floor", "material": "soft", "max_depth": 0.5},
     ],
     "variation": {
         "sphere.radius": {"values": [0.05, 0.1, 0.15]},
@@ -101,8 +101,8 @@ def test_errors_of_shapes_and_contacts_are_told_at_once(folder):
         "shape": [*STUDY["shape"], {"name": "x", "body": "bal", "form": {"type": "Plane"}, "group": -1}],
         "smooth_contact": [
             *STUDY["smooth_contact"],
-            {"name": "y", "shape": "sphere", "other_shape": "flor", "template": "soft", "kappa": 2.0},
-            {"name": "z", "shape": "bowl", "other_shape": "floor", "template": "soft"},
+            {"name": "y", "shape": "sphere", "other_shape": "flor", "material": "soft", "kappa": 2.0},
+            {"name": "z", "shape": "bowl", "other_shape": "floor", "material": "soft"},
         ],
     }
     with pytest.raises(wc.ExperimentError) as error:
@@ -118,7 +118,7 @@ def test_the_picture_shows_what_shapes_stand_on_and_how_they_touch(tmp_path, dev
     from warpcontact.experiment import ground, picture
 
     study = {
-        **{key: STUDY[key] for key in ("duration", "dt", "template", "record")},
+        **{key: STUDY[key] for key in ("duration", "dt", "material", "record")},
         "body": [STUDY["body"][0]],
         "shape": [
             {"name": "ring", "form": {"type": "Torus", "major_radius": 0.5, "minor_radius": 0.1}},
@@ -129,7 +129,7 @@ def test_the_picture_shows_what_shapes_stand_on_and_how_they_touch(tmp_path, dev
                 "form": {"type": "Superellipsoid", "semi_axes": [0.1, 0.1, 0.1], "exponents": [1.5, 1.5]},
             },
         ],
-        "smooth_contact": [{"name": "touch", "shape": "box", "other_shape": "floor", "template": "soft"}],
+        "smooth_contact": [{"name": "touch", "shape": "box", "other_shape": "floor", "material": "soft"}],
     }
     recording = wc.Experiment.from_dict(study).run(tmp_path, device=device).recording
     plane, lower, upper = picture._extent([recording["ball.position"].values])

@@ -23,10 +23,10 @@ def content(**changes):
                 "mesh": {"shape": "icosphere", "radius": 0.05, "subdivisions": 2},
             },
         ],
-        "template": [{"name": "bed", "law": {"type": "ElasticFoundation", "stiffness": 1e8}}],
+        "material": [{"name": "bed", "law": {"type": "ElasticFoundation", "stiffness": 1e8}}],
         "surface_contact": [
             {
-                **{"name": "press", "surface_a": "skin", "surface_b": "ground", "template": "bed"},
+                **{"name": "press", "surface_a": "skin", "surface_b": "ground", "material": "bed"},
                 **{"samples": ["vertices", 40], "sides": "average", "seed": 5, "kappa": 0.25},
             }
         ],
@@ -36,7 +36,7 @@ def content(**changes):
             {"name": "pins", "surface": "skin", "positions": [[0, 0, -0.05], [0, 0, 0]], "areas": [1e-4, 1e-4]},
         ],
         "point": [{"name": "pole", "surface": "skin", "position": [0, 0, -0.05]}],
-        "contact": [{"name": "prick", "points": "pins", "surface": "ground", "template": "bed"}],
+        "contact": [{"name": "prick", "points": "pins", "surface": "ground", "material": "bed"}],
         "variation": {"press_first.share": {"values": [0.5, 1.0]}, "skin.position": {"values": [[0, 0, 0]] * 2}},
         "record": {"readings": ["press_first.normal_force", "press_second.normal_force", "prick.gap"]},
     }
@@ -49,7 +49,7 @@ def test_a_surface_contact_is_that_of_the_python_interface(tmp_path):
     ball = scene.add_body(1, [1e-3] * 3, (0, 0, 0.046), name="ball")
     ground = scene.add_surface(wc.meshes.grid((0.06, 0.06)), name="ground")
     skin = scene.add_surface(wc.meshes.icosphere(0.05, 2), ball, name="skin")
-    bed = wc.Template(law=wc.laws.ElasticFoundation(stiffness=1e8))
+    bed = wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=1e8))
     scene.add_surface_contact(
         skin, ground, bed, samples=("vertices", 40), sides="average", seed=5, kappa=0.25, name="press"
     )
@@ -143,8 +143,8 @@ BAD = [
     ),
     ({"surface_contact": [PRESS | {"share": -1}]}, "surface_contact[0].share must be at least 0, got -1"),
     (
-        {"points": [], "contact": [{"name": "prick", "points": "pole", "surface": "ground", "template": "bed"}]},
-        "contact[0]: the law of its template, ElasticFoundation, was given no area [m²], and the points",
+        {"points": [], "contact": [{"name": "prick", "points": "pole", "surface": "ground", "material": "bed"}]},
+        "contact[0]: the law of its material, ElasticFoundation, was given no area [m²], and the points",
     ),
 ]
 

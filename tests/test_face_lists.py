@@ -62,7 +62,7 @@ def over_terrain(real, points, device):
     body = scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0))
     law = wc.laws.Hooke(stiffness=1e4)
     # Faces near swept points are remembered on a GPU, too.
-    scene.add_contact(scene.add_points(body, points), ground, wc.Template(law=law), radius=0.1, swept=True)
+    scene.add_contact(scene.add_points(body, points), ground, wc.ContactMaterial(law=law), radius=0.1, swept=True)
     precision = "float32" if real is wp.float32 else "float64"
     return scene.build(device=device, precision=precision)
 
@@ -189,8 +189,8 @@ def test_more_faces_are_remembered_of_larger_spheres(radius, scale, least, most)
     ground = scene.add_surface([coarse, fine], scale=scale)
     body = scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0))
     points = scene.add_points(body, np.zeros((3, 3)))
-    template = wc.Template(law=wc.laws.Hooke(stiffness=1e4))
-    scene.add_contact(points, ground, template, radius=[0.0, radius, 0.0])
+    material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4))
+    scene.add_contact(points, ground, material, radius=[0.0, radius, 0.0])
     room = room_in(scene.build(device="cpu"))
     assert least <= room <= most
     assert room % WIDTH == 0
@@ -251,7 +251,7 @@ def test_slopes_that_were_taken_behind_the_place_of_a_list_hide_no_face_there(re
     scene = wc.Scene()
     ground = scene.add_surface(two_sheets(apart))
     body = scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0))
-    scene.add_contact(scene.add_points(body, points), ground, wc.Template(law=wc.laws.Hooke(stiffness=1e4)))
+    scene.add_contact(scene.add_points(body, points), ground, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4)))
     model = scene.build(device="cpu", precision="float32" if real is wp.float32 else "float64")
     own = model.parts[0].arrays
     cache = own.cache
@@ -311,7 +311,7 @@ def test_which_of_nearly_tied_faces_is_taken_does_not_hang_on_where_one_begins(r
     ground = scene.add_surface(pit(sides))
     body = scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0))
     law = wc.laws.Hooke(stiffness=1e4)
-    scene.add_contact(scene.add_point(body, (0, 0, 0)), ground, wc.Template(law=law), radius=0.3)
+    scene.add_contact(scene.add_point(body, (0, 0, 0)), ground, wc.ContactMaterial(law=law), radius=0.3)
     cells_everywhere(monkeypatch)
     model = scene.build(device=device, precision="float32" if real is wp.float32 else "float64")
     places = wp.array(points @ ASKEW.T, dtype=vec3, device=device)
@@ -399,7 +399,7 @@ def test_what_a_list_is_sure_of_is_the_nearest(mesh, axes, low, high, way, rival
     ground = scene.add_surface(mesh)
     body = scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0))
     scene.add_contact(
-        scene.add_points(body, np.zeros((count, 3))), ground, wc.Template(law=wc.laws.Hooke(stiffness=1e4))
+        scene.add_points(body, np.zeros((count, 3))), ground, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4))
     )
     model = scene.build(device="cpu", precision="float32" if real is wp.float32 else "float64")
     own = model.parts[0].arrays

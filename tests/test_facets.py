@@ -30,8 +30,8 @@ def test_gap_and_force_are_continuous_while_a_sphere_rolls_over_edges_and_corner
     steps = np.linspace(0.0, 1.0, 1001)[None, :, None]
     ways = ends[:, :1] + steps * (ends[:, 1:] - ends[:, :1])
     points = ways.reshape(-1, 3).astype(precision).astype(np.float64)
-    spring = wc.Template(law=wc.laws.Hooke(stiffness=STIFFNESS))
-    readings = probe(mesh, points, radius=radius, template=spring, precision=precision, device=device)
+    spring = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=STIFFNESS))
+    readings = probe(mesh, points, radius=radius, material=spring, precision=precision, device=device)
     gap, force = (readings[name].astype(np.float64).reshape(30, 1001) for name in ("gap", "normal_force"))
     normal = readings["normal"].astype(np.float64).reshape(30, 1001, 3)
     moved = np.linalg.norm(np.diff(points.reshape(30, 1001, 3), axis=1), axis=2)
@@ -63,11 +63,11 @@ def test_gap_and_force_on_a_faceted_ball_are_of_second_order(device):
     """A sphere of 0.2 on one of 1.0, 20 mm deep: the force is that of two spheres."""
     radius, depth = 0.2, 0.02
     points = (1.0 + radius - depth) * directions(2000)
-    spring = wc.Template(law=wc.laws.Hertz(stiffness=1e6))
+    spring = wc.ContactMaterial(law=wc.laws.Hertz(stiffness=1e6))
     gaps, forces = [], []
     for level in (1, 2, 3, 4, 5):
         readings = probe(
-            wc.meshes.icosphere(1.0, level), points, radius=radius, template=spring, precision="float64",
+            wc.meshes.icosphere(1.0, level), points, radius=radius, material=spring, precision="float64",
             device=device,
         )  # fmt: skip
         gaps.append(np.abs(readings["gap"] + depth).max())
@@ -109,7 +109,7 @@ def test_a_bounce_on_a_faceted_ball_is_of_second_order(device):
         surface = scene.add_surface(wc.meshes.icosphere(1.0, level))
         ball = scene.add_body(1.0, [0.4 * radius**2] * 3, name="ball")
         scene.add_contact(
-            scene.add_point(ball, (0, 0, 0)), surface, wc.Template(law=law), radius=radius, name="touch"
+            scene.add_point(ball, (0, 0, 0)), surface, wc.ContactMaterial(law=law), radius=radius, name="touch"
         )
         model = scene.build(envs=len(aims), precision="float64", device=device)
         model["ball.position"] = (1.0 + radius + 0.01) * aims

@@ -19,7 +19,7 @@ def pushed(mesh, path, *, precision, device, entry="latched", radius=0.0, surfac
     scene = wc.Scene(gravity=(0, 0, 0))
     ground = scene.add_surface(mesh, name="ground", **(surface or {}))
     body = scene.add_body(1e12, (1e12, 1e12, 1e12), path[0], name="body")
-    spring = wc.Template(law=wc.laws.Hooke(stiffness=1e4))
+    spring = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4))
     scene.add_contact(
         scene.add_point(body, (0, 0, 0)), ground, spring, name="touch", entry=entry, radius=radius, **contact
     )

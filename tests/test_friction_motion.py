@@ -26,9 +26,9 @@ def resting_block(
     )
     foot = made.add_point(block, (0, 0, 0))
     law = wc.laws.Hooke(stiffness=LOAD)
-    made.add_contact(foot, plate, wc.Template(law=law, friction=friction), name="touch")
+    made.add_contact(foot, plate, wc.ContactMaterial(law=law, friction=friction), name="touch")
     if "springs" in scene:
-        spring = wc.Template(law=wc.laws.Hooke(stiffness=scene["springs"]))
+        spring = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=scene["springs"]))
         # A wall on either side of x = 0, yielding like a spring.
         for turn in (-np.sqrt(0.5), np.sqrt(0.5)):
             wall = made.add_surface(square(50.0), orientation=(0, turn, 0, np.sqrt(0.5)))
@@ -37,7 +37,7 @@ def resting_block(
         stiffness, wall_speed = scene["wall"]
         carrier = made.add_body(1e9, (1e9, 1e9, 1e9), linear_velocity=(wall_speed, 0, 0), name="wall")
         wall = made.add_surface(square(500.0), carrier, orientation=(0, -np.sqrt(0.5), 0, np.sqrt(0.5)))
-        made.add_contact(foot, wall, wc.Template(law=wc.laws.Hooke(stiffness=stiffness)))
+        made.add_contact(foot, wall, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=stiffness)))
     return made.build(envs=envs, device=device, precision=precision)
 
 

@@ -145,7 +145,7 @@ def test_regularised_friction_creeps_at_its_known_speed(friction, speed, device)
     block = scene.add_body(1.0, (0.01, 0.01, 0.02), position=(0, 0, 0.02), name="block")
     feet = scene.add_points(block, [(x, y, -0.02) for x in (-0.2, 0.2) for y in (-0.2, 0.2)])
     law = wc.laws.KelvinVoigt(stiffness=1e5, damping=200.0)
-    scene.add_contact(feet, ground, wc.Template(law=law, friction=friction))
+    scene.add_contact(feet, ground, wc.ContactMaterial(law=law, friction=friction))
     model = scene.build(device=device, precision="float64")
     wc.Simulation(model, dt=2e-4).step(5000)
     # The feet share the load unevenly, by height/width of the block: second order in 0.1.

@@ -174,8 +174,8 @@ def test_a_search_radius_loses_nothing_that_it_reaches(precision, device):
     scene = wc.Scene(gravity=(0, 0, 0))
     ground = scene.add_surface(wc.meshes.box((1, 1, 1e-3)), name="ground")
     body = scene.add_body(1.0, (1, 1, 1), name="body")
-    template = wc.Template(law=wc.laws.Hooke(stiffness=1.0))
-    scene.add_contact(scene.add_point(body, (0, 0, 0)), ground, template, search_radius=reach, name="touch")
+    material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1.0))
+    scene.add_contact(scene.add_point(body, (0, 0, 0)), ground, material, search_radius=reach, name="touch")
     model = scene.build(envs=count, precision=precision, device=device)
     away = rng.uniform(0.05, 2.0, count) * reach
     beside, above = rng.uniform(-0.49, 0.49, count), rng.uniform(-4e-4, 4e-4, count)

@@ -65,11 +65,11 @@ def test_restitution_and_friction_of_the_template_are_those_of_each_environment(
 
 
 def test_a_compliant_template_lends_its_restitution_and_friction(device):
-    template = wc.Template(
+    material = wc.ContactMaterial(
         law=wc.laws.HuntCrossley(stiffness=1e5, exponent=1.5, restitution=0.7),
         friction=wc.frictions.Tanh(mu=0.1, velocity_scale=1e-2),
     )
-    model = ball(template=template, height=0.01, velocity=(2.0, 0.0, -3.0), gravity=0.0, device=device)
+    model = ball(material=material, height=0.01, velocity=(2.0, 0.0, -3.0), gravity=0.0, device=device)
     wc.Simulation(model, 1e-3, HARD).run(0.01)
     assert model.reading("ball.linear_velocity")[0] == pytest.approx([2.0 - 0.1 * 5.1, 0.0, 2.1], abs=1e-12)
 
@@ -158,7 +158,7 @@ def test_rolling_and_spinning_friction_stop_a_ball_evenly(device):
     resistance = wc.frictions.Coulomb(mu=0.02)
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     ground = scene.add_surface(square(50.0), name="ground")
-    template = rigid(mu=0.5, rolling=resistance, torsion=wc.frictions.Coulomb(mu=0.3))
+    material = rigid(mu=0.5, rolling=resistance, torsion=wc.frictions.Coulomb(mu=0.3))
     for name, spin, velocity in (
         ("rolling", (0.0, 10.0, 0.0), (1.0, 0.0, 0.0)),
         ("spinning", (0.0, 0.0, 10.0), (0.0,) * 3),
@@ -174,7 +174,7 @@ def test_rolling_and_spinning_friction_stop_a_ball_evenly(device):
         scene.add_contact(
             scene.add_point(body, (0.0, 0.0, 0.0)),
             ground,
-            template,
+            material,
             radius=0.1,
             torsion_radius=0.01,
             kappa=1.0,
@@ -213,13 +213,13 @@ def test_boxes_thrown_onto_each_other_never_gain_energy(device):
     rng = np.random.default_rng(3)
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     below = scene.add_surface(square(20.0), name="ground")
-    template = rigid(0.5, 0.4)
+    material = rigid(0.5, 0.4)
     edges = np.array([0.3, 0.4, 0.2])
-    body = add_box(scene, edges, below, template, name="one", position=(0.0, 0.0, 0.5))
+    body = add_box(scene, edges, below, material, name="one", position=(0.0, 0.0, 0.5))
     top = scene.add_surface(wc.meshes.box(tuple(edges)), body, name="top")
-    other = add_box(scene, edges, below, template, name="two", position=(0.0, 0.0, 1.0))
+    other = add_box(scene, edges, below, material, name="two", position=(0.0, 0.0, 1.0))
     corners = 0.5 * edges * np.array(np.meshgrid(*[(-1, 1)] * 3)).T.reshape(-1, 3)
-    scene.add_contact(scene.add_points(other, corners), top, template, name="between")
+    scene.add_contact(scene.add_points(other, corners), top, material, name="between")
     envs = 64
     model = scene.build(envs=envs, device=device, precision="float64")
     model["one.angular_velocity"] = rng.normal(size=(envs, 3))
@@ -253,11 +253,11 @@ def test_compliant_contact_comes_to_hard_contact_as_it_stiffens(device):
     )
     far = []
     for stiffness in (1e4, 1e6):
-        template = wc.Template(
+        material = wc.ContactMaterial(
             law=wc.laws.KelvinVoigt(stiffness=stiffness, damping=2.0 * np.sqrt(stiffness)),
             friction=wc.frictions.RegularizedCoulomb(mu=0.3, velocity_scale=10.0 / stiffness**0.5),
         )
-        model = ball(template=template, height=0.05, velocity=(1.0, 0.0, 0.0), device=device)
+        model = ball(material=material, height=0.05, velocity=(1.0, 0.0, 0.0), device=device)
         soft = wc.Simulation(model, 1e-5).run(0.5, ["ball.position"], every=1e-2)["ball.position"].values[:, 0]
         far.append(np.abs(soft - expected).max())
     assert far[1] < 0.2 * far[0]

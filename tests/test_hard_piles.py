@@ -12,12 +12,12 @@ RADIUS, MASS = 0.1, 2.0
 INERTIA = [0.4 * MASS * RADIUS**2] * 3
 
 
-def spheres(positions, template, *, velocities=(0.0, 0.0, 0.0), gravity=G, floor=None, **options):
-    """Returns a scene of equal solid balls in a pile, with the template ``floor`` above a plane at z = 0."""
+def spheres(positions, material, *, velocities=(0.0, 0.0, 0.0), gravity=G, floor=None, **options):
+    """Returns a scene of equal solid balls in a pile, with the material ``floor`` above a plane at z = 0."""
     scene = wc.Scene(gravity=(0.0, 0.0, -gravity))
     balls = scene.add_bodies(positions, MASS, INERTIA, linear_velocities=velocities, name="ball")
     shapes = scene.add_shape(balls, wc.shapes.Sphere(RADIUS), name="sphere")
-    scene.add_mutual_contact(shapes, template, name="pile", **options)
+    scene.add_mutual_contact(shapes, material, name="pile", **options)
     if floor is not None:
         plane = scene.add_shape(None, wc.shapes.Plane(), name="plane")
         # At the surfaces of the balls, so that arms are their radii.
@@ -44,7 +44,7 @@ RESISTANCE = {"rolling": wc.frictions.Coulomb(mu=0.05), "torsion": wc.frictions.
 
 
 @pytest.mark.parametrize(
-    ("forms", "template", "options"),
+    ("forms", "material", "options"),
     [
         ([wc.shapes.Sphere(0.1), wc.shapes.Sphere(0.15)], rigid(0.4, 0.3, **RESISTANCE), {"torsion_radius": 0.02}),
         # Of capsules rolling has another radius in a pile.
@@ -52,7 +52,7 @@ RESISTANCE = {"rolling": wc.frictions.Coulomb(mu=0.05), "torsion": wc.frictions.
     ],
     ids=["spheres", "capsules"],
 )
-def test_a_pair_is_that_of_a_smooth_contact(forms, template, options, device):
+def test_a_pair_is_that_of_a_smooth_contact(forms, material, options, device):
     """The same rows by two ways: an oblique impact with friction."""
     starts = [
         {"name": "one", "linear_velocity": (0.0, 0.0, 0.5), "angular_velocity": (1.0, 5.0, 2.0)},
@@ -72,9 +72,9 @@ def test_a_pair_is_that_of_a_smooth_contact(forms, template, options, device):
             for start, form in zip(starts, forms, strict=True)
         ]
         if smooth:
-            scene.add_smooth_contact(*shapes, template, **options)
+            scene.add_smooth_contact(*shapes, material, **options)
         else:
-            scene.add_mutual_contact(shapes, template, **options)
+            scene.add_mutual_contact(shapes, material, **options)
         model = scene.build(device=device, precision="float64")
         wc.Simulation(model, 1e-3, HARD).step(100)
         names = [f"{body}.{key}_velocity" for body in ("one", "two") for key in ("linear", "angular")]
@@ -315,11 +315,11 @@ def test_compliant_piles_live_beside_hard_contacts(device):
     scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
     head_on = {"linear_velocities": [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]}
     law = wc.laws.Hooke(stiffness=1e5)
-    for name, template in (("soft", wc.Template(law=law)), ("hard", rigid(0.5))):
+    for name, material in (("soft", wc.ContactMaterial(law=law)), ("hard", rigid(0.5))):
         place = float(name == "hard")
         pair = scene.add_bodies([[place, 0, 0], [place, 0, 2.1 * RADIUS]], MASS, INERTIA, name=name, **head_on)
         shapes = scene.add_shape(pair, wc.shapes.Sphere(RADIUS))
-        scene.add_mutual_contact(shapes, template, name=f"{name}_pile")
+        scene.add_mutual_contact(shapes, material, name=f"{name}_pile")
     wall = scene.add_surface(square(10.0, z=-1.0))
     ball = scene.add_body(MASS, INERTIA, position=(0, 0, -0.89), linear_velocity=(0, 0, -1.0), name="ball")
     scene.add_contact(scene.add_point(ball, (0, 0, 0)), wall, rigid(0.25), radius=RADIUS, name="touch")
@@ -346,9 +346,9 @@ def test_compliant_piles_live_beside_hard_contacts(device):
 def test_radii_of_each_environment_roll_with_their_own(device):
     """A couple of μ R N opposes what turns across the line of centres, 1/R = 1/R₁ + 1/R₂, and μ r_t N about it."""
     resistance = wc.frictions.Coulomb(mu=0.1)
-    template = rigid(0.0, 0.0, rolling=resistance, torsion=resistance)
+    material = rigid(0.0, 0.0, rolling=resistance, torsion=resistance)
     places = [[0.0, 0.0, 0.0], [0.0, 0.0, 2.0 * RADIUS]]
-    scene = spheres(places, template, velocities=[[0, 0, 1.0], [0, 0, -1.0]], gravity=0.0, torsion_radius=0.03)
+    scene = spheres(places, material, velocities=[[0, 0, 1.0], [0, 0, -1.0]], gravity=0.0, torsion_radius=0.03)
     model = scene.build(envs=2, device=device, precision="float64")
     spin = np.array([[50.0, 0.0, 80.0], [0.0, 0.0, 0.0]])
     model["ball.angular_velocity"] = np.stack([spin, spin])

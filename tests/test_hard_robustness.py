@@ -86,13 +86,13 @@ def test_a_capsule_that_rocks_on_its_ends_sinks_unless_overlap_is_taken_back(dev
 
 
 def test_what_slips_says_so_and_has_its_dynamic_friction(device):
-    template = wc.Template(
+    material = wc.ContactMaterial(
         law=wc.laws.Rigid(), friction=wc.frictions.Stribeck(mu_static=0.3, mu_dynamic=0.05, stribeck_speed=0.1)
     )
     scene = wc.Scene(gravity=(G * np.sin(0.35), 0.0, -G * np.cos(0.35)))
     ground = scene.add_surface(square(50.0), name="ground")
     body = scene.add_body(1.0, (1.0,) * 3, motion=wc.motions.Translation(), position=(0, 0, 0.1), name="block")
-    scene.add_contact(scene.add_point(body, (0, 0, -0.1)), ground, template, name="touch")
+    scene.add_contact(scene.add_point(body, (0, 0, -0.1)), ground, material, name="touch")
     model = scene.build(envs=3, device=device, precision="float64")
     model["block.linear_velocity"] = [(0.5, 0, 0), (0.6, 0.1, 0), (0.7, -0.2, 0)]
     data = wc.Simulation(model, 2e-3, HARD).run(1.0, ["touch.mode", "block.linear_velocity"])

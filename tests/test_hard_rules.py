@@ -132,7 +132,7 @@ def test_compliant_and_hard_contacts_live_in_one_scene(device):
     """A block on four springy feet and one on rigid ones, a springy ball on top of the second."""
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     ground = scene.add_surface(square(20.0), name="ground")
-    soft = wc.Template(law=wc.laws.KelvinVoigt(stiffness=1e4, damping=200.0))
+    soft = wc.ContactMaterial(law=wc.laws.KelvinVoigt(stiffness=1e4, damping=200.0))
     feet = [(x, y, -0.1) for x in (-0.2, 0.2) for y in (-0.2, 0.2)]
     add_box(scene, (0.5, 0.5, 0.2), ground, soft, name="soft", mass=4.0, feet=feet, position=(2.0, 0.0, 0.1))
     base = add_box(
@@ -154,10 +154,10 @@ def test_compliant_and_hard_contacts_live_in_one_scene(device):
 
 
 def test_one_model_can_be_stepped_either_way(device):
-    template = wc.Template(
+    material = wc.ContactMaterial(
         law=wc.laws.Hooke(stiffness=1e4), friction=wc.frictions.Tanh(mu=0.3, velocity_scale=0.01)
     )
-    model = ball(template=template, height=0.01, device=device)
+    model = ball(material=material, height=0.01, device=device)
     expected = wc.Simulation(model, 1e-4).run(0.2, ["ball.position"])["ball.position"].values
     simulation = wc.Simulation(model, 1e-3, HARD)
     simulation.reset()
@@ -223,10 +223,10 @@ def test_what_hard_contact_cannot_do_is_said(device):
         wc.Simulation(model, 1e-3, wc.integrators.MoreauJean(compliant=["tuoch"]))
     with pytest.raises(ValueError, match=r"compliant: touch\.law is Rigid"):
         wc.Simulation(model, 1e-3, wc.integrators.MoreauJean(compliant=["touch"]))
-    viscous = wc.Template(law=wc.laws.Hooke(stiffness=1e4), friction=wc.frictions.Viscous(drag=1.0))
-    for own in (viscous, wc.Template(law=wc.laws.Rigid(), friction=Own())):
+    viscous = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4), friction=wc.frictions.Viscous(drag=1.0))
+    for own in (viscous, wc.ContactMaterial(law=wc.laws.Rigid(), friction=Own())):
         with pytest.raises(ValueError, match=r"touch\.friction is \w+, which has no coefficient of friction"):
-            wc.Simulation(ball(template=own, device=device), 1e-3, HARD)
+            wc.Simulation(ball(material=own, device=device), 1e-3, HARD)
     with pytest.raises(ValueError, match=r"Rigid is for hard contact, and has no force to compare"):
         wc.compare.plot_laws(wc.laws.Rigid)
     scene = wc.Scene()
@@ -259,7 +259,7 @@ def test_memory_of_hard_contacts_is_part_of_the_estimate(device):
     assert "hard contacts" not in [
         need.purpose
         for need in wc.Simulation(
-            ball(template=wc.Template(law=wc.laws.Hooke(stiffness=1e4)), device=device), 1e-3
+            ball(material=wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4)), device=device), 1e-3
         )
         .memory()
         .needs
@@ -277,7 +277,7 @@ def test_simulations_of_one_model_each_follow_its_parameters_and_leave_nothing_b
         simulation.reset()
         simulation.step(20)
         assert model.reading("ball.linear_velocity")[0, 2] == pytest.approx(restitution, rel=1e-12)
-    wc.Simulation(ball(template=wc.Template(law=wc.laws.Hooke(stiffness=1e4)), device=device), 1e-3)
+    wc.Simulation(ball(material=wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4)), device=device), 1e-3)
     assert len(parameter.uploads) == before + 1
 
 
@@ -317,8 +317,8 @@ def test_contact_couplings_stay_forces(device):
 
 
 def test_laws_begin_anew_after_hard_contact(device):
-    template = wc.Template(law=wc.laws.HuntCrossley(stiffness=1e6, exponent=1.5, restitution=0.5))
-    model = ball(template=template, height=1e-3, velocity=(0.0, 0.0, -2.0), device=device)
+    material = wc.ContactMaterial(law=wc.laws.HuntCrossley(stiffness=1e6, exponent=1.5, restitution=0.5))
+    model = ball(material=material, height=1e-3, velocity=(0.0, 0.0, -2.0), device=device)
     wc.Simulation(model, 1e-4).step(15)
     assert model.arrays.history.entry_speed.numpy()[0, 0] > 1.5
     wc.Simulation(model, 1e-4, HARD).step(5000)

@@ -12,28 +12,28 @@ INERTIA = (0.4 * RADIUS**2,) * 3  # of a solid ball of 1 kg
 THROWN = {"position": (0, 0, 0.15), "linear_velocity": (1.5, 0.3, -2.0), "angular_velocity": (3.0, -2.0, 9.0)}
 
 
-def sphere(template, *, smooth=True, start=THROWN, gravity=G, contact=None, **built):
+def sphere(material, *, smooth=True, start=THROWN, gravity=G, contact=None, **built):
     """A solid ball of 1 kg over a plane at z = 0, which is a shape or a mesh."""
     scene = wc.Scene(gravity=(0.0, 0.0, -gravity))
     body = scene.add_body(1.0, INERTIA, name="ball", **start)
     options = {"name": "touch", **(contact or {})}
     if smooth:
         plane = scene.add_shape(None, wc.shapes.Plane(), name="plane")
-        scene.add_smooth_contact(scene.add_shape(body, wc.shapes.Sphere(RADIUS)), plane, template, **options)
+        scene.add_smooth_contact(scene.add_shape(body, wc.shapes.Sphere(RADIUS)), plane, material, **options)
     else:
         ground = scene.add_surface(square(50.0), name="ground")
-        scene.add_contact(scene.add_point(body, (0.0, 0.0, 0.0)), ground, template, radius=RADIUS, **options)
+        scene.add_contact(scene.add_point(body, (0.0, 0.0, 0.0)), ground, material, radius=RADIUS, **options)
     return scene.build(**{"precision": "float64", **built})
 
 
 def test_a_sphere_on_a_plane_is_that_on_a_flat_mesh(device):
-    template = rigid(0.6, 0.1, rolling=wc.frictions.Coulomb(mu=0.05), torsion=wc.frictions.Coulomb(mu=0.2))
+    material = rigid(0.6, 0.1, rolling=wc.frictions.Coulomb(mu=0.05), torsion=wc.frictions.Coulomb(mu=0.2))
     names = ["ball.position", "ball.angular_velocity", "touch.gap", *LOSSES]
     names += [f"touch.{key}" for key in ("impulse", "mode", "normal_force", "friction_force", "torque")]
     names += ["touch.slip_speed", "touch.approach_speed"]
     runs = [
         wc.Simulation(
-            sphere(template, smooth=smooth, contact={"torsion_radius": 0.02}, device=device), 1e-3, HARD
+            sphere(material, smooth=smooth, contact={"torsion_radius": 0.02}, device=device), 1e-3, HARD
         ).run(2.0, names)
         for smooth in (True, False)
     ]
@@ -116,14 +116,14 @@ def three(device):
     """Three balls on a plane by the same code; the one in the middle is hard."""
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     plane = scene.add_shape(None, wc.shapes.Plane(), name="plane")
-    template = wc.Template(
+    material = wc.ContactMaterial(
         law=wc.laws.KelvinVoigt(stiffness=1e5, damping=100.0),
         friction=wc.frictions.CundallStrack(mu_static=0.4, mu_dynamic=0.3, stiffness=1e4, damping=10.0),
     )
     for number, name in enumerate(("left", "middle", "right")):
         start = {**THROWN, "position": (0.0, float(number), 0.15)}
         ball = scene.add_shape(scene.add_body(1.0, INERTIA, name=name, **start), wc.shapes.Sphere(RADIUS))
-        scene.add_smooth_contact(ball, plane, template, name=f"{name}_touch")
+        scene.add_smooth_contact(ball, plane, material, name=f"{name}_touch")
     model = scene.build(device=device, precision="float64", envs=3)
     model["middle.linear_velocity"] = [(1.0, 0.2, -1.0), (1.0, 0.2, -2.0), (1.0, 0.2, -3.0)]
     return model, wc.integrators.MoreauJean(compliant=["left_touch", "right_touch"])

@@ -84,9 +84,9 @@ def test_a_point_has_no_curvature():
     ball = scene.add_body(1.0, (1.0, 1.0, 1.0), position=(0, 0, 1))
     centre = scene.add_point(ball, (0, 0, 0))
     with pytest.raises(
-        ValueError, match="the law of its template, HertzElastic, needs a radius, got a radius of 0 m"
+        ValueError, match="the law of its material, HertzElastic, needs a radius, got a radius of 0 m"
     ):
-        scene.add_contact(centre, ground, wc.Template(law=STEEL), name="touch")
-    scene.add_contact(centre, ground, wc.Template(law=STEEL), radius=0.1, name="touch")
+        scene.add_contact(centre, ground, wc.ContactMaterial(law=STEEL), name="touch")
+    scene.add_contact(centre, ground, wc.ContactMaterial(law=STEEL), radius=0.1, name="touch")
     with pytest.raises(ValueError, match=r"touch\.radius must be greater than 0, got 0 m"):
         scene.build()["touch.radius"] = 0.0

@@ -90,8 +90,12 @@ PROPOSALS = [
     (lambda: wc.springs.StiffnessTable.of(np.abs, [0, 1], skale=2.0), "StiffnessTable.of", "scale"),
     (lambda: wc.frictions.Tanh(mu_s=0.3), "Tanh", "mu"),
     (lambda: wc.frictions.CundallStrack(mu_s=0.3, kt=1e4), "CundallStrack", "mu_static' and 'stiffness"),
-    (lambda: wc.Template(stiffness=1e5, mu=0.3), "Template", "law' and 'friction"),
-    (lambda: wc.Template(law=wc.laws.Hooke(stiffness=1.0), rolling_friction=None), "Template", "rolling"),
+    (lambda: wc.ContactMaterial(stiffness=1e5, mu=0.3), "ContactMaterial", "law' and 'friction"),
+    (
+        lambda: wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1.0), rolling_friction=None),
+        "ContactMaterial",
+        "rolling",
+    ),
     (lambda: wc.motions.Hinge(axs=(0, 0, 1)), "Hinge", "axis"),
     (lambda: wc.shapes.Sphere(r=1.0), "Sphere", "radius"),
     (lambda: wc.integrators.MoreauJean(tol=1e-6), "MoreauJean", "tolerance"),
@@ -104,11 +108,11 @@ PROPOSALS = [
     (lambda: wc.Scene().add_body(mass=1.0, velocity=(0, 0, 1)), "Scene.add_body", "linear_velocity"),
     (lambda: wc.Scene().add_body(mass=1.0, omega=(0, 0, 1)), "Scene.add_body", "angular_velocity"),
     (lambda: wc.Scene().add_surface(None, pos=(0, 0, 1)), "Scene.add_surface", "position"),
-    (lambda: wc.Scene().add_contact(None, None, material=None), "Scene.add_contact", "template"),
+    (lambda: wc.Scene().add_contact(None, None, contact_material=None), "Scene.add_contact", "material"),
     (
         lambda: wc.Scene().add_surface_contact(None, None, None, friction=0.3),
         "Scene.add_surface_contact",
-        "template",
+        "material",
     ),
     (lambda: wc.Scene().add_surface_contact(None, None, None, kapa=0.3), "Scene.add_surface_contact", "kappa"),
     (lambda: wc.Scene().add_spring_damper(None, None, k=1.0), "Scene.add_spring_damper", "stiffness"),
@@ -151,15 +155,15 @@ def test_decorated_functions_keep_signature_name_and_documentation():
 
 
 def test_surface_contact_takes_the_options_of_a_contact():
-    own = {"points", "surface", "template", "name"}
+    own = {"points", "surface", "material", "name"}
     assert set(ContactOptions.__annotations__) == set(keywords_of(wc.Scene.add_contact)) - own
 
 
 def test_a_type_error_inside_of_a_function_is_unchanged():
     scene = wc.Scene()
     point = scene.add_point(scene.add_body(1.0, (1.0, 1.0, 1.0)), (0, 0, 0))
-    with pytest.raises(TypeError, match=r"^template of 'contact' must be a wc\.Template, got None$"):
-        scene.add_contact(point, scene.add_surface(wc.meshes.grid()), template=None)
+    with pytest.raises(TypeError, match=r"^material of 'contact' must be a wc\.ContactMaterial, got None$"):
+        scene.add_contact(point, scene.add_surface(wc.meshes.grid()), material=None)
 
 
 def test_unknown_names_of_units_and_modules_get_a_suggestion():

@@ -273,7 +273,7 @@ def forces(device):
     for index, (law, _) in enumerate(CASES):
         ball = scene.add_body(mass=1.0, inertia=[0.01] * 3, name=f"ball{index}")
         center = scene.add_point(ball, (0, 0, 0))
-        scene.add_contact(center, ground, wc.Template(law=law), radius=RADIUS, name=f"contact{index}")
+        scene.add_contact(center, ground, wc.ContactMaterial(law=law), radius=RADIUS, name=f"contact{index}")
     model = scene.build(envs=ENVIRONMENTS, device=device)
     zero = np.zeros(ENVIRONMENTS)
     for index in range(len(CASES)):

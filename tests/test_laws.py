@@ -79,7 +79,7 @@ def test_the_effective_mass_is_that_of_both_bodies_at_the_point(device):
     rod = scene.add_body(2.0, inertia, position=(0.1, 0, 0.01), linear_velocity=(0, 0, -1.0), name="rod")
     surface = scene.add_surface(wc.meshes.grid((4, 4)), plate)
     law = wc.laws.KelvinVoigt(stiffness=1e5, restitution=0.5)
-    scene.add_contact(scene.add_point(rod, (0.1, 0, -0.005)), surface, wc.Template(law=law), name="touch")
+    scene.add_contact(scene.add_point(rod, (0.1, 0, -0.005)), surface, wc.ContactMaterial(law=law), name="touch")
     model = scene.build(envs=len(RESTITUTION), device=device)
     model["touch.law.restitution"] = RESTITUTION
     # 1/m = 1/2 + 0.1²/0.03 + 1/3 + 0.2²/0.5
@@ -269,7 +269,10 @@ def test_no_law_pulls_unless_it_says_so(law, device):
         ),
         (lambda: wc.frictions.Tanh(mu=-0.1), r"Tanh.mu must be at least 0, got -0.1"),
         (lambda: wc.frictions.Tanh(mu=0.1, velocity_scale=0), r"velocity_scale must be greater than 0, got 0 m/s"),
-        (lambda: wc.Template(law=wc.frictions.Tanh(mu=0.1)), r"Template.law must be an instance of wc.Law"),
+        (
+            lambda: wc.ContactMaterial(law=wc.frictions.Tanh(mu=0.1)),
+            r"ContactMaterial.law must be an instance of wc.Law",
+        ),
     ],
 )
 def test_bad_laws_are_refused(make, message):

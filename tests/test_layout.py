@@ -140,7 +140,7 @@ def test_importing_every_name_does_not_start_warp(tmp_path):
 
 def test_importing_what_a_simulation_needs_loads_nothing_that_it_may_not_need(tmp_path):
     code = (
-        "import sys, warpcontact as wc; wc.Scene, wc.Simulation, wc.Template, wc.laws, wc.frictions, wc.load_mesh;"
+        "import sys, warpcontact as wc; wc.Scene, wc.Simulation, wc.ContactMaterial, wc.laws, wc.frictions, wc.load_mesh;"
         "slow = ('xarray', 'pandas', 'scipy', 'zarr', 'pydantic', 'matplotlib', 'trimesh', 'pxr');"
         "print([m for m in slow if m in sys.modules])"
     )

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from case_marks import slow_except
 from like_a_gpu import cells_everywhere, with_queues
-from test_alone import ALONE, ENVS, HILLS, STATE, STUCK, TEMPLATE
+from test_alone import ALONE, ENVS, HILLS, MATERIAL, STATE, STUCK
 
 import warpcontact as wc
 from warpcontact.model import WITHOUT_CONTACT
@@ -13,7 +13,7 @@ from warpcontact.schedule import Span
 pytestmark = [pytest.mark.launch_shapes, pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")]
 
 
-def balls(template=TEMPLATE):
+def balls(material=MATERIAL):
     """Balls in a heap on hills, each with one contact; two lie beside the rim."""
 
     def make(scene):
@@ -21,8 +21,8 @@ def balls(template=TEMPLATE):
         places = [(0.19 * x, 0.19 * y, 0.35 + 0.19 * z) for x in range(2) for y in range(2) for z in range(2)]
         places += [(1.95, 0.0, 0.3), (2.3, 0.0, 0.3)]
         heap = scene.add_bodies(places, 1.0, [4e-3] * 3, name="body")
-        scene.add_contact(scene.add_point(heap, (0, 0, 0)), ground, template, radius=0.1, name="touch")
-        scene.add_mutual_contact(scene.add_shape(heap, wc.shapes.Sphere(0.1)), template, name="heap")
+        scene.add_contact(scene.add_point(heap, (0, 0, 0)), ground, material, radius=0.1, name="touch")
+        scene.add_mutual_contact(scene.add_shape(heap, wc.shapes.Sphere(0.1)), material, name="heap")
 
     return make
 

@@ -352,7 +352,7 @@ def test_memory_turns_with_the_bodies(friction, precision, device):
     plate = scene.add_surface(square(), carrier, orientation=(0.5, 0.5, 0.5, 0.5))
     rider = scene.add_body(1e15, (1e15, 1e15, 1e15), name="rider")
     scene.add_contact(
-        scene.add_point(rider, (0, 0, 0)), plate, wc.Template(law=wc.laws.Hooke(stiffness=1e4), friction=friction),
+        scene.add_point(rider, (0, 0, 0)), plate, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4), friction=friction),
         name="touch",
     )  # fmt: skip
     model = scene.build(device=device, precision=precision)
@@ -463,7 +463,7 @@ def test_what_a_set_of_contacts_remembers_is_read_per_item(device):
     plain = scene.add_point(body, (0, 0.2, -1e-3))
     for points, friction, name in ((plain, F.Tanh(mu=0.1), "plain"), (feet, REMEMBERING[0], "feet")):
         scene.add_contact(
-            points, ground, wc.Template(law=wc.laws.Hooke(stiffness=1e4), friction=friction), name=name
+            points, ground, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4), friction=friction), name=name
         )
     model = scene.build(envs=2, device=device)
     sim = wc.Simulation(model, dt=1e-4)

@@ -23,8 +23,8 @@ def carried_over(path, device, precision="float64", friction=None):
     box = scene.add_surface(wc.meshes.box((1.0, 1.0, 1.0)), orientation=turn.as_quat())
     body = scene.add_body(1e15, (1e15, 1e15, 1e15), name="body")
     friction = friction or F.CundallStrack(mu_static=1e3, mu_dynamic=1e3, stiffness=1e3)
-    template = wc.Template(law=wc.laws.Hooke(stiffness=1e4), friction=friction)
-    scene.add_contact(scene.add_point(body, (0, 0, 0)), box, template, name="touch")
+    material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4), friction=friction)
+    scene.add_contact(scene.add_point(body, (0, 0, 0)), box, material, name="touch")
     model = scene.build(device=device, precision=precision)
     sim = wc.Simulation(model, dt=1e-3)
     found = []
@@ -69,8 +69,8 @@ def test_a_spring_follows_a_curved_surface(device):
     globe = scene.add_surface(wc.meshes.icosphere(1.0, 5))
     body = scene.add_body(1e15, (1e15, 1e15, 1e15), name="body")
     friction = F.CundallStrack(mu_static=1e3, mu_dynamic=1e3, stiffness=1e3)
-    template = wc.Template(law=wc.laws.Hooke(stiffness=1e4), friction=friction)
-    scene.add_contact(scene.add_point(body, (0, 0, 0)), globe, template, name="touch")
+    material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4), friction=friction)
+    scene.add_contact(scene.add_point(body, (0, 0, 0)), globe, material, name="touch")
     model = scene.build(device=device, precision="float64")
     sim = wc.Simulation(model, dt=1e-3)
     across, start = np.array([0.0, 0.6, 0.8]), np.array([1.0, 0.0, 0.0])
@@ -105,14 +105,14 @@ def stuck(device, **parts):
         1e15, (1e15, 1e15, 1e15), position=(0, 0, 0.099), linear_velocity=(0.01, 0, 0),
         angular_velocity=(0, 0.2, 0.3), name="ball",
     )  # fmt: skip
-    template = wc.Template(
+    material = wc.ContactMaterial(
         law=own_law.Clock(stiffness=1e4),
         friction=parts.get("friction", spring),
         rolling=parts.get("rolling", spring),
         torsion=spring,
     )
     scene.add_contact(
-        scene.add_point(ball, (0, 0, 0)), plate, template, radius=0.1, torsion_radius=0.05, name="touch"
+        scene.add_point(ball, (0, 0, 0)), plate, material, radius=0.1, torsion_radius=0.05, name="touch"
     )
     model = scene.build(device=device, precision="float64")
     return model, wc.Simulation(model, dt=1e-3)
@@ -213,8 +213,8 @@ def test_where_the_surface_x_axis_is_normal_its_y_axis_leads(device):
     wall = scene.add_surface(wc.meshes.box((2.0, 2.0, 2.0)))
     body = scene.add_body(1.0, (1, 1, 1), position=(0.999, 0, 0), linear_velocity=(0, 1.0, 1.0), name="body")
     friction = F.Elliptic(mu_1=0.4, mu_2=0.1, velocity_scale=1e-9)
-    template = wc.Template(law=wc.laws.Hooke(stiffness=1e4), friction=friction)
-    scene.add_contact(scene.add_point(body, (0, 0, 0)), wall, template, name="touch")
+    material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4), friction=friction)
+    scene.add_contact(scene.add_point(body, (0, 0, 0)), wall, material, name="touch")
     model = scene.build(device=device, precision="float64")
     expected = -10.0 * np.array([0.0, 0.16, 0.01]) / np.hypot(0.4, 0.1)
     np.testing.assert_allclose(model.reading("touch.friction_force")[0], expected, rtol=1e-9)

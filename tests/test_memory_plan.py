@@ -239,12 +239,12 @@ scene = wc.Scene()
 ground = scene.add_surface(wc.meshes.sinusoidal_terrain(), name="ground")
 body = scene.add_body(0.5, (5e-4,) * 3, position=(0, 0, 1), name="body")
 law = wc.laws.HuntCrossley(stiffness=1e4, restitution=0.7)
-template = wc.Template(law=law, friction=wc.frictions.Tanh(mu=0.4))
+material = wc.ContactMaterial(law=law, friction=wc.frictions.Tanh(mu=0.4))
 if kind == "sphere":
-    scene.add_contact(scene.add_point(body, (0, 0, 0)), ground, template, radius=0.05, name="touch")
+    scene.add_contact(scene.add_point(body, (0, 0, 0)), ground, material, radius=0.05, name="touch")
 else:
     corners = np.stack(np.meshgrid(*[np.linspace(-0.1, 0.1, 4)] * 3), -1).reshape(-1, 3)
-    scene.add_contact(scene.add_points(body, corners), ground, template, name="touch")
+    scene.add_contact(scene.add_points(body, corners), ground, material, name="touch")
 
 def stepped(envs):
     model = scene.build(envs, device)

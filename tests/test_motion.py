@@ -45,7 +45,7 @@ def test_static_sinkage_of_a_body_on_four_points(device):
     table = scene.add_body(2.0, (0.1, 0.1, 0.1), position=(0.05, 0.02, 0.2), name="table")
     legs = scene.add_points(table, [(x, y, -0.2) for x in (-0.1, 0.1) for y in (-0.1, 0.1)])
     law = wc.laws.HuntCrossley(stiffness=1e6, restitution=0.5)
-    scene.add_contact(legs, ground, wc.Template(law=law), name="touch")
+    scene.add_contact(legs, ground, wc.ContactMaterial(law=law), name="touch")
     model = scene.build(device=device, precision="float64")
     wc.Simulation(model, dt=1e-4).step(10000)
     # Ten digits are printed; a second is some 30 time constants of the damping at rest.
@@ -78,8 +78,8 @@ def block_on_incline(slope, mu, velocity_scale, device):
     block = scene.add_body(1.0, (0.01, 0.01, 0.02), position=(0, 0, height), name="block")
     feet = scene.add_points(block, [(x, y, -height) for x in (-half, half) for y in (-half, half)])
     law = wc.laws.KelvinVoigt(stiffness=1e5, damping=200.0)
-    template = wc.Template(law=law, friction=wc.frictions.Tanh(mu=mu, velocity_scale=velocity_scale))
-    scene.add_contact(feet, ground, template, name="touch")
+    material = wc.ContactMaterial(law=law, friction=wc.frictions.Tanh(mu=mu, velocity_scale=velocity_scale))
+    scene.add_contact(feet, ground, material, name="touch")
     return scene.build(device=device)
 
 
@@ -219,10 +219,10 @@ def test_two_bodies_exchange_momentum_without_loss(device):
     ball = scene.add_body(
         2.0, (0.02, 0.02, 0.02), position=(0.4, 0.05, 0.02), linear_velocity=(-1, 0, 0), name="ball"
     )
-    template = wc.Template(
+    material = wc.ContactMaterial(
         law=wc.laws.HuntCrossley(stiffness=1e6, restitution=0.6), friction=wc.frictions.Tanh(mu=0.3)
     )
-    scene.add_contact(scene.add_point(ball, (0, 0, 0)), surface, template, radius=0.1, name="touch")
+    scene.add_contact(scene.add_point(ball, (0, 0, 0)), surface, material, radius=0.1, name="touch")
     model = scene.build(device=device, precision="float64")
     linear, angular = model.reading("scene.linear_momentum"), model.reading("scene.angular_momentum")
     energy = model.reading("scene.kinetic_energy")

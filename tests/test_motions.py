@@ -212,7 +212,9 @@ def struck_door(law, device, precision="float64"):
         square(0.5), door, orientation=Rotation.from_rotvec((np.pi / 2, 0, 0)).as_quat(), name="face"
     )
     ball = scene.add_body(0.7, (1e-3,) * 3, position=(0.8, -0.11, 0), linear_velocity=(0, 2.0, 0), name="ball")
-    scene.add_contact(scene.add_point(ball, (0, 0, 0)), face, wc.Template(law=law), radius=0.1, name="touch")
+    scene.add_contact(
+        scene.add_point(ball, (0, 0, 0)), face, wc.ContactMaterial(law=law), radius=0.1, name="touch"
+    )
     return scene.build(device=device, precision=precision)
 
 

@@ -164,8 +164,8 @@ def test_a_prescribed_body_moves_with_the_velocities_that_stand_in_its_state(dev
     )
     ground = scene.add_surface(square(), body, name="top")
     ball = scene.add_body(1.0, (1, 1, 1), position=(0, 0, 0.09), name="ball")
-    template = wc.Template(law=wc.laws.Hooke(stiffness=1e4))
-    scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, template, radius=0.1)
+    material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4))
+    scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, material, radius=0.1)
     model = scene.build(envs=2, device=device, precision="float64")
     sim = wc.Simulation(model, dt=0.125)
     sim.step(8)
@@ -191,7 +191,7 @@ def test_a_surface_that_jumps_at_a_point_is_not_missed(device):
     plate = scene.add_surface(square(), scene.add_body(1.0, (1, 1, 1), motion=jump, name="carrier"), name="plate")
     stone = scene.add_body(1.0, (1, 1, 1), position=(0.1, 0.2, 0.3), name="stone")
     point = scene.add_point(stone, (0, 0, 0))
-    scene.add_contact(point, plate, wc.Template(law=wc.laws.Hooke(stiffness=1e3)), swept=True, name="touch")
+    scene.add_contact(point, plate, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e3)), swept=True, name="touch")
     model = scene.build(device=device, precision="float64")
     speeds = []
     for cached in (True, False):
@@ -218,8 +218,8 @@ def test_two_bodies_that_no_force_moves_press_on_each_other_and_stay(device):
     )
     face = scene.add_surface(square(), post)
     law = wc.laws.KelvinVoigt(stiffness=1e4, damping=50.0)
-    template = wc.Template(law=law, friction=wc.frictions.Tanh(mu=0.3))
-    scene.add_contact(scene.add_point(ram, (0, 0, 0)), face, template, radius=0.1, name="touch")
+    material = wc.ContactMaterial(law=law, friction=wc.frictions.Tanh(mu=0.3))
+    scene.add_contact(scene.add_point(ram, (0, 0, 0)), face, material, radius=0.1, name="touch")
     model = scene.build(device=device, precision="float64")
     wc.Simulation(model, dt=0.125).step(4)
     force = 1e4 * (0.01 + 0.5 * 0.01) + 50.0 * 0.01
@@ -240,7 +240,7 @@ def test_a_shaker_throws_a_ball_off_when_it_falls_faster_than_that(device):
     ball = scene.add_body(mass, (1e-3,) * 3, name="ball")
     law = wc.laws.KelvinVoigt(stiffness=stiffness, restitution=0.1)
     touch = scene.add_point(ball, (0, 0, 0))
-    scene.add_contact(touch, plate, wc.Template(law=law), radius=radius, name="touch")
+    scene.add_contact(touch, plate, wc.ContactMaterial(law=law), radius=radius, name="touch")
     model = scene.build(envs=3, device=device, precision="float64")
     model["shaker.motion.frequency"] = frequency
     pace = 2 * np.pi * frequency

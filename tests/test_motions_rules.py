@@ -151,7 +151,7 @@ def mixed():
     tip = scene.add_point(arm, (0.2, 0, 0))
     law = wc.laws.KelvinVoigt(stiffness=1e4, restitution=0.6)
     scene.add_contact(
-        tip, plate, wc.Template(law=law, friction=wc.frictions.Tanh(mu=0.2)), radius=0.05, name="touch"
+        tip, plate, wc.ContactMaterial(law=law, friction=wc.frictions.Tanh(mu=0.2)), radius=0.05, name="touch"
     )
     return scene
 
@@ -240,8 +240,8 @@ def test_an_arm_that_crosses_a_plate_within_a_step_is_caught_and_thrown_back(par
     lift = wc.motions.Harmonic(direction=(0, 0, 1), amplitude=1e-3, frequency=1.0)
     carrier = scene.add_body(1.0, (1, 1, 1), motion=lift, name="lift")
     plate = scene.add_surface(square(), carrier, name="plate")
-    template = wc.Template(law=wc.laws.Hooke(stiffness=2e4))
-    scene.add_contact(scene.add_point(arm, (0, 0, 0)), plate, template, swept=True, name="touch")
+    material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=2e4))
+    scene.add_contact(scene.add_point(arm, (0, 0, 0)), plate, material, swept=True, name="touch")
     model = scene.build(device=device, precision="float64")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -264,8 +264,8 @@ def test_a_step_in_parts_changes_no_pendulum_beside_it(device):
     scene.add_body(1.0, (0.1,) * 3, motion=harmonic, name="lift")
     stone = scene.add_body(1.0, (0.1,) * 3, position=(0, 0, 0.51), linear_velocity=(0, 0, -10), name="stone")
     ground = scene.add_surface(square(), name="ground")
-    template = wc.Template(law=wc.laws.Hooke(stiffness=1e3))
-    scene.add_contact(scene.add_point(stone, (0, 0, 0)), ground, template, swept=True, name="touch")
+    material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e3))
+    scene.add_contact(scene.add_point(stone, (0, 0, 0)), ground, material, swept=True, name="touch")
     model = scene.build(device=device, precision="float64")
     dt, angles = 5e-3, []
     for parts in (1, 8):
@@ -289,7 +289,7 @@ def test_the_advice_knows_what_a_door_yields(device):
         door = scene.add_body(1.0, (0.1, 0.1, 0.1), position=(0.5, 0, 0), motion=motion)
         wall = scene.add_surface(square(5.0), position=(0, 0, -0.5))
         tip = scene.add_point(door, (-0.4, 0, 0))
-        scene.add_contact(tip, wall, wc.Template(law=wc.laws.Hooke(stiffness=1e4)), name="touch")
+        scene.add_contact(tip, wall, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4)), name="touch")
         with pytest.warns(wc.ContactWarning, match="a contact takes (.*) s in") as caught:
             wc.Simulation(scene.build(device=device), dt=0.02).step()
         return float(str(caught[0].message).partition("takes ")[2].partition(" s")[0])
@@ -358,7 +358,7 @@ def test_a_place_yields_most_along_some_direction(motion, device):
         2.0, (0.3, 0.2, 0.15), POSE["position"], (0.5, 0.1, 0.3, np.sqrt(0.65)), motion=motion, name="arm"
     )
     places = np.array([(0.1, 0.3, -0.2), (0.3, 0.0, 0.1), (-0.1, 0.1, 0.0)])
-    law = wc.Template(law=wc.laws.Hooke(stiffness=1.0))
+    law = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1.0))
     contact = scene.add_contact(scene.add_points(arm, places), ground, law)
     model = scene.build(device=device, precision="float64")
     rng = np.random.default_rng(5)

@@ -19,13 +19,13 @@ def renamed(section, name):
         changes["point"] = [content()["point"][0] | {"body": name}]
     if section == "contact":
         changes["record"] = {"readings": [f"{name}.gap"]}
-    if section in ("surface", "point", "template"):
+    if section in ("surface", "point", "material"):
         key = "points" if section == "point" else section
         changes["contact"] = [content()["contact"][0] | {key: name}]
     return content(**changes)
 
 
-@pytest.mark.parametrize("section", ["body", "surface", "point", "template", "contact"])
+@pytest.mark.parametrize("section", ["body", "surface", "point", "material", "contact"])
 def test_name_of_an_element_has_at_most_200_bytes(section, tmp_path):
     assert wc.Experiment.from_dict(renamed(section, LONGEST)).settings
     with pytest.raises(wc.ExperimentError) as error:
@@ -62,9 +62,9 @@ def test_other_names_have_at_most_200_bytes(changes, place):
 
 def test_name_of_a_file_of_laws_has_at_most_200_bytes(tmp_path):
     (tmp_path / f"{TOO_LONG}.py").write_text(LAWS)
-    template = {"name": "rubber", "law": {"type": f"{TOO_LONG}.py:Cubic", "stiffness": 1e9}}
+    material = {"name": "rubber", "law": {"type": f"{TOO_LONG}.py:Cubic", "stiffness": 1e9}}
     with pytest.raises(wc.ExperimentError, match=r"type: the name of a file must have at most 200 bytes"):
-        wc.Experiment.from_dict(content(template=[template]), tmp_path)
+        wc.Experiment.from_dict(content(material=[material]), tmp_path)
 
 
 def test_variable_with_too_long_a_name_is_refused_before_anything_is_written(tmp_path, monkeypatch):

@@ -257,7 +257,7 @@ def test_sets_have_a_result_for_each_item_or_for_what_becomes_of_them():
     box = scene.add_body(mass=1.0, inertia=(0.01,) * 3, position=(0, 0, 0.099), name="box")
     corners = scene.add_points(box, [(x, y, -0.1) for x in (-0.1, 0.1) for y in (-0.1, 0.1)], name="corners")
     law = wc.laws.KelvinVoigt(stiffness=2.0e3, damping=10.0)
-    scene.add_contact(corners, ground, wc.Template(law=law), name="feet")
+    scene.add_contact(corners, ground, wc.ContactMaterial(law=law), name="feet")
     model = scene.build(envs=2)
     folds = ("each", "sum", "max", "min")
     outcomes = {key: wc.outcomes.Integral("feet.normal_force", items=key) for key in folds}
@@ -287,7 +287,7 @@ def test_hard_contacts_have_impulses_and_forces_in_every_step():
     scene = wc.Scene()
     ground = scene.add_surface(square(), name="ground")
     ball = scene.add_body(mass=2.0, inertia=(0.01,) * 3, position=(0, 0, 0.3), name="ball")
-    rigid = wc.Template(law=wc.laws.Rigid(restitution=0.5))
+    rigid = wc.ContactMaterial(law=wc.laws.Rigid(restitution=0.5))
     scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, rigid, radius=0.1, name="touch")
     model = scene.build(envs=2, precision="float64")
     dt = 1.0e-3
@@ -324,9 +324,9 @@ def test_hard_contacts_have_impulses_and_forces_in_every_step():
 def test_smooth_contacts_and_springs_are_watched_alike():
     scene = wc.Scene()
     ball = scene.add_body(mass=1.0, inertia=(4e-3,) * 3, position=(0, 0, 0.11), name="ball")
-    template = wc.Template(law=wc.laws.Hooke(stiffness=STIFFNESS))
+    material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=STIFFNESS))
     shapes = scene.add_shape(ball, wc.shapes.Sphere(0.1)), scene.add_shape(None, wc.shapes.Plane())
-    scene.add_smooth_contact(*shapes, template, name="tap")
+    scene.add_smooth_contact(*shapes, material, name="tap")
     hook, centre = scene.add_point(None, (0, 0, 0.5)), scene.add_point(ball, (0, 0, 0))
     scene.add_spring_damper(hook, centre, stiffness=20.0, rest_length=0.3, name="spring")
     model = scene.build(envs=2)

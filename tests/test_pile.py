@@ -9,15 +9,15 @@ import warpcontact as wc
 
 RADIUS, MASS, STIFFNESS = 0.1, 0.5, 1.0e5
 INERTIA = [0.4 * MASS * RADIUS**2] * 3
-ELASTIC = wc.Template(law=wc.laws.Hooke(stiffness=STIFFNESS))
+ELASTIC = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=STIFFNESS))
 
 
-def spheres(positions, velocities, template=ELASTIC, *, gravity=(0, 0, 0), form=None, **options):
+def spheres(positions, velocities, material=ELASTIC, *, gravity=(0, 0, 0), form=None, **options):
     """Returns a scene of equal bodies in a pile."""
     scene = wc.Scene(gravity=gravity)
     balls = scene.add_bodies(positions, MASS, INERTIA, linear_velocities=velocities, name="ball")
     shape = scene.add_shape(balls, wc.shapes.Sphere(RADIUS) if form is None else form, name="shape")
-    scene.add_mutual_contact(shape, template, name="pile", **options)
+    scene.add_mutual_contact(shape, material, name="pile", **options)
     return scene
 
 
@@ -52,12 +52,12 @@ def test_dissipative_impact_has_the_restitution_of_its_law(device):
     ball = wall.add_body(
         MASS, INERTIA, position=(0, 0, 1.05 * RADIUS), linear_velocity=(0, 0, -speed), name="ball"
     )
-    wall.add_contact(wall.add_point(ball, (0, 0, 0)), floor, wc.Template(law=law), radius=RADIUS)
+    wall.add_contact(wall.add_point(ball, (0, 0, 0)), floor, wc.ContactMaterial(law=law), radius=RADIUS)
     at_wall = wall.build(device=device, precision="float64")
     # Against an equal sphere at the opposite speed: the wall is where they meet, and half as stiff a spring acts.
     twice = wc.laws.HuntCrossley(stiffness=1e7 / 2**1.5, exponent=1.5, restitution=restitution)
     pair = spheres(
-        [[0, 0, 0], [0, 0, 2.1 * RADIUS]], [[0, 0, speed], [0, 0, -speed]], wc.Template(law=twice)
+        [[0, 0, 0], [0, 0, 2.1 * RADIUS]], [[0, 0, speed], [0, 0, -speed]], wc.ContactMaterial(law=twice)
     ).build(device=device, precision="float64")
     for model in (at_wall, pair):
         wc.Simulation(model, dt=2e-6).step(20_000)
@@ -71,10 +71,10 @@ def test_oblique_impact_with_sticking_friction_follows_the_closed_form(device):
     """Rigid spheres that stick: the tangential impulse is 1/7 m v_t for two equal ones, and makes them spin."""
     # So slow that the line of centres turns by little.
     normal_speed, slip = 0.02, 0.1
-    template = wc.Template(
+    material = wc.ContactMaterial(
         law=wc.laws.Hooke(stiffness=1e6), friction=wc.frictions.Tanh(mu=2.0, velocity_scale=1e-4)
     )
-    scene = spheres([[0, 0, 0], [0, 0, 2.0001 * RADIUS]], [[0, 0, normal_speed], [slip, 0, 0]], template)
+    scene = spheres([[0, 0, 0], [0, 0, 2.0001 * RADIUS]], [[0, 0, normal_speed], [slip, 0, 0]], material)
     model = scene.build(device=device, precision="float64")
     wc.Simulation(model, dt=2e-6).step(10_000)
     velocity = model.reading("ball.linear_velocity")[0]
@@ -152,7 +152,7 @@ def test_finds_the_pairs_of_a_search_over_all(device, capsules, precision):
     )  # fmt: skip
     shape = scene.add_shape(balls, forms, name="shape")
     # So soft that they pass through each other.
-    soft = wc.Template(law=wc.laws.Hooke(stiffness=1e-3))
+    soft = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e-3))
     scene.add_mutual_contact(shape, soft, name="pile", skin=0.02, partners=len(radii) - 1)
     model = scene.build(device=device, precision=precision)
     sim = wc.Simulation(model, dt=1e-3)

@@ -10,7 +10,7 @@ from warpcontact.piles import pile
 
 COUNT = 60
 #: Remembers: a spring in the tangent plane, and the speed at which a contact began.
-TEMPLATE = wc.Template(
+MATERIAL = wc.ContactMaterial(
     law=wc.laws.LankaraniNikravesh(stiffness=2e5, exponent=1.5, restitution=0.6),
     friction=wc.frictions.CundallStrack(mu_static=0.5, mu_dynamic=0.4, stiffness=5e3, damping=1.0),
 )
@@ -25,7 +25,7 @@ def scene(skin=0.02, **options):
     spin = 5 * rng.normal(size=(COUNT, 3))
     balls = made.add_bodies(positions, 0.5, [0.002] * 3, (0, 0, 0, 1), -3 * positions, spin, name="ball")
     shape = made.add_shape(balls, [wc.shapes.Sphere(float(radius)) for radius in radii], name="shape")
-    made.add_mutual_contact(shape, TEMPLATE, name="pile", skin=skin, **({"partners": 40} | options))
+    made.add_mutual_contact(shape, MATERIAL, name="pile", skin=skin, **({"partners": 40} | options))
     return made
 
 
@@ -95,7 +95,7 @@ def test_lists_of_capsules_beside_their_bodies_change_no_bits(device, monkeypatc
             made.add_shape(rods, wc.shapes.Capsule(0.04, 0.08), position=(0.02, 0.0, 0.01)),
             made.add_shape(rods, wc.shapes.Sphere(0.06), position=(-0.05, 0.02, 0.0)),
         ]
-        made.add_mutual_contact(shapes, TEMPLATE, name="pile", skin=skin, partners=59)
+        made.add_mutual_contact(shapes, MATERIAL, name="pile", skin=skin, partners=59)
         model = made.build(device=device)
         wc.Simulation(model, dt=DT, deterministic=True).step(1500)
         ends.append(bits(model)[..., 3:])
@@ -222,9 +222,9 @@ def test_steps_that_are_taken_again_in_parts_give_the_same_bits(device):
         made = wc.Scene()
         balls = made.add_bodies(places, 0.1, [1.6e-5] * 3, linear_velocities=fast * [0.3, 0.1, -20.0], name="ball")
         floor = made.add_surface(wc.meshes.grid((4, 4), (8, 8)))
-        stiff = wc.Template(
+        stiff = wc.ContactMaterial(
             law=wc.laws.LankaraniNikravesh(stiffness=1e6, exponent=1.5, restitution=0.6),
-            friction=TEMPLATE.friction,
+            friction=MATERIAL.friction,
         )
         made.add_contact(made.add_point(balls, (0, 0, 0)), floor, stiff, swept=True, name="floor")
         shape = made.add_shape(balls, wc.shapes.Sphere(0.02))

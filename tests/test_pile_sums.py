@@ -21,8 +21,8 @@ def test_touches_summed_by_body_are_those_added_one_by_one(several):
     shapes = [scene.add_shape(balls, forms)]
     if several:
         shapes.append(scene.add_shape(balls, wc.shapes.Sphere(0.05), position=(0.1, 0.02, 0.0)))
-    template = wc.Template(law=ELASTIC.law, friction=FRICTION)
-    scene.add_mutual_contact(shapes, template, name="pile", partners=200)
+    material = wc.ContactMaterial(law=ELASTIC.law, friction=FRICTION)
+    scene.add_mutual_contact(shapes, material, name="pile", partners=200)
     forces = []
     for alone in (True, False):
         model = scene.build(2, "cpu", "float64")
@@ -45,10 +45,10 @@ def heap():
     cells = np.stack(np.meshgrid(*[np.arange(n) for n in (4, 5, 2)]), -1).reshape(-1, 3)
     places = 0.15 * cells - [0.2, 0.25, -0.06]
     balls = scene.add_bodies(places, MASS, INERTIA, name="ball")
-    template = wc.Template(law=wc.laws.KelvinVoigt(stiffness=1e3, damping=20.0), friction=FRICTION)
-    scene.add_contact(scene.add_point(balls, (0, 0, 0)), floor, template, radius=0.05)
+    material = wc.ContactMaterial(law=wc.laws.KelvinVoigt(stiffness=1e3, damping=20.0), friction=FRICTION)
+    scene.add_contact(scene.add_point(balls, (0, 0, 0)), floor, material, radius=0.05)
     forms = [wc.shapes.Sphere(float(radius)) for radius in rng.uniform(0.05, 0.1, 40)]
-    scene.add_mutual_contact(scene.add_shape(balls, forms), template, name="pile", partners=39)
+    scene.add_mutual_contact(scene.add_shape(balls, forms), material, name="pile", partners=39)
     return scene
 
 

@@ -63,7 +63,7 @@ def test_friction_with_history_holds_a_body_that_hangs_by_a_law_that_pulls(devic
     # F_p = 4 k d₀ = 20 N; it hangs at 4 k (d₀ − δ) = 10 N.
     box = scene.add_body(1.0, (0.01,) * 3, position=(0, 0, -0.05 + 2.5e-4), name="box")
     friction = F.CundallStrack(mu_static=0.5, mu_dynamic=0.5, stiffness=1e4, damping=100.0)
-    material = wc.Template(law=own_law.Adhesive(stiffness=1e4, depth=5e-4), friction=friction)
+    material = wc.ContactMaterial(law=own_law.Adhesive(stiffness=1e4, depth=5e-4), friction=friction)
     points = scene.add_points(box, [(x, y, 0.05) for x in (-0.04, 0.04) for y in (-0.04, 0.04)])
     scene.add_contact(points, ceiling, material, name="hold")
     model = scene.build(envs=2, device=device, precision="float64")

@@ -179,8 +179,8 @@ def test_a_reset_environment_knows_nothing_of_the_wrenches_that_it_failed_with(l
     plate = scene.add_body(1.0, (1.0, 1.0, 1.0), motion=motion)
     floor = scene.add_surface(wc.meshes.box((1.0, 1.0, 0.2)), body=plate, position=(0, 0, -0.1))
     ball = scene.add_body(1.0, (0.1, 0.1, 0.1), position=(0, 0, 0.0999), name="ball")
-    template = wc.Template(law=wc.laws.KelvinVoigt(stiffness=1e4, damping=20.0))
-    scene.add_contact(scene.add_point(ball, (0, 0, 0)), floor, template, radius=0.1, name="touch")
+    material = wc.ContactMaterial(law=wc.laws.KelvinVoigt(stiffness=1e4, damping=20.0))
+    scene.add_contact(scene.add_point(ball, (0, 0, 0)), floor, material, radius=0.1, name="touch")
     model = scene.build(envs=2, device=device)
     sim = wc.Simulation(model, dt=1e-3, integrator=wc.integrators.MoreauJean(compliant=("touch",)))
     # So much that its force is beyond single precision.

@@ -101,8 +101,8 @@ def test_sets_have_an_item_axis(device):
     scene = wc.Scene()
     ground = scene.add_surface(square())
     body = scene.add_body(1.0, (1, 1, 1), position=(0, 0, 1), name="body")
-    template = wc.Template(law=wc.laws.Hooke(stiffness=1e3))
-    scene.add_contact(scene.add_points(body, np.eye(3)), ground, template, name="hull")
+    material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e3))
+    scene.add_contact(scene.add_points(body, np.eye(3)), ground, material, name="hull")
     model = scene.build(envs=2, device=device)
     record = ["hull.gap", "hull.normal"]
     recording = wc.Simulation(model, dt=1e-3).run(2e-3, record)
@@ -110,7 +110,7 @@ def test_sets_have_an_item_axis(device):
     assert recording["hull.normal"].dims == ("time", "env", "item", "axis")
     np.testing.assert_allclose(recording["hull.gap"].values[0, 0], [1, 1, 2], atol=1e-6)
     # Two sets of different size keep apart.
-    scene.add_contact(scene.add_points(body, np.ones((2, 3))), ground, template, name="pair")
+    scene.add_contact(scene.add_points(body, np.ones((2, 3))), ground, material, name="pair")
     recording = wc.Simulation(scene.build(device=device), dt=1e-3).run(2e-3, ["hull.gap", "pair.gap"])
     assert recording["hull.gap"].dims == ("time", "env", "hull.item")
     assert recording["pair.gap"].shape == (3, 1, 2)
@@ -159,10 +159,10 @@ def test_recordings_have_values_of_every_kind(precision, device, in_slices):
     scene = wc.Scene()
     ground = scene.add_surface(square())
     friction = wc.frictions.LuGre(mu_static=0.6, mu_dynamic=0.5, stribeck_speed=0.01, stiffness=1e3)
-    template = wc.Template(law=wc.laws.HuntCrossley(stiffness=1e4, restitution=0.5), friction=friction)
+    material = wc.ContactMaterial(law=wc.laws.HuntCrossley(stiffness=1e4, restitution=0.5), friction=friction)
     for name, x in (("one", 0.0), ("two", 0.4)):
         body = scene.add_body(1.0, (0.01, 0.01, 0.01), position=(x, 0, 0.06), name=name)
-        scene.add_contact(scene.add_points(body, 0.05 * np.eye(3)), ground, template, name=f"feet_of_{name}")
+        scene.add_contact(scene.add_points(body, 0.05 * np.eye(3)), ground, material, name=f"feet_of_{name}")
     sims = [
         wc.Simulation(scene.build(envs=5, precision=precision, device=device), dt=1e-3, threads=2) for _ in "ab"
     ]

@@ -65,9 +65,9 @@ def test_every_law_reproduces_its_row_of_the_table(precision, tolerance, shared,
         body = scene.add_body(
             1.0, [1e-3] * 3, position=(0, 0, 1e-5), linear_velocity=(0, 0, -1), name=law.__name__
         )
-        template = wc.Template(law=made)
+        material = wc.ContactMaterial(law=made)
         name = f"touch_{law.__name__}"
-        scene.add_contact(scene.add_point(body, (0, 0, 0)), ground, template, radius=RADIUS, name=name)
+        scene.add_contact(scene.add_point(body, (0, 0, 0)), ground, material, radius=RADIUS, name=name)
     model = scene.build(envs=len(e), device=device, precision=precision)
     for law, _, stiffness in ROWS:
         name = f"touch_{law.__name__}.law"
@@ -200,7 +200,7 @@ def test_an_elastic_foundation_does_not_depend_on_how_fine_its_points_are(device
         ground = scene.add_surface(wc.meshes.grid((1, 1)))
         ball = scene.add_body(1.0, [1e-3] * 3, position=(0, 0, radius - depth), name="ball")
         law = laws.ElasticFoundation(stiffness=modulus, area=1.0)
-        scene.add_contact(scene.add_points(ball, points), ground, wc.Template(law=law), name="bed")
+        scene.add_contact(scene.add_points(ball, points), ground, wc.ContactMaterial(law=law), name="bed")
         model = scene.build(device=device, precision="float64")
         model["bed.law.area"] = np.full((1, len(points)), area)
         errors.append(abs(model.reading("ball.force")[0, 2] / expected - 1))
@@ -220,7 +220,7 @@ def test_many_points_in_one_impact_keep_the_restitution(device):
     ground = scene.add_surface(wc.meshes.grid((1, 1)))
     ball = scene.add_body(1.0, [1e-3] * 3, position=(0, 0, radius + 1e-5), linear_velocity=(0, 0, -1), name="ball")
     law = laws.HuntCrossley(stiffness=2e4, exponent=1.0, restitution=0.5)
-    scene.add_contact(scene.add_points(ball, place), ground, wc.Template(law=law), name="bed")
+    scene.add_contact(scene.add_points(ball, place), ground, wc.ContactMaterial(law=law), name="bed")
     model = scene.build(envs=len(e), device=device, precision="float64")
     model["bed.law.restitution"] = e
     wc.Simulation(model, dt=2e-5).step(6000)

@@ -18,9 +18,9 @@ def ball_on_plate(*, gravity=(0.0, 0.0, -G), device="cpu", envs=1, precision="fl
     ball = scene.add_body(1.0, [0.4 * R * R] * 3, position=(0, 0, R + gravity[2] / stiffness), name="ball")
     options = {key: parts.pop(key) for key in ("torsion_radius",) if key in parts}
     parts.setdefault("friction", F.CundallStrack(mu_static=0.5, mu_dynamic=0.5, stiffness=1e5, damping=50.0))
-    template = wc.Template(law=wc.laws.Hooke(stiffness=stiffness), **parts)
+    material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=stiffness), **parts)
     scene.add_contact(
-        scene.add_point(ball, (0, 0, 0)), plate, template, radius=R, kappa=0.0, name="touch", **options
+        scene.add_point(ball, (0, 0, 0)), plate, material, radius=R, kappa=0.0, name="touch", **options
     )
     return scene.build(envs=envs, device=device, precision=precision)
 
@@ -85,14 +85,14 @@ def test_a_ball_rolls_in_a_groove_as_in_closed_form(device):
     slope, half = np.radians(20.0), np.radians(45.0)
     scene = wc.Scene(gravity=(G * np.sin(slope), 0, -G * np.cos(slope)))
     friction = F.CundallStrack(mu_static=0.2, mu_dynamic=0.2, stiffness=1e6, damping=100.0)
-    template = wc.Template(law=wc.laws.KelvinVoigt(stiffness=1e6, damping=200.0), friction=friction)
+    material = wc.ContactMaterial(law=wc.laws.KelvinVoigt(stiffness=1e6, damping=200.0), friction=friction)
     # Let down as deep as it will lie: sinking in, it would stretch the sticking springs across, which then carry.
     depth = 0.6644630244 * G / 1e6
     ball = scene.add_body(1.0, [0.4 * R * R] * 3, position=(0, 0, (R - depth) * np.sqrt(2)), name="ball")
     centre = scene.add_point(ball, (0, 0, 0))
     for name, turn in (("left", half), ("right", -half)):
         side = scene.add_surface(square(50.0), orientation=(np.sin(turn / 2), 0, 0, np.cos(turn / 2)))
-        scene.add_contact(centre, side, template, radius=R, kappa=0.0, name=name)
+        scene.add_contact(centre, side, material, radius=R, kappa=0.0, name=name)
     model = scene.build(device=device, precision="float64")
     sim = wc.Simulation(model, dt=1e-4)
     sim.step(4000)
@@ -135,8 +135,8 @@ def test_the_arm_of_torsion_follows_the_overlap(device):
     scene = wc.Scene(gravity=(0, 0, -G))
     plate = scene.add_surface(square())
     ball = scene.add_body(1.0, (1e3, 1e3, 1e3), position=(0, 0, 0.05), angular_velocity=(0, 0, 5), name="ball")
-    template = wc.Template(law=law, torsion=F.CoulombThreshold(mu=0.3, threshold=1e-6))
-    scene.add_contact(scene.add_point(ball, (0, 0, 0)), plate, template, radius=R, name="touch")
+    material = wc.ContactMaterial(law=law, torsion=F.CoulombThreshold(mu=0.3, threshold=1e-6))
+    scene.add_contact(scene.add_point(ball, (0, 0, 0)), plate, material, radius=R, name="touch")
     model = scene.build(envs=3, device=device, precision="float64")
     depth = (mass * G / 1e7) ** (2 / 3)
     model["ball.position"] = np.column_stack([0 * depth, 0 * depth, R - depth])
@@ -157,9 +157,9 @@ def test_couples_act_on_both_bodies_and_only_dissipate(stop, device):
         1.0, [0.4 * R * R] * 3, position=(0.1, 0.2, R + 1e-4), linear_velocity=(0.3, -0.2, -1),
         angular_velocity=(5, -8, 20), name="ball",
     )  # fmt: skip
-    template = wc.Template(law=wc.laws.Hooke(stiffness=1e5), friction=stop, rolling=stop, torsion=stop)
+    material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e5), friction=stop, rolling=stop, torsion=stop)
     scene.add_contact(
-        scene.add_point(ball, (0, 0, 0)), plate, template, radius=R, torsion_radius=0.02, name="touch"
+        scene.add_point(ball, (0, 0, 0)), plate, material, radius=R, torsion_radius=0.02, name="touch"
     )
     model = scene.build(device=device, precision="float64")
     names = ["scene.linear_momentum", "scene.angular_momentum", "scene.kinetic_energy", "touch.torque"]
@@ -187,22 +187,24 @@ def test_a_rolling_ball_is_slowed_against_its_motion_in_any_direction(device):
 
 @pytest.mark.parametrize("part", ["rolling", "torsion"])
 def test_a_couple_without_an_arm_is_refused(part):
-    template = wc.Template(law=wc.laws.Hooke(stiffness=1.0), **{part: F.Tanh(mu=0.1)})
+    material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1.0), **{part: F.Tanh(mu=0.1)})
     scene = wc.Scene()
     ground = scene.add_surface(square())
     point = scene.add_point(scene.add_body(1.0, (1, 1, 1)), (0, 0, 0))
-    with pytest.raises(ValueError, match=f"the {part} of its template, Tanh, needs a radius"):
-        scene.add_contact(point, ground, template)
+    with pytest.raises(ValueError, match=f"the {part} of its material, Tanh, needs a radius"):
+        scene.add_contact(point, ground, material)
 
 
 def test_a_torsion_radius_without_torsion_is_refused():
-    with pytest.raises(ValueError, match=r"touch\.torsion_radius is given, but its template has no torsion"):
+    with pytest.raises(ValueError, match=r"touch\.torsion_radius is given, but its material has no torsion"):
         dropped_sphere(wc.laws.Hooke(stiffness=1.0), torsion_radius=0.1)
 
 
 def test_torsion_has_no_directions():
-    with pytest.raises(ValueError, match=r"Template\.torsion must be a friction without directions, got Elliptic"):
-        wc.Template(law=wc.laws.Hooke(stiffness=1.0), torsion=F.Elliptic(mu_1=0.1, mu_2=0.2))
+    with pytest.raises(
+        ValueError, match=r"ContactMaterial\.torsion must be a friction without directions, got Elliptic"
+    ):
+        wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1.0), torsion=F.Elliptic(mu_1=0.1, mu_2=0.2))
 
 
 def test_the_parameters_of_every_part_are_there(device):
@@ -221,9 +223,9 @@ def test_a_friction_of_spheres_needs_a_radius(device):
     scene = wc.Scene()
     ground = scene.add_surface(square())
     point = scene.add_point(scene.add_body(1.0, (1, 1, 1)), (0, 0, 0))
-    template = wc.Template(law=wc.laws.Hooke(stiffness=1.0), friction=friction)
-    with pytest.raises(ValueError, match=r"touch: the friction of its template, Mindlin, needs a radius"):
-        scene.add_contact(point, ground, template, name="touch")
+    material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1.0), friction=friction)
+    with pytest.raises(ValueError, match=r"touch: the friction of its material, Mindlin, needs a radius"):
+        scene.add_contact(point, ground, material, name="touch")
     model = dropped_sphere(wc.laws.Hooke(stiffness=1.0), friction=friction, device=device)
     with pytest.raises(ValueError, match=r"touch\.radius must be greater than 0, got 0 m"):
         model["touch.radius"] = 0.0

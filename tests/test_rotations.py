@@ -68,7 +68,7 @@ def test_a_body_turned_by_a_quaternion_of_another_length_touches_where_it_is(exc
         mass=1.0, inertia=(1, 1, 1), position=(0.6, 0, 0.3), linear_velocity=(-1, 0, 0), name="body"
     )
     points = scene.add_point(body, (0.5, 0, 0), name="point")
-    scene.add_contact(points, wall, wc.Template(law=wc.laws.Hooke(stiffness=1e3)), name="touch")
+    scene.add_contact(points, wall, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e3)), name="touch")
     model = scene.build(device=device)
     sim = wc.Simulation(model, dt=1e-4, distance_cache=cached)
     model.state.body_orientation.assign(np.array([[[0.0, 0.0, 1.0 + excess, 0.0]]], np.float32))

@@ -74,7 +74,7 @@ def test_the_latch_follows_its_table(start, options, path, status, device):
     # The upper left half is hidden.
     surface = scene.add_surface(square(), active_faces=[0])
     body = scene.add_body(1.0, (1, 1, 1), position=start, name="body")
-    law = wc.Template(law=wc.laws.Hooke(stiffness=1.0))
+    law = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1.0))
     point = scene.add_point(body, (0, 0, 0))
     scene.add_contact(point, surface, law, entry="latched", name="touch", **options)
     sim = wc.Simulation(scene.build(device=device), dt=1e-6)
@@ -203,10 +203,10 @@ def test_surfaces_points_and_laws_find_their_own(device):
     one = scene.add_body(1.0, (1, 1, 1), position=above, linear_velocity=slide, name="one")
     two = scene.add_body(1.0, (1, 1, 1), position=beside, linear_velocity=glide, name="two")
     for name, body, surface, stiffness, mu in (("a", one, first, 1e4, 0.2), ("b", two, second, 2e4, 0.5)):
-        template = wc.Template(
+        material = wc.ContactMaterial(
             law=wc.laws.Hooke(stiffness=stiffness), friction=wc.frictions.RegularizedCoulomb(mu=mu)
         )
-        scene.add_contact(scene.add_point(body, (0, 0, 0)), surface, template, name=name)
+        scene.add_contact(scene.add_point(body, (0, 0, 0)), surface, material, name=name)
     model = scene.build(device=device, precision="float64")
     np.testing.assert_allclose(model.reading("a.gap"), -0.01, atol=1e-12)
     np.testing.assert_allclose(model.reading("b.gap"), -0.02, atol=1e-12)

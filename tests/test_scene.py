@@ -11,7 +11,7 @@ from warpcontact.checks import look_up
 
 pytestmark = pytest.mark.installed
 
-HOOKE = wc.Template(law=wc.laws.Hooke(stiffness=1.0))
+HOOKE = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1.0))
 
 
 def scene_with(**body):
@@ -191,10 +191,10 @@ def test_parameters_of_every_kind_take_one_value_or_one_per_environment():
     scene = scene_with()
     surface = scene.add_surface(square(), name="ground")
     points = scene.add_points(scene.bodies[0], np.eye(3), name="corners")
-    template = wc.Template(
+    material = wc.ContactMaterial(
         law=wc.laws.HuntCrossley(stiffness=1e3, restitution=0.5), friction=wc.frictions.Tanh(mu=0.3)
     )
-    scene.add_contact(points, surface, template, name="touch")
+    scene.add_contact(points, surface, material, name="touch")
     envs = 5
     model = scene.build(envs=envs)
     for name in model:
@@ -233,14 +233,14 @@ def test_a_model_does_not_change_with_its_scene():
 def test_one_scene_holds_several_laws():
     scene = wc.Scene(gravity=(0, 0, 0))
     ground = scene.add_surface(square(), name="ground")
-    templates = [
-        wc.Template(law=wc.laws.Hooke(stiffness=1e3)),
-        wc.Template(law=wc.laws.Hertz(stiffness=1e5), friction=wc.frictions.Tanh(mu=0.1)),
-        wc.Template(law=wc.laws.Hooke(stiffness=2e3)),
+    materials = [
+        wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e3)),
+        wc.ContactMaterial(law=wc.laws.Hertz(stiffness=1e5), friction=wc.frictions.Tanh(mu=0.1)),
+        wc.ContactMaterial(law=wc.laws.Hooke(stiffness=2e3)),
     ]
-    for number, template in enumerate(templates):
+    for number, material in enumerate(materials):
         body = scene.add_body(1.0, (1, 1, 1), position=(0.1 * number, 0, -0.01), name=f"body{number}")
-        scene.add_contact(scene.add_point(body, (0, 0, 0)), ground, template, name=f"touch{number}")
+        scene.add_contact(scene.add_point(body, (0, 0, 0)), ground, material, name=f"touch{number}")
     model = scene.build(envs=2)
     assert len(model.groups) == 2
     expected = [10.0, 1e5 * 0.01**1.5, 20.0]
@@ -286,7 +286,7 @@ def test_a_scene_tells_what_is_in_it():
     ground = scene.add_surface(wc.meshes.grid((1, 1)), name="ground")
     ball = scene.add_body(1.0, (1, 1, 1), name="ball")
     points = scene.add_point(ball, (0, 0, 0), name="centre")
-    scene.add_contact(points, ground, wc.Template(law=wc.laws.Hooke(stiffness=1e4)), name="touch")
+    scene.add_contact(points, ground, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4)), name="touch")
     assert repr(scene) == "<Scene of bodies: ball; surfaces: ground; points: centre; contacts: touch>"
 
 

@@ -16,10 +16,10 @@ from warpcontact import crew, schedule, stepping
 
 STATE = ("position", "orientation", "linear_velocity", "angular_velocity")
 PRECISIONS = pytest.mark.parametrize("precision", ["float32", "float64"])
-TEMPLATE = wc.Template(
+MATERIAL = wc.ContactMaterial(
     law=wc.laws.KelvinVoigt(stiffness=2e3, damping=4.0), friction=wc.frictions.Tanh(mu=0.5, velocity_scale=0.01)
 )
-STUCK = wc.Template(
+STUCK = wc.ContactMaterial(
     law=wc.laws.HuntCrossley(stiffness=2e4, restitution=0.5),
     friction=wc.frictions.CundallStrack(mu_static=0.6, mu_dynamic=0.4, stiffness=1e3, damping=1.0),
 )
@@ -43,19 +43,19 @@ def terrain_with(points, radius=0.0, **contact):
             wc.meshes.sinusoidal_terrain((4, 4), (30, 30), amplitude=0.15, wavelength=1.3), name="ground"
         )
         body = scene.add_body(1.0, (4e-3, 5e-3, 6e-3), position=(0, 0, 0.5), name="body")
-        scene.add_contact(scene.add_points(body, points), ground, TEMPLATE, radius=radius, name="touch", **contact)
+        scene.add_contact(scene.add_points(body, points), ground, MATERIAL, radius=radius, name="touch", **contact)
         return scene
 
     return make
 
 
-def falling_on(mesh, *, radius=0.05, height=0.8, template=TEMPLATE, surface=None, **contact):
+def falling_on(mesh, *, radius=0.05, height=0.8, material=MATERIAL, surface=None, **contact):
     def make():
         scene = wc.Scene()
         ground = scene.add_surface(mesh, name="ground", **(surface or {}))
         body = scene.add_body(0.5, (1e-3, 1e-3, 1e-3), position=(0, 0, height), name="body")
         scene.add_contact(
-            scene.add_point(body, (0, 0, 0)), ground, template, radius=radius, name="touch", **contact
+            scene.add_point(body, (0, 0, 0)), ground, material, radius=radius, name="touch", **contact
         )
         return scene
 
@@ -75,7 +75,7 @@ def two_bodies():
     corners = scene.add_points(block, 0.5 * np.array([0.4, 0.5, 0.3]) * CORNERS)
     scene.add_contact(points, shell, STUCK, name="upper")
     scene.add_contact(corners, ground, STUCK, name="lower")
-    scene.add_contact(points, ground, TEMPLATE, name="missed")
+    scene.add_contact(points, ground, MATERIAL, name="missed")
     return scene
 
 
@@ -109,7 +109,7 @@ SCENES = {
     "a fold that hides a side": falling_on(FOLDED),
     "partly active": falling_on(SHELL, surface=half_active(SHELL)),
     "the active part": falling_on(SHELL, surface=half_active(SHELL), search="active"),
-    "with memory": falling_on(SHELL, template=STUCK),
+    "with memory": falling_on(SHELL, material=STUCK),
     "two bodies": two_bodies,
     # Lists of up to 25, and of up to 48 faces, which is not enough.
     "a sphere of 3 edges": falling_on(FINE, radius=0.18),
@@ -189,7 +189,7 @@ def test_what_was_seen_before_a_step_is_taken_again_is_not_forgotten(looked_at):
             body = scene.add_body(
                 0.5, (1e-3, 1e-3, 1e-3), position=(x, 0.2, 1.5e-3), linear_velocity=(0, 0, -1), name=name
             )
-            scene.add_contact(scene.add_point(body, (0, 0, 0)), ground, TEMPLATE, name=f"{name}_touch", **options)
+            scene.add_contact(scene.add_point(body, (0, 0, 0)), ground, MATERIAL, name=f"{name}_touch", **options)
         model = scene.build(device="cpu")
         model["shot.linear_velocity"] = (0, 0, -30)  # through the ground in the first step
         sim = wc.Simulation(model, dt=1e-3, crossing_steps=3, distance_cache=distance_cache)
@@ -221,7 +221,7 @@ def test_points_of_a_block_are_armed_where_they_are_seen(arm, places, touches, l
         ground = scene.add_surface(wc.meshes.grid((2, 2), (4, 4)), name="ground")
         body = scene.add_body(1.0, (1, 1, 1), name="body")
         points = scene.add_points(body, [(0, 0, -arm), (0, 0, arm)])
-        scene.add_contact(points, ground, TEMPLATE, search_radius=0.2, entry="latched", name="touch")
+        scene.add_contact(points, ground, MATERIAL, search_radius=0.2, entry="latched", name="touch")
         model = scene.build(device="cpu")
         sim = wc.Simulation(model, dt=1e-3, distance_cache=distance_cache)
         for height, turned in places:
@@ -247,11 +247,11 @@ def test_nor_does_it_when_a_contact_that_never_was_outside_is_enabled(points, sp
             1.0, (1e-2, 1e-2, 1e-2), position=(0.1, 0.05, 0.0999), linear_velocity=(0.5, 0.3, speed), name="body"
         )
         places = scene.add_points(body, [(0.03 * i, 0.0, 0.0) for i in range(points)])
-        template = wc.Template(
+        material = wc.ContactMaterial(
             law=wc.laws.Hooke(stiffness=1e4),
             friction=wc.frictions.CundallStrack(mu_static=0.6, mu_dynamic=0.5, stiffness=1e4),
         )
-        scene.add_contact(places, ground, template, radius=0.1, enabled=False, name="touch")
+        scene.add_contact(places, ground, material, radius=0.1, enabled=False, name="touch")
         model = scene.build(envs=2, device=device)
         sim = wc.Simulation(model, dt=1e-4, distance_cache=distance_cache)
         sim.step(20)

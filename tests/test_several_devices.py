@@ -182,8 +182,8 @@ envs = 5
 surface = [{ name = "ground", mesh = { shape = "grid", size = [2, 2] } }]
 body = [{ name = "ball", mass = 1, inertia = [4e-3, 4e-3, 4e-3], position = [0, 0, 0.11] }]
 point = [{ name = "centre", body = "ball", position = [0, 0, 0] }]
-template = [{ name = "rubber", law = { type = "Hooke", stiffness = 1e4 } }]
-contact = [{ name = "touch", points = "centre", surface = "ground", template = "rubber", radius = 0.1 }]
+material = [{ name = "rubber", law = { type = "Hooke", stiffness = 1e4 } }]
+contact = [{ name = "touch", points = "centre", surface = "ground", material = "rubber", radius = 0.1 }]
 [variation]
 "ball.mass" = { uniform = [0.5, 2] }
 """

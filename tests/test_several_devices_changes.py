@@ -152,8 +152,8 @@ def test_an_environment_that_diverges_is_reported_by_its_number_in_all(devices, 
         scene = wc.Scene()
         ground = scene.add_surface(square(), name="ground")
         ball = scene.add_body(1.0, (1e-2, 1e-2, 1e-2), position=(0, 0, 0.09), name="ball")
-        template = wc.Template(law=wc.laws.Hooke(stiffness=1e4))
-        scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, template, radius=0.1, name="touch")
+        material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4))
+        scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, material, radius=0.1, name="touch")
         model = scene.build(ENVS, where)
         stiffness = np.full(ENVS, 1e4)
         stiffness[[2, 5]] = 1e38

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from test_schedule import TEMPLATE
+from test_schedule import MATERIAL
 
 import warpcontact as wc
 from warpcontact import patches
@@ -32,7 +32,7 @@ def model_of(mesh=None, *, radius=0.5, points=None, scale=1.0, carrier=None, bod
     if carrier is not None:
         body = scene.add_surface(wc.meshes.box((1, 1, 1)), body, scale=carrier, name="carrier")
     places = scene.add_point(body, (0, 0, 0)) if points is None else scene.add_points(body, points)
-    scene.add_contact(places, ground, TEMPLATE, radius=radius)
+    scene.add_contact(places, ground, MATERIAL, radius=radius)
     return scene.build(envs=2, device="cpu", precision="float64")
 
 

@@ -16,13 +16,13 @@ from warpcontact.kernels.smooth import base
 import warpcontact as wc
 
 NAMES = ("separated", "penetrating", "deep")
-RUBBER = wc.Template(
+RUBBER = wc.ContactMaterial(
     law=wc.laws.HuntCrossley(stiffness=1e5, exponent=1.5, restitution=0.7),
     friction=wc.frictions.CundallStrack(mu_static=0.4, mu_dynamic=0.4, stiffness=2e4, damping=5.0),
     rolling=wc.frictions.Tanh(mu=0.01, velocity_scale=1e-2),
     torsion=wc.frictions.Tanh(mu=0.4, velocity_scale=1e-2),
 )
-STEEL = wc.Template(law=wc.laws.HuntCrossley(stiffness=1e7, exponent=1.5, restitution=1.0))
+STEEL = wc.ContactMaterial(law=wc.laws.HuntCrossley(stiffness=1e7, exponent=1.5, restitution=1.0))
 READINGS = ("gap", "normal", "normal_force", "friction_force", "torque", "slip_speed", "approach_speed", "point")
 
 
@@ -37,7 +37,7 @@ def test_two_tilted_ellipsoids_are_the_worked_numbers(oracle, device, precision,
     i, j = (scene.add_body(1.0, (1.0, 1.0, 1.0), name=name) for name in "ij")
     first = scene.add_shape(i, wc.shapes.Ellipsoid((1.0, 0.6, 0.4)))
     second = scene.add_shape(j, wc.shapes.Ellipsoid((0.8, 0.5, 0.3)))
-    scene.add_smooth_contact(second, first, wc.Template(law=wc.laws.Hooke(stiffness=1.0)), name="touch")
+    scene.add_smooth_contact(second, first, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1.0)), name="touch")
     model = scene.build(3, device, precision)
     model["j.position"] = [oracle[name]["c_j"] for name in NAMES]
     velocity = oracle["separated"]["velocity"]
@@ -112,10 +112,10 @@ def sphere_on_plane(smooth, device, precision, envs=1, bullet=False):
     if bullet:
         flying = scene.add_body(0.1, (1e-4, 1e-4, 1e-4), (20, 0, 0.1), name="bullet")
         tip = scene.add_point(flying, (0, 0, 0))
-        template = wc.Template(law=wc.laws.Hooke(stiffness=1e6))
+        material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e6))
         for name, height, turn in (("low", 0.0, (0, 0, 0, 1)), ("high", 0.2, (1, 0, 0, 0))):
             plate = scene.add_surface(square(1.0), position=(20, 0, height), orientation=turn)
-            scene.add_contact(tip, plate, template, swept=True, name=name)
+            scene.add_contact(tip, plate, material, swept=True, name=name)
     model = scene.build(envs, device, precision)
     if bullet:
         model["bullet.linear_velocity"] = [(0, 0, 0)] + [(0, 0, -20.0)] * (envs - 1)
@@ -137,7 +137,7 @@ def test_a_sphere_on_a_plane_is_that_on_a_flat_mesh(device):
         np.testing.assert_allclose(smooth[name], mesh[name], rtol=0, atol=1e-9 * scale, err_msg=name)
 
 
-def spheres(positions, velocities, radius, device, template=STEEL, precision="float64", envs=1):
+def spheres(positions, velocities, radius, device, material=STEEL, precision="float64", envs=1):
     """Returns the model of spheres in a row, each in contact with the next."""
     scene = wc.Scene(gravity=(0, 0, 0))
     shapes = []
@@ -146,7 +146,7 @@ def spheres(positions, velocities, radius, device, template=STEEL, precision="fl
         body = scene.add_body(1.0, inertia, (x, 0, 0), linear_velocity=(v, 0, 0), name=f"ball_{number}")
         shapes.append(scene.add_shape(body, wc.shapes.Sphere(radius), name=f"sphere_{number}"))
     for number, (shape, other) in enumerate(itertools.pairwise(shapes)):
-        scene.add_smooth_contact(shape, other, template, name=f"touch_{number}")
+        scene.add_smooth_contact(shape, other, material, name=f"touch_{number}")
     return scene.build(envs, device, precision)
 
 
@@ -198,11 +198,11 @@ def test_meshes_of_a_sphere_come_to_the_smooth_one(device):
     for level in (2, 3, 4):
         scene = wc.Scene(gravity=(0, 0, 0))
         ball = scene.add_body(1.0, (0.1, 0.1, 0.1), name="ball")
-        template = wc.Template(law=wc.laws.Hooke(stiffness=1.0))
+        material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1.0))
         meshed = scene.add_surface(wc.meshes.icosphere(1.0, level))
-        scene.add_contact(scene.add_point(ball, (0, 0, 0)), meshed, template, radius=0.2, name="mesh")
+        scene.add_contact(scene.add_point(ball, (0, 0, 0)), meshed, material, radius=0.2, name="mesh")
         shapes = [scene.add_shape(body, wc.shapes.Sphere(r)) for body, r in ((ball, 0.2), (None, 1.0))]
-        scene.add_smooth_contact(*shapes, template, name="smooth")
+        scene.add_smooth_contact(*shapes, material, name="smooth")
         model = scene.build(20, device, "float64")
         turns = Rotation.random(20, random_state=1)
         model["ball.position"] = turns.apply(place)
@@ -227,11 +227,11 @@ def two_ellipsoids(device, precision="float32", envs=4):
         scene.add_shape(body, wc.shapes.Ellipsoid(size), name=f"shape_{body.name}")
         for body, size in zip(bodies, axes, strict=True)
     ]
-    template = wc.Template(
+    material = wc.ContactMaterial(
         law=wc.laws.HuntCrossley(stiffness=1e5, exponent=1.5, restitution=0.7),
         friction=wc.frictions.CundallStrack(mu_static=0.4, mu_dynamic=0.4, stiffness=2e4, damping=5.0),
     )
-    scene.add_smooth_contact(shapes[1], shapes[0], template, name="touch")
+    scene.add_smooth_contact(shapes[1], shapes[0], material, name="touch")
     model = scene.build(envs, device, precision)
     model["shape_a.semi_axes"] = np.array(axes[0]) * np.linspace(0.99, 1.0, envs)[:, None]
     return model
@@ -344,10 +344,10 @@ def test_sets_have_a_contact_each(device):
     sizes = scene.add_shape(grains, [wc.shapes.Sphere(radius) for radius in radii], name="sizes")
     alike = scene.add_shape(others, wc.shapes.Sphere(0.05))
     floor = scene.add_shape(None, wc.shapes.Plane())
-    template = wc.Template(law=wc.laws.Hooke(stiffness=1e3))
-    scene.add_smooth_contact(sizes, floor, template, name="on_floor")
-    scene.add_smooth_contact(floor, alike, template, name="under")
-    scene.add_smooth_contact(sizes, alike, template, name="pairs")
+    material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e3))
+    scene.add_smooth_contact(sizes, floor, material, name="on_floor")
+    scene.add_smooth_contact(floor, alike, material, name="under")
+    scene.add_smooth_contact(sizes, alike, material, name="pairs")
     model = scene.build(2, device, "float64")
     np.testing.assert_allclose(model.reading("on_floor.gap"), [0.1 - radii] * 2, atol=1e-15)
     np.testing.assert_allclose(model.reading("pairs.gap"), [0.05 - radii] * 2, atol=1e-15)
@@ -404,7 +404,7 @@ def test_hertz_takes_the_curvatures_of_crossed_cylinders(device):
         turned = (Rotation.from_rotvec((0, 0, angle)) * Rotation.from_quat(quarter)).as_quat()
         lower = scene.add_shape(None, wc.shapes.Cylinder(radii[0], 1.0), (number, 0, 0), quarter)
         upper = scene.add_shape(body, wc.shapes.Cylinder(radii[1], 1.0), (0, 0, 0), turned)
-        scene.add_smooth_contact(upper, lower, wc.Template(law=law), name=f"touch_{number}")
+        scene.add_smooth_contact(upper, lower, wc.ContactMaterial(law=law), name=f"touch_{number}")
     model = scene.build(1, device, "float64")
     # Of equal radii at right angles the gap is that of a sphere on a plane.
     known = 4 / 3 * 1e9 * np.sqrt(0.1) * depth**1.5
@@ -461,7 +461,7 @@ def test_what_is_not_found_gives_no_force_and_is_told(device):
     body = scene.add_body(1.0, (1.0, 1.0, 1.0), (0.1, 0.05, 0.3), name="body")
     egg = scene.add_shape(body, wc.shapes.Ellipsoid((0.3, 0.2, 0.1)), name="egg")
     odd = scene.add_shape(None, Odd(0.3), name="odd")
-    scene.add_smooth_contact(egg, odd, wc.Template(law=wc.laws.Hooke(stiffness=1e3)), name="touch")
+    scene.add_smooth_contact(egg, odd, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e3)), name="touch")
     model = scene.build(2, device)
     model["touch.enabled"] = [False, True]
     with pytest.warns(
@@ -490,7 +490,7 @@ def test_input_is_refused_with_its_name():
         scene.add_shape(bodies, wc.shapes.Sphere(0.1))
         for bodies in (grains, scene.add_bodies(np.zeros((2, 3)), mass=1.0, inertia=(1.0, 1.0, 1.0)))
     )
-    template = wc.Template(law=wc.laws.Hooke(stiffness=1.0))
+    material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1.0))
     with pytest.raises(TypeError, match=r"form of 'x' must be an instance of a class of wc\.shapes, got 0\.1"):
         scene.add_shape(body, 0.1, name="x")
     with pytest.raises(ValueError, match=r"x.position must be 3 numbers"):
@@ -502,24 +502,24 @@ def test_input_is_refused_with_its_name():
     with pytest.raises(ValueError, match=r"x.mask must be a whole number from 0 to 0xffffffff"):
         scene.add_shape(body, wc.shapes.Sphere(0.1), name="x", mask=-1)
     with pytest.raises(ValueError, match="both shapes are fixed to body 'body'"):
-        scene.add_smooth_contact(ball, scene.add_shape(body, wc.shapes.Plane()), template)
+        scene.add_smooth_contact(ball, scene.add_shape(body, wc.shapes.Plane()), material)
     with pytest.raises(ValueError, match="two sets of shapes must be of one size, got 3"):
-        scene.add_smooth_contact(several, few, template)
+        scene.add_smooth_contact(several, few, material)
     with pytest.raises(
         ValueError, match=r"other_shape of 'x' must come from add_shape of this scene, got Body 'body'"
     ):
-        scene.add_smooth_contact(ball, body, template, name="x")
-    with pytest.raises(TypeError, match=r"template of 'x' must be a wc\.Template"):
-        scene.add_smooth_contact(ball, floor, template.law, name="x")
+        scene.add_smooth_contact(ball, body, material, name="x")
+    with pytest.raises(TypeError, match=r"material of 'x' must be a wc\.ContactMaterial"):
+        scene.add_smooth_contact(ball, floor, material.law, name="x")
     with pytest.raises(ValueError, match=r"x.kappa must be at least 0 and at most 1, got 2"):
-        scene.add_smooth_contact(ball, floor, template, kappa=2.0, name="x")
-    with pytest.raises(ValueError, match=r"x.torsion_radius is given, but its template has no torsion"):
-        scene.add_smooth_contact(ball, floor, template, torsion_radius=0.1, name="x")
-    area = wc.Template(law=wc.laws.ElasticFoundation(stiffness=1e6))
+        scene.add_smooth_contact(ball, floor, material, kappa=2.0, name="x")
+    with pytest.raises(ValueError, match=r"x.torsion_radius is given, but its material has no torsion"):
+        scene.add_smooth_contact(ball, floor, material, torsion_radius=0.1, name="x")
+    area = wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=1e6))
     with pytest.raises(ValueError, match="was given no area"):
         scene.add_smooth_contact(ball, floor, area)
     assert scene.smooth_contacts == []
-    scene.add_smooth_contact(ball, floor, template, name="touch")
+    scene.add_smooth_contact(ball, floor, material, name="touch")
     model = scene.build(2, "cpu")
     with pytest.raises(ValueError, match=r"ball.radius must be greater than 0"):
         model["ball.radius"] = -1.0

@@ -35,8 +35,8 @@ def no_waiting():
 
 
 def with_law(path):
-    template = {"name": "rubber", "law": {"type": f"{path.name}:Law"}}
-    return wc.Experiment.from_dict(content(template=[template]), path.parent)
+    material = {"name": "rubber", "law": {"type": f"{path.name}:Law"}}
+    return wc.Experiment.from_dict(content(material=[material]), path.parent)
 
 
 def with_rows(path):

@@ -28,9 +28,9 @@ def made(tmp_path, monkeypatch):
     monkeypatch.setattr(store, "CHUNK", 4 * 8 * FRAMES)
     values = np.random.default_rng(3).normal(size=(FRAMES, ENVS))
     env = xr.DataArray(np.arange(32), dims="env")
-    template = xr.Dataset({"gap": (("time", "env"), values[:, :32])}, coords={"env": env})
+    material = xr.Dataset({"gap": (("time", "env"), values[:, :32])}, coords={"env": env})
     (tmp_path / store.COMMITS).mkdir()
-    store.create(tmp_path, {"series": template}, ENVS, np.arange(FRAMES) * 0.1, FRAMES, {})
+    store.create(tmp_path, {"series": material}, ENVS, np.arange(FRAMES) * 0.1, FRAMES, {})
     return tmp_path, values
 
 
@@ -106,7 +106,7 @@ def test_chunks_are_to_the_byte_those_that_zarr_writes(dims, dtype, tmp_path):
     pieces = {**sizes, "time": 4, "env": 8}
     values = (100 * np.random.default_rng(4).normal(size=[sizes[dim] for dim in dims])).round(1).astype(dtype)
     values[(slice(0, 4),) * (dims[0] == "time") + (slice(8, 16),)] = store.empty_value(values.dtype)
-    template = xr.DataArray(values, dims=dims)
+    material = xr.DataArray(values, dims=dims)
     group = zarr.open_group(tmp_path, mode="w", zarr_format=3)
     array = group.create_array(
         "x",
@@ -115,7 +115,7 @@ def test_chunks_are_to_the_byte_those_that_zarr_writes(dims, dtype, tmp_path):
         dtype=values.dtype,
         fill_value=store.empty_value(values.dtype),
         dimension_names=dims,
-        compressors=compressors(template),
+        compressors=compressors(material),
     )
     chunks = Chunks(array)
     frames = range(0, 10, 4) if "time" in dims else [0]
@@ -144,9 +144,9 @@ def test_chunks_without_values_have_no_file_and_are_named(made):
 
 
 def test_labels_of_a_single_environment_have_a_file(tmp_path):
-    template = xr.Dataset({"x": ("env", [1.0])}, coords={"env": [0]})
+    material = xr.Dataset({"x": ("env", [1.0])}, coords={"env": [0]})
     (tmp_path / store.COMMITS).mkdir()
-    store.create(tmp_path, {"params": template}, 1, np.zeros(0), 1, {})
+    store.create(tmp_path, {"params": material}, 1, np.zeros(0), 1, {})
     assert (tmp_path / store.DATA / "params" / "env" / "c" / "0").is_file()
     store.Ledger(tmp_path).check(Extent(envs=1, shard=1, steps=1), contents=True)
 

@@ -23,7 +23,7 @@ def slide_of_blocks(device, slope, mu_static, damping):
     depth = G * np.cos(slope) / STIFFNESS
     block = scene.add_body(1.0, (1e6,) * 3, position=(0.0, 0.0, -depth), name="block")
     friction = STICK(mu_static=0.5, mu_dynamic=0.4, stiffness=STIFFNESS)
-    material = wc.Template(law=wc.laws.Hooke(stiffness=STIFFNESS), friction=friction)
+    material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=STIFFNESS), friction=friction)
     scene.add_contact(scene.add_point(block, (0.0, 0.0, 0.0)), ground, material, name="foot")
     model = scene.build(envs=len(mu_static), device=device, precision="float64")
     model["foot.friction.mu_static"], model["foot.friction.damping"] = mu_static, damping

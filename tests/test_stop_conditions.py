@@ -143,7 +143,7 @@ def test_hard_contacts_stop_as_well():
     scene = wc.Scene()
     ground = scene.add_surface(square(), name="ground")
     ball = scene.add_body(mass=1.0, inertia=(0.01,) * 3, position=(0, 0, 0.3), name="ball")
-    rigid = wc.Template(law=wc.laws.Rigid(restitution=0.5))
+    rigid = wc.ContactMaterial(law=wc.laws.Rigid(restitution=0.5))
     scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, rigid, radius=0.1, name="touch")
     model = scene.build(envs=2)
     stop = {"hit": wc.Stop("touch.impulse", component="norm", above=0.0)}
@@ -161,8 +161,8 @@ def test_divided_steps_stop_once():
     ball = scene.add_body(
         mass=1.0, inertia=(0.01,) * 3, position=(0, 0, 0.05), linear_velocity=(0, 0, -20.0), name="ball"
     )
-    template = wc.Template(law=wc.laws.Hooke(stiffness=1e4))
-    scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, template, name="touch", swept=True)
+    material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4))
+    scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, material, name="touch", swept=True)
     model = scene.build(envs=2, precision="float64")
     model["ball.linear_velocity"] = [(0, 0, -20.0), (0, 0, -30.0)]
     outcomes = {

@@ -42,16 +42,16 @@ def layout_of(instance, tell):
 def one_sphere(scene, ground):
     ball = scene.add_body(mass=1.0, inertia=(0.1, 0.1, 0.1))
     centre = scene.add_point(ball, (0, 0, 0))
-    scene.add_contact(centre, ground, wc.Template(law=wc.laws.Hooke(stiffness=1e4)), radius=0.1)
+    scene.add_contact(centre, ground, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4)), radius=0.1)
 
 
 def boxes_with_friction(scene, ground):
     law = wc.laws.KelvinVoigt(stiffness=1e4, damping=10.0)
-    template = wc.Template(law=law, friction=wc.frictions.Tanh(mu=0.3))
+    material = wc.ContactMaterial(law=law, friction=wc.frictions.Tanh(mu=0.3))
     rng = np.random.default_rng(1)
     for number in range(3):
         box = scene.add_body(mass=1.0 + number, inertia=(0.1, 0.2, 0.3))
-        scene.add_contact(scene.add_points(box, rng.uniform(-0.1, 0.1, (40, 3))), ground, template)
+        scene.add_contact(scene.add_points(box, rng.uniform(-0.1, 0.1, (40, 3))), ground, material)
 
 
 def nothing_that_touches(scene, _):

@@ -41,15 +41,15 @@ class Felt(wc.Friction):
         return (-p.drag * p.area) * s.velocity
 
 
-def pressed_sphere(device, *, swap=False, subdivisions=5, depth=DEPTH, template=None, **options):
+def pressed_sphere(device, *, swap=False, subdivisions=5, depth=DEPTH, material=None, **options):
     """Returns the model of a meshed sphere held ``depth`` deep in a square, and the names of the contacts."""
     scene = wc.Scene(gravity=(0, 0, 0))
     ground = scene.add_surface(square(0.03), name="ground")
     ball = scene.add_body(1.0, [1e-3] * 3, position=(0, 0, RADIUS - depth), name="ball")
     skin = scene.add_surface(wc.meshes.icosphere(RADIUS, subdivisions), ball, name="skin")
     pair = (ground, skin) if swap else (skin, ground)
-    template = template or wc.Template(law=laws.ElasticFoundation(stiffness=MODULUS))
-    contacts = scene.add_surface_contact(*pair, template, name="press", **options)
+    material = material or wc.ContactMaterial(law=laws.ElasticFoundation(stiffness=MODULUS))
+    contacts = scene.add_surface_contact(*pair, material, name="press", **options)
     return scene.build(device=device, precision="float64"), [contact.name for contact in contacts]
 
 
@@ -104,7 +104,7 @@ def test_both_bookkeepings_agree_on_flat_faces_as_points_grow(samples, device):
         ground = scene.add_surface(wc.meshes.grid((0.2, 0.2)), name="ground")
         plate = scene.add_body(1.0, [1e-2] * 3, position=(0.013, 0.007, -depth), name="plate")
         sole = scene.add_surface(wc.meshes.grid((side, side)), plate, flip=True, name="sole")
-        law = wc.Template(law=laws.ElasticFoundation(stiffness=1.0e8))
+        law = wc.ContactMaterial(law=laws.ElasticFoundation(stiffness=1.0e8))
         amount = samples if sides == "average" else samples[0]
         scene.add_surface_contact(sole, ground, law, samples=amount, sides=sides, name="press")
         found[sides] = scene.build(device=device, precision="float64").reading("plate.force")[0, 2]
@@ -125,7 +125,7 @@ def test_a_free_collision_of_two_meshes_conserves_momentum(sides, device):
     )
     hull = scene.add_surface(wc.meshes.box((0.2, 0.15, 0.1)), block, (0.01, 0, 0), (0, 0, 0.6, 0.8), name="hull")
     skin = scene.add_surface(wc.meshes.icosphere(0.06, 3), ball, name="skin")
-    rubber = wc.Template(
+    rubber = wc.ContactMaterial(
         law=laws.ElasticFoundation(stiffness=5e8, damping=0.3),
         friction=wc.frictions.Tanh(mu=0.4, velocity_scale=0.02),
         torsion=wc.frictions.Tanh(mu=0.1, velocity_scale=0.02),
@@ -147,7 +147,7 @@ def test_a_free_collision_of_two_meshes_conserves_momentum(sides, device):
 
 
 def test_a_share_divides_all_that_acts(device):
-    template = wc.Template(
+    material = wc.ContactMaterial(
         law=laws.KelvinVoigt(stiffness=1e5, damping=10.0),
         # Not in proportion to N, so that a share of N alone would not divide it.
         friction=Felt(drag=3.0, area=1.0),
@@ -159,7 +159,7 @@ def test_a_share_divides_all_that_acts(device):
     ball = scene.add_body(
         1.0, [1e-3] * 3, (0, 0, 0.09), linear_velocity=(1, 0, -1), angular_velocity=(1, 2, 3), name="ball"
     )
-    scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, template, radius=0.1, name="touch")
+    scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, material, radius=0.1, name="touch")
     model = scene.build(envs=3, device=device, precision="float64")
     assert (model["touch.share"] == 1.0).all()
     whole = {name: model.reading(f"touch.{name}") for name in ("normal_force", "friction_force", "torque")}
@@ -176,12 +176,12 @@ def test_a_share_divides_all_that_acts(device):
         model["touch.share"] = -1.0
 
 
-def areas_scene(template, **points):
+def areas_scene(material, **points):
     scene = wc.Scene(gravity=(0, 0, 0))
     ground = scene.add_surface(square(), name="ground")
     body = scene.add_body(1.0, [1e-2] * 3, linear_velocity=(1, 0, 0), name="body")
     carried = scene.add_points(body, [(0, 0, -1e-3), (0.1, 0, -2e-3)], name="pads", **points)
-    scene.add_contact(carried, ground, template, name="press")
+    scene.add_contact(carried, ground, material, name="press")
     return scene
 
 
@@ -196,7 +196,7 @@ def areas_scene(template, **points):
 )
 def test_a_law_takes_the_areas_of_the_points(law, pressure, device):
     areas = np.array([1e-4, 3e-4])
-    model = areas_scene(wc.Template(law=law), areas=areas).build(envs=2, device=device, precision="float64")
+    model = areas_scene(wc.ContactMaterial(law=law), areas=areas).build(envs=2, device=device, precision="float64")
     depth = np.array([1e-3, 2e-3])
     np.testing.assert_allclose(model["press.law.area"], [areas, areas])
     np.testing.assert_allclose(model.reading("press.normal_force"), [pressure * areas * depth] * 2, rtol=1e-12)
@@ -209,25 +209,25 @@ def test_a_law_takes_the_areas_of_the_points(law, pressure, device):
 
 
 def test_an_area_of_the_law_comes_before_those_of_the_points(device):
-    template = wc.Template(law=laws.ElasticFoundation(stiffness=1e8, area=1e-2))
-    model = areas_scene(template, areas=[1e-4, 3e-4]).build(device=device)
+    material = wc.ContactMaterial(law=laws.ElasticFoundation(stiffness=1e8, area=1e-2))
+    model = areas_scene(material, areas=[1e-4, 3e-4]).build(device=device)
     np.testing.assert_allclose(model["press.law.area"], 1e-2)
 
 
 def test_a_friction_may_leave_its_area_to_the_points(device):
-    template = wc.Template(law=laws.Hooke(stiffness=1.0), friction=Felt(drag=1e3))
-    model = areas_scene(template, areas=[1e-4, 3e-4]).build(device=device, precision="float64")
+    material = wc.ContactMaterial(law=laws.Hooke(stiffness=1.0), friction=Felt(drag=1e3))
+    model = areas_scene(material, areas=[1e-4, 3e-4]).build(device=device, precision="float64")
     np.testing.assert_allclose(model.reading("press.friction_force")[0, :, 0], [-0.1, -0.3], rtol=1e-12)
 
 
 def test_points_without_areas_are_refused_by_name():
-    message = r"press: the law of its template, Suction, was given no area \[m²\], and the points 'pads' have none"
+    message = r"press: the law of its material, Suction, was given no area \[m²\], and the points 'pads' have none"
     with pytest.raises(ValueError, match=message):
-        areas_scene(wc.Template(law=Suction(pressure=1.0, depth=1.0)))
+        areas_scene(wc.ContactMaterial(law=Suction(pressure=1.0, depth=1.0)))
     with pytest.raises(ValueError, match=r"pads\.areas must be 2 numbers"):
-        areas_scene(wc.Template(law=laws.Hooke(stiffness=1.0)), areas=[1.0])
+        areas_scene(wc.ContactMaterial(law=laws.Hooke(stiffness=1.0)), areas=[1.0])
     with pytest.raises(ValueError, match=r"pads\.areas\[1\] must be greater than 0, got -1 m²"):
-        areas_scene(wc.Template(law=laws.Hooke(stiffness=1.0)), areas=[1.0, -1.0])
+        areas_scene(wc.ContactMaterial(law=laws.Hooke(stiffness=1.0)), areas=[1.0, -1.0])
     scene, samples = wc.Scene(), sample_surface(wc.meshes.box(), 5)
     with pytest.raises(ValueError, match=r"hull\.areas must be left out"):
         scene.add_points(None, samples, areas=samples.areas, name="hull")
@@ -252,7 +252,7 @@ def test_points_of_a_surface_move_with_it(device):
     hull = scene.add_surface(wc.meshes.box((0.2, 0.1, 0.3)), body, (0.1, 0, 0), (0, 0, 0.6, 0.8), name="hull")
     points = scene.add_points(hull, [(0.1, 0.05, 0.15), (0, 0, 0.15)], name="corners")
     assert points.body is body
-    scene.add_contact(points, ground, wc.Template(law=laws.Hooke(stiffness=1.0)), kappa=1.0, name="touch")
+    scene.add_contact(points, ground, wc.ContactMaterial(law=laws.Hooke(stiffness=1.0)), kappa=1.0, name="touch")
     model = scene.build(envs=2, device=device, precision="float64")
 
     def rotated(q, v):
@@ -290,7 +290,7 @@ def test_areas_grow_with_the_scale_of_their_surface(law, device):
         skin = scene.add_surface(wc.meshes.box((size,) * 3), body, scale=scale, name="skin")
         felt = Felt(drag=1.0)
         scene.add_surface_contact(
-            skin, ground, wc.Template(law=law, friction=felt), samples="centroids", name="press"
+            skin, ground, wc.ContactMaterial(law=law, friction=felt), samples="centroids", name="press"
         )
         model = scene.build(envs=2, device=device, precision="float64")
         model["body.linear_velocity"] = (1, 0, 0)
@@ -311,7 +311,7 @@ def test_names_and_samples_of_both_sides():
     body = scene.add_body(1.0, [1.0] * 3, name="body")
     ground = scene.add_surface(wc.meshes.grid(), active_faces=[1], name="ground")
     hull = scene.add_surface(wc.meshes.box(), body, name="hull")
-    spring = wc.Template(law=laws.Hooke(stiffness=1.0))
+    spring = wc.ContactMaterial(law=laws.Hooke(stiffness=1.0))
     first, second = scene.add_surface_contact(
         hull, ground, spring, samples=("vertices", 30), sides="average", name="pair", radius=0.01, seed=3
     )
@@ -333,7 +333,7 @@ def test_of_several_meshes_each_has_points_of_its_own(device):
     body = scene.add_body(1.0, [1.0] * 3, position=(0, 0, 0.499), name="body")
     meshes = [wc.meshes.box(), wc.meshes.icosphere(0.5, 4)]
     either = scene.add_surface(meshes, body, name="either")
-    bed = wc.Template(law=laws.ElasticFoundation(stiffness=1e8))
+    bed = wc.ContactMaterial(law=laws.ElasticFoundation(stiffness=1e8))
     for index, mesh in enumerate(meshes):
         points = scene.add_points(either, sample_surface(mesh, method="centroids"), name=f"points_{index}")
         scene.add_contact(points, ground, bed, name=f"press_{index}")
@@ -353,7 +353,7 @@ def test_what_cannot_be_added_leaves_the_scene_as_it_was():
     hull = scene.add_surface(wc.meshes.box(), body, name="hull")
     hidden = scene.add_surface(wc.meshes.box(), body, active_faces=[], name="hidden")
     either = scene.add_surface([wc.meshes.box(), wc.meshes.icosphere()], body, name="either")
-    spring = wc.Template(law=laws.Hooke(stiffness=1.0))
+    spring = wc.ContactMaterial(law=laws.Hooke(stiffness=1.0))
     names = scene.element_names()
     cases = [
         ((hull, hidden), {}, "press: points and surface are both fixed to body 'body'"),

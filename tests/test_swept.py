@@ -28,7 +28,9 @@ def shots(mesh, start, velocity, *, dt, precision, device, carrier=None, crossin
     surface = scene.add_surface(mesh, body, name="plate")
     ball = scene.add_body(1.0, (1e-3, 1e-3, 1e-3), name="ball")
     options = {"swept": True, **contact}
-    scene.add_contact(scene.add_point(ball, (0, 0, 0)), surface, wc.Template(law=law), name="touch", **options)
+    scene.add_contact(
+        scene.add_point(ball, (0, 0, 0)), surface, wc.ContactMaterial(law=law), name="touch", **options
+    )
     model = scene.build(envs=len(start), device=device, precision=precision)
     model["ball.position"], model["ball.linear_velocity"] = start, velocity
     return wc.Simulation(model, dt=dt, crossing_steps=crossing_steps)
@@ -255,7 +257,9 @@ def test_hidden_faces_let_through(precision, device):
     scene = wc.Scene(gravity=(0, 0, 0))
     surface = scene.add_surface(mesh, name="plate", active_faces=right)
     ball = scene.add_body(1.0, (1e-3, 1e-3, 1e-3), name="ball", linear_velocity=(0, 0, -10))
-    scene.add_contact(scene.add_point(ball, (0, 0, 0)), surface, wc.Template(law=SPRING), name="touch", swept=True)
+    scene.add_contact(
+        scene.add_point(ball, (0, 0, 0)), surface, wc.ContactMaterial(law=SPRING), name="touch", swept=True
+    )
     model = scene.build(envs=2, precision=precision, device=device)
     model["ball.position"] = start
     wc.Simulation(model, dt=1e-2).step(20)

@@ -103,7 +103,7 @@ def over(mesh, real, points=((0.0, 0.0, 0.0),)):
     body = scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0), position=(0.0, 0.0, 3.0))
     law = wc.laws.Hooke(stiffness=1e4)
     ground = scene.add_surface(mesh)
-    scene.add_contact(scene.add_points(body, points), ground, wc.Template(law=law))
+    scene.add_contact(scene.add_points(body, points), ground, wc.ContactMaterial(law=law))
     return scene.build(device="cpu", precision="float32" if real is wp.float32 else "float64")
 
 

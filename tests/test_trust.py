@@ -47,9 +47,9 @@ def made(tmp_path_factory):
     (folder / "study" / "more").mkdir(parents=True)
     (folder / "study" / "laws.py").write_text(LAWS)
     (folder / "study" / "more" / "outcomes.py").write_text(OUTCOMES)
-    template = {"name": "rubber", "law": {"type": "laws.py:Stiff", "stiffness": 1e4}}
+    material = {"name": "rubber", "law": {"type": "laws.py:Stiff", "stiffness": 1e4}}
     outcome = {"deepest": {"type": "more/outcomes.py:Deepest", "of": "touch.penetration"}}
-    raw = content(template=[template], outcome=outcome, output={"usd_envs": 0}, duration=4e-3)
+    raw = content(material=[material], outcome=outcome, output={"usd_envs": 0}, duration=4e-3)
     experiment = wc.Experiment.from_dict(raw, folder / "study")
     (folder / "study" / "study.toml").write_text(to_toml(experiment.settings, "A study."))
     with pytest.raises(KeyboardInterrupt):
@@ -100,7 +100,7 @@ def test_run_of_the_same_user_is_resumed_and_read_without_a_flag(run):
     (run / "ran").unlink(missing_ok=True)
     assert main(acts(run)["resume"]) == 0
     assert ran(run)
-    assert wc.open_run(run).scene.contacts[0].template.law.stiffness == 1e4
+    assert wc.open_run(run).scene.contacts[0].material.law.stiffness == 1e4
     assert wc.open_run(run).experiment.settings.outcome
     assert main(acts(run)["report"]) == 0
 

@@ -58,7 +58,7 @@ def test_coefficients_are_those_of_the_environment():
     points = scene.add_points(body, [(0, 0, 0), (1, 0, 0)], name="points")
     hollars = wc.frictions.Hollars(mu_static=0.6, mu_dynamic=0.4)
     law = wc.laws.HuntCrossley(stiffness=1e6, restitution=0.3)
-    scene.add_contact(points, ground, wc.Template(law=law, friction=hollars), name="touch")
+    scene.add_contact(points, ground, wc.ContactMaterial(law=law, friction=hollars), name="touch")
     model = scene.build(envs=3, device="cpu", precision="float64")
     model["touch.law.restitution"] = [0.1, 0.2, 0.3]
     model["touch.friction.mu_static"] = [0.7, 0.8, 0.9]
@@ -151,7 +151,7 @@ def test_static_friction_lets_go_at_its_own_coefficient():
     )
     foot = scene.add_shape(block, wc.shapes.Sphere(0.5), name="foot")
     friction = wc.frictions.Hollars(mu_static=0.6, mu_dynamic=0.4)
-    hard = wc.Template(law=wc.laws.Hooke(stiffness=1e6), friction=friction)
+    hard = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e6), friction=friction)
     scene.add_smooth_contact(foot, ground, hard, name="touch")
     # A sled pulls at a spring, which slips when it pulls with μ_s m g.
     sled = scene.add_body(

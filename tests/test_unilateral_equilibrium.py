@@ -212,20 +212,20 @@ def test_couplings_are_loads():
 
 
 def test_what_it_cannot_take_is_named():
-    def model(template, **options):
+    def model(material, **options):
         scene = wc.Scene()
         ground = scene.add_surface(wc.meshes.grid((4.0, 4.0)))
         ball = scene.add_body(mass=1.0, inertia=[0.1] * 3, position=(0, 0, 1), name="ball")
-        scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, template, radius=1.0, name="touch", **options)
+        scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, material, radius=1.0, name="touch", **options)
         return scene.build(device="cpu", precision="float64")
 
     law = wc.laws.Hooke(stiffness=1e5)
     with pytest.raises(ValueError, match=r"touch.friction is Viscous, which has no coefficient of friction"):
-        wc.unilateral.equilibrium(model(wc.Template(law=law, friction=wc.frictions.Viscous(drag=1.0))))
-    rolls = wc.Template(law=law, rolling=wc.frictions.Tanh(mu=0.1, velocity_scale=1e-3))
+        wc.unilateral.equilibrium(model(wc.ContactMaterial(law=law, friction=wc.frictions.Viscous(drag=1.0))))
+    rolls = wc.ContactMaterial(law=law, rolling=wc.frictions.Tanh(mu=0.1, velocity_scale=1e-3))
     with pytest.raises(ValueError, match=r"touch.rolling must be left out.*got Tanh"):
         wc.unilateral.equilibrium(model(rolls))
-    whole = model(wc.Template(law=law))
+    whole = model(wc.ContactMaterial(law=law))
     with pytest.raises(ValueError, match="env must be a whole number from 0 to 0, got 3"):
         wc.unilateral.equilibrium(whole, env=3)
     with pytest.raises(TypeError, match=r"model must come from Scene.build"):

@@ -290,7 +290,9 @@ def test_points_of_a_surface_are_drawn_where_it_is_in_their_environment(radius, 
     own = scene.add_points(body, [(0.1, 0, 0), (0, 0, 0)], name="own")
     for points in (corners, centre, own):
         name = f"{points.name}_ground"
-        scene.add_contact(points, ground, wc.Template(law=wc.laws.Hooke(stiffness=1e3)), radius=radius, name=name)
+        scene.add_contact(
+            points, ground, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e3)), radius=radius, name=name
+        )
     model = scene.build(envs=3, device=device, precision="float64")
     model["skin.scale"] = scale = np.array([1.0, 2.0, 0.5])
     model["skin.position"] = places = np.array([(0, 0, 0), (1, 0, 0), (0, 2, 0.1)])
@@ -328,7 +330,7 @@ def test_forces_are_drawn_by_the_size_that_bodies_have(device, tmp_path):
         body = scene.add_body(1.0, (1, 1, 1), position=(0, 0, 0.499), name="cube")
         scene.add_surface([wc.meshes.box(), wc.meshes.box((2, 2, 2))], body, name="skin")
         point = scene.add_point(body, (0, 0, -0.5))
-        scene.add_contact(point, ground, wc.Template(law=wc.laws.Hooke(stiffness=1e3)), name="touch")
+        scene.add_contact(point, ground, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e3)), name="touch")
         model = scene.build(envs=2, device=device)
         model["skin.scale"] = [1.0, factor]
         model["skin.mesh"] = [0, 1]

@@ -155,9 +155,9 @@ ELEMENTS = "/World/Description/Elements"
         ("touching", "Elements/touch_1.warpcontact:points", [f"{ELEMENTS}/ball"], "must come from add_point"),
         ("touching", "Elements/touch_1.warpcontact:points", [f"{ELEMENTS}/nobody"], "that come before"),
         ("touching", "Elements/touch_1.warpcontact:points", [], "points must have one target, got 0"),
-        ("touching", "Templates/template_0/law.warpcontact:type", "os.system", "there is no law 'os.system'"),
-        ("touching", "Templates/template_0/law.warpcontact:type", "Formula", "there is no law 'Formula'"),
-        ("touching", "Templates/template_0/law.warpcontact:stiffness", -5.0, "stiffness must be greater than 0"),
+        ("touching", "Materials/material_0/law.warpcontact:type", "os.system", "there is no law 'os.system'"),
+        ("touching", "Materials/material_0/law.warpcontact:type", "Formula", "there is no law 'Formula'"),
+        ("touching", "Materials/material_0/law.warpcontact:stiffness", -5.0, "stiffness must be greater than 0"),
         ("touching", ".warpcontact:schema", 99, "which is newer"),
         ("touching", ".warpcontact:elements", [f"{ELEMENTS}/ball"], "must be all its elements once"),
     ],
@@ -170,7 +170,7 @@ def test_a_description_that_was_changed_is_refused_by_name(name, path, value, me
 
 def test_a_law_of_ones_own_must_be_handed_in():
     stage = written(scenes.own())
-    with pytest.raises(wc.StageError, match=r"Templates/template_0: 'Cubic' is a law of one's own.*own=\[Cubic\]"):
+    with pytest.raises(wc.StageError, match=r"Materials/material_0: 'Cubic' is a law of one's own.*own=\[Cubic\]"):
         read_description(stage)
     with pytest.raises(TypeError, match="own must be classes derived from"):
         read_description(stage, own=[dict])

@@ -22,7 +22,7 @@ def ball_on(floor="plane", law=LINEAR, rolling=ROLLING, torsion_radius=0.05):
     """A scene of a ball that touches a floor."""
     scene = wc.Scene()
     ball = scene.add_body(2.0, (0.05,) * 3, (0, 0, 1), name="ball")
-    touch = wc.Template(
+    touch = wc.ContactMaterial(
         law=law,
         friction=wc.frictions.Tanh(mu=0.3, velocity_scale=1e-2),
         rolling=rolling,

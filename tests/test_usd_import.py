@@ -213,13 +213,13 @@ def test_materials_become_law_and_friction_by_the_mean_of_both(tmp_path):
     content = material("ice", 0.2, 0.1, 0.5) + material("rough", 1.0, 0.7, 0.1)
     scene = read(tmp_path, content + body(content="float physics:mass = 3\n" + ball) + floor, contact_time=0.02)
     (contact,) = scene.smooth_contacts
-    law, friction = contact.template.law, contact.template.friction
+    law, friction = contact.material.law, contact.material.friction
     assert (friction.mu_static, friction.mu_dynamic) == pytest.approx((0.6, 0.4), rel=SINGLE)
     assert law.restitution == pytest.approx(0.3, rel=SINGLE)
     # Half a period of mass and spring is the contact time.
     assert PI * np.sqrt(3.0 / law.stiffness) == pytest.approx(0.02, rel=SINGLE)
-    own = wc.Template(law=wc.laws.Hooke(stiffness=1e5))
-    assert read(tmp_path, content + body(content=ball) + floor, template=own).smooth_contacts[0].template is own
+    own = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e5))
+    assert read(tmp_path, content + body(content=ball) + floor, material=own).smooth_contacts[0].material is own
 
 
 def names(scene):

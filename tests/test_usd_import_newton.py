@@ -37,7 +37,7 @@ def pair(tmp_path, materials, *, one=None, other=None, **options):
     """Law and friction of the contact of a ball of 0.1 m and 3 kg with a floor, and the scene."""
     scene = read(tmp_path, materials + (ball() if one is None else one) + (other or floor()), **options)
     contacts = [*scene.smooth_contacts, *scene.contacts]
-    return contacts[0].template, scene
+    return contacts[0].material, scene
 
 
 def test_stiffness_and_damping_of_materials_are_those_of_the_law(tmp_path):
@@ -120,7 +120,7 @@ def test_rolling_friction_among_many_spheres_needs_equal_radii(tmp_path):
         )  # fmt: skip
         (pile,) = read(tmp_path, material(newton_rollingFriction=0.01) + content).mutual_contacts
         # 1/R = 1/R₁ + 1/R₂.
-        assert getattr(pile.template.rolling, "mu_static", None) == (pytest.approx(0.2) if rolls else None)
+        assert getattr(pile.material.rolling, "mu_static", None) == (pytest.approx(0.2) if rolls else None)
 
 
 def test_units_of_materials_are_those_of_the_stage(tmp_path):

@@ -219,7 +219,7 @@ def test_meshes_have_a_limit(tmp_path):
     [
         ({"contact_time": 0.0}, ValueError, "contact_time must be greater than 0"),
         ({"samples": "all"}, ValueError, "samples must be a whole number of points"),
-        ({"template": "rubber"}, TypeError, r"template must be a wc.Template or None"),
+        ({"material": "rubber"}, TypeError, r"material must be a wc.ContactMaterial or None"),
         ({"skip_unsupported": "yes"}, ValueError, "skip_unsupported must be True or False"),
         ({"limits": 3}, TypeError, "limits must be a Limits or None"),
     ],

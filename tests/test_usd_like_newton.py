@@ -206,13 +206,13 @@ def test_material_values_are_those_that_newton_reads(tmp_path):
     both = Both(tmp_path, material("stuff", **values) + body("one", ball) + floor)
     both.check()
     (contact,) = both.scene.smooth_contacts
-    law, friction = contact.template.law, contact.template.friction
+    law, friction = contact.material.law, contact.material.friction
     ours = {
         "mu": friction.mu_dynamic,  # Newton has no other
         "ke": law.stiffness,
         "kd": law.damping,
-        "mu_rolling": contact.template.rolling.mu_dynamic * 0.1,
-        "mu_torsional": contact.template.torsion.mu_dynamic * float(contact.torsion_radius),
+        "mu_rolling": contact.material.rolling.mu_dynamic * 0.1,
+        "mu_torsional": contact.material.torsion.mu_dynamic * float(contact.torsion_radius),
     }
     for i in both.shape_numbers.values():
         theirs = {key: getattr(both.builder, f"shape_material_{key}")[i] for key in ours}
@@ -227,7 +227,7 @@ def test_friction_that_is_not_authored_is_not_zero_as_in_newton(tmp_path):
     assert both.builder.shape_material_mu[both.shape_numbers["ball"]] == 0.0
     # A collider without a material has 0.5 here and 1 in Newton.
     assert both.builder.shape_material_mu[both.shape_numbers["floor"]] == 1.0
-    assert both.scene.smooth_contacts[0].template.friction.mu_dynamic == 0.5
+    assert both.scene.smooth_contacts[0].material.friction.mu_dynamic == 0.5
 
 
 @pytest.mark.parametrize("name", TOUCHING)

@@ -25,7 +25,7 @@ def loaded(device, tmp_path_factory):
 
     scene = wc.Scene(gravity=(0.0, 0.0, -3.7))
     plane = scene.add_shape(None, wc.shapes.Plane(), name="plane")
-    rubber = wc.Template(
+    rubber = wc.ContactMaterial(
         law=wc.laws.KelvinVoigt(stiffness=1e5, restitution=0.6),
         friction=wc.frictions.CundallStrack(mu_static=0.5, mu_dynamic=0.4, stiffness=1e4),
     )

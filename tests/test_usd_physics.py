@@ -12,7 +12,7 @@ import warpcontact as wc
 STIFF = wc.laws.HuntCrossley(stiffness=1e4, restitution=0.6)
 
 
-def material(stage, path):
+def bound_material(stage, path):
     """Static friction, dynamic friction, restitution of what is bound to a prim for physics."""
     found, _ = UsdShade.MaterialBindingAPI(stage.GetPrimAtPath(path)).ComputeBoundMaterial("physics")
     api = UsdPhysics.MaterialAPI(found.GetPrim())
@@ -21,13 +21,13 @@ def material(stage, path):
     return [getattr(api, f"Get{name}Attr")().Get() for name in names]
 
 
-def balls(device, templates, **parameters):
+def balls(device, materials, **parameters):
     scene = wc.Scene()
     ground = scene.add_surface(scenes.square(5.0), name="ground")
-    for number, template in enumerate(templates):
+    for number, material in enumerate(materials):
         body = scene.add_body(1.0, (1, 1, 1), position=(number, 0, 1), name=f"ball_{number}")
         point = scene.add_point(body, (0, 0, 0))
-        scene.add_contact(point, ground, template, radius=0.1, name=f"touch_{number}")
+        scene.add_contact(point, ground, material, radius=0.1, name=f"touch_{number}")
     model = scene.build(3, device)
     for name, values in parameters.items():
         model[name.replace("__", ".")] = values
@@ -43,34 +43,36 @@ def balls(device, templates, **parameters):
     ],
 )
 def test_both_sides_of_a_contact_have_its_friction_and_restitution(device, tmp_path, friction, static, dynamic):
-    stage = export(balls(device, [wc.Template(law=STIFF, friction=friction)]), tmp_path)
+    stage = export(balls(device, [wc.ContactMaterial(law=STIFF, friction=friction)]), tmp_path)
     for path in ("/World/env_2/ball_0/touch_0", "/World/Surfaces/ground"):
-        assert material(stage, path) == pytest.approx([static, dynamic, 0.6])
+        assert bound_material(stage, path) == pytest.approx([static, dynamic, 0.6])
     assert wc.check_usd(tmp_path / "stage.usda") == []
 
 
 def test_friction_that_was_varied_is_that_of_each_environment(device, tmp_path):
-    template = wc.Template(law=STIFF, friction=wc.frictions.Tanh(mu=0.3, velocity_scale=0.01))
-    recording = balls(device, [template], touch_0__friction__mu=[0.1, 0.2, 0.7])
+    material = wc.ContactMaterial(law=STIFF, friction=wc.frictions.Tanh(mu=0.3, velocity_scale=0.01))
+    recording = balls(device, [material], touch_0__friction__mu=[0.1, 0.2, 0.7])
     stage = export(recording, tmp_path)
     assert not stage.GetPrimAtPath("/World/Surfaces/ground")
     for env, mu in enumerate((0.1, 0.2, 0.7)):
         for path in ("ball_0/touch_0", "Surfaces/ground"):
-            assert material(stage, f"/World/env_{env}/{path}") == pytest.approx([mu, mu, 0.6])
+            assert bound_material(stage, f"/World/env_{env}/{path}") == pytest.approx([mu, mu, 0.6])
     assert wc.check_usd(tmp_path / "stage.usda") == []
 
 
 def test_friction_that_was_set_alike_is_not_that_of_the_scene(device, tmp_path):
-    template = wc.Template(law=STIFF, friction=wc.frictions.Tanh(mu=0.3, velocity_scale=0.01))
-    recording = balls(device, [template], touch_0__friction__mu=0.8, touch_0__law__restitution=0.5)
+    material = wc.ContactMaterial(law=STIFF, friction=wc.frictions.Tanh(mu=0.3, velocity_scale=0.01))
+    recording = balls(device, [material], touch_0__friction__mu=0.8, touch_0__law__restitution=0.5)
     stage = export(recording, tmp_path)
-    assert material(stage, "/World/Surfaces/ground") == pytest.approx([0.8, 0.8, 0.5])
+    assert bound_material(stage, "/World/Surfaces/ground") == pytest.approx([0.8, 0.8, 0.5])
 
 
 def test_bodies_in_contacts_of_their_own_have_materials_of_their_own(device, tmp_path):
-    templates = [wc.Template(law=STIFF, friction=wc.frictions.Tanh(mu=m, velocity_scale=0.01)) for m in (0.2, 0.9)]
-    stage = export(balls(device, templates), tmp_path)
-    found = [material(stage, f"/World/env_0/ball_{number}/touch_{number}")[0] for number in (0, 1)]
+    materials = [
+        wc.ContactMaterial(law=STIFF, friction=wc.frictions.Tanh(mu=m, velocity_scale=0.01)) for m in (0.2, 0.9)
+    ]
+    stage = export(balls(device, materials), tmp_path)
+    found = [bound_material(stage, f"/World/env_0/ball_{number}/touch_{number}")[0] for number in (0, 1)]
     assert found == pytest.approx([0.2, 0.9])
     assert [prim.GetName() for prim in stage.GetPrimAtPath("/World/PhysicsMaterials").GetChildren()] == [
         "touch_0",
@@ -84,10 +86,10 @@ def test_shapes_have_materials_and_convex_meshes(device, tmp_path):
     body = scene.add_body(1.0, (1, 1, 1), position=(0, 0, 1), name="egg")
     shape = scene.add_shape(body, wc.shapes.Ellipsoid((0.2, 0.1, 0.15)), name="shell")
     friction = wc.frictions.Tanh(mu=0.4, velocity_scale=0.01)
-    scene.add_smooth_contact(shape, floor, wc.Template(law=STIFF, friction=friction), name="touch")
+    scene.add_smooth_contact(shape, floor, wc.ContactMaterial(law=STIFF, friction=friction), name="touch")
     stage = export(wc.Simulation(scene.build(2, device), 1e-3).run(2e-3), tmp_path)
     for path in ("/World/env_1/egg/shell", "/World/Surfaces/floor"):
-        assert material(stage, path) == pytest.approx([0.4, 0.4, 0.6])
+        assert bound_material(stage, path) == pytest.approx([0.4, 0.4, 0.6])
     shell = UsdPhysics.MeshCollisionAPI(stage.GetPrimAtPath("/World/env_1/egg/shell"))
     assert shell.GetApproximationAttr().Get() == "convexHull"
 

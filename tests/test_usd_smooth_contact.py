@@ -8,7 +8,7 @@ from usd_stages import arrows
 import warpcontact as wc
 from warpcontact.smooth.tessellate import tessellate
 
-SOFT = wc.Template(law=wc.laws.Hooke(stiffness=1e3))
+SOFT = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e3))
 FORMS = {
     "ball": wc.shapes.Sphere(0.1),
     "egg": wc.shapes.Ellipsoid((0.2, 0.1, 0.15)),

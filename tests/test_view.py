@@ -329,7 +329,7 @@ def test_long_names_are_shown_shortened():
     scene = wc.Scene()
     ground = scene.add_surface(wc.meshes.grid((4.0, 4.0)), name="ground")
     ball = scene.add_body(1.0, (4e-3, 4e-3, 4e-3), position=(0, 0, 0.2), name=name)
-    soft = wc.Template(law=wc.laws.Hooke(stiffness=1e4))
+    soft = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4))
     scene.add_contact(scene.add_point(ball, (0, 0, 0), name="centre"), ground, soft, radius=0.1, name="touch")
     simulation = wc.Simulation(scene.build(1, "cpu"), dt=1e-3)
     with viewing(simulation) as show:
@@ -359,7 +359,7 @@ def two_on_ground():
     scene = wc.Scene()
     ground = scene.add_surface(wc.meshes.grid((4.0, 4.0)), name="ground")
     ball = scene.add_body(1.0, (4e-3, 4e-3, 4e-3), position=(0, 0, 0.2), name="ball")
-    soft = wc.Template(law=wc.laws.Hooke(stiffness=1e4))
+    soft = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4))
     scene.add_contact(scene.add_point(ball, (0, 0, 0), name="centre"), ground, soft, radius=0.1, name="touch")
     return scene.build(2, "cpu")
 

@@ -58,13 +58,13 @@ OF_SCENE = {
     "scale": lambda s, v: s.add_surface(wc.meshes.grid((1.0, 1.0)), scale=v),
     "point.position": lambda s, v: s.add_point(s.ball, v),
     "points.position": lambda s, v: s.add_points(s.ball, v),
-    "radius": lambda s, v: s.add_contact(s.point, s.ground, wc.Template(law=LAW), radius=v),
-    "max_depth?": lambda s, v: s.add_contact(s.point, s.ground, wc.Template(law=LAW), max_depth=v),
+    "radius": lambda s, v: s.add_contact(s.point, s.ground, wc.ContactMaterial(law=LAW), radius=v),
+    "max_depth?": lambda s, v: s.add_contact(s.point, s.ground, wc.ContactMaterial(law=LAW), max_depth=v),
     "rest_length?": lambda s, v: s.add_spring_damper(s.hook, s.point, stiffness=1.0, rest_length=v),
     "stiffness": lambda s, v: s.add_spring_damper(s.hook, s.point, stiffness=v),
     "length": lambda s, v: s.add_catenary(s.hook, s.point, length=v, mass_per_length=1.0, axial_stiffness=1.0),
     "envs": lambda s, v: s.build(envs=v, device="cpu"),
-    "samples": lambda s, v: s.add_surface_contact(s.ground, s.ground, wc.Template(law=LAW), samples=v),
+    "samples": lambda s, v: s.add_surface_contact(s.ground, s.ground, wc.ContactMaterial(law=LAW), samples=v),
 }
 #: Other entries that take numbers.
 OTHERS = {

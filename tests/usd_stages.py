@@ -31,12 +31,12 @@ def simulate(device, precision="float32"):
         name="cube",
     )
     hull = scene.add_surface(wc.meshes.box((0.4, 0.3, 0.2)), body=cube, position=(0.1, 0, 0), name="hull")
-    template = scenes.oracle_law()
-    scene.add_contact(scene.add_point(ball, (0, 0, 0.01)), floor, template, radius=0.05, name="touch")
+    material = scenes.oracle_law()
+    scene.add_contact(scene.add_point(ball, (0, 0, 0.01)), floor, material, radius=0.05, name="touch")
     corners = scene.add_points(cube, CORNERS, name="corners")
-    scene.add_contact(corners, floor, template, name="cube-floor", color=(0, 1, 0))
+    scene.add_contact(corners, floor, material, name="cube-floor", color=(0, 1, 0))
     pins = scene.add_points(None, [(0, 0, 0), (0, 0, 9)], name="pins")
-    scene.add_contact(pins, hull, template, radius=0.02, name="pin", visible=False, enabled=False)
+    scene.add_contact(pins, hull, material, radius=0.02, name="pin", visible=False, enabled=False)
     model = scene.build(envs=ENVS, device=device, precision=precision)
     model["touch.radius"] = RADII
     model["ball.linear_velocity"] = np.linspace((0, 0, 0), (1, 0, -1), ENVS)

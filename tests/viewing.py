@@ -49,7 +49,7 @@ def ball_on_ground(envs=3, **contact):
     ground = scene.add_surface(wc.meshes.grid((4.0, 4.0)), name="ground")
     ball = scene.add_body(1.0, (4e-3, 4e-3, 4e-3), position=(0, 0, 0.0999), name="ball")
     centre = scene.add_point(ball, (0, 0, 0), name="centre")
-    soft = wc.Template(law=wc.laws.KelvinVoigt(stiffness=1e5, damping=600.0))
+    soft = wc.ContactMaterial(law=wc.laws.KelvinVoigt(stiffness=1e5, damping=600.0))
     scene.add_contact(centre, ground, soft, radius=0.1, name="touch", **contact)
     wp.config.log_level = wp.LOG_ERROR
     return wc.Simulation(scene.build(envs, "cpu", "float64"), dt=1e-3)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from warpcontact.contact_range import ContactRange
     from warpcontact.contact_warning import ContactWarning, RunWarning, WarningLevel
     from warpcontact.couplings.elements import Bushing, Catenary, SpringDamper
-    from warpcontact.elements import Body, Contact, Points, Surface, Template
+    from warpcontact.elements import Body, Contact, ContactMaterial, Points, Surface
     from warpcontact.experiment import Experiment, ExperimentError, Run, StoreError, open_run
     from warpcontact.health import Health
     from warpcontact.kernels import frictions, laws, motions, springs
@@ -98,7 +98,7 @@ _HOME = {
     "Stop": "warpcontact.outcomes.watch",
     "Surface": "warpcontact.elements",
     "SurfaceSamples": "warpcontact.meshes",
-    "Template": "warpcontact.elements",
+    "ContactMaterial": "warpcontact.elements",
     "WarningLevel": "warpcontact.contact_warning",
     "UnsafeFileError": "warpcontact.regular_files",
     "bench": "warpcontact.benchmark",
@@ -139,6 +139,7 @@ __all__ = [
     "CheckpointError",
     "Contact",
     "ContactCoupling",
+    "ContactMaterial",
     "ContactMode",
     "ContactRange",
     "ContactWarning",
@@ -177,7 +178,6 @@ __all__ = [
     "StoreError",
     "Surface",
     "SurfaceSamples",
-    "Template",
     "UnsafeFileError",
     "WarningLevel",
     "__version__",

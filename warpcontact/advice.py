@@ -99,7 +99,7 @@ def advice(model: "Environments", dt: float, hard: "HardContacts | None") -> lis
         mass, speed = (values[:envs] for values in _mass_and_speed(model, contact))
         if contact.swept:
             sentences += _about_depth(model, contact, speed, dt)
-        law = type(contact.template.law)
+        law = type(contact.material.law)
         values = {name: _column(model, f"{contact.name}.law.{name}")[:envs] for name in contact.parameters("law")}
         if (carrier := contact.area_carrier("law")) is not None:
             values["area"] = values["area"] * _column(model, f"{carrier.name}.scale")[:envs] ** 2
@@ -134,7 +134,7 @@ def advice(model: "Environments", dt: float, hard: "HardContacts | None") -> lis
 
 def _smooth_advice(model: "Environments", contact: "SmoothContact", dt: float) -> list[str]:
     """Returns what to say about the start of a smooth contact, each of its items alone."""
-    name, law = contact.name, contact.template.law
+    name, law = contact.name, contact.material.law
     elastic = law.elastic({key: _column(model, f"{name}.law.{key}") for key in law.parameters()})
     if elastic is None:
         return []
@@ -149,7 +149,7 @@ def _smooth_advice(model: "Environments", contact: "SmoothContact", dt: float) -
 
 def _pile_advice(model: "Environments", contact: "MutualContact", dt: float) -> list[str]:
     """Returns what to say about the start of a mutual contact: of two of its bodies that are easiest to move."""
-    name, law = contact.name, contact.template.law
+    name, law = contact.name, contact.material.law
     elastic = law.elastic({key: _column(model, f"{name}.law.{key}") for key in law.parameters()})
     if elastic is None:
         return []

@@ -376,7 +376,7 @@ def _add_contacts(
     for contact in contacts:
         items = slice(start_of[contact], start_of[contact] + contact.count)
         own = dict(ranges)
-        if contact in couplings.of or limits_of.needs_radius(contact.template, contact.torsion_radius is not None):
+        if contact in couplings.of or limits_of.needs_radius(contact.material, contact.torsion_radius is not None):
             own["radius"] = limits("m", above=0.0)
         for key, allowed in own.items():
             if getattr(contact, key) is None:

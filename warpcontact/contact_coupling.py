@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from warpcontact import checks
 from warpcontact.contact_range import ContactRange
-from warpcontact.elements import Contact, Surface, Template
+from warpcontact.elements import Contact, ContactMaterial, Surface
 from warpcontact.kernels import laws
 from warpcontact.kernels.frictions import Friction, Frictionless
 from warpcontact.kernels.keywords import keywords_of, refuse_unknown
@@ -90,7 +90,7 @@ def add_contact_coupling(
         raise ValueError(f"{name}: both surfaces are fixed to body {surface_a.body.name!r}; one must move")
     if not isinstance(contact_range, ContactRange):
         raise TypeError(f"{name}.range must be a wc.ContactRange, got {contact_range!r}")
-    template = _template(name, contact_range, friction, damping_ramp)
+    material = _template(name, contact_range, friction, damping_ramp)
     pairs = [(surface_a, surface_b, f"{name}_first")]
     if sides == "average":
         pairs.append((surface_b, surface_a, f"{name}_second"))
@@ -102,7 +102,7 @@ def add_contact_coupling(
             contact = scene.add_contact(
                 points,
                 other,
-                template,
+                material,
                 radius=contact_range.effective_range,
                 share=1.0 / len(pairs),
                 name=label,
@@ -137,7 +137,7 @@ def _named(name: str, key: str, value: Any) -> Any:
     return checks.choice(f"{name}.{key}", value, _WORDS[key]) if key in _WORDS else value
 
 
-def _template(name: str, contact_range: ContactRange, friction: Friction | None, ramp: float) -> Template:
+def _template(name: str, contact_range: ContactRange, friction: Friction | None, ramp: float) -> ContactMaterial:
     depth = float(checks.numbers(f"{name}.damping_ramp", ramp, (), laws.ContactRange.limits("ramp")))
     if friction is None:
         friction = Frictionless()
@@ -148,7 +148,7 @@ def _template(name: str, contact_range: ContactRange, friction: Friction | None,
             f"{name}.friction, {type(friction).__name__}, is one of spheres, and faces have no radius"
         )
     law = laws.ContactRange(k1=contact_range.k1, k2=contact_range.k2, ramp=depth)
-    return Template(law=law, friction=friction)
+    return ContactMaterial(law=law, friction=friction)
 
 
 def _points_of(name: str, surface: Surface, number: int) -> Any:

@@ -194,7 +194,7 @@ def _about_friction(
 ) -> list[str]:
     """Under the largest force of an impact at the given speed; friction_advice looks at the weight."""
     contact = coupling.contacts[0]
-    kind = type(contact.template.friction)
+    kind = type(contact.material.friction)
     if kind is Frictionless or contact.points.areas is None:
         return []
     part = contact.points.areas / contact.points.areas.sum()

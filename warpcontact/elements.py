@@ -1,4 +1,4 @@
-"""The elements of a scene: bodies, surfaces, points, contacts, templates, and the ranges of their values."""
+"""The elements of a scene: bodies, surfaces, points, contacts, materials, and the ranges of their values."""
 
 from dataclasses import dataclass, field
 from typing import Any, TypedDict
@@ -33,7 +33,7 @@ ENABLED = limits("-", at_least=0.0, at_most=1.0)
 
 @explain_keywords_of
 @dataclass(frozen=True, kw_only=True)
-class Template:
+class ContactMaterial:
     """The force of a contact: a normal-force law and up to three friction models; any number of contacts share it.
 
     A friction model says what opposes a velocity under the normal force N. Sliding, that is the tangential
@@ -61,11 +61,11 @@ class Template:
                 object.__setattr__(self, name, Frictionless())
             if not isinstance(getattr(self, name), kind):
                 raise TypeError(
-                    f"Template.{name} must be an instance of wc.{kind.__name__}, got {getattr(self, name)!r}"
+                    f"ContactMaterial.{name} must be an instance of wc.{kind.__name__}, got {getattr(self, name)!r}"
                 )
         if self.torsion.directional:
             raise ValueError(
-                f"Template.torsion must be a friction without directions, got {type(self.torsion).__name__}: "
+                f"ContactMaterial.torsion must be a friction without directions, got {type(self.torsion).__name__}: "
                 "there is one axis to spin about"
             )
 
@@ -80,15 +80,15 @@ class Template:
         return Parts(*(type(formula) for formula in self.formulas.values()))
 
 
-def needs_radius(template: Template, has_torsion_radius: bool) -> str | None:
-    """Returns the part of ``template`` that a contact without a radius cannot have; ``None``: there is none."""
-    if template.law.needs_curvature:
+def needs_radius(material: ContactMaterial, has_torsion_radius: bool) -> str | None:
+    """Returns the part of ``material`` that a contact without a radius cannot have; ``None``: there is none."""
+    if material.law.needs_curvature:
         return "law"
-    if template.friction.needs_radius:
+    if material.friction.needs_radius:
         return "friction"
-    if not isinstance(template.rolling, Frictionless):
+    if not isinstance(material.rolling, Frictionless):
         return "rolling"
-    torsion = template.torsion
+    torsion = material.torsion
     if not isinstance(torsion, Frictionless) and (not has_torsion_radius or torsion.needs_radius):
         return "torsion"
     return None
@@ -232,7 +232,7 @@ class Contact:
     name: str
     points: Points
     surface: Surface
-    template: Template
+    material: ContactMaterial
     radius: Array  # of all, or one per point (n,) [m]
     kappa: Array
     max_depth: Array
@@ -257,7 +257,7 @@ class Contact:
     @property
     def code(self) -> tuple[Parts, bool]:
         """What its force kernel is chosen by: law and frictions, and whether it weighs by normals."""
-        return self.template.parts, self.facing == "projected"
+        return self.material.parts, self.facing == "projected"
 
     @property
     def count(self) -> int:
@@ -270,9 +270,9 @@ class Contact:
         return self.count if self.points.spread else 1
 
     def parameters(self, part: str) -> dict[str, Any]:
-        """Returns the values of the parameters of one part of the template, one number each or one per point."""
-        return self.template.formulas[part].parameters(area=self.points.areas)
+        """Returns the values of the parameters of one part of the material, one number each or one per point."""
+        return self.material.formulas[part].parameters(area=self.points.areas)
 
     def area_carrier(self, part: str) -> Surface | None:
-        """Returns the surface whose scale enlarges the area of one part of the template, if any."""
-        return self.points.surface if self.template.formulas[part].takes_area else None
+        """Returns the surface whose scale enlarges the area of one part of the material, if any."""
+        return self.points.surface if self.material.formulas[part].takes_area else None

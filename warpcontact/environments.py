@@ -173,7 +173,7 @@ class Environments(
         if stored_name(name) in self.parts[0].readings:
             raise KeyError(f"{name!r} is a reading, not a parameter; use model.reading({name!r})")
         element, _, quantity = name.rpartition(".")
-        owners = {contact.name: contact.template.formulas for contact in self.scene.contacts}
+        owners = {contact.name: contact.material.formulas for contact in self.scene.contacts}
         owners |= {coupling.name: coupling.formulas for coupling in self.scene.couplings}
         owners |= {contact.name: contact.formulas for contact in self.scene.smooth_contacts}
         owners |= {contact.name: contact.formulas for contact in self.scene.mutual_contacts}

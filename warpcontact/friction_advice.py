@@ -39,7 +39,7 @@ def friction_advice(model: "Environments", contact: "Contact", dt: float) -> lis
     envs = min(model.envs, LOOKED_AT)
     parts = {
         part: kind
-        for part, kind in contact.template.parts._asdict().items()
+        for part, kind in contact.material.parts._asdict().items()
         if part != "law" and not issubclass(kind, Frictionless)
     }
     if not parts:
@@ -53,7 +53,7 @@ def friction_advice(model: "Environments", contact: "Contact", dt: float) -> lis
     load = np.broadcast_to(gravity / mobility["load"] / bearing, (envs, contact.count))
     radius = np.broadcast_to(_radius(model, contact)[:envs], load.shape)
     under = "its weight"
-    if contact.template.law.pulls:
+    if contact.material.law.pulls:
         mass = np.broadcast_to(1.0 / mobility["load"], load.shape)
         (tension,) = _measured(model, contact, "law", pull_off.kernel, (mass, radius), outputs=1)
         load, under = load + tension, "its weight and pull-off force"

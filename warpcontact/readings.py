@@ -220,7 +220,7 @@ def readings_of(
             options = {"needs": needs, "items": count, "codes": codes}
             add_column(f"{contact.name}.{key}", unit, meaning, "contacts", attribute, items, **options)
         group = next(group for group in groups if group.first <= start < group.first + group.count)
-        for part, formula in contact.template.formulas.items():
+        for part, formula in contact.material.formulas.items():
             for key, memory in formula.memories.items():
                 offset = start - group.first
                 own = offset if single else slice(offset, offset + contact.count)

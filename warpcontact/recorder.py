@@ -90,7 +90,7 @@ def moved_elements(model: Environments) -> list[str]:
         first |= {f"{body.name}.motion.{key}": value for key, value in body.motion.parameters().items()}
     contacts: list[Any] = [*scene.contacts, *scene.smooth_contacts, *scene.mutual_contacts]
     for contact in contacts:
-        formulas = contact.template.formulas
+        formulas = contact.material.formulas
         values = {f"friction.{key}": value for key, value in formulas["friction"].parameters().items()}
         values["law.restitution"] = getattr(formulas["law"], "restitution", None)
         first |= {f"{contact.name}.{key}": value for key, value in values.items() if value is not None}

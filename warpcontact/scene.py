@@ -22,10 +22,10 @@ from warpcontact.elements import (
     SEARCH_RADIUS,
     Body,
     Contact,
+    ContactMaterial,
     ContactOptions,
     Points,
     Surface,
-    Template,
 )
 from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.meshes import SurfaceSamples
@@ -119,7 +119,7 @@ class Scene(Bodies, Couplings, SmoothContacts, MutualContacts):
         path: str | os.PathLike[str],
         *,
         own: "Iterable[type[Formula]]" = (),
-        template: Template | None = None,
+        material: ContactMaterial | None = None,
         contact_time: float = 0.01,
         samples: int | str = "vertices",
         skip_unsupported: bool = False,
@@ -136,7 +136,7 @@ class Scene(Bodies, Couplings, SmoothContacts, MutualContacts):
         Args:
             path: A .usd, .usda, .usdc or .usdz file.
             own: Laws, frictions, springs, motions and shapes of one's own that a stage of ours was made with.
-            template: Of a stage of others, law and friction of all contacts; ``None``: what its materials say.
+            material: Of a stage of others, law and friction of all contacts; ``None``: what its materials say.
             contact_time: Time that an impact takes there, which the stiffness of contacts follows from [s].
             samples: How points of meshes that touch meshes are made there, as for ``add_surface_contact``.
             skip_unsupported: Whether to leave out what there is no counterpart for, such as joints, and list it in
@@ -154,7 +154,7 @@ class Scene(Bodies, Couplings, SmoothContacts, MutualContacts):
         return scene_from_usd(
             path,
             own=own,
-            template=template,
+            material=material,
             contact_time=contact_time,
             samples=samples,
             skip_unsupported=skip_unsupported,
@@ -312,7 +312,7 @@ class Scene(Bodies, Couplings, SmoothContacts, MutualContacts):
         self,
         points: Points,
         surface: Surface,
-        template: Template,
+        material: ContactMaterial,
         *,
         radius: ArrayLike = 0.0,
         kappa: float = 0.5,
@@ -334,7 +334,7 @@ class Scene(Bodies, Couplings, SmoothContacts, MutualContacts):
         Args:
             points: From ``add_point`` or ``add_points``.
             surface: From ``add_surface``, on another body.
-            template: Law and friction.
+            material: Law and friction.
             radius: Radius of the sphere about each point [m]; 0: a point. Of a set of points one for all, or (n,).
             kappa: Where the force acts: K = S + κ (D − S), from 0 on the surface to 1 at the deepest point D.
             search: ``"whole"``: the nearest point of the whole surface must be active; ``"active"``: the
@@ -348,7 +348,7 @@ class Scene(Bodies, Couplings, SmoothContacts, MutualContacts):
                 its centre is on the outer side.
             search_radius: Surfaces farther than this from a point are not seen [m]; its gap then is this
                 bound less the radius.
-            torsion_radius: Arm r_t at which the template's torsion acts [m]: 2/3 of the radius of a patch under
+            torsion_radius: Arm r_t at which the material's torsion acts [m]: 2/3 of the radius of a patch under
                 uniform pressure. ``None``: that of the overlap of a sphere under the pressure of Hertz,
                 (3π/16) √(R δ).
             share: Factor on the forces and couples of this contact: ½ each for two that describe the same touch.
@@ -370,17 +370,17 @@ class Scene(Bodies, Couplings, SmoothContacts, MutualContacts):
         if points.body is surface.body:
             where = f"body {points.body.name!r}" if points.body else "the world"
             raise ValueError(f"{name}: points and surface are both fixed to {where}; one must move")
-        if not isinstance(template, Template):
-            raise TypeError(f"template of {name!r} must be a wc.Template, got {template!r}")
+        if not isinstance(material, ContactMaterial):
+            raise TypeError(f"material of {name!r} must be a wc.ContactMaterial, got {material!r}")
         each = () if points.single or not checks.shape_of(f"{name}.radius", radius) else (points.count,)
         size = checks.numbers(f"{name}.radius", radius, each, RADIUS)
-        check_arms(name, template, size, torsion_radius)
-        check_areas(name, template, points)
+        check_arms(name, material, size, torsion_radius)
+        check_areas(name, material, points)
         contact = Contact(
             name=name,
             points=points,
             surface=surface,
-            template=template,
+            material=material,
             radius=size,
             search_radius=checks.numbers(f"{name}.search_radius", search_radius, (), SEARCH_RADIUS),
             search=checks.choice(f"{name}.search", search, ("whole", "active")),
@@ -399,7 +399,7 @@ class Scene(Bodies, Couplings, SmoothContacts, MutualContacts):
         self,
         surface_a: Surface,
         surface_b: Surface,
-        template: Template,
+        material: ContactMaterial,
         *,
         samples: int | str | Sequence[int | str] = 500,
         seed: int = 0,
@@ -415,7 +415,7 @@ class Scene(Bodies, Couplings, SmoothContacts, MutualContacts):
         Args:
             surface_a: From ``add_surface``.
             surface_b: From ``add_surface``, on another body.
-            template: Law and friction. Laws with an area, such as ``ElasticFoundation`` and ``ContactRange``, take
+            material: Law and friction. Laws with an area, such as ``ElasticFoundation`` and ``ContactRange``, take
                 that of each point; the force then does not depend on how many there are.
             samples: Number of points, spread evenly, or ``"vertices"`` or ``"centroids"``: see
                 ``wc.sample_surface``. With two sides a pair gives each its own.
@@ -435,7 +435,7 @@ class Scene(Bodies, Couplings, SmoothContacts, MutualContacts):
         from warpcontact.surface_contact import add_surface_contact
 
         return add_surface_contact(
-            self, surface_a, surface_b, template, samples, seed=seed, sides=sides, name=name, options=options
+            self, surface_a, surface_b, material, samples, seed=seed, sides=sides, name=name, options=options
         )
 
     def build(

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from warpcontact import checks
 from warpcontact.checks import Array
-from warpcontact.elements import KAPPA, MAX_DEPTH, SHARE, TORSION_RADIUS, Points, Template, needs_radius
+from warpcontact.elements import KAPPA, MAX_DEPTH, SHARE, TORSION_RADIUS, ContactMaterial, Points, needs_radius
 from warpcontact.kernels.frictions import Frictionless
 from warpcontact.meshes import Mesh
 from warpcontact.meshes.groups import face_mask
@@ -44,23 +44,23 @@ def options_of(
     }
 
 
-def check_arms(name: str, template: Template, radius: Array, torsion_radius: float | None) -> None:
-    """Raises ``ValueError`` if a friction of the template would have no arm to act at."""
-    if torsion_radius is not None and isinstance(template.torsion, Frictionless):
-        raise ValueError(f"{name}.torsion_radius is given, but its template has no torsion")
-    part = needs_radius(template, torsion_radius is not None)
+def check_arms(name: str, material: ContactMaterial, radius: Array, torsion_radius: float | None) -> None:
+    """Raises ``ValueError`` if a friction of the material would have no arm to act at."""
+    if torsion_radius is not None and isinstance(material.torsion, Frictionless):
+        raise ValueError(f"{name}.torsion_radius is given, but its material has no torsion")
+    part = needs_radius(material, torsion_radius is not None)
     if (radius == 0.0).any() and part is not None:
-        kind = type(getattr(template, part)).__name__
+        kind = type(getattr(material, part)).__name__
         cure = " or a torsion_radius" if part == "torsion" else ""
-        raise ValueError(f"{name}: the {part} of its template, {kind}, needs a radius{cure}, got a radius of 0 m")
+        raise ValueError(f"{name}: the {part} of its material, {kind}, needs a radius{cure}, got a radius of 0 m")
 
 
-def check_areas(name: str, template: Template, points: Points) -> None:
-    """Raises ``ValueError`` if a part of the template takes the areas of points that have none."""
-    for part, formula in template.formulas.items():
+def check_areas(name: str, material: ContactMaterial, points: Points) -> None:
+    """Raises ``ValueError`` if a part of the material takes the areas of points that have none."""
+    for part, formula in material.formulas.items():
         if points.areas is None and formula.takes_area:
             raise ValueError(
-                f"{name}: the {part} of its template, {type(formula).__name__}, was given no area [m²], and the "
+                f"{name}: the {part} of its material, {type(formula).__name__}, was given no area [m²], and the "
                 f"points {points.name!r} have none; make them with wc.sample_surface, give add_points areas, or "
                 f"give the {part} an area"
             )

@@ -8,7 +8,7 @@ import numpy as np
 from warpcontact import checks
 from warpcontact.elements import ContactOptions
 from warpcontact.meshes import SurfaceSamples, sample_surface
-from warpcontact.scene import Contact, Scene, Surface, Template
+from warpcontact.scene import Contact, ContactMaterial, Scene, Surface
 
 SIDES = ("first", "average")
 #: Ways to make points that know how many there are.
@@ -19,7 +19,7 @@ def add_surface_contact(
     scene: Scene,
     surface_a: Surface,
     surface_b: Surface,
-    template: Template,
+    material: ContactMaterial,
     samples: int | str | Sequence[int | str],
     *,
     seed: int,
@@ -30,7 +30,7 @@ def add_surface_contact(
     """Adds what ``Scene.add_surface_contact`` promises, or nothing."""
     before = scene.snapshot()
     try:
-        return _add(scene, surface_a, surface_b, template, samples, seed, sides, name, options)
+        return _add(scene, surface_a, surface_b, material, samples, seed, sides, name, options)
     except Exception:
         scene.restore(before)
         raise
@@ -40,7 +40,7 @@ def _add(
     scene: Scene,
     surface_a: Surface,
     surface_b: Surface,
-    template: Template,
+    material: ContactMaterial,
     samples: int | str | Sequence[int | str],
     seed: int,
     sides: str,
@@ -66,7 +66,7 @@ def _add(
     made = []
     for own, other, amount, label in runs:
         points = scene.add_points(own, sample_of(own, amount, seed, f"{name}.samples"), name=f"{label}_points")
-        made.append(scene.add_contact(points, other, template, name=label, **options))
+        made.append(scene.add_contact(points, other, material, name=label, **options))
     return tuple(made)
 
 

@@ -17,11 +17,11 @@ class Run:
     ) -> None:
         scene = wc.Scene(gravity=(0.0, 0.0, -GRAVITY))
         below = scene.add_surface(wc.meshes.grid((20.0, 20.0), (2, 2)), name="ground")
-        template = wc.Template(law=wc.laws.Rigid(), friction=wc.frictions.Coulomb(mu=FRICTION))
+        material = wc.ContactMaterial(law=wc.laws.Rigid(), friction=wc.frictions.Coulomb(mu=FRICTION))
         for number, place in enumerate(work.start()):
             body = scene.add_body(MASS, work.inertia, position=place, name=f"box{number}")
             feet = scene.add_points(body, work.places, name=f"feet{number}")
-            scene.add_contact(feet, below, template, radius=RADIUS, name=f"touch{number}")
+            scene.add_contact(feet, below, material, radius=RADIUS, name=f"touch{number}")
             below = scene.add_surface(wc.meshes.box((EDGE, EDGE, HEIGHT)), body, name=f"top{number}")
         self.model = scene.build(envs=envs, device=device, precision=precision)
         for number in range(work.boxes):

@@ -18,7 +18,7 @@ class Friction(Formula):
     returns the memory ``m`` after the time ``m.elapsed`` [s] in which ``s`` prevailed, and ``force`` the force
     from that.
 
-    The same model serves sliding, rolling and torsion; see ``Template``.
+    The same model serves sliding, rolling and torsion; see ``ContactMaterial``.
     """
 
     part: ClassVar[str] = "friction"

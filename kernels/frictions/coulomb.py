@@ -10,7 +10,7 @@ from warpcontact.kernels.frictions.base import Friction
 class Coulomb(Friction):
     """Friction of the cone without a velocity scale: what sticks does not creep. For integrators of impulses.
 
-    As rolling or torsion of a template it bounds the couple likewise.
+    As rolling or torsion of a material it bounds the couple likewise.
     """
 
     formula = "|F| ≤ μ N; where it slips, F = −μ N v/s"

@@ -7,7 +7,7 @@ from typing import Any
 import warp as wp
 
 from warpcontact.benchmark.works import DAMPING, DT, FRICTION, SLIP_SPEED, STIFFNESS, Work
-from warpcontact.elements import Template
+from warpcontact.elements import ContactMaterial
 from warpcontact.kernels import frictions, laws
 from warpcontact.kernels.smooth.sphere import Sphere
 from warpcontact.meshes import Mesh
@@ -27,7 +27,7 @@ def simulation(work: Work, envs: int, device: str, precision: str = "float32", *
     """
     names = inspect.signature(Simulation).parameters
     stepping = {name: options.pop(name) for name in tuple(options) if name in names}
-    template = Template(
+    material = ContactMaterial(
         law=laws.KelvinVoigt(stiffness=STIFFNESS, damping=DAMPING),
         friction=frictions.Tanh(mu=FRICTION, velocity_scale=SLIP_SPEED),
     )
@@ -36,12 +36,12 @@ def simulation(work: Work, envs: int, device: str, precision: str = "float32", *
     start = work.start(envs)
     if start.shape[1] > 1:
         body = scene.add_bodies(start[0], work.mass, [work.inertia] * 3, name="body")
-        scene.add_mutual_contact(scene.add_shape(body, Sphere(work.radius)), template, name="pile")
+        scene.add_mutual_contact(scene.add_shape(body, Sphere(work.radius)), material, name="pile")
     else:
         body = scene.add_body(work.mass, [work.inertia] * 3, name="body")
         start = start[:, 0]
     points = scene.add_point(body, (0, 0, 0)) if work.points is None else scene.add_points(body, work.points)
-    scene.add_contact(points, ground, template, radius=work.radius, name="touch", **options)
+    scene.add_contact(points, ground, material, radius=work.radius, name="touch", **options)
     model = scene.build(envs=envs, device=device, precision=precision)
     model["body.position"] = start
     return Simulation(model, dt=DT, **stepping)

@@ -19,7 +19,7 @@ from warpcontact.compare import samples
 from warpcontact.environments import Environments
 from warpcontact.kernels.laws.base import Law
 from warpcontact.meshes import grid
-from warpcontact.scene import Scene, Template
+from warpcontact.scene import ContactMaterial, Scene
 from warpcontact.simulation import Simulation
 from warpcontact.status import Status
 
@@ -281,7 +281,7 @@ def _model(laws: Mapping[str, Law], height: Array, speeds: Array, depth: float, 
         own = CURVED_RADIUS if law.needs_curvature else radius
         # Their lowest points are in one place.
         centre = scene.add_point(ball, (0.0, 0.0, own - radius))
-        scene.add_contact(centre, plate, Template(law=law), radius=own, name=f"touch_{k}")
+        scene.add_contact(centre, plate, ContactMaterial(law=law), radius=own, name=f"touch_{k}")
     model = scene.build(envs=len(height), device=impact.device, precision="float64")
     zero = np.zeros_like(height)
     for k in range(len(laws)):

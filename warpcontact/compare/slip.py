@@ -22,7 +22,7 @@ from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.kernels.laws.hooke import Hooke
 from warpcontact.meshes import grid
 from warpcontact.recorder import Recorder
-from warpcontact.scene import Scene, Template
+from warpcontact.scene import ContactMaterial, Scene
 from warpcontact.simulation import Simulation
 
 # Mass of a sphere [kg]: 10 N for 1000 s change its speed by 1e-8 m/s.
@@ -255,9 +255,9 @@ def _model(chosen: Mapping[str, Friction], load: float, velocity: Array, device:
     plate = scene.add_surface(grid((1.0e4, 1.0e4)), name="plate")
     for k, friction in enumerate(chosen.values()):
         ball = scene.add_body(HEAVY, [HEAVY] * 3, position=(0.0, 0.0, RADIUS - DEPTH), name=f"ball_{k}")
-        template = Template(law=Hooke(stiffness=load / DEPTH), friction=friction)
+        material = ContactMaterial(law=Hooke(stiffness=load / DEPTH), friction=friction)
         centre = scene.add_point(ball, (0.0, 0.0, 0.0))
-        scene.add_contact(centre, plate, template, radius=RADIUS, name=f"touch_{k}")
+        scene.add_contact(centre, plate, material, radius=RADIUS, name=f"touch_{k}")
     model = scene.build(envs=len(velocity), device=device, precision="float64")
     for k in range(len(chosen)):
         model[f"ball_{k}.linear_velocity"] = velocity

@@ -18,6 +18,7 @@ from warpcontact.experiment.schema import (
     ContactOptions,
     ContactSettings,
     CouplingOptions,
+    MaterialSettings,
     MutualContactSettings,
     PointSettings,
     PointsSettings,
@@ -25,11 +26,10 @@ from warpcontact.experiment.schema import (
     SmoothContactSettings,
     SurfaceContactSettings,
     SurfaceSettings,
-    TemplateSettings,
 )
 from warpcontact.meshes import Mesh, MeshError
 from warpcontact.patches import Known
-from warpcontact.scene import Scene, Template
+from warpcontact.scene import ContactMaterial, Scene
 from warpcontact.surface_contact import sample_of
 
 # Of what kind a reference is, and the sections in which its target may be.
@@ -37,7 +37,7 @@ _BODY = ("body", ("body", "bodies"))
 _POINTS = ("point", ("point", "points"))
 _SURFACE = ("surface", ("surface",))
 _SHAPE = ("shape", ("shape",))
-_TEMPLATE = ("template", ("template",))
+_TEMPLATE = ("material", ("material",))
 
 
 @dataclass
@@ -88,7 +88,7 @@ class Assembler:
             "surface": lambda path, entry: self._surface(scene, path, entry, problems),
             "point": lambda path, entry: self._points(scene, path, entry, problems),
             "points": lambda path, entry: self._points(scene, path, entry, problems),
-            "template": lambda path, entry: self._template(entry),
+            "material": lambda path, entry: self._template(entry),
             "contact": lambda path, entry: self._contact(scene, path, entry, problems),
             "surface_contact": lambda path, entry: self._surface_contact(scene, path, entry, problems),
             "spring_damper": lambda path, entry: self._coupling(scene.add_spring_damper, path, entry, problems),
@@ -172,19 +172,19 @@ class Assembler:
         samples = sample_of(carrier, entry.samples, entry.seed or 0, f"{entry.name}.samples")
         return scene.add_points(carrier, samples, name=entry.name)
 
-    def _template(self, entry: TemplateSettings) -> Template:
-        if entry.name in self.made["template"]:
-            raise ValueError(f"name {entry.name!r} of a template is taken; every template has its own")
-        return Template(**{key: table.make() for key, table in entry if isinstance(table, FormulaSettings)})
+    def _template(self, entry: MaterialSettings) -> ContactMaterial:
+        if entry.name in self.made["material"]:
+            raise ValueError(f"name {entry.name!r} of a material is taken; every material has its own")
+        return ContactMaterial(**{key: table.make() for key, table in entry if isinstance(table, FormulaSettings)})
 
     def _contact(self, scene: Scene, path: str, entry: ContactSettings, problems: Problems) -> Any:
-        references = {"points": _POINTS, "surface": _SURFACE, "template": _TEMPLATE}
+        references = {"points": _POINTS, "surface": _SURFACE, "material": _TEMPLATE}
         targets = self._find_all(path, entry, references, problems)
         options = entry.model_dump(exclude={*references}, exclude_none=True)
         return scene.add_contact(*targets, **(options | self._rows("contact", path, entry, problems)))
 
     def _surface_contact(self, scene: Scene, path: str, entry: SurfaceContactSettings, problems: Problems) -> Any:
-        references = {"surface_a": _SURFACE, "surface_b": _SURFACE, "template": _TEMPLATE}
+        references = {"surface_a": _SURFACE, "surface_b": _SURFACE, "material": _TEMPLATE}
         targets = self._find_all(path, entry, references, problems)
         return scene.add_surface_contact(*targets, **entry.model_dump(exclude=set(references), exclude_none=True))
 
@@ -209,7 +209,7 @@ class Assembler:
         return scene.add_shape(body, entry.form.make(), **entry.model_dump(exclude={"body", "form"}))
 
     def _smooth_contact(self, scene: Scene, path: str, entry: SmoothContactSettings, problems: Problems) -> Any:
-        references = {"shape": _SHAPE, "other_shape": _SHAPE, "template": _TEMPLATE}
+        references = {"shape": _SHAPE, "other_shape": _SHAPE, "material": _TEMPLATE}
         targets = self._find_all(path, entry, references, problems)
         return scene.add_smooth_contact(*targets, **entry.model_dump(exclude=set(references)))
 
@@ -226,11 +226,11 @@ class Assembler:
             [find(f"exclude[{i}][{k}]", name) for k, name in enumerate(pair)]
             for i, pair in enumerate(entry.exclude)
         ]
-        template = find("template", entry.template, _TEMPLATE)
-        if any(found is None for found in (*shapes, *(shape for pair in pairs for shape in pair), template)):
+        material = find("material", entry.material, _TEMPLATE)
+        if any(found is None for found in (*shapes, *(shape for pair in pairs for shape in pair), material)):
             raise _Unresolved
-        options = entry.model_dump(exclude={"shapes", "template", "exclude"})
-        return scene.add_mutual_contact(shapes, template, exclude=pairs, **options)
+        options = entry.model_dump(exclude={"shapes", "material", "exclude"})
+        return scene.add_mutual_contact(shapes, material, exclude=pairs, **options)
 
     def _find_all(
         self,

@@ -143,7 +143,7 @@ def formula_model(key: str, value: Any, own: OwnFiles) -> type[FormulaSettings]:
     """Returns the model of a law, friction or motion as it stands in the file.
 
     Args:
-        key: Its key in a template or body.
+        key: Its key in a material or body.
         value: What is there.
         own: Where classes are that are not of the catalogue.
 
@@ -218,7 +218,7 @@ def _kind_of(allowed: Any) -> Any:
     return Annotated[tuple[float, ...], q.numbers(shape, allowed=allowed, check=check)]
 
 
-#: What the formulas of a template, a spring-damper, a body and a shape are, by their keys.
+#: What the formulas of a material, a spring-damper, a body and a shape are, by their keys.
 FORMULAS: dict[str, Any] = {
     **{part: laws.Law if part == "law" else frictions.Friction for part in Parts._fields},
     "spring": springs.Spring,

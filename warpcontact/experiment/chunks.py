@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from zarr.abc.codec import BytesBytesCodec
 
 
-def compressors(template: "xr.DataArray") -> "tuple[BytesBytesCodec, ...]":
+def compressors(material: "xr.DataArray") -> "tuple[BytesBytesCodec, ...]":
     """Returns how chunks of an array are compressed, with a check sum: a chunk that was changed is no chunk."""
     from zarr.codecs import BloscCodec, Crc32cCodec, ZstdCodec
 
-    if "item" in template.dims:
+    if "item" in material.dims:
         # Most of many points are in the air, and their values 0: Zstandard leaves a third of what others do.
         return (ZstdCodec(level=1, checksum=True),)
     # Of what moves, bits in the order of their places are shorter, and take half the time.

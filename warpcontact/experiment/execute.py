@@ -109,7 +109,7 @@ def start(runner: ShardRunner, job: Job, alone: contextlib.ExitStack) -> None:
     # All of them, so that values that do not fit are found now; the first one last.
     for shard in reversed(job.shards):
         runner.take(shard)
-    store.check_names(runner.templates(), str(job.folder))
+    store.check_names(runner.materials(), str(job.folder))
     with _blamed(job):
         RunPath(job.folder).make()
         alone.enter_context(writing(job.folder))
@@ -139,7 +139,7 @@ def _make_folder(runner: ShardRunner, job: Job) -> None:
     if settings.integrator.iterations is not None:
         attributes["iterations"] = settings.integrator.iterations
     times = frames.times(settings.dt)
-    store.create(folder, runner.templates(), settings.envs, times, frames.block, attributes)
+    store.create(folder, runner.materials(), settings.envs, times, frames.block, attributes)
 
 
 def check_resumable(summary: Mapping[str, Any], job: Job) -> None:

@@ -101,7 +101,7 @@ class Experiment:
         Args:
             path: The file.
             changes: What is to be as if it stood there, such as ``'body[0].mass=2.0'``,
-                ``'template.rubber.law.stiffness=1e6'`` or ``'variation."ball.mass"={ uniform = [1, 2] }'``.
+                ``'material.rubber.law.stiffness=1e6'`` or ``'variation."ball.mass"={ uniform = [1, 2] }'``.
             on_stage: Called with a few words when a stage that may take long begins, and before a file with laws
                 of the user is loaded, which runs it.
             trust: As for the class.

@@ -152,8 +152,8 @@ def _check_carrier(entry: PointSettings | PointsSettings) -> None:
         raise ValueError(f" must be on a body or on a surface, got {entry.body!r} and {entry.surface!r}")
 
 
-class TemplateSettings(Section):
-    """``[[template]]``: a law, and frictions against sliding, rolling and spinning, that contacts share."""
+class MaterialSettings(Section):
+    """``[[material]]``: a law, and frictions against sliding, rolling and spinning, that contacts share."""
 
     name: Name
     law: FormulaTable = Field(description="{ type = …, and its parameters }")
@@ -166,7 +166,7 @@ class ContactOptions(Section):
     """What all kinds of contact have."""
 
     name: Name
-    template: str = Field(description="the name of a template")
+    material: str = Field(description="the name of a material")
     radius: Annotated[Any, q.numbers((), allowed=limits_of.RADIUS)] = 0.0
     kappa: Annotated[float, q.numbers((), allowed=limits_of.KAPPA)] = 0.5
     search: Annotated[str, q.one_of(("whole", "active"))] = "whole"
@@ -220,7 +220,7 @@ class SmoothContactSettings(Section):
     name: Name
     shape: str = Field(description="the name of a shape")
     other_shape: str = Field(description="the name of a shape")
-    template: str = Field(description="the name of a template")
+    material: str = Field(description="the name of a material")
     kappa: Annotated[float, q.numbers((), allowed=limits_of.KAPPA)] = 0.5
     max_depth: Annotated[float | None, q.numbers((), allowed=limits_of.MAX_DEPTH)] = None
     torsion_radius: Annotated[float | None, q.numbers((), allowed=limits_of.TORSION_RADIUS)] = None
@@ -235,7 +235,7 @@ class MutualContactSettings(Section):
 
     name: Name
     shapes: Rows[str] = Field(description="the names of shapes", min_length=1)
-    template: str = Field(description="the name of a template")
+    material: str = Field(description="the name of a material")
     exclude: Rows[Rows[str]] = ()
     skin: Annotated[float | None, q.numbers((), allowed=limits_of.RANGE)] = None
     partners: int | None = Field(default=None, ge=1)
@@ -378,7 +378,7 @@ class Settings(Section):
     bodies: Rows[BodiesSettings] = ()
     point: Rows[PointSettings] = ()
     points: Rows[PointsSettings] = ()
-    template: Rows[TemplateSettings] = ()
+    material: Rows[MaterialSettings] = ()
     contact: Rows[ContactSettings] = ()
     surface_contact: Rows[SurfaceContactSettings] = ()
     contact_coupling: Rows[ContactCouplingSettings] = ()
@@ -407,7 +407,7 @@ SECTIONS: dict[str, type[Section]] = {
     "surface": SurfaceSettings,
     "point": PointSettings,
     "points": PointsSettings,
-    "template": TemplateSettings,
+    "material": MaterialSettings,
     "contact": ContactSettings,
     "surface_contact": SurfaceContactSettings,
     "contact_coupling": ContactCouplingSettings,
@@ -421,7 +421,7 @@ SECTIONS: dict[str, type[Section]] = {
 
 
 #: Those with laws, frictions, springs and motions.
-FORMULA_SECTIONS = ("body", "bodies", "template", "contact_coupling", "shape", "spring_damper")
+FORMULA_SECTIONS = ("body", "bodies", "material", "contact_coupling", "shape", "spring_damper")
 #: Keys of sections that may name a file with rows.
 ROW_KEYS: dict[str, tuple[str, ...]] = {
     "bodies": (

@@ -144,7 +144,7 @@ class ShardRunner:
         Returns:
             The frames.
         """
-        self.templates()
+        self.materials()
         self.take(shard)
         steps = min(self.frames.steps, REHEARSED)
         recorder = self.recorder(steps + 1)
@@ -193,7 +193,7 @@ class ShardRunner:
             blocks=blocks,
         )
 
-    def templates(self) -> "dict[str, xr.Dataset]":
+    def materials(self) -> "dict[str, xr.Dataset]":
         """Returns a data set of a shard for each group of the store, without frames and with any values."""
         recorder = self.recorder()
         found = {"params": recorder.parameters(), "outcome": self.outcome()}

@@ -152,10 +152,10 @@ def _made(folder: RunPath) -> "CommittedStore":
     return store
 
 
-def check_names(templates: Mapping[str, "xr.Dataset"], source: str) -> None:
+def check_names(materials: Mapping[str, "xr.Dataset"], source: str) -> None:
     """Raises ``ExperimentError`` of ``source`` if a variable has too long a name for its folder in the store."""
-    for group, template in templates.items():
-        for name in template.data_vars:
+    for group, material in materials.items():
+        for name in material.data_vars:
             try:
                 check_length(f"the name of a variable of {group}", str(name), MOST_NAME)
             except ValueError as error:
@@ -165,7 +165,7 @@ def check_names(templates: Mapping[str, "xr.Dataset"], source: str) -> None:
 @_few_threads()
 def create(
     folder: Path,
-    templates: Mapping[str, "xr.Dataset"],
+    materials: Mapping[str, "xr.Dataset"],
     envs: int,
     times: NDArray[np.float64],
     block: int,
@@ -175,7 +175,7 @@ def create(
 
     Args:
         folder: Folder of the run.
-        templates: A data set of a shard for each group: variables, axes, labels, attributes.
+        materials: A data set of a shard for each group: variables, axes, labels, attributes.
         envs: Number of environments of the whole.
         times: Times of all frames [s].
         block: Frames of a chunk.
@@ -187,23 +187,23 @@ def create(
 
     buffers: dict[str, Any] = {}
     made = MemoryStore(buffers)
-    zarr.open_group(made, mode="w-", zarr_format=3, attributes={**attributes, PARTS: list(templates)})
-    for name, template in templates.items():
-        sizes = {**template.sizes, "env": envs}
-        coordinates = {key: c for key, c in template.coords.items() if key not in ("env", "time")}
-        coordinates["env"] = ("env", np.arange(envs), template["env"].attrs)
-        if "time" in template.sizes:
+    zarr.open_group(made, mode="w-", zarr_format=3, attributes={**attributes, PARTS: list(materials)})
+    for name, material in materials.items():
+        sizes = {**material.sizes, "env": envs}
+        coordinates = {key: c for key, c in material.coords.items() if key not in ("env", "time")}
+        coordinates["env"] = ("env", np.arange(envs), material["env"].attrs)
+        if "time" in material.sizes:
             sizes["time"] = len(times)
-            coordinates["time"] = ("time", times, template["time"].attrs)
+            coordinates["time"] = ("time", times, material["time"].attrs)
         # Folders have no order of their own.
-        listed = {ORDER: list(map(str, template.data_vars)), LABELS: sorted(map(str, coordinates))}
-        labels = xr.Dataset(coords=coordinates, attrs={**attributes, **template.attrs, **listed})
+        listed = {ORDER: list(map(str, material.data_vars)), LABELS: sorted(map(str, coordinates))}
+        labels = xr.Dataset(coords=coordinates, attrs={**attributes, **material.attrs, **listed})
         # Zarr leaves out a chunk of zeros, such as that of a single environment.
         with zarr.config.set({"array.write_empty_chunks": True}):
             labels.to_zarr(made, group=name, mode="w-", zarr_format=3, consolidated=False)
         group = zarr.open_group(made, mode="r+", path=name)
-        for key, variable in template.data_vars.items():
-            _create_array(group, str(key), variable, sizes, template.sizes["env"], block)
+        for key, variable in material.data_vars.items():
+            _create_array(group, str(key), variable, sizes, material.sizes["env"], block)
     content = {name: buffer.to_bytes() for name, buffer in sorted(buffers.items())}
     run = RunPath(folder)
     partial = run / f"{DATA}{PARTIAL}"
@@ -221,20 +221,20 @@ def create(
 
 
 def _create_array(
-    group: Any, name: str, template: "xr.DataArray", sizes: Mapping[Any, int], shard: int, block: int
+    group: Any, name: str, material: "xr.DataArray", sizes: Mapping[Any, int], shard: int, block: int
 ) -> None:
-    tail = [size for dim, size in template.sizes.items() if dim not in ("time", "env")]
-    row = template.dtype.itemsize * int(np.prod(tail, initial=1)) * (block if "time" in template.sizes else 1)
+    tail = [size for dim, size in material.sizes.items() if dim not in ("time", "env")]
+    row = material.dtype.itemsize * int(np.prod(tail, initial=1)) * (block if "time" in material.sizes else 1)
     chunk = {"env": largest_part(shard, max(1, CHUNK // max(1, row))), "time": block}
     group.create_array(
         name,
-        shape=tuple(sizes[dim] for dim in template.dims),
-        chunks=tuple(max(1, chunk.get(str(dim), sizes[dim])) for dim in template.dims),
-        dtype=template.dtype,
-        fill_value=empty_value(template.dtype),
-        dimension_names=[str(dim) for dim in template.dims],
-        attributes=dict(template.attrs),
-        compressors=compressors(template),
+        shape=tuple(sizes[dim] for dim in material.dims),
+        chunks=tuple(max(1, chunk.get(str(dim), sizes[dim])) for dim in material.dims),
+        dtype=material.dtype,
+        fill_value=empty_value(material.dtype),
+        dimension_names=[str(dim) for dim in material.dims],
+        attributes=dict(material.attrs),
+        compressors=compressors(material),
     )
 
 

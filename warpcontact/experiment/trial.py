@@ -21,7 +21,7 @@ from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.motions import Motion
 from warpcontact.kernels.smooth import shapes
 from warpcontact.patches import Known
-from warpcontact.scene import Scene, Template
+from warpcontact.scene import ContactMaterial, Scene
 
 
 def trial(parts: Parts, folder: Path, loaded: Loaded, problems: Problems) -> Environments | None:
@@ -76,7 +76,7 @@ def _built(
 
 def _classes(scene: Scene) -> set[type[Formula]]:
     """Returns the classes of all formulas in ``scene``."""
-    formulas = [f for contact in scene.contacts for f in contact.template.formulas.values()]
+    formulas = [f for contact in scene.contacts for f in contact.material.formulas.values()]
     formulas += [f for coupling in scene.couplings for f in coupling.formulas.values()]
     formulas += [f for contact in scene.smooth_contacts for f in contact.formulas.values()]
     formulas += [f for contact in scene.mutual_contacts for f in contact.formulas.values()]
@@ -105,7 +105,7 @@ def _fault(key: str, formula: Formula, precision: str) -> str | None:
         scene = Scene()
         ball = scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0))
         both = scene.add_shape(ball, shapes.Sphere(1.0)), scene.add_shape(None, formula)
-        scene.add_smooth_contact(*both, Template(law=laws.Hooke(stiffness=1.0)))
+        scene.add_smooth_contact(*both, ContactMaterial(law=laws.Hooke(stiffness=1.0)))
         _, failure = _built(scene, precision)
         return None if failure is None else _told(failure, cls)
     values = {name: np.full((1, 1), value) for name, value in formula.parameters(area=1.0).items()}
@@ -124,12 +124,12 @@ def _fault(key: str, formula: Formula, precision: str) -> str | None:
         scene.add_spring_damper(*ends, **{"spring": springs.Linear(stiffness=1.0), key: formula})
     else:
         try:
-            template = Template(**{"law": laws.Hooke(stiffness=1.0), key: formula})
+            material = ContactMaterial(**{"law": laws.Hooke(stiffness=1.0), key: formula})
         except ValueError as error:
             return str(error)
         # A set, because it has areas for a formula that asks for them.
         points = scene.add_points(ball, [(0.0, 0.0, 0.0)], areas=[1.0])
-        scene.add_contact(points, scene.add_surface(meshes.grid()), template, radius=0.1)
+        scene.add_contact(points, scene.add_surface(meshes.grid()), material, radius=0.1)
     _, failure = _built(scene, precision)
     if failure is None:
         return None

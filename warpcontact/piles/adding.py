@@ -8,12 +8,12 @@ from numpy.typing import ArrayLike
 
 from warpcontact import checks
 from warpcontact.checks import limits
-from warpcontact.elements import Template
+from warpcontact.elements import ContactMaterial
 from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.kernels.smooth import shapes as forms
 from warpcontact.piles.elements import MutualContact
 from warpcontact.scene_checks import options_of
-from warpcontact.smooth.adding import check_template
+from warpcontact.smooth.adding import check_material
 from warpcontact.smooth.elements import Shape
 
 # Of the mean radius: lists that are longer are made less often.
@@ -30,7 +30,7 @@ class MutualContacts:
     def add_mutual_contact(
         self,
         shapes: Shape | Sequence[Shape],
-        template: Template,
+        material: ContactMaterial,
         *,
         exclude: Iterable[tuple[Shape, Shape]] = (),
         skin: float | None = None,
@@ -52,7 +52,7 @@ class MutualContacts:
         Args:
             shapes: From ``add_shape``, spheres and capsules on bodies, one each or on every body of a set. Two
                 touch if each is in a group that the mask of the other has.
-            template: Law and friction. R of rolling and of patches of contact is that of the pair,
+            material: Law and friction. R of rolling and of patches of contact is that of the pair,
                 1/R = 1/R₁ + 1/R₂.
             exclude: Pairs of ``shapes`` that do not touch. Of a set that is each of its shapes, and a set paired
                 with itself has none that touch.
@@ -63,7 +63,7 @@ class MutualContacts:
             kappa: Where the force acts: K = P₂ + κ (P₁ − P₂), from 0 at the surface of the second shape to 1 at
                 that of the first.
             max_depth: Deepest penetration that still counts as contact [m]; ``None``: any.
-            torsion_radius: Arm at which the template's torsion acts [m]; ``None``: that of the overlap of a
+            torsion_radius: Arm at which the material's torsion acts [m]; ``None``: that of the overlap of a
                 sphere of radius R under the pressure of Hertz, (3π/16) √(R δ).
             share: Factor on forces and couples.
             enabled: Whether it acts.
@@ -98,7 +98,7 @@ class MutualContacts:
             raise ValueError(f"{name}: shape {twice!r} is listed more than once")
         if sum(shape.count for shape in given) < 2:
             raise ValueError(f"{name}: shapes must be at least 2, got {len(given)}")
-        check_template(name, template, torsion_radius)
+        check_material(name, material, torsion_radius)
         if not isinstance(exclude, Iterable):
             raise ValueError(f"exclude of {name!r} must be pairs of its shapes, got {checks.element(exclude)}")
         among = frozenset(given)
@@ -109,7 +109,7 @@ class MutualContacts:
         contact = MutualContact(
             name=name,
             shapes=given,
-            template=template,
+            material=material,
             excluded=excluded,
             skin=float(
                 checks.numbers(

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.checks import Array
-from warpcontact.elements import Template
+from warpcontact.elements import ContactMaterial
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.touch import Parts
 from warpcontact.smooth.elements import Shape
@@ -22,7 +22,7 @@ class MutualContact:
 
     name: str
     shapes: tuple[Shape, ...]
-    template: Template
+    material: ContactMaterial
     excluded: tuple[tuple[Shape, Shape], ...]
     skin: float  # shapes closer than this are partners [m]
     partners: int | None  # most of one shape; None: as many as there is room for around it
@@ -48,12 +48,12 @@ class MutualContact:
     @property
     def parts(self) -> Parts:
         """The classes of law and frictions."""
-        return self.template.parts
+        return self.material.parts
 
     @property
     def formulas(self) -> dict[str, Formula]:
         """The law and the frictions by the name of their part."""
-        return self.template.formulas
+        return self.material.formulas
 
     @cached_property
     def bodies(self) -> NDArray[np.int32]:

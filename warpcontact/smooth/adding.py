@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from warpcontact import checks
 from warpcontact.checks import Array, limits
-from warpcontact.elements import Body, Template
+from warpcontact.elements import Body, ContactMaterial
 from warpcontact.kernels.frictions import Frictionless
 from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.kernels.smooth.base import Shape as Form
@@ -90,7 +90,7 @@ class SmoothContacts:
         self,
         shape: Shape,
         other_shape: Shape,
-        template: Template,
+        material: ContactMaterial,
         *,
         kappa: float = 0.5,
         max_depth: float | None = None,
@@ -109,12 +109,12 @@ class SmoothContacts:
         Args:
             shape: From ``add_shape``.
             other_shape: From ``add_shape``, on another body. Normals point out of it.
-            template: Law and friction. R of rolling and of patches of contact is 1/k, k the largest curvature of
+            material: Law and friction. R of rolling and of patches of contact is 1/k, k the largest curvature of
                 the gap between the surfaces where they meet: the radius of a sphere or cylinder on a plane.
             kappa: Where the force acts: K = P_b + κ (P_a − P_b), from 0 at the point P_b of ``other_shape`` to 1
                 at P_a of ``shape``.
             max_depth: Deepest penetration that still counts as contact [m]; ``None``: any.
-            torsion_radius: Arm at which the template's torsion acts [m]; ``None``: that of the overlap of a
+            torsion_radius: Arm at which the material's torsion acts [m]; ``None``: that of the overlap of a
                 sphere of radius R under the pressure of Hertz, (3π/16) √(R δ).
             share: Factor on the forces and couples of this contact.
             enabled: Whether it acts.
@@ -140,13 +140,13 @@ class SmoothContacts:
                 f"{name}: two sets of shapes must be of one size, got {shape.count} of {shape.name!r} and "
                 f"{other_shape.count} of {other_shape.name!r}"
             )
-        check_template(name, template, torsion_radius)
-        _check_pair(name, shape.kind, other_shape.kind, template)
+        check_material(name, material, torsion_radius)
+        _check_pair(name, shape.kind, other_shape.kind, material)
         contact = SmoothContact(
             name=name,
             shape=shape,
             other_shape=other_shape,
-            template=template,
+            material=material,
             **options_of(name, kappa, max_depth, torsion_radius, share, enabled, color, visible),
         )
         self.smooth_contacts.append(contact)
@@ -154,27 +154,27 @@ class SmoothContacts:
         return contact
 
 
-def check_template(name: str, template: Template, torsion_radius: float | None) -> None:
-    """Raises an error unless contacts of shapes can have ``template`` and a torsion radius.
+def check_material(name: str, material: ContactMaterial, torsion_radius: float | None) -> None:
+    """Raises an error unless contacts of shapes can have ``material`` and a torsion radius.
 
     Raises:
-        TypeError: If it is no template.
+        TypeError: If it is no material.
         ValueError: If it has no torsion, and a radius is given, or if it needs an area.
     """
-    if not isinstance(template, Template):
-        raise TypeError(f"template of {name!r} must be a wc.Template, got {template!r}")
-    if torsion_radius is not None and isinstance(template.torsion, Frictionless):
-        raise ValueError(f"{name}.torsion_radius is given, but its template has no torsion")
-    for part, formula in template.formulas.items():
+    if not isinstance(material, ContactMaterial):
+        raise TypeError(f"material of {name!r} must be a wc.ContactMaterial, got {material!r}")
+    if torsion_radius is not None and isinstance(material.torsion, Frictionless):
+        raise ValueError(f"{name}.torsion_radius is given, but its material has no torsion")
+    for part, formula in material.formulas.items():
         if formula.takes_area:
             raise ValueError(
-                f"{name}: the {part} of its template, {type(formula).__name__}, was given no area [m²], and "
+                f"{name}: the {part} of its material, {type(formula).__name__}, was given no area [m²], and "
                 f"shapes have none; give the {part} an area"
             )
 
 
-def _check_pair(name: str, kind: type[Form], other: type[Form], template: Template) -> None:
-    """Raises ``ValueError`` if it is not known how two shapes meet, or what a template takes of them."""
+def _check_pair(name: str, kind: type[Form], other: type[Form], material: ContactMaterial) -> None:
+    """Raises ``ValueError`` if it is not known how two shapes meet, or what a material takes of them."""
     # With their solvers, which only smooth contacts need.
     from warpcontact.kernels.smooth.curvature import relative
     from warpcontact.kernels.smooth.force import looks_at_curvature
@@ -182,7 +182,7 @@ def _check_pair(name: str, kind: type[Form], other: type[Form], template: Templa
 
     try:
         meet(kind, other)
-        if looks_at_curvature(template.parts):
+        if looks_at_curvature(material.parts):
             relative(kind, other)
     except TypeError as error:
         raise ValueError(f"{name}: {kind.__name__} and {other.__name__}: {error}") from None

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.checks import Array
-from warpcontact.elements import Body, Template
+from warpcontact.elements import Body, ContactMaterial
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.smooth.base import Shape as Form
 from warpcontact.kernels.touch import Parts
@@ -72,7 +72,7 @@ class SmoothContact:
     name: str
     shape: Shape
     other_shape: Shape
-    template: Template
+    material: ContactMaterial
     kappa: Array
     max_depth: Array
     torsion_radius: Array | None
@@ -89,7 +89,7 @@ class SmoothContact:
     @property
     def parts(self) -> Parts:
         """The classes of its law and frictions: contacts that agree in them share the code of their forces."""
-        return self.template.parts
+        return self.material.parts
 
     @property
     def count(self) -> int:
@@ -114,4 +114,4 @@ class SmoothContact:
     @property
     def formulas(self) -> dict[str, Formula]:
         """Its law and frictions by the name of their part."""
-        return self.template.formulas
+        return self.material.formulas

@@ -175,7 +175,7 @@ class HardContacts:
         self._bodies, self._step = 0, None
         self._upload: Any = None
         self._materials = [
-            Hard(one, one.template.formulas, own.stop - own.start) for one, own in self._shown.items()
+            Hard(one, one.material.formulas, own.stop - own.start) for one, own in self._shown.items()
         ]
         self._materials += [Hard(one, one.formulas, 1) for one in self._number_of]
 
@@ -265,7 +265,7 @@ class HardContacts:
     @property
     def rolls(self) -> bool:
         """Whether anything opposes rolling or spinning of a hard contact."""
-        return any(contact.template.parts.rolls or contact.template.parts.twists for contact in self._hard)
+        return any(contact.material.parts.rolls or contact.material.parts.twists for contact in self._hard)
 
     def bounces(self, parameters: Mapping[str, Parameter]) -> bool:
         """Whether any hard contact has a restitution now: impacts may then bring energy."""

@@ -1,4 +1,4 @@
-"""What hard contacts take from their templates: Newton's restitution and the coefficients of Coulomb's cone."""
+"""What hard contacts take from their materials: Newton's restitution and the coefficients of Coulomb's cone."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -14,7 +14,7 @@ import numpy as np
 from warpcontact._version import __version__
 from warpcontact.checks import Array
 from warpcontact.contact_range import ContactRange
-from warpcontact.elements import Template
+from warpcontact.elements import ContactMaterial
 from warpcontact.kernels.formula import ROWS, Formula
 from warpcontact.kernels.touch import Parts
 from warpcontact.meshes import Mesh
@@ -72,9 +72,9 @@ class _Description:
         self.scene = scene
         self.root = root
         self.paths = {name: f"{root}/Elements/{names[name]}" for name in scene.element_names()}
-        # Templates and meshes that elements share; each is kept beside its path, so that no other gets its id.
+        # Materials and meshes that elements share; each is kept beside its path, so that no other gets its id.
         self.shared: dict[tuple[int, int], tuple[Any, str]] = {}
-        self.counts = {"Templates": 0, "Meshes": 0}
+        self.counts = {"Materials": 0, "Meshes": 0}
 
     def write(self) -> None:
         """Writes the scene, its elements, and what they share."""
@@ -84,7 +84,7 @@ class _Description:
         self._value(self.root, "version", __version__)
         for name in ("gravity", "max_speed", "max_distance"):
             self._value(self.root, name, getattr(self.scene, name))
-        for folder in ("Elements", "Templates", "Meshes"):
+        for folder in ("Elements", "Materials", "Meshes"):
             self._prim(f"{self.root}/{folder}")
         self._targets(self.root, "elements", [self.paths[one.name] for one in words])
         for one in words:
@@ -101,7 +101,7 @@ class _Description:
     def _argument(self, path: str, name: str, value: Any, rows: bool) -> None:
         """Writes one argument of an element, as what it is."""
         match value:
-            case Template() | Mesh():
+            case ContactMaterial() | Mesh():
                 self._targets(path, name, [self._share(value)])
             case tuple() if isinstance(value[0], Mesh):
                 # A relationship has each of its targets once: a mesh that comes again is written again.
@@ -123,14 +123,14 @@ class _Description:
                 self._value(path, name, value, rows)
 
     def _share(self, thing: Any, again: int = 0) -> str:
-        """Returns the path of a template or mesh, which is written when it comes first; ``again``: of a copy."""
+        """Returns the path of a material or mesh, which is written when it comes first; ``again``: of a copy."""
         if (id(thing), again) not in self.shared:
-            folder, word = ("Templates", "template") if isinstance(thing, Template) else ("Meshes", "mesh")
+            folder, word = ("Materials", "material") if isinstance(thing, ContactMaterial) else ("Meshes", "mesh")
             path = f"{self.root}/{folder}/{word}_{self.counts[folder]}"
             self.counts[folder] += 1
             self.shared[id(thing), again] = (thing, path)
             self._prim(path)
-            if isinstance(thing, Template):
+            if isinstance(thing, ContactMaterial):
                 for part in Parts._fields:
                     formula = getattr(thing, part)
                     self._formula(f"{path}/{part}", type(formula), _given(formula))

@@ -17,7 +17,7 @@ from warpcontact.usd.curves import WIDTH, write_curves
 from warpcontact.usd.forms import write_form, write_form_swarm
 from warpcontact.usd.joints import is_joint, write_joint
 from warpcontact.usd.layout import PROTOTYPE, RESERVED, SHAPES, WORLD, Layout
-from warpcontact.usd.materials import Material, Materials, material_path, set_material
+from warpcontact.usd.materials import UsdMaterial, UsdMaterials, material_path, set_material
 from warpcontact.usd.prototype import Prototype
 from warpcontact.usd.readings import Readings
 from warpcontact.usd.surfaces import write_surface
@@ -25,7 +25,7 @@ from warpcontact.usd.swarms import write_swarm
 
 
 def layout_of(
-    content: Content, survey: Survey, spacing: Array, force_scale: float, materials: Materials
+    content: Content, survey: Survey, spacing: Array, force_scale: float, materials: UsdMaterials
 ) -> Layout:
     """Returns where things are; what differs between environments is in each of them."""
     apart = bool(spacing.any())
@@ -57,7 +57,7 @@ class Environments:
         materials: What surfaces are made of.
     """
 
-    def __init__(self, stage: Any, content: Content, layout: Layout, materials: Materials) -> None:
+    def __init__(self, stage: Any, content: Content, layout: Layout, materials: UsdMaterials) -> None:
         self.stage = stage
         self.layout = layout
         self.materials = materials
@@ -134,7 +134,7 @@ class Environments:
                 own = f"{layout.body(path, group.body)}/{layout.names[group.name]}"
                 geometry.set_spheres(stage, own, group, row)
 
-    def _set_material(self, material: Material, env: str, row: int) -> None:
+    def _set_material(self, material: UsdMaterial, env: str, row: int) -> None:
         if not material.shared:
             path = material_path(material, self.layout.names, env)
             set_material(self.stage.GetPrimAtPath(path), material, row)

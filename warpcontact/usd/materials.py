@@ -31,7 +31,7 @@ _LINEAR = {"stiffness": "N/m", "damping": "N·s/m"}
 
 
 @dataclass(frozen=True, eq=False)
-class Material:
+class UsdMaterial:
     """What a contact says of what touches in it; ``None``: nothing.
 
     Attributes:
@@ -54,15 +54,15 @@ class Material:
         return tuple((name, values.tobytes()) for name, values in self.values.items())
 
 
-class Materials:
+class UsdMaterials:
     """The material of everything that collides: that of the first of its contacts that has one.
 
     UsdPhysics has friction by material, and simulators take the mean of two; both sides of a contact get the same.
     """
 
     def __init__(self, replay: Replay) -> None:
-        found: dict[tuple[tuple[str, bytes], ...], Material] = {}
-        self._of: dict[tuple[str, str], Material] = {}
+        found: dict[tuple[tuple[str, bytes], ...], UsdMaterial] = {}
+        self._of: dict[tuple[str, str], UsdMaterial] = {}
         for contact, colliders in _contacts(replay):
             material = _material(replay, contact)
             material = found.setdefault(material.key, material)
@@ -71,7 +71,7 @@ class Materials:
         used = {id(one) for one in self._of.values()}
         self.all = [one for one in found.values() if id(one) in used]
 
-    def of(self, kind: str, name: str) -> Material | None:
+    def of(self, kind: str, name: str) -> UsdMaterial | None:
         """Returns that of ``"points"``, a ``"surface"`` or a ``"shape"`` by its name."""
         return self._of.get((kind, name))
 
@@ -91,8 +91,8 @@ def _contacts(replay: Replay) -> Iterator[tuple[Any, list[tuple[str, str]]]]:
         yield mutual, [("shape", shape.name) for shape in mutual.shapes]
 
 
-def _material(replay: Replay, contact: Any) -> Material:
-    formulas = contact.template.formulas
+def _material(replay: Replay, contact: Any) -> UsdMaterial:
+    formulas = contact.material.formulas
     values: dict[str, Array] = {}
     for name, groups in (("static", STATIC), ("dynamic", DYNAMIC)):
         found = _coefficient(replay, contact.name, "friction", formulas["friction"], groups)
@@ -113,7 +113,7 @@ def _material(replay: Replay, contact: Any) -> Material:
             found, arm = _coefficient(replay, contact.name, name, formulas[name], DYNAMIC), arm_of(replay, contact)
             if found is not None and arm is not None:
                 values[name] = found * arm
-    return Material(contact.name, values)
+    return UsdMaterial(contact.name, values)
 
 
 def _coefficient(
@@ -163,12 +163,12 @@ def _values(replay: Replay, name: str, default: float) -> Array:
     return recorded.mean(axis=1)
 
 
-def material_path(material: Material, names: dict[str, str], env: str) -> str:
+def material_path(material: UsdMaterial, names: dict[str, str], env: str) -> str:
     """Returns where a material is: common to all environments, or in each."""
     return f"{WORLD if material.shared else env}/PhysicsMaterials/{names[material.name]}"
 
 
-def define_material(stage: Any, path: str, material: Material, row: int) -> None:
+def define_material(stage: Any, path: str, material: UsdMaterial, row: int) -> None:
     """Writes a material as in environment number ``row`` of the export."""
     from pxr import UsdGeom, UsdPhysics, UsdShade
 
@@ -181,7 +181,7 @@ def define_material(stage: Any, path: str, material: Material, row: int) -> None
     set_material(prim, material, row)
 
 
-def set_material(prim: Any, material: Material, row: int) -> None:
+def set_material(prim: Any, material: UsdMaterial, row: int) -> None:
     """Gives a material the coefficients of environment number ``row``."""
     from pxr import Sdf, UsdPhysics
 

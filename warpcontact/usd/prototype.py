@@ -15,7 +15,7 @@ from warpcontact.usd.curves import WIDTH, define_curves
 from warpcontact.usd.forms import declare_form_swarm, write_form
 from warpcontact.usd.joints import define_joint, is_joint
 from warpcontact.usd.layout import PROTOTYPE, SHAPES, WORLD, Layout
-from warpcontact.usd.materials import Materials, bind_material, define_material, material_path
+from warpcontact.usd.materials import UsdMaterials, bind_material, define_material, material_path
 from warpcontact.usd.readings import Readings
 from warpcontact.usd.surfaces import define_shapes, define_surfaces, write_surface
 from warpcontact.usd.swarms import declare_swarm
@@ -38,7 +38,7 @@ class Prototype:
         stage: Any,
         content: Content,
         layout: Layout,
-        materials: Materials,
+        materials: UsdMaterials,
         readings: dict[str, Readings],
         physics_scene: str | None,
     ) -> None:

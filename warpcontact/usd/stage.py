@@ -21,7 +21,7 @@ from warpcontact.usd.description import write_description
 from warpcontact.usd.ensemble import define_ensemble, write_ensemble
 from warpcontact.usd.environments import Environments, layout_of
 from warpcontact.usd.layout import WORLD, Layout
-from warpcontact.usd.materials import Materials
+from warpcontact.usd.materials import UsdMaterials
 from warpcontact.usd.scenery import define_camera, define_lights, define_look
 
 #: Goes up when what is on a stage is to be read in another way.
@@ -94,7 +94,7 @@ class Export:
         """Writes all that does not change over time; ``content`` begins with the first record."""
         from pxr import Kind, Usd, UsdGeom
 
-        materials = Materials(self.replay)
+        materials = UsdMaterials(self.replay)
         scale = survey.force_scale if self.force_scale is None else self.force_scale
         self._layout = layout = layout_of(content, survey, self.spacing, scale, materials)
         self._metadata(stage, layout)

@@ -203,11 +203,11 @@ def _depth(contact: Contact | SmoothContact | MutualContact) -> dict[str, Any]:
 
 def _of_coupling(coupling: ContactCoupling) -> dict[str, Any]:
     first = coupling.contacts[0]
-    law: Any = first.template.law
+    law: Any = first.material.law
     # As many points for each active face.
     quadrature = first.points.count // int(np.count_nonzero(coupling.surface_a.active_faces))
     return {
-        "friction": first.template.friction,
+        "friction": first.material.friction,
         "quadrature": quadrature,
         "damping_ramp": law.ramp,
         "search": first.search,

@@ -151,13 +151,13 @@ class Candidates:
     def _factors(self, contact: AnyContact, count: int) -> Array:
         """Returns μ at rest, μ sliding, restitution and whether it is enabled, of each item (count, 4)."""
         for part in ("rolling", "torsion"):
-            if not isinstance(contact.template.formulas[part], Frictionless):
+            if not isinstance(contact.material.formulas[part], Frictionless):
                 raise ValueError(
                     f"{contact.name}.{part} must be left out: resistance to rolling and spinning is not part of "
-                    f"this method, got {type(contact.template.formulas[part]).__name__}"
+                    f"this method, got {type(contact.material.formulas[part]).__name__}"
                 )
-        sources = Hard(contact, contact.template.formulas, count).sources()
-        check_rigid(contact.name, contact.template.formulas, "Or use SemiImplicitEuler")
+        sources = Hard(contact, contact.material.formulas, count).sources()
+        check_rigid(contact.name, contact.material.formulas, "Or use SemiImplicitEuler")
         if (self._values(f"{contact.name}.share", count, 1.0) != 1.0).any():
             raise ValueError(f"{contact.name}.share must be 1: a hard contact cannot be a part of one")
         columns = [

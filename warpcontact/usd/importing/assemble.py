@@ -9,14 +9,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from warpcontact.checks import Array
-from warpcontact.elements import Body, Template
+from warpcontact.elements import Body, ContactMaterial
 from warpcontact.kernels.motions import Fixed, Prescribed
 from warpcontact.scene import Scene
 from warpcontact.usd.importing.errors import StageError, shortened
 from warpcontact.usd.importing.findings import Unsupported, Wrong
 from warpcontact.usd.importing.forms import Part, part_of
+from warpcontact.usd.importing.contact_materials import FRICTION, PhysicsMaterial
 from warpcontact.usd.importing.solids import Weight
-from warpcontact.usd.importing.templates import FRICTION, Material
 from warpcontact.usd.importing.touching import Collider, Touching
 
 #: Density where nothing says one [kg/m³].
@@ -29,7 +29,7 @@ def assembled(
     physics: dict[str, Any],
     subject: str,
     *,
-    template: Template | None,
+    material: ContactMaterial | None,
     contact_time: float,
     samples: int | str,
     skip_unsupported: bool,
@@ -39,7 +39,7 @@ def assembled(
     Args:
         physics: What ``read_physics`` found.
         subject: What to call the stage in messages.
-        template: Law and friction of all contacts; ``None``: as materials say.
+        material: Law and friction of all contacts; ``None``: as materials say.
         contact_time: Time that an impact takes [s].
         samples: How points of surfaces are made, of ``add_surface_contact``.
         skip_unsupported: Whether to leave out what there is no counterpart for.
@@ -47,7 +47,7 @@ def assembled(
     Raises:
         StageError: If something makes no sense, or has no counterpart; all of it is listed.
     """
-    return _Assembly(physics).scene(subject, template, contact_time, samples, skip_unsupported)
+    return _Assembly(physics).scene(subject, material, contact_time, samples, skip_unsupported)
 
 
 class _Assembly:
@@ -62,7 +62,7 @@ class _Assembly:
         self.body_names, self.collider_names = names[: len(physics["bodies"])], names[len(physics["bodies"]) :]
 
     def scene(
-        self, subject: str, template: Template | None, contact_time: float, samples: int | str, skip: bool
+        self, subject: str, material: ContactMaterial | None, contact_time: float, samples: int | str, skip: bool
     ) -> Scene:
         found = [self._tried(one, partial(self._part, one, name)) for one, name in self._named_colliders()]
         scene = Scene(self.physics["gravity"])
@@ -88,12 +88,12 @@ class _Assembly:
             colliders.append(self._collider(record, name, carrier, one, shift))
         for one in colliders:
             self._tried({"path": one.path}, partial(one.add, scene))
-        touching = Touching(scene, template, contact_time, samples)
+        touching = Touching(scene, material, contact_time, samples)
         apart = numbers[self.physics["apart"]]
         self._tried({"path": "/"}, partial(touching.add, colliders, apart[(apart >= 0).all(axis=1)]))
         self._refuse(subject, skip)
         bare = sum(record["material"] is None for record in self.physics["colliders"])
-        if bare and template is None:
+        if bare and material is None:
             self.remarks.append(f"{bare} colliders have no physics material: friction {FRICTION}, restitution 0")
         scene.suggested_dt = self.physics["stepping"]["dt"]
         scene.suggested_iterations = self.physics["stepping"]["iterations"]
@@ -174,7 +174,7 @@ class _Assembly:
         self.remarks += [f"{shortened(record['path'])}: {remark}" for remark in own.remarks]
         placed = Part(own.form, own.mesh, own.position - shift, own.orientation, own.solid)
         moves = record["body"] >= 0 and not self.physics["bodies"][record["body"]]["kinematic"]
-        material = Material.of(record["material"])
+        material = PhysicsMaterial.of(record["material"])
         return Collider(record["path"], name, body, moves, placed, material, bool(record["visible"]))
 
 

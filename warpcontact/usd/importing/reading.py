@@ -8,7 +8,7 @@ from typing import Any
 
 from warpcontact import checks
 from warpcontact.checks import limits as allowed
-from warpcontact.elements import Template
+from warpcontact.elements import ContactMaterial
 from warpcontact.kernels.formula import Formula
 from warpcontact.meshes.isolation import Limits, read_apart
 from warpcontact.meshes.readers import USD_SUFFIXES, Unreadable
@@ -25,7 +25,7 @@ def scene_from_usd(
     path: str | os.PathLike[str],
     *,
     own: Iterable[type[Formula]],
-    template: Template | None,
+    material: ContactMaterial | None,
     contact_time: float,
     samples: int | str,
     skip_unsupported: bool,
@@ -33,8 +33,8 @@ def scene_from_usd(
     limits: Limits | None,
 ) -> Scene:
     """Returns what ``Scene.from_usd`` promises."""
-    if template is not None and not isinstance(template, Template):
-        raise TypeError(f"template must be a wc.Template or None, got {template!r}")
+    if material is not None and not isinstance(material, ContactMaterial):
+        raise TypeError(f"material must be a wc.ContactMaterial or None, got {material!r}")
     if limits is not None and not isinstance(limits, Limits):
         raise TypeError(f"limits must be a Limits or None, got {limits!r}")
     duration = float(checks.numbers("contact_time", contact_time, (), allowed("s", above=0.0)))
@@ -53,7 +53,7 @@ def scene_from_usd(
     return assembled(
         found["physics"],
         subject,
-        template=template,
+        material=material,
         contact_time=duration,
         samples=amount,
         skip_unsupported=skip,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from warpcontact.contact_range import ContactRange, ExpectedImpact
-from warpcontact.elements import Template
+from warpcontact.elements import ContactMaterial
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.frictions import Friction
 from warpcontact.kernels.laws import Law
@@ -60,7 +60,7 @@ class _Restoration:
         self.subject = subject
         self.catalogue = catalogue
         self.problems: list[str] = []
-        self.made: dict[str, Any] = {}  # elements, templates and meshes by path
+        self.made: dict[str, Any] = {}  # elements, materials and meshes by path
 
     def scene(self) -> Scene:
         values = self.root["values"]
@@ -69,7 +69,7 @@ class _Restoration:
             raise self._error([f"{self.root['path']} was written by warpcontact {version}, which is newer"])
         given = {name: values[name] for name in ("gravity", "max_speed", "max_distance") if name in values}
         scene = self._tried(self.root, lambda: Scene(**given))
-        for folder, make in (("Templates", self._template), ("Meshes", self._mesh)):
+        for folder, make in (("Materials", self._contact_material), ("Meshes", self._mesh)):
             for record in self._folder(folder).values():
                 self.made[record["path"]] = self._tried(record, partial(make, record))
         elements = {record["path"]: record for record in self._folder("Elements").values()}
@@ -133,7 +133,7 @@ class _Restoration:
         return getattr(scene, ADDERS[kind])(**given)
 
     def _plain(self, key: str, value: Any) -> Any:
-        if key in _ELEMENTS or key in _FORMULAS or key in ("template", "mesh", "shapes", "range"):
+        if key in _ELEMENTS or key in _FORMULAS or key in ("material", "mesh", "shapes", "range"):
             raise ValueError(f"{key} must be a prim, got an attribute")
         return value
 
@@ -155,15 +155,15 @@ class _Restoration:
             return self._range(record)
         raise ValueError(f"{key} is no prim of its own")
 
-    def _template(self, record: Record) -> Template:
+    def _contact_material(self, record: Record) -> ContactMaterial:
         missing = [part for part in Parts._fields if part not in record["children"]]
         if missing:
-            raise ValueError(f"a template has a {missing[0]}, which is missing")
+            raise ValueError(f"a material has a {missing[0]}, which is missing")
         parts = {
             part: self._formula(Law if part == "law" else Friction, record["children"][part])
             for part in Parts._fields
         }
-        return Template(**parts)
+        return ContactMaterial(**parts)
 
     def _mesh(self, record: Record) -> Mesh:
         values = record["values"]

@@ -6,15 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from warpcontact.elements import Body, Points, Surface, Template
+from warpcontact.elements import Body, ContactMaterial, Points, Surface
 from warpcontact.kernels.smooth import shapes
 from warpcontact.meshes import sample_surface
 from warpcontact.scene import Scene
 from warpcontact.smooth.elements import Shape
 from warpcontact.usd.importing.findings import Wrong
 from warpcontact.usd.importing.forms import Part
+from warpcontact.usd.importing.contact_materials import ContactMaterials, PhysicsMaterial, Side
 from warpcontact.usd.importing.pairs import Numbers, loose, piles_of, within
-from warpcontact.usd.importing.templates import Material, Side, Templates
 from warpcontact.usd.importing.together import share_of
 from warpcontact.usd.rolling import rolling_radius
 
@@ -45,7 +45,7 @@ class Collider:
     body: Body | None
     moves: bool
     own: Part
-    material: Material
+    material: PhysicsMaterial
     visible: bool
     shape: Shape | None = None
     outside: Surface | None = None
@@ -100,15 +100,17 @@ class Touching:
 
     Args:
         scene: The scene.
-        template: Law and friction of all contacts; ``None``: as materials say.
+        material: Law and friction of all contacts; ``None``: as materials say.
         contact_time: Time that an impact takes, which stiffness follows from [s].
         samples: Of ``add_surface_contact``.
     """
 
-    def __init__(self, scene: Scene, template: Template | None, contact_time: float, samples: int | str) -> None:
+    def __init__(
+        self, scene: Scene, material: ContactMaterial | None, contact_time: float, samples: int | str
+    ) -> None:
         self.scene = scene
         self.samples = samples
-        self.templates = Templates(template, contact_time)
+        self.materials = ContactMaterials(material, contact_time)
         self.remarks: list[str] = []
 
     def add(self, colliders: list[Collider], apart: Numbers) -> None:
@@ -135,16 +137,16 @@ class Touching:
             # What moves, and no half-space, is the first: normals point towards it.
             swap = (one.is_a(shapes.Plane), not one.moves) > (other.is_a(shapes.Plane), not other.moves)
             self._add_pair(*((other, one) if swap else (one, other)))
-        self.remarks += self.templates.remarks()
+        self.remarks += self.materials.remarks()
 
     def _add_pile(self, members: list[Collider], apart: Numbers, colliders: list[Collider]) -> None:
         heaviest = max(members, key=lambda one: one.side.mass)
         radii = {one.own.form.radius for one in members}  # type: ignore[union-attr]
         radius = radii.pop() / 2.0 if len(radii) == 1 else None
         label = f"the mutual contact of {members[0].name!r}"
-        template, options = self.templates.between(label, heaviest.side, heaviest.side, radius)
+        material, options = self.materials.between(label, heaviest.side, heaviest.side, radius)
         exclude = [(_shape(colliders[i]), _shape(colliders[j])) for i, j in apart.tolist()]
-        self.scene.add_mutual_contact([_shape(one) for one in members], template, exclude=exclude, **options)
+        self.scene.add_mutual_contact([_shape(one) for one in members], material, exclude=exclude, **options)
 
     def _add_pair(self, one: Collider, other: Collider) -> None:
         scene = self.scene
@@ -156,24 +158,26 @@ class Touching:
             radius = rolling_radius(form, other_form)
         else:
             radius = ball.own.form.radius if ball.is_a(shapes.Sphere) else None  # type: ignore[union-attr]
-        template, common = self.templates.between(repr(name), one.side, other.side, radius)
+        material, common = self.materials.between(repr(name), one.side, other.side, radius)
         options: dict[str, Any] = {**common, "name": name}
         if smooth:
-            scene.add_smooth_contact(_shape(one), _shape(other), template, **options)
+            scene.add_smooth_contact(_shape(one), _shape(other), material, **options)
         elif radius is not None:
-            scene.add_contact(ball.middle(scene), around.surface(scene), template, radius=radius, **options)
+            scene.add_contact(ball.middle(scene), around.surface(scene), material, radius=radius, **options)
         elif other.is_a(shapes.Plane):
-            self._add_points(one, other, template, options, 1.0)
+            self._add_points(one, other, material, options, 1.0)
         else:
-            self._add_surfaces(one, other, template, options)
+            self._add_surfaces(one, other, material, options)
 
-    def _add_surfaces(self, one: Collider, other: Collider, template: Template, options: dict[str, Any]) -> None:
+    def _add_surfaces(
+        self, one: Collider, other: Collider, material: ContactMaterial, options: dict[str, Any]
+    ) -> None:
         """Lets points of two surfaces touch the other one; of one at rest only if they are not too many."""
         both = other.moves or len(other.surface(self.scene).mesh.vertices) <= MOST_POINTS
-        self._add_points(one, other, template, options, 0.5 if both else 1.0)
+        self._add_points(one, other, material, options, 0.5 if both else 1.0)
         if both:
             name = self.scene.new_name(f"{other.name}_{one.name}", None)
-            self._add_points(other, one, template, options | {"name": name}, 0.5)
+            self._add_points(other, one, material, options | {"name": name}, 0.5)
         else:
             self.remarks.append(
                 f"{other.path}: it has more than {MOST_POINTS} vertices and does not move: points of "
@@ -181,13 +185,13 @@ class Touching:
             )
 
     def _add_points(
-        self, one: Collider, other: Collider, template: Template, options: dict[str, Any], part: float
+        self, one: Collider, other: Collider, material: ContactMaterial, options: dict[str, Any], part: float
     ) -> None:
         """Lets points of one surface touch the other; ``part``: of the force of the pair."""
         points, outside = one.sampled(self.scene, self.samples), other.surface(self.scene)
         reach = 0.5 * float(np.linalg.norm(np.ptp(outside.mesh.bounds, axis=0)))
         share = part * share_of(points.positions, reach, convex=one.moves)
-        self.scene.add_contact(points, outside, template, share=share, **options)
+        self.scene.add_contact(points, outside, material, share=share, **options)
 
 
 def _shape(one: Collider) -> Shape:

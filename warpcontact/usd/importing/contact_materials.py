@@ -5,7 +5,7 @@ from dataclasses import astuple, dataclass
 from math import pi, sqrt
 from typing import Any
 
-from warpcontact.elements import Body, Template
+from warpcontact.elements import Body, ContactMaterial
 from warpcontact.kernels.frictions import CundallStrack, Friction, Frictionless
 from warpcontact.kernels.laws import KelvinVoigt
 
@@ -19,7 +19,7 @@ _ASIDE = 2.0 / 7.0
 
 
 @dataclass(frozen=True)
-class Material:
+class PhysicsMaterial:
     """Physics material of a collider; ``None``: not given.
 
     Attributes:
@@ -41,7 +41,7 @@ class Material:
     torsion: float | None = None
 
     @classmethod
-    def of(cls, record: dict[str, Any] | None) -> "Material":
+    def of(cls, record: dict[str, Any] | None) -> "PhysicsMaterial":
         """Returns a material as ``read_material`` describes it; ``None``: no material.
 
         A coefficient of friction that is not given is the other one: friction at rest is at least that of sliding.
@@ -58,9 +58,9 @@ class Material:
             **{key: record[key] for key in ("stiffness", "damping", "rolling", "torsion")},
         )
 
-    def with_other(self, other: "Material") -> "Material":
+    def with_other(self, other: "PhysicsMaterial") -> "PhysicsMaterial":
         """Returns the means of two materials; of a value that only one of them gives, that value."""
-        return Material(
+        return PhysicsMaterial(
             static=0.5 * (self.static + other.static),
             dynamic=0.5 * (self.dynamic + other.dynamic),
             restitution=0.5 * (self.restitution + other.restitution),
@@ -80,7 +80,7 @@ class Side:
         body: Its body; ``None``: it does not move.
     """
 
-    material: Material
+    material: PhysicsMaterial
     body: Body | None
 
     @property
@@ -94,7 +94,7 @@ class Side:
         return float("inf") if self.body is None else float(self.body.inertia.trace()) / 3.0
 
 
-class Templates:
+class ContactMaterials:
     """Combines the materials of both sides into law and friction, one object for all contacts that are alike.
 
     Args:
@@ -102,14 +102,16 @@ class Templates:
         contact_time: Duration of an impact, from which stiffness follows if no material gives it [s].
     """
 
-    def __init__(self, given: Template | None, contact_time: float) -> None:
+    def __init__(self, given: ContactMaterial | None, contact_time: float) -> None:
         self.given = given
         self.contact_time = contact_time
-        self.made: dict[tuple[float | None, ...], tuple[Template, dict[str, Any]]] = {}
+        self.made: dict[tuple[float | None, ...], tuple[ContactMaterial, dict[str, Any]]] = {}
         self._elastic = 0  # contacts that take the damping of a material and not its restitution
         self._rolling: list[str] = []  # contacts without the rolling friction of a material
 
-    def between(self, label: str, one: Side, other: Side, radius: float | None) -> tuple[Template, dict[str, Any]]:
+    def between(
+        self, label: str, one: Side, other: Side, radius: float | None
+    ) -> tuple[ContactMaterial, dict[str, Any]]:
         """Returns law and friction of a contact, and its options.
 
         Args:
@@ -129,7 +131,7 @@ class Templates:
         inertia = 1.0 / (1.0 / one.inertia + 1.0 / other.inertia)
         key = (mass, *astuple(mixed), *((inertia, radius) if mixed.rolling or mixed.torsion else ()))
         if key not in self.made:
-            self.made[key] = self._template(mixed, mass, inertia, radius), _options(mixed)
+            self.made[key] = self._contact_material(mixed, mass, inertia, radius), _options(mixed)
         return self.made[key]
 
     def remarks(self) -> Sequence[str]:
@@ -147,7 +149,9 @@ class Templates:
             )
         return found
 
-    def _template(self, mixed: Material, mass: float, inertia: float, radius: float | None) -> Template:
+    def _contact_material(
+        self, mixed: PhysicsMaterial, mass: float, inertia: float, radius: float | None
+    ) -> ContactMaterial:
         stiffness = mass * (pi / self.contact_time) ** 2 if mixed.stiffness is None else mixed.stiffness
         aside = _ASIDE * stiffness
         friction = CundallStrack(
@@ -162,7 +166,7 @@ class Templates:
             else {"damping": mixed.damping}
         )
         rate = stiffness / mass
-        return Template(
+        return ContactMaterial(
             law=KelvinVoigt(stiffness=stiffness, **loss),
             friction=friction if mixed.static or mixed.dynamic else Frictionless(),
             rolling=_resistance(mixed.rolling / radius, inertia / radius**2, rate)
@@ -184,7 +188,7 @@ def _resistance(mu: float, mass: float, rate: float) -> Friction:
     return CundallStrack(mu_static=mu, mu_dynamic=mu, stiffness=mass * rate, damping=mass * sqrt(rate))
 
 
-def _options(mixed: Material) -> dict[str, Any]:
+def _options(mixed: PhysicsMaterial) -> dict[str, Any]:
     return {"torsion_radius": mixed.torsion} if mixed.torsion else {}
 
 
