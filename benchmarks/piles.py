@@ -104,16 +104,16 @@ def settle(spheres: int, device: str, most: float = 60.0) -> dict[str, Any]:
         sim.step(steps)
         wp.synchronize_device(device)
         costs.append((time.perf_counter() - start) / steps)
-        energies.append(float(model.reading("scene.kinetic_energy")[0]))
+        energies.append(float(model.sensor("scene.kinetic_energy")[0]))
         if energies[-1] < at_rest:
             break
     made = int(model.piles[0].grid.made.numpy()[0])
     return {
         "spheres": spheres,
-        "fraction": bulk_fraction(model.reading("ball.position")[0], width),
+        "fraction": bulk_fraction(model.sensor("ball.position")[0], width),
         "kinetic_energy": energies,
-        "coordination": float(model.reading("pile.coordination")[0].mean()),
-        "max_penetration_in_diameters": float(model.reading("pile.max_penetration")[0]) / DIAMETER,
+        "coordination": float(model.sensor("pile.coordination")[0].mean()),
+        "max_penetration_in_diameters": float(model.sensor("pile.max_penetration")[0]) / DIAMETER,
         "step_s": statistics.median(costs[1:]),
         "step_ns_per_sphere": 1e9 * statistics.median(costs[1:]) / spheres,
         "steps": sim.steps,
@@ -156,7 +156,7 @@ def bowl(envs: int, device: str, repeats: int) -> dict[str, Any]:
     return {
         "env_steps_per_s": statistics.median(rates),
         "dt": DT,
-        "contacts": float(sim.model.reading("pile.contacts").mean()),
+        "contacts": float(sim.model.sensor("pile.contacts").mean()),
         "ns_per_env": stages(sim, envs),
     }
 

@@ -42,8 +42,8 @@ def energy_kept(duration: float = 1.0) -> float:
     material = wc.ContactMaterial(law=wc.laws.PowerLaw(stiffness=STIFFNESS, exponent=1.5))
     scene.add_smooth_contact(hull, bowl, material, name="touch")
     model = scene.build(1, "cpu", precision="float64")
-    readings = ["egg.kinetic_energy", "egg.potential_energy", "touch.penetration", "touch.converged"]
-    recording = wc.Simulation(model, dt=5e-5).run(duration, readings, every=5e-3)
+    sensors = ["egg.kinetic_energy", "egg.potential_energy", "touch.penetration", "touch.converged"]
+    recording = wc.Simulation(model, dt=5e-5).run(duration, sensors, every=5e-3)
     if not recording["touch.converged"].all():
         raise RuntimeError("a contact was not found")
     spring = STIFFNESS / 2.5 * recording["touch.penetration"] ** 2.5

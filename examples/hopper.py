@@ -137,7 +137,7 @@ def discharge(spheres: int, orifice: float, part: float, device: str, progress: 
     law = C * math.sqrt(GRAVITY) * ((orifice - K) * DIAMETER) ** 2.5  # m³/s of filling
 
     def places() -> np.ndarray:
-        return model.reading("grains.position")[0]
+        return model.sensor("grains.position")[0]
 
     with tqdm(total=1.0, disable=not progress, bar_format="{desc}: {percentage:3.0f}% |{bar}| {elapsed}") as bar:
         bar.set_description("filling")
@@ -146,7 +146,7 @@ def discharge(spheres: int, orifice: float, part: float, device: str, progress: 
         while True:
             sim.step(4 * every)
             bar.update(min(0.01, 0.15 - bar.n))
-            energy = float(model.reading("scene.kinetic_energy")[0])
+            energy = float(model.sensor("scene.kinetic_energy")[0])
             # At rest: what they move with would lift them by a thousandth of a diameter.
             if sim.time - start > 10.0 * UNIT and energy < 1.0e-3 * weight.sum() * GRAVITY * DIAMETER:
                 break

@@ -31,7 +31,7 @@ def recorded(run: wc.Run, envs: int, out: Path, device: str) -> wc.Run:
     content = run.settings.model_dump(exclude_none=True) | {
         "envs": envs,
         "duration": float(np.round(run.outcome["end_time"].median(), 2)),
-        "record": {"every": 0.01, "readings": ["lander.force"]},
+        "record": {"every": 0.01, "sensors": ["lander.force"]},
     }
     return wc.Experiment.from_dict(content, run.folder).run(out, device=device, overwrite=True)
 

@@ -48,9 +48,9 @@ def push(model: wc.Model, height: np.ndarray, force: np.ndarray) -> None:
 
 def seen(model: wc.Model) -> np.ndarray:
     """What each block has begun to do."""
-    turning = model.reading("block.angular_velocity")[:, 1]
+    turning = model.sensor("block.angular_velocity")[:, 1]
     # The front feet stay on the ground when the block tips.
-    slip = model.reading("feet.slip_speed")[:, 2:].max(axis=1)
+    slip = model.sensor("feet.slip_speed")[:, 2:].max(axis=1)
     return np.where(turning > 1e-7, TIPS, STICKS) + np.where(slip > 1e-7, SLIDES, STICKS)
 
 

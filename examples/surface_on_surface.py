@@ -32,7 +32,7 @@ def force(sides: str, first: str, count: int, device: str) -> float:
     pad = wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=MODULUS))
     scene.add_surface_contact(*pair, pad, samples=count, sides=sides, name="press")
     model = scene.build(device=device, precision="float64")
-    return float(model.reading("ball.force")[0, 2])
+    return float(model.sensor("ball.force")[0, 2])
 
 
 def main(argv: list[str] | None = None) -> dict[str, np.ndarray]:

@@ -1,7 +1,7 @@
 """The whole step of bodies that are alone in their environment, with one set of contacts: in one launch on a GPU.
 
 What a contact finds goes from its look to its force and on to the motion without a way through memory. Nothing
-else is computed than in the launches of ``schedule``, by the same functions. Readings are told nothing: they look
+else is computed than in the launches of ``schedule``, by the same functions. Sensors are told nothing: they look
 for themselves; and who watches steps has them taken in launches, from contacts that tell nothing.
 
 A thread of a GPU sees to an environment: which of its contacts may touch. What these do is found by all threads of

@@ -131,7 +131,7 @@ def momenta(real: type) -> wp.Kernel:
     return measure_momenta
 
 
-#: What is measured of bodies, by the needs of readings: for each what it is measured into, and the kernel.
+#: What is measured of bodies, by the needs of sensors: for each what it is measured into, and the kernel.
 OF_BODIES = {"positions": (Positions, positions), "energies": (Energies, energies), "momenta": (Momenta, momenta)}
 
 

@@ -1,7 +1,7 @@
 """Contacts looked at, and what they do computed at once, by one thread for a set of them.
 
 Nothing else is computed than by ``near`` and ``contact_force``, by the same functions; but what a look finds goes
-on to the force without a way through memory, and readings are not told: they look for themselves.
+on to the force without a way through memory, and sensors are not told: they look for themselves.
 """
 
 import functools

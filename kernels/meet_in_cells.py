@@ -1,7 +1,7 @@
 """Contacts looked at in cells, and what they do computed at once: on a GPU, of one group of sets of one contact.
 
 As ``near_cells`` and ``contact_force`` do, by the same functions; but what a look finds goes on to the force
-without a way through memory, readings are not told, and of what stays quiet hardly anything is written.
+without a way through memory, sensors are not told, and of what stays quiet hardly anything is written.
 """
 
 import functools

@@ -69,7 +69,7 @@ mesh: geometry geom file path
 dt: timestep time_step step_size stepsize step h delta_t
 duration: time t t_end tend end_time total_time simulation_time
 every: interval record_every sample_interval output_interval
-record readings: sensors outputs quantities names
+record sensors: sensors outputs quantities names
 integrator: solver method scheme
 envs: num_envs n_envs nenvs n_env num_worlds nworld world_count worlds environments batch batch_size replicas n
 precision: dtype real float64 double

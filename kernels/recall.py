@@ -259,7 +259,7 @@ def functions(real: type) -> SimpleNamespace:
         def recall_listed(model: Model, patch: int, cache: Cache, env: int, contact: int, p: vec3, step: real):
             """Looks for the nearest point among the remembered faces.
 
-            A look leaves closer bounds, one for readings as well; in cells, where none are kept, it finds nothing.
+            A look leaves closer bounds, one for sensors as well; in cells, where none are kept, it finds nothing.
             ``step``: how far the point came in the last step, about.
             """
             answer = Recalled()

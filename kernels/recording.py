@@ -15,7 +15,7 @@ FOUR = wp.types.vector(length=4, dtype=wp.uint32)
 
 @wp.struct
 class Row:
-    """A reading: where it is measured and where its frames go, by addresses and distances in bytes.
+    """A sensor: where it is measured and where its frames go, by addresses and distances in bytes.
 
     Of arrays Warp keeps distances in 32 bits, and frames may be farther apart.
     """
@@ -32,7 +32,7 @@ class Row:
 
 @functools.cache
 def take() -> wp.Kernel:
-    """Returns the kernel that takes a frame of all readings, and counts it; items: one. For the CPU."""
+    """Returns the kernel that takes a frame of all sensors, and counts it; items: one. For the CPU."""
 
     @wp.func
     def copy(row: Row, source: wp.uint64, target: wp.uint64, envs: int):

@@ -1,4 +1,4 @@
-"""USD stages with meshes, for the tests of reading them."""
+"""USD stages with meshes, for the tests of importing them."""
 
 from pxr import Gf, Usd, UsdGeom, Vt
 from test_meshes import OUTWARD, TETRAHEDRON

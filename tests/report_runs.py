@@ -53,7 +53,7 @@ CRATE = {
     },
     "record": {
         "every": 5e-3,
-        "readings": [
+        "sensors": [
             *(f"feet.{key}" for key in ("gap", "normal_force", "friction_force", "point", "normal", "status")),
             "scene.kinetic_energy",
         ],

@@ -46,7 +46,7 @@ radius = 0.1
 "ball.linear_velocity" = { uniform = [[-1, -1, -1], [1, 1, 1]] }
 [record]
 every = 1e-3
-readings = ["touch.gap", "touch.normal_force", "touch.status"]
+sensors = ["touch.gap", "touch.normal_force", "touch.status"]
 """
 
 # A frame of a shard of 4 takes some 200 bytes: blocks of about 20 frames.

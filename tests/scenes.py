@@ -20,7 +20,7 @@ def square(half=1.0, z=0.0):
 
 
 def probe(mesh, positions, *, device="cpu", precision="float32", **options):
-    """Returns the readings of one contact at each of ``positions``, one environment per position.
+    """Returns the sensors of one contact at each of ``positions``, one environment per position.
 
     ``options`` go to ``add_contact``, but for those of the surface.
     """
@@ -35,7 +35,7 @@ def probe(mesh, positions, *, device="cpu", precision="float32", **options):
     model = scene.build(envs=len(positions), device=device, precision=precision)
     model["body.position"] = positions
     names = ("gap", "penetration", "normal", "point", "status", "normal_force")
-    return {name: model.reading(f"touch.{name}") for name in names}
+    return {name: model.sensor(f"touch.{name}") for name in names}
 
 
 def dropped_sphere(

@@ -57,5 +57,5 @@ def assert_same_recordings(one, other):
 
 
 def assert_same_state(one, other):
-    for name in one.reading_names:
-        np.testing.assert_array_equal(one.reading(name), other.reading(name), err_msg=name)
+    for name in one.sensor_names:
+        np.testing.assert_array_equal(one.sensor(name), other.sensor(name), err_msg=name)

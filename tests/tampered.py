@@ -112,7 +112,7 @@ def check(sim, path):
         return "refused" if str(error).startswith(str(path)) else f"refused without its name: {error}"
     try:
         sim.step(5)
-        sim.model.reading(sim.model.reading_names[0])
+        sim.model.sensor(sim.model.sensor_names[0])
     except RuntimeError as error:
         if "partners" not in str(error):  # a list that was too short, which is part of the state
             raise

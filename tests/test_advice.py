@@ -131,13 +131,13 @@ def test_a_swept_contact_that_lets_through_what_crosses_is_named(radius, device)
     assert told(sim, match)
     sim.step(30)
     # And so it is.
-    assert model.reading("ball.linear_velocity")[1, 2] < 0
+    assert model.sensor("ball.linear_velocity")[1, 2] < 0
     model["touch.max_depth"] = 0.5
     model.reset()
     sim = wc.Simulation(model, dt=1e-2)
     assert not told(sim, "let through")
     sim.step(30)
-    assert model.reading("ball.linear_velocity")[1, 2] > 0
+    assert model.sensor("ball.linear_velocity")[1, 2] > 0
 
 
 def test_every_law_with_a_known_elastic_part_tells_it():

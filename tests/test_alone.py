@@ -83,7 +83,7 @@ def built(make, device, precision="float32"):
 
 
 def states(model):
-    return [model.reading(f"body.{key}") for key in STATE]
+    return [model.sensor(f"body.{key}") for key in STATE]
 
 
 def assert_same(left, right):
@@ -130,9 +130,9 @@ def test_one_launch_computes_what_many_do(name, precision, device, one_launch, m
         sim.step(100)
         afresh.step(100)
         assert_same(states(model), states(other))
-        touched |= (model.reading("touch.normal_force") > 0).any(axis=1)
-        np.testing.assert_array_equal(model.reading("touch.gap"), other.reading("touch.gap"))
-        np.testing.assert_array_equal(model.reading("touch.friction_force"), other.reading("touch.friction_force"))
+        touched |= (model.sensor("touch.normal_force") > 0).any(axis=1)
+        np.testing.assert_array_equal(model.sensor("touch.gap"), other.sensor("touch.gap"))
+        np.testing.assert_array_equal(model.sensor("touch.friction_force"), other.sensor("touch.friction_force"))
     assert touched.sum() >= 8
     assert ["step_alone"] in one_launch
 
@@ -177,7 +177,7 @@ def test_steps_that_are_watched_and_others_go_on_from_each_other(name, few, devi
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
 def test_what_is_changed_between_steps_is_seen(device, one_launch):
     def raised(model):
-        model["body.position"] = model.reading("body.position") + np.array([0.0, 0.0, 0.02])
+        model["body.position"] = model.sensor("body.position") + np.array([0.0, 0.0, 0.02])
 
     def left_out(model):
         model["touch.enabled"] = np.arange(ENVS) % 2
@@ -212,7 +212,7 @@ def test_a_step_that_fails_is_not_taken(device, one_launch):
     afresh = wc.Simulation(other := built(ALONE["with memory"], device), dt=1e-3, distance_cache=False)
     for one in (sim, afresh):
         one.step(400)
-        touching = int((one.model.reading("touch.normal_force") > 0).any(axis=1).argmax())
+        touching = int((one.model.sensor("touch.normal_force") > 0).any(axis=1).argmax())
         force = np.zeros((ENVS, 3))
         force[touching] = 1e30
         one.model["body.external_force"] = force
@@ -222,7 +222,7 @@ def test_a_step_that_fails_is_not_taken(device, one_launch):
     for name in ("entry_speed", "armed"):
         ours, theirs = (getattr(one.arrays.history, name).numpy()[touching] for one in (model, other))
         np.testing.assert_array_equal(ours, theirs)
-    np.testing.assert_array_equal(model.reading("touch.normal_force"), other.reading("touch.normal_force"))
+    np.testing.assert_array_equal(model.sensor("touch.normal_force"), other.sensor("touch.normal_force"))
 
 
 def two_bodies(scene):

@@ -316,7 +316,7 @@ def test_mistakes_are_named():
         ),
         (
             lambda: wc.quantile_fan(fan, "ball.hight"),
-            "reading must be one of the run, got 'ball.hight'; did you mean",
+            "sensor must be one of the run, got 'ball.hight'; did you mean",
         ),
         (
             lambda: wc.quantile_fan(fan, "ball.height", (0.5, 1.1)),
@@ -334,9 +334,9 @@ def test_mistakes_are_named():
         ),
         (
             lambda: wc.quantile_fan(Run(fan.settings, series=fan.series.isel(env=[])), "ball.height"),
-            "reading 'ball.height' is of no environment yet: none is begun",
+            "sensor 'ball.height' is of no environment yet: none is begun",
         ),
-        (lambda: wc.quantile_fan(run, "x"), "reading must be one of the run, got 'x'; there are: none"),
+        (lambda: wc.quantile_fan(run, "x"), "sensor must be one of the run, got 'x'; there are: none"),
         (
             lambda: wc.convergence(run, "peak", "median"),
             "statistic must be one of 'mean', 'quantile', got 'median'",

@@ -73,7 +73,7 @@ def test_bodies_come_to_rest_on_the_terrain(title, device):
     position = sim.state.body_position.numpy()[:, 0]
     height = position[:, 2] - work.surface.height(position)
     assert np.all((height > 0.09) & (height < 0.25))
-    assert (sim.model.reading("touch.status") == wc.Status.CONTACT).any()
+    assert (sim.model.sensor("touch.status") == wc.Status.CONTACT).any()
 
 
 def test_limits_are_of_the_points_where_they_are(device):
@@ -81,9 +81,9 @@ def test_limits_are_of_the_points_where_they_are(device):
     with short_form._few_words():
         sim = simulation(work, 5, device)
         sim.step(800)
-    turned = Rotation.from_quat(sim.model.reading("body.orientation")).as_matrix() @ work.points.T
+    turned = Rotation.from_quat(sim.model.sensor("body.orientation")).as_matrix() @ work.points.T
     assert np.ptp(turned, axis=0).max() > 0.01  # they lie on different slopes
-    places = limits._places(sim.model, work) - sim.model.reading("body.position")[:, None]
+    places = limits._places(sim.model, work) - sim.model.sensor("body.position")[:, None]
     np.testing.assert_allclose(places, turned.swapaxes(1, 2), atol=1e-6)
     for threads in (1, 2, 64):
         assert min(limits.limits(sim.model, work, threads)) > 0.0

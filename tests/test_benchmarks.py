@@ -93,13 +93,13 @@ def test_ten_spheres_come_to_rest_in_the_bowl(works, device):
     work = works["W3"]
     sim = simulation(work, 4, device)
     sim.step(1500)
-    positions = sim.model.reading("body.position")
+    positions = sim.model.sensor("body.position")
     figures = load("works").sanity(work, positions)
     assert figures["below"] == figures["not_finite"] == 0.0
     # On the bowl or on each other, none deeper in another than dashpots and weight explain.
     assert figures["highest_body"] < 0.5
-    assert (sim.model.reading("pile.contacts") >= 5).all()
-    assert sim.model.reading("pile.max_penetration").max() < 2e-3
+    assert (sim.model.sensor("pile.contacts") >= 5).all()
+    assert sim.model.sensor("pile.max_penetration").max() < 2e-3
 
 
 def test_a_row_is_the_best_number_of_environments_against_the_best_peer():

@@ -25,7 +25,7 @@ PUSHES = RNG.normal(size=(N, 3))
 RADII = RNG.uniform(0.08, 0.15, N)
 PLACES = RNG.uniform(-0.05, 0.05, (N, 3))
 STATE = ("body_position", "body_position_remainder", "body_orientation", "body_linear_velocity")
-READINGS = ("gap", "normal_force", "friction_force", "point", "status", "friction.spring")
+SENSORS = ("gap", "normal_force", "friction_force", "point", "status", "friction.spring")
 
 
 def sticky():
@@ -85,12 +85,12 @@ def rolling_scene(together, n=N):
 
 
 def per_item(model, name, n=N):
-    """Readings of the set, or of the bodies one by one, (env, item, …)."""
+    """Sensors of the set, or of the bodies one by one, (env, item, …)."""
     element, _, quantity = name.partition(".")
     if element in {element.name for element in (*model.scene.bodies, *model.scene.contacts)}:
-        return model.reading(name)
+        return model.sensor(name)
     singular = element.removesuffix("s")
-    return np.stack([model.reading(f"{singular}_{i}.{quantity}") for i in range(n)], axis=1)
+    return np.stack([model.sensor(f"{singular}_{i}.{quantity}") for i in range(n)], axis=1)
 
 
 def set_values(model, together, n=N):
@@ -121,10 +121,10 @@ def both_models(device, precision, n=N):
 def assert_same(models, n=N):
     for name in STATE:
         np.testing.assert_array_equal(*(getattr(model.state, name).numpy() for model in models), err_msg=name)
-    for name in (*(f"touch.{key}" for key in READINGS), "hit.gap", "grains.kinetic_energy", "grains.force"):
+    for name in (*(f"touch.{key}" for key in SENSORS), "hit.gap", "grains.kinetic_energy", "grains.force"):
         np.testing.assert_array_equal(*(per_item(model, name, n) for model in models), err_msg=name)
     for name in ("scene.kinetic_energy", "box.force", "last.position", "spring.force", "stand.gap"):
-        np.testing.assert_array_equal(*(model.reading(name) for model in models), err_msg=name)
+        np.testing.assert_array_equal(*(model.sensor(name) for model in models), err_msg=name)
 
 
 @pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
@@ -136,9 +136,9 @@ def test_a_set_does_what_the_same_bodies_do_one_by_one(precision, device):
         sim.step(1500)
     assert_same(models)
     # Touching, sticking, and hitting the other body, each somewhere.
-    assert (models[0].reading("touch.status") == wc.Status.CONTACT).any()
-    assert models[0].reading("touch.friction.spring").any()
-    assert models[0].reading("hit.gap").min() < 0.2
+    assert (models[0].sensor("touch.status") == wc.Status.CONTACT).any()
+    assert models[0].sensor("touch.friction.spring").any()
+    assert models[0].sensor("hit.gap").min() < 0.2
     for sim in simulations:
         sim.reset(np.arange(ENVS) == 1)
         sim.step(300)
@@ -150,7 +150,7 @@ def test_a_set_of_one_body_keeps_its_axis(device):
     for model in models:
         wc.Simulation(model, dt=2e-4, deterministic=True).step(1500)
     assert_same(models, 1)
-    assert models[0].reading("grains.position").shape == (ENVS, 1, 3)
+    assert models[0].sensor("grains.position").shape == (ENVS, 1, 3)
     assert models[0]["grains.inertia"].shape == (ENVS, 1, 3, 3)
 
 
@@ -194,7 +194,7 @@ def test_forces_from_outside_may_be_written_between_steps(device):
     model = scene.build(2, device)
     model.external.force.assign(np.full((2, 4, 3), (0.0, 0.0, 12.0), dtype=np.float32))
     wc.Simulation(model, dt=0.5).step(1)
-    np.testing.assert_allclose(model.reading("grains.linear_velocity")[1, :, 2], [6, 3, 2, 1.5], rtol=1e-6)
+    np.testing.assert_allclose(model.sensor("grains.linear_velocity")[1, :, 2], [6, 3, 2, 1.5], rtol=1e-6)
 
 
 def test_a_recording_names_what_is_measured(model):
@@ -206,9 +206,9 @@ def test_a_recording_names_what_is_measured(model):
     assert recording["grains.orientation"].shape == (4, ENVS, N, 4)
     assert recording["grains.mass"].dims == ("env", "grains.item")
     assert recording["stand.gap"].sizes["stand.item"] == 4
-    total = model.reading("grains.kinetic_energy").sum(axis=1)
-    others = sum(model.reading(f"{name}.kinetic_energy") for name in ("box", "last"))
-    np.testing.assert_allclose(model.reading("scene.kinetic_energy"), total + others, rtol=1e-12)
+    total = model.sensor("grains.kinetic_energy").sum(axis=1)
+    others = sum(model.sensor(f"{name}.kinetic_energy") for name in ("box", "last"))
+    np.testing.assert_allclose(model.sensor("scene.kinetic_energy"), total + others, rtol=1e-12)
 
 
 MOTIONS = [
@@ -237,7 +237,7 @@ def test_all_bodies_of_a_set_may_move_in_the_same_way(motion, device):
         wc.Simulation(model, dt=1e-3).step(100)
     for name in ("grains.position", "grains.orientation", "grains.reaction_force", "grains.kinetic_energy"):
         np.testing.assert_array_equal(*(per_item(model, name) for model in models), err_msg=name)
-    moved = np.abs(models[0].reading("grains.position") - POSITIONS).max() > 1e-3
+    moved = np.abs(models[0].sensor("grains.position") - POSITIONS).max() > 1e-3
     assert moved == (type(motion) not in (wc.motions.Fixed, wc.motions.Prescribed))
     for key in motion.parameters():
         assert models[0][f"grains.motion.{key}"].shape == (2, N, 3)
@@ -250,7 +250,7 @@ def test_environments_split_over_devices_are_the_same(device, model):
         set_values(one, True)
         wc.Simulation(one, dt=2e-4, deterministic=True).step(500)
     for name in ("grains.position", "touch.gap", "grains.kinetic_energy"):
-        np.testing.assert_array_equal(split.reading(name), whole.reading(name))
+        np.testing.assert_array_equal(split.sensor(name), whole.sensor(name))
 
 
 def test_many_bodies_are_built_as_arrays(device):
@@ -274,9 +274,9 @@ def test_many_bodies_are_built_as_arrays(device):
     np.testing.assert_array_equal(tables.body_block.numpy(), 2 * np.arange(n))
     # Their points are where they turn about: a set of them would be as large as the heap.
     assert not tables.set_extent.numpy().any()
-    np.testing.assert_allclose(model.reading("touch.gap")[0], 0.5 - radii, atol=1e-6)
+    np.testing.assert_allclose(model.sensor("touch.gap")[0], 0.5 - radii, atol=1e-6)
     wc.Simulation(model, dt=1e-3).step(3)
-    np.testing.assert_allclose(model.reading("grains.linear_velocity")[0, :, 2], -9.81 * 3e-3, rtol=1e-5)
+    np.testing.assert_allclose(model.sensor("grains.linear_velocity")[0, :, 2], -9.81 * 3e-3, rtol=1e-5)
 
 
 def test_a_stage_shows_a_set(model, tmp_path):

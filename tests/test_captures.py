@@ -32,13 +32,13 @@ def aside(work):
     [
         lambda sim: sim.step(),
         lambda sim: sim.reset(),
-        lambda sim: sim.model.reading("touch.gap"),
+        lambda sim: sim.model.sensor("touch.gap"),
         lambda sim: sim.run(1e-3),
         lambda sim: sim.model.__setitem__("ball.mass", 2.0),
         lambda sim: sim.model.scene.build(2, "cpu"),
         lambda sim: wc.Simulation(sim.model, dt=1e-3),
     ],
-    ids=["steps", "resets", "readings", "recordings", "parameters", "builds", "simulations"],
+    ids=["steps", "resets", "sensors", "recordings", "parameters", "builds", "simulations"],
 )
 def test_what_uses_warp_waits_for_a_capture(work, sim):
     with capturing():

@@ -54,7 +54,7 @@ def test_lines_of_the_specification(oracle, precision, direction, device):
     first = np.array([case.get("H_mp", case["H"]) * along + case.get("V1_mp", case["V1"]) * up for case in cases])
     second = np.array([-case["H"] * along - case["V2"] * up for case in cases])
     swapped = sign < 0.0
-    force_a, force_b = model.reading("line.force_a"), model.reading("line.force_b")
+    force_a, force_b = model.sensor("line.force_a"), model.sensor("line.force_b")
     largest = np.maximum(np.abs(first), np.abs(second)).max(axis=1)[:, None]
     # A place in tilted axes is rounded: 1e-7 of the chord, over strains of a twentieth.
     close = {"rtol": 0.0, "atol": TOLERANCE[precision] * (1.0 if not direction[0] else 30.0)}
@@ -64,16 +64,16 @@ def test_lines_of_the_specification(oracle, precision, direction, device):
         return
     close["rtol"] = close.pop("atol")
     unswapped = slice(0, len(cases) // 2)
-    for reading, of_case in (("horizontal_tension", "H"), ("tension_a", "T1"), ("tension_b", "T2")):
+    for sensor, of_case in (("horizontal_tension", "H"), ("tension_a", "T1"), ("tension_b", "T2")):
         expected = np.array([case[of_case] for case in cases[unswapped]])
-        np.testing.assert_allclose(model.reading(f"line.{reading}")[unswapped], expected, **close)
+        np.testing.assert_allclose(model.sensor(f"line.{sensor}")[unswapped], expected, **close)
     for env, case in enumerate(cases[unswapped]):
         if "min_y_below_end1" in case:
             # That of the specification is the lowest of some thousand points.
-            np.testing.assert_allclose(model.reading("line.dip")[env], case["min_y_below_end1"], rtol=1e-6)
-            stretched = model.reading("line.stretched_length")[env]
+            np.testing.assert_allclose(model.sensor("line.dip")[env], case["min_y_below_end1"], rtol=1e-6)
+            stretched = model.sensor("line.stretched_length")[env]
             np.testing.assert_allclose(stretched, case["stretched_length_formula"], **close)
-    status = model.reading("line.status")[unswapped]
+    status = model.sensor("line.status")[unswapped]
     assert [wc.LineStatus(code).name for code in status] == ["HANGING", "TAUT", "HANGING", "FOLDED", "TAUT"]
 
 
@@ -85,14 +85,14 @@ def test_random_lines_have_the_forces_of_float64_in_float32(device):
     for model in models:
         model["body.position"] = 100.0 * np.stack([x, np.zeros_like(x), y], axis=1)
         model["line.axial_stiffness"] = 9.81 * 2000.0 / (weight * give)
-    exact, rounded = (model.reading("line.force_b") for model in models)
+    exact, rounded = (model.sensor("line.force_b") for model in models)
     largest = np.abs(exact).max(axis=1, keepdims=True)
-    assert (models[0].reading("line.status") != wc.LineStatus.FAILED).all()
-    assert (models[1].reading("line.status") != wc.LineStatus.FAILED).all()
+    assert (models[0].sensor("line.status") != wc.LineStatus.FAILED).all()
+    assert (models[1].sensor("line.status") != wc.LineStatus.FAILED).all()
     for model, rounding in zip(models, (1e-12, 2e-7), strict=True):
-        assert model.reading("line.iterations").max() <= 20
+        assert model.sensor("line.iterations").max() <= 20
         # Both ends carry the weight, to a rounding of the larger of their forces.
-        total = model.reading("line.force_a") + model.reading("line.force_b")
+        total = model.sensor("line.force_a") + model.sensor("line.force_b")
         off = (total + np.array([0.0, 0.0, 9.81 * 2000.0])) / largest
         np.testing.assert_allclose(off, 0.0, atol=rounding)
     # What is left is gravity, which has no remainder: 3e-8 of the weight, of which tensions follow.
@@ -108,9 +108,9 @@ def scattered(device):
 
 def test_both_ends_carry_the_weight(scattered):
     model, _ = scattered
-    total = model.reading("line.force_a") + model.reading("line.force_b")
+    total = model.sensor("line.force_a") + model.sensor("line.force_b")
     np.testing.assert_allclose(total, [[0.0, 0.0, -20.0 * 9.81 * 100.0]] * model.envs, atol=1e-7)
-    np.testing.assert_array_equal(model.reading("body.force"), model.reading("line.force_b"))
+    np.testing.assert_array_equal(model.sensor("body.force"), model.sensor("line.force_b"))
 
 
 def test_shape_ends_where_the_line_does_and_is_as_long_as_it_says(scattered):
@@ -120,13 +120,13 @@ def test_shape_ends_where_the_line_does_and_is_as_long_as_it_says(scattered):
     np.testing.assert_allclose(shape[:, -1], places, atol=1e-7)
     polyline = np.linalg.norm(np.diff(shape, axis=1), axis=2).sum(axis=1)
     # 4000 chords of arcs of some metres radius.
-    np.testing.assert_allclose(model.reading("line.stretched_length"), polyline, rtol=1e-6)
-    np.testing.assert_allclose(model.reading("line.dip"), -shape[..., 2].min(axis=1), atol=0.01)
+    np.testing.assert_allclose(model.sensor("line.stretched_length"), polyline, rtol=1e-6)
+    np.testing.assert_allclose(model.sensor("line.dip"), -shape[..., 2].min(axis=1), atol=0.01)
 
 
 def _forces(model, places):
     model["body.position"] = places
-    return model.reading("line.force_b")
+    return model.sensor("line.force_b")
 
 
 def _differences(model, places, step):
@@ -169,8 +169,8 @@ def test_gravity_may_differ_between_environments_and_vanish(device):
     tension = 1e6 * (chord / 100.0 - 1.0)
     # A straight spring, or no force at all.
     expected = [(tension * 60.0 / chord, 0.0, tension * 84.0 / chord), (0, 0, 0), (0, 0, 0), (0, 0, -1e5)]
-    np.testing.assert_allclose(model.reading("line.force_a"), expected, rtol=1e-12)
-    names = [wc.LineStatus(code).name for code in model.reading("line.status")]
+    np.testing.assert_allclose(model.sensor("line.force_a"), expected, rtol=1e-12)
+    names = [wc.LineStatus(code).name for code in model.sensor("line.status")]
     assert names == ["TAUT", "LOOSE", "LOOSE", "TAUT"]
     np.testing.assert_allclose(model.line_shape("line", 3)[1], [(0, 0, 0), (15.0, 20.0, 0), (30.0, 40.0, 0)])
     # Without gravity there is no plane: of a straight spring, EA/L along it and T/chord across.
@@ -178,7 +178,7 @@ def test_gravity_may_differ_between_environments_and_vanish(device):
     np.testing.assert_allclose(stiffness, -np.diag([1e5 / 110.0, 1e5 / 110.0, 1e4]), rtol=1e-12)
     model["scene.gravity"] = [(0, 0, 0), (0, 0, 0), (0, -2.0, 0), (0, 0, 0)]
     # Both ends in one place: folded in the middle.
-    np.testing.assert_allclose(model.reading("line.force_a")[2], (0, -2000.0, 0), rtol=1e-12)
+    np.testing.assert_allclose(model.sensor("line.force_a")[2], (0, -2000.0, 0), rtol=1e-12)
 
 
 def test_far_from_the_origin_the_line_is_the_same(device):
@@ -189,10 +189,10 @@ def test_far_from_the_origin_the_line_is_the_same(device):
         anchor = scene.add_point(None, (far, far, far))
         scene.add_catenary(anchor, scene.add_point(body, (0, 0, 0)), **LINE, floor=far - 2.0, name=f"line_{k}")
     model = scene.build(device=device, precision="float32")
-    for reading in ("force_b", "grounded_length"):
-        near, far = (model.reading(f"line_{k}.{reading}") for k in range(2))
+    for sensor in ("force_b", "grounded_length"):
+        near, far = (model.sensor(f"line_{k}.{sensor}") for k in range(2))
         np.testing.assert_allclose(far, near, rtol=1e-6)
-    assert model.reading("line_1.status") == wc.LineStatus.GROUNDED
+    assert model.sensor("line_1.status") == wc.LineStatus.GROUNDED
     near, far = (model.line_shape(f"line_{k}", 9) for k in range(2))
     np.testing.assert_allclose(far - 1e5, near, atol=1e-6)
     near, far = (model.line_stiffness(f"line_{k}") for k in range(2))
@@ -204,8 +204,8 @@ def test_a_line_rests_on_the_floor_and_is_lifted(device):
     x = np.linspace(0.0, 100.0, 401)
     places = np.stack([x, np.zeros_like(x), np.full_like(x, 30.0)], axis=1)
     model = hung(places, len(x), device, floor=0.0)
-    status = model.reading("line.status")
-    lies = model.reading("line.grounded_length")
+    status = model.sensor("line.status")
+    lies = model.sensor("line.grounded_length")
     grounded = status == wc.LineStatus.GROUNDED
     assert grounded[0]
     assert not grounded[-1]
@@ -215,18 +215,18 @@ def test_a_line_rests_on_the_floor_and_is_lifted(device):
     shape = model.line_shape("line", 201)
     assert (shape[..., 2] > -1e-6).all()
     np.testing.assert_allclose(shape[:, -1], places, atol=1e-7)
-    tension = model.reading("line.horizontal_tension")
-    loose = x <= 100.0 - model.reading("line.tension_b")[0] / (20.0 * 9.81)
+    tension = model.sensor("line.horizontal_tension")
+    loose = x <= 100.0 - model.sensor("line.tension_b")[0] / (20.0 * 9.81)
     np.testing.assert_array_equal(tension[loose], 0.0)
     assert (np.diff(tension[~loose]) > 0.0).all()
     # A rising part from the lowest point: T²/(2 EA) + T = H + H²/(2 EA) + w h.
-    upper = model.reading("line.tension_b")[grounded]
+    upper = model.sensor("line.tension_b")[grounded]
     held = tension[grounded] + tension[grounded] ** 2 / 2e6 + 20.0 * 9.81 * 30.0
     np.testing.assert_allclose(upper + upper**2 / 2e6, held, rtol=1e-12)
     # The anchor lies on the floor: nothing pulls it up, until the line leaves the floor.
-    np.testing.assert_array_equal(model.reading("line.force_a")[grounded][:, 2], 0.0)
-    assert (model.reading("line.force_a")[~grounded][:, 2] > 0.0).all()
-    weight = -(model.reading("line.force_a") + model.reading("line.force_b"))[:, 2]
+    np.testing.assert_array_equal(model.sensor("line.force_a")[grounded][:, 2], 0.0)
+    assert (model.sensor("line.force_a")[~grounded][:, 2] > 0.0).all()
+    weight = -(model.sensor("line.force_a") + model.sensor("line.force_b"))[:, 2]
     np.testing.assert_allclose(weight, 20.0 * 9.81 * (100.0 - lies), rtol=1e-9)
 
 
@@ -234,7 +234,7 @@ def test_stiffness_of_a_line_on_the_floor_is_the_derivative(device):
     rng = np.random.default_rng(1)
     places = np.stack([*rng.uniform(-60.0, 60.0, (2, 100)), rng.uniform(-1.0, 30.0, 100)], axis=1)
     model = hung(places, 100, device, floor=-2.0)
-    grounded = model.reading("line.status") == wc.LineStatus.GROUNDED
+    grounded = model.sensor("line.status") == wc.LineStatus.GROUNDED
     assert grounded.sum() > 50
     assert (places[grounded][:, 2] < 0.0).any()
     expected = _differences(model, places, 1e-4)[grounded]
@@ -245,9 +245,9 @@ def test_stiffness_of_a_line_on_the_floor_is_the_derivative(device):
 
 def test_an_end_below_the_floor_is_flagged_and_held_as_on_it(device):
     model = hung([(90.0, 0, 0.0), (90.0, 0, -0.5), (101.0, 0, -0.5)], 3, device, floor=0.0)
-    names = [wc.LineStatus(code).name for code in model.reading("line.status")]
+    names = [wc.LineStatus(code).name for code in model.sensor("line.status")]
     assert names == ["GROUNDED", "SUNK", "SUNK"]
-    np.testing.assert_allclose(model.reading("line.force_a"), [(0, 0, 0), (0, 0, 0), (1e4, 0, 0)], atol=1e-8)
+    np.testing.assert_allclose(model.sensor("line.force_a"), [(0, 0, 0), (0, 0, 0), (1e4, 0, 0)], atol=1e-8)
 
 
 def test_an_end_far_below_the_floor_is_told(device):
@@ -293,7 +293,7 @@ def test_a_body_swings_on_a_line_without_gain_or_loss(device):
         energy = []
         for _ in range(100):
             sim.step(round(0.1 / dt))
-            total = model.reading("body.kinetic_energy")[0] + model.reading("body.potential_energy")[0]
+            total = model.sensor("body.kinetic_energy")[0] + model.sensor("body.potential_energy")[0]
             energy.append(total + _line_energy(model.line_shape("line", 401)[:1], line)[0])
         spread.append(np.ptp(energy))
         # A symplectic step is off by half a step of work, force times speed, now and after ten seconds.
@@ -305,13 +305,13 @@ def test_a_search_from_the_last_solution_leads_where_one_from_nothing_does(devic
     model = pendulum(device)
     sim = wc.Simulation(model, dt=1e-3)
     sim.step(700)
-    warm = model.reading("line.force_b")
-    assert model.reading("line.iterations").max() <= 3
+    warm = model.sensor("line.force_b")
+    assert model.sensor("line.iterations").max() <= 3
     state = {key: getattr(model.state, key).numpy().copy() for key in ("body_position", "body_position_remainder")}
     sim.reset(np.array([False, True, True]))
     for key, values in state.items():
         getattr(model.state, key).assign(values)
-    cold = model.reading("line.force_b")
+    cold = model.sensor("line.force_b")
     np.testing.assert_allclose(cold, warm, rtol=1e-7)
     np.testing.assert_array_equal(cold[0], warm[0])
     np.testing.assert_array_equal(cold[1], cold[2])
@@ -334,9 +334,9 @@ def test_a_run_repeats_after_reset(device):
 def test_a_line_that_is_not_enabled_does_nothing(device):
     model = hung((50.0, 0, 0), 2, device)
     model["line.enabled"] = [0, 1]
-    assert (model.reading("line.force_a")[0] == 0.0).all()
+    assert (model.sensor("line.force_a")[0] == 0.0).all()
     assert (model.line_stiffness("line")[0] == 0.0).all()
-    assert model.reading("line.status").tolist() == [wc.LineStatus.DISABLED, wc.LineStatus.HANGING]
+    assert model.sensor("line.status").tolist() == [wc.LineStatus.DISABLED, wc.LineStatus.HANGING]
 
 
 @pytest.fixture
@@ -352,13 +352,13 @@ def _no_iterations(monkeypatch):
 @pytest.mark.usefixtures("_no_iterations")
 def test_a_search_that_fails_is_told(device):
     model = hung([(50.0, 0, 0), (0, 0, 50.0)], 2, device)
-    assert model.reading("line.status").tolist() == [wc.LineStatus.FAILED, wc.LineStatus.FOLDED]
+    assert model.sensor("line.status").tolist() == [wc.LineStatus.FAILED, wc.LineStatus.FOLDED]
     sim = wc.Simulation(model, dt=1e-4)
     with pytest.warns(RuntimeWarning, match="catenary 'line' was without a solution in some steps of 1 of 2"):
         sim.run(3e-4)
-    assert model.reading("line.failures")[0] == 3
+    assert model.sensor("line.failures")[0] == 3
     sim.reset()
-    assert model.reading("line.failures")[0] == 0
+    assert model.sensor("line.failures")[0] == 0
 
 
 @pytest.mark.parametrize(
@@ -434,7 +434,7 @@ def test_an_environment_that_is_frozen_leaves_the_others_alone(device):
             velocity[1] = np.nan
             model.state.body_linear_velocity.assign(velocity)
         sim.step(50)
-        runs.append((model.health().frozen.tolist(), model.reading("line.force_b")))
+        runs.append((model.health().frozen.tolist(), model.sensor("line.force_b")))
     assert [frozen for frozen, _ in runs] == [[], [1]]
     np.testing.assert_array_equal(runs[0][1][[0, 2]], runs[1][1][[0, 2]])
 
@@ -444,4 +444,4 @@ def test_parts_on_several_devices_are_gathered_in_order():
     whole, split = hung(places, 5, "cpu"), hung(places, 5, ["cpu", "cpu"])
     np.testing.assert_array_equal(split.line_shape("line", 5), whole.line_shape("line", 5))
     np.testing.assert_array_equal(split.line_stiffness("line"), whole.line_stiffness("line"))
-    np.testing.assert_array_equal(split.reading("line.tension_a"), whole.reading("line.tension_a"))
+    np.testing.assert_array_equal(split.sensor("line.tension_a"), whole.sensor("line.tension_a"))

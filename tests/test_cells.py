@@ -429,6 +429,6 @@ def test_a_reading_of_a_state_that_is_no_number_finds_nothing_in_cells(monkeypat
     assert own.celled
     assert own.cache.faces.numpy().max() == 1
     assert own.cache.face.size == 0
-    assert np.isfinite(model.reading("touch.gap")).any()
+    assert np.isfinite(model.sensor("touch.gap")).any()
     own.state.body_position.fill_(np.nan)
-    assert (model.reading("touch.status") == wc.Status.FAR).all()
+    assert (model.sensor("touch.status") == wc.Status.FAR).all()

@@ -80,7 +80,7 @@ def bits(sim):
 
 def sensors(sim):
     """All sensors, computed from state and history."""
-    return {name: sim.model.reading(name).tobytes() for name in sim.model.reading_names if "_by_" not in name}
+    return {name: sim.model.sensor(name).tobytes() for name in sim.model.sensor_names if "_by_" not in name}
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -130,7 +130,7 @@ def test_a_model_that_was_not_stepped_still_follows_its_parameters(device, tmp_p
     other.step(5)
     other.load(tmp_path / "start.npz")
     other.model["box.position"] = (0, 0, 2.0)
-    assert other.model.reading("box.position")[:, 2].tolist() == [2.0] * 3
+    assert other.model.sensor("box.position")[:, 2].tolist() == [2.0] * 3
 
 
 @pytest.mark.parametrize(

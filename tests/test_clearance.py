@@ -96,12 +96,12 @@ def test_what_is_clear_touches_nothing(kind, form, device):
             model["touch.radius"] = radius * rng.uniform(0.9, 1.1, size=envs)
             if form == "hull":
                 model["hull.scale"] = rng.uniform(0.6, 0.8, size=envs)
-        touching = model.reading("touch.status") == Status.CONTACT
+        touching = model.sensor("touch.status") == Status.CONTACT
         apart += not touching.any()
         if is_clear(model, contact, envs):
             clear += 1
             assert not touching.any()
-            gap = model.reading("touch.gap")
+            gap = model.sensor("touch.gap")
             assert (gap[~np.isnan(gap)] > 0.0).all()
         assert is_clear(model, contact, envs) == (to_search(model, None) is None)
     assert apart > 0
@@ -174,12 +174,12 @@ print(*(name for name, module in context.user_modules.items() if module.execs))
         ended = subprocess.run([sys.executable, "-c", code, height], capture_output=True, text=True, check=True)
         return ended.stdout.split()
 
-    steps, readings = "step_in_place", ("closest_point", "contact_force")
+    steps, sensors = "step_in_place", ("closest_point", "contact_force")
     names = loaded("0.2")
     assert any(steps in name for name in names)
-    assert not any(reading in name for name in names for reading in readings)
+    assert not any(sensor in name for name in names for sensor in sensors)
     names = loaded("0.05")
-    assert all(any(part in name for name in names) for part in (steps, *readings))
+    assert all(any(part in name for name in names) for part in (steps, *sensors))
 
 
 def test_what_nobody_asks_for_is_not_searched():
@@ -196,7 +196,7 @@ def test_what_nobody_asks_for_is_not_searched():
 
     assert search(0.05) == ["touch"]
     assert search(0.2) is None
-    # How deep a pile starts is a reading that tells of contacts as well.
+    # How deep a pile starts is a sensor that tells of contacts as well.
     assert search(0.2, piled=True) == []
     impulses = wc.integrators.MoreauJean()
     assert search(0.05, integrator=impulses) == ["touch"]

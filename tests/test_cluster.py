@@ -39,7 +39,7 @@ def workers(folder):
     """Returns the process at work on each shard, by its number."""
     found = {}
     for path in (folder / "progress").glob("shard_*.json"):
-        # A shard that ends takes its file away, between the listing and the reading too.
+        # A shard that ends takes its file away, between the listing and the sensor too.
         with contextlib.suppress(FileNotFoundError):
             found[int(path.stem[-6:])] = json.loads(path.read_text())["process"]
     return found

@@ -136,9 +136,9 @@ def test_nothing_that_steps_and_frames_launch_is_left_to_be_compiled_alone(make,
 
     monkeypatch.setattr(simulation, "load_all", load_them)
     sim = make()
-    reading = next(name for name in sim.model.reading_names if name.endswith("normal_force"))
-    recording = sim.run(0.02, record=[reading], every=5e-3)
-    assert np.isfinite(recording[reading]).all()
+    sensor = next(name for name in sim.model.sensor_names if name.endswith("normal_force"))
+    recording = sim.run(0.02, record=[sensor], every=5e-3)
+    assert np.isfinite(recording[sensor]).all()
     (stepper, *_) = sim._prepared[1]._steppers
     launches = [*stepper.launches(), *stepper._looks.values(), stepper._after_look]
     launched = {launch.kernel for some in launches for launch in some}
@@ -191,9 +191,9 @@ law = wc.laws.HuntCrossley(stiffness=1e5, restitution=0.6)
 model = dropped_sphere(law, envs=3, velocity=(0.3, 0.0, -1.0), device="cpu")
 model["ball.mass"] = [0.5, 1.0, 2.0]
 wc.Simulation(model, dt=1e-4).step(800)
-assert (model.reading("ball.linear_velocity")[:, 2] > 0.0).all()
+assert (model.sensor("ball.linear_velocity")[:, 2] > 0.0).all()
 keys = ("position", "orientation", "linear_velocity", "angular_velocity")
-print(b"".join(model.reading(f"ball.{key}").tobytes() for key in keys).hex())
+print(b"".join(model.sensor(f"ball.{key}").tobytes() for key in keys).hex())
 """
 
 

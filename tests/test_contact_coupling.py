@@ -147,7 +147,7 @@ def test_the_error_of_steps_is_that_of_the_table(device, shared):
         # Where a contact begins, a millionth of the force is not that of the table.
         assert closest.min() == pytest.approx(known["d_stop_min"], abs=1e-6 * WAY)
         assert closest.max() == pytest.approx(known["d_stop_max"], abs=1e-6 * WAY)
-        speeds = model.reading("block.linear_velocity")[:, 2] / SPEED
+        speeds = model.sensor("block.linear_velocity")[:, 2] / SPEED
         assert [speeds.min(), speeds.max()] == pytest.approx(known["v_exit_over_v"], abs=1e-6)
         assert np.abs(closest - CLOSEST).max() < rule.get(steps, 1.0) * WAY
 
@@ -163,7 +163,7 @@ def test_gravity_takes_the_body_closer_and_lets_it_hover(device):
     assert coupling.report(model).passed.all()
     model["block.position"] = (0.0, 0.0, 0.019019)
     model.reset()
-    assert model.reading("keep.force")[0] == pytest.approx([0.0, 0.0, MASS * 9.81], rel=1e-10)
+    assert model.sensor("keep.force")[0] == pytest.approx([0.0, 0.0, MASS * 9.81], rel=1e-10)
 
 
 def test_the_damping_sets_in_over_its_ramp(device):
@@ -175,9 +175,9 @@ def test_the_damping_sets_in_over_its_ramp(device):
     place = np.zeros((len(depths), 3))
     place[:, 2] = RANGE - depths
     model["block.position"] = place
-    force = model.reading("keep.force")[:, 2]
+    force = model.sensor("keep.force")[:, 2]
     share = np.minimum(depths / ramp, 1.0)
     np.testing.assert_allclose(force, AREA * (2.5e7 * depths + k2 * SPEED * share), rtol=1e-9, atol=1e-9)
     model["keep.damping_ramp"] = 0.0
     jumps = AREA * (2.5e7 * depths + k2 * SPEED) * (depths > 0.0)
-    np.testing.assert_allclose(model.reading("keep.force")[:, 2], jumps, rtol=1e-9)
+    np.testing.assert_allclose(model.sensor("keep.force")[:, 2], jumps, rtol=1e-9)

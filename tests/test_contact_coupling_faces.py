@@ -41,11 +41,11 @@ def test_all_faces_in_range_push_as_printed_at_every_level_of_the_mesh(oracle, n
         model = box_over_plane(divided_box(level["n"]), case, device, facing="all")
         scale = np.linalg.norm(level["force"])
         for prefix in ("keep", "box"):  # what the coupling says of itself, and what the body gets
-            np.testing.assert_allclose(model.reading(f"{prefix}.force")[0], level["force"], atol=1e-10 * scale)
-            np.testing.assert_allclose(model.reading(f"{prefix}.torque")[0], level["moment"], atol=1e-10 * scale)
-        assert (model.reading("keep_first.status") == wc.Status.CONTACT).sum() == level["faces_in_range"]
+            np.testing.assert_allclose(model.sensor(f"{prefix}.force")[0], level["force"], atol=1e-10 * scale)
+            np.testing.assert_allclose(model.sensor(f"{prefix}.torque")[0], level["moment"], atol=1e-10 * scale)
+        assert (model.sensor("keep_first.status") == wc.Status.CONTACT).sum() == level["faces_in_range"]
         wc.Simulation(model, dt=1e-4).step()
-        assert model.reading("keep.effective_area")[0] == pytest.approx(level["area_in_range"], rel=1e-12)
+        assert model.sensor("keep.effective_area")[0] == pytest.approx(level["area_in_range"], rel=1e-12)
 
 
 @pytest.mark.parametrize("name", ["flat", "flat_spin", "tilt"])
@@ -55,8 +55,8 @@ def test_float32_says_the_same(oracle, name, device):
         model = box_over_plane(divided_box(level["n"]), case, device, "float32", facing="all")
         scale = np.linalg.norm(level["force"])
         # A distance of 1 cm from a height of 11 cm is known to 1e-8 m, 1e-6 of what is left of the range.
-        np.testing.assert_allclose(model.reading("keep.force")[0], level["force"], rtol=0, atol=2e-6 * scale)
-        np.testing.assert_allclose(model.reading("keep.torque")[0], level["moment"], rtol=0, atol=2e-6 * scale)
+        np.testing.assert_allclose(model.sensor("keep.force")[0], level["force"], rtol=0, atol=2e-6 * scale)
+        np.testing.assert_allclose(model.sensor("keep.torque")[0], level["moment"], rtol=0, atol=2e-6 * scale)
 
 
 def test_float32_says_the_same_far_from_the_origin(device):
@@ -71,18 +71,18 @@ def test_float32_says_the_same_far_from_the_origin(device):
         made = wc.ContactRange(k1=K1, k2=K2, effective_range=RANGE)
         scene.add_contact_coupling(hull, plane, made, FRICTION, sides="average", name="keep")
         model = scene.build(device=device, precision="float32")
-        forces.append(model.reading("keep.force")[0])
+        forces.append(model.sensor("keep.force")[0])
     np.testing.assert_allclose(forces[1], forces[0], rtol=1e-6)
 
 
 def test_walls_of_a_flat_box_do_not_push_when_areas_are_projected(oracle, device):
     for n in (1, 16):
         model = box_over_plane(divided_box(n), oracle["flat"], device)
-        np.testing.assert_allclose(model.reading("keep.force")[0], [-1476.0, 0.0, 4920.0], rtol=1e-12, atol=1e-9)
+        np.testing.assert_allclose(model.sensor("keep.force")[0], [-1476.0, 0.0, 4920.0], rtol=1e-12, atol=1e-9)
         wc.Simulation(model, dt=1e-4).step()
         # The walls are in range, and in nobody's way.
-        assert model.reading("keep.effective_area")[0] == pytest.approx(0.12, rel=1e-12)
-        assert model.reading("keep.minimum_distance")[0] == pytest.approx(0.01, rel=1e-12)
+        assert model.sensor("keep.effective_area")[0] == pytest.approx(0.12, rel=1e-12)
+        assert model.sensor("keep.minimum_distance")[0] == pytest.approx(0.01, rel=1e-12)
 
 
 def sunk_volume(size, degrees, height):
@@ -109,7 +109,7 @@ def test_projected_faces_converge_to_the_volume_in_range_faster_with_more_points
     errors = {}
     for points in (1, 3, 7):
         forces = [
-            box_over_plane(divided_box(n), case, device, quadrature=points).reading("keep.force")[0, 2]
+            box_over_plane(divided_box(n), case, device, quadrature=points).sensor("keep.force")[0, 2]
             for n in (4, 8, 16, 32)
         ]
         errors[points] = np.abs(np.array(forces) / limit - 1.0)
@@ -158,23 +158,23 @@ def test_two_bodies_keep_their_momentum(sides, device):
     ]
     model = scene.build(device=device, precision="float64")
     names = ("scene.linear_momentum", "scene.angular_momentum")
-    before = [model.reading(name)[0] for name in names]
+    before = [model.sensor(name)[0] for name in names]
     sim = wc.Simulation(model, dt=1e-4)
     peak = 0.0
     for _ in range(30):
         sim.step(20)
-        force = model.reading("keep.force")[0]
+        force = model.sensor("keep.force")[0]
         peak = max(peak, np.linalg.norm(force))
         # One coupling is all there is between them: its wrench is that of the body, with either bookkeeping.
-        np.testing.assert_allclose(force, model.reading("upper.force")[0], atol=1e-9)
-        np.testing.assert_allclose(model.reading("keep.torque")[0], model.reading("upper.torque")[0], atol=1e-9)
+        np.testing.assert_allclose(force, model.sensor("upper.force")[0], atol=1e-9)
+        np.testing.assert_allclose(model.sensor("keep.torque")[0], model.sensor("upper.torque")[0], atol=1e-9)
     assert peak > 100.0
-    after = [model.reading(name)[0] for name in names]
+    after = [model.sensor(name)[0] for name in names]
     # 600 steps with a few roundings of 1e-16 of 5 kg·m/s; the positions of a step move angular momentum by
     # nothing, as both bodies get the force at the same point.
     np.testing.assert_allclose(after[0], before[0], atol=2e-13)
     np.testing.assert_allclose(after[1], before[1], atol=2e-13)
-    assert model.reading("keep.minimum_distance")[0] < RANGE
+    assert model.sensor("keep.minimum_distance")[0] < RANGE
 
 
 def test_sides_share_one_set_of_parameters(device):
@@ -188,18 +188,18 @@ def test_sides_share_one_set_of_parameters(device):
     # Equal areas face each other, 1 cm apart: half the force each.
     whole = 0.02 * K1 * 0.01
     for name in ("keep_first", "keep_second"):
-        np.testing.assert_allclose(model.reading(f"{name}.normal_force").sum(axis=1), 0.5 * whole, rtol=1e-12)
+        np.testing.assert_allclose(model.sensor(f"{name}.normal_force").sum(axis=1), 0.5 * whole, rtol=1e-12)
     model["keep.k1"] = [K1, 2.0 * K1]
-    np.testing.assert_allclose(model.reading("keep.force")[:, 2], [whole, 2.0 * whole], rtol=1e-12)
+    np.testing.assert_allclose(model.sensor("keep.force")[:, 2], [whole, 2.0 * whole], rtol=1e-12)
     np.testing.assert_array_equal(model["keep_second.law.k1"], [K1, 2.0 * K1])
     model["keep.effective_range"] = [0.02, 0.03]
-    np.testing.assert_allclose(model.reading("keep.force")[:, 2], [whole, 4.0 * whole], rtol=1e-12)
+    np.testing.assert_allclose(model.sensor("keep.force")[:, 2], [whole, 4.0 * whole], rtol=1e-12)
     model["keep.enabled"] = [1, 0]
-    np.testing.assert_allclose(model.reading("block.force")[:, 2], [whole, 0.0], rtol=1e-12)
+    np.testing.assert_allclose(model.sensor("block.force")[:, 2], [whole, 0.0], rtol=1e-12)
     # The area grows with the surface, which is lower by half of its growth then.
     model["keep.enabled"], model["hull.scale"] = 1, [1.0, 1.1]
     model["block.position"] = [[0, 0, 0.06], [0, 0, 0.065]]
-    first = model.reading("keep_first.normal_force").sum(axis=1)
+    first = model.sensor("keep_first.normal_force").sum(axis=1)
     np.testing.assert_allclose(first, [0.5 * whole, 0.5 * 1.21 * 4.0 * whole], rtol=1e-12)
 
 
@@ -218,9 +218,9 @@ def test_faces_look_where_their_surface_is_turned(device):
     model = scene.build(envs=3, device=device, precision="float64")
     half = np.radians(30.0) * 0.5
     model["wall.orientation"] = [laid, (0, np.sin(np.pi / 4 + half), 0, np.cos(np.pi / 4 + half)), (0, 0, 0, 1)]
-    forces = model.reading("keep.force")[:, 2]
+    forces = model.sensor("keep.force")[:, 2]
     # The centroid of the face lies off the axis that it turns about.
-    gap = model.reading("keep_first.gap")[:, 0]
+    gap = model.sensor("keep_first.gap")[:, 0]
     np.testing.assert_allclose(forces[0], K1 * 0.02 * 0.01, rtol=1e-12)
     np.testing.assert_allclose(forces[1], -K1 * 0.02 * np.cos(np.radians(30.0)) * min(gap[1], 0.0), rtol=1e-12)
     assert forces[2] == 0.0
@@ -257,8 +257,8 @@ def test_couplings_and_contacts_side_by_side_say_what_each_says_alone(device):
     def seen(model, name):
         wc.Simulation(model, dt=1e-5, deterministic=True).step(5)
         keys = ("force", "torque", "effective_area", "minimum_distance")
-        own = [model.reading(f"{name}.{key}") for key in keys] if kinds[name] is not None else []
-        return [*own, model.reading(f"b_{name}.force"), model.reading(f"b_{name}.position")]
+        own = [model.sensor(f"{name}.{key}") for key in keys] if kinds[name] is not None else []
+        return [*own, model.sensor(f"b_{name}.force"), model.sensor(f"b_{name}.position")]
 
     together = built(kinds)
     for name in kinds:

@@ -27,12 +27,12 @@ def test_a_face_keeps_its_own_normal_up_to_its_edge(precision, exact, device):
         mesh = wc.Mesh(cube.vertices, cube.faces[face_order])
         for height in (0.005, 0.05, 0.5):
             points = np.stack([x, 0.1234 + 0 * x, 0.5 + height + 0 * x], axis=1)
-            readings = probe(mesh, points, radius=1.2 * height, device=device, precision=precision)
+            sensors = probe(mesh, points, radius=1.2 * height, device=device, precision=precision)
             # Where a difference of coordinates is rounding, the edge may be taken: its direction is off by
             # √(2 tie/height) at most.
             sure = 0.5 - x > np.sqrt(20 * exact * height)
-            np.testing.assert_allclose(readings["normal"][sure], np.tile((0, 0, 1), (sure.sum(), 1)), atol=exact)
-            np.testing.assert_allclose(readings["gap"], -0.2 * height, atol=exact)
+            np.testing.assert_allclose(sensors["normal"][sure], np.tile((0, 0, 1), (sure.sum(), 1)), atol=exact)
+            np.testing.assert_allclose(sensors["gap"], -0.2 * height, atol=exact)
 
 
 @PRECISIONS
@@ -43,9 +43,9 @@ def test_a_flat_floor_is_flat_at_its_diagonals(precision, exact, device):
     side = rng.choice([-1, 1], 2000) * np.geomspace(1e-9, 1e-2, 2000)
     depth = np.geomspace(1e-5, 1e-2, 2000)[::-1]
     points = np.stack([along + side, along - side, -depth], axis=1)
-    readings = probe(floor, points, device=device, precision=precision)
-    np.testing.assert_allclose(readings["gap"], -depth, atol=exact)
-    np.testing.assert_allclose(readings["normal"], np.tile((0, 0, 1), (2000, 1)), atol=1e-3)
+    sensors = probe(floor, points, device=device, precision=precision)
+    np.testing.assert_allclose(sensors["gap"], -depth, atol=exact)
+    np.testing.assert_allclose(sensors["normal"], np.tile((0, 0, 1), (2000, 1)), atol=1e-3)
 
 
 @PRECISIONS
@@ -55,12 +55,12 @@ def test_thin_triangles_keep_their_digits(strips, precision, exact, device):
     rng = np.random.default_rng(strips)
     depth = np.geomspace(1e-6, 1e-2, 3000)
     points = np.stack([*rng.uniform(-0.45, 0.45, (2, 3000)), -depth], axis=1)
-    readings = probe(floor, points, device=device, precision=precision)
-    np.testing.assert_allclose(readings["gap"], -depth, atol=exact)
-    assert (readings["status"] == Status.CONTACT).all()
+    sensors = probe(floor, points, device=device, precision=precision)
+    np.testing.assert_allclose(sensors["gap"], -depth, atol=exact)
+    assert (sensors["status"] == Status.CONTACT).all()
     # Depths of 1e-6 in coordinates of 0.5 leave six digits less for a direction across an edge.
     deep = depth > 1e-4
-    np.testing.assert_allclose(readings["normal"][deep], np.tile((0, 0, 1), (deep.sum(), 1)), atol=2e-3)
+    np.testing.assert_allclose(sensors["normal"][deep], np.tile((0, 0, 1), (deep.sum(), 1)), atol=2e-3)
 
 
 @PRECISIONS
@@ -74,10 +74,10 @@ def test_a_blade_has_two_sides(thickness, precision, exact, device):
     points[2000:2500, 0] = 0.5 + rng.normal(size=500) * 1e-5  # near its rim
     expected = box_distance(points, size)
     for radius in (0.0, 0.3):
-        readings = probe(blade, points, radius=radius, device=device, precision=precision)
+        sensors = probe(blade, points, radius=radius, device=device, precision=precision)
         # Rounding decides which side is nearer at the middle of the blade; the distance is the same. Off contact
         # too: where the float32 query may name a wrong face, its choice is looked at again.
-        np.testing.assert_allclose(readings["gap"] + radius, expected, atol=exact)
+        np.testing.assert_allclose(sensors["gap"] + radius, expected, atol=exact)
 
 
 def test_signs_that_rounding_once_turned(device):
@@ -112,11 +112,11 @@ def test_a_contact_is_not_missed_where_the_query_names_a_wrong_face(device):
     points = np.column_stack(
         [*(reach * inside * np.array([np.cos(turn), np.sin(turn)])), rng.uniform(-0.4, 0.4, 3000)]
     )
-    readings = probe(pipe, points, device=device, precision="float64")
-    assert (readings["status"] == Status.CONTACT).all()
+    sensors = probe(pipe, points, device=device, precision="float64")
+    assert (sensors["status"] == Status.CONTACT).all()
     # To the nearest facet it is at most as deep as to this one.
-    assert (readings["penetration"] <= depth + 1e-15).all()
-    np.testing.assert_allclose(readings["penetration"], depth, atol=1e-6)
+    assert (sensors["penetration"] <= depth + 1e-15).all()
+    np.testing.assert_allclose(sensors["penetration"], depth, atol=1e-6)
 
 
 def test_on_an_edge_the_active_face_counts(device):
@@ -125,5 +125,5 @@ def test_on_an_edge_the_active_face_counts(device):
     along = rng.uniform(-0.9, 0.9, 500)
     points = np.stack([along, along, np.full(500, -1e-3)], axis=1)
     for active in ([0], [1]):
-        readings = probe(square, points, active_faces=active, device=device)
-        assert (readings["status"] == Status.CONTACT).all()
+        sensors = probe(square, points, active_faces=active, device=device)
+        assert (sensors["status"] == Status.CONTACT).all()

@@ -60,9 +60,9 @@ def test_worked_numbers_on_a_plane(case, precision, rtol, shared, device):
 
 def assert_like_oracle(model, oracle, rtol):
     def close(name, expected, scale=1.0):
-        np.testing.assert_allclose(model.reading(name)[0], expected, rtol=rtol, atol=rtol * scale, err_msg=name)
+        np.testing.assert_allclose(model.sensor(name)[0], expected, rtol=rtol, atol=rtol * scale, err_msg=name)
 
-    assert Status(model.reading("touch.status")[0]).name == oracle["status"]
+    assert Status(model.sensor("touch.status")[0]).name == oracle["status"]
     close("touch.gap", oracle["gap"], 0.01)
     close("touch.penetration", oracle["delta"], 0.01)
     close("one.force", oracle["F1"], np.linalg.norm(oracle["F1"]))
@@ -84,8 +84,8 @@ def power_of_pair(model):
     """Power of the contact force on both bodies, from wrenches and velocities."""
     total = 0.0
     for body in ("one", "two"):
-        total += model.reading(f"{body}.force")[0] @ model.reading(f"{body}.linear_velocity")[0]
-        total += model.reading(f"{body}.torque")[0] @ model.reading(f"{body}.angular_velocity")[0]
+        total += model.sensor(f"{body}.force")[0] @ model.sensor(f"{body}.linear_velocity")[0]
+        total += model.sensor(f"{body}.torque")[0] @ model.sensor(f"{body}.angular_velocity")[0]
     return total
 
 
@@ -94,20 +94,20 @@ def test_worked_numbers_on_a_sphere_appear_as_its_mesh_is_refined(shared, device
     # A facet of the fine icosphere (edge 0.02) lies up to h²/8 = 5e-5 inside; δ = 4e-3, so 1.5 % of the force.
     direction = np.array([1.0, 2.0, 2.0]) / 3.0
     model = oracle_model(wc.meshes.icosphere(1.0, 6), 0.996 * direction, "float32", device)
-    assert Status(model.reading("touch.status")[0]) == Status.CONTACT
-    np.testing.assert_allclose(model.reading("touch.penetration")[0], oracle["delta"], rtol=0.015)
-    np.testing.assert_allclose(model.reading("touch.point")[0], oracle["K"], atol=5e-5)
-    np.testing.assert_allclose(model.reading("one.force")[0], oracle["F1"], rtol=0.03)
+    assert Status(model.sensor("touch.status")[0]) == Status.CONTACT
+    np.testing.assert_allclose(model.sensor("touch.penetration")[0], oracle["delta"], rtol=0.015)
+    np.testing.assert_allclose(model.sensor("touch.point")[0], oracle["K"], atol=5e-5)
+    np.testing.assert_allclose(model.sensor("one.force")[0], oracle["F1"], rtol=0.03)
 
 
 def test_wrenches_of_a_pair_cancel_about_any_point(device):
     model = oracle_model(square(), (0.2, 0.1, -0.003), "float32", device)
-    f1, f2 = model.reading("one.force")[0], model.reading("two.force")[0]
+    f1, f2 = model.sensor("one.force")[0], model.sensor("two.force")[0]
     np.testing.assert_array_equal(f1, -f2)
     r1, r2 = np.array(BODY_1["position"]), np.array(BODY_2["position"])
     moments = [
-        model.reading("one.torque")[0] + np.cross(r1, f1),
-        model.reading("two.torque")[0] + np.cross(r2, f2),
+        model.sensor("one.torque")[0] + np.cross(r1, f1),
+        model.sensor("two.torque")[0] + np.cross(r2, f2),
     ]
     # The moments are of order 100 N·m: a few float32 roundings of that.
     assert np.abs(sum(moments)).max() < 1e-4
@@ -117,36 +117,36 @@ def test_wrenches_of_a_pair_cancel_about_any_point(device):
 
 
 def test_open_contact_and_zero_gap(device):
-    readings = probe(square(), [(0.1, 0.2, 0.3), (0.1, 0.2, 0.05)], radius=0.05, device=device)
-    np.testing.assert_allclose(readings["gap"], [0.25, 0.0], atol=LENGTH)
-    assert readings["penetration"].tolist() == [0.0, 0.0]
-    assert readings["normal_force"].tolist() == [0.0, 0.0]
-    assert readings["status"][0] == Status.OPEN
+    sensors = probe(square(), [(0.1, 0.2, 0.3), (0.1, 0.2, 0.05)], radius=0.05, device=device)
+    np.testing.assert_allclose(sensors["gap"], [0.25, 0.0], atol=LENGTH)
+    assert sensors["penetration"].tolist() == [0.0, 0.0]
+    assert sensors["normal_force"].tolist() == [0.0, 0.0]
+    assert sensors["status"][0] == Status.OPEN
 
 
 def test_a_point_exactly_on_the_surface_does_not_touch(device):
-    readings = probe(square(), [(0.1, 0.2, 0.0)], device=device)
-    assert readings["gap"][0] == 0.0
-    assert readings["penetration"][0] == 0.0
-    assert readings["status"][0] == Status.OPEN
-    np.testing.assert_allclose(readings["normal"][0], (0, 0, 1))
+    sensors = probe(square(), [(0.1, 0.2, 0.0)], device=device)
+    assert sensors["gap"][0] == 0.0
+    assert sensors["penetration"][0] == 0.0
+    assert sensors["status"][0] == Status.OPEN
+    np.testing.assert_allclose(sensors["normal"][0], (0, 0, 1))
 
 
 def test_contact_reports_depth_and_normal(device):
-    readings = probe(square(), [(0.1, 0.2, -0.01)], device=device)
-    assert readings["status"][0] == Status.CONTACT
-    np.testing.assert_allclose(readings["gap"], -0.01, atol=LENGTH)
-    np.testing.assert_allclose(readings["penetration"], 0.01, atol=LENGTH)
-    np.testing.assert_allclose(readings["normal"][0], (0, 0, 1), atol=LENGTH)
+    sensors = probe(square(), [(0.1, 0.2, -0.01)], device=device)
+    assert sensors["status"][0] == Status.CONTACT
+    np.testing.assert_allclose(sensors["gap"], -0.01, atol=LENGTH)
+    np.testing.assert_allclose(sensors["penetration"], 0.01, atol=LENGTH)
+    np.testing.assert_allclose(sensors["normal"][0], (0, 0, 1), atol=LENGTH)
 
 
 def test_hidden_faces_carry_no_force_and_report_a_distance(device):
     # The upper left triangle is hidden; the whole surface is searched, so the point above it finds it hidden.
     positions = [(-0.5, 0.5, -0.01), (-0.5, 0.5, 0.3), (0.5, -0.5, -0.01)]
-    readings = probe(square(), positions, active_faces=[0], device=device)
-    assert readings["status"].tolist() == [Status.HIDDEN, Status.HIDDEN, Status.CONTACT]
-    np.testing.assert_allclose(readings["gap"], [0.01, 0.3, -0.01], atol=LENGTH)
-    assert readings["normal_force"][:2].tolist() == [0.0, 0.0]
+    sensors = probe(square(), positions, active_faces=[0], device=device)
+    assert sensors["status"].tolist() == [Status.HIDDEN, Status.HIDDEN, Status.CONTACT]
+    np.testing.assert_allclose(sensors["gap"], [0.01, 0.3, -0.01], atol=LENGTH)
+    assert sensors["normal_force"][:2].tolist() == [0.0, 0.0]
     sphere = probe(square(), positions[:2], active_faces=[0], radius=0.1, device=device)
     np.testing.assert_allclose(sphere["gap"], [0.0, 0.2], atol=LENGTH)
     assert sphere["normal_force"].tolist() == [0.0, 0.0]
@@ -154,43 +154,43 @@ def test_hidden_faces_carry_no_force_and_report_a_distance(device):
 
 def test_an_edge_shared_with_an_active_face_is_active(device):
     # The diagonal belongs to both triangles.
-    readings = probe(square(), [(0.25, 0.25, -0.01)], active_faces=[0], device=device)
-    assert readings["status"][0] == Status.CONTACT
+    sensors = probe(square(), [(0.25, 0.25, -0.01)], active_faces=[0], device=device)
+    assert sensors["status"][0] == Status.CONTACT
 
 
 def test_searching_the_active_part_only_finds_its_nearest_point(device):
     # Over the hidden triangle, 0.1 beside the diagonal: the nearest active point is on the diagonal, a border.
     beside = (-0.1 / np.sqrt(2), 0.1 / np.sqrt(2), 0.05)
     for rim, status in (("off", Status.OPEN), ("outer", Status.CONTACT)):
-        readings = probe(square(), [beside], active_faces=[0], search="active", radius=0.2, rim=rim, device=device)
-        assert readings["status"][0] == status
+        sensors = probe(square(), [beside], active_faces=[0], search="active", radius=0.2, rim=rim, device=device)
+        assert sensors["status"][0] == status
         expected = np.hypot(0.1, 0.05) - 0.2
         gap = expected if rim == "outer" else 0.0
-        np.testing.assert_allclose(readings["gap"], gap, atol=LENGTH)
+        np.testing.assert_allclose(sensors["gap"], gap, atol=LENGTH)
     point = probe(square(), [(*beside[:2], -0.05)], active_faces=[0], search="active", device=device)
     assert point["status"][0] == Status.OPEN
     np.testing.assert_allclose(point["gap"], np.hypot(0.1, 0.05), atol=LENGTH)
 
 
 def test_far_surfaces_are_not_seen(device):
-    readings = probe(square(), [(0, 0, 0.5), (0, 0, 0.2)], radius=0.05, search_radius=0.3, device=device)
-    assert readings["status"].tolist() == [Status.FAR, Status.OPEN]
-    np.testing.assert_allclose(readings["gap"], [0.25, 0.15], atol=LENGTH)
+    sensors = probe(square(), [(0, 0, 0.5), (0, 0, 0.2)], radius=0.05, search_radius=0.3, device=device)
+    assert sensors["status"].tolist() == [Status.FAR, Status.OPEN]
+    np.testing.assert_allclose(sensors["gap"], [0.25, 0.15], atol=LENGTH)
 
 
 def test_too_deep_is_the_wrong_side(device):
-    readings = probe(square(), [(0, 0, -0.01), (0, 0, -0.2)], max_depth=0.05, device=device)
-    assert readings["status"].tolist() == [Status.CONTACT, Status.WRONG_SIDE]
-    np.testing.assert_allclose(readings["gap"], [-0.01, -0.2], atol=LENGTH)
-    assert readings["penetration"][1] == 0.0
-    assert readings["normal_force"][1] == 0.0
+    sensors = probe(square(), [(0, 0, -0.01), (0, 0, -0.2)], max_depth=0.05, device=device)
+    assert sensors["status"].tolist() == [Status.CONTACT, Status.WRONG_SIDE]
+    np.testing.assert_allclose(sensors["gap"], [-0.01, -0.2], atol=LENGTH)
+    assert sensors["penetration"][1] == 0.0
+    assert sensors["normal_force"][1] == 0.0
 
 
 def test_a_disabled_contact_is_skipped(device):
-    readings = probe(square(), [(0, 0, -0.01)], enabled=False, device=device)
-    assert readings["status"][0] == Status.DISABLED
-    assert np.isnan(readings["gap"][0])
-    assert readings["normal_force"][0] == 0.0
+    sensors = probe(square(), [(0, 0, -0.01)], enabled=False, device=device)
+    assert sensors["status"][0] == Status.DISABLED
+    assert np.isnan(sensors["gap"][0])
+    assert sensors["normal_force"][0] == 0.0
 
 
 # Edges, vertices, borders, far field
@@ -200,11 +200,11 @@ def test_directions_over_edges_and_corners_of_a_cube(device):
     cube = wc.meshes.box((1.0, 1.0, 1.0))
     h = np.sqrt(0.5)
     positions = [(0.7, 0.0, 0.7), (0.7, 0.7, 0.7), (0.7, 0.0, 0.0)]
-    readings = probe(cube, positions, radius=0.5, device=device)
+    sensors = probe(cube, positions, radius=0.5, device=device)
     distance = np.array([np.sqrt(2) * 0.2, np.sqrt(3) * 0.2, 0.2])
-    np.testing.assert_allclose(readings["gap"], distance - 0.5, atol=LENGTH)
+    np.testing.assert_allclose(sensors["gap"], distance - 0.5, atol=LENGTH)
     directions = [(h, 0, h), np.full(3, 1 / np.sqrt(3)), (1, 0, 0)]
-    np.testing.assert_allclose(readings["normal"], directions, atol=4 * LENGTH)
+    np.testing.assert_allclose(sensors["normal"], directions, atol=4 * LENGTH)
 
 
 def test_the_sign_is_right_all_around_a_cube_inside_and_out(device):
@@ -213,8 +213,8 @@ def test_the_sign_is_right_all_around_a_cube_inside_and_out(device):
     positions = rng.uniform(-1.0, 1.0, (4000, 3))
     q = np.abs(positions) - 0.5
     exact = np.linalg.norm(np.maximum(q, 0), axis=1) + np.minimum(q.max(axis=1), 0)
-    readings = probe(cube, positions, device=device)
-    np.testing.assert_allclose(readings["gap"], exact, atol=2 * LENGTH)
+    sensors = probe(cube, positions, device=device)
+    np.testing.assert_allclose(sensors["gap"], exact, atol=2 * LENGTH)
 
 
 def test_the_sign_is_right_far_from_a_tetrahedron(device):
@@ -222,17 +222,17 @@ def test_the_sign_is_right_far_from_a_tetrahedron(device):
     rng = np.random.default_rng(2)
     directions = rng.normal(size=(20000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    readings = probe(tetrahedron(), 50.0 * directions, device=device)
-    assert (readings["gap"] > 48.0).all()
-    assert (readings["status"] == Status.OPEN).all()
+    sensors = probe(tetrahedron(), 50.0 * directions, device=device)
+    assert (sensors["gap"] > 48.0).all()
+    assert (sensors["status"] == Status.OPEN).all()
 
 
 def test_inside_a_tetrahedron_the_gap_is_negative(device):
     rng = np.random.default_rng(3)
     inside = rng.dirichlet(np.ones(4), 2000)[:, 1:]
-    readings = probe(tetrahedron(), inside, device=device)
+    sensors = probe(tetrahedron(), inside, device=device)
     exact = -np.minimum(inside.min(axis=1), (1 - inside.sum(axis=1)) / np.sqrt(3))
-    np.testing.assert_allclose(readings["gap"], exact, atol=LENGTH)
+    np.testing.assert_allclose(sensors["gap"], exact, atol=LENGTH)
 
 
 def test_a_concave_edge_pushes_out_of_the_material(device):
@@ -241,36 +241,36 @@ def test_a_concave_edge_pushes_out_of_the_material(device):
         [[-1, -1, 1], [0, -1, 0], [0, 1, 0], [-1, 1, 1], [1, -1, 1], [1, 1, 1]],
         [[0, 1, 2], [0, 2, 3], [1, 4, 5], [1, 5, 2]],
     )
-    readings = probe(roof, [(0.02, 0.0, -0.1)], device=device)
+    sensors = probe(roof, [(0.02, 0.0, -0.1)], device=device)
     expected = np.array([-0.02, 0, 0.1]) / np.hypot(0.02, 0.1)
-    np.testing.assert_allclose(readings["normal"][0], expected, atol=4 * LENGTH)
-    np.testing.assert_allclose(readings["gap"][0], -np.hypot(0.02, 0.1), atol=LENGTH)
+    np.testing.assert_allclose(sensors["normal"][0], expected, atol=4 * LENGTH)
+    np.testing.assert_allclose(sensors["gap"][0], -np.hypot(0.02, 0.1), atol=LENGTH)
 
 
 def test_nothing_touches_beyond_an_open_border(device):
     positions = [(1.1, 0.0, -0.01), (1.0 + 1e-5, 0.0, -0.01), (0.999, 0.0, -0.01), (1.1, 1.1, -0.01)]
-    readings = probe(square(), positions, device=device)
+    sensors = probe(square(), positions, device=device)
     # 1e-5 beside a border of length 2 is within the tolerance of 1e-4 of the edge.
-    assert readings["status"].tolist() == [Status.OPEN, Status.CONTACT, Status.CONTACT, Status.OPEN]
-    np.testing.assert_allclose(readings["gap"][0], np.hypot(0.1, 0.01), atol=LENGTH)
-    np.testing.assert_allclose(readings["gap"][1], -0.01, atol=LENGTH)
+    assert sensors["status"].tolist() == [Status.OPEN, Status.CONTACT, Status.CONTACT, Status.OPEN]
+    np.testing.assert_allclose(sensors["gap"][0], np.hypot(0.1, 0.01), atol=LENGTH)
+    np.testing.assert_allclose(sensors["gap"][1], -0.01, atol=LENGTH)
 
 
 @pytest.mark.parametrize(("rim", "touching"), [("off", Status.OPEN), ("outer", Status.CONTACT)])
 def test_a_sphere_touches_the_rim_only_when_asked(rim, touching, device):
     positions = [(1.06, 0.0, 0.08), (1.06, 0.0, -0.08)]
-    readings = probe(square(), positions, radius=0.2, rim=rim, device=device)
-    assert readings["status"].tolist() == [touching, Status.OPEN]
+    sensors = probe(square(), positions, radius=0.2, rim=rim, device=device)
+    assert sensors["status"].tolist() == [touching, Status.OPEN]
     if rim == "outer":
-        np.testing.assert_allclose(readings["gap"][0], 0.1 - 0.2, atol=LENGTH)
-        np.testing.assert_allclose(readings["normal"][0], (0.6, 0, 0.8), atol=4 * LENGTH)
+        np.testing.assert_allclose(sensors["gap"][0], 0.1 - 0.2, atol=LENGTH)
+        np.testing.assert_allclose(sensors["normal"][0], (0.6, 0, 0.8), atol=4 * LENGTH)
 
 
 def test_the_nearest_face_of_a_plate_flips_at_half_its_thickness(device):
     plate = wc.meshes.box((1.0, 1.0, 0.02))
-    readings = probe(plate, [(0.1, 0.2, 0.0001), (0.1, 0.2, -0.0001)], device=device)
-    np.testing.assert_allclose(readings["normal"][:, 2], [1, -1], atol=LENGTH)
-    np.testing.assert_allclose(readings["gap"], -0.0099, atol=LENGTH)
+    sensors = probe(plate, [(0.1, 0.2, 0.0001), (0.1, 0.2, -0.0001)], device=device)
+    np.testing.assert_allclose(sensors["normal"][:, 2], [1, -1], atol=LENGTH)
+    np.testing.assert_allclose(sensors["gap"], -0.0099, atol=LENGTH)
 
 
 def test_at_a_tie_the_lowest_face_wins(device):
@@ -279,14 +279,14 @@ def test_at_a_tie_the_lowest_face_wins(device):
         mesh = wc.Mesh(cube.vertices, cube.faces[order])
         first = mesh.vertices[mesh.faces[0]]
         normal = np.cross(first[1] - first[0], first[2] - first[0])
-        readings = probe(mesh, [(0.0, 0.0, 0.0)], device=device)
-        np.testing.assert_allclose(readings["normal"][0], normal / np.linalg.norm(normal), atol=LENGTH)
+        sensors = probe(mesh, [(0.0, 0.0, 0.0)], device=device)
+        np.testing.assert_allclose(sensors["normal"][0], normal / np.linalg.norm(normal), atol=LENGTH)
 
 
 def test_flip_turns_the_outer_side_over(device):
-    readings = probe(square(), [(0.1, 0.0, 0.01)], flip=True, device=device)
-    assert readings["status"][0] == Status.CONTACT
-    np.testing.assert_allclose(readings["normal"][0], (0, 0, -1), atol=LENGTH)
+    sensors = probe(square(), [(0.1, 0.0, 0.01)], flip=True, device=device)
+    assert sensors["status"][0] == Status.CONTACT
+    np.testing.assert_allclose(sensors["normal"][0], (0, 0, -1), atol=LENGTH)
 
 
 def test_the_direction_is_continuous_while_a_sphere_rolls_over_an_edge(device):
@@ -297,11 +297,11 @@ def test_the_direction_is_continuous_while_a_sphere_rolls_over_an_edge(device):
     turn = np.clip(angle, 0.0, np.pi / 2)
     x = 0.5 + 0.05 * np.sin(turn) + np.where(angle < 0, along, 0.0)
     z = 0.5 + 0.05 * np.cos(turn) - np.where(angle > np.pi / 2, along, 0.0)
-    readings = probe(cube, np.stack([x, 0 * x, z], axis=1), radius=0.06, device=device)
-    assert (readings["status"] == Status.CONTACT).all()
+    sensors = probe(cube, np.stack([x, 0 * x, z], axis=1), radius=0.06, device=device)
+    assert (sensors["status"] == Status.CONTACT).all()
     # All at the same depth, and no step of the normal larger than the step of the angle.
-    np.testing.assert_allclose(readings["gap"], -0.01, atol=LENGTH)
-    steps = np.linalg.norm(np.diff(readings["normal"], axis=0), axis=1)
+    np.testing.assert_allclose(sensors["gap"], -0.01, atol=LENGTH)
+    steps = np.linalg.norm(np.diff(sensors["normal"], axis=0), axis=1)
     # At an edge the direction of a 0.05 m arm carries 1e-7/0.05 of rounding.
     assert steps.max() <= np.diff(angle).max() + 1e-5
 
@@ -318,10 +318,10 @@ def test_a_surface_moves_with_its_body(device):
     point = scene.add_point(None, (5.49, 0.1, 0.2))
     scene.add_contact(point, surface, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4)), name="touch")
     model = scene.build(device=device)
-    np.testing.assert_allclose(model.reading("touch.gap"), -0.01, atol=2 * LENGTH)
-    np.testing.assert_allclose(model.reading("touch.normal")[0], (1, 0, 0), atol=LENGTH)
+    np.testing.assert_allclose(model.sensor("touch.gap"), -0.01, atol=2 * LENGTH)
+    np.testing.assert_allclose(model.sensor("touch.normal")[0], (1, 0, 0), atol=LENGTH)
     # The force acts on the plate alone: the point is fixed to the world.
-    np.testing.assert_allclose(model.reading("plate.force")[0], (-100, 0, 0), atol=0.05)
+    np.testing.assert_allclose(model.sensor("plate.force")[0], (-100, 0, 0), atol=0.05)
 
 
 def test_surface_pose_may_differ_between_environments(device):
@@ -332,7 +332,7 @@ def test_surface_pose_may_differ_between_environments(device):
     scene.add_contact(point, surface, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1.0)), name="touch")
     model = scene.build(envs=3, device=device)
     model["surface.position"] = [(0, 0, 0), (0, 0, 0.5), (0, 0, -1)]
-    np.testing.assert_allclose(model.reading("touch.gap"), [1.0, 0.5, 2.0], atol=LENGTH)
+    np.testing.assert_allclose(model.sensor("touch.gap"), [1.0, 0.5, 2.0], atol=LENGTH)
 
 
 # Entry from the wrong side
@@ -352,35 +352,35 @@ def latched(entry, z0, velocity, device, steps=200, **options):
 def test_literal_entry_pushes_a_point_from_the_inner_side_through(device):
     sim = latched("literal", -0.1, (0, 0, 0), device)
     # D √(k/m): the undamped speed of SPEC 1.3, at first order in dt.
-    np.testing.assert_allclose(sim.model.reading("body.linear_velocity")[0, 2], 0.1 * 100.0, rtol=0.01)
+    np.testing.assert_allclose(sim.model.sensor("body.linear_velocity")[0, 2], 0.1 * 100.0, rtol=0.01)
 
 
 def test_latched_entry_lets_a_point_from_the_inner_side_pass(device):
     sim = latched("latched", -0.1, (0, 0, 1.0), device, steps=50)
-    assert sim.model.reading("touch.status")[0] == Status.WRONG_SIDE
-    np.testing.assert_allclose(sim.model.reading("touch.gap")[0], -0.05, atol=1e-5)
+    assert sim.model.sensor("touch.status")[0] == Status.WRONG_SIDE
+    np.testing.assert_allclose(sim.model.sensor("touch.gap")[0], -0.05, atol=1e-5)
     sim.step(150)
-    np.testing.assert_allclose(sim.model.reading("body.linear_velocity")[0], (0, 0, 1.0))
+    np.testing.assert_allclose(sim.model.sensor("body.linear_velocity")[0], (0, 0, 1.0))
 
 
 def test_latched_entry_holds_a_point_from_the_outer_side(device):
     sim = latched("latched", 0.05, (0, 0, -1.0), device)
     # Back out with the speed it came with, up to where in a step the contact ends: (ω dt)²/8 = 1.3e-3.
-    np.testing.assert_allclose(sim.model.reading("body.linear_velocity")[0, 2], 1.0, rtol=2e-3)
+    np.testing.assert_allclose(sim.model.sensor("body.linear_velocity")[0, 2], 1.0, rtol=2e-3)
 
 
 def test_the_latch_opens_below_the_greatest_depth_and_closes_outside(device):
     # Too fast to be stopped within 20 mm: passes, and is not pushed out of the other side again.
     sim = latched("latched", 0.05, (0, 0, -5.0), device, max_depth=0.02, steps=100)
-    assert sim.model.reading("touch.status")[0] == Status.WRONG_SIDE
-    speed = sim.model.reading("body.linear_velocity")[0, 2]
+    assert sim.model.sensor("touch.status")[0] == Status.WRONG_SIDE
+    speed = sim.model.sensor("body.linear_velocity")[0, 2]
     assert speed < -4.0
     sim.step(100)
-    assert sim.model.reading("body.linear_velocity")[0, 2] == speed
+    assert sim.model.sensor("body.linear_velocity")[0, 2] == speed
 
 
 def test_reset_disarms_the_latch_with_its_environment(device):
     sim = latched("latched", -0.01, (0, 0, 1.0), device, steps=100)
-    assert sim.model.reading("touch.gap")[0] > 0
+    assert sim.model.sensor("touch.gap")[0] > 0
     sim.reset()
-    assert sim.model.reading("touch.status")[0] == Status.WRONG_SIDE
+    assert sim.model.sensor("touch.status")[0] == Status.WRONG_SIDE

@@ -25,11 +25,11 @@ def test_the_step_of_a_crossing_is_resolved_in_parts(precision, device):
         depth, speed = np.full(64, np.nan), np.full(64, np.nan)
         for _ in range(10):
             sim.step()
-            new = np.isnan(depth) & (sim.model.reading("touch.crossings") > 0)
-            depth[new] = 1e-3 - sim.model.reading("ball.position")[new, 2]
-            speed[new] = -sim.model.reading("ball.linear_velocity")[new, 2]
+            new = np.isnan(depth) & (sim.model.sensor("touch.crossings") > 0)
+            depth[new] = 1e-3 - sim.model.sensor("ball.position")[new, 2]
+            speed[new] = -sim.model.sensor("ball.linear_velocity")[new, 2]
         due = (start[:, 2] - 1e-3) / 10.0
-        np.testing.assert_allclose(sim.model.reading("touch.crossing_time"), due, rtol=0, atol=3e-7)
+        np.testing.assert_allclose(sim.model.sensor("touch.crossing_time"), due, rtol=0, atol=3e-7)
         since = np.ceil(due / dt) * dt - due
         late = np.abs(depth - 10.0 / omega * np.sin(omega * since)).max()
         # Between steps velocities are those of half a step before, with parts and without.
@@ -56,7 +56,7 @@ def test_a_bounce_in_parts_gains_no_energy_to_speak_of(whole, precision, device)
             law=wc.laws.Hooke(stiffness=(whole / 1e-2) ** 2),
         )  # fmt: skip
         sim.step(14 + round(4 / whole))
-        gain = (sim.model.reading("ball.linear_velocity")[:, 2] / 10.0) ** 2 - 1
+        gain = (sim.model.sensor("ball.linear_velocity")[:, 2] / 10.0) ** 2 - 1
         # The force begins and ends up to a step h late: k (v h)²/8 of the energy m v²/2 at most.
         assert gain.min() > -0.25 * (whole / parts) ** 2 - 1e-6
         assert gain.max() < 0.25 * whole**2 + 1e-4
@@ -78,12 +78,12 @@ def test_a_corner_that_turns_its_body_gains_no_energy_either(precision, device):
     model["body.position"] = np.linspace([0.0, 0.0, 0.103], [0.0, 0.0, 0.119], 32)
     model["body.linear_velocity"], model["body.angular_velocity"] = (0.0, 0.0, -1.0), (-2.0, 4.0, 0.0)
     sim = wc.Simulation(model, dt=1e-2, crossing_steps=16)
-    before = model.reading("body.kinetic_energy")
+    before = model.sensor("body.kinetic_energy")
     sim.step()
-    assert (model.reading("touch.crossings") == 1).all()
-    while (model.reading("touch.status") != wc.Status.OPEN).any():
+    assert (model.sensor("touch.crossings") == 1).all()
+    while (model.sensor("touch.status") != wc.Status.OPEN).any():
         sim.step()
-    gain = model.reading("body.kinetic_energy") / before - 1
+    gain = model.sensor("body.kinetic_energy") / before - 1
     # The bounds of a straight bounce, and for the lever that turns meanwhile ω dt of 4.5 rad/s, squared, besides.
     # Were the torque left out, 0.016 would be lost.
     assert gain.min() > -0.25 * (0.3 / 16) ** 2 - (4.5 * 1e-2) ** 2 * 2
@@ -108,13 +108,13 @@ def test_environments_without_a_crossing_do_not_notice_the_others(parts, precisi
         return sim
 
     together, alone = run(np.arange(60)), run(np.flatnonzero(slow))
-    assert (together.model.reading("touch.crossings")[~slow] > 0).all()
+    assert (together.model.sensor("touch.crossings")[~slow] > 0).all()
     for name in STATE:
-        np.testing.assert_array_equal(together.model.reading(name)[slow], alone.model.reading(name))
+        np.testing.assert_array_equal(together.model.sensor(name)[slow], alone.model.sensor(name))
     # And one that crosses does not notice who crosses beside it, now or later.
     single = run(np.array([1]))
     for name in (*STATE, "touch.crossing_time"):
-        np.testing.assert_array_equal(together.model.reading(name)[[1]], single.model.reading(name))
+        np.testing.assert_array_equal(together.model.sensor(name)[[1]], single.model.sensor(name))
 
 
 @PRECISIONS
@@ -135,7 +135,7 @@ def test_where_nothing_crosses_the_steps_are_the_same_bits(parts, precision, dev
             **options,
         )
         sim.step(200)
-        results.append([sim.model.reading(name) for name in (*STATE, "touch.gap", "touch.normal_force")])
+        results.append([sim.model.sensor(name) for name in (*STATE, "touch.gap", "touch.normal_force")])
     assert results[0][-1].max() > 0
     for other in results[1:]:
         for expected, value in zip(results[0], other, strict=True):
@@ -153,26 +153,26 @@ def test_frozen_environments_stay_as_they_are(precision, device):
     sim.state.body_linear_velocity.assign(state)
     sim.step(1)
     assert sim.model.health().frozen.tolist() == [3]
-    held = [sim.model.reading(name)[3] for name in STATE]
+    held = [sim.model.sensor(name)[3] for name in STATE]
     sim.step(20)
     for name, before in zip(STATE, held, strict=True):
-        np.testing.assert_array_equal(sim.model.reading(name)[3], before)
+        np.testing.assert_array_equal(sim.model.sensor(name)[3], before)
     others = np.arange(12) != 3
-    assert (sim.model.reading("touch.crossings")[others] > 0).all()
-    assert (sim.model.reading("ball.linear_velocity")[others, 2] > 0).all()
+    assert (sim.model.sensor("touch.crossings")[others] > 0).all()
+    assert (sim.model.sensor("ball.linear_velocity")[others, 2] > 0).all()
 
 
 @PRECISIONS
 def test_two_simulations_of_one_model_take_turns(precision, device):
     start, velocity, _ = fan_of_shots(12, 1.0)
     one = shots(hard_cases.plate(), start, velocity, dt=1e-2, precision=precision, device=device, crossing_steps=3)
-    whole = [one.model.reading(name) for _ in [one.step(16)] for name in STATE]
+    whole = [one.model.sensor(name) for _ in [one.step(16)] for name in STATE]
     other = wc.Simulation(one.model, dt=1e-2, crossing_steps=3)
     one.reset()
     for turn in range(16):
         (one if turn % 3 else other).step()
     for expected, name in zip(whole, STATE, strict=True):
-        np.testing.assert_array_equal(one.model.reading(name), expected)
+        np.testing.assert_array_equal(one.model.sensor(name), expected)
 
 
 @pytest.mark.parametrize("wrong", [0, -1, 1.5, True, "4"])

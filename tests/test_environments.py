@@ -86,7 +86,7 @@ def test_an_environment_that_diverges_is_held_at_its_last_finite_state(device):
     assert model.health().good
     sim.step(100)
     assert model.health().good
-    assert not np.array_equal(model.reading("ball.position")[3], held[-1])
+    assert not np.array_equal(model.sensor("ball.position")[3], held[-1])
 
 
 def test_every_body_of_a_failed_environment_is_held(device):
@@ -139,10 +139,10 @@ def test_steps_in_any_portions_give_the_same_bits(device):
 
 def test_a_reading_stays_what_it_was(device):
     sim = wc.Simulation(terrain_model(2, device), dt=5e-4)
-    height, energy = (sim.model.reading(name) for name in ("ball.position", "scene.kinetic_energy"))
+    height, energy = (sim.model.sensor(name) for name in ("ball.position", "scene.kinetic_energy"))
     kept = height.copy(), energy.copy()
     sim.step(100)
-    sim.model.reading("scene.kinetic_energy")
+    sim.model.sensor("scene.kinetic_energy")
     np.testing.assert_array_equal(height, kept[0])
     np.testing.assert_array_equal(energy, kept[1])
 
@@ -152,7 +152,7 @@ def test_readings_do_not_disturb_the_motion(device):
     one.step(600)
     for _ in range(600):
         other.step()
-        other.model.reading("touch.normal_force")
+        other.model.sensor("touch.normal_force")
     np.testing.assert_array_equal(one.state.body_position.numpy(), other.state.body_position.numpy())
 
 
@@ -206,8 +206,8 @@ def test_the_state_is_shared_with_numpy_and_torch_without_a_copy():
     assert view.shape == (8, 1, 3)
     for count in (1, 3, 4):
         sim.step(count)
-        # The reading adds what rounding left of it.
-        np.testing.assert_array_equal(view, model.reading("ball.position")[:, None].astype(np.float32))
+        # The sensor adds what rounding left of it.
+        np.testing.assert_array_equal(view, model.sensor("ball.position")[:, None].astype(np.float32))
     assert view.ctypes.data == sim.state.body_position.ptr
     through_dlpack = np.from_dlpack(sim.state.body_position)
     assert through_dlpack.ctypes.data == sim.state.body_position.ptr

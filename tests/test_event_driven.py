@@ -86,7 +86,7 @@ def test_a_run_goes_on_where_it_stopped_and_leaves_the_model_as_it_was():
     np.testing.assert_allclose(whole.times, 0.1 * np.arange(16), atol=1e-15)
     np.testing.assert_allclose(body_of(parts[1], "ball"), body_of(whole, "ball")[7:], atol=1e-12)
     assert [str(one) for part in parts for one in part.events] == [str(one) for one in whole.events]
-    np.testing.assert_array_equal(model.reading("ball.position"), [[0.0, 0.0, 1.1]])
+    np.testing.assert_array_equal(model.sensor("ball.position"), [[0.0, 0.0, 1.1]])
     assert model.time == 0.0
     assert "2 IMPACT" in str(whole)
 

@@ -69,4 +69,4 @@ def test_landings_have_the_loads_that_their_energy_asks_for(device, tmp_path, ca
 def test_a_lander_that_starts_upright_above_the_ground_touches_nothing():
     model = wc.Experiment.from_toml(FOLDER / "lander.toml").model(envs=512, device="cpu")
     for contact in ("legs", "roof"):
-        assert model.reading(f"{contact}.gap").min() > 0.1
+        assert model.sensor(f"{contact}.gap").min() > 0.1

@@ -12,7 +12,7 @@ import pytest
 import warpcontact as wc
 from warpcontact import patches
 from warpcontact.experiment.catalogue import SHAPES
-from warpcontact.experiment.defaults import default_readings
+from warpcontact.experiment.defaults import default_sensors
 from warpcontact.experiment.schema import BodySettings, ContactSettings, SurfaceSettings
 
 pytestmark = pytest.mark.installed
@@ -33,7 +33,7 @@ def content(**changes):
         "contact": [
             {"name": "touch", "points": "centre", "surface": "ground", "material": "rubber", "radius": 0.1}
         ],
-        "record": {"readings": ["touch.gap"]},
+        "record": {"sensors": ["touch.gap"]},
     } | changes
 
 
@@ -237,7 +237,7 @@ def test_all_that_a_file_may_say_reads_back_as_it_was_written(tmp_path):
             "edge.radius": {"linspace": [0, 0.1]},
             "corners.position": {"uniform": [[[0, 0, 0], [1, 1, 1]], [[0, 0, 1], [1, 1, 2]]]},
         },
-        record={"every": 0.002, "readings": ["edge.gap", "ball.linear_velocity"]},
+        record={"every": 0.002, "sensors": ["edge.gap", "ball.linear_velocity"]},
     )
     experiment = wc.Experiment(raw)
     assert experiment.scene().contacts[1].surface.active_faces.tolist() == [True, False]
@@ -252,13 +252,13 @@ def test_readings_and_interval_have_defaults():
     experiment = wc.Experiment(content(duration=3.0, record={}))
     assert experiment.settings.record.every == 0.03
     told = ("touch.penetration", "touch.normal_force", "scene.kinetic_energy")
-    assert experiment.settings.record.readings == told
+    assert experiment.settings.record.sensors == told
     # A written experiment has them written out, and follows another duration all the same.
     written = wc.Experiment(experiment.settings.model_dump(exclude_none=True))
     assert written.settings.record.every == 0.03
     assert written.changed(duration=0.01).settings.record.every == 0.001
     assert experiment.changed(duration=0.01).settings.record.every == 0.001
-    assert default_readings(experiment.model(device="cpu")) == list(experiment.settings.record.readings)
+    assert default_sensors(experiment.model(device="cpu")) == list(experiment.settings.record.sensors)
 
 
 def test_readings_of_couplings_are_recorded_by_default():
@@ -275,7 +275,7 @@ def test_readings_of_couplings_are_recorded_by_default():
         )
     )
     names = ("spring.length", "spring.force", "pad.displacement", "pad.force", "line.tension_a", "line.tension_b")
-    assert experiment.settings.record.readings == (*names, "scene.kinetic_energy")
+    assert experiment.settings.record.sensors == (*names, "scene.kinetic_energy")
 
 
 def test_box_slides_down_the_slope_as_fast_as_the_closed_form_says(device, tmp_path):
@@ -308,7 +308,7 @@ def test_rolling_and_torsion_are_parts_of_a_template(device, tmp_path):
         content(
             body=[ball], material=[material], contact=[contact],
             variation={"touch.rolling.mu": {"values": [0.0, 0.01, 0.02, 0.04]}},
-            record={"readings": ["touch.torque", "touch.normal_force"]},
+            record={"sensors": ["touch.torque", "touch.normal_force"]},
         )
     )  # fmt: skip
     run = study.run(tmp_path / "out", device=device)
@@ -352,4 +352,4 @@ def test_an_experiment_that_names_no_readings_records_one_of_each_element(device
         }
     )
     told = ["spring.length", "spring.force", "line.tension_a", "line.tension_b", "arm.angle"]
-    assert default_readings(experiment.model(device=device)) == [*told, "scene.kinetic_energy"]
+    assert default_sensors(experiment.model(device=device)) == [*told, "scene.kinetic_energy"]

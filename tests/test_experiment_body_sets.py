@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import warpcontact as wc
-from warpcontact.experiment.defaults import default_readings
+from warpcontact.experiment.defaults import default_sensors
 
 POSITIONS = [[0, 0, 0.2], [1, 0, 0.3], [2, 0, 0.4], [3, 0, 0.5]]
 RADII = [0.1, 0.12, 0.14, 0.16]
@@ -26,7 +26,7 @@ STUDY = {
         {"name": "scratch", "points": "tips", "surface": "ground", "material": "soft"},
     ],
     "variation": {"grains.mass": {"values": [[1, 2, 3, 4], [2, 2, 2, 2], [4, 3, 2, 1]]}},
-    "record": {"readings": ["touch.gap", "scratch.gap", "grains.kinetic_energy", "scene.kinetic_energy"]},
+    "record": {"sensors": ["touch.gap", "scratch.gap", "grains.kinetic_energy", "scene.kinetic_energy"]},
     "output": {"usd_envs": 2},
 }
 
@@ -88,7 +88,7 @@ def test_nothing_is_recorded_of_each_body_unless_asked_for():
     slider = wc.motions.Slider(axis=(0, 0, 1))
     scene.add_bodies(POSITIONS, mass=1, inertia=(1, 1, 1), motion=slider, name="grains")
     scene.add_body(mass=1, inertia=(1, 1, 1), motion=slider, name="piston")
-    assert default_readings(scene.build(1, "cpu")) == ["piston.displacement", "scene.kinetic_energy"]
+    assert default_sensors(scene.build(1, "cpu")) == ["piston.displacement", "scene.kinetic_energy"]
 
 
 def test_an_experiment_may_have_nothing_but_a_set(device):

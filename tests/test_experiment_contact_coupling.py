@@ -13,7 +13,7 @@ COUPLING = {
     **{"name": "keep", "surface_a": "hull", "surface_b": "quay", "range": {"from_impact": IMPACT}},
     **{"friction": {"type": "Tanh", "mu": 0.3}, "sides": "average", "quadrature": 3, "damping_ramp": 0.001},
 }
-READINGS = ["keep.force", "keep.effective_area", "keep.minimum_distance"]
+SENSORS = ["keep.force", "keep.effective_area", "keep.minimum_distance"]
 LINES = ["keep_first.point", "keep_first.normal", "keep_first.normal_force", "keep_first.friction_force"]
 
 
@@ -37,7 +37,7 @@ def content(**changes):
         ],
         "contact_coupling": [COUPLING],
         "variation": {"keep.k1": {"values": [1e7, 2e7]}, "keep.friction.mu": {"linspace": [0.1, 0.2]}},
-        "record": {"every": 0.002, "readings": [*READINGS, *LINES]},
+        "record": {"every": 0.002, "sensors": [*SENSORS, *LINES]},
     }
     return given | changes
 
@@ -54,13 +54,13 @@ def test_a_coupling_is_that_of_the_python_interface(tmp_path):
     )
     model = scene.build(envs=2, device="cpu", precision="float64")
     model["keep.k1"], model["keep.friction.mu"] = [1e7, 2e7], [0.1, 0.2]
-    recording = wc.Simulation(model, dt=5e-4).run(0.02, record=READINGS, every=0.002)
+    recording = wc.Simulation(model, dt=5e-4).run(0.02, record=SENSORS, every=0.002)
     run = experiment.run(tmp_path / "out", device="cpu")
-    for name in READINGS:
+    for name in SENSORS:
         np.testing.assert_array_equal(run.recording[name].values, recording[name].values)
     assert coupling.report(model).in_range.all()
     assert np.abs(recording["keep.force"].values).max() > 1000.0
-    # The picture shows its force, of which no reading is one number.
+    # The picture shows its force, of which no sensor is one number.
     without = run.recording.drop_vars(LINES)
     without.scene = run.recording.scene
     panel = panels_of(without, np.zeros(0, dtype=int), 2)[0]

@@ -18,7 +18,7 @@ RIGHT = {
     "material": [{"name": "rubber", "law": {"type": "HuntCrossley", "stiffness": 1e5, "restitution": 0.7}}],
     "contact": [{"name": "touch", "points": "centre", "surface": "ground", "material": "rubber"}],
     "variation": {"ball.mass": {"uniform": [1, 2]}},
-    "record": {"every": 0.01, "readings": ["touch.gap"]},
+    "record": {"every": 0.01, "sensors": ["touch.gap"]},
     "output": {"usd_envs": 2},
 }
 LEFT_OUT = object()
@@ -97,16 +97,16 @@ BAD = [
     ((*GROUND, "active_faces"), [0, True], "surface[0].active_faces must be a list of face numbers"),
     (LAW, "Hooke", "material[0].law must be a table, got 'Hooke'; write law = { type = 'Hooke', … }"),
     (
-        ("record", "readings"),
+        ("record", "sensors"),
         ["foo"],
-        "record.readings[0] must be the name of a reading, got 'foo'; there are: ball.*, touch.*, scene.*",
+        "record.sensors[0] must be the name of a sensor, got 'foo'; there are: ball.*, touch.*, scene.*",
     ),
     (
-        ("record", "readings"),
+        ("record", "sensors"),
         ["touch.zzzzzz"],
-        "record.readings[0] must be the name of a reading, got 'touch.zzzzzz'; there are: touch.point, touch.",
+        "record.sensors[0] must be the name of a sensor, got 'touch.zzzzzz'; there are: touch.point, touch.",
     ),
-    (("record", "readings"), "touch.gap", "record.readings must be a list, got 'touch.gap'"),
+    (("record", "sensors"), "touch.gap", "record.sensors must be a list, got 'touch.gap'"),
     # Ranges, with their units.
     (("envs",), 0, "envs must be at least 1, got 0"),
     (("envs",), 2**31, "envs must be at most 2147483647, got 2147483648"),
@@ -181,9 +181,9 @@ BAD = [
     (("point", 1), {"name": "ball", "position": [0, 0, 0]}, "point[1]: name 'ball' of a point is taken"),
     (("material", 1), RIGHT["material"][0], "material[1]: name 'rubber' of a material is taken"),
     (
-        ("record", "readings"),
+        ("record", "sensors"),
         ["touch.gpa"],
-        "record.readings[0] must be the name of a reading, got 'touch.gpa'; did",
+        "record.sensors[0] must be the name of a sensor, got 'touch.gpa'; did",
     ),
     # Times.
     (
@@ -264,15 +264,15 @@ def test_mistake_is_named_by_its_key(place, value, message):
 
 def test_what_is_looked_up_in_the_scene_is_told_once_there_is_one():
     """As ``docs/experiments.md`` says."""
-    unknown = [(("record", "readings"), ["foo"]), (("variation", "xyz.mass"), {"uniform": [1, 2]})]
-    variation, reading = 'variation."xyz.mass" is not the name', "record.readings[0] must be the name of a reading"
+    unknown = [(("record", "sensors"), ["foo"]), (("variation", "xyz.mass"), {"uniform": [1, 2]})]
+    variation, sensor = 'variation."xyz.mass" is not the name', "record.sensors[0] must be the name of a sensor"
 
     def told(*changes):
         return [
-            line[: len(start)] for line in problems_of(wrong(*unknown, *changes)) for start in (variation, reading)
+            line[: len(start)] for line in problems_of(wrong(*unknown, *changes)) for start in (variation, sensor)
         ]
 
-    assert set(told()) & {variation, reading} == {variation, reading}
-    assert set(told((("contact", 0, "surface"), "x"))) & {variation, reading} == {variation, reading}
-    assert set(told((("dt",), LEFT_OUT))) & {variation, reading} == {variation}
-    assert set(told((("body", 0, "mass"), -1))) & {variation, reading} == set()
+    assert set(told()) & {variation, sensor} == {variation, sensor}
+    assert set(told((("contact", 0, "surface"), "x"))) & {variation, sensor} == {variation, sensor}
+    assert set(told((("dt",), LEFT_OUT))) & {variation, sensor} == {variation}
+    assert set(told((("body", 0, "mass"), -1))) & {variation, sensor} == set()

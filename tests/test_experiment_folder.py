@@ -128,8 +128,8 @@ def test_frozen_environments_are_reported(tmp_path):
     "changes",
     [
         {"envs": 1},
-        {"contact": [], "surface": [], "record": {"readings": ["ball.linear_velocity"]}},
-        {"record": {"readings": ["touch.normal_force"]}, "variation": {"ball.mass": {"loguniform": [0.01, 10]}}},
+        {"contact": [], "surface": [], "record": {"sensors": ["ball.linear_velocity"]}},
+        {"record": {"sensors": ["touch.normal_force"]}, "variation": {"ball.mass": {"loguniform": [0.01, 10]}}},
         {"surface": [{"name": "ground", "mesh": {"shape": "box"}, "position": [0, 0, -0.5]}]},
     ],
     ids=["one", "nothing to touch", "logarithmic colours", "closed mesh"],
@@ -177,7 +177,7 @@ def test_picture_shows_some_of_a_line_on_what_does_not_move(tmp_path):
     line = {"name": "line", "point_a": "anchor", "point_b": "fairlead", "length": 100}
     line |= {"mass_per_length": 20, "axial_stiffness": 1e6}
     changes = {"surface": [], "contact": [], "body": [buoy], "point": ends, "catenary": [line], "dt": 0.01}
-    changes["record"] = {"readings": ["line.force_b", "line.tension_b"]}
+    changes["record"] = {"sensors": ["line.force_b", "line.tension_b"]}
     recording = wc.Experiment(content(**changes)).run(tmp_path, device="cpu").recording
     plane, lower, upper = picture._extent(tracks_of(recording))
     assert plane == [0, 2]

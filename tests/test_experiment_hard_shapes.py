@@ -32,7 +32,7 @@ STUDY = {
     "variation": {"pile.law.restitution": {"values": [0.5, 1.0]}},
     "record": {
         "every": 1e-3,
-        "readings": ["touch.impulse", "touch.mode", "pile.normal_force", "scene.impact_loss"],
+        "sensors": ["touch.impulse", "touch.mode", "pile.normal_force", "scene.impact_loss"],
     },
 }
 

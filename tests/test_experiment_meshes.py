@@ -49,7 +49,7 @@ def content(mesh=MESHES, choice=None, *, active_faces=None, **changes):
             {"name": "touch", "points": "centre", "surface": "ground", "material": "rubber", "radius": 0.1}
         ],
         "variation": {} if choice is None else {"ground.mesh": choice},
-        "record": {"readings": ["touch.gap", "touch.status"]},
+        "record": {"sensors": ["touch.gap", "touch.status"]},
     } | changes
 
 

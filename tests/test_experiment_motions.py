@@ -52,7 +52,7 @@ STUDY = {
         "arm.motion.anchor": {"values": [[0, 0, 0], [0.5, 0, 0], [0.9, 0, 0]]},
         "own.motion.rate": {"linspace": [1, 2]},
     },
-    "record": {"readings": ["arm.angle", "arm.reaction_force", "own.linear_velocity", "table.reaction_torque"]},
+    "record": {"sensors": ["arm.angle", "arm.reaction_force", "own.linear_velocity", "table.reaction_torque"]},
 }
 
 

@@ -26,8 +26,8 @@ def study(law=CUBIC, friction=None, **changes):
     """A ball 2 mm deep in the ground that slides, with laws of the user."""
     body = content()["body"][0] | {"position": [0.0, 0.0, 0.098], "linear_velocity": [1.0, 0.0, 0.0]}
     material = {"name": "rubber", "law": law} | ({"friction": friction} if friction else {})
-    readings = {"readings": ["touch.normal_force", "touch.friction_force", "ball.position"]}
-    return content(body=[body], material=[material], record=readings) | changes
+    sensors = {"sensors": ["touch.normal_force", "touch.friction_force", "ball.position"]}
+    return content(body=[body], material=[material], record=sensors) | changes
 
 
 @pytest.fixture
@@ -69,7 +69,7 @@ radius = 0.1
 "touch.law.stiffness" = { loguniform = [1e9, 1e10] }
 "touch.friction.drag" = { values = [0, 0.1, 0.2] }
 [record]
-readings = ["touch.normal_force", "touch.friction_force", "ball.position"]
+sensors = ["touch.normal_force", "touch.friction_force", "ball.position"]
 """
 
 
@@ -143,14 +143,14 @@ def test_copies_of_files_of_one_name_are_told_apart(folder):
     materials[2] |= {"name": "again", "friction": {"type": "./soft/laws.py:Lubricated", "drag": 1}}
     contacts = [content()["contact"][0] | {"name": f"{t['name']}_touch", "material": t["name"]} for t in materials]
     raw = study(material=materials, contact=contacts)
-    raw["record"] = {"readings": [f"{contact['name']}.normal_force" for contact in contacts]}
+    raw["record"] = {"sensors": [f"{contact['name']}.normal_force" for contact in contacts]}
     run = wc.Experiment.from_dict(raw, folder).run(folder.parent / "out", device="cpu")
     written = tomllib.loads(run.files["experiment"].read_text())["material"]
     assert [material["law"]["type"] for material in written] == [
         *("laws.py:Cubic", "laws_2.py:Cubic", "laws.py:Cubic")
     ]
     assert written[2]["friction"]["type"] == "laws.py:Lubricated"
-    forces = [run.recording[name].values[0, 0] for name in raw["record"]["readings"]]
+    forces = [run.recording[name].values[0, 0] for name in raw["record"]["sensors"]]
     np.testing.assert_allclose(forces, [8.0, 24.0, 8.0], rtol=1e-4)
     again = wc.Experiment.from_toml(run.files["experiment"]).run(folder.parent / "again", device="cpu")
     assert again.recording.identical(run.recording)
@@ -199,7 +199,7 @@ def law_of(experiment):
 
 
 def force_of(experiment, device="cpu"):
-    return experiment.model(envs=1, device=device).reading("touch.normal_force")[0]
+    return experiment.model(envs=1, device=device).sensor("touch.normal_force")[0]
 
 
 def test_experiments_of_an_unchanged_file_share_its_classes_and_an_edited_one_has_its_own(folder, device):
@@ -275,7 +275,7 @@ def test_parameters_of_the_user_are_varied_and_may_be_left_out(folder, device):
     pad = {"type": "my_laws.py:Pad", "depth": 1e-3, "damping": 0}
     varied = {"touch.law.depth": {"values": [1e-3, 2e-3, 4e-3, 8e-3]}}
     experiment = wc.Experiment.from_dict(study(law=pad, variation=varied), folder)
-    force = experiment.model(device=device).reading("touch.normal_force")
+    force = experiment.model(device=device).sensor("touch.normal_force")
     np.testing.assert_allclose(force, [2.0, 1.0, 0.5, 0.25], rtol=1e-4)
     # Defaults are written out as numbers, whatever type they had.
     run = wc.Experiment.from_dict(study(law={"type": "my_laws.py:Pad", "stiffness": 1e3}), folder).run(

@@ -142,7 +142,7 @@ def test_all_problems_are_found_together_with_those_of_the_file(folder):
     idle = {"name": "idle", "law": {"type": "my_laws.py:Careless", "stiffness": 1}}
     raw = study(material=[material, unused, idle], precision="float64")
     raw["variation"] = {"ball.mas": {"uniform": [1, 2]}, "touch.law.stiffness": {"uniform": [1, 2]}}
-    raw["record"] = {"readings": ["ball.positon", "touch.gap"]}
+    raw["record"] = {"sensors": ["ball.positon", "touch.gap"]}
     raw["contact"].append(content()["contact"][0] | {"name": "other", "points": "center"})
     problems = problems_of(raw, folder)
     begins = [
@@ -151,7 +151,7 @@ def test_all_problems_are_found_together_with_those_of_the_file(folder):
         "material[0].law: law Misspelt ",
         "material[2].law: law Careless ",
         'variation."ball.mas" is not the name of a parameter',
-        "record.readings[0] must be the name of a reading",
+        "record.sensors[0] must be the name of a sensor",
     ]
     assert len(problems) == len(begins), problems
     for begin in begins:

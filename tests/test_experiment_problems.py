@@ -43,7 +43,7 @@ def test_all_mistakes_are_found_at_once():
 
 
 def test_what_may_refer_to_an_entry_without_a_name_is_no_problem():
-    content = wrong((("body", 1), {"mass": 1, "inertia": [1, 1, 1]}), (("record", "readings"), ["box.position"]))
+    content = wrong((("body", 1), {"mass": 1, "inertia": [1, 1, 1]}), (("record", "sensors"), ["box.position"]))
     content["variation"]["box.mass"] = {"solid_sphere": {"mass": "box.mass", "radius": 1}}
     content["surface"][0]["body"] = "box"
     assert problems_of(content) == ("body[1].name is missing",)

@@ -38,7 +38,7 @@ def content(**changes):
         "point": [{"name": "pole", "surface": "skin", "position": [0, 0, -0.05]}],
         "contact": [{"name": "prick", "points": "pins", "surface": "ground", "material": "bed"}],
         "variation": {"press_first.share": {"values": [0.5, 1.0]}, "skin.position": {"values": [[0, 0, 0]] * 2}},
-        "record": {"readings": ["press_first.normal_force", "press_second.normal_force", "prick.gap"]},
+        "record": {"sensors": ["press_first.normal_force", "press_second.normal_force", "prick.gap"]},
     }
     return given | changes
 
@@ -56,11 +56,11 @@ def test_a_surface_contact_is_that_of_the_python_interface(tmp_path):
     model = scene.build(envs=2, device="cpu", precision="float64")
     made = experiment.model(device="cpu")
     for name in ("press_first.normal_force", "press_second.normal_force", "press_first.point", "press_second.gap"):
-        expected = model.reading(name)
+        expected = model.sensor(name)
         if name == "press_first.normal_force":
             assert expected.max() > 1.0
             expected[1] *= 2.0  # its share varies
-        np.testing.assert_allclose(made.reading(name), expected, rtol=1e-12)
+        np.testing.assert_allclose(made.sensor(name), expected, rtol=1e-12)
     run = experiment.run(tmp_path / "out", device="cpu")
     assert run.recording["press_second.normal_force"].sizes["press_second.item"] == 40
     # The written experiment says the same.
@@ -152,7 +152,7 @@ BAD = [
 @pytest.mark.parametrize(("changes", "message"), BAD, ids=[message[:50] for _, message in BAD])
 def test_mistake_is_named_by_its_key(changes, message):
     base = {} if "surface_contact" in changes or "contact" in changes else {"contact": [], "record": {}}
-    problems = problems_of(content(**base | {"variation": {}, "record": {"readings": []}} | changes))
+    problems = problems_of(content(**base | {"variation": {}, "record": {"sensors": []}} | changes))
     assert any(problem.startswith(message) for problem in problems), problems
     assert len(problems) == 1, problems
 

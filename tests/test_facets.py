@@ -31,9 +31,9 @@ def test_gap_and_force_are_continuous_while_a_sphere_rolls_over_edges_and_corner
     ways = ends[:, :1] + steps * (ends[:, 1:] - ends[:, :1])
     points = ways.reshape(-1, 3).astype(precision).astype(np.float64)
     spring = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=STIFFNESS))
-    readings = probe(mesh, points, radius=radius, material=spring, precision=precision, device=device)
-    gap, force = (readings[name].astype(np.float64).reshape(30, 1001) for name in ("gap", "normal_force"))
-    normal = readings["normal"].astype(np.float64).reshape(30, 1001, 3)
+    sensors = probe(mesh, points, radius=radius, material=spring, precision=precision, device=device)
+    gap, force = (sensors[name].astype(np.float64).reshape(30, 1001) for name in ("gap", "normal_force"))
+    normal = sensors["normal"].astype(np.float64).reshape(30, 1001, 3)
     moved = np.linalg.norm(np.diff(points.reshape(30, 1001, 3), axis=1), axis=2)
     assert (np.abs(np.diff(gap, axis=1)) <= moved + exact).all()
 
@@ -66,12 +66,12 @@ def test_gap_and_force_on_a_faceted_ball_are_of_second_order(device):
     spring = wc.ContactMaterial(law=wc.laws.Hertz(stiffness=1e6))
     gaps, forces = [], []
     for level in (1, 2, 3, 4, 5):
-        readings = probe(
+        sensors = probe(
             wc.meshes.icosphere(1.0, level), points, radius=radius, material=spring, precision="float64",
             device=device,
         )  # fmt: skip
-        gaps.append(np.abs(readings["gap"] + depth).max())
-        forces.append(np.abs(readings["normal_force"] - 1e6 * depth**1.5).max() / (1e6 * depth**1.5))
+        gaps.append(np.abs(sensors["gap"] + depth).max())
+        forces.append(np.abs(sensors["normal_force"] - 1e6 * depth**1.5).max() / (1e6 * depth**1.5))
     # A facet with edges h lies up to h²/6 inside the sphere of radius 1.
     assert gaps[-1] < 0.04**2 / 4
     assert (orders(gaps)[1:] > 1.9).all()
@@ -88,7 +88,7 @@ def test_a_bounce_on_a_faceted_ball_is_of_second_order(device):
         sim = wc.Simulation(model, dt=dt)
         impulse, lasted = np.zeros(model.envs), np.zeros(model.envs)
         for _ in range(steps):
-            force = model.reading("touch.normal_force")
+            force = model.sensor("touch.normal_force")
             impulse += force * dt
             lasted += force**2 * dt
             sim.step()
@@ -99,8 +99,8 @@ def test_a_bounce_on_a_faceted_ball_is_of_second_order(device):
         law, radius=radius, height=0.01, velocity=(0, 0, -speed), precision="float64", device=device
     )
     duration = impact(plane)[0]
-    height = plane.reading("ball.position")[0, 2] - radius
-    rebound = plane.reading("ball.linear_velocity")[0, 2]
+    height = plane.sensor("ball.position")[0, 2] - radius
+    rebound = plane.sensor("ball.linear_velocity")[0, 2]
     assert 0.5 < rebound < 0.8
     aims = directions(64)
     errors = []
@@ -115,8 +115,8 @@ def test_a_bounce_on_a_faceted_ball_is_of_second_order(device):
         model["ball.position"] = (1.0 + radius + 0.01) * aims
         model["ball.linear_velocity"] = -speed * aims
         lasted = impact(model)
-        out = np.einsum("ni,ni->n", model.reading("ball.position"), aims) - 1.0 - radius
-        fast = np.linalg.norm(model.reading("ball.linear_velocity"), axis=1)
+        out = np.einsum("ni,ni->n", model.sensor("ball.position"), aims) - 1.0 - radius
+        fast = np.linalg.norm(model.sensor("ball.linear_velocity"), axis=1)
         errors.append([np.abs(x).mean() for x in (lasted / duration - 1, out - height, fast - rebound)])
     order = orders(errors)
     assert (order[1:] > 1.8).all(), order

@@ -12,7 +12,7 @@ from warpcontact import Status
 
 
 def pushed(mesh, path, *, precision, device, entry="latched", radius=0.0, surface=None, **contact):
-    """Leads a point along ``path`` (steps, 3), one step after another; returns model and readings of every place.
+    """Leads a point along ``path`` (steps, 3), one step after another; returns model and sensors of every place.
 
     It moves with a prescribed velocity, too heavy for contact to change it.
     """
@@ -30,7 +30,7 @@ def pushed(mesh, path, *, precision, device, entry="latched", radius=0.0, surfac
         model.state.body_position.assign(np.array([[place]]))
         model.state.body_linear_velocity.assign(np.array([[np.subtract(following, place)]]))
         for name, values in seen.items():
-            values.append(model.reading(f"touch.{name}")[0])
+            values.append(model.sensor(f"touch.{name}")[0])
         sim.step()
     return model, {name: np.array(values) for name, values in seen.items()}
 
@@ -73,7 +73,7 @@ def test_an_unarmed_point_is_not_caught_by_a_sweep_either(precision, device):
     path = line((0.1, 0.2, 0.003), (0.1, 0.2, -0.03), count=3)
     model, seen = pushed(hard_cases.plate(thickness=0.02), path, precision=precision, device=device, swept=True)
     assert (seen["normal_force"] == 0).all()
-    assert model.reading("touch.crossings").tolist() == [0]
+    assert model.sensor("touch.crossings").tolist() == [0]
 
 
 @PRECISIONS
@@ -137,28 +137,28 @@ def test_another_mesh_does_not_inherit_the_face_that_was_touched(precision, devi
     for entry, swept in (("latched", False), ("literal", True)):
         path = line((0.1, 0.2, 0.6), (0.1, 0.2, 0.4), count=4)
         model, _ = pushed([box, turned], path, precision=precision, device=device, entry=entry, swept=swept)
-        before = {name: model.reading(f"touch.{name}") for name in ("gap", "normal", "status")}
+        before = {name: model.sensor(f"touch.{name}") for name in ("gap", "normal", "status")}
         assert before["status"][0] == Status.CONTACT
         model["ground.mesh"] = 1
         for name, value in before.items():
-            np.testing.assert_allclose(model.reading(f"touch.{name}"), value, atol=1e-6)
+            np.testing.assert_allclose(model.sensor(f"touch.{name}"), value, atol=1e-6)
 
 
 @PRECISIONS
 def test_what_is_disabled_or_lost_forgets_its_face(precision, device):
     path = line((0.1, 0.2, 0.02), (0.1, 0.2, -0.005), count=4)
     model, _ = pushed(hard_cases.plate(thickness=0.02), path, precision=precision, device=device)
-    assert model.reading("touch.normal")[0, 2] > 0.9
+    assert model.sensor("touch.normal")[0, 2] > 0.9
     sim = wc.Simulation(model, dt=1e-9)
     model["touch.enabled"] = 0
     sim.step()
-    assert model.reading("touch.status")[0] == Status.DISABLED
+    assert model.sensor("touch.status")[0] == Status.DISABLED
     model["touch.enabled"] = 1
     # The latch is kept, the face is not: the nearest is that of the other side now.
-    assert model.reading("touch.normal")[0, 2] < -0.9
+    assert model.sensor("touch.normal")[0, 2] < -0.9
     sim.reset()
     model.state.body_position.assign(np.array([[path[-1]]]))
-    assert model.reading("touch.status")[0] == Status.WRONG_SIDE
+    assert model.sensor("touch.status")[0] == Status.WRONG_SIDE
 
 
 @PRECISIONS
@@ -168,8 +168,8 @@ def test_a_state_written_from_outside_is_followed_as_far_as_the_surface_goes(pre
     path = line((-0.9, 0.0, 0.02), (-0.9, 0.0, -0.005), count=4)
     model, _ = pushed(mesh, path, precision=precision, device=device)
     model.state.body_position.assign(np.array([[[0.93, 0.05, -0.007]]]))
-    np.testing.assert_allclose(model.reading("touch.gap"), -0.017, atol=1e-6)
-    np.testing.assert_allclose(model.reading("touch.normal"), [[0, 0, 1]], atol=1e-5)
+    np.testing.assert_allclose(model.sensor("touch.gap"), -0.017, atol=1e-6)
+    np.testing.assert_allclose(model.sensor("touch.normal"), [[0, 0, 1]], atol=1e-5)
     model.state.body_position.assign(np.array([[[0.93, 0.05, 0.5]]]))
-    assert model.reading("touch.status")[0] == Status.OPEN
-    np.testing.assert_allclose(model.reading("touch.gap"), 0.49, atol=1e-6)
+    assert model.sensor("touch.status")[0] == Status.OPEN
+    np.testing.assert_allclose(model.sensor("touch.gap"), 0.49, atol=1e-6)

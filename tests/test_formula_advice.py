@@ -146,7 +146,7 @@ def test_square_roots_of_python_numpy_and_warp_compile_alike(device):
             return abs(p.stiffness * (math.sqrt(c.delta) + np.sqrt(c.delta) - wp.sqrt(c.delta)))
 
     model = dropped_sphere(Roots(), height=-0.04, device=device)
-    np.testing.assert_allclose(model.reading("touch.normal_force"), 1e4 * 0.2, rtol=1e-5)
+    np.testing.assert_allclose(model.sensor("touch.normal_force"), 1e4 * 0.2, rtol=1e-5)
 
 
 def test_function_that_can_end_without_a_return_is_refused():

@@ -108,15 +108,15 @@ def test_frames_are_what_one_sees_by_stopping(keys, name, threads, size, graphs,
     expected = []
     for _ in range(30):
         stopped.step(7)
-        expected.append([stopped.model.reading(key) for key in names])
+        expected.append([stopped.model.sensor(key) for key in names])
 
     monkeypatch.setattr(stepping, "LARGEST_SLICE", size)
     monkeypatch.setattr(crew, "ALONE", 0)
     sim = simulation(name, device, threads=threads, graphs=graphs)
     model = sim.model
-    needs = {need for key in names for need in model.find_reading(key).needs}
+    needs = {need for key in names for need in model.find_sensor(key).needs}
     model.make_measures(needs)
-    sources = [model.readings[key].array(model.arrays) for key in names]
+    sources = [model.sensors[key].array(model.arrays) for key in names]
     results = [np.zeros_like(np.stack([of[k] for of in expected])) for k in range(len(names))]
     taken = np.zeros(model.envs, dtype=int)
 
@@ -138,8 +138,8 @@ def test_frames_are_what_one_sees_by_stopping(keys, name, threads, size, graphs,
     plain.step(210)
     for body in model.scene.bodies:
         for key in STATE:
-            reading = f"{body.name}.{key}"
-            np.testing.assert_array_equal(model.reading(reading), plain.model.reading(reading), err_msg=reading)
+            sensor = f"{body.name}.{key}"
+            np.testing.assert_array_equal(model.sensor(sensor), plain.model.sensor(sensor), err_msg=sensor)
     assert sim.steps == plain.steps == 210
 
 
@@ -149,13 +149,13 @@ def test_steps_after_frames_are_those_without(name, every, device):
     """What a frame tells of contacts the next step does not look for again."""
     plain, sim = simulation(name, device), simulation(name, device)
     model = sim.model
-    needs = {need for key in names_of(model, NEUTRAL) for need in model.find_reading(key).needs}
+    needs = {need for key in names_of(model, NEUTRAL) for need in model.find_sensor(key).needs}
     sim.step_in_frames(300 // every, every, needs, lambda part, own, number: None)
     plain.step(300)
     for body in model.scene.bodies:
         for key in STATE:
-            reading = f"{body.name}.{key}"
-            np.testing.assert_array_equal(model.reading(reading), plain.model.reading(reading), err_msg=reading)
+            sensor = f"{body.name}.{key}"
+            np.testing.assert_array_equal(model.sensor(sensor), plain.model.sensor(sensor), err_msg=sensor)
 
 
 @pytest.fixture
@@ -167,7 +167,7 @@ def release_graphs(monkeypatch):
 @pytest.mark.usefixtures("release_graphs")
 def test_steps_after_looks_are_captured_where_there_are_some(device):
     sim = simulation("two bodies", device)
-    needs = sim.model.find_reading("lower.normal_force").needs
+    needs = sim.model.find_sensor("lower.normal_force").needs
 
     def captured():
         _, made = sim._prepared
@@ -207,21 +207,19 @@ def test_recordings_after_each_other_have_their_own_frames(device):
         for number in range(5):
             plain.step(10 if number else 0)
             for name, values in frames.items():
-                np.testing.assert_array_equal(
-                    values[number], plain.model.reading(name), err_msg=f"{name} {number}"
-                )
+                np.testing.assert_array_equal(values[number], plain.model.sensor(name), err_msg=f"{name} {number}")
         plain.step(17)
 
 
 def test_needs_that_are_known_are_those_of_all_readings(device):
     models = [make().build(device=device) for make in memory_scenes.SCENES.values()]
-    needs = {need for model in models for reading in model.parts[0].readings.values() for need in reading.needs}
+    needs = {need for model in models for sensor in model.parts[0].sensors.values() for need in sensor.needs}
     assert known_needs(needs) == needs == looks.KNOWN
 
 
 @pytest.mark.parametrize("name", ["two bodies", "hard", "heap"])
 def test_looks_at_contacts_add_nothing_to_wrenches(name, device):
-    """Where a reading of them is left out, they are left alone or computed anew: never added to again."""
+    """Where a sensor of them is left out, they are left alone or computed anew: never added to again."""
     model = (heap if name == "heap" else SCENES["two bodies"])().build(envs=ENVS, device=device)
     if name != "heap":
         start(model)
@@ -314,7 +312,7 @@ def test_frames_of_what_needs_all_environments_at_once(device):
     model = scene.build(envs=ENVS, device=device)
     start(model)
     sim = wc.Simulation(model, dt=1e-3, integrator=wc.integrators.MoreauJean(), threads=2)
-    needs = {*model.find_reading("lower.normal_force").needs}
+    needs = {*model.find_sensor("lower.normal_force").needs}
     assert not in_parts(model.device, model.hard, needs)
     frames = []
 
@@ -323,7 +321,7 @@ def test_frames_of_what_needs_all_environments_at_once(device):
         frames.append(part.measured("lower.normal_force"))
 
     sim.step_in_frames(4, 100, needs, take)
-    np.testing.assert_array_equal(frames[-1], model.reading("lower.normal_force"))
+    np.testing.assert_array_equal(frames[-1], model.sensor("lower.normal_force"))
     assert np.max(frames) > 0.0
 
 
@@ -336,10 +334,10 @@ def test_contacts_that_were_hard_show_no_force_when_they_are_not(device):
     model = scene.build(envs=2, device=device)
     soft = wc.Simulation(model, dt=1e-3)
     wc.Simulation(model, dt=1e-3, integrator=wc.integrators.MoreauJean()).step(10)
-    assert (model.reading("touch.normal_force") > 1.0).all()
+    assert (model.sensor("touch.normal_force") > 1.0).all()
     model.state.body_position.assign(np.full((2, 1, 3), (0.0, 0.0, 1.0), dtype=np.float32))
     soft.step()
-    np.testing.assert_array_equal(model.reading("touch.normal_force"), 0.0)
+    np.testing.assert_array_equal(model.sensor("touch.normal_force"), 0.0)
 
 
 def test_forces_are_none_after_steps_that_remember_nothing_took_a_contact_away(device):
@@ -351,11 +349,11 @@ def test_forces_are_none_after_steps_that_remember_nothing_took_a_contact_away(d
     model = scene.build(envs=2, device=device)
     sim = wc.Simulation(model, dt=1e-6, distance_cache=False)
     sim.step()
-    np.testing.assert_array_equal(model.reading("touch.normal_force"), 0.0)
+    np.testing.assert_array_equal(model.sensor("touch.normal_force"), 0.0)
     start = model.state.body_position.numpy().copy()
     model.state.body_position.assign(start - np.array([0.0, 0.0, 0.11], dtype=np.float32))
     sim.step()
     # As near to where it was seen before as not to move at all.
     model.state.body_position.assign(start)
     model.state.body_linear_velocity.zero_()
-    np.testing.assert_array_equal(model.reading("touch.normal_force"), 0.0)
+    np.testing.assert_array_equal(model.sensor("touch.normal_force"), 0.0)

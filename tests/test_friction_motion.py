@@ -42,7 +42,7 @@ def resting_block(
 
 
 def place(model):
-    return model.reading("block.position")[:, 0]
+    return model.sensor("block.position")[:, 0]
 
 
 STICKING = [
@@ -66,7 +66,7 @@ def test_a_block_sticks_below_the_friction_angle_and_slides_above(friction, stee
     model["block.position"] = np.column_stack([0 * angles, 0 * angles, -G * np.cos(angles) / LOAD])
     sim = wc.Simulation(model, dt=1e-4)
     sim.step(5000)
-    path, speed = place(model), model.reading("block.linear_velocity")[:, 0]
+    path, speed = place(model), model.sensor("block.linear_velocity")[:, 0]
     sim.step(5000)
     # At rest, near the limit after the small slip that a sudden load gives.
     # A spring takes no less than half a rounding of its stretch, here 3e-5 m at most, in a step.
@@ -76,7 +76,7 @@ def test_a_block_sticks_below_the_friction_angle_and_slides_above(friction, stee
     if isinstance(friction, F.CundallStrack):
         np.testing.assert_allclose(path[0], G * np.sin(angles[0]) / 1e5, rtol=1e-3)
     # Sliding at the acceleration of G8, at 30° 2.356287237 m/s².
-    acceleration = (model.reading("block.linear_velocity")[:, 0] - speed)[2:] / 0.5
+    acceleration = (model.sensor("block.linear_velocity")[:, 0] - speed)[2:] / 0.5
     np.testing.assert_allclose(
         acceleration, [G * (np.sin(angles[2]) - 0.3 * np.cos(angles[2])), 2.356287237], rtol=2e-4
     )
@@ -228,7 +228,7 @@ def test_tanh_friction_creeps_at_the_speed_of_its_closed_form(device):
     gravity = (G * np.sin(slope), 0, -G * np.cos(slope))
     model = resting_block(F.Tanh(mu=0.4, velocity_scale=1 / 200), gravity=gravity, device=device)
     wc.Simulation(model, dt=1e-4).step(5000)
-    np.testing.assert_allclose(model.reading("block.linear_velocity")[0, 0], 0.004052563, rtol=1e-6)
+    np.testing.assert_allclose(model.sensor("block.linear_velocity")[0, 0], 0.004052563, rtol=1e-6)
 
 
 def test_elliptic_friction_keeps_its_invariant(device):
@@ -242,5 +242,5 @@ def test_elliptic_friction_keeps_its_invariant(device):
     model["plate.orientation"] = (0, 0, np.sin(turn / 2), np.cos(turn / 2))
     model["block.linear_velocity"] = axis_1 + axis_2
     wc.Simulation(model, dt=0.3615177588 / 20000).step(20000)
-    velocity = model.reading("block.linear_velocity")[0]
+    velocity = model.sensor("block.linear_velocity")[0]
     np.testing.assert_allclose((velocity @ axis_1, velocity @ axis_2), (0.0625, 0.5), rtol=2e-4)

@@ -79,7 +79,7 @@ def sliding(friction, velocity, device, precision="float32"):
     law = wc.laws.Hooke(stiffness=1e4)
     model = dropped_sphere(law, friction=friction, height=-1e-3, envs=envs, device=device, precision=precision)
     model["ball.linear_velocity"] = np.column_stack([velocity, np.zeros(envs)])
-    return model.reading("touch.friction_force"), model.reading("touch.normal_force")
+    return model.sensor("touch.friction_force"), model.sensor("touch.normal_force")
 
 
 def test_samples_cover_the_catalogue():
@@ -149,7 +149,7 @@ def test_regularised_friction_creeps_at_its_known_speed(friction, speed, device)
     model = scene.build(device=device, precision="float64")
     wc.Simulation(model, dt=2e-4).step(5000)
     # The feet share the load unevenly, by height/width of the block: second order in 0.1.
-    np.testing.assert_allclose(model.reading("block.linear_velocity")[0, 0], speed, rtol=2e-3)
+    np.testing.assert_allclose(model.sensor("block.linear_velocity")[0, 0], speed, rtol=2e-3)
 
 
 @pytest.mark.parametrize("friction", F.CATALOGUE, ids=lambda friction: friction.__name__)

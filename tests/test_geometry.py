@@ -32,24 +32,24 @@ def placed(name):
 
 
 def measured(mesh, position, surface, count, precision, device, seed=1):
-    """Returns points as the precision holds them, their true distance, and the readings of them."""
+    """Returns points as the precision holds them, their true distance, and the sensors of them."""
     kinds = hard_cases.hard_points(surface, count, seed)
     points = np.concatenate(list(kinds.values())).astype(precision).astype(np.float64)
-    readings = probe(mesh, points, position=position, kappa=0.0, precision=precision, device=device)
-    return points, surface.nearest(points)[0], readings
+    sensors = probe(mesh, points, position=position, kappa=0.0, precision=precision, device=device)
+    return points, surface.nearest(points)[0], sensors
 
 
-def assert_nearest(points, distance, readings, surface, precision):
+def assert_nearest(points, distance, sensors, surface, precision):
     """The reported point is a nearest one of the surface, whichever of several.
 
     Returns how far the normal is off the direction to the point, either way round and as the gap's sign has it.
     """
     scale = np.maximum(surface.size, distance)
-    foot = readings["point"].astype(np.float64)
+    foot = sensors["point"].astype(np.float64)
     to_point = points - foot
     assert (np.abs(np.linalg.norm(to_point, axis=1) - distance) / scale).max() < LENGTH[precision]
     assert (surface.nearest(foot)[0] / scale).max() < LENGTH[precision]
-    normal, gap = readings["normal"].astype(np.float64), readings["gap"].astype(np.float64)[:, None]
+    normal, gap = sensors["normal"].astype(np.float64), sensors["gap"].astype(np.float64)[:, None]
     np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0, rtol=0, atol=LENGTH[precision])
     # Beside a border the gap has no sign.
     away = [np.linalg.norm(to_point - sign * gap * normal, axis=1) / scale for sign in (1, -1)]
@@ -57,11 +57,11 @@ def assert_nearest(points, distance, readings, surface, precision):
 
 
 def assert_exact_on_closed(mesh, position, surface, count, precision, device, *, sides=True):
-    points, distance, readings = measured(mesh, position, surface, count, precision, device)
+    points, distance, sensors = measured(mesh, position, surface, count, precision, device)
     scale = np.maximum(surface.size, distance)
-    gap = readings["gap"].astype(np.float64)
+    gap = sensors["gap"].astype(np.float64)
     assert (np.abs(np.abs(gap) - distance) / scale).max() < LENGTH[precision]
-    _, away = assert_nearest(points, distance, readings, surface, precision)
+    _, away = assert_nearest(points, distance, sensors, surface, precision)
     clear = distance / scale > ON_SURFACE[precision]
     assert away[clear].max() < LENGTH[precision]
     assert away.max() < LENGTH[precision] + 2 * ON_SURFACE[precision]
@@ -100,10 +100,10 @@ def test_meshes_from_files_are_exact_where_it_is_hard(name, precision, shared_da
 @pytest.mark.parametrize("name", hard_cases.OPEN)
 def test_open_meshes_are_exact_over_their_faces_and_beside_their_borders(name, precision, device):
     mesh, position, surface = placed(name)
-    points, distance, readings = measured(mesh, position, surface, 3000, precision, device)
+    points, distance, sensors = measured(mesh, position, surface, 3000, precision, device)
     scale = np.maximum(surface.size, distance)
-    away, _ = assert_nearest(points, distance, readings, surface, precision)
-    gap, foot = readings["gap"].astype(np.float64), readings["point"].astype(np.float64)
+    away, _ = assert_nearest(points, distance, sensors, surface, precision)
+    gap, foot = sensors["gap"].astype(np.float64), sensors["point"].astype(np.float64)
     edges = np.linalg.norm(np.diff(surface.corners, axis=1, append=surface.corners[:, :1]), axis=2)
     # Where the nearest point is on the rectangle's border, P may be a little beside it and count as over it.
     inset = np.minimum(foot - surface.low, surface.high - foot)[:, :2].min(axis=1)
@@ -132,9 +132,9 @@ def test_on_the_surface_the_normal_is_that_of_a_feature_there(name, precision, d
     mesh, position, surface = placed(name)
     corners = surface.corners[:: len(surface.corners) // 300 + 1]
     points = np.concatenate([corners[:, 0], 0.5 * (corners[:, 0] + corners[:, 1]), corners.mean(axis=1)])
-    readings = probe(mesh, points, position=position, precision=precision, device=device)
-    assert np.abs(readings["gap"]).max() < LENGTH[precision] * surface.size
-    for point, normal in zip(points, readings["normal"], strict=True):
+    sensors = probe(mesh, points, position=position, precision=precision, device=device)
+    assert np.abs(sensors["gap"]).max() < LENGTH[precision] * surface.size
+    for point, normal in zip(points, sensors["normal"], strict=True):
         off = np.linalg.norm(surface.pseudonormals(point) - normal, axis=1)
         # The direction of a blade's edge is a small difference of the normals of its faces.
         assert off.min() < 10 * LENGTH[precision]
@@ -151,12 +151,12 @@ def test_a_turned_and_moved_surface_is_as_exact_as_one_in_place(precision, devic
     surface = Surface((rotated + position)[mesh.faces])
     points = np.concatenate(list(hard_cases.hard_points(surface, 1500).values()))
     points = points.astype(precision).astype(np.float64)
-    readings = probe(mesh, points, position=position, orientation=turn, precision=precision, device=device)
+    sensors = probe(mesh, points, position=position, orientation=turn, precision=precision, device=device)
     distance, turns = surface.nearest(points)[0], surface.winding(points)
     expected = np.where(turns > 0.5, -distance, distance)
     scale = np.maximum(surface.size, distance)
     # The rotation is rounded as well.
-    assert (np.abs(readings["gap"] - expected) / scale).max() < LENGTH[precision]
+    assert (np.abs(sensors["gap"] - expected) / scale).max() < LENGTH[precision]
 
 
 @pytest.mark.parametrize("thickness", [1e-2, 1e-3])
@@ -180,7 +180,7 @@ def test_a_search_radius_loses_nothing_that_it_reaches(precision, device):
     away = rng.uniform(0.05, 2.0, count) * reach
     beside, above = rng.uniform(-0.49, 0.49, count), rng.uniform(-4e-4, 4e-4, count)
     model["body.position"] = np.column_stack([0.5 + away, beside, above])
-    seen = model.reading("touch.status") != wc.Status.FAR
+    seen = model.sensor("touch.status") != wc.Status.FAR
     # float32 places a point to 6e-8 m.
     np.testing.assert_array_equal(seen[np.abs(away - reach) > 1e-7], (away < reach)[np.abs(away - reach) > 1e-7])
-    np.testing.assert_allclose(model.reading("touch.gap"), np.minimum(away, reach), rtol=0, atol=1e-7)
+    np.testing.assert_allclose(model.sensor("touch.gap"), np.minimum(away, reach), rtol=0, atol=1e-7)

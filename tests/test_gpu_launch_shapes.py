@@ -353,7 +353,7 @@ def sensors_of(sim):
     scene = sim.model.scene
     names = [f"{contact.name}.{key}" for contact in scene.contacts for key in SENSORS]
     names += [f"{contact.name}.{key}" for contact in scene.mutual_contacts for key in PARTICLE_SENSORS]
-    return {name: np.asarray(sim.model.reading(name)) for name in names}
+    return {name: np.asarray(sim.model.sensor(name)) for name in names}
 
 
 def assert_bitwise(found, expected, when):
@@ -401,7 +401,7 @@ def test_launch_shape_equals_staged_steps_after_changes(name, cuda, monkeypatch)
     """Changes of state and parameters invalidate cached distances."""
 
     def raised(model):
-        model["body.position"] = model.reading("body.position") + np.array([0.0, 0.0, 0.02])
+        model["body.position"] = model.sensor("body.position") + np.array([0.0, 0.0, 0.02])
 
     changes = [
         raised,

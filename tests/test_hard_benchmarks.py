@@ -40,8 +40,8 @@ def test_simbenchmark_rolling(device, direction):
     scene.add_contact(centres, top, rigid(mu=0.8), radius=0.5, kappa=1.0, name="roll")
     model = scene.build(device=device, precision="float64")
     integrator = wc.integrators.MoreauJean(solver="accelerated", iterations=2000, tolerance=1e-8)
-    readings = ["box.linear_velocity", "balls.linear_velocity", "roll.penetration", "box_feet.penetration"]
-    data = wc.Simulation(model, dt, integrator).run(1.0, readings)
+    sensors = ["box.linear_velocity", "balls.linear_velocity", "roll.penetration", "box_feet.penetration"]
+    data = wc.Simulation(model, dt, integrator).run(1.0, sensors)
     f1 = 0.4 * (M + n * m) * G
     f2 = (F - f1) / M / (3.5 / m + n / M)
     time = data["time"].values[:, None]
@@ -102,11 +102,11 @@ def test_sliding_with_a_change_of_direction(device):
         simulation = wc.Simulation(model, dt, wc.integrators.MoreauJean())
         model["sledge.external_force"] = (0.0, force, 0.0)
         simulation.step(round(half / dt))
-        assert model.reading("sledge.linear_velocity")[0] == pytest.approx([0.0, before, 0.0], abs=1e-8)
+        assert model.sensor("sledge.linear_velocity")[0] == pytest.approx([0.0, before, 0.0], abs=1e-8)
         model["sledge.external_force"] = (force, 0.0, 0.0)
         simulation.step(round(half / dt))
-        errors.append(np.abs(model.reading("sledge.linear_velocity")[0, :2] - expected).max())
-        assert model.reading("touch.penetration")[0] == pytest.approx(1e-9, rel=1e-6)
+        errors.append(np.abs(model.sensor("sledge.linear_velocity")[0, :2] - expected).max())
+        assert model.sensor("touch.penetration")[0] == pytest.approx(1e-9, rel=1e-6)
     assert errors[-1] < 2e-3 * np.abs(expected).max()
     for coarse, fine in itertools.pairwise(errors):
         assert coarse / fine == pytest.approx(2.0, rel=0.1)
@@ -130,8 +130,8 @@ def test_rolling_with_a_change_of_direction(device):
         model["ball.external_force"] = force
         simulation.step(250)
         gained = 5.0 / 7.0 * 3.0 * 0.5
-        assert model.reading("ball.linear_velocity")[0] == pytest.approx([gained, number * gained, 0.0], abs=1e-8)
-    assert model.reading("touch.mode")[0] == wc.ContactMode.STICK
+        assert model.sensor("ball.linear_velocity")[0] == pytest.approx([gained, number * gained, 0.0], abs=1e-8)
+    assert model.sensor("touch.mode")[0] == wc.ContactMode.STICK
 
 
 def rolling_ball(device):
@@ -180,8 +180,8 @@ def test_below_the_critical_friction_painleves_rod_slides(device, solver):
     model = simulation.model
     # N = m g / (W_nn + μ W_nt), 2.5 times the weight at μ = 1.
     expected = G / (DELASSUS[0, 0] + DELASSUS[0, 1])
-    assert model.reading("touch.normal_force")[0] == pytest.approx(expected, rel=1e-3)
-    assert model.reading("touch.mode")[0] == wc.ContactMode.SLIP
+    assert model.sensor("touch.normal_force")[0] == pytest.approx(expected, rel=1e-3)
+    assert model.sensor("touch.mode")[0] == wc.ContactMode.SLIP
 
 
 @pytest.mark.parametrize("solver", ["gauss_seidel", "accelerated"])
@@ -194,13 +194,13 @@ def test_above_it_painleves_rod_jams_in_an_impact_without_collision(device, dt, 
     simulation = painleve(2.0, dt, solver, device)
     model = simulation.model
     simulation.step(1)
-    assert model.reading("scene.solve_converged")[0] == 1
+    assert model.sensor("scene.solve_converged")[0] == 1
     expected = np.linalg.solve(DELASSUS, [G * dt, 3.0])
-    impulse = model.reading("touch.impulse")[0]
+    impulse = model.sensor("touch.impulse")[0]
     assert impulse[[2, 0]] == pytest.approx(expected, rel=1e-6)
     assert expected == pytest.approx([0.9, 1.2], rel=0.02)
-    assert model.reading("touch.mode")[0] == wc.ContactMode.STICK
-    assert model.reading("scene.kinetic_energy")[0] == pytest.approx(4.5 - 1.8, rel=0.02)
+    assert model.sensor("touch.mode")[0] == wc.ContactMode.STICK
+    assert model.sensor("scene.kinetic_energy")[0] == pytest.approx(4.5 - 1.8, rel=0.02)
     before = energy_of(model)
     for _ in range(400):
         simulation.step(1)
@@ -210,9 +210,9 @@ def test_above_it_painleves_rod_jams_in_an_impact_without_collision(device, dt, 
         before = now
     # Gauss–Seidel solves one contact exactly, by its cases. Momentum takes steps towards it, which the strong
     # coupling of normal and tangent may keep from the tolerance: then it says so.
-    unsolved = model.reading("scene.solve_failures")[0]
+    unsolved = model.sensor("scene.solve_failures")[0]
     assert unsolved == 0 if solver == "gauss_seidel" else unsolved < 0.25 * 400
 
 
 def energy_of(model):
-    return sum(model.reading(name)[0] for name in ENERGY)
+    return sum(model.sensor(name)[0] for name in ENERGY)

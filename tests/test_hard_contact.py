@@ -54,14 +54,14 @@ def test_restitution_and_friction_of_the_template_are_those_of_each_environment(
     model["touch.friction.mu"] = [0.0, 0.1, 2.0]
     simulation = wc.Simulation(model, 1e-3, HARD)
     simulation.run(0.01)
-    after = model.reading("ball.linear_velocity")
+    after = model.sensor("ball.linear_velocity")
     assert after[:, 2] == pytest.approx([0.0, 1.2, 3.0], abs=1e-12)
     # Sliding takes μ (1 + e) v; a ball that grips rolls: v 5/7 of before.
     assert after[:, 0] == pytest.approx([2.0, 2.0 - 0.1 * 4.2, 2.0 * 5.0 / 7.0], abs=1e-9)
     model["touch.law.restitution"] = 0.25
     simulation.reset()
     simulation.run(0.01)
-    assert model.reading("ball.linear_velocity")[:, 2] == pytest.approx(0.75, abs=1e-12)
+    assert model.sensor("ball.linear_velocity")[:, 2] == pytest.approx(0.75, abs=1e-12)
 
 
 def test_a_compliant_template_lends_its_restitution_and_friction(device):
@@ -71,7 +71,7 @@ def test_a_compliant_template_lends_its_restitution_and_friction(device):
     )
     model = ball(material=material, height=0.01, velocity=(2.0, 0.0, -3.0), gravity=0.0, device=device)
     wc.Simulation(model, 1e-3, HARD).run(0.01)
-    assert model.reading("ball.linear_velocity")[0] == pytest.approx([2.0 - 0.1 * 5.1, 0.0, 2.1], abs=1e-12)
+    assert model.sensor("ball.linear_velocity")[0] == pytest.approx([2.0 - 0.1 * 5.1, 0.0, 2.1], abs=1e-12)
 
 
 def test_a_sliding_block_stops_where_coulomb_says(oracle, device):
@@ -101,9 +101,9 @@ def test_an_incline_holds_what_is_below_the_angle_of_friction(oracle, device):
     model["block_feet.friction.mu"] = [0.3, limit - 1e-4, limit + 1e-4]
     simulation = wc.Simulation(model, 1e-3, HARD)
     simulation.step(200)
-    before = model.reading("block.linear_velocity")[:, 0]
+    before = model.sensor("block.linear_velocity")[:, 0]
     simulation.step(1000)
-    gain = model.reading("block.linear_velocity")[:, 0] - before
+    gain = model.sensor("block.linear_velocity")[:, 0] - before
     assert gain[0] == pytest.approx(oracle["slide"]["a_incline"], rel=1e-6)
     assert gain[1] == pytest.approx(1e-4 * G * np.cos(np.deg2rad(20.0)), rel=1e-4)
     assert abs(gain[2]) < 1e-9
@@ -119,12 +119,12 @@ def test_a_pushed_block_sticks_slides_or_tips(device, push, height, mu, accelera
     model["block.external_torque"] = (0.0, push * (height - 1.0), 0.0)
     simulation = wc.Simulation(model, 1e-4, HARD)
     simulation.step(20)
-    before = model.reading("block.linear_velocity")[0], model.reading("block.angular_velocity")[0]
+    before = model.sensor("block.linear_velocity")[0], model.sensor("block.angular_velocity")[0]
     simulation.step(100)
-    gain = (model.reading("block.linear_velocity")[0] - before[0]) / 1e-2
-    turning = (model.reading("block.angular_velocity")[0] - before[1]) / 1e-2
-    force = model.reading("block_feet.normal_force")[0]
-    friction = model.reading("block_feet.friction_force")[0].sum(axis=0)
+    gain = (model.sensor("block.linear_velocity")[0] - before[0]) / 1e-2
+    turning = (model.sensor("block.angular_velocity")[0] - before[1]) / 1e-2
+    force = model.sensor("block_feet.normal_force")[0]
+    friction = model.sensor("block_feet.friction_force")[0].sum(axis=0)
     if tips:
         # a = (1.377, 0.6885), α = −1.377 about the axis into the picture, N = (0, 104.985), T = −26.23
         assert gain == pytest.approx([1.377, 0.0, 0.6885], rel=2e-3, abs=1e-9)
@@ -183,9 +183,9 @@ def test_rolling_and_spinning_friction_stop_a_ball_evenly(device):
     model = scene.build(device=device, precision="float64")
     simulation = wc.Simulation(model, 1e-3, HARD)
     simulation.step(5)
-    v0, w0 = model.reading("rolling.linear_velocity")[0, 0], model.reading("spinning.angular_velocity")[0, 2]
+    v0, w0 = model.sensor("rolling.linear_velocity")[0, 0], model.sensor("spinning.angular_velocity")[0, 2]
     simulation.step(100)
-    v1, w1 = model.reading("rolling.linear_velocity")[0, 0], model.reading("spinning.angular_velocity")[0, 2]
+    v1, w1 = model.sensor("rolling.linear_velocity")[0, 0], model.sensor("spinning.angular_velocity")[0, 2]
     # M = μ_r R m g on a ball that rolls: a = M R/(I + m R²); spinning: α = μ_t r_t m g/I.
     assert (v0 - v1) / 0.1 == pytest.approx(0.02 * G / 1.4, rel=1e-6)
     assert (w0 - w1) / 0.1 == pytest.approx(0.3 * 0.01 * G / 0.004, rel=1e-6)
@@ -193,8 +193,8 @@ def test_rolling_and_spinning_friction_stop_a_ball_evenly(device):
     # To the tolerance of the solve, of the speed g h that it takes off in a step. The centre has that of K and R ω
     # on top.
     for name in ("rolling", "spinning"):
-        assert np.abs(model.reading(f"{name}.angular_velocity")).max() < 1e-8 * G * 1e-3 / 0.1
-        assert np.abs(model.reading(f"{name}.linear_velocity")).max() < 2e-8 * G * 1e-3
+        assert np.abs(model.sensor(f"{name}.angular_velocity")).max() < 1e-8 * G * 1e-3 / 0.1
+        assert np.abs(model.sensor(f"{name}.linear_velocity")).max() < 2e-8 * G * 1e-3
 
 
 def test_losses_and_energy_of_round_bodies_add_up(device):
@@ -232,14 +232,14 @@ def test_boxes_thrown_onto_each_other_never_gain_energy(device):
         warnings.simplefilter("ignore", RuntimeWarning)
         data = simulation.run(2.0, [*ENERGY, "one_feet.gap", "two_feet.gap"])
     # With friction a contact problem may have no solution that is found; that is rare, and counted.
-    assert model.reading("scene.solve_failures").sum() < 2e-3 * envs * simulation.steps
+    assert model.sensor("scene.solve_failures").sum() < 2e-3 * envs * simulation.steps
     kinetic = data["scene.kinetic_energy"].values
     # A contact that is closed but parts with less than g h is held, which may lift the body by as much; turning
     # bodies keep their energy to second order in the step.
     held = 2.0 * 24.0 * (G * dt) ** 2 / 8.0
     assert (np.diff(energy(data), axis=0) <= held + 2.0 * dt**2 * kinetic.max(axis=0)).all()
     # Some impacts would have brought energy.
-    assert model.reading("scene.restrained").sum() > 0
+    assert model.sensor("scene.restrained").sum() > 0
     fastest = 8.0  # m/s, of any corner
     for name in ("one_feet.gap", "two_feet.gap"):
         assert data[name].values.min() > -fastest * dt
@@ -281,16 +281,16 @@ def test_a_stack_of_ten_boxes_stays_for_a_hundred_seconds(device):
     model = tower(10, device=device)
     names = [f"box{number}.position" for number in range(10)]
     simulation = wc.Simulation(model, 5e-3, HARD)
-    start = np.array([model.reading(name)[0] for name in names])
+    start = np.array([model.sensor(name)[0] for name in names])
     simulation.step(2000)
-    early = np.array([model.reading(name)[0] for name in names])
+    early = np.array([model.sensor(name)[0] for name in names])
     simulation.step(18000)
-    late = np.array([model.reading(name)[0] for name in names])
+    late = np.array([model.sensor(name)[0] for name in names])
     # It settles by what feet sink in within the first steps, g h² each, and does not creep. Solves leave 1e-8 of
     # the impulse of ten boxes for 90 s; what tilts a foot moves a top ten times as high.
     assert np.abs(early - start).max() < 10 * 10 * G * 5e-3**2
     assert np.abs(late - early).max() < 1e-8 * (10 * G * 5e-3) * 90.0 * 10
-    assert model.reading("scene.kinetic_energy")[0] < 1e-9
-    assert model.reading("scene.closed_contacts")[0] == 40
+    assert model.sensor("scene.kinetic_energy")[0] < 1e-9
+    assert model.sensor("scene.closed_contacts")[0] == 40
     weight = 10 * 125.0 * G
-    assert model.reading("box0_feet.normal_force")[0].sum() == pytest.approx(weight, rel=1e-6)
+    assert model.sensor("box0_feet.normal_force")[0].sum() == pytest.approx(weight, rel=1e-6)

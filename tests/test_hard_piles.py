@@ -32,12 +32,12 @@ def test_two_balls_exchange_momentum_as_newton_says(precision, device):
     model = scene.build(envs=3, device=device, precision=precision)
     model["pile.law.restitution"] = [0.0, 0.7, 1.0]
     wc.Simulation(model, 1e-3, HARD).step(100)
-    one, two = np.moveaxis(model.reading("ball.linear_velocity")[..., 0], 1, 0)
+    one, two = np.moveaxis(model.sensor("ball.linear_velocity")[..., 0], 1, 0)
     tolerance = 1e-5 if precision == "float32" else 1e-12
     assert one + two == pytest.approx(1.5, abs=tolerance)
     assert two - one == pytest.approx([0.0, 0.7 * 2.5, 2.5], abs=tolerance)
     # Nothing is left of where a ball that sticks to the other was hit off its middle.
-    assert np.abs(model.reading("ball.angular_velocity")).max() == 0.0
+    assert np.abs(model.sensor("ball.angular_velocity")).max() == 0.0
 
 
 RESISTANCE = {"rolling": wc.frictions.Coulomb(mu=0.05), "torsion": wc.frictions.Coulomb(mu=0.2)}
@@ -78,7 +78,7 @@ def test_a_pair_is_that_of_a_smooth_contact(forms, material, options, device):
         model = scene.build(device=device, precision="float64")
         wc.Simulation(model, 1e-3, HARD).step(100)
         names = [f"{body}.{key}_velocity" for body in ("one", "two") for key in ("linear", "angular")]
-        ends.append([model.reading(name)[0] for name in names])
+        ends.append([model.sensor(name)[0] for name in names])
     # Both ways end within what is left of a solve, which later touches make more of.
     np.testing.assert_allclose(ends[0], ends[1], atol=1e-6)
     assert np.abs(ends[0][1] - [1.0, 5.0, 2.0]).max() > 0.1
@@ -92,17 +92,17 @@ def test_a_ball_bounces_off_one_that_is_fixed(device):
     scene.add_mutual_contact(shapes, rigid(0.5), name="pile")
     model = scene.build(device=device, precision="float64")
     simulation = wc.Simulation(model, 1e-3, HARD)
-    while model.reading("pile.normal_force")[0] == 0.0:
+    while model.sensor("pile.normal_force")[0] == 0.0:
         simulation.step(1)
     pair = model.touching("pile")
     normal = pair["normal"].values[0]
     before = np.array([0.0, 0.0, -1.0])
     # The post has the lower number, so that the normal points towards it.
-    assert model.reading("ball.linear_velocity")[0] == pytest.approx(
+    assert model.sensor("ball.linear_velocity")[0] == pytest.approx(
         before - 1.5 * (before @ normal) * normal, abs=1e-9
     )
-    assert model.reading("pile.force")[0, 0] == pytest.approx(pair["normal_force"].values[0] * normal)
-    assert (model.reading("post.linear_velocity") == 0.0).all()
+    assert model.sensor("pile.force")[0, 0] == pytest.approx(pair["normal_force"].values[0] * normal)
+    assert (model.sensor("post.linear_velocity") == 0.0).all()
 
 
 # Half the edge of the base over that of a tetrahedron of touching balls: the base is not to touch.
@@ -135,22 +135,22 @@ def test_a_pyramid_rests_with_the_forces_of_its_closed_form(device):
     across = np.linalg.norm(pairs["friction_force"].values, axis=1)
     assert across == pytest.approx(weight / 3.0 * np.tan(0.5 * theta), **close)
     assert (pairs["friction_force"].values * pairs["normal"].values).sum(axis=1) == pytest.approx(0.0, abs=1e-9)
-    floor = model.reading("floor.normal_force")[0]
+    floor = model.sensor("floor.normal_force")[0]
     assert floor[:3] == pytest.approx(4.0 / 3.0 * weight, **close)
     assert floor[3] == 0.0
-    assert np.linalg.norm(model.reading("floor.friction_force")[0, :3], axis=1) == pytest.approx(
+    assert np.linalg.norm(model.sensor("floor.friction_force")[0, :3], axis=1) == pytest.approx(
         weight / 3.0 * np.tan(0.5 * theta), **close
     )
-    # What readings say of the whole pile is the sum of its pairs.
-    assert model.reading("pile.contacts")[0] == 3
-    assert model.reading("pile.coordination")[0].tolist() == [1, 1, 1, 3]
-    assert model.reading("pile.normal_force")[0] == pytest.approx(pairs["normal_force"].values.sum())
-    assert model.reading("pile.max_normal_force")[0] == pytest.approx(pairs["normal_force"].values.max())
-    assert model.reading("pile.force")[0, 3] == pytest.approx([0.0, 0.0, weight], abs=1e-6 * weight)
-    assert model.reading("ball.force")[0, :, 2] == pytest.approx(weight, rel=1e-6)
-    assert model.reading("scene.closed_contacts")[0] == 6
-    assert 0.0 < model.reading("pile.max_penetration")[0] < 10.0 * G * 1e-3**2
-    assert model.reading("scene.kinetic_energy")[0] < 1e-12
+    # What sensors say of the whole pile is the sum of its pairs.
+    assert model.sensor("pile.contacts")[0] == 3
+    assert model.sensor("pile.coordination")[0].tolist() == [1, 1, 1, 3]
+    assert model.sensor("pile.normal_force")[0] == pytest.approx(pairs["normal_force"].values.sum())
+    assert model.sensor("pile.max_normal_force")[0] == pytest.approx(pairs["normal_force"].values.max())
+    assert model.sensor("pile.force")[0, 3] == pytest.approx([0.0, 0.0, weight], abs=1e-6 * weight)
+    assert model.sensor("ball.force")[0, :, 2] == pytest.approx(weight, rel=1e-6)
+    assert model.sensor("scene.closed_contacts")[0] == 6
+    assert 0.0 < model.sensor("pile.max_penetration")[0] < 10.0 * G * 1e-3**2
+    assert model.sensor("scene.kinetic_energy")[0] < 1e-12
 
 
 def test_a_pyramid_slides_apart_with_too_little_friction(device):
@@ -160,9 +160,9 @@ def test_a_pyramid_slides_apart_with_too_little_friction(device):
     for name in ("pile.friction.mu", "floor.friction.mu"):
         model[name] = [0.95 * needed, 1.05 * needed]
     wc.Simulation(model, 1e-3, HARD).step(1000)
-    top = model.reading("ball.position")[:, 3, 2]
+    top = model.sensor("ball.position")[:, 3, 2]
     assert top[1] - top[0] > 0.05
-    assert model.reading("scene.kinetic_energy")[1] < 1e-12
+    assert model.sensor("scene.kinetic_energy")[1] < 1e-12
 
 
 def heap(**options):
@@ -203,7 +203,7 @@ INTEGRATOR = wc.integrators.MoreauJean(iterations=1000, tolerance=1e-6)
 
 def bits(model):
     names = ["ball.position", "ball.linear_velocity", "ball.angular_velocity", "pile.force", "floor.impulse"]
-    return np.concatenate([model.reading(name).ravel() for name in [*names, "scene.solve_iterations"]])
+    return np.concatenate([model.sensor(name).ravel() for name in [*names, "scene.solve_iterations"]])
 
 
 @pytest.fixture(scope="module")
@@ -242,13 +242,13 @@ def test_a_heap_falls_without_overlap_and_never_gains_energy(fallen):
 
 def test_a_heap_presses_on_the_floor_with_its_weight(fallen):
     model = fallen[0]
-    momentum = model.reading("scene.linear_momentum")
+    momentum = model.sensor("scene.linear_momentum")
     wc.Simulation(model, STEP, INTEGRATOR).step(1)
-    gain = (model.reading("scene.linear_momentum") - momentum) / STEP
-    force = model.reading("floor.normal_force").sum(axis=1)
+    gain = (model.sensor("scene.linear_momentum") - momentum) / STEP
+    force = model.sensor("floor.normal_force").sum(axis=1)
     # Walls are vertical and smooth, and forces between the balls take each other away.
     assert force == pytest.approx(60 * MASS * G + gain[:, 2], rel=1e-9)
-    side = model.reading("left.normal_force").sum(axis=1) - model.reading("right.normal_force").sum(axis=1)
+    side = model.sensor("left.normal_force").sum(axis=1) - model.sensor("right.normal_force").sum(axis=1)
     assert side == pytest.approx(gain[:, 0], abs=1e-6)
     pairs = model.touching("pile")
     for env in range(2):
@@ -257,7 +257,7 @@ def test_a_heap_presses_on_the_floor_with_its_weight(fallen):
         for key, sign in (("shape_1", 1.0), ("shape_2", -1.0)):
             each = (pairs["normal_force"] * pairs["normal"] + pairs["friction_force"]).values[own]
             np.add.at(force, pairs[key].values[own], sign * each)
-        np.testing.assert_allclose(model.reading("pile.force")[env], force, atol=1e-9)
+        np.testing.assert_allclose(model.sensor("pile.force")[env], force, atol=1e-9)
 
 
 @pytest.mark.parametrize("skin", [0.05 * RADIUS, 0.9 * RADIUS])
@@ -272,10 +272,10 @@ def test_a_solve_begins_with_the_impulses_of_the_last(device):
     """At rest all but nothing is left to do; without them, everything."""
     model = pyramid(0.5, device)
     wc.Simulation(model, STEP, HARD).step(300)
-    warm = model.reading("scene.solve_iterations")[0]
+    warm = model.sensor("scene.solve_iterations")[0]
     # Another simulation knows nothing of the steps before.
     wc.Simulation(model, STEP, HARD).step(1)
-    assert model.reading("scene.solve_iterations")[0] > 5 * warm
+    assert model.sensor("scene.solve_iterations")[0] > 5 * warm
 
 
 def test_parts_on_several_devices_give_the_same_bits(fallen, device):
@@ -329,9 +329,9 @@ def test_compliant_piles_live_beside_hard_contacts(device):
         0.02,
         ["soft_pile.max_penetration", "soft_pile.normal_force", "hard_pile.normal_force", "scene.closed_contacts"],
     )
-    assert model.reading("soft.linear_velocity")[0, :, 2] == pytest.approx([-1.0, 1.0], rel=1e-4)
-    assert model.reading("hard.linear_velocity")[0, :, 2] == pytest.approx([-0.5, 0.5], abs=1e-12)
-    assert model.reading("ball.linear_velocity")[0, 2] == pytest.approx(0.25, abs=1e-12)
+    assert model.sensor("soft.linear_velocity")[0, :, 2] == pytest.approx([-1.0, 1.0], rel=1e-4)
+    assert model.sensor("hard.linear_velocity")[0, :, 2] == pytest.approx([-0.5, 0.5], abs=1e-12)
+    assert model.sensor("ball.linear_velocity")[0, 2] == pytest.approx(0.25, abs=1e-12)
     # A spring of k between two masses m: 2 v √(m/2k) deep.
     depth = 2.0 * np.sqrt(MASS / 2.0 / 1e5)
     assert data["soft_pile.max_penetration"].max() == pytest.approx(depth, rel=1e-3)
@@ -354,7 +354,7 @@ def test_radii_of_each_environment_roll_with_their_own(device):
     model["ball.angular_velocity"] = np.stack([spin, spin])
     model["sphere.radius"] = [[1.1 * RADIUS] * 2, [0.9 * RADIUS, 1.2 * RADIUS]]
     wc.Simulation(model, 1e-4, HARD).step(1)
-    change = model.reading("ball.angular_velocity") - spin
+    change = model.sensor("ball.angular_velocity") - spin
     impulse = MASS * 1.0
     for env, radius in enumerate((0.55 * RADIUS, 0.9 * 1.2 / 2.1 * RADIUS)):
         couple = 0.1 * impulse * np.array([radius, 0.0, 0.03])

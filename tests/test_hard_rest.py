@@ -10,7 +10,7 @@ from warpcontact.kernels.types import WORLD
 
 import warpcontact as wc
 
-READINGS = ("position", "orientation", "linear_velocity", "angular_velocity")
+SENSORS = ("position", "orientation", "linear_velocity", "angular_velocity")
 SPEEDS = np.stack([np.linspace(0.0, 1.0, 7), np.linspace(0.3, -0.2, 7), np.zeros(7)], axis=1)
 EPSILON = {"float32": 1.2e-7, "float64": 2.3e-16}
 # Environments that rounding may leave to balance on two feet: of these speeds one, in float32.
@@ -37,30 +37,30 @@ def sliding(precision, device, *, stack=True, threads=None, **watched):
     return wc.Simulation(model, 2e-3, HARD, threads=threads, **watched)
 
 
-def all_readings(sim):
-    return {name: sim.model.reading(name) for name in sim.model.reading_names}
+def all_sensors(sim):
+    return {name: sim.model.sensor(name) for name in sim.model.sensor_names}
 
 
 @pytest.mark.parametrize("precision", EPSILON)
 def test_what_came_to_rest_does_not_creep(precision, device):
     sim = sliding(precision, device)
     sim.step(300)
-    speed = np.linalg.norm(sim.model.reading("box1.linear_velocity"), axis=-1)
+    speed = np.linalg.norm(sim.model.sensor("box1.linear_velocity"), axis=-1)
     assert np.count_nonzero(speed) <= FEW[precision]
     # Not more than what the tolerance leaves of the velocity that gravity gives in a step.
     assert speed.max() < 1e-4 * G * sim.dt
     for _ in range(8):
         sim.step(100)
-    before = {name: sim.model.reading(f"box1.{name}") for name in READINGS}
+    before = {name: sim.model.sensor(f"box1.{name}") for name in SENSORS}
     assert not before["linear_velocity"].any()
     assert not before["angular_velocity"].any()
     sim.step(1)
     sim.step(200)
     for name, values in before.items():
-        np.testing.assert_array_equal(sim.model.reading(f"box1.{name}"), values)
+        np.testing.assert_array_equal(sim.model.sensor(f"box1.{name}"), values)
     # Sums of some impulses of the weight, rounded.
-    assert sim.model.reading("scene.solve_residual").max() < 32 * EPSILON[precision]
-    assert not sim.model.reading("scene.solve_iterations").any()
+    assert sim.model.sensor("scene.solve_residual").max() < 32 * EPSILON[precision]
+    assert not sim.model.sensor("scene.solve_iterations").any()
 
 
 @pytest.mark.parametrize("precision", EPSILON)
@@ -76,12 +76,12 @@ def test_steps_that_are_left_out_would_change_nothing(precision, stack, device):
     for _ in range(401):
         alone.step(1)
     calm = together.model.hard.account.calm.numpy() == 2
-    moves = [together.model.reading(f"box{number}.linear_velocity").any(axis=-1) for number in range(1 + stack)]
+    moves = [together.model.sensor(f"box{number}.linear_velocity").any(axis=-1) for number in range(1 + stack)]
     np.testing.assert_array_equal(calm, ~np.any(moves, axis=0))
     assert np.count_nonzero(~calm) <= FEW[precision]
     assert not (alone.model.hard.account.calm.numpy() == 2).any()
-    expected = all_readings(alone)
-    for name, values in all_readings(together).items():
+    expected = all_sensors(alone)
+    for name, values in all_sensors(together).items():
         np.testing.assert_array_equal(values, expected[name], err_msg=name)
     np.testing.assert_array_equal(together.model.arrays.time.numpy(), alone.model.arrays.time.numpy())
 
@@ -97,19 +97,19 @@ def test_what_stops_for_a_moment_in_the_air_falls(precision, every, device):
     model = scene.build(device=device, precision=precision)
     model["ball.linear_velocity"] = (0.0, 0.0, 12 / 16)
     wc.Simulation(model, 1 / 128, HARD).run(24 / 128, ["ball.position"], every=every / 128)
-    np.testing.assert_array_equal(model.reading("ball.linear_velocity"), [[0.0, 0.0, -12 / 16]])
-    np.testing.assert_array_equal(model.reading("ball.position"), [[0.0, 0.0, 1.0]])
+    np.testing.assert_array_equal(model.sensor("ball.linear_velocity"), [[0.0, 0.0, -12 / 16]])
+    np.testing.assert_array_equal(model.sensor("ball.position"), [[0.0, 0.0, 1.0]])
 
 
 def test_what_rests_wakes_where_something_is_changed(device):
     sim = sliding("float64", device, stack=False)
     sim.step(400)
-    position = sim.model.reading("box0.position")
+    position = sim.model.sensor("box0.position")
     gravity = np.tile([0.0, 0.0, -G], (len(SPEEDS), 1))
     gravity[3] = G * np.sin(0.5), 0.0, -G * np.cos(0.5)
     sim.model["scene.gravity"] = gravity
     sim.step(100)
-    moved = np.linalg.norm(sim.model.reading("box0.position") - position, axis=1)
+    moved = np.linalg.norm(sim.model.sensor("box0.position") - position, axis=1)
     # Half of the acceleration times the time squared; to a step of first order.
     assert moved[3] == pytest.approx(0.5 * G * (np.sin(0.5) - 0.4 * np.cos(0.5)) * 0.2**2, rel=0.02)
     assert not np.delete(moved, 3).any()
@@ -122,7 +122,7 @@ def test_what_is_put_elsewhere_while_it_rests_falls(device):
     state[2, 0, 2] += 0.5
     sim.state.body_position.assign(state)
     sim.step(50)
-    speed = sim.model.reading("box0.linear_velocity")[:, 2]
+    speed = sim.model.sensor("box0.linear_velocity")[:, 2]
     assert speed[2] == pytest.approx(-G * 0.1, rel=1e-12)
     assert not np.delete(speed, 2).any()
 
@@ -147,10 +147,10 @@ def test_what_stands_on_its_centre_of_mass_turns_by_a_torque(precision, device):
     model = scene.build(device=device, precision=precision)
     sim = wc.Simulation(model, 1e-3, HARD)
     sim.step(100)
-    assert not model.reading("top.linear_velocity").any()
+    assert not model.sensor("top.linear_velocity").any()
     model["top.external_torque"] = (0.0, 0.0, 0.05)
     sim.step(500)
-    turning = model.reading("top.angular_velocity")[0]
+    turning = model.sensor("top.angular_velocity")[0]
     np.testing.assert_allclose(turning, (0.0, 0.0, 0.25), rtol=500 * EPSILON[precision], atol=1e-9)
 
 
@@ -161,7 +161,7 @@ def test_what_nearly_slides_stands_and_what_nearly_stands_slides(load):
     model = block(0.5, slope=slope, height=-1e-3)
     sim = wc.Simulation(model, 1e-3, HARD)
     sim.step(1000)
-    speed = model.reading("block.linear_velocity")[0, 0]
+    speed = model.sensor("block.linear_velocity")[0, 0]
     expected = max(0.0, G * (np.sin(slope) - 0.5 * np.cos(slope)))
     assert speed == pytest.approx(expected, rel=0.01, abs=1e-9)
 

@@ -19,8 +19,8 @@ def test_a_ball_beside_one_of_another_mass_moves_as_it_does_alone(device):
     model["light.linear_velocity"] = (0.2, 0.0, 0.0)
     wc.Simulation(model, 1e-3, HARD).step(1000)
     # Rolling at 5/7 of its speed, to what a thousand solves may leave of each.
-    np.testing.assert_allclose(model.reading("light.linear_velocity")[0], [1.0 / 7.0, 0, 0], atol=2e-4)
-    assert model.reading("light.position")[0, 2] == pytest.approx(0.05, abs=2e-5)
+    np.testing.assert_allclose(model.sensor("light.linear_velocity")[0], [1.0 / 7.0, 0, 0], atol=2e-4)
+    assert model.sensor("light.position")[0, 2] == pytest.approx(0.05, abs=2e-5)
 
 
 @pytest.mark.parametrize("solver", ["gauss_seidel", "accelerated"])
@@ -34,24 +34,24 @@ def test_restitution_of_what_brings_no_energy_is_not_lowered(device, solver):
     rng = np.random.default_rng(3)
     model["box.linear_velocity"] = np.stack([*rng.normal(size=(2, 64)), -rng.uniform(0.5, 2.0, 64)], axis=1)
     model["box.angular_velocity"] = rng.uniform(-1.0, 1.0, (64, 3))
-    before = model.reading("scene.kinetic_energy")
+    before = model.sensor("scene.kinetic_energy")
     wc.Simulation(model, 1e-3, wc.integrators.MoreauJean(solver=solver)).step(10)
     # Turning bodies keep it to second order, 1e-3 s at a radian a second.
-    np.testing.assert_allclose(model.reading("scene.kinetic_energy"), before, rtol=1e-5)
-    assert model.reading("scene.restrained").sum() == 0
+    np.testing.assert_allclose(model.sensor("scene.kinetic_energy"), before, rtol=1e-5)
+    assert model.sensor("scene.restrained").sum() == 0
 
 
 def test_nothing_is_restrained_where_nothing_bounces(device):
     model = ball(0.0, height=1e-4, device=device)
     simulation = wc.Simulation(model, 1e-3, HARD)
     simulation.step(50)
-    assert model.reading("scene.restrained")[0] == 0
+    assert model.sensor("scene.restrained")[0] == 0
     model["touch.law.restitution"] = 0.5
     simulation.step(20)
     model["touch.law.restitution"] = 0.0
-    before = model.reading("scene.restrained")[0]
+    before = model.sensor("scene.restrained")[0]
     simulation.step(20)
-    assert model.reading("scene.restrained")[0] == before
+    assert model.sensor("scene.restrained")[0] == before
 
 
 def test_overlap_is_taken_back_in_the_time_that_is_asked(device):
@@ -59,10 +59,10 @@ def test_overlap_is_taken_back_in_the_time_that_is_asked(device):
     simulation = wc.Simulation(model, 1e-3, wc.integrators.MoreauJean(recovery_time=0.05))
     simulation.step(50)
     # Less by e; the overlap is that at half a step.
-    assert model.reading("touch.gap")[0] == pytest.approx(-0.01 / np.e, rel=0.05)
+    assert model.sensor("touch.gap")[0] == pytest.approx(-0.01 / np.e, rel=0.05)
     simulation.step(1000)
-    assert 0.0 > model.reading("touch.gap")[0] > -1e-5
-    assert model.reading("touch.normal_force")[0] == pytest.approx(G, rel=1e-3)
+    assert 0.0 > model.sensor("touch.gap")[0] > -1e-5
+    assert model.sensor("touch.normal_force")[0] == pytest.approx(G, rel=1e-3)
 
 
 def test_a_capsule_that_rocks_on_its_ends_sinks_unless_overlap_is_taken_back(device):
@@ -109,10 +109,10 @@ def test_a_turning_body_keeps_its_angular_momentum_in_float32(device):
     ground = scene.add_surface(square(), position=(0, 0, -9.0))
     scene.add_contact(scene.add_point(body, (0, 0, 0)), ground, rigid())
     model = scene.build(device=device)
-    before = model.reading("scene.angular_momentum")
+    before = model.sensor("scene.angular_momentum")
     wc.Simulation(model, 1e-3, HARD).step(10_000)
     # Rounding of single steps, 1e-7, adds up at random.
-    np.testing.assert_allclose(model.reading("scene.angular_momentum"), before, atol=3e-4)
+    np.testing.assert_allclose(model.sensor("scene.angular_momentum"), before, atol=3e-4)
 
 
 def test_boxes_rest_on_each_other_with_recovery_as_without(device):
@@ -126,14 +126,14 @@ def test_boxes_rest_on_each_other_with_recovery_as_without(device):
     model = scene.build(device=device, precision="float64")
     simulation = wc.Simulation(model, 1e-3, wc.integrators.MoreauJean(recovery_time=0.02))
     simulation.step(500)
-    failures, restrained = (model.reading(f"scene.{name}")[0] for name in ("solve_failures", "restrained"))
+    failures, restrained = (model.sensor(f"scene.{name}")[0] for name in ("solve_failures", "restrained"))
     simulation.step(1000)
-    assert model.reading("scene.kinetic_energy")[0] < 1e-9
-    assert model.reading("scene.closed_contacts")[0] == 12
-    assert model.reading("scene.solve_failures")[0] == failures
-    assert model.reading("scene.restrained")[0] == restrained
+    assert model.sensor("scene.kinetic_energy")[0] < 1e-9
+    assert model.sensor("scene.closed_contacts")[0] == 12
+    assert model.sensor("scene.solve_failures")[0] == failures
+    assert model.sensor("scene.restrained")[0] == restrained
     # What is left is what bodies fall in a step, for each contact.
-    assert -4.0 * G * 1e-6 < model.reading("box0_feet.gap").min() < 0.0
+    assert -4.0 * G * 1e-6 < model.sensor("box0_feet.gap").min() < 0.0
 
 
 def test_recovery_within_a_step_is_refused(device):
@@ -153,5 +153,5 @@ def test_what_does_not_move_connects_nothing(device, solver):
     model["fast.linear_velocity"] = (1000.0, 0.0, 0.0)
     wc.Simulation(model, 1e-3, wc.integrators.MoreauJean(solver=solver)).step(200)
     # To what its own solves leave; as large as what those of the other leave it would be a thousand times that.
-    assert model.reading("slow_touch.normal_force")[0] == pytest.approx(1e-3 * G, rel=2e-4)
-    assert model.reading("slow_touch.gap")[0] > -2e-5
+    assert model.sensor("slow_touch.normal_force")[0] == pytest.approx(1e-3 * G, rel=2e-4)
+    assert model.sensor("slow_touch.gap")[0] > -2e-5

@@ -1,4 +1,4 @@
-"""What hard contact promises beside its mechanics: schedules, resets, mixtures, readings, errors and warnings."""
+"""What hard contact promises beside its mechanics: schedules, resets, mixtures, sensors, errors and warnings."""
 
 import warnings
 from typing import Any
@@ -50,7 +50,7 @@ def state_after(model, steps=400, **options):
         "above.impulse",
         "one_feet.mode",
     )
-    return {name: model.reading(name) for name in names}
+    return {name: model.sensor(name) for name in names}
 
 
 @pytest.fixture(scope="module")
@@ -89,34 +89,34 @@ def test_a_reset_forgets_impulses_losses_and_failures_of_its_environments(device
     model = ball(0.5, 0.3, height=0.1, velocity=(1.0, 0.0, 0.0), envs=2, device=device)
     simulation = wc.Simulation(model, 1e-3, HARD)
     simulation.step(500)
-    first = model.reading("ball.position").copy()
-    losses = model.reading("scene.friction_loss")
+    first = model.sensor("ball.position").copy()
+    losses = model.sensor("scene.friction_loss")
     assert (losses > 0.0).all()
-    assert (model.reading("touch.impulse")[:, 2] > 0.0).all()
+    assert (model.sensor("touch.impulse")[:, 2] > 0.0).all()
     simulation.reset([True, False])
-    assert model.reading("scene.friction_loss")[0] == 0.0
-    assert model.reading("scene.friction_loss")[1] == losses[1]
-    assert model.reading("touch.impulse")[0].tolist() == [0.0, 0.0, 0.0]
-    assert model.reading("touch.mode")[0] == wc.ContactMode.OPEN
+    assert model.sensor("scene.friction_loss")[0] == 0.0
+    assert model.sensor("scene.friction_loss")[1] == losses[1]
+    assert model.sensor("touch.impulse")[0].tolist() == [0.0, 0.0, 0.0]
+    assert model.sensor("touch.mode")[0] == wc.ContactMode.OPEN
     simulation.step(500)
-    assert np.array_equal(model.reading("ball.position")[0], first[0])
+    assert np.array_equal(model.sensor("ball.position")[0], first[0])
     simulation.reset()
     simulation.step(500)
-    assert np.array_equal(model.reading("ball.position"), first)
+    assert np.array_equal(model.sensor("ball.position"), first)
 
 
 def test_forces_are_the_mean_over_the_last_step_and_bodies_feel_them(device):
     model = ball(mu=0.3, height=0.0, velocity=(1.0, 0.0, 0.0), device=device)
     simulation = wc.Simulation(model, 2e-3, HARD)
     simulation.step(20)
-    impulse = model.reading("touch.impulse")[0]
-    assert model.reading("touch.normal_force")[0] == pytest.approx(impulse[2] / 2e-3, rel=1e-14)
-    assert model.reading("touch.friction_force")[0] == pytest.approx([impulse[0] / 2e-3, 0.0, 0.0], abs=1e-12)
-    assert model.reading("ball.force")[0] == pytest.approx(impulse / 2e-3, rel=1e-14, abs=1e-12)
-    assert model.reading("touch.slip_speed")[0] > 0.1
-    assert model.reading("touch.mode")[0] == wc.ContactMode.SLIP
-    assert model.reading("scene.closed_contacts")[0] == 1
-    assert model.reading("scene.solve_converged")[0] == 1
+    impulse = model.sensor("touch.impulse")[0]
+    assert model.sensor("touch.normal_force")[0] == pytest.approx(impulse[2] / 2e-3, rel=1e-14)
+    assert model.sensor("touch.friction_force")[0] == pytest.approx([impulse[0] / 2e-3, 0.0, 0.0], abs=1e-12)
+    assert model.sensor("ball.force")[0] == pytest.approx(impulse / 2e-3, rel=1e-14, abs=1e-12)
+    assert model.sensor("touch.slip_speed")[0] > 0.1
+    assert model.sensor("touch.mode")[0] == wc.ContactMode.SLIP
+    assert model.sensor("scene.closed_contacts")[0] == 1
+    assert model.sensor("scene.solve_converged")[0] == 1
 
 
 def test_a_contact_in_the_air_has_no_impulse_and_is_open(device):
@@ -145,12 +145,12 @@ def test_compliant_and_hard_contacts_live_in_one_scene(device):
     integrator = wc.integrators.MoreauJean(compliant=["soft_feet", "on_top"])
     simulation = wc.Simulation(model, 1e-3, integrator)
     simulation.step(4000)
-    assert -model.reading("soft_feet.gap")[0] == pytest.approx(4.0 * G / 4e4, rel=1e-6)
-    assert -model.reading("on_top.gap")[0] == pytest.approx(G / 1e4, rel=1e-6)
-    assert model.reading("hard_feet.normal_force")[0].sum() == pytest.approx(5.0 * G, rel=1e-6)
-    assert np.abs(model.reading("hard_feet.gap")).max() < 2.0 * G * 1e-3**2
-    assert "on_top.impulse" not in model.reading_names
-    assert model.reading("scene.closed_contacts")[0] == 4
+    assert -model.sensor("soft_feet.gap")[0] == pytest.approx(4.0 * G / 4e4, rel=1e-6)
+    assert -model.sensor("on_top.gap")[0] == pytest.approx(G / 1e4, rel=1e-6)
+    assert model.sensor("hard_feet.normal_force")[0].sum() == pytest.approx(5.0 * G, rel=1e-6)
+    assert np.abs(model.sensor("hard_feet.gap")).max() < 2.0 * G * 1e-3**2
+    assert "on_top.impulse" not in model.sensor_names
+    assert model.sensor("scene.closed_contacts")[0] == 4
 
 
 def test_one_model_can_be_stepped_either_way(device):
@@ -162,11 +162,11 @@ def test_one_model_can_be_stepped_either_way(device):
     simulation = wc.Simulation(model, 1e-3, HARD)
     simulation.reset()
     simulation.step(200)
-    assert "touch.impulse" in model.reading_names
-    assert abs(model.reading("touch.gap")[0]) < 1e-3
+    assert "touch.impulse" in model.sensor_names
+    assert abs(model.sensor("touch.gap")[0]) < 1e-3
     soft = wc.Simulation(model, 1e-4)
     soft.reset()
-    assert "touch.impulse" not in model.reading_names
+    assert "touch.impulse" not in model.sensor_names
     assert np.array_equal(soft.run(0.2, ["ball.position"])["ball.position"].values, expected)
 
 
@@ -180,16 +180,16 @@ def test_a_solve_that_ends_early_is_counted_and_said(device):
         below = scene.add_surface(wc.meshes.box((0.5,) * 3), body, name=f"top{number}")
     model = scene.build(envs=2, device=device, precision="float64")
     simulation = wc.Simulation(model, 1e-3, wc.integrators.MoreauJean(solver="gauss_seidel", iterations=1))
-    readings = ["scene.solve_residual", "scene.solve_converged"]
+    sensors = ["scene.solve_residual", "scene.solve_converged"]
     worst = []
     # Each run is rated by its own residuals, not by larger ones of the run before.
     for duration in (1e-3, 0.05):
         with pytest.warns(
             wc.RunWarning, match="not solved to the tolerance in some steps of 2 of 2 environments"
         ) as caught:
-            steps = simulation.run(duration, readings, every=1e-3).isel(time=slice(1, None))
-        assert (model.reading("scene.solve_failures") > 0).all()
-        assert (model.reading("scene.solve_iterations") <= 1).all()
+            steps = simulation.run(duration, sensors, every=1e-3).isel(time=slice(1, None))
+        assert (model.sensor("scene.solve_failures") > 0).all()
+        assert (model.sensor("scene.solve_iterations") <= 1).all()
         missed = np.where(steps["scene.solve_converged"] == 0, steps["scene.solve_residual"], 0.0).max(axis=0)
         np.testing.assert_array_equal(model.largest_residuals(), missed)
         assert f"The largest residual was {missed.max():.1e}, " in str(caught[0].message)
@@ -243,7 +243,7 @@ def test_a_start_in_overlap_is_said_to_stay(device):
     simulation = wc.Simulation(model, 1e-3, HARD)
     with pytest.warns(wc.ContactWarning, match=r"touch: starts 0\.02 m deep in environment 1, and stays so"):
         simulation.step(200)
-    assert model.reading("touch.gap")[1] == pytest.approx(-0.02, abs=1e-4)
+    assert model.sensor("touch.gap")[1] == pytest.approx(-0.02, abs=1e-4)
 
 
 def test_memory_of_hard_contacts_is_part_of_the_estimate(device):
@@ -276,7 +276,7 @@ def test_simulations_of_one_model_each_follow_its_parameters_and_leave_nothing_b
         model["touch.law.restitution"] = restitution
         simulation.reset()
         simulation.step(20)
-        assert model.reading("ball.linear_velocity")[0, 2] == pytest.approx(restitution, rel=1e-12)
+        assert model.sensor("ball.linear_velocity")[0, 2] == pytest.approx(restitution, rel=1e-12)
     wc.Simulation(ball(material=wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4)), device=device), 1e-3)
     assert len(parameter.uploads) == before + 1
 
@@ -285,7 +285,7 @@ def test_a_recording_is_of_the_simulation_that_runs(device):
     model = ball(0.5, height=0.01, velocity=(0.0, 0.0, -1.0), device=device)
     own = wc.Simulation(model, 1e-3, HARD)
     own.step(30)
-    lost = model.reading("scene.impact_loss")[0]
+    lost = model.sensor("scene.impact_loss")[0]
     assert lost > 0.1
     wc.Simulation(model, 1e-3, wc.integrators.MoreauJean(solver="accelerated"))
     data = own.run(0.5, ["touch.impulse", "scene.closed_contacts", "scene.impact_loss"])
@@ -308,7 +308,7 @@ def test_contact_couplings_stay_forces(device):
     for integrator in (wc.integrators.SemiImplicitEuler(), HARD):
         model.reset()
         wc.Simulation(model, 1e-4, integrator).step(2000)
-        places.append(model.reading("box.position")[0, 2])
+        places.append(model.sensor("box.position")[0, 2])
     assert places[0] > 0.15
     # The schemes differ by half a step of a few metres a second.
     assert places[1] == pytest.approx(places[0], abs=5e-4)

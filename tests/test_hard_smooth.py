@@ -50,11 +50,11 @@ def test_a_ball_that_slides_ends_up_rolling(device):
     # At the surface of the ball, so that the arm is its radius.
     model = sphere(rigid(mu=0.2), start=start, contact={"kappa": 1.0}, device=device)
     wc.Simulation(model, 1e-3, HARD).step(1000)
-    velocity = model.reading("ball.linear_velocity")[0, 0]
+    velocity = model.sensor("ball.linear_velocity")[0, 0]
     assert velocity == pytest.approx(5.0 / 7.0 * speed, rel=1e-8)
-    assert RADIUS * model.reading("ball.angular_velocity")[0, 1] == pytest.approx(velocity, rel=1e-8)
-    assert model.reading("touch.mode")[0] == wc.ContactMode.STICK
-    assert model.reading("touch.normal_force")[0] == pytest.approx(G, rel=1e-9)
+    assert RADIUS * model.sensor("ball.angular_velocity")[0, 1] == pytest.approx(velocity, rel=1e-8)
+    assert model.sensor("touch.mode")[0] == wc.ContactMode.STICK
+    assert model.sensor("touch.normal_force")[0] == pytest.approx(G, rel=1e-9)
 
 
 def test_restitution_and_friction_are_those_of_each_environment(device):
@@ -64,7 +64,7 @@ def test_restitution_and_friction_are_those_of_each_environment(device):
     model["touch.friction.mu"] = [0.0, 0.1, 0.05]
     simulation = wc.Simulation(model, 1e-3, HARD)
     data = simulation.run(0.01, ["touch.impulse"])
-    after = model.reading("ball.linear_velocity")
+    after = model.sensor("ball.linear_velocity")
     assert after[:, 2] == pytest.approx([0.0, 1.2, 3.0], abs=1e-9)
     # What slides takes μ (1 + e) v.
     assert after[:, 0] == pytest.approx([2.0, 2.0 - 0.1 * 4.2, 2.0 - 0.05 * 6.0], abs=1e-9)
@@ -72,7 +72,7 @@ def test_restitution_and_friction_are_those_of_each_environment(device):
     model["touch.law.restitution"] = 0.25
     simulation.reset()
     simulation.step(10)
-    assert model.reading("ball.linear_velocity")[:, 2] == pytest.approx(0.75, abs=1e-9)
+    assert model.sensor("ball.linear_velocity")[:, 2] == pytest.approx(0.75, abs=1e-9)
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
@@ -83,12 +83,12 @@ def test_a_ball_bounces_off_an_ellipsoid_along_its_normal(precision, device):
     ball = scene.add_shape(body, wc.shapes.Sphere(RADIUS), name="sphere")
     scene.add_smooth_contact(ball, hill, rigid(0.8), name="touch")
     model = scene.build(device=device, precision=precision)
-    before = model.reading("ball.linear_velocity")[0]
+    before = model.sensor("ball.linear_velocity")[0]
     data = wc.Simulation(model, 1e-3, HARD).run(0.4, ["touch.impulse", "touch.normal", "touch.gap"])
     hit = int(np.flatnonzero(np.linalg.norm(data["touch.impulse"].values[:, 0], axis=1))[0])
     impulse = data["touch.impulse"].values[hit, 0].astype(float)
     normal = impulse / np.linalg.norm(impulse)
-    after = model.reading("ball.linear_velocity")[0]
+    after = model.sensor("ball.linear_velocity")[0]
     tolerance = 1e-4 if precision == "float32" else 1e-9
     assert after == pytest.approx(before - 1.8 * (before @ normal) * normal, abs=tolerance)
     # The normal of the middle of the step, at most v h from that of its end.
@@ -106,7 +106,7 @@ def test_two_spheres_exchange_momentum_as_newton_says(device):
     model = scene.build(device=device, precision="float64", envs=2)
     model["touch.law.restitution"] = [0.7, 1.0]
     wc.Simulation(model, 1e-3, HARD).step(100)
-    one, two = (model.reading(f"{name}.linear_velocity")[:, 0] for name in ("one", "two"))
+    one, two = (model.sensor(f"{name}.linear_velocity")[:, 0] for name in ("one", "two"))
     assert one + two == pytest.approx(1.5, abs=1e-12)
     assert two - one == pytest.approx([0.7 * 2.5, 2.5], abs=1e-9)
 
@@ -137,7 +137,7 @@ def state(model):
         "middle.angular_velocity",
         "middle_touch.impulse",
     ]
-    return np.concatenate([model.reading(name).ravel() for name in names])
+    return np.concatenate([model.sensor(name).ravel() for name in names])
 
 
 def test_compliant_and_hard_contacts_of_the_same_code_live_in_one_scene(three):
@@ -161,9 +161,9 @@ def test_compliant_and_hard_contacts_of_the_same_code_live_in_one_scene(three):
     np.testing.assert_allclose(data["middle.force"], force, atol=1e-9)
     assert force[-1, :, 2] == pytest.approx(G, rel=1e-6)
     # A law without restitution has none here.
-    assert np.abs(model.reading("middle.linear_velocity")[:, 2]).max() < 1e-9
-    assert "left_touch.impulse" not in model.reading_names
-    assert "middle_touch.impulse" in model.reading_names
+    assert np.abs(model.sensor("middle.linear_velocity")[:, 2]).max() < 1e-9
+    assert "left_touch.impulse" not in model.sensor_names
+    assert "middle_touch.impulse" in model.sensor_names
 
 
 def test_graphs_threads_and_resets_give_the_same_bits(three):
@@ -177,7 +177,7 @@ def test_graphs_threads_and_resets_give_the_same_bits(three):
     simulation.reset(np.array([True, False, True]))
     simulation.step(7)
     simulation.reset()
-    assert model.reading("middle_touch.impulse") == pytest.approx(0.0)
+    assert model.sensor("middle_touch.impulse") == pytest.approx(0.0)
     simulation.step(150)
     results.append(state(model))
     np.testing.assert_array_equal(results[0], results[1])
@@ -193,7 +193,7 @@ def test_a_look_between_steps_changes_nothing(three):
         for _ in range(30):
             simulation.step(5)
             if look:
-                model.reading("middle_touch.approach_speed")
+                model.sensor("middle_touch.approach_speed")
         results.append(state(model))
     np.testing.assert_array_equal(*results)
 
@@ -204,15 +204,15 @@ def test_another_simulation_takes_its_own_contacts(three):
     hard = wc.Simulation(model, 2e-4, integrator)
     hard.reset()
     hard.step(1000)
-    assert model.reading("middle_touch.normal_force") == pytest.approx(G, rel=1e-6)
+    assert model.sensor("middle_touch.normal_force") == pytest.approx(G, rel=1e-6)
     soft = wc.Simulation(model, 2e-5)
-    assert "middle_touch.impulse" not in model.reading_names
+    assert "middle_touch.impulse" not in model.sensor_names
     soft.step(5000)
-    assert model.reading("middle_touch.penetration") == pytest.approx(G / 1e5, rel=1e-2)
-    assert model.reading("middle.force")[:, 2] == pytest.approx(G, rel=1e-2)
+    assert model.sensor("middle_touch.penetration") == pytest.approx(G / 1e5, rel=1e-2)
+    assert model.sensor("middle.force")[:, 2] == pytest.approx(G, rel=1e-2)
     hard.step(1)
     # It touches since before, and presses with g h² at least.
-    assert (model.reading("middle_touch.normal_force") > 0.9 * G).all()
-    force = model.reading("middle_touch.friction_force")
-    force[:, 2] += model.reading("middle_touch.normal_force")
-    assert model.reading("middle.force") == pytest.approx(force)
+    assert (model.sensor("middle_touch.normal_force") > 0.9 * G).all()
+    force = model.sensor("middle_touch.friction_force")
+    force[:, 2] += model.sensor("middle_touch.normal_force")
+    assert model.sensor("middle.force") == pytest.approx(force)

@@ -67,7 +67,7 @@ def test_a_sphere_on_a_mesh_has_its_own_radius(precision, tolerance, device):
         for r, d in ((0.125, depth), (0.125 + depth, 2 * depth))
     ]
     # The ball comes at 1 m/s, and an elastic contact does not mind.
-    np.testing.assert_allclose(model.reading("touch.normal_force"), expected, rtol=tolerance)
+    np.testing.assert_allclose(model.sensor("touch.normal_force"), expected, rtol=tolerance)
 
 
 def test_losses_are_those_of_hunt_crossley(device):
@@ -75,7 +75,7 @@ def test_losses_are_those_of_hunt_crossley(device):
     model = dropped_sphere(law, radius=0.1, height=-1e-3, precision="float64", device=device)
     factor = 1.0 + damping_factor_of_restitution(0.5) + 0.1  # at δ̇ = v₀ = 1 m/s
     elastic = 4.0 / 3.0 * 1e9 * np.sqrt(0.1) * 1e-3**1.5
-    np.testing.assert_allclose(model.reading("touch.normal_force"), factor * elastic, rtol=1e-9)
+    np.testing.assert_allclose(model.sensor("touch.normal_force"), factor * elastic, rtol=1e-9)
 
 
 def test_a_point_has_no_curvature():

@@ -15,10 +15,10 @@ KEYS = ("normal_force", "friction_force", "gap", "status")
 
 
 def told(model):
-    """Returns readings of contacts, and what is known of them from step to step."""
+    """Returns sensors of contacts, and what is known of them from step to step."""
     history = model.arrays.history
     return [
-        *(model.reading(f"touch.{key}") for key in KEYS),
+        *(model.sensor(f"touch.{key}") for key in KEYS),
         *(getattr(history, key).numpy() for key in ("armed", "entry_speed")),
     ]
 
@@ -61,7 +61,7 @@ def test_the_steps_of_an_environment_come_to_what_stages_do(name, precision, gra
         assert_same(states(model), states(other))
         assert_same(told(model), told(other))
         np.testing.assert_array_equal(model.arrays.time.numpy(), other.arrays.time.numpy())
-        touched |= (model.reading("touch.normal_force") > 0).any()
+        touched |= (model.sensor("touch.normal_force") > 0).any()
     assert touched
     assert kernels_of(sim) == {"step_in_place"}
     assert "step_in_place" not in kernels_of(staged)
@@ -134,17 +134,17 @@ def test_a_subclass_with_steps_of_its_own_is_asked_for_them():
 
 
 @pytest.mark.parametrize(
-    "readings", [pytest.param(["body.position"], marks=pytest.mark.slow), ["touch.normal_force"]]
+    "sensors", [pytest.param(["body.position"], marks=pytest.mark.slow), ["touch.normal_force"]]
 )
-def test_all_that_a_recorded_run_launches_is_compiled_ahead(readings, monkeypatch):
+def test_all_that_a_recorded_run_launches_is_compiled_ahead(sensors, monkeypatch):
     ahead = []
     monkeypatch.setattr(simulation, "load_all", lambda kernels, *_: ahead.extend(kernels))
     model = built(ALONE["with memory"], "cpu")
     sim = wc.Simulation(model, dt=1e-3)
-    recorder = Recorder(model, readings, 5, poses=False)
+    recorder = Recorder(model, sensors, 5, poses=False)
     recorder.start()
     for _ in sim.advance(recorder, 20, 5, start=0.0):
         pass
     stepper = stepper_of(sim)
-    assert bool(stepper._after_look) == (readings == ["touch.normal_force"])
+    assert bool(stepper._after_look) == (sensors == ["touch.normal_force"])
     assert {one.kernel for launches in stepper.launches() for one in launches} <= set(ahead)

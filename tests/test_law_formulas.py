@@ -1,7 +1,7 @@
 """Normal force of every law of the catalogue, against its published formula evaluated in NumPy with float64.
 
 One model holds a sphere and a contact per sample law. Its 64 environments vary all parameters and the kinematic
-state: approach and separation, with and without a stored impact speed. ``Model.reading`` evaluates the force of an
+state: approach and separation, with and without a stored impact speed. ``Model.sensor`` evaluates the force of an
 instant (dt = 0), at which the correction of a dashpot for the time step vanishes.
 """
 
@@ -286,9 +286,9 @@ def forces(device):
     stored = model.arrays.history.entry_speed
     stored.assign(np.broadcast_to(history[:, None], stored.shape))
     for index in range(len(CASES)):
-        np.testing.assert_allclose(model.reading(f"contact{index}.penetration"), state.delta, rtol=1e-6)
-        np.testing.assert_allclose(model.reading(f"contact{index}.approach_speed"), state.delta_dot, rtol=1e-6)
-    return np.stack([model.reading(f"contact{index}.normal_force") for index in range(len(CASES))], axis=-1)
+        np.testing.assert_allclose(model.sensor(f"contact{index}.penetration"), state.delta, rtol=1e-6)
+        np.testing.assert_allclose(model.sensor(f"contact{index}.approach_speed"), state.delta_dot, rtol=1e-6)
+    return np.stack([model.sensor(f"contact{index}.normal_force") for index in range(len(CASES))], axis=-1)
 
 
 def test_formulas_cover_the_catalogue():

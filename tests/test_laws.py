@@ -30,8 +30,8 @@ def bounce(law, restitution=None, *, mass=1.0, speed=1.0, exponent=1.0, steps_pe
     sim = wc.Simulation(model, dt=dt)
     # A weak rebound takes far longer than an elastic contact: wait for e = 0.1.
     sim.step(12 * steps_per_contact)
-    assert (model.reading("touch.normal_force") == 0).all()
-    return model.reading("ball.linear_velocity")[:, 2].reshape(cases, PHASES) / speed
+    assert (model.sensor("touch.normal_force") == 0).all()
+    return model.sensor("ball.linear_velocity")[:, 2].reshape(cases, PHASES) / speed
 
 
 # At 50 steps per contact time. Where within a step an elastic contact ends costs (π/50)²/8 = 5e-4; the corrections
@@ -89,15 +89,15 @@ def test_the_effective_mass_is_that_of_both_bodies_at_the_point(device):
 
     def approach():
         lever = np.array([0.1, 0.0, -0.005])
-        v_rod = model.reading("rod.linear_velocity") + np.cross(model.reading("rod.angular_velocity"), lever)
-        v_plate = model.reading("plate.linear_velocity") + np.cross(
-            model.reading("plate.angular_velocity"), np.array([0.2, 0.0, 0.0])
+        v_rod = model.sensor("rod.linear_velocity") + np.cross(model.sensor("rod.angular_velocity"), lever)
+        v_plate = model.sensor("plate.linear_velocity") + np.cross(
+            model.sensor("plate.angular_velocity"), np.array([0.2, 0.0, 0.0])
         )
         return (v_plate - v_rod)[:, 2]
 
     before = approach()
     sim.step(int(0.005 / dt) + 1200)
-    assert (model.reading("touch.normal_force") == 0).all()
+    assert (model.sensor("touch.normal_force") == 0).all()
     # The lever turns by some milliradians during the contact.
     np.testing.assert_allclose(-approach() / before, RESTITUTION, atol=0.01)
 
@@ -132,7 +132,7 @@ def test_published_damping_factors_give_their_measured_restitution(shared, devic
     # About 2600 steps per contact; the velocity that a step sees is half a step old.
     np.testing.assert_allclose(recording["touch.penetration"].max("time"), expected["delta_max"], rtol=1e-3)
     np.testing.assert_allclose(recording["touch.normal_force"].max("time"), expected["Fmax"], rtol=1e-3)
-    np.testing.assert_allclose(model.reading("ball.linear_velocity")[:, 2], expected["e_out"], rtol=1e-3)
+    np.testing.assert_allclose(model.sensor("ball.linear_velocity")[:, 2], expected["e_out"], rtol=1e-3)
 
 
 def test_hertz_from_materials():
@@ -236,12 +236,12 @@ def test_no_law_pulls_unless_it_says_so(law, device):
     position[:, 2] = 0.1 - depth
     model["ball.position"] = position
     model["ball.linear_velocity"] = rng.uniform(-5, 5, (envs, 3))
-    force = model.reading("touch.normal_force")
+    force = model.sensor("touch.normal_force")
     if law.pulls:
         assert (force < 0).any()
         return
     assert (force >= 0).all()
-    assert (force[model.reading("touch.approach_speed") >= 0] > 0).all()
+    assert (force[model.sensor("touch.approach_speed") >= 0] > 0).all()
 
 
 @pytest.mark.parametrize(
@@ -311,7 +311,7 @@ def test_no_law_gives_energy_along_a_closed_path(law, device):
         place[:, 0, 2], velocity[:, 0, 2] = 0.1 - delta[k], -delta_dot[k]
         sim.state.body_position.assign(place)
         sim.state.body_linear_velocity.assign(velocity)
-        power = model.reading("touch.normal_force") * delta_dot[k]
+        power = model.sensor("touch.normal_force") * delta_dot[k]
         work += power * duration / frames
         stored += np.abs(power) * duration / frames
         sim.step()

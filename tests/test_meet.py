@@ -43,7 +43,7 @@ MANY = {"balls": balls(), "balls that stick": balls(STUCK), "two laws": two_laws
 
 
 def taken(make, device, precision, *, at_once, asks):
-    """States, and what readings tell meanwhile, of steps that look and compute forces at once or do not."""
+    """States, and what sensors tell meanwhile, of steps that look and compute forces at once or do not."""
     scene = wc.Scene()
     make(scene)
     model = scene.build(envs=ENVS, precision=precision, device=device)
@@ -57,11 +57,11 @@ def taken(make, device, precision, *, at_once, asks):
         sim.step(97)
         if asks:
             # What was told is taken for what is, of contacts that can not touch yet.
-            seen += [model.reading(name) for name in names]
-    assert any((model.reading(name) > 0).any() for name in names if name.endswith("normal_force"))
+            seen += [model.sensor(name) for name in names]
+    assert any((model.sensor(name) > 0).any() for name in names if name.endswith("normal_force"))
     kernels = {launch.kernel.key.split("__")[-1] for launch in sim._prepared[1]._steppers[0]._steps[0].whole}
     assert at_once == bool(kernels & {"meet_sets", "meet_in_cells", "step_in_place"}), kernels
-    return [model.reading(f"body.{key}") for key in STATE], seen
+    return [model.sensor(f"body.{key}") for key in STATE], seen
 
 
 @pytest.mark.parametrize("asks", [False, True], ids=["", "and told to who asks"])
@@ -124,6 +124,6 @@ def test_many_contacts_of_a_gpu_remember_that_nothing_is_near(at_once, precision
             sim.step(80)
             kept.append(int((model.arrays.cache.room.numpy() > 0).sum()))
         assert [number > 0 for number in kept] == [few == 0] * 4
-        ends.append([model.reading(f"body.{key}") for key in STATE])
+        ends.append([model.sensor(f"body.{key}") for key in STATE])
     for one, other in zip(*ends, strict=True):
         np.testing.assert_array_equal(one, other)

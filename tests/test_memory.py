@@ -204,9 +204,9 @@ def test_an_oblique_impact_in_full_slip_loses_what_coulomb_says(speed, damping, 
         device=device, precision="float64",
     )  # fmt: skip
     wc.Simulation(model, dt=1e-5).step(1300)
-    assert model.reading("touch.status")[0] == wc.Status.OPEN
+    assert model.sensor("touch.status")[0] == wc.Status.OPEN
     # Until the spring is stretched it pulls less: 3e-5 s at 5 m/s and μ N/k, of second order in its reach.
-    np.testing.assert_allclose(model.reading("ball.linear_velocity")[0, 0], speed - 0.6, rtol=1e-3)
+    np.testing.assert_allclose(model.sensor("ball.linear_velocity")[0, 0], speed - 0.6, rtol=1e-3)
 
 
 def test_the_part_of_bristle_damping_falls_with_speed(device):
@@ -234,7 +234,7 @@ def test_a_law_that_remembers_its_deepest_point_rebounds_as_in_closed_form(preci
         sim.state.body_linear_velocity.fill_(model.types.vec3(0.0, 0.0, -speed))
         sim.step(2000)
         # e = √(k₁/k₂); a second impact of the same bodies begins without a dent.
-        rebound = model.reading("ball.linear_velocity")[:, 2]
+        rebound = model.sensor("ball.linear_velocity")[:, 2]
         np.testing.assert_allclose(rebound, speed / np.sqrt(ratio), rtol=2e-3)
         sim.state.body_position.fill_(model.types.vec3(0.0, 0.0, 0.101))
 
@@ -259,13 +259,13 @@ def pushed(friction, device, envs=3, precision="float64", **options):
 def test_a_reading_advances_no_memory(friction, device):
     model, sim = pushed(friction, device)
     other, twin = pushed(friction, device)
-    first = model.reading("touch.friction_force")
+    first = model.sensor("touch.friction_force")
     assert np.linalg.norm(first[0]) > 0.1
     for _ in range(3):
-        np.testing.assert_array_equal(model.reading("touch.friction_force"), first)
+        np.testing.assert_array_equal(model.sensor("touch.friction_force"), first)
     sim.step(10)
     twin.step(10)
-    np.testing.assert_array_equal(model.reading("ball.position"), other.reading("ball.position"))
+    np.testing.assert_array_equal(model.sensor("ball.position"), other.sensor("ball.position"))
 
 
 @pytest.mark.parametrize("friction", REMEMBERING, ids=name_of)
@@ -278,7 +278,7 @@ def test_a_reading_is_the_force_of_the_next_step(friction, device):
     sim = wc.Simulation(model, dt=1e-4)
     touched = 0
     for _ in range(12):
-        predicted = model.reading("touch.friction_force")
+        predicted = model.sensor("touch.friction_force")
         sim.step()
         acted = model.arrays.contacts.friction_force.numpy()[:, 0]
         # The impulse that a law missed at touch is that of 1e-6 of the depth, also where it misses nothing.
@@ -296,7 +296,7 @@ def test_memory_begins_with_the_contact_not_with_the_step(device):
     )  # fmt: skip
     model["ball.inertia"] = (1e6, 1e6, 1e6)
     wc.Simulation(model, dt=1e-4).step()
-    np.testing.assert_allclose(model.reading("touch.friction_force")[0], (-1e4 * 0.3 * 0.3e-4, 0, 0), rtol=1e-6)
+    np.testing.assert_allclose(model.sensor("touch.friction_force")[0], (-1e4 * 0.3 * 0.3e-4, 0, 0), rtol=1e-6)
 
 
 @pytest.mark.parametrize("friction", REMEMBERING, ids=name_of)
@@ -304,15 +304,15 @@ def test_reset_empties_the_memory_of_chosen_environments(friction, device):
     model, sim = pushed(friction, device)
     start, _ = pushed(friction, device)
     start.reset()
-    before = model.reading("touch.friction_force")
+    before = model.sensor("touch.friction_force")
     model.reset(np.array([False, True, False]))
-    after = model.reading("touch.friction_force")
+    after = model.sensor("touch.friction_force")
     np.testing.assert_array_equal(after[[0, 2]], before[[0, 2]])
-    np.testing.assert_array_equal(after[1], start.reading("touch.friction_force")[1])
+    np.testing.assert_array_equal(after[1], start.sensor("touch.friction_force")[1])
     # And from there it goes as from the start.
     sim.reset()
     sim.step(20)
-    np.testing.assert_array_equal(model.reading("touch.friction_force"), before)
+    np.testing.assert_array_equal(model.sensor("touch.friction_force"), before)
 
 
 @pytest.mark.parametrize("friction", REMEMBERING, ids=name_of)
@@ -324,8 +324,8 @@ def test_memory_ends_with_the_contact(friction, device):
     sim.state.body_position.assign(held)
     sim.state.body_linear_velocity.fill_(model.types.vec3(0.0, 0.0, 0.0))
     # But for the spin that the friction gave.
-    np.testing.assert_allclose(model.reading("touch.friction_force"), 0.0, atol=1e-9)
-    assert (model.reading("touch.normal_force") > 1.0).all()
+    np.testing.assert_allclose(model.sensor("touch.friction_force"), 0.0, atol=1e-9)
+    assert (model.sensor("touch.normal_force") > 1.0).all()
 
 
 def test_the_memory_of_a_frozen_environment_is_left_alone(device):
@@ -363,12 +363,12 @@ def test_memory_turns_with_the_bodies(friction, precision, device):
     model["rider.linear_velocity"] = slide
     sim = wc.Simulation(model, dt=1e-3)
     sim.step(50)
-    at = model.reading("rider.position")[0]
+    at = model.sensor("rider.position")[0]
     spin = np.array([1.0, -2.0, 1.5])
 
     def ride():
         """Puts the rider where the carrier has turned to, at the velocity of the carrier there."""
-        turned = Rotation.from_quat(model.reading("carrier.orientation")[0])
+        turned = Rotation.from_quat(model.sensor("carrier.orientation")[0])
         place = turned.apply(at)
         sim.state.body_position.assign(np.array([[np.zeros(3), place]]).astype(precision))
         sim.state.body_linear_velocity.assign(np.array([[np.zeros(3), np.cross(spin, place)]]).astype(precision))
@@ -376,7 +376,7 @@ def test_memory_turns_with_the_bodies(friction, precision, device):
         return turned
 
     ride()
-    force = model.reading("touch.friction_force")[0]
+    force = model.sensor("touch.friction_force")[0]
     assert np.linalg.norm(force) > 0.5
     for _ in range(1000):
         turned = ride()
@@ -443,7 +443,7 @@ def test_a_memory_may_come_from_a_mixin(device):
 
     assert list(Mixed.memories) == ["spring"]
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), friction=Mixed(), height=-1e-3, device=device)
-    assert model.reading("touch.friction.spring").shape == (1, 3)
+    assert model.sensor("touch.friction.spring").shape == (1, 3)
 
 
 def test_a_law_has_no_tangent_memory():

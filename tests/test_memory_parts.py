@@ -122,12 +122,12 @@ def test_every_part_has_its_own_spring(device):
     model, sim = stuck(device)
     sim.step(11)
     # 10 ms, as at the start nothing has elapsed, of rolling at 0.02 m/s and of twist at 0.015 m/s.
-    np.testing.assert_allclose(model.reading("touch.rolling.spring")[0], (2.0e-4, 0, 0), atol=1e-9)
-    np.testing.assert_allclose(model.reading("touch.torsion.spring")[0], (0, 0, 1.5e-4), atol=1e-9)
+    np.testing.assert_allclose(model.sensor("touch.rolling.spring")[0], (2.0e-4, 0, 0), atol=1e-9)
+    np.testing.assert_allclose(model.sensor("touch.torsion.spring")[0], (0, 0, 1.5e-4), atol=1e-9)
     torque = model.arrays.contacts.torque.numpy()[0, 0]
     np.testing.assert_allclose(torque, (0, -0.2, -0.075), rtol=1e-6, atol=1e-9)
-    np.testing.assert_allclose(model.reading("touch.law.age")[0], 0.010, rtol=1e-9)
-    assert np.linalg.norm(model.reading("touch.friction.spring")[0]) > 1e-6
+    np.testing.assert_allclose(model.sensor("touch.law.age")[0], 0.010, rtol=1e-9)
+    assert np.linalg.norm(model.sensor("touch.friction.spring")[0]) > 1e-6
 
 
 def test_every_part_forgets_at_release(device):
@@ -143,9 +143,9 @@ def test_every_part_forgets_at_release(device):
     sim.state.body_angular_velocity.zero_()
     sim.step()
     for name in ("friction.spring", "rolling.spring", "torsion.spring"):
-        np.testing.assert_array_equal(model.reading(f"touch.{name}"), 0.0, err_msg=name)
+        np.testing.assert_array_equal(model.sensor(f"touch.{name}"), 0.0, err_msg=name)
     # It did not fall in: nothing says when within the step it came.
-    np.testing.assert_allclose(model.reading("touch.law.age")[0], 1e-3)
+    np.testing.assert_allclose(model.sensor("touch.law.age")[0], 1e-3)
 
 
 def test_every_part_begins_at_touch(device):
@@ -157,11 +157,11 @@ def test_every_part_begins_at_touch(device):
     speed = np.array([[[0, 0, 0], [0.01, 0, -1.0]]])
     sim.state.body_linear_velocity.assign(speed)
     sim.step(2)
-    np.testing.assert_allclose(model.reading("touch.law.age")[0], 0.3e-3, rtol=1e-6)
+    np.testing.assert_allclose(model.sensor("touch.law.age")[0], 0.3e-3, rtol=1e-6)
     np.testing.assert_allclose(
-        model.reading("touch.rolling.spring")[0], (0.3e-3 * 0.02, 0, 0), rtol=1e-6, atol=1e-12
+        model.sensor("touch.rolling.spring")[0], (0.3e-3 * 0.02, 0, 0), rtol=1e-6, atol=1e-12
     )
-    np.testing.assert_allclose(model.reading("touch.torsion.spring")[0][2], 0.3e-3 * 0.015, rtol=1e-6)
+    np.testing.assert_allclose(model.sensor("touch.torsion.spring")[0][2], 0.3e-3 * 0.015, rtol=1e-6)
 
 
 def test_a_torsion_spring_turns_with_its_bodies(device):
@@ -173,7 +173,7 @@ def test_a_torsion_spring_turns_with_its_bodies(device):
     sim.state.body_angular_velocity.fill_(model.types.vec3(*spin))
     arm = place - centre
     for _ in range(800):
-        turned = Rotation.from_quat(model.reading("carrier.orientation")[0])
+        turned = Rotation.from_quat(model.sensor("carrier.orientation")[0])
         at = centre + turned.apply(arm)
         sim.state.body_position.assign(np.array([[centre, at]]))
         sim.state.body_linear_velocity.assign(np.array([[np.zeros(3), np.cross(spin, at - centre)]]))
@@ -189,10 +189,10 @@ def test_rolling_is_relative_to_the_plate(device):
     model, sim = stuck(device, rolling=F.Viscous(drag=0.1))
     sim.state.body_angular_velocity.assign(np.array([[[0, 0.2, 0], [0, 0, 0]]], dtype=float))
     sim.state.body_linear_velocity.zero_()
-    normal = model.reading("touch.normal_force")[0]
+    normal = model.sensor("touch.normal_force")[0]
     # v_r = R (ω₁ − ω₂) × n = −0.02 m/s; M = R n × F, F = −β N v_r.
     np.testing.assert_allclose(
-        model.reading("touch.torque")[0], (0, 0.1 * 0.1 * normal * 0.02, 0), rtol=1e-9, atol=1e-12
+        model.sensor("touch.torque")[0], (0, 0.1 * 0.1 * normal * 0.02, 0), rtol=1e-9, atol=1e-12
     )
 
 
@@ -200,11 +200,11 @@ def test_a_directional_friction_serves_rolling(device):
     rolling = F.Elliptic(mu_1=0.4, mu_2=0.1, velocity_scale=1e-9)
     model, sim = stuck(device, rolling=rolling)
     sim.state.body_angular_velocity.assign(np.array([[[0, 0, 0], [-1.0, 1.0, 0]]], dtype=float))
-    normal = model.reading("touch.normal_force")[0]
+    normal = model.sensor("touch.normal_force")[0]
     # Rolling at equal speeds along x and y: F ∝ μ₁², μ₂²; M = R n × F.
     force = -np.array([0.16, 0.01]) / np.hypot(0.4, 0.1) * normal
     np.testing.assert_allclose(
-        model.reading("touch.torque")[0], (-0.1 * force[1], 0.1 * force[0], 0), rtol=1e-6, atol=1e-9
+        model.sensor("touch.torque")[0], (-0.1 * force[1], 0.1 * force[0], 0), rtol=1e-6, atol=1e-9
     )
 
 
@@ -217,7 +217,7 @@ def test_where_the_surface_x_axis_is_normal_its_y_axis_leads(device):
     scene.add_contact(scene.add_point(body, (0, 0, 0)), wall, material, name="touch")
     model = scene.build(device=device, precision="float64")
     expected = -10.0 * np.array([0.0, 0.16, 0.01]) / np.hypot(0.4, 0.1)
-    np.testing.assert_allclose(model.reading("touch.friction_force")[0], expected, rtol=1e-9)
+    np.testing.assert_allclose(model.sensor("touch.friction_force")[0], expected, rtol=1e-9)
 
 
 def test_a_law_that_jumps_at_touch_is_given_its_impulse_from_a_fresh_memory(device):
@@ -230,7 +230,7 @@ def test_a_law_that_jumps_at_touch_is_given_its_impulse_from_a_fresh_memory(devi
     position[:, 2] = 0.1 + 1e-4 * phases
     model["ball.position"] = position
     wc.Simulation(model, dt=1e-4).step(300)
-    speed = -model.reading("ball.linear_velocity")[:, 2]
+    speed = -model.sensor("ball.linear_velocity")[:, 2]
     # Without the impulse of what was missed the spread is the share of a step, c dt/m = 2 % of 0.67 m/s.
     assert np.ptp(speed) < 0.001
 

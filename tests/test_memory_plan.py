@@ -46,23 +46,23 @@ def test_the_estimate_is_what_the_arrays_take(name, precision, device, counted):
         model["ground.scale"] = mass
         model["centre.position"] = 0.01 * np.ones((envs, 3))
         varied += ["touch.law.stiffness", "ground.scale", "centre.position"]
-        model.reading("touch.point")
+        model.sensor("touch.point")
         needs.add("points")
     if name == "coupled":
         model["spring.rest_length"] = mass
         model["body_1.motion.amplitude"] = mass
         varied += ["spring.rest_length", "body_1.motion.amplitude"]
-        for reading in ("body_0.reaction_force", "body_2.displacement", "keep.force"):
-            model.reading(reading)
+        for sensor in ("body_0.reaction_force", "body_2.displacement", "keep.force"):
+            model.sensor(sensor)
         needs |= {"reactions", "coordinates", "contact_couplings"}
     if name == "smooth":
         model["egg.semi_axes"] = np.linspace(0.1, 0.3, 3 * envs).reshape(envs, 3)
         model["lie.law.modulus"] = 1e8 * mass[:, None] * np.ones(3)
         varied += ["egg.semi_axes", "lie.law.modulus"]
-        for reading in ("lie.point", "stand.curvature_1", "rest.gap_by_position_a"):
-            model.reading(reading)
+        for sensor in ("lie.point", "stand.curvature_1", "rest.gap_by_position_a"):
+            model.sensor(sensor)
         needs |= {"smooth_points", "smooth_curvatures", "smooth_gradients"}
-    model.reading("scene.kinetic_energy")
+    model.sensor("scene.kinetic_energy")
     gc.collect()
     assert of_arrays(sim.memory(), model) == counted.used
     planned = draw_up(scene, device, precision).memory(envs, varied)
@@ -165,7 +165,7 @@ def test_a_recording_takes_what_is_planned(device):
 
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), envs=7, device=device)
     model["ball.mass"] = np.linspace(1, 2, 7)
-    names = list(model.reading_names)
+    names = list(model.sensor_names)
     recorder = Recorder(model, names, 5, poses=True)
     size = recorder.size()
     recorder.start()
@@ -212,7 +212,7 @@ def test_plan_tells_and_runs_nothing(device, tmp_path, capsys, monkeypatch):
     assert "--shard 0: shard must be a whole number of at least 1, got 0" in capsys.readouterr().err
 
 
-# Readings of all kinds of needs that one point on a mesh has.
+# Sensors of all kinds of needs that one point on a mesh has.
 RECORDED = ("scene.kinetic_energy", "scene.linear_momentum", "touch.gap", "touch.normal_force", "touch.point")
 
 GROWTH = """

@@ -96,7 +96,7 @@ def test_recordings_that_do_not_fit_are_refused_before_anything_runs(device, mon
     with pytest.raises(MemoryError, match="not even one frame fits"):
         sim.run(0.01, ["touch.gap"])
     with pytest.raises(MemoryError, match="100 environments need"):
-        model.reading("touch.point")
+        model.sensor("touch.point")
 
 
 @pytest.mark.parametrize("parts", [1, 2])
@@ -128,9 +128,9 @@ def test_what_all_parts_measure_into_is_refused_together(device, monkeypatch):
     needed = sum(need.size for need in part.measures_needs(part.device, {"points"}, part.envs))
     with_room(monkeypatch, int(1.5 * needed / 0.85))
     with pytest.raises(MemoryError, match=r"^to measure them, 100 environments need"):
-        model.reading("touch.point")
+        model.sensor("touch.point")
     with pytest.raises(MemoryError, match=r"^to measure them, 100 environments need"):
         sim.run(1e-3, ["touch.point"])
     assert [part.arrays.points for part in model.parts] == [None, None]
     with_room(monkeypatch, None)
-    assert model.reading("touch.point").shape == (100, 3)
+    assert model.sensor("touch.point").shape == (100, 3)

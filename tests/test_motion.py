@@ -18,9 +18,9 @@ def test_free_fall_is_exact_at_the_order_of_the_scheme(device):
     sim.step(1000)
     # Semi-implicit Euler falls ½ g t² (1 + dt/t); 1000 additions of 1e-2 to 10 in float32 lose some 1e-4.
     np.testing.assert_allclose(
-        model.reading("ball.position")[0], (1.0, 0.0, 10.1 - 0.5 * G * 1.001), rtol=1e-5, atol=2e-4
+        model.sensor("ball.position")[0], (1.0, 0.0, 10.1 - 0.5 * G * 1.001), rtol=1e-5, atol=2e-4
     )
-    np.testing.assert_allclose(model.reading("ball.linear_velocity")[0], (1, 0, -G), rtol=1e-5)
+    np.testing.assert_allclose(model.sensor("ball.linear_velocity")[0], (1, 0, -G), rtol=1e-5)
 
 
 def test_rest_height_is_weight_over_stiffness(device):
@@ -34,8 +34,8 @@ def test_rest_height_is_weight_over_stiffness(device):
     sim.step(2000)
     # float32 loses a displacement dt v below half a digit of 0.1, 3.7e-9 m. The last speed, 3.7e-6 m/s, leaves
     # a dashpot force of 3.7e-4 N, or 3.7e-8 m; rounding of the position itself adds a digit.
-    np.testing.assert_allclose(model.reading("touch.penetration"), mass * G / 1e4, atol=5e-8)
-    np.testing.assert_allclose(model.reading("ball.position")[:, 2], 0.1 - mass * G / 1e4, atol=5e-8)
+    np.testing.assert_allclose(model.sensor("touch.penetration"), mass * G / 1e4, atol=5e-8)
+    np.testing.assert_allclose(model.sensor("ball.position")[:, 2], 0.1 - mass * G / 1e4, atol=5e-8)
 
 
 def test_static_sinkage_of_a_body_on_four_points(device):
@@ -49,7 +49,7 @@ def test_static_sinkage_of_a_body_on_four_points(device):
     model = scene.build(device=device, precision="float64")
     wc.Simulation(model, dt=1e-4).step(10000)
     # Ten digits are printed; a second is some 30 time constants of the damping at rest.
-    np.testing.assert_allclose(model.reading("touch.penetration")[0], 2.886861893e-4, rtol=1e-9)
+    np.testing.assert_allclose(model.sensor("touch.penetration")[0], 2.886861893e-4, rtol=1e-9)
 
 
 def test_a_sliding_sphere_rolls_at_five_sevenths(device):
@@ -88,9 +88,9 @@ def test_a_block_slides_down_an_incline(device):
     model = block_on_incline(slope, 0.3, 1e-3, device)
     sim = wc.Simulation(model, dt=2e-4)
     sim.step(2500)  # settled, and far above v_s
-    early = model.reading("block.linear_velocity")[0, 0]
+    early = model.sensor("block.linear_velocity")[0, 0]
     sim.step(2500)
-    late = model.reading("block.linear_velocity")[0, 0]
+    late = model.sensor("block.linear_velocity")[0, 0]
     np.testing.assert_allclose((late - early) / 0.5, sliding_acceleration(slope, 0.3), rtol=0.01)
     np.testing.assert_allclose(sliding_acceleration(slope, 0.3), 2.356287237, rtol=1e-9)
 
@@ -100,7 +100,7 @@ def test_a_block_creeps_as_tanh_friction_predicts(device):
     slope = np.radians(10.0)
     model = block_on_incline(slope, 0.3, 0.01, device)
     wc.Simulation(model, dt=2e-4).step(5000)
-    speed = model.reading("block.linear_velocity")[0, 0]
+    speed = model.sensor("block.linear_velocity")[0, 0]
     np.testing.assert_allclose(creep_speed(slope, 0.3, 0.01), 6.742317056e-3, rtol=1e-9)
     # The block tips about its feet by some microradians: their normal forces, not their sum, differ.
     np.testing.assert_allclose(speed, creep_speed(slope, 0.3, 0.01), rtol=2e-3)
@@ -119,10 +119,10 @@ def test_oblique_impact_of_a_sphere(mu, tangential, expected, spin, device):
         radius=0.05, height=1e-4, velocity=(tangential, 0, -2.0), kappa=1.0, device=device,
     )  # fmt: skip
     wc.Simulation(model, dt=1e-5).step(3000)
-    velocity = model.reading("ball.linear_velocity")[0]
+    velocity = model.sensor("ball.linear_velocity")[0]
     np.testing.assert_allclose(velocity[2], 1.4, rtol=2e-3)
     np.testing.assert_allclose(velocity[0], expected, rtol=2e-3)
-    np.testing.assert_allclose(model.reading("ball.angular_velocity")[0, 1], spin, rtol=2e-3)
+    np.testing.assert_allclose(model.sensor("ball.angular_velocity")[0, 1], spin, rtol=2e-3)
 
 
 def spinning(inertia, omega, device, precision="float32", orientation=(0, 0, 0, 1)):
@@ -136,14 +136,14 @@ def spinning(inertia, omega, device, precision="float32", orientation=(0, 0, 0, 
 def test_a_free_symmetric_top_precesses(device):
     # FORCE_LAWS G15: I = (0.02, 0.02, 0.035), ω = (2, 0, 30) in the body: the axis turns about L at 52.538 rad/s.
     model = spinning((0.02, 0.02, 0.035), (2.0, 0.0, 30.0), device, "float64")
-    momentum = model.reading("top.angular_momentum")[0] - np.cross(
-        model.reading("top.position")[0], model.reading("top.linear_momentum")[0]
+    momentum = model.sensor("top.angular_momentum")[0] - np.cross(
+        model.sensor("top.position")[0], model.sensor("top.linear_momentum")[0]
     )
     period = 2 * np.pi / 52.53808143
     steps = 2000
     sim = wc.Simulation(model, dt=period / steps)
     sim.step(steps)
-    x, y, z, w = model.reading("top.orientation")[0]
+    x, y, z, w = model.sensor("top.orientation")[0]
     axis = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
     # After one turn about L the axis is back.
     np.testing.assert_allclose(axis, (0, 0, 1), atol=1e-5)
@@ -157,7 +157,7 @@ def test_an_asymmetric_top_turns_over(device):
     half = 7.340968435 / 2
     steps = 8000
     wc.Simulation(model, dt=half / steps).step(steps)
-    x, y, z, w = model.reading("top.orientation")[0]
+    x, y, z, w = model.sensor("top.orientation")[0]
     rotation = np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -165,19 +165,19 @@ def test_an_asymmetric_top_turns_over(device):
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
     )
-    np.testing.assert_allclose(rotation.T @ model.reading("top.angular_velocity")[0], (0.1, -5, 0), atol=2e-3)
+    np.testing.assert_allclose(rotation.T @ model.sensor("top.angular_velocity")[0], (0.1, -5, 0), atol=2e-3)
 
 
 @pytest.mark.parametrize(("precision", "tolerance"), [("float32", 1e-5), ("float64", 1e-13)])
 def test_free_bodies_conserve_momentum(precision, tolerance, device):
     model = spinning((1.0, 2.0, 3.0), (0.1, 5.0, 1.0), device, precision, orientation=(0.5, 0.5, 0.5, 0.5))
-    before = {key: model.reading(f"top.{key}")[0] for key in ("linear_momentum", "angular_momentum")}
+    before = {key: model.sensor(f"top.{key}")[0] for key in ("linear_momentum", "angular_momentum")}
     sim = wc.Simulation(model, dt=1e-3)
     sim.step(2000)
-    np.testing.assert_array_equal(model.reading("top.linear_momentum")[0], before["linear_momentum"])
+    np.testing.assert_array_equal(model.sensor("top.linear_momentum")[0], before["linear_momentum"])
     # 2000 roundings of a momentum of size 10 in a random walk, with inertias up to 3: 10 ε √2000 · 3.
     np.testing.assert_allclose(
-        model.reading("top.angular_momentum")[0], before["angular_momentum"], atol=10 * tolerance
+        model.sensor("top.angular_momentum")[0], before["angular_momentum"], atol=10 * tolerance
     )
 
 
@@ -185,9 +185,9 @@ def test_the_energy_of_a_free_body_converges_at_second_order(device):
     errors = []
     for steps in (200, 400, 800):
         model = spinning((1.0, 2.0, 3.0), (0.5, 5.0, 1.0), device, "float64")
-        start = model.reading("top.kinetic_energy")[0]
+        start = model.sensor("top.kinetic_energy")[0]
         wc.Simulation(model, dt=2.0 / steps).step(steps)
-        errors.append(abs(model.reading("top.kinetic_energy")[0] - start) / start)
+        errors.append(abs(model.sensor("top.kinetic_energy")[0] - start) / start)
     orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
     assert errors[-1] < 1e-4
     assert (orders > 1.8).all(), (errors, orders)
@@ -203,7 +203,7 @@ def test_the_bounce_converges_at_first_order(device):
         )  # fmt: skip
         sim = wc.Simulation(model, dt=dt)
         sim.step(round(0.2 / dt))
-        return model.reading("ball.position")[0, 2]
+        return model.sensor("ball.position")[0, 2]
 
     reference = height(1.25e-6)
     coarse, fine = (abs(height(dt) - reference) for dt in (2e-4, 2.5e-5))
@@ -224,12 +224,12 @@ def test_two_bodies_exchange_momentum_without_loss(device):
     )
     scene.add_contact(scene.add_point(ball, (0, 0, 0)), surface, material, radius=0.1, name="touch")
     model = scene.build(device=device, precision="float64")
-    linear, angular = model.reading("scene.linear_momentum"), model.reading("scene.angular_momentum")
-    energy = model.reading("scene.kinetic_energy")
+    linear, angular = model.sensor("scene.linear_momentum"), model.sensor("scene.angular_momentum")
+    energy = model.sensor("scene.kinetic_energy")
     sim = wc.Simulation(model, dt=1e-4)
     recording = sim.run(0.3, ["touch.normal_force"], every=1e-3)
     assert recording["touch.normal_force"].max() > 100
-    np.testing.assert_allclose(model.reading("scene.linear_momentum"), linear, atol=1e-13)
+    np.testing.assert_allclose(model.sensor("scene.linear_momentum"), linear, atol=1e-13)
     # Positions advance with the new velocities, so x⁺ × v⁺ = x × v⁺: nothing is lost to the step.
-    np.testing.assert_allclose(model.reading("scene.angular_momentum"), angular, atol=1e-13)
-    assert model.reading("scene.kinetic_energy")[0] < energy[0]
+    np.testing.assert_allclose(model.sensor("scene.angular_momentum"), angular, atol=1e-13)
+    assert model.sensor("scene.kinetic_energy")[0] < energy[0]

@@ -44,9 +44,9 @@ def test_a_pendulum_keeps_its_period_and_energy_over_a_thousand_periods(device):
         first = energy(sim.run(2 * period, names))
         sim.step(998 * steps - steps // 4)
         # A quarter of a period early it hangs straight down: the way from there tells the time.
-        hanging = np.remainder(model.reading("arm.angle")[0] + start + np.pi, 2 * np.pi) - np.pi
+        hanging = np.remainder(model.sensor("arm.angle")[0] + start + np.pi, 2 * np.pi) - np.pi
         # From rest the scheme is half a step ahead.
-        ahead.append((hanging / model.reading("arm.angle_rate")[0] - 0.5 * sim.dt) / (1000 * period))
+        ahead.append((hanging / model.sensor("arm.angle_rate")[0] - 0.5 * sim.dt) / (1000 * period))
         last = energy(sim.run(2 * period, names))
         np.testing.assert_allclose([last.min(), last.max()], [first.min(), first.max()], atol=2e-3 * np.ptp(first))
         swing.append(np.ptp(first))
@@ -61,12 +61,12 @@ def test_the_reaction_of_a_hinge_is_that_of_the_textbook(device):
     """Along the arm m g cos φ + m l ω², across it m g sin φ (1 − m l²/I)."""
     angle, rate = 0.7, 3.0
     model = pendulum(angle, rate, device=device)
-    force = model.reading("arm.reaction_force")[0]
+    force = model.sensor("arm.reaction_force")[0]
     inwards, across = np.array([np.sin(angle), 0, np.cos(angle)]), np.array([np.cos(angle), 0, -np.sin(angle)])
     np.testing.assert_allclose(force @ inwards, MASS * (G * np.cos(angle) + LENGTH * rate**2), rtol=1e-13)
     share = 1.0 - MASS * LENGTH**2 / ABOUT_AXIS
     np.testing.assert_allclose(force @ across, -MASS * G * np.sin(angle) * share, rtol=1e-12)
-    np.testing.assert_allclose(model.reading("arm.reaction_torque")[0], 0.0, atol=1e-13)
+    np.testing.assert_allclose(model.sensor("arm.reaction_torque")[0], 0.0, atol=1e-13)
 
 
 def test_an_unbalanced_rotor_shakes_its_hinge(device):
@@ -76,14 +76,14 @@ def test_an_unbalanced_rotor_shakes_its_hinge(device):
     hinge = wc.motions.Hinge(axis=(0, 0, 1), anchor=(0, 0, 0))
     scene.add_body(1.0, tensor, angular_velocity=(0, 0, 4.0), motion=hinge, name="rotor")
     model = scene.build(device=device, precision="float64")
-    np.testing.assert_allclose(model.reading("rotor.reaction_torque")[0], (0, 0.05 * 16, 0), atol=1e-14)
+    np.testing.assert_allclose(model.sensor("rotor.reaction_torque")[0], (0, 0.05 * 16, 0), atol=1e-14)
     dt = 1e-3
     wc.Simulation(model, dt).step(1000)
     turned = Rotation.from_rotvec((0, 0, 4.0)).apply((0, 0.05 * 16, 0))
-    np.testing.assert_allclose(model.reading("rotor.reaction_torque")[0], turned, atol=1e-12)
+    np.testing.assert_allclose(model.sensor("rotor.reaction_torque")[0], turned, atol=1e-12)
     # Nothing acts about the axis: the rate stays to the bit.
-    assert model.reading("rotor.angle_rate")[0] == 4.0
-    np.testing.assert_allclose(model.reading("rotor.angle"), 4.0 - 2 * np.pi, rtol=1e-12)
+    assert model.sensor("rotor.angle_rate")[0] == 4.0
+    np.testing.assert_allclose(model.sensor("rotor.angle"), 4.0 - 2 * np.pi, rtol=1e-12)
 
 
 def cone(device):
@@ -107,16 +107,16 @@ def cone(device):
 @pytest.mark.slow
 def test_a_conical_pendulum_goes_round_its_cone(device):
     model, tilt, speed = cone(device)
-    force = model.reading("bob.reaction_force")[0]
+    force = model.sensor("bob.reaction_force")[0]
     np.testing.assert_allclose(
         force, (-MASS * speed**2 * LENGTH * np.sin(tilt), 0, MASS * G), rtol=1e-12, atol=1e-12
     )
-    np.testing.assert_allclose(model.reading("bob.reaction_torque")[0], 0.0, atol=1e-13)
+    np.testing.assert_allclose(model.sensor("bob.reaction_torque")[0], 0.0, atol=1e-13)
     off = []
     for steps in (1000, 2000):
         model.reset()
         wc.Simulation(model, dt=2 * np.pi / speed / steps).step(3 * steps)
-        way = model.reading("bob.position")[0] - ANCHOR
+        way = model.sensor("bob.position")[0] - ANCHOR
         np.testing.assert_allclose(np.linalg.norm(way), LENGTH, rtol=1e-14)
         # Steady precession is not stable against what the first half step leaves out: an error of first order.
         off.append(np.linalg.norm(way - LENGTH * np.array([np.sin(tilt), 0, -np.cos(tilt)])))
@@ -140,19 +140,19 @@ def test_a_slider_on_a_slope_and_a_body_in_a_plane_and_one_that_does_not_turn(de
         )
     model = scene.build(device=device, precision="float64")
     np.testing.assert_allclose(
-        model.reading("cart.reaction_force")[0],
+        model.sensor("cart.reaction_force")[0],
         MASS * G * np.cos(slope) * np.array([np.sin(slope), 0, np.cos(slope)]),
     )
     wc.Simulation(model, dt).step(1000)
     # Semi-implicit Euler falls ½ a t² (1 + dt/t).
     fallen = 0.5 * G * (1.0 + dt)
-    np.testing.assert_allclose(model.reading("cart.displacement"), 0.5 + fallen * np.sin(slope), rtol=1e-12)
-    np.testing.assert_allclose(model.reading("cart.displacement_rate"), 0.5 + G * np.sin(slope), rtol=1e-12)
-    np.testing.assert_allclose(model.reading("disc.position")[0], (1, 0, 2 - fallen), rtol=1e-12)
-    np.testing.assert_allclose(model.reading("disc.angle"), 3.0, rtol=1e-12)
-    np.testing.assert_allclose(model.reading("stone.position")[0], (1, 2, -fallen), rtol=1e-12)
-    np.testing.assert_array_equal(model.reading("post.position")[0], (0, 0, 0))
-    np.testing.assert_allclose(model.reading("post.reaction_force")[0], (0, 0, MASS * G), rtol=1e-13)
+    np.testing.assert_allclose(model.sensor("cart.displacement"), 0.5 + fallen * np.sin(slope), rtol=1e-12)
+    np.testing.assert_allclose(model.sensor("cart.displacement_rate"), 0.5 + G * np.sin(slope), rtol=1e-12)
+    np.testing.assert_allclose(model.sensor("disc.position")[0], (1, 0, 2 - fallen), rtol=1e-12)
+    np.testing.assert_allclose(model.sensor("disc.angle"), 3.0, rtol=1e-12)
+    np.testing.assert_allclose(model.sensor("stone.position")[0], (1, 2, -fallen), rtol=1e-12)
+    np.testing.assert_array_equal(model.sensor("post.position")[0], (0, 0, 0))
+    np.testing.assert_allclose(model.sensor("post.reaction_force")[0], (0, 0, MASS * G), rtol=1e-13)
 
 
 def test_nothing_drifts_in_a_hundred_thousand_steps_of_float32(device):
@@ -175,29 +175,29 @@ def test_nothing_drifts_in_a_hundred_thousand_steps_of_float32(device):
         )
     model = scene.build(device=device)
     model["hinge.angular_velocity"] = 7.0 * axis
-    start = model.reading("slider.orientation")[0], model.reading("rail.orientation")[0]
+    start = model.sensor("slider.orientation")[0], model.sensor("rail.orientation")[0]
     wc.Simulation(model, dt=1e-4).step(100_000)
-    lengths = {name: np.linalg.norm(model.reading(f"{name}.position")[0] - anchor) for name in ("hinge", "ball")}
+    lengths = {name: np.linalg.norm(model.sensor(f"{name}.position")[0] - anchor) for name in ("hinge", "ball")}
     expected = np.linalg.norm(np.subtract(place, anchor))
     for name, length in lengths.items():
         # A position has its remainder: better than one rounding of float32.
         np.testing.assert_allclose(length, expected, rtol=1e-12, err_msg=name)
     # The point of the body that is pinned, as contacts see it, by its orientation in float32.
     for name in ("hinge", "ball"):
-        turn = Rotation.from_quat(model.reading(f"{name}.orientation")[0].astype(np.float64))
-        pinned = model.reading(f"{name}.position")[0] + turn.apply(tilted.inv().apply(np.subtract(anchor, place)))
+        turn = Rotation.from_quat(model.sensor(f"{name}.orientation")[0].astype(np.float64))
+        pinned = model.sensor(f"{name}.position")[0] + turn.apply(tilted.inv().apply(np.subtract(anchor, place)))
         np.testing.assert_allclose(pinned, anchor, atol=2e-7)
-    along = model.reading("hinge.position")[0] @ axis
+    along = model.sensor("hinge.position")[0] @ axis
     np.testing.assert_allclose(along, np.dot(place, axis), rtol=1e-12)
-    assert model.reading("slider.position")[0, 2] < -400.0
+    assert model.sensor("slider.position")[0, 2] < -400.0
     first = scene.build(device=device)
     for name in ("slider", "plane"):
         held = [0, 1] if name == "slider" else [1]
-        now, then = model.reading(f"{name}.position")[0, held], first.reading(f"{name}.position")[0, held]
+        now, then = model.sensor(f"{name}.position")[0, held], first.sensor(f"{name}.position")[0, held]
         np.testing.assert_array_equal(now, then, err_msg=name)
-    np.testing.assert_array_equal(model.reading("slider.orientation")[0], start[0])
-    np.testing.assert_array_equal(model.reading("rail.orientation")[0], start[1])
-    way = model.reading("rail.position")[0] - place
+    np.testing.assert_array_equal(model.sensor("slider.orientation")[0], start[0])
+    np.testing.assert_array_equal(model.sensor("rail.orientation")[0], start[1])
+    way = model.sensor("rail.position")[0] - place
     across = way - (way @ axis) * axis
     # Of a way of 490 m in float64: the remainder is that exact.
     assert np.linalg.norm(across) < 1e-11 * np.linalg.norm(way)
@@ -228,15 +228,15 @@ def test_a_ball_on_a_door_bounces_with_the_mass_that_the_door_has_there(restitut
     )
     model = struck_door(law, device)
     wc.Simulation(model, dt=1e-6).step(15_000)
-    assert model.reading("touch.gap")[0] > 0.0
+    assert model.sensor("touch.gap")[0] > 0.0
     inertia, arm = 0.4 + 3.0 * 0.5**2, 0.8
     mass = 1.0 / (1.0 / 0.7 + arm**2 / inertia)
     impulse = (1.0 + restitution) * mass * 2.0
     # Some 1500 steps of contact, of first order; the door turns by a thousandth meanwhile.
-    np.testing.assert_allclose(model.reading("ball.linear_velocity")[0, 1], 2.0 - impulse / 0.7, atol=4e-3)
-    np.testing.assert_allclose(model.reading("door.angle_rate"), arm * impulse / inertia, rtol=4e-3)
+    np.testing.assert_allclose(model.sensor("ball.linear_velocity")[0, 1], 2.0 - impulse / 0.7, atol=4e-3)
+    np.testing.assert_allclose(model.sensor("door.angle_rate"), arm * impulse / inertia, rtol=4e-3)
     if restitution == 1.0:
-        np.testing.assert_allclose(model.reading("scene.kinetic_energy"), 0.5 * 0.7 * 4.0, rtol=1e-4)
+        np.testing.assert_allclose(model.sensor("scene.kinetic_energy"), 0.5 * 0.7 * 4.0, rtol=1e-4)
 
 
 def test_a_hinge_far_away_swings_like_one_at_the_origin(device):
@@ -246,10 +246,10 @@ def test_a_hinge_far_away_swings_like_one_at_the_origin(device):
         anchor = np.array([far, -far, far])
         model = pendulum(1.0, anchor=anchor, precision="float32", device=device)
         wc.Simulation(model, dt=1e-3).step(2000)
-        ways.append(model.reading("arm.position")[0] - anchor)
+        ways.append(model.sensor("arm.position")[0] - anchor)
     # The orientation decides, in both to 6e-8 a step.
     np.testing.assert_allclose(ways[0], ways[1], atol=1e-6)
     exact = pendulum(1.0)
     wc.Simulation(exact, dt=1e-3).step(2000)
     # 2000 roundings of an angle, 3e-8 each, that rarely have the same sign.
-    np.testing.assert_allclose(ways[0], exact.reading("arm.position")[0] - ANCHOR, atol=1e-5)
+    np.testing.assert_allclose(ways[0], exact.sensor("arm.position")[0] - ANCHOR, atol=1e-5)

@@ -79,9 +79,9 @@ def followed(request, device):
 def pose_error(model, name, function, t):
     """How far position [m] and orientation [rad] are from the function at ``t``."""
     way, turn = function(t)
-    orientation = Rotation.from_quat(model.reading(f"{name}.orientation")[0].astype(np.float64))
+    orientation = Rotation.from_quat(model.sensor(f"{name}.orientation")[0].astype(np.float64))
     turned = (Rotation.from_rotvec(turn) * TURNED).inv() * orientation
-    return np.abs(model.reading(f"{name}.position")[0] - START - way).max(), turned.magnitude()
+    return np.abs(model.sensor(f"{name}.position")[0] - START - way).max(), turned.magnitude()
 
 
 def test_a_function_of_time_is_tracked_exactly_for_as_long_as_a_run_takes(followed):
@@ -121,7 +121,7 @@ def test_its_velocities_are_the_mean_over_the_step_and_the_derivative_before_the
         h = 1e-4
         slope = (function(h)[0] - function(-h)[0]) / (2 * h)
         # From a difference of 2e-6 s, in which float64 is exact to 1e-9; mine to h².
-        np.testing.assert_allclose(model.reading(f"{name}.linear_velocity")[0], slope, atol=2e-4, err_msg=name)
+        np.testing.assert_allclose(model.sensor(f"{name}.linear_velocity")[0], slope, atol=2e-4, err_msg=name)
     dt = 1e-3
     sim = wc.Simulation(model, dt=dt)
     sim.step(20)
@@ -132,7 +132,7 @@ def test_its_velocities_are_the_mean_over_the_step_and_the_derivative_before_the
         (old_way, old_turn), (new_way, new_turn) = function(before), function(after)
         mean = (new_way - old_way) / (after - before)
         turn = (Rotation.from_rotvec(new_turn) * Rotation.from_rotvec(old_turn).inv()).as_rotvec()
-        velocities = [model.reading(f"{name}.{key}_velocity")[0] for key in ("linear", "angular")]
+        velocities = [model.sensor(f"{name}.{key}_velocity")[0] for key in ("linear", "angular")]
         # Differences of about 1 m in a step of 1 ms.
         for velocity, expected in zip(velocities, (mean, turn / (after - before)), strict=True):
             allowed = rounding * np.abs(expected).max() + 1e-12
@@ -148,7 +148,7 @@ def test_the_reaction_of_a_function_of_time_drives_the_body(followed):
     acceleration = -0.3 * 81.0 * np.array([np.cos(angle), np.sin(angle), 0])
     # Second differences over 2e-5 s: of float64 to 1e-6 m/s², of the function to (ω h)²/12.
     expected = 2.0 * (acceleration + np.array([0, 0, G]))
-    np.testing.assert_allclose(model.reading("helix.reaction_force")[0], expected, atol=2e-5)
+    np.testing.assert_allclose(model.sensor("helix.reaction_force")[0], expected, atol=2e-5)
 
 
 def test_a_prescribed_body_moves_with_the_velocities_that_stand_in_its_state(device):
@@ -170,14 +170,14 @@ def test_a_prescribed_body_moves_with_the_velocities_that_stand_in_its_state(dev
     sim = wc.Simulation(model, dt=0.125)
     sim.step(8)
     # Neither gravity nor contact nor its own inertia changes them; binary steps add up without rounding.
-    np.testing.assert_array_equal(model.reading("plate.linear_velocity"), [velocity] * 2)
-    np.testing.assert_array_equal(model.reading("plate.position"), [velocity] * 2)
-    turn = Rotation.from_quat(model.reading("plate.orientation")[0]).as_rotvec()
+    np.testing.assert_array_equal(model.sensor("plate.linear_velocity"), [velocity] * 2)
+    np.testing.assert_array_equal(model.sensor("plate.position"), [velocity] * 2)
+    turn = Rotation.from_quat(model.sensor("plate.orientation")[0]).as_rotvec()
     np.testing.assert_allclose(turn, (0, 0, 2.0), rtol=1e-14)
     sim.state.body_linear_velocity.assign(np.array([[[0, 0, 1], [0, 0, 0]], [[1, 0, 0], [0, 0, 0]]]))
     sim.step(8)
     expected = np.add([velocity] * 2, [(0, 0, 1), (1, 0, 0)])
-    np.testing.assert_array_equal(model.reading("plate.position"), expected)
+    np.testing.assert_array_equal(model.sensor("plate.position"), expected)
 
 
 @pytest.mark.slow
@@ -197,8 +197,8 @@ def test_a_surface_that_jumps_at_a_point_is_not_missed(device):
     for cached in (True, False):
         model.reset()
         wc.Simulation(model, dt=1e-3, distance_cache=cached).step(200)
-        assert model.reading("touch.crossings")[0] == 1
-        speeds.append(model.reading("stone.linear_velocity")[0, 2])
+        assert model.sensor("touch.crossings")[0] == 1
+        speeds.append(model.sensor("stone.linear_velocity")[0, 2])
     assert speeds[0] == speeds[1]
     # Found 0.1 m deep at rest, but for what the plate moved meanwhile: thrown out at δ √(k/m).
     np.testing.assert_allclose(speeds[0], 0.1 * np.sqrt(1e3), rtol=0.1)
@@ -223,9 +223,9 @@ def test_two_bodies_that_no_force_moves_press_on_each_other_and_stay(device):
     model = scene.build(device=device, precision="float64")
     wc.Simulation(model, dt=0.125).step(4)
     force = 1e4 * (0.01 + 0.5 * 0.01) + 50.0 * 0.01
-    np.testing.assert_allclose(model.reading("touch.normal_force"), force, rtol=1e-9)
-    np.testing.assert_allclose(model.reading("ram.reaction_force")[0], (0, 0, -force), rtol=1e-9)
-    np.testing.assert_allclose(model.reading("post.reaction_force")[0], (0, 0, force), rtol=1e-9)
+    np.testing.assert_allclose(model.sensor("touch.normal_force"), force, rtol=1e-9)
+    np.testing.assert_allclose(model.sensor("ram.reaction_force")[0], (0, 0, -force), rtol=1e-9)
+    np.testing.assert_allclose(model.sensor("post.reaction_force")[0], (0, 0, force), rtol=1e-9)
     assert model.health().frozen.size == 0
 
 
@@ -246,7 +246,7 @@ def test_a_shaker_throws_a_ball_off_when_it_falls_faster_than_that(device):
     pace = 2 * np.pi * frequency
     pressed = mass * (G + amplitude * pace**2) / stiffness
     model["ball.position"] = np.stack([0 * pressed, 0 * pressed, radius - amplitude - pressed], axis=1)
-    np.testing.assert_allclose(model.reading("touch.penetration"), pressed, rtol=1e-9)
+    np.testing.assert_allclose(model.sensor("touch.penetration"), pressed, rtol=1e-9)
     dt = 2e-5
     recording = wc.Simulation(model, dt).run(
         0.1, ["touch.normal_force", "shaker.position", "touch.approach_speed"]

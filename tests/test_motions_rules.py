@@ -112,7 +112,7 @@ def test_a_model_of_free_bodies_runs_the_same_kernels_and_has_nothing_of_motions
     assert not model.drives
     assert model.arrays.constrained is None
     assert not [name for name in model if ".motion." in name]
-    assert not [name for name in model.reading_names if "reaction" in name]
+    assert not [name for name in model.sensor_names if "reaction" in name]
     made = constrained.semi_implicit_euler.cache_info().currsize
     one = wc.Simulation(model, dt=1e-3)
     one.step()
@@ -131,7 +131,7 @@ def test_a_free_body_moves_to_the_bit_as_it_does_beside_one_on_a_hinge(device):
     for scene in (alone, beside):
         model = scene.build(device=device)
         wc.Simulation(model, dt=1e-3).step(50)
-        positions.append((model.reading("stone.position"), model.reading("stone.orientation")))
+        positions.append((model.sensor("stone.position"), model.sensor("stone.orientation")))
     for one, other in zip(*positions, strict=True):
         np.testing.assert_array_equal(one, other)
 
@@ -174,7 +174,7 @@ def run(device):
             model[name] = values
         sim = wc.Simulation(model, dt=1e-3, **options)
         sim.step(steps)
-        return model, [model.reading(name) for name in NAMES]
+        return model, [model.sensor(name) for name in NAMES]
 
     return go
 
@@ -182,9 +182,9 @@ def run(device):
 def test_environments_of_their_own_are_the_same_alone_and_split_and_launched_and_captured(run, device):
     model, expected = run()
     # All arms have struck the plate, and some press on it now.
-    assert (model.reading("touch.normal_force") > 0.0).any()
+    assert (model.sensor("touch.normal_force") > 0.0).any()
     for name in ("arm.position", "shaker.position"):
-        assert len(np.unique(model.reading(name).round(6), axis=0)) == 4, name
+        assert len(np.unique(model.sensor(name).round(6), axis=0)) == 4, name
     for options in ({"split": 2}, {"graphs": False}, {"distance_cache": False}):
         for name, one, other in zip(NAMES, expected, run(**options)[1], strict=True):
             np.testing.assert_array_equal(one, other, err_msg=f"{name} {options}")
@@ -193,39 +193,39 @@ def test_environments_of_their_own_are_the_same_alone_and_split_and_launched_and
         alone[name] = values[2]
     wc.Simulation(alone, dt=1e-3).step(700)
     for name, several in zip(NAMES, expected, strict=True):
-        np.testing.assert_array_equal(alone.reading(name)[0], several[2], err_msg=name)
+        np.testing.assert_array_equal(alone.sensor(name)[0], several[2], err_msg=name)
 
 
 def test_an_environment_is_reset_to_where_its_motion_begins_and_a_frozen_one_stays(run):
     model, _ = run(steps=0)
-    begin = [model.reading(name) for name in NAMES]
+    begin = [model.sensor(name) for name in NAMES]
     sim = wc.Simulation(model, dt=1e-3)
     sim.step(300)
     status = model.arrays.status.numpy()
     status[1] = ENV_FROZEN
     model.arrays.status.assign(status)
-    held = [model.reading(name)[1] for name in NAMES[:-1]]
+    held = [model.sensor(name)[1] for name in NAMES[:-1]]
     sim.step(100)
     for name, value in zip(NAMES, held, strict=False):
-        np.testing.assert_array_equal(model.reading(name)[1], value, err_msg=name)
+        np.testing.assert_array_equal(model.sensor(name)[1], value, err_msg=name)
     sim.reset([True, True, False, True])
     assert model.arrays.time.numpy()[[0, 1, 3]].tolist() == [0, 0, 0]
     for name, value in zip(NAMES, begin, strict=True):
-        np.testing.assert_array_equal(model.reading(name)[[0, 1, 3]], value[[0, 1, 3]], err_msg=name)
+        np.testing.assert_array_equal(model.sensor(name)[[0, 1, 3]], value[[0, 1, 3]], err_msg=name)
     # An environment goes by its own clock.
     t = model.arrays.time.numpy()[2]
     height = 0.4 + 0.05 * np.sin(2 * np.pi * 3.1 * t)
-    np.testing.assert_allclose(model.reading("shaker.position")[2, 2], height, rtol=1e-12)
+    np.testing.assert_allclose(model.sensor("shaker.position")[2, 2], height, rtol=1e-12)
 
 
 def test_velocities_set_in_a_model_are_projected_onto_the_motion(device):
     model = add().build(envs=2, device=device, precision="float64")
     model["arm.angular_velocity"] = [(3, 2, 1), (0, 4, 0)]
     model["arm.linear_velocity"] = (7, 8, 9)
-    np.testing.assert_allclose(model.reading("arm.angular_velocity"), [(0, 2, 0), (0, 4, 0)])
-    np.testing.assert_allclose(model.reading("arm.linear_velocity"), [(0, 0, -1), (0, 0, -2)])
+    np.testing.assert_allclose(model.sensor("arm.angular_velocity"), [(0, 2, 0), (0, 4, 0)])
+    np.testing.assert_allclose(model.sensor("arm.linear_velocity"), [(0, 0, -1), (0, 0, -2)])
     model["arm.motion.axis"] = (0, 0, 5)
-    np.testing.assert_allclose(model.reading("arm.angular_velocity"), [(0, 0, 1), (0, 0, 0)])
+    np.testing.assert_allclose(model.sensor("arm.angular_velocity"), [(0, 0, 1), (0, 0, 0)])
     np.testing.assert_array_equal(model["arm.motion.axis"], [(0, 0, 1)] * 2)
 
 
@@ -246,14 +246,14 @@ def test_an_arm_that_crosses_a_plate_within_a_step_is_caught_and_thrown_back(par
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         wc.Simulation(model, dt=2e-3, crossing_steps=parts).step(60)
-    assert model.reading("touch.crossings")[0] == 1
-    place, rate = model.reading("arm.position")[0], model.reading("arm.angular_velocity")[0]
+    assert model.sensor("touch.crossings")[0] == 1
+    place, rate = model.sensor("arm.position")[0], model.sensor("arm.angular_velocity")[0]
     assert place[2] > 0.0
-    np.testing.assert_allclose(model.reading("arm.linear_velocity")[0], np.cross(rate, place), atol=1e-13)
+    np.testing.assert_allclose(model.sensor("arm.linear_velocity")[0], np.cross(rate, place), atol=1e-13)
     # Elastic: the plate, which rises at 2π mm/s, adds twice that over an arm of 0.5 m. Some 10 steps of contact.
     np.testing.assert_allclose(rate[1], -10.0 - 2 * 2 * np.pi * 1e-3 / 0.5, atol=0.04)
     t = model.arrays.time.numpy()[0]
-    np.testing.assert_allclose(model.reading("lift.position")[0, 2], 1e-3 * np.sin(2 * np.pi * t), rtol=1e-10)
+    np.testing.assert_allclose(model.sensor("lift.position")[0, 2], 1e-3 * np.sin(2 * np.pi * t), rtol=1e-10)
 
 
 def test_a_step_in_parts_changes_no_pendulum_beside_it(device):
@@ -271,12 +271,12 @@ def test_a_step_in_parts_changes_no_pendulum_beside_it(device):
     for parts in (1, 8):
         model.reset()
         wc.Simulation(model, dt, crossing_steps=parts).step(11)
-        assert model.reading("touch.crossings")[0] == 1
-        angles.append(model.reading("arm.angle")[0])
+        assert model.sensor("touch.crossings")[0] == 1
+        angles.append(model.sensor("arm.angle")[0])
         t = 11 * dt
         mean = 0.1 * (np.sin(4 * np.pi * t) - np.sin(4 * np.pi * (t - dt))) / dt
         # To dt²/24 of its third derivative.
-        np.testing.assert_allclose(model.reading("lift.linear_velocity")[0, 0], mean, atol=4e-4)
+        np.testing.assert_allclose(model.sensor("lift.linear_velocity")[0, 0], mean, atol=4e-4)
     # One step at a rate that is dt/2 too early would be off by dt²/2 α = 1.8e-4 rad, this by its third order.
     np.testing.assert_allclose(angles[0], angles[1], atol=2e-5)
 
@@ -343,7 +343,7 @@ def test_a_push_moves_a_place_by_as_much_as_the_body_yields_there(motion, device
     dt, force = 1e-6, 1e-3 * n[0]
     model["arm.external_force"], model["arm.external_torque"] = force, np.cross(place[0], force)
     wc.Simulation(model, dt).step()
-    v, w = model.reading("arm.linear_velocity")[0], model.reading("arm.angular_velocity")[0]
+    v, w = model.sensor("arm.linear_velocity")[0], model.sensor("arm.angular_velocity")[0]
     moved = (v + np.cross(w, place[0])) @ n[0] / (1e-3 * dt)
     # Differences of first order in a step of 1e-6 s with velocities of 1e-9.
     np.testing.assert_allclose(mobility_along(model, arm, place, n)[0], moved, rtol=1e-9, atol=1e-12)
@@ -407,10 +407,10 @@ def test_a_load_that_is_no_number_freezes_its_environment_alone_however_the_body
     wc.Simulation(expected, dt=1e-3).step(10)
     for number, name in enumerate(HELD):
         model[f"{name}_spring.rest_length"] = np.where(np.arange(len(HELD) + 1) == number, 3.0, 0.5)
-    start = {name: model.reading(f"{name}.position") for name in HELD}
+    start = {name: model.sensor(f"{name}.position") for name in HELD}
     wc.Simulation(model, dt=1e-3).step(10)
     assert model.health().frozen.tolist() == list(range(len(HELD)))
     for name in HELD:
-        place = model.reading(f"{name}.position")
+        place = model.sensor(f"{name}.position")
         np.testing.assert_array_equal(place[:-1], start[name][:-1], err_msg=name)
-        np.testing.assert_array_equal(place[-1], expected.reading(f"{name}.position")[0], err_msg=name)
+        np.testing.assert_array_equal(place[-1], expected.sensor(f"{name}.position")[0], err_msg=name)

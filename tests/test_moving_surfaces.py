@@ -68,7 +68,7 @@ def motion_of(sim, shift=(0, 0, 0), turn=UNTURNED):
     values = []
     for name in BODIES:
         position, velocity, spin, q = (
-            sim.model.reading(f"{name}.{key}")[0].astype(np.float64)
+            sim.model.sensor(f"{name}.{key}")[0].astype(np.float64)
             for key in ("position", "linear_velocity", "angular_velocity", "orientation")
         )
         values += [rotated(back, position - shift), rotated(back, velocity), 0.25 * rotated(back, spin)]
@@ -84,16 +84,16 @@ STEPS = 1500  # 0.3 s: they meet after 0.1 s
 def test_momentum_and_angular_momentum_are_kept_to_rounding(swept, precision, device):
     sim = collision(precision, device, swept=swept)
     names = ("scene.linear_momentum", "scene.angular_momentum")
-    before = {name: sim.model.reading(name)[0].astype(np.float64) for name in names}
-    start, energy = motion_of(sim), sim.model.reading("scene.kinetic_energy")[0]
+    before = {name: sim.model.sensor(name)[0].astype(np.float64) for name in names}
+    start, energy = motion_of(sim), sim.model.sensor("scene.kinetic_energy")[0]
     sim.step(STEPS)
     # They did collide, and friction and law took energy.
     assert np.abs(motion_of(sim) - start)[1] @ np.ones(3) > 0.5
-    assert sim.model.reading("scene.kinetic_energy")[0] < 0.98 * energy
+    assert sim.model.sensor("scene.kinetic_energy")[0] < 0.98 * energy
     # Momenta of order 3 kg·m/s and 1 kg·m²/s, rounded at random in each step: √1500 epsilons, a few times.
     exact = 4 * np.sqrt(STEPS) * {"float32": 1.2e-7, "float64": 2.2e-16}[precision]
     for name in names:
-        np.testing.assert_allclose(sim.model.reading(name)[0], before[name], rtol=0, atol=exact, err_msg=name)
+        np.testing.assert_allclose(sim.model.sensor(name)[0], before[name], rtol=0, atol=exact, err_msg=name)
 
 
 @PRECISIONS
@@ -121,7 +121,7 @@ def test_a_slow_body_moves_wherever_it_is(device):
     wc.Simulation(model, dt=1e-4).step(20000)
     # A step is rounded to 6e-8 of itself and added to half a rounding of the position at most, 3e-5 m.
     exact = 20000 * 0.5 * np.spacing(np.float32(3e-5))
-    np.testing.assert_allclose(model.reading("snail.position")[0] - start, 2.0 * velocity, rtol=2e-7, atol=exact)
+    np.testing.assert_allclose(model.sensor("snail.position")[0] - start, 2.0 * velocity, rtol=2e-7, atol=exact)
 
 
 @PRECISIONS
@@ -152,7 +152,7 @@ def test_gaps_are_as_exact_a_kilometre_from_the_worlds_origin(carried, device):
         else:
             surface, places = scene.add_surface(mesh, position=shift), scene.add_points(body, points)
         scene.add_contact(places, surface, MATERIAL, name="touch")
-        return scene.build(precision=precision, device=device).reading("touch.gap")[0]
+        return scene.build(precision=precision, device=device).sensor("touch.gap")[0]
 
     near = gaps(0 * shift, "float64")
     np.testing.assert_allclose(gaps(shift, "float64"), near, rtol=0, atol=1e-12)

@@ -37,7 +37,7 @@ def row_of_balls(
 
 
 def velocities(model, count):
-    return np.stack([model.reading(f"ball_{i}.linear_velocity") for i in range(count)], axis=1)
+    return np.stack([model.sensor(f"ball_{i}.linear_velocity") for i in range(count)], axis=1)
 
 
 def by_steps(model, count, rule, *, dt=1e-3, duration=0.04):
@@ -45,7 +45,7 @@ def by_steps(model, count, rule, *, dt=1e-3, duration=0.04):
     sim = wc.Simulation(model, dt, wc.integrators.MoreauJean(impacts=rule))
     sim.reset()
     sim.step(round(duration / dt))
-    assert not model.reading("scene.solve_failures").any()
+    assert not model.sensor("scene.solve_failures").any()
     return velocities(model, count)
 
 
@@ -162,7 +162,7 @@ def test_body_that_lands_on_several_points_bounces_without_turning(rule, device)
     model = scene.build(device=device, precision="float64")
     for after in (by_steps(model, 1, rule)[0], by_events(model, 1, rule)):
         np.testing.assert_allclose(after[0], (0, 0, 0.5), atol=1e-6)
-    np.testing.assert_allclose(model.reading("ball_0.angular_velocity")[0], 0.0, atol=1e-6)
+    np.testing.assert_allclose(model.sensor("ball_0.angular_velocity")[0], 0.0, atol=1e-6)
 
 
 @pytest.mark.parametrize("gap", [0.0, 1e-16, 5e-10])

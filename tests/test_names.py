@@ -18,7 +18,7 @@ def renamed(section, name):
     if section == "body":
         changes["point"] = [content()["point"][0] | {"body": name}]
     if section == "contact":
-        changes["record"] = {"readings": [f"{name}.gap"]}
+        changes["record"] = {"sensors": [f"{name}.gap"]}
     if section in ("surface", "point", "material"):
         key = "points" if section == "point" else section
         changes["contact"] = [content()["contact"][0] | {key: name}]
@@ -38,7 +38,7 @@ def test_name_of_an_element_has_at_most_200_bytes(section, tmp_path):
 
 def test_run_with_the_longest_names_is_written_and_read(tmp_path):
     raw = renamed("body", LONGEST) | {"name": LONGEST, "duration": 2e-3, "output": {"usd_envs": 0}}
-    raw["record"] = {"readings": [f"{LONGEST}.position"]}
+    raw["record"] = {"sensors": [f"{LONGEST}.position"]}
     run = wc.Experiment.from_dict(raw).run(tmp_path / "run", device="cpu", progress=False)
     assert wc.open_run(run.folder, verify=True).series[f"{LONGEST}.position"].notnull().all()
 

@@ -71,7 +71,7 @@ def test_an_elastic_bounce_is_that_of_a_half_sine(device):
     np.testing.assert_array_equal(found["times"], 1.0)
     energy = 0.5 * MASS * SPEEDS**2
     np.testing.assert_allclose(found["work"] / energy, 0.0, atol=1e-5)
-    np.testing.assert_array_equal(found["end"], model.reading("ball.position"))
+    np.testing.assert_array_equal(found["end"], model.sensor("ball.position"))
     assert found["end"].dims == ("env", "axis")
     assert found["impulse"].attrs["units"] == "N·s"
     assert found["time"].attrs["units"] == "s"
@@ -86,7 +86,7 @@ def test_restitution_and_work_are_those_of_a_damped_law(restitution):
     sim = wc.Simulation(model_of(law), DT, outcomes={key: ELASTIC[key] for key in ("restitution", "work")})
     sim.step(STEPS)
     found = sim.outcomes()
-    out = sim.model.reading("ball.linear_velocity")[:, 2]
+    out = sim.model.sensor("ball.linear_velocity")[:, 2]
     # The force of the law is cut at zero before δ is, so the last state in contact has the speed of the end.
     np.testing.assert_allclose(found["restitution"], out / SPEEDS, rtol=1e-3)
     lost = 0.5 * MASS * (SPEEDS**2 - out**2)
@@ -103,7 +103,7 @@ def test_a_contact_that_begins_without_an_approach_has_no_restitution():
     model["ball.linear_velocity"] = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.1], [0.0, 0.0, -0.1]]
     sim = wc.Simulation(model, DT, outcomes={key: ELASTIC[key] for key in ("restitution", "deepest")})
     sim.step(STEPS)
-    assert not (sim.model.reading("touch.penetration") > 0.0).any()
+    assert not (sim.model.sensor("touch.penetration") > 0.0).any()
     assert (sim.outcomes()["deepest"] > 0.9e-3).all()
     found = sim.outcomes()["restitution"].values
     assert np.isnan(found[:2]).all()
@@ -117,7 +117,7 @@ def recorded(quantities, envs=3, steps=400, dt=2.0e-4, **options):
     return model, wc.Simulation(model, dt, **options).run(steps * dt, record=quantities, every=dt)
 
 
-# Not of the dashpot of a law that knows the step: a reading is of an instant.
+# Not of the dashpot of a law that knows the step: a sensor is of an instant.
 REDUCED = {
     "Max": lambda x, t, dt: x.max(axis=0),
     "Min": lambda x, t, dt: x.min(axis=0),
@@ -279,7 +279,7 @@ def test_the_longest_gap_needs_no_cache_and_is_right():
     sim = wc.Simulation(model, 1e-4, outcomes={"far": wc.outcomes.Max("touch.gap")})
     assert not sim.distance_cache
     sim.step(1500)
-    position = sim.model.reading("ball.position")[:, 2]
+    position = sim.model.sensor("ball.position")[:, 2]
     np.testing.assert_allclose(sim.outcomes()["far"], position - 0.1, rtol=1e-6)
 
 
@@ -311,7 +311,7 @@ def test_hard_contacts_have_impulses_and_forces_in_every_step():
     # The force of a state is the mean over the step before, which is summed up with the step after.
     np.testing.assert_allclose(found["total"], (force[:-1] * dt).sum(axis=0), rtol=1e-12)
     np.testing.assert_allclose(found["total"], found["moved"] + 2.0 * 9.81 * steps * dt, rtol=1e-9)
-    np.testing.assert_array_equal(found["loss"], model.reading("scene.impact_loss"))
+    np.testing.assert_array_equal(found["loss"], model.sensor("scene.impact_loss"))
     first = recording["time"].to_numpy()[(impulse > 0.0).argmax(axis=0)]
     np.testing.assert_allclose(events["time"][:, 0], first, rtol=1e-12)
     with pytest.raises(ValueError, match=r"Restitution: 'touch' is a hard contact.*touch\.law\.restitution"):
@@ -365,7 +365,7 @@ def test_the_memory_of_what_is_watched_is_counted():
     [
         (
             lambda: wc.outcomes.Max("touch.nrmal_force"),
-            r"outcomes\['x'\]: no reading 'touch.nrmal_force'; did you",
+            r"outcomes\['x'\]: no sensor 'touch.nrmal_force'; did you",
         ),
         (lambda: wc.outcomes.Max("touch.gap", component="z"), r"touch\.gap has no components, got component='z'"),
         (lambda: wc.outcomes.Max("ball.position", component="w"), r"has 'x', 'y', 'z', 'norm', got component='w'"),

@@ -34,13 +34,13 @@ def test_a_friction_of_the_user_slows_a_sphere(device):
         wc.laws.Hooke(stiffness=1e4), friction=own_law.Viscous(damping=2.0), height=-1e-3, velocity=(3, 0, 0),
         device=device,
     )  # fmt: skip
-    np.testing.assert_allclose(model.reading("touch.friction_force")[0], (-6, 0, 0), rtol=1e-5)
+    np.testing.assert_allclose(model.sensor("touch.friction_force")[0], (-6, 0, 0), rtol=1e-5)
 
 
 def test_a_law_may_say_that_it_pulls(device):
     model = dropped_sphere(own_law.Adhesive(stiffness=1e4, depth=2e-3), height=-1e-3, device=device)
-    np.testing.assert_allclose(model.reading("touch.normal_force"), -10.0, rtol=1e-4)
-    np.testing.assert_allclose(model.reading("ball.force")[0], (0, 0, -10), rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(model.sensor("touch.normal_force"), -10.0, rtol=1e-4)
+    np.testing.assert_allclose(model.sensor("ball.force")[0], (0, 0, -10), rtol=1e-4, atol=1e-6)
 
 
 def test_a_parameter_without_a_unit_is_refused():
@@ -82,7 +82,7 @@ def test_a_class_that_is_no_law_is_refused():
 def test_a_law_that_does_not_compile_is_explained(device):
     law = own_law.Careless(stiffness=1e4)
     model = dropped_sphere(law, height=-1e-3, device=device)
-    np.testing.assert_allclose(model.reading("touch.normal_force"), 20.0, rtol=1e-4)
+    np.testing.assert_allclose(model.sensor("touch.normal_force"), 20.0, rtol=1e-4)
     with pytest.raises(TypeError, match=r"(?s)law Careless does not compile in float64: .*type\(c.delta\)\(1.5\)"):
         dropped_sphere(law, device=device, precision="float64")
 

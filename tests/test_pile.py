@@ -61,8 +61,8 @@ def test_dissipative_impact_has_the_restitution_of_its_law(device):
     ).build(device=device, precision="float64")
     for model in (at_wall, pair):
         wc.Simulation(model, dt=2e-6).step(20_000)
-    out = at_wall.reading("ball.linear_velocity")[0, 2]
-    velocities = pair.reading("ball.linear_velocity")[0, :, 2]
+    out = at_wall.sensor("ball.linear_velocity")[0, 2]
+    velocities = pair.sensor("ball.linear_velocity")[0, :, 2]
     # Alike but for the speed that the law takes its damping from: twice the speed, half the penetration of each.
     np.testing.assert_allclose(velocities, [-out, out], rtol=1e-3)
 
@@ -77,8 +77,8 @@ def test_oblique_impact_with_sticking_friction_follows_the_closed_form(device):
     scene = spheres([[0, 0, 0], [0, 0, 2.0001 * RADIUS]], [[0, 0, normal_speed], [slip, 0, 0]], material)
     model = scene.build(device=device, precision="float64")
     wc.Simulation(model, dt=2e-6).step(10_000)
-    velocity = model.reading("ball.linear_velocity")[0]
-    spin = model.reading("ball.angular_velocity")[0]
+    velocity = model.sensor("ball.linear_velocity")[0]
+    spin = model.sensor("ball.angular_velocity")[0]
     # Impulse J stops the slip at K: slip = J (2/m + 2 R²/I).
     impulse = slip / (2 / MASS + 2 * RADIUS**2 / INERTIA[0])
     np.testing.assert_allclose(velocity[:, 0], [impulse / MASS, slip - impulse / MASS], rtol=5e-3)
@@ -95,10 +95,10 @@ def test_chain_keeps_momentum_and_energy(device):
     velocities[0, 0] = 1.0
     model = spheres(positions, velocities).build(device=device, precision="float64")
     wc.Simulation(model, dt=4e-6).step(10_000)
-    assert model.reading("scene.linear_momentum")[0] == pytest.approx([MASS, 0, 0], abs=1e-13)
-    assert model.reading("scene.kinetic_energy")[0] == pytest.approx(0.5 * MASS, rel=1e-4)
+    assert model.sensor("scene.linear_momentum")[0] == pytest.approx([MASS, 0, 0], abs=1e-13)
+    assert model.sensor("scene.kinetic_energy")[0] == pytest.approx(0.5 * MASS, rel=1e-4)
     # Most of it goes to the last: with linear springs the others follow slowly.
-    assert model.reading("ball.linear_velocity")[0, -1, 0] > 0.9
+    assert model.sensor("ball.linear_velocity")[0, -1, 0] > 0.9
 
 
 def cloud(capsules, count=120, seed=5):
@@ -160,8 +160,8 @@ def test_finds_the_pairs_of_a_search_over_all(device, capsules, precision):
     within = 2e-6 if precision == "float32" else 1e-12
     for _ in range(3):
         sim.step(40)
-        places = model.reading("ball.position")[0]
-        q = model.reading("ball.orientation")[0].astype(np.float64)
+        places = model.sensor("ball.position")[0]
+        q = model.sensor("ball.orientation")[0].astype(np.float64)
         x, y, z, w = q.T
         axes = half[:, None] * np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], 1)
         expected = gaps_of(places, axes, radii)
@@ -171,8 +171,8 @@ def test_finds_the_pairs_of_a_search_over_all(device, capsules, precision):
         assert deep <= set(pairs)
         assert all(expected[pair] < within for pair in pairs)
         np.testing.assert_allclose(found["gap"], [expected[pair] for pair in pairs], atol=within)
-        assert model.reading("pile.contacts")[0] == len(pairs) > 50
-        assert model.reading("pile.coordination")[0].sum() == 2 * len(pairs)
+        assert model.sensor("pile.contacts")[0] == len(pairs) > 50
+        assert model.sensor("pile.coordination")[0].sum() == 2 * len(pairs)
     assert model.piles[0].grid.made.numpy()[0] > 5
 
 
@@ -217,9 +217,9 @@ def test_sphere_and_capsule_on_one_body_touch_others_alone(device):
     ]
     assert touch["body_1"].values.tolist() == ["pin"]
     force = STIFFNESS * 0.1 * RADIUS
-    np.testing.assert_allclose(model.reading("pin.force")[0], [-force, 0, 0], atol=1e-9)
-    np.testing.assert_allclose(model.reading("pin.torque")[0], [0, -0.5 * force, 0], atol=1e-9)
-    np.testing.assert_allclose(model.reading("ball.force")[0], [force, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(model.sensor("pin.force")[0], [-force, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(model.sensor("pin.torque")[0], [0, -0.5 * force, 0], atol=1e-9)
+    np.testing.assert_allclose(model.sensor("ball.force")[0], [force, 0, 0], atol=1e-9)
 
 
 def test_groups_masks_and_exclusions_keep_pairs_apart(device):
@@ -241,10 +241,10 @@ def test_radii_may_differ_between_environments(device):
     scene = spheres([[0, 0, 0], [2.1 * RADIUS, 0, 0]], [[0, 0, 0]] * 2)
     model = scene.build(envs=2, device=device, precision="float64")
     model["shape.radius"] = [[RADIUS, RADIUS], [RADIUS, 1.2 * RADIUS]]
-    assert model.reading("pile.contacts").tolist() == [0, 1]
-    assert model.reading("pile.max_penetration")[1] == pytest.approx(0.1 * RADIUS, rel=1e-12)
-    assert model.reading("pile.normal_force")[1] == pytest.approx(STIFFNESS * 0.1 * RADIUS, rel=1e-12)
-    assert model.reading("pile.max_normal_force").tolist() == model.reading("pile.normal_force").tolist()
+    assert model.sensor("pile.contacts").tolist() == [0, 1]
+    assert model.sensor("pile.max_penetration")[1] == pytest.approx(0.1 * RADIUS, rel=1e-12)
+    assert model.sensor("pile.normal_force")[1] == pytest.approx(STIFFNESS * 0.1 * RADIUS, rel=1e-12)
+    assert model.sensor("pile.max_normal_force").tolist() == model.sensor("pile.normal_force").tolist()
 
 
 def test_what_cannot_be_is_refused(device):

@@ -130,9 +130,9 @@ def test_an_impact_in_a_pile_is_that_of_a_smooth_contact(name, device):
         model = scene.build(1, device, "float64")
         recording = wc.Simulation(model, dt=2e-5).run(0.02, ["touch.normal_force"])
         assert (recording["touch.normal_force"] > 0).sum() > 100
-        assert model.reading("touch.normal_force")[0] == 0.0
+        assert model.sensor("touch.normal_force")[0] == 0.0
         ends.append(
-            [model.reading(f"body_{i}.{key}") for i in range(2) for key in ("linear_velocity", "angular_velocity")]
+            [model.sensor(f"body_{i}.{key}") for i in range(2) for key in ("linear_velocity", "angular_velocity")]
         )
     for of_smooth, of_pile in zip(*ends, strict=True):
         # The same numbers through the same formulas, from places that are found in another way.

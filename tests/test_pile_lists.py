@@ -100,7 +100,7 @@ def test_lists_of_capsules_beside_their_bodies_change_no_bits(device, monkeypatc
         wc.Simulation(model, dt=DT, deterministic=True).step(1500)
         ends.append(bits(model)[..., 3:])
         models.append(model)
-    changed = np.linalg.norm(models[0].reading("rod.linear_velocity") + 2 * positions, axis=-1)
+    changed = np.linalg.norm(models[0].sensor("rod.linear_velocity") + 2 * positions, axis=-1)
     assert (changed > 0.5).mean() > 0.8
     often, seldom = (model.piles[0].grid.made.numpy().min() for model in models[:2])
     assert often > 5 * seldom > 0
@@ -135,9 +135,9 @@ def test_a_look_at_another_state_changes_nothing(run, device):
         sim.step(STEPS // 4)
         position = model.state.body_position
         here = position.numpy().copy()
-        assert model.reading("pile.contacts").min() > 0
+        assert model.sensor("pile.contacts").min() > 0
         position.assign(here * 50)
-        assert model.reading("pile.contacts").max() == 0
+        assert model.sensor("pile.contacts").max() == 0
         position.assign(here)
     np.testing.assert_array_equal(bits(model), run[1])
 
@@ -174,9 +174,9 @@ def test_momentum_stays_to_rounding(run):
     velocity, spin = model["ball.linear_velocity"], model["ball.angular_velocity"]
     linear = mass * velocity.sum(axis=1)
     angular = (mass * np.cross(model["ball.position"], velocity) + inertia * spin).sum(axis=1)
-    np.testing.assert_allclose(model.reading("scene.linear_momentum"), linear, atol=within)
-    np.testing.assert_allclose(model.reading("scene.angular_momentum"), angular, atol=within)
-    changed = np.linalg.norm(model.reading("ball.linear_velocity") - velocity, axis=-1)
+    np.testing.assert_allclose(model.sensor("scene.linear_momentum"), linear, atol=within)
+    np.testing.assert_allclose(model.sensor("scene.angular_momentum"), angular, atol=within)
+    changed = np.linalg.norm(model.sensor("ball.linear_velocity") - velocity, axis=-1)
     assert np.mean(changed > 0.5) > 0.8
 
 
@@ -197,7 +197,7 @@ def test_a_list_that_is_too_short_is_an_error(device):
     """Partners that do not fit are missed by no one: the next look says so, and what helps."""
     model = scene(skin=0.15, partners=2).build(device=device)
     with pytest.raises(RuntimeError, match=r"pile: a shape had \d+ partners more.*larger partners=.*smaller skin"):
-        model.reading("pile.contacts")
+        model.sensor("pile.contacts")
     with pytest.raises(RuntimeError, match="partners more"):
         wc.Simulation(model, dt=DT).run(2 * DT)
 
@@ -234,7 +234,7 @@ def test_steps_that_are_taken_again_in_parts_give_the_same_bits(device):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", wc.ContactWarning)  # the step is too long for this floor, on purpose
             sim.step(600)
-        assert model.reading("floor.crossings").sum() > 10
+        assert model.sensor("floor.crossings").sum() > 10
         assert model.health().good
         ends.append(bits(model))
     np.testing.assert_array_equal(*ends)

@@ -28,7 +28,7 @@ def test_touches_summed_by_body_are_those_added_one_by_one(several):
         model = scene.build(2, "cpu", "float64")
         if not alone:
             sum_by_body(model.piles[0])
-        forces.append([model.reading(f"ball.{name}") for name in ("force", "torque")])
+        forces.append([model.sensor(f"ball.{name}") for name in ("force", "torque")])
     assert not np.array_equal(forces[0][1], forces[1][1])  # rounded otherwise: the other way was taken
     for at_once, summed in zip(*forces, strict=True):
         assert (np.linalg.norm(at_once, axis=-1) > 0).mean() > 0.9
@@ -65,9 +65,9 @@ def test_whoever_integrates_a_body_adds_up_its_touches_alike(monkeypatch, watche
         outcomes = {"load": wc.outcomes.Max("ball.force")} if watched else {}
         simulation = wc.Simulation(model, dt=5e-4, outcomes=outcomes)
         simulation.step(100)
-        assert model.reading("pile.contacts").min() > 20
+        assert model.sensor("pile.contacts").min() > 20
         names = ("ball.position", "ball.angular_velocity", "lone.position")
-        ends.append([model.reading(name) for name in names])
+        ends.append([model.sensor(name) for name in names])
         ends[-1] += [variable.values for variable in simulation.outcomes().values()] if watched else []
     for one, other in zip(*ends, strict=True):
         np.testing.assert_array_equal(one, other)

@@ -52,8 +52,8 @@ def test_friction_of_a_law_that_pulls_acts_on_the_force_and_the_pull_off_force(d
     # N = k (δ − d₀), F_p = k d₀ = 20 N: the load is k δ.
     law, depth = own_law.Adhesive(stiffness=1e4, depth=2e-3), np.array([1e-4, 1e-3, 2e-3, 3e-3])
     model = sphere_in_overlap(law, F.Tanh(mu=0.5, velocity_scale=1e-3), depth, device)
-    np.testing.assert_allclose(model.reading("touch.normal_force"), 1e4 * (depth - 2e-3), atol=1e-9)
-    np.testing.assert_allclose(model.reading("touch.friction_force")[:, 0], -0.5 * 1e4 * depth, rtol=1e-5)
+    np.testing.assert_allclose(model.sensor("touch.normal_force"), 1e4 * (depth - 2e-3), atol=1e-9)
+    np.testing.assert_allclose(model.sensor("touch.friction_force")[:, 0], -0.5 * 1e4 * depth, rtol=1e-5)
 
 
 def test_friction_with_history_holds_a_body_that_hangs_by_a_law_that_pulls(device):
@@ -73,7 +73,7 @@ def test_friction_with_history_holds_a_body_that_hangs_by_a_law_that_pulls(devic
     model["box.external_torque"] = [(0, 0.05 * 0.9 * limit, 0), (0, 0.05 * 1.1 * limit, 0)]
     with np.errstate(all="ignore"):
         wc.Simulation(model, dt=1e-4).step(2000)
-    held, slid = model.reading("box.position")[:, 0]
+    held, slid = model.sensor("box.position")[:, 0]
     np.testing.assert_allclose(held, 0.9 * limit / 4e4, rtol=0.2)
     # 0.1 μ (F_p − m g) over 0.2 s.
     assert slid > 0.5 * 0.5 * 0.1 * limit * 0.2**2
@@ -85,7 +85,7 @@ def test_stated_pull_off_force_is_the_load(device):
         Jump(stiffness=1e4, adhesion=10.0), F.Tanh(mu=0.5, velocity_scale=1e-3), depth, device
     )
     load = 1e4 * depth - 10.0 + 20.0
-    np.testing.assert_allclose(model.reading("touch.friction_force")[:, 0], -0.5 * load, rtol=1e-12)
+    np.testing.assert_allclose(model.sensor("touch.friction_force")[:, 0], -0.5 * load, rtol=1e-12)
 
 
 def test_pull_off_of_a_law_that_does_not_pull_is_refused():
@@ -140,7 +140,7 @@ def test_share_does_not_scale_an_impulse_and_is_refused_at_zero(device):
         wc.Simulation(model, 1e-3, HARD)
     model["touch.share"] = 0.5
     wc.Simulation(model, 1e-3, HARD).step()
-    np.testing.assert_allclose(model.reading("touch.impulse")[0], (0, 0, 1), atol=1e-12)
+    np.testing.assert_allclose(model.sensor("touch.impulse")[0], (0, 0, 1), atol=1e-12)
     with pytest.raises(ValueError, match=sentence):
         model["touch.share"] = 0.0
     np.testing.assert_array_equal(model["touch.share"], 0.5)
@@ -151,12 +151,12 @@ def test_share_of_zero_is_refused_in_every_step_and_leaves_the_model_as_it_is(de
     rigid, compliant = wc.Simulation(model, 1e-3, HARD), wc.Simulation(model, 1e-3)
     compliant.step()
     model["touch.share"] = 0.0
-    names, uploads = list(model.reading_names), list(model.find_parameter("touch.law.stiffness").uploads)
+    names, uploads = list(model.sensor_names), list(model.find_parameter("touch.law.stiffness").uploads)
     for _ in range(2):
         with pytest.raises(ValueError, match=r"touch\.share must be greater than 0, got 0"):
             rigid.step()
         assert model.hard is None
-        assert list(model.reading_names) == names
+        assert list(model.sensor_names) == names
     assert model.find_parameter("touch.law.stiffness").uploads == uploads
     compliant.step()
     model["touch.share"] = 1.0

@@ -34,7 +34,7 @@ def test_limits_hold_an_environment_at_the_last_state_within_them(integrator, de
     assert health.causes == (wc.Cause.TOO_FAST, wc.Cause.TOO_FAR)
     # The ball starts 100.1 m away, too far from the first step on; 5 m/s are reached after half a second.
     np.testing.assert_allclose(health.times, [0.5, 0.0], atol=1.5 * DT)
-    speed = -model.reading("ball.linear_velocity")[:, 2]
+    speed = -model.sensor("ball.linear_velocity")[:, 2]
     assert 5.0 - 2 * 10.0 * DT <= speed[1] <= 5.0
     np.testing.assert_allclose(speed[[0, 3]], 10.0, rtol=1e-9)
     said = str(health)
@@ -87,7 +87,7 @@ def test_one_that_turns_non_finite_leaves_a_thousand_as_they_are():
     sim.step(30)
     others = np.arange(1000) != 500
     for name in ("position", "linear_velocity", "orientation"):
-        found, of = (one.reading(f"ball.{name}") for one in (model, expected))
+        found, of = (one.sensor(f"ball.{name}") for one in (model, expected))
         np.testing.assert_array_equal(found[others], of[others])
     health = model.health()
     assert health.frozen.tolist() == [500]
@@ -137,7 +137,7 @@ def test_when_it_looks_does_not_depend_on_how_steps_are_asked_for():
         sim = spinning_up(5, outcomes=OUTCOMES)
         for count in pieces:
             sim.step(count)
-        results.append((sim.outcomes(), sim.model.reading("ball.position")))
+        results.append((sim.outcomes(), sim.model.sensor("ball.position")))
     for found, position in results[1:]:
         np.testing.assert_array_equal(position, results[0][1])
         for name in found:
@@ -192,6 +192,6 @@ def test_a_reset_environment_knows_nothing_of_the_wrenches_that_it_failed_with(l
     model["ball.linear_velocity"] = (0.0, 0.0, 0.0)
     sim.reset()
     if look:
-        model.reading("touch.normal_force")
+        model.sensor("touch.normal_force")
     sim.step(3)
     assert model.health().good

@@ -27,7 +27,7 @@ def read_by_stopping(device, frames, stride):
     seen = []
     for number in range(frames):
         sim.step(stride if number else 0)
-        seen.append([sim.model.reading(name) for name in WATCHED])
+        seen.append([sim.model.sensor(name) for name in WATCHED])
     values = [np.stack(of) for of in zip(*seen, strict=True)]
     assert (values[WATCHED.index("touch.normal_force")] > 0.0).any()
     return values
@@ -43,7 +43,7 @@ def in_slices(monkeypatch):
 def test_a_recording_is_a_labelled_data_set(device):
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), gravity=(0, 0, -9.81), envs=3, device=device)
     sim = wc.Simulation(model, dt=1e-3)
-    names = model.reading_names
+    names = model.sensor_names
     recording = sim.run(0.05, names, every=0.01)
     assert isinstance(recording, xr.Dataset)
     np.testing.assert_allclose(recording.time, np.arange(6) * 0.01)
@@ -59,7 +59,7 @@ def test_a_recording_is_a_labelled_data_set(device):
     assert recording["ball.orientation"].sel(component="w").values[0, 0] == 1.0
     # The last frame is the current state.
     for name in names:
-        np.testing.assert_array_equal(recording[name].values[-1], model.reading(name), err_msg=name)
+        np.testing.assert_array_equal(recording[name].values[-1], model.sensor(name), err_msg=name)
 
 
 def test_readings_belong_to_the_state_they_are_recorded_with(device):
@@ -123,12 +123,12 @@ def test_totals_are_sums_over_bodies(device):
         2.0, (1, 2, 3), position=(0, 1, 0), linear_velocity=(0, 0, 2), angular_velocity=(0, 0, 1), name="two"
     )
     model = scene.build(envs=2, device=device)
-    np.testing.assert_allclose(model.reading("scene.linear_momentum"), [(1, 0, 4)] * 2)
-    np.testing.assert_allclose(model.reading("scene.kinetic_energy"), 0.5 + 4 + 1.5)
+    np.testing.assert_allclose(model.sensor("scene.linear_momentum"), [(1, 0, 4)] * 2)
+    np.testing.assert_allclose(model.sensor("scene.kinetic_energy"), 0.5 + 4 + 1.5)
     # (0, 1, 0) × 2 (0, 0, 2) and the spin 3.
-    np.testing.assert_allclose(model.reading("scene.angular_momentum"), [(4, 0, 3)] * 2)
+    np.testing.assert_allclose(model.sensor("scene.angular_momentum"), [(4, 0, 3)] * 2)
     model["two.position"] = (0, 0, 3)
-    np.testing.assert_allclose(model.reading("scene.potential_energy"), 2 * 9.81 * 3, rtol=1e-6)
+    np.testing.assert_allclose(model.sensor("scene.potential_energy"), 2 * 9.81 * 3, rtol=1e-6)
     recording = wc.Simulation(model, dt=1e-3).run(2e-3, ["scene.linear_momentum", "scene.kinetic_energy"])
     assert recording["scene.linear_momentum"].dims == ("time", "env", "axis")
 
@@ -169,7 +169,7 @@ def test_recordings_have_values_of_every_kind(precision, device, in_slices):
     for sim in sims:
         sim.model["two.linear_velocity"] = np.linspace((0, 0, -1), (2, 0, -2), 5)
     sim, stopped = sims
-    names = [name for name in sim.model.reading_names if IN_PARTS.issuperset(sim.model.find_reading(name).needs)]
+    names = [name for name in sim.model.sensor_names if IN_PARTS.issuperset(sim.model.find_sensor(name).needs)]
     assert {"one.position", "feet_of_two.status", "feet_of_two.friction.deflection", "scene.kinetic_energy"} <= {
         *names
     }
@@ -178,7 +178,7 @@ def test_recordings_have_values_of_every_kind(precision, device, in_slices):
         for number in range(81):
             stopped.step(int(number > 0))
             for name in names:
-                expected = stopped.model.reading(name)
+                expected = stopped.model.sensor(name)
                 np.testing.assert_array_equal(recording[name].values[number], expected, err_msg=f"{name} {number}")
     assert (recordings[0]["feet_of_two.normal_force"].values > 0.0).any()
 
@@ -227,8 +227,8 @@ def test_frames_of_many_chunks_have_their_numbers(options, device, in_slices):
     np.testing.assert_allclose(recorder.series().time, 3e-3 * np.arange(58))
 
 
-@pytest.mark.parametrize("readings", [[], ["touch.normal_force"], WATCHED], ids=["poses", "forces", "far as well"])
-def test_frames_of_turns_are_what_one_reads_by_stopping(readings, device, in_slices, monkeypatch):
+@pytest.mark.parametrize("sensors", [[], ["touch.normal_force"], WATCHED], ids=["poses", "forces", "far as well"])
+def test_frames_of_turns_are_what_one_reads_by_stopping(sensors, device, in_slices, monkeypatch):
     """Few slices take turns of some frames, and know at the begin of each what the last frame told."""
     taken = []
     step = crew._step
@@ -239,7 +239,7 @@ def test_frames_of_turns_are_what_one_reads_by_stopping(readings, device, in_sli
 
     monkeypatch.setattr(crew, "_step", seen)
     sim = falling(device)
-    recorder = Recorder(sim.model, [*readings, WATCHED[0]], 60, poses=False)
+    recorder = Recorder(sim.model, [*sensors, WATCHED[0]], 60, poses=False)
     recorder.start()
     recorder.take(0.0)
     take_after(sim, recorder, 3, 3, 0.0, 0, follows=False)

@@ -31,7 +31,7 @@ STUDY = {
     "material": [{"name": "rubber", "law": {"type": "HuntCrossley", "stiffness": 1e5, "restitution": 0.7}}],
     "contact": [{"name": "touch", "points": "centre", "surface": "ground", "material": "rubber", "radius": 0.1}],
     "variation": {"ball.mass": {"values": [0.5, 1.0, 2.0]}},
-    "record": {"every": 0.01, "readings": ["touch.normal_force", "touch.normal", "touch.point"]},
+    "record": {"every": 0.01, "sensors": ["touch.normal_force", "touch.normal", "touch.point"]},
     "output": {"usd_envs": 0},
 }
 
@@ -144,7 +144,7 @@ def test_an_environment_without_a_record_yet_is_said_to_have_none(part, monkeypa
 
 
 def test_what_is_not_drawn_is_not_read(tmp_path):
-    study = STUDY | {"record": {"every": 0.01, "readings": [*STUDY["record"]["readings"], "ball.kinetic_energy"]}}
+    study = STUDY | {"record": {"every": 0.01, "sensors": [*STUDY["record"]["sensors"], "ball.kinetic_energy"]}}
     folder = tmp_path / "run"
     whole = wc.render(wc.Experiment.from_dict(study).run(folder, device="cpu"), time=0.1, **SMALL)
     for name, is_drawn in (("ball.kinetic_energy", False), ("touch.point", True)):
@@ -356,7 +356,7 @@ def test_sizes_are_two_numbers(run, capsys):
 
 
 def test_forces_that_were_not_recorded_are_said_to_be_missing(tmp_path, capsys):
-    bare = {**STUDY, "envs": 1, "variation": {}, "record": {"every": 0.1, "readings": ["touch.gap"]}}
+    bare = {**STUDY, "envs": 1, "variation": {}, "record": {"every": 0.1, "sensors": ["touch.gap"]}}
     run = wc.Experiment.from_dict(bare).run(tmp_path / "bare", device="cpu")
     assert command(run, "-o", tmp_path / "a.png", "--forces") == 0
     assert "no forces are shown" in capsys.readouterr().err

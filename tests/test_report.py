@@ -141,18 +141,18 @@ def drawn_curve(chart_data, env):
 
 
 @pytest.mark.parametrize(
-    ("reading", "reduced"),
+    ("sensor", "reduced"),
     [
         ("feet.normal_force", lambda values: values.sum("item")),
         ("feet.gap", lambda values: values.min("item")),
         ("scene.kinetic_energy", lambda values: values),
     ],
 )
-def test_curves_of_a_report_have_the_peaks_and_the_ends_of_the_data(reading, reduced, recorded_every_step):
+def test_curves_of_a_report_have_the_peaks_and_the_ends_of_the_data(sensor, reduced, recorded_every_step):
     run, text = recorded_every_step
     page = report_runs.Parsed(text)
-    data = next(one for one in page.blocks["series"] if one["name"] == reading)
-    expected = reduced(run.series[reading])
+    data = next(one for one in page.blocks["series"] if one["name"] == sensor)
+    expected = reduced(run.series[sensor])
     assert expected.sizes["time"] > series.SAMPLES
     for env in (0, 1, 2, 3, 5):
         own = expected.sel(env=env)
@@ -311,8 +311,8 @@ def test_characters_that_no_page_may_hold_are_replaced(copied, tmp_path):
 def test_hostile_names_in_an_experiment_are_shown_and_do_nothing(tmp_path):
     study = report_runs.changed(name="</script><b>&\"'مرحبا🚀" + "y" * 160, duration=0.01, envs=1, variation=None)
     study["contact"][0]["name"] = "z" * 100
-    study["record"] = {"readings": [f"{study['contact'][0]['name']}.gap"], "every": 5e-3}
-    study["outcome"] = {"o" * 150: {"type": "Min", "of": study["record"]["readings"][0], "items": "min"}}
+    study["record"] = {"sensors": [f"{study['contact'][0]['name']}.gap"], "every": 5e-3}
+    study["outcome"] = {"o" * 150: {"type": "Min", "of": study["record"]["sensors"][0], "items": "min"}}
     run = report_runs.run(tmp_path / "run", study)
     page = report_runs.check_harmless(written(run, tmp_path / "x.html"))
     assert "</script><b>&\"'مرحبا🚀y" in page.text

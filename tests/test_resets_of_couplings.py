@@ -6,7 +6,7 @@ from coupling_scenes import sole
 
 import warpcontact as wc
 
-READINGS = ("rope.status", "line.iterations", "keep.effective_area", "keep.minimum_distance")
+SENSORS = ("rope.status", "line.iterations", "keep.effective_area", "keep.minimum_distance")
 
 
 @pytest.fixture
@@ -30,7 +30,7 @@ def sim(device):
 
 
 def values(model):
-    return {name: model.reading(name) for name in READINGS}
+    return {name: model.sensor(name) for name in SENSORS}
 
 
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")

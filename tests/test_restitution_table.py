@@ -84,9 +84,9 @@ def test_every_law_reproduces_its_row_of_the_table(precision, tolerance, shared,
     wc.Simulation(model, dt=5e-6).step(24000)
     failures = []
     for law, column, _ in ROWS:
-        rebound = model.reading(f"{law.__name__}.linear_velocity")[:, 2]
+        rebound = model.sensor(f"{law.__name__}.linear_velocity")[:, 2]
         expected = table[column]
-        assert (model.reading(f"touch_{law.__name__}.normal_force") == 0).all(), law
+        assert (model.sensor(f"touch_{law.__name__}.normal_force") == 0).all(), law
         error = np.abs(rebound - expected)
         if error.max() > tolerance:
             failures.append((law.__name__, e[error.argmax()], error.max()))
@@ -109,7 +109,7 @@ def test_tsuji_is_exact_for_any_exponent(device):
         model["touch.law.restitution"] = e
         dt = contact_time(1e6, exponent, 1.0, 1.0) / 2000
         wc.Simulation(model, dt=dt).step(8000)
-        np.testing.assert_allclose(model.reading("ball.linear_velocity")[:, 2], e, atol=1e-3)
+        np.testing.assert_allclose(model.sensor("ball.linear_velocity")[:, 2], e, atol=1e-3)
 
 
 def force_at(law, depths, device, **velocity):
@@ -119,7 +119,7 @@ def force_at(law, depths, device, **velocity):
     position = model["ball.position"].copy()
     position[:, 2] = 0.1 - np.asarray(depths)
     model["ball.position"] = position
-    return model.reading("touch.normal_force")
+    return model.sensor("touch.normal_force")
 
 
 def test_cylinder_laws_match_their_worked_numbers(device):
@@ -177,10 +177,10 @@ def test_contact_range_hovers_and_bounces_as_its_closed_form(shared, device):
     resting = dropped_sphere(law, gravity=(0, 0, -9.81), velocity=(0, 0, 0), **scene_options)
     wc.Simulation(resting, dt=1e-4).step(20000)
     # The range is the radius of the contact, so the height of the point is its distance.
-    np.testing.assert_allclose(resting.reading("ball.position")[0, 2], 0.01950950, rtol=1e-7)
+    np.testing.assert_allclose(resting.sensor("ball.position")[0, 2], 0.01950950, rtol=1e-7)
     free = dropped_sphere(law, height=1e-4, **scene_options)
     wc.Simulation(free, dt=2e-5).step(3000)
-    np.testing.assert_allclose(free.reading("ball.linear_velocity")[0, 2], 0.8084243834, rtol=1e-3)
+    np.testing.assert_allclose(free.sensor("ball.linear_velocity")[0, 2], 0.8084243834, rtol=1e-3)
     assert values  # the oracle file holds the same case
 
 
@@ -203,7 +203,7 @@ def test_an_elastic_foundation_does_not_depend_on_how_fine_its_points_are(device
         scene.add_contact(scene.add_points(ball, points), ground, wc.ContactMaterial(law=law), name="bed")
         model = scene.build(device=device, precision="float64")
         model["bed.law.area"] = np.full((1, len(points)), area)
-        errors.append(abs(model.reading("ball.force")[0, 2] / expected - 1))
+        errors.append(abs(model.sensor("ball.force")[0, 2] / expected - 1))
     assert errors[-1] < 2e-3
     assert errors[-1] < errors[0]
 
@@ -224,7 +224,7 @@ def test_many_points_in_one_impact_keep_the_restitution(device):
     model = scene.build(envs=len(e), device=device, precision="float64")
     model["bed.law.restitution"] = e
     wc.Simulation(model, dt=2e-5).step(6000)
-    assert (model.reading("bed.normal_force") == 0).all()
+    assert (model.sensor("bed.normal_force") == 0).all()
     # Points are not placed evenly, so a little of the motion goes into spin.
-    energy = model.reading("ball.kinetic_energy")
+    energy = model.sensor("ball.kinetic_energy")
     np.testing.assert_allclose(np.sqrt(2 * energy), e, atol=0.01)

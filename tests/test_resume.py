@@ -177,7 +177,7 @@ def test_who_asks_to_stop_again_is_told_how_to_go_on_where_no_folder_was_named(p
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
 @pytest.mark.parametrize(
-    ("number", "stage"), [(signal.SIGTERM, "reading"), (signal.SIGTERM, "building"), (signal.SIGINT, "building")]
+    ("number", "stage"), [(signal.SIGTERM, "sensor"), (signal.SIGTERM, "building"), (signal.SIGINT, "building")]
 )
 def test_who_asks_to_stop_before_the_first_step_is_told_that_nothing_is_kept(number, stage, place, tmp_path):
     out = tmp_path / "out"
@@ -195,7 +195,7 @@ def test_who_asks_to_stop_before_the_first_step_is_told_that_nothing_is_kept(num
     ("stage", "words", "told"),
     [
         ("building", ["--overwrite"], " before anything was kept; {out} is as it was\n"),
-        ("reading", ["--resume"], " before anything was done in {out}; go on with:\n    {resume}\n"),
+        ("sensor", ["--resume"], " before anything was done in {out}; go on with:\n    {resume}\n"),
         ("compiling", ["--overwrite"], "; what was done is kept in {out}; go on with:\n    {resume}\n"),
         ("writing", ["--resume"], "; the results are whole in {out}; go on with:\n    {resume}\n"),
     ],

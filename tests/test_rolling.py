@@ -48,13 +48,13 @@ def test_a_rolling_spring_holds_a_ball_on_a_slope(precision, device):
     model["scene.gravity"] = G * np.column_stack([np.sin(slope), 0 * slope, -np.cos(slope)])
     sim = wc.Simulation(model, dt=2e-4)
     sim.step(2500)
-    place, speed = model.reading("ball.position")[:, 0], model.reading("ball.linear_velocity")[:, 0]
+    place, speed = model.sensor("ball.position")[:, 0], model.sensor("ball.linear_velocity")[:, 0]
     sim.step(2500)
     # A spring takes no less than half a rounding of its stretch, 2e-5 m at most, in a step.
     unfelt = 2500 * 0.5 * np.spacing(np.array(2e-5, precision))
-    np.testing.assert_allclose(model.reading("ball.position")[:2, 0], place[:2], rtol=1e-6, atol=unfelt)
+    np.testing.assert_allclose(model.sensor("ball.position")[:2, 0], place[:2], rtol=1e-6, atol=unfelt)
     assert (place[:2] < 1e-4).all()
-    acceleration = (model.reading("ball.linear_velocity")[2, 0] - speed[2]) / 0.5
+    acceleration = (model.sensor("ball.linear_velocity")[2, 0] - speed[2]) / 0.5
     expected = 5 / 7 * G * (np.sin(slope[2]) - 0.05 * np.cos(slope[2]))
     np.testing.assert_allclose(acceleration, expected, rtol=5e-3)
 
@@ -70,10 +70,10 @@ def test_a_ball_rolls_or_slips_down_a_slope_as_in_closed_form(device):
     model["touch.friction.mu_dynamic"] = mu
     sim = wc.Simulation(model, dt=2e-4)
     sim.step(1000)
-    speed, spin = model.reading("ball.linear_velocity")[:, 0], model.reading("ball.angular_velocity")[:, 1]
+    speed, spin = model.sensor("ball.linear_velocity")[:, 0], model.sensor("ball.angular_velocity")[:, 1]
     sim.step(2500)
-    acceleration = (model.reading("ball.linear_velocity")[:, 0] - speed) / 0.5
-    spinning = (model.reading("ball.angular_velocity")[:, 1] - spin) / 0.5 * R
+    acceleration = (model.sensor("ball.linear_velocity")[:, 0] - speed) / 0.5
+    spinning = (model.sensor("ball.angular_velocity")[:, 1] - spin) / 0.5 * R
     assert spinning[1] < 0.98 * acceleration[1]
     # δ/R = 2e-4 of the lever of friction.
     np.testing.assert_allclose(acceleration[[0, 2]], [3.701341178, 2.961346534], rtol=3e-4)
@@ -96,12 +96,12 @@ def test_a_ball_rolls_in_a_groove_as_in_closed_form(device):
     model = scene.build(device=device, precision="float64")
     sim = wc.Simulation(model, dt=1e-4)
     sim.step(4000)
-    speed = model.reading("ball.linear_velocity")[0, 0]
+    speed = model.sensor("ball.linear_velocity")[0, 0]
     sim.step(4000)
-    acceleration = (model.reading("ball.linear_velocity")[0, 0] - speed) / 0.4
+    acceleration = (model.sensor("ball.linear_velocity")[0, 0] - speed) / 0.4
     np.testing.assert_allclose(acceleration, 1.864009781, rtol=3e-4)
     for name in ("left", "right"):
-        np.testing.assert_allclose(model.reading(f"{name}.normal_force")[0], 0.6644630244 * G, rtol=1e-5)
+        np.testing.assert_allclose(model.sensor(f"{name}.normal_force")[0], 0.6644630244 * G, rtol=1e-5)
 
 
 def test_viscous_rolling_resistance_lets_speed_decay(device):
@@ -111,7 +111,7 @@ def test_viscous_rolling_resistance_lets_speed_decay(device):
     model["ball.angular_velocity"] = (0, 1.0 / R, 0)
     wc.Simulation(model, dt=1e-3).step(2000)
     expected = np.exp(-5 / 7 * 0.05 * G * 2.0)
-    np.testing.assert_allclose(model.reading("ball.linear_velocity")[0, 0], expected, rtol=4e-4)
+    np.testing.assert_allclose(model.sensor("ball.linear_velocity")[0, 0], expected, rtol=4e-4)
 
 
 def test_torsion_stops_a_spinning_ball_as_in_closed_form(device):
@@ -141,8 +141,8 @@ def test_the_arm_of_torsion_follows_the_overlap(device):
     depth = (mass * G / 1e7) ** (2 / 3)
     model["ball.position"] = np.column_stack([0 * depth, 0 * depth, R - depth])
     expected = -3 * np.pi / 16 * np.sqrt(R * depth) * 0.3 * mass * G
-    np.testing.assert_allclose(model.reading("touch.torque")[:, 2], expected, rtol=1e-9)
-    np.testing.assert_allclose(model.reading("ball.torque")[:, 2], expected, rtol=1e-9)
+    np.testing.assert_allclose(model.sensor("touch.torque")[:, 2], expected, rtol=1e-9)
+    np.testing.assert_allclose(model.sensor("ball.torque")[:, 2], expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize("stop", [F.Tanh(mu=0.3, velocity_scale=1e-3), F.LuGre(
@@ -182,7 +182,7 @@ def test_a_rolling_ball_is_slowed_against_its_motion_in_any_direction(device):
     model["ball.angular_velocity"] = spins
     tangential = spins * (1, 1, 0)
     expected = -0.02 * R * G * tangential / np.linalg.norm(tangential, axis=1)[:, None]
-    np.testing.assert_allclose(model.reading("touch.torque"), expected, atol=1e-12)
+    np.testing.assert_allclose(model.sensor("touch.torque"), expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("part", ["rolling", "torsion"])
@@ -215,7 +215,7 @@ def test_the_parameters_of_every_part_are_there(device):
     assert "touch.torsion_radius" not in model
     model["touch.rolling.mu"] = [0.0, 0.4]
     model["ball.angular_velocity"] = (0, 50.0, 0)
-    np.testing.assert_allclose(model.reading("touch.torque")[:, 1], [0, -0.4 * R * G], rtol=1e-9)
+    np.testing.assert_allclose(model.sensor("touch.torque")[:, 1], [0, -0.4 * R * G], rtol=1e-9)
 
 
 def test_a_friction_of_spheres_needs_a_radius(device):

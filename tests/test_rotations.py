@@ -73,7 +73,7 @@ def test_a_body_turned_by_a_quaternion_of_another_length_touches_where_it_is(exc
     sim = wc.Simulation(model, dt=1e-4, distance_cache=cached)
     model.state.body_orientation.assign(np.array([[[0.0, 0.0, 1.0 + excess, 0.0]]], np.float32))
     sim.step(998)
-    assert model.reading("touch.normal_force")[0] == 0.0
+    assert model.sensor("touch.normal_force")[0] == 0.0
     sim.step(6)
     # A position after so many steps is rounded to less than a step's way, of 0.1 mm.
-    assert model.reading("touch.normal_force")[0] > 0.0
+    assert model.sensor("touch.normal_force")[0] > 0.0

@@ -25,9 +25,9 @@ def test_every_bounce_has_its_own_entry_speed(device):
     for speed in (1.0, 3.0, 0.5):
         sim.state.body_linear_velocity.fill_(model.types.vec3(0.0, 0.0, -speed))
         sim.step(2500)
-        assert (model.reading("touch.status") == Status.OPEN).all()
+        assert (model.sensor("touch.status") == Status.OPEN).all()
         # Some 500 steps per contact.
-        np.testing.assert_allclose(model.reading("ball.linear_velocity")[:, 2], e * speed, rtol=1e-3)
+        np.testing.assert_allclose(model.sensor("ball.linear_velocity")[:, 2], e * speed, rtol=1e-3)
         sim.state.body_position.fill_(model.types.vec3(0.0, 0.0, 0.101))
 
 
@@ -52,7 +52,7 @@ def test_slow_contacts_use_the_speed_floor(device):
     model = dropped_sphere(law, height=-1e-3, velocity=(0, 0, -0.1), device=device, precision="float64")
     factor = wc.kernels.laws.hunt_crossley.damping_factor_of_restitution(0.5)
     expected = 1e5 * 1e-3**1.5 * (1 + factor * 0.1 / 0.2)
-    np.testing.assert_allclose(model.reading("touch.normal_force"), expected, rtol=1e-9)
+    np.testing.assert_allclose(model.sensor("touch.normal_force"), expected, rtol=1e-9)
 
 
 LATCH = [
@@ -82,7 +82,7 @@ def test_the_latch_follows_its_table(start, options, path, status, device):
     for place in path:
         sim.state.body_position.assign(np.array([[place]], dtype=np.float32))
         sim.step()
-    assert sim.model.reading("touch.status")[0] == status
+    assert sim.model.sensor("touch.status")[0] == status
 
 
 def test_a_disabled_contact_keeps_its_latch(device):
@@ -93,7 +93,7 @@ def test_a_disabled_contact_keeps_its_latch(device):
     sim.state.body_position.fill_(model.types.vec3(0.0, 0.0, 0.09))
     sim.step(2)
     model["touch.enabled"] = 1
-    assert model.reading("touch.status")[0] == Status.CONTACT
+    assert model.sensor("touch.status")[0] == Status.CONTACT
 
 
 # Frozen environments
@@ -157,8 +157,8 @@ def test_a_frozen_environment_is_measured_where_it_is_held(device):
     sim.state.body_linear_velocity.assign(velocity)
     sim.step()
     assert model.health().frozen.tolist() == [1]
-    np.testing.assert_allclose(model.reading("touch.gap"), [0.699, 0.7], atol=1e-5)
-    np.testing.assert_allclose(model.reading("touch.gap"), model.reading("ball.position")[:, 2] - 0.1, atol=1e-6)
+    np.testing.assert_allclose(model.sensor("touch.gap"), [0.699, 0.7], atol=1e-5)
+    np.testing.assert_allclose(model.sensor("touch.gap"), model.sensor("ball.position")[:, 2] - 0.1, atol=1e-6)
 
 
 def test_a_frozen_environment_survives_another_simulation(device):
@@ -167,11 +167,11 @@ def test_a_frozen_environment_survives_another_simulation(device):
     stiffness[2] = 1e38
     model["touch.law.stiffness"] = stiffness
     wc.Simulation(model, dt=1e-3).step(10)
-    held = model.reading("ball.position")[2], model.reading("ball.orientation")[2]
+    held = model.sensor("ball.position")[2], model.sensor("ball.orientation")[2]
     np.testing.assert_allclose(held[0], (0, 0, 0.09), atol=1e-6)
     wc.Simulation(model, dt=1e-4).step(1)
-    np.testing.assert_array_equal(model.reading("ball.position")[2], held[0])
-    np.testing.assert_array_equal(model.reading("ball.orientation")[2], held[1])
+    np.testing.assert_array_equal(model.sensor("ball.position")[2], held[0])
+    np.testing.assert_array_equal(model.sensor("ball.orientation")[2], held[1])
 
 
 def test_a_law_that_returns_nan_freezes_its_environment(device):
@@ -208,13 +208,13 @@ def test_surfaces_points_and_laws_find_their_own(device):
         )
         scene.add_contact(scene.add_point(body, (0, 0, 0)), surface, material, name=name)
     model = scene.build(device=device, precision="float64")
-    np.testing.assert_allclose(model.reading("a.gap"), -0.01, atol=1e-12)
-    np.testing.assert_allclose(model.reading("b.gap"), -0.02, atol=1e-12)
-    np.testing.assert_allclose(model.reading("a.normal")[0], up, atol=1e-12)
-    np.testing.assert_allclose(model.reading("b.normal")[0], side, atol=1e-12)
-    np.testing.assert_allclose(model.reading("one.force")[0], 100 * up - 0.2 * 100 * slide, atol=1e-9)
-    np.testing.assert_allclose(model.reading("two.force")[0], 400 * side - 0.5 * 400 * glide / 2, atol=1e-9)
-    np.testing.assert_allclose(model.reading("carrier.force"), -model.reading("two.force"))
+    np.testing.assert_allclose(model.sensor("a.gap"), -0.01, atol=1e-12)
+    np.testing.assert_allclose(model.sensor("b.gap"), -0.02, atol=1e-12)
+    np.testing.assert_allclose(model.sensor("a.normal")[0], up, atol=1e-12)
+    np.testing.assert_allclose(model.sensor("b.normal")[0], side, atol=1e-12)
+    np.testing.assert_allclose(model.sensor("one.force")[0], 100 * up - 0.2 * 100 * slide, atol=1e-9)
+    np.testing.assert_allclose(model.sensor("two.force")[0], 400 * side - 0.5 * 400 * glide / 2, atol=1e-9)
+    np.testing.assert_allclose(model.sensor("carrier.force"), -model.sensor("two.force"))
 
 
 def test_vertices_at_one_place_are_one(device):
@@ -268,9 +268,9 @@ def test_a_parameter_changed_between_steps_acts_like_one_set_before(name, value,
     for sim in (one, other):
         sim.step(50)
     for quantity in ("position", "orientation", "linear_velocity", "angular_velocity"):
-        first, second = late.reading(f"ball.{quantity}"), early.reading(f"ball.{quantity}")
+        first, second = late.sensor(f"ball.{quantity}"), early.sensor(f"ball.{quantity}")
         np.testing.assert_array_equal(first, second)
-    moved = late.reading("ball.linear_velocity"), late.reading("ball.angular_velocity")
+    moved = late.sensor("ball.linear_velocity"), late.sensor("ball.angular_velocity")
     assert not np.array_equal(moved[0][0], moved[0][2]) or not np.array_equal(moved[1][0], moved[1][2])
 
 
@@ -286,11 +286,11 @@ def test_a_parameter_changed_between_steps_acts_like_one_set_before(name, value,
 )
 def test_values_that_do_not_fit_the_device_are_refused_and_change_nothing(name, value, message, device):
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), height=-1e-3, device=device)
-    before, force = model[name], model.reading("touch.normal_force")
+    before, force = model[name], model.sensor("touch.normal_force")
     with pytest.raises(ValueError, match=message):
         model[name] = value
     np.testing.assert_array_equal(model[name], before)
-    np.testing.assert_array_equal(model.reading("touch.normal_force"), force)
+    np.testing.assert_array_equal(model.sensor("touch.normal_force"), force)
     with pytest.raises(ValueError, match="dt: 1e-50 does not fit into float32"):
         wc.Simulation(model, dt=1e-50)
 
@@ -334,6 +334,6 @@ def test_a_floor_beside_a_wall_is_the_floor_far_from_the_origin_too(offset, devi
     # A sphere 1 mm in the floor and 0.5 mm in the wall.
     place = np.array([(0.0995, 2.0, 0.099)]) + offset
     for precision, exact in (("float32", 2e-7 * max(offset, 1.0)), ("float64", 1e-15 * max(offset, 4.0))):
-        readings = probe(corner, place, radius=0.1, device=device, precision=precision)
-        np.testing.assert_allclose(readings["gap"], -1e-3, atol=exact)
-        np.testing.assert_allclose(readings["normal"][0], (0, 0, 1), atol=1e-6)
+        sensors = probe(corner, place, radius=0.1, device=device, precision=precision)
+        np.testing.assert_allclose(sensors["gap"], -1e-3, atol=exact)
+        np.testing.assert_allclose(sensors["normal"][0], (0, 0, 1), atol=1e-6)

@@ -256,7 +256,7 @@ def drops(tmp_path_factory):
         "dt": 1e-3,
         "output": {"usd_envs": 0},
         "body": [{"name": "a_ball_with_a_very_long_name_" + 60 * "x", "mass": 1, "inertia": [1, 1, 1]}],
-        "record": {"every": 1e-2, "readings": ["scene.kinetic_energy"]},
+        "record": {"every": 1e-2, "sensors": ["scene.kinetic_energy"]},
     }
     body = study["body"][0]["name"]
     study["variation"] = {

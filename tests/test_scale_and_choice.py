@@ -9,7 +9,7 @@ import warpcontact as wc
 from warpcontact import Status
 
 PRECISIONS = pytest.mark.parametrize("precision", ["float32", "float64"])
-READINGS = ("gap", "penetration", "normal", "point", "status", "normal_force")
+SENSORS = ("gap", "penetration", "normal", "point", "status", "normal_force")
 STATE = ("ball.position", "ball.orientation", "ball.linear_velocity", "ball.angular_velocity")
 FRICTION = wc.ContactMaterial(
     law=wc.laws.HuntCrossley(stiffness=1e5, restitution=0.6),
@@ -59,7 +59,7 @@ def scene_of(mesh, **surface):
 
 
 def results(sim, names=(*STATE, "carrier.position", "carrier.orientation", "corners.gap", "touch.normal_force")):
-    return {name: sim.model.reading(name) for name in names}
+    return {name: sim.model.sensor(name) for name in names}
 
 
 @PRECISIONS
@@ -110,17 +110,17 @@ def test_scale_and_choice_act_between_steps(precision, device):
     model = scene.build(envs=2, precision=precision, device=device)
     sim = wc.Simulation(model, dt=1e-6)
     sim.step(3)
-    np.testing.assert_allclose(model.reading("touch.gap"), 0.1, atol=1e-6)
+    np.testing.assert_allclose(model.sensor("touch.gap"), 0.1, atol=1e-6)
     model["ground.mesh"] = [0, 1]
     sim.step(3)
     distance = np.linalg.norm((0.4, 0.4, 0.6)) - 0.5
-    np.testing.assert_allclose(model.reading("touch.gap")[0], 0.1, atol=1e-6)
+    np.testing.assert_allclose(model.sensor("touch.gap")[0], 0.1, atol=1e-6)
     # A facet lies up to h²/6 inside the ball, h = 0.08.
-    np.testing.assert_allclose(model.reading("touch.gap")[1], distance, atol=2e-3)
+    np.testing.assert_allclose(model.sensor("touch.gap")[1], distance, atol=2e-3)
     model["ground.scale"] = [1.5, 1.0]
     sim.step(3)
-    np.testing.assert_allclose(model.reading("touch.gap")[0], -0.15, atol=1e-6)
-    assert model.reading("touch.status").tolist() == [Status.CONTACT, Status.OPEN]
+    np.testing.assert_allclose(model.sensor("touch.gap")[0], -0.15, atol=1e-6)
+    assert model.sensor("touch.status").tolist() == [Status.CONTACT, Status.OPEN]
 
 
 @PRECISIONS
@@ -136,7 +136,7 @@ def test_each_choice_has_its_own_active_part(search, precision, device):
     model = scene.build(envs=3, precision=precision, device=device)
     model["ground.mesh"] = [0, 1, 2]
     free = Status.HIDDEN if search == "whole" else Status.OPEN
-    assert model.reading("touch.status").tolist() == [Status.CONTACT, free, Status.CONTACT]
+    assert model.sensor("touch.status").tolist() == [Status.CONTACT, free, Status.CONTACT]
 
 
 def test_wrong_values_are_refused_by_name(device):

@@ -166,21 +166,21 @@ def test_unknown_names_suggest_the_nearest():
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e3))
     with pytest.raises(KeyError, match=r"no parameter 'ball.masss'; did you mean 'ball.mass'\?"):
         model["ball.masss"] = 1.0
-    with pytest.raises(KeyError, match=r"no reading 'touch.gapp'; did you mean 'touch.gap'\?"):
-        model.reading("touch.gapp")
+    with pytest.raises(KeyError, match=r"no sensor 'touch.gapp'; did you mean 'touch.gap'\?"):
+        model.sensor("touch.gapp")
     with pytest.raises(
         KeyError, match=r"no parameter 'ball.zzzzzzzzzzzzzzzzzz'; there are: (ball\.\w+, )+ball\.\w+\"$"
     ):
         model["ball.zzzzzzzzzzzzzzzzzz"] = 1.0
-    with pytest.raises(KeyError, match=r"no reading 'x\.y'; there are: \w+\.\*, (\w+\.\*, )*scene\.\*\"$"):
-        model.reading("x.y")
-    with pytest.raises(KeyError, match=r"no reading 'touch\.zzzzzz'; there are: (touch\.\w+, )+touch\.\w+\"$"):
-        model.reading("touch.zzzzzz")
-    with pytest.raises(KeyError, match=r"no reading 'touch\.gap'; there are: e0\.\*, (e\d+\.\*, ){19}…\"$"):
-        look_up("reading", "touch.gap", {f"e{i}.value": None for i in range(21)})
+    with pytest.raises(KeyError, match=r"no sensor 'x\.y'; there are: \w+\.\*, (\w+\.\*, )*scene\.\*\"$"):
+        model.sensor("x.y")
+    with pytest.raises(KeyError, match=r"no sensor 'touch\.zzzzzz'; there are: (touch\.\w+, )+touch\.\w+\"$"):
+        model.sensor("touch.zzzzzz")
+    with pytest.raises(KeyError, match=r"no sensor 'touch\.gap'; there are: e0\.\*, (e\d+\.\*, ){19}…\"$"):
+        look_up("sensor", "touch.gap", {f"e{i}.value": None for i in range(21)})
     with pytest.raises(KeyError, match=r"no catenary 'c'; there are: line, rope\"$"):
         look_up("catenary", "c", {"line": None, "rope": None})
-    with pytest.raises(KeyError, match=r"'touch\.gap' is a reading, not a parameter; use model\.reading"):
+    with pytest.raises(KeyError, match=r"'touch\.gap' is a sensor, not a parameter; use model\.sensor"):
         model["touch.gap"] = 0.5
     law = wc.laws.HuntCrossley(stiffness=1e3, restitution=0.5)
     with pytest.raises(KeyError, match="the HuntCrossley of 'touch' was made without damping; it has stiffness"):
@@ -214,12 +214,12 @@ def test_the_initial_state_follows_its_parameters_until_the_first_step():
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e3), envs=2)
     sim = wc.Simulation(model, dt=1e-3)
     model["ball.position"] = [(0, 0, 1), (0, 0, 2)]
-    np.testing.assert_allclose(model.reading("ball.position")[:, 2], [1, 2])
+    np.testing.assert_allclose(model.sensor("ball.position")[:, 2], [1, 2])
     sim.step(1)
     model["ball.position"] = (0, 0, 5)
-    assert model.reading("ball.position")[0, 2] < 2
+    assert model.sensor("ball.position")[0, 2] < 2
     sim.reset()
-    np.testing.assert_allclose(model.reading("ball.position")[:, 2], [5, 5])
+    np.testing.assert_allclose(model.sensor("ball.position")[:, 2], [5, 5])
 
 
 def test_a_model_does_not_change_with_its_scene():
@@ -245,8 +245,8 @@ def test_one_scene_holds_several_laws():
     assert len(model.groups) == 2
     expected = [10.0, 1e5 * 0.01**1.5, 20.0]
     for number, force in enumerate(expected):
-        np.testing.assert_allclose(model.reading(f"touch{number}.normal_force"), force, rtol=1e-5)
-        np.testing.assert_allclose(model.reading(f"body{number}.force")[:, 2], force, rtol=1e-5)
+        np.testing.assert_allclose(model.sensor(f"touch{number}.normal_force"), force, rtol=1e-5)
+        np.testing.assert_allclose(model.sensor(f"body{number}.force")[:, 2], force, rtol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -259,7 +259,7 @@ def test_one_scene_holds_several_laws():
         (lambda m: wc.Simulation(m, dt=1).step(-1), "count must be a whole number of at least 0, got -1"),
         (lambda m: wc.Simulation(m, dt=0.1).run(-1), "duration must be greater than 0, got -1 s"),
         (lambda m: wc.Simulation(m, dt=0.1).run(1, every=0.25), "every must be a multiple of dt = 0.1 s"),
-        (lambda m: wc.Simulation(m, dt=0.1).run(1, "ball.position"), "record must be a list of readings"),
+        (lambda m: wc.Simulation(m, dt=0.1).run(1, "ball.position"), "record must be a list of sensors"),
         (lambda m: m.reset([1]), "env_mask must be 1 booleans"),
     ],
 )  # fmt: skip

@@ -135,10 +135,10 @@ def run(name, precision, device, *, steps=700, envs=ENVS, **options):
     states = []
     for _ in range(7):
         sim.step(steps // 7)
-        states.append([model.reading(f"{b.name}.{key}") for b in model.scene.bodies for key in STATE])
+        states.append([model.sensor(f"{b.name}.{key}") for b in model.scene.bodies for key in STATE])
     # What only falls has its velocity from the start and from gravity.
     fall = model["body.linear_velocity"] + steps * 1e-3 * model["scene.gravity"]
-    pushed = np.abs(model.reading("body.linear_velocity") - fall).max(axis=1) > 1e-2
+    pushed = np.abs(model.sensor("body.linear_velocity") - fall).max(axis=1) > 1e-2
     return states, pushed
 
 
@@ -196,9 +196,9 @@ def test_what_was_seen_before_a_step_is_taken_again_is_not_forgotten(looked_at):
         states = []
         for _ in range(4):
             sim.step()
-            states.append([model.reading(f"ball.{key}") for key in STATE])
-        assert model.reading("shot_touch.crossings")[0] > 0
-        assert model.reading("ball_touch.normal_force")[0] > 0
+            states.append([model.sensor(f"ball.{key}") for key in STATE])
+        assert model.sensor("shot_touch.crossings")[0] > 0
+        assert model.sensor("ball_touch.normal_force")[0] > 0
         return states
 
     assert_same(run(True), run(False))
@@ -230,7 +230,7 @@ def test_points_of_a_block_are_armed_where_they_are_seen(arm, places, touches, l
             sim.state.body_linear_velocity.zero_()
             sim.state.body_angular_velocity.zero_()
             sim.step()
-        return (model.reading("touch.normal_force")[0] > 0).tolist()
+        return (model.sensor("touch.normal_force")[0] > 0).tolist()
 
     assert run(True) == run(False) == touches
 
@@ -259,7 +259,7 @@ def test_nor_does_it_when_a_contact_that_never_was_outside_is_enabled(points, sp
         states = []
         for _ in range(4):
             sim.step()
-            states.append([model.reading(f"body.{key}") for key in STATE])
+            states.append([model.sensor(f"body.{key}") for key in STATE])
         return states
 
     cached, afresh = run(True), run(False)
@@ -305,14 +305,14 @@ def test_nor_does_it_when_bodies_are_put_elsewhere_or_parameters_change(precisio
             lambda: model.__setitem__("points.position", cloud(30, 0.3)[None]),
             lambda: model.__setitem__("touch.max_depth", 0.05),
             lambda: sim.reset(np.arange(ENVS) % 2 == 0),
-            lambda: model.reading("touch.gap"),
+            lambda: model.sensor("touch.gap"),
         ]
         states = []
         for change in changes:
             sim.step(70)
             change()
             sim.step(1)
-            states.append([model.reading(f"body.{key}") for key in STATE])
+            states.append([model.sensor(f"body.{key}") for key in STATE])
         return states
 
     assert_same(run(True), run(False))
@@ -331,7 +331,7 @@ def test_captured_steps_are_the_launched_ones(name, precision, device):
         states = []
         for count in (1, 2, 3, 32, 65, 350, 1, 31):
             sim.step(count)
-            states.append([model.reading(f"{b.name}.{key}") for b in model.scene.bodies for key in STATE])
+            states.append([model.sensor(f"{b.name}.{key}") for b in model.scene.bodies for key in STATE])
         states.append([[model.time]])
         return states
 
@@ -414,7 +414,7 @@ def test_an_interruption_leaves_all_environments_at_one_time(crossing_steps, dev
     other = prepared()
     other.step(sim.steps)
     for key in STATE:
-        np.testing.assert_array_equal(sim.model.reading(f"body.{key}"), other.model.reading(f"body.{key}"))
+        np.testing.assert_array_equal(sim.model.sensor(f"body.{key}"), other.model.sensor(f"body.{key}"))
 
 
 def test_steps_that_take_long_are_few_between_two_looks_at_ctrl_c():

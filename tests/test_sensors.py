@@ -79,12 +79,12 @@ def meaning(place):
 
 
 def test_sensors_have_the_documented_value_at_each_status(model):
-    assert model.reading("touch.status").tolist() == list(CODES)
+    assert model.sensor("touch.status").tolist() == list(CODES)
     table = documented()
-    sensors = {name.partition(".")[2] for name in model.reading_names if name.startswith("touch.")}
+    sensors = {name.partition(".")[2] for name in model.sensor_names if name.startswith("touch.")}
     assert set(table) == sensors - {"status"}
     for name, cells in table.items():
-        for env, (cell, found) in enumerate(zip(cells, model.reading(f"touch.{name}"), strict=True)):
+        for env, (cell, found) in enumerate(zip(cells, model.sensor(f"touch.{name}"), strict=True)):
             expected = np.broadcast_to(meaning(np.array(PLACES[env]))[cell], found.shape)
             np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-7, err_msg=f"{name}, {CODES[env].name}")
             assert "≥ 0" not in cell or found >= 0.0
@@ -92,10 +92,10 @@ def test_sensors_have_the_documented_value_at_each_status(model):
 
 
 def test_delta_is_a_name_of_penetration_on_input_only(model):
-    depth = model.reading("touch.penetration")
-    np.testing.assert_array_equal(model.reading("touch.delta"), depth)
-    assert model.find_reading("touch.delta").name == "touch.penetration"
-    assert "touch.delta" not in model.reading_names
+    depth = model.sensor("touch.penetration")
+    np.testing.assert_array_equal(model.sensor("touch.delta"), depth)
+    assert model.find_sensor("touch.delta").name == "touch.penetration"
+    assert "touch.delta" not in model.sensor_names
     outcomes = {
         "deepest": wc.outcomes.Max("touch.delta"),
         "first": wc.outcomes.FirstTime("touch.delta", above=0.0),
@@ -112,9 +112,9 @@ def test_delta_is_a_name_of_penetration_on_input_only(model):
     found = sim.outcomes()
     np.testing.assert_array_equal(found["deepest"], recording["touch.penetration"].max("time"))
     assert "touch.penetration" in found["deepest"].attrs["long_name"]
-    with pytest.raises(KeyError, match=r"no reading 'ball\.delta'; there are: ball\.position"):
-        model.reading("ball.delta")
-    with pytest.raises(KeyError, match=r"'touch\.delta' is a reading, not a parameter"):
+    with pytest.raises(KeyError, match=r"no sensor 'ball\.delta'; there are: ball\.position"):
+        model.sensor("ball.delta")
+    with pytest.raises(KeyError, match=r"'touch\.delta' is a sensor, not a parameter"):
         model["touch.delta"]
     with pytest.raises(KeyError, match=r"touch\.depth"):
         recording["touch.depth"]
@@ -124,7 +124,7 @@ def test_delta_is_a_name_of_penetration_on_input_only(model):
 def test_delta_is_stored_as_penetration_by_experiments(device, tmp_path):
     watched = {"outcome": {"deepest": {"type": "Max", "of": "touch.delta"}}}
     watched["stop"] = {"deep": {"of": "touch.delta", "above": 1.0}}
-    record = {"readings": ["touch.delta", "touch.gap", "touch.penetration"]}
+    record = {"sensors": ["touch.delta", "touch.gap", "touch.penetration"]}
     raw = content(record=record, output={"usd_envs": 0}, **watched)
     raw["body"][0]["position"][2] = 0.095
     run = wc.Experiment.from_dict(raw).run(tmp_path / "out", device=device)
@@ -144,7 +144,7 @@ def test_delta_is_stored_as_penetration_by_experiments(device, tmp_path):
     assert fan.identical(wc.quantile_fan(opened, "touch.penetration"))
     assert named_number(opened.recording, "touch.delta").name == "touch.penetration"
     again = wc.Experiment.from_toml(opened.files["experiment"])
-    assert again.settings.record.readings == ("touch.penetration", "touch.gap")
+    assert again.settings.record.sensors == ("touch.penetration", "touch.gap")
     assert again.settings.outcome["deepest"].of == "touch.penetration"
 
 
@@ -166,8 +166,8 @@ PROPOSALS = [
 
 @pytest.mark.parametrize(("name", "meant"), PROPOSALS, ids=[name for name, _ in PROPOSALS])
 def test_unknown_sensor_gets_the_name_of_this_library(name, meant, model):
-    with pytest.raises(KeyError, match=f"no reading '{name}'; did you mean '{meant}'"):
-        model.reading(name)
+    with pytest.raises(KeyError, match=f"no sensor '{name}'; did you mean '{meant}'"):
+        model.sensor(name)
 
 
 PARAMETERS = [

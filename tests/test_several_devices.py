@@ -49,13 +49,13 @@ def test_parts_share_their_state_without_a_copy(devices, device):
     _, model = both(device, devices)
     wc.Simulation(model, dt=1e-3).step(5)
     gathered = np.concatenate([part.state.body_position.numpy() for part in model.parts])
-    np.testing.assert_array_equal(gathered[:, 0], model.reading("box.position").astype(np.float32))
+    np.testing.assert_array_equal(gathered[:, 0], model.sensor("box.position").astype(np.float32))
     last = model.parts[-1]
     moved = last.state.body_position.numpy().copy()
     moved[-1, 1] = (0, 0, 9)
     last.state.body_position.assign(moved)
     # What rounding left of the last position is still added.
-    np.testing.assert_allclose(model.reading("ball.position")[-1], (0, 0, 9), atol=1e-6)
+    np.testing.assert_allclose(model.sensor("ball.position")[-1], (0, 0, 9), atol=1e-6)
 
 
 def test_environments_of_a_batch_are_numbered_through(device):
@@ -130,7 +130,7 @@ def test_recordings_are_the_same_bits(options, precision, devices, device, monke
     recordings = []
     for model in both(device, devices, precision=precision):
         sim = wc.Simulation(model, dt=1e-3, deterministic=True, **options)
-        recordings.append(sim.run(0.15, model.reading_names, every=5e-3))
+        recordings.append(sim.run(0.15, model.sensor_names, every=5e-3))
         assert sim.steps == 150
     assert (recordings[0]["touch.crossings"] > 0).any()
     assert (recordings[0]["hull.normal_force"] > 0).any()
@@ -160,8 +160,8 @@ def test_what_sets_environments_apart_is_recorded_with_one_on_each_device(device
 
 def test_readings_between_steps_and_evaluations_are_the_same(devices, device):
     one, other = both(device, devices)
-    assert one.reading_names == other.reading_names
-    assert one.find_reading("touch.gap").unit == other.find_reading("touch.gap").unit
+    assert one.sensor_names == other.sensor_names
+    assert one.find_sensor("touch.gap").unit == other.find_sensor("touch.gap").unit
     sims = [wc.Simulation(model, dt=1e-3, deterministic=True) for model in (one, other)]
     for count in (0, 1, 40, 33):
         for sim in sims:

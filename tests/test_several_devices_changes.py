@@ -63,7 +63,7 @@ def test_a_value_that_does_not_fit_changes_nothing_on_any_part(name, devices, de
     sim = wc.Simulation(model, dt=1e-3)
     sim.step(20)
     before = {name: model[name] for name in model}
-    readings = {name: model.reading(name) for name in model.reading_names}
+    sensors = {name: model.sensor(name) for name in model.sensor_names}
     values = model[name] + 0.5
     values[-1] = 1e39
     with pytest.raises(ValueError, match="does not fit into float32"):
@@ -74,13 +74,13 @@ def test_a_value_that_does_not_fit_changes_nothing_on_any_part(name, devices, de
     for other, kept in before.items():
         np.testing.assert_array_equal(model[other], kept, err_msg=other)
     assert not model.varies(name) or name == "box.mass"
-    for reading, kept in readings.items():
-        np.testing.assert_array_equal(model.reading(reading), kept, err_msg=reading)
+    for sensor, kept in sensors.items():
+        np.testing.assert_array_equal(model.sensor(sensor), kept, err_msg=sensor)
 
 
 def test_a_failure_on_the_way_to_the_last_device_changes_nothing_on_any(device, monkeypatch):
     model = scene().build(6, [device] * 3)
-    mass, energy = model["ball.mass"], model.reading("ball.kinetic_energy")
+    mass, energy = model["ball.mass"], model.sensor("ball.kinetic_energy")
     send, left = Upload.send, 2
 
     def failing(upload, content, envs):
@@ -95,7 +95,7 @@ def test_a_failure_on_the_way_to_the_last_device_changes_nothing_on_any(device, 
         with pytest.raises(RuntimeError, match="Failed to allocate"):
             model["ball.mass"] = np.arange(1.0, 7.0)
     np.testing.assert_array_equal(model["ball.mass"], mass)
-    np.testing.assert_array_equal(model.reading("ball.kinetic_energy"), energy)
+    np.testing.assert_array_equal(model.sensor("ball.kinetic_energy"), energy)
     assert not model.varies("ball.mass")
 
 
@@ -105,7 +105,7 @@ def test_unknown_names_and_wrong_masks_are_refused_as_always(device):
         lambda model: model["ball.mas"],
         lambda model: model.__setitem__("ball.mas", 1.0),
         lambda model: model["touch.gap"],
-        lambda model: model.reading("touch.gab"),
+        lambda model: model.sensor("touch.gab"),
         lambda model: model.__setitem__("ball.mass", [1.0, 2.0]),
         lambda model: model.reset([True, False]),
         lambda model: wc.Simulation(model, dt=1e-50),
@@ -143,7 +143,7 @@ def test_resets_by_mask_reach_the_right_environments(devices, device):
         sim.reset()
         assert sim.time == 0.0
         sim.model["ball.position"] = (0, 0, 2.0)
-    assert (other.reading("ball.position") == (0, 0, 2)).all()
+    assert (other.sensor("ball.position") == (0, 0, 2)).all()
     assert_same_state(one, other)
 
 

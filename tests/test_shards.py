@@ -36,8 +36,8 @@ VARIED = {
 def varied(**changes):
     """Environments that differ in what is stored alone and what is stored with that of other bodies."""
     bodies = [*content()["body"], {"name": "rock", "mass": 2.0, "inertia": [1, 1, 1], "position": [0, 0, 5]}]
-    readings = ["touch.gap", "touch.status", "scene.kinetic_energy", "touch.normal"]
-    return wc.Experiment(content(envs=11, body=bodies, variation=VARIED, record={"readings": readings}, **changes))
+    sensors = ["touch.gap", "touch.status", "scene.kinetic_energy", "touch.normal"]
+    return wc.Experiment(content(envs=11, body=bodies, variation=VARIED, record={"sensors": sensors}, **changes))
 
 
 def stored(run):

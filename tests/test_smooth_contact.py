@@ -23,7 +23,7 @@ RUBBER = wc.ContactMaterial(
     torsion=wc.frictions.Tanh(mu=0.4, velocity_scale=1e-2),
 )
 STEEL = wc.ContactMaterial(law=wc.laws.HuntCrossley(stiffness=1e7, exponent=1.5, restitution=1.0))
-READINGS = ("gap", "normal", "normal_force", "friction_force", "torque", "slip_speed", "approach_speed", "point")
+SENSORS = ("gap", "normal", "normal_force", "friction_force", "torque", "slip_speed", "approach_speed", "point")
 
 
 @pytest.fixture(scope="module")
@@ -48,15 +48,15 @@ def test_two_tilted_ellipsoids_are_the_worked_numbers(oracle, device, precision,
         model[f"{body}.angular_velocity"] = velocity[f"w_{body}"]
     for quantity, key in (("gap", "gap"), ("point_a", "P_j"), ("point_b", "P_i"), ("normal", "n_i")):
         known = [oracle[name][key] for name in NAMES]
-        np.testing.assert_allclose(model.reading(f"touch.{quantity}"), known, rtol=0, atol=tolerance)
+        np.testing.assert_allclose(model.sensor(f"touch.{quantity}"), known, rtol=0, atol=tolerance)
     # Approach at K is that of the points, whichever: they lie on one normal.
     rates = [-oracle[name]["velocity"]["gap_rate"] for name in NAMES[1:]]
-    np.testing.assert_allclose(model.reading("touch.approach_speed")[1:], rates, rtol=0, atol=tolerance)
-    assert model.reading("touch.status").tolist() == [wc.Status.OPEN, wc.Status.CONTACT, wc.Status.CONTACT]
-    assert model.reading("touch.converged").tolist() == [1, 1, 1]
-    np.testing.assert_allclose(model.reading("touch.normal_force")[0], 0.0)
+    np.testing.assert_allclose(model.sensor("touch.approach_speed")[1:], rates, rtol=0, atol=tolerance)
+    assert model.sensor("touch.status").tolist() == [wc.Status.OPEN, wc.Status.CONTACT, wc.Status.CONTACT]
+    assert model.sensor("touch.converged").tolist() == [1, 1, 1]
+    np.testing.assert_allclose(model.sensor("touch.normal_force")[0], 0.0)
     depths = [-oracle[name]["gap"] for name in NAMES[1:]]
-    np.testing.assert_allclose(model.reading("touch.normal_force")[1:], depths, rtol=tolerance * 10)
+    np.testing.assert_allclose(model.sensor("touch.normal_force")[1:], depths, rtol=tolerance * 10)
 
 
 @pytest.mark.slow
@@ -67,7 +67,7 @@ def test_derivatives_are_differences_of_the_readings(device):
         # By what carries the first shape, b: positions, then turns about its centre of mass.
         for key, given in (("position", model["b.position"]), ("orientation", model["b.orientation"])):
             by = "position" if key == "position" else "rotation"
-            known = model.reading(f"touch.{quantity}_by_{by}_a")[0]
+            known = model.sensor(f"touch.{quantity}_by_{by}_a")[0]
             for axis, way in enumerate(np.eye(3)):
                 ends = []
                 for step in (-1e-5, 1e-5):
@@ -76,9 +76,9 @@ def test_derivatives_are_differences_of_the_readings(device):
                     else:
                         turned = Rotation.from_rotvec(step * way) * Rotation.from_quat(given)
                         model["b.orientation"] = turned.as_quat()
-                    ends.append(model.reading(f"touch.{quantity}")[0])
+                    ends.append(model.sensor(f"touch.{quantity}")[0])
                 model[f"b.{key}"] = given
-                # Central differences: the square of the step, and the rounding of a reading over it.
+                # Central differences: the square of the step, and the rounding of a sensor over it.
                 difference = (ends[1] - ends[0]) / 2e-5
                 np.testing.assert_allclose(known[..., axis], difference, rtol=1e-6, atol=1e-7)
     axes = model["shape_a.semi_axes"]
@@ -86,9 +86,9 @@ def test_derivatives_are_differences_of_the_readings(device):
         ends = []
         for step in (-1e-5, 1e-5):
             model["shape_a.semi_axes"] = axes + step * way
-            ends.append(model.reading("touch.gap")[0])
+            ends.append(model.sensor("touch.gap")[0])
         model["shape_a.semi_axes"] = axes
-        known = model.reading("touch.gap_by_semi_axes_b")[0, axis]
+        known = model.sensor("touch.gap_by_semi_axes_b")[0, axis]
         assert known == pytest.approx((ends[1] - ends[0]) / 2e-5, rel=1e-6, abs=1e-7)
     recording = wc.Simulation(model, dt=1e-4).run(
         1e-3, ["touch.point_a_by_rotation_b", "touch.gap_by_semi_axes_a"]
@@ -127,7 +127,7 @@ def test_a_sphere_on_a_plane_is_that_on_a_flat_mesh(device):
     for smooth in (True, False):
         sim = wc.Simulation(sphere_on_plane(smooth, device, "float64"), dt=2e-4)
         # It falls, slides, twists and rolls, all by formulas of which one remembers.
-        names = [f"touch.{name}" for name in READINGS]
+        names = [f"touch.{name}" for name in SENSORS]
         runs.append(sim.run(0.5, [*names, "ball.angular_velocity"], every=1e-2))
     smooth, mesh = runs
     assert (smooth["touch.normal_force"] > 0).sum() > 20
@@ -154,15 +154,15 @@ def test_the_impact_of_two_spheres_keeps_momentum_and_gives_the_restitution(devi
     model = spheres((-0.1001, 0.1001), (1.0, -0.5), 0.1, device, envs=3)
     wanted = np.array([1.0, 0.7, 0.3])
     model["touch_0.law.restitution"] = wanted
-    energy, momentum = (model.reading(f"scene.{name}") for name in ("kinetic_energy", "linear_momentum"))
+    energy, momentum = (model.sensor(f"scene.{name}") for name in ("kinetic_energy", "linear_momentum"))
     sim = wc.Simulation(model, dt=1e-5)
     sim.step(1000)
-    assert (model.reading("touch_0.gap") > 0).all()
-    velocity = [model.reading(f"ball_{number}.linear_velocity")[:, 0] for number in range(2)]
+    assert (model.sensor("touch_0.gap") > 0).all()
+    velocity = [model.sensor(f"ball_{number}.linear_velocity")[:, 0] for number in range(2)]
     # Steps are 1/350 of the contact; semi-implicit Euler is off by their square.
     np.testing.assert_allclose((velocity[1] - velocity[0]) / 1.5, wanted, atol=2e-3)
-    np.testing.assert_allclose(model.reading("scene.linear_momentum"), momentum, atol=1e-12)
-    np.testing.assert_allclose(model.reading("scene.kinetic_energy")[0], energy[0], rtol=1e-4)
+    np.testing.assert_allclose(model.sensor("scene.linear_momentum"), momentum, atol=1e-12)
+    np.testing.assert_allclose(model.sensor("scene.kinetic_energy")[0], energy[0], rtol=1e-4)
 
 
 def test_a_chain_of_spheres_keeps_momentum_and_energy(device):
@@ -170,11 +170,11 @@ def test_a_chain_of_spheres_keeps_momentum_and_energy(device):
     model = spheres(2 * radius * np.arange(5) - [1e-4, 0, 0, 0, 0], (1.0, 0, 0, 0, 0), radius, device)
     sim = wc.Simulation(model, dt=5e-6)
     sim.step(6000)
-    assert model.reading("scene.linear_momentum")[0, 0] == pytest.approx(1.0, abs=1e-12)
+    assert model.sensor("scene.linear_momentum")[0, 0] == pytest.approx(1.0, abs=1e-12)
     # Symplectic steps of 1/700 of a contact.
-    assert model.reading("scene.kinetic_energy")[0] == pytest.approx(0.5, rel=1e-4)
+    assert model.sensor("scene.kinetic_energy")[0] == pytest.approx(0.5, rel=1e-4)
     # They touch at once: the last does not take all of the speed, as it would in impacts of two after one another.
-    last = model.reading("ball_4.linear_velocity")[0, 0]
+    last = model.sensor("ball_4.linear_velocity")[0, 0]
     assert last == pytest.approx(chain_of_hertz_springs(5)[-1], abs=1e-4)
     assert last < 0.99
 
@@ -206,9 +206,9 @@ def test_meshes_of_a_sphere_come_to_the_smooth_one(device):
         model = scene.build(20, device, "float64")
         turns = Rotation.random(20, random_state=1)
         model["ball.position"] = turns.apply(place)
-        error = np.abs(model.reading("mesh.gap") - model.reading("smooth.gap"))
+        error = np.abs(model.sensor("mesh.gap") - model.sensor("smooth.gap"))
         # To the millimetre of the facets; of the sphere exactly.
-        np.testing.assert_allclose(model.reading("smooth.gap"), np.linalg.norm(place) - 1.2, atol=1e-14)
+        np.testing.assert_allclose(model.sensor("smooth.gap"), np.linalg.norm(place) - 1.2, atol=1e-14)
         errors.append(error.mean())
     # Half the edge, a quarter of the error.
     np.testing.assert_allclose(np.log2(np.divide(errors[:-1], errors[1:])), 2.0, atol=0.2)
@@ -244,13 +244,13 @@ def state_of(model):
 def test_forces_are_equal_and_opposite(device):
     model = two_ellipsoids(device, "float64")
     names = ("linear_momentum", "angular_momentum")
-    before = {name: model.reading(f"scene.{name}") for name in names}
+    before = {name: model.sensor(f"scene.{name}") for name in names}
     recording = wc.Simulation(model, dt=1e-4).run(0.2, ["touch.normal_force", "touch.friction_force"])
     assert (recording["touch.normal_force"].max("time") > 0).all()
     assert (np.abs(recording["touch.friction_force"]).max(("time", "axis")) > 0).all()
-    np.testing.assert_allclose(model.reading("scene.linear_momentum"), before["linear_momentum"], atol=1e-12)
+    np.testing.assert_allclose(model.sensor("scene.linear_momentum"), before["linear_momentum"], atol=1e-12)
     # The rotation of a step is integrated to second order; a couple left over would be of the size of the impact.
-    np.testing.assert_allclose(model.reading("scene.angular_momentum"), before["angular_momentum"], atol=1e-4)
+    np.testing.assert_allclose(model.sensor("scene.angular_momentum"), before["angular_momentum"], atol=1e-4)
 
 
 def test_graphs_slices_and_threads_do_not_matter(device):
@@ -273,11 +273,11 @@ def test_a_reset_forgets_in_the_environments_of_the_mask(device):
     model = two_ellipsoids(device)
     sim = wc.Simulation(model, dt=1e-4)
     sim.step(1075)
-    stretched = model.reading("touch.friction.spring")
+    stretched = model.sensor("touch.friction.spring")
     assert (np.abs(stretched).max(axis=1) > 0).all()
     sim.reset([True, False, True, False])
-    np.testing.assert_array_equal(model.reading("touch.friction.spring")[::2], 0.0)
-    np.testing.assert_array_equal(model.reading("touch.friction.spring")[1::2], stretched[1::2])
+    np.testing.assert_array_equal(model.sensor("touch.friction.spring")[::2], 0.0)
+    np.testing.assert_array_equal(model.sensor("touch.friction.spring")[1::2], stretched[1::2])
     sim.reset()
     sim.step(1500)
     again = two_ellipsoids(device)
@@ -309,14 +309,14 @@ def test_parts_on_several_devices_run_as_one(device):
     assert (np.abs(together["touch.friction.spring"]).max(("time", "axis")) > 0).all()
     for name in (*names, "a.position"):
         np.testing.assert_array_equal(apart[name], together[name], err_msg=name)
-        np.testing.assert_array_equal(split.reading(name), whole.reading(name), err_msg=name)
+        np.testing.assert_array_equal(split.sensor(name), whole.sensor(name), err_msg=name)
     assert (split["shape_a.semi_axes"] == whole["shape_a.semi_axes"]).all()
     assert split.unsolved_contacts()["touch"].shape == (5,)
 
 
 def test_steps_taken_again_in_parts_remember_as_those_of_a_mesh(device):
     """Where a bullet crosses plates, its steps do the same to a smooth contact as to that of a mesh."""
-    names = [f"touch.{name}" for name in (*READINGS, "friction.spring")]
+    names = [f"touch.{name}" for name in (*SENSORS, "friction.spring")]
     runs = []
     for smooth in (True, False):
         model = sphere_on_plane(smooth, device, "float64", envs=2, bullet=True)
@@ -324,7 +324,7 @@ def test_steps_taken_again_in_parts_remember_as_those_of_a_mesh(device):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", wc.ContactWarning)  # the step is long for the plates, on purpose
             runs.append(sim.run(0.2, names, every=1e-3))
-        assert (model.reading("low.crossings") > 5).tolist() == [False, True]
+        assert (model.sensor("low.crossings") > 5).tolist() == [False, True]
     smooth, mesh = runs
     for name in names:
         scale = float(np.abs(mesh[name]).max())
@@ -349,15 +349,15 @@ def test_sets_have_a_contact_each(device):
     scene.add_smooth_contact(floor, alike, material, name="under")
     scene.add_smooth_contact(sizes, alike, material, name="pairs")
     model = scene.build(2, device, "float64")
-    np.testing.assert_allclose(model.reading("on_floor.gap"), [0.1 - radii] * 2, atol=1e-15)
-    np.testing.assert_allclose(model.reading("pairs.gap"), [0.05 - radii] * 2, atol=1e-15)
-    np.testing.assert_allclose(model.reading("under.gap"), 0.05)
-    np.testing.assert_allclose(model.reading("under.normal"), np.broadcast_to([0, 0, -1.0], (2, 4, 3)))
+    np.testing.assert_allclose(model.sensor("on_floor.gap"), [0.1 - radii] * 2, atol=1e-15)
+    np.testing.assert_allclose(model.sensor("pairs.gap"), [0.05 - radii] * 2, atol=1e-15)
+    np.testing.assert_allclose(model.sensor("under.gap"), 0.05)
+    np.testing.assert_allclose(model.sensor("under.normal"), np.broadcast_to([0, 0, -1.0], (2, 4, 3)))
     np.testing.assert_allclose(
-        model.reading("grains.force")[..., 2], 1e3 * np.maximum(radii - 0.1, 0.0) * [[1], [1]]
+        model.sensor("grains.force")[..., 2], 1e3 * np.maximum(radii - 0.1, 0.0) * [[1], [1]]
     )
     model["sizes.radius"] = [[0.1] * 4, [0.11] * 4]
-    np.testing.assert_allclose(model.reading("on_floor.gap"), [[0.0] * 4, [-0.01] * 4], atol=1e-15)
+    np.testing.assert_allclose(model.sensor("on_floor.gap"), [[0.0] * 4, [-0.01] * 4], atol=1e-15)
     wc.Simulation(model, dt=1e-3).run(0.01, ["pairs.gap", "on_floor.point"])
 
 
@@ -367,9 +367,9 @@ def test_status_tells_what_is_not_counted(device):
     model["touch.max_depth"] = 0.02
     model["touch.enabled"] = [True, True, True, False]
     codes = [wc.Status.OPEN, wc.Status.CONTACT, wc.Status.WRONG_SIDE, wc.Status.DISABLED]
-    assert model.reading("touch.status").tolist() == codes
-    np.testing.assert_array_equal(model.reading("touch.normal_force") > 0, [False, True, False, False])
-    np.testing.assert_allclose(model.reading("touch.gap"), [0.01, -0.005, -0.04, np.nan], rtol=1e-5)
+    assert model.sensor("touch.status").tolist() == codes
+    np.testing.assert_array_equal(model.sensor("touch.normal_force") > 0, [False, True, False, False])
+    np.testing.assert_allclose(model.sensor("touch.gap"), [0.01, -0.005, -0.04, np.nan], rtol=1e-5)
 
 
 def test_places_far_from_the_origin_keep_the_gap(device):
@@ -378,7 +378,7 @@ def test_places_far_from_the_origin_keep_the_gap(device):
         model = sphere_on_plane(True, device, "float32")
         model["floor.position"] = (far, -far, far)
         model["ball.position"] = (far, -far, far + 0.0499)
-        gaps.append(model.reading("touch.gap")[0])
+        gaps.append(model.sensor("touch.gap")[0])
     assert gaps[0] == pytest.approx(-1e-4, rel=1e-5)
     # What two floats of single precision leave of 3000 km, 2^-48 of it.
     assert gaps[1] == pytest.approx(gaps[0], abs=2e-8)
@@ -408,16 +408,16 @@ def test_hertz_takes_the_curvatures_of_crossed_cylinders(device):
     model = scene.build(1, device, "float64")
     # Of equal radii at right angles the gap is that of a sphere on a plane.
     known = 4 / 3 * 1e9 * np.sqrt(0.1) * depth**1.5
-    assert model.reading("touch_0.normal_force")[0] == pytest.approx(known, rel=1e-6)
+    assert model.sensor("touch_0.normal_force")[0] == pytest.approx(known, rel=1e-6)
     # A + B and B − A of the two, after Johnson, Contact Mechanics (4.3).
     first, second = 1 / 0.1, 1 / 0.05
     apart = np.sqrt(first**2 + second**2 + 2 * first * second * np.cos(2 * np.pi / 3))
     curvatures = [0.5 * (first + second - apart), 0.5 * (first + second + apart)]
-    found = [model.reading(f"touch_1.curvature_{number}")[0] for number in (1, 2)]
+    found = [model.sensor(f"touch_1.curvature_{number}")[0] for number in (1, 2)]
     np.testing.assert_allclose(found, curvatures, rtol=1e-9)
     # One plane strain modulus for all: E = 1 − ν², the other rigid.
     elliptic = wc.laws.Hertz.elliptic(1e9, 0.0, 1 / curvatures[0], 1 / curvatures[1])
-    assert model.reading("touch_1.normal_force")[0] == pytest.approx(elliptic.stiffness * depth**1.5, rel=1e-5)
+    assert model.sensor("touch_1.normal_force")[0] == pytest.approx(elliptic.stiffness * depth**1.5, rel=1e-5)
 
 
 class Odd(wc.shapes.Shape):
@@ -473,9 +473,9 @@ def test_what_is_not_found_gives_no_force_and_is_told(device):
     assert (recording["touch.status"].sel(env=1) == wc.Status.NOT_CONVERGED).all()
     assert (recording["touch.normal_force"] == 0.0).all()
     assert recording["touch.failures"].values[-1].tolist() == [0, 10]
-    assert "touch.curvature_1" not in model.reading_names
+    assert "touch.curvature_1" not in model.sensor_names
     model.reset()
-    assert model.reading("touch.failures").tolist() == [0, 0]
+    assert model.sensor("touch.failures").tolist() == [0, 0]
 
 
 def test_input_is_refused_with_its_name():
@@ -523,7 +523,7 @@ def test_input_is_refused_with_its_name():
     model = scene.build(2, "cpu")
     with pytest.raises(ValueError, match=r"ball.radius must be greater than 0"):
         model["ball.radius"] = -1.0
-    with pytest.raises(KeyError, match="reading"):
+    with pytest.raises(KeyError, match="sensor"):
         model["touch.gap"]
     with pytest.raises(KeyError, match=r"there are|did you mean|has"):
         model["touch.law.restitution"]

@@ -57,12 +57,12 @@ def test_linear_spring_of_the_specification(oracle, precision, device):
     close = {"rtol": TOLERANCE[precision], "atol": 1.0e-12}
     for env, name in enumerate(cases):
         expected = oracle[name]
-        np.testing.assert_allclose(model.reading("spring.length")[env], expected["x"], **close)
-        np.testing.assert_allclose(model.reading("spring.rate")[env], expected["xdot"], **close)
-        np.testing.assert_allclose(model.reading("spring.force")[env], expected["scalar_f1"], **close)
-        np.testing.assert_allclose(model.reading("spring.force_a")[env], expected["F1"], **close)
-        np.testing.assert_allclose(model.reading("spring.force_b")[env], expected["F2"], **close)
-        np.testing.assert_allclose(model.reading("one.force")[env], expected["F1"], **close)
+        np.testing.assert_allclose(model.sensor("spring.length")[env], expected["x"], **close)
+        np.testing.assert_allclose(model.sensor("spring.rate")[env], expected["xdot"], **close)
+        np.testing.assert_allclose(model.sensor("spring.force")[env], expected["scalar_f1"], **close)
+        np.testing.assert_allclose(model.sensor("spring.force_a")[env], expected["F1"], **close)
+        np.testing.assert_allclose(model.sensor("spring.force_b")[env], expected["F2"], **close)
+        np.testing.assert_allclose(model.sensor("one.force")[env], expected["F1"], **close)
 
 
 def assert_near(actual, expected, close):
@@ -78,7 +78,7 @@ def force_at(spring, lengths, device, precision="float64", rest_length=1.0, **pa
     model["two.position"] = np.outer(lengths, (0.0, 0.6, 0.8))
     for name, values in parameters.items():
         model[f"spring.{name}"] = values
-    return model.reading("spring.force"), model.reading("spring.status")
+    return model.sensor("spring.force"), model.sensor("spring.status")
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
@@ -186,7 +186,7 @@ def test_damping(damper, expected, device):
     scene, end_1, end_2 = pair(position=(0.0, 1.5, 0.0), velocity=(5.0, 2.0, 0.0))
     scene.add_spring_damper(end_1, end_2, stiffness=0.0, damper=damper, rest_length=1.0, name="spring")
     model = scene.build(1, device, "float64")
-    np.testing.assert_allclose(model.reading("spring.force"), expected, rtol=1e-13)
+    np.testing.assert_allclose(model.sensor("spring.force"), expected, rtol=1e-13)
 
 
 def test_two_masses_swing_with_the_frequency_and_decay_of_the_closed_form(oracle, device):
@@ -207,7 +207,7 @@ def test_two_masses_swing_with_the_frequency_and_decay_of_the_closed_form(oracle
     zeros = time[crossings] + dt * stretch[crossings] / (stretch[crossings] - stretch[crossings + 1])
     np.testing.assert_allclose(np.diff(zeros), np.pi / turn, rtol=2.5e-4)
     # What is exact, whatever the step: momentum.
-    np.testing.assert_allclose(model.reading("scene.linear_momentum"), 0.0, atol=1e-13)
+    np.testing.assert_allclose(model.sensor("scene.linear_momentum"), 0.0, atol=1e-13)
 
 
 def test_springs_off_centre_keep_momentum_and_angular_momentum(device):
@@ -222,9 +222,9 @@ def test_springs_off_centre_keep_momentum_and_angular_momentum(device):
         *arms, stiffness=(50, 60, 70), damping=(1, 1, 1), turn_stiffness=(2, 3, 4), turn_damping=(0.1, 0.1, 0.1)
     )
     model = scene.build(1, device, "float64")
-    before = [model.reading(f"scene.{key}") for key in ("linear_momentum", "angular_momentum")]
+    before = [model.sensor(f"scene.{key}") for key in ("linear_momentum", "angular_momentum")]
     wc.Simulation(model, 1.0e-3).step(1000)
-    after = [model.reading(f"scene.{key}") for key in ("linear_momentum", "angular_momentum")]
+    after = [model.sensor(f"scene.{key}") for key in ("linear_momentum", "angular_momentum")]
     np.testing.assert_allclose(after[0], before[0], atol=1e-12)
     # Places move along the new velocities, which adds nothing to x × m v.
     np.testing.assert_allclose(after[1], before[1], atol=1e-12)
@@ -238,9 +238,9 @@ def test_a_rope_pulls_and_does_not_push(device):
     model = scene.build(4, device, "float64")
     model["two.position"] = [(1.2, 0, 0), (0.8, 0, 0), (0.8, 0, 0), (1.2, 0, 0)]
     model["two.linear_velocity"] = [(1, 0, 0), (0, 0, 0), (3, 0, 0), (-30, 0, 0)]
-    np.testing.assert_allclose(model.reading("rope.force"), [25.0, 0.0, 0.0, 0.0], rtol=1e-13)
+    np.testing.assert_allclose(model.sensor("rope.force"), [25.0, 0.0, 0.0, 0.0], rtol=1e-13)
     slack = wc.CouplingStatus.SLACK
-    assert model.reading("rope.status").tolist() == [0, slack, slack, 0]
+    assert model.sensor("rope.status").tolist() == [0, slack, slack, 0]
 
 
 def test_a_broken_spring_stays_broken_until_reset(device):
@@ -254,21 +254,21 @@ def test_a_broken_spring_stays_broken_until_reset(device):
     assert set(status[:, 1]) == {0}
     first = int(np.argmax(status[:, 0]))
     assert (status[first:, 0] == broken).all()
-    speed = model.reading("two.linear_velocity")[0, 0] - model.reading("one.linear_velocity")[0, 0]
+    speed = model.sensor("two.linear_velocity")[0, 0] - model.sensor("one.linear_velocity")[0, 0]
     # Energy that went into the spring: ½ μ (36 − v²) = ½ k (0.6² − 0.5²). It breaks within a step of 5 mm, at
     # which v changes by k x dt/(μ v).
     assert speed == pytest.approx(np.sqrt(36.0 - 100.0 * 0.11 / 0.5), abs=120.0 * 1.0e-3)
     sim.reset(np.array([True, False]))
-    assert model.reading("spring.status").tolist() == [0, 0]
+    assert model.sensor("spring.status").tolist() == [0, 0]
 
 
 def test_ends_in_one_place(oracle, device):
     scene, end_1, end_2 = pair(position=(0.0, 0.0, 0.0))
     scene.add_spring_damper(end_1, end_2, stiffness=2000.0, rest_length=1.0, name="spring")
     model = scene.build(1, device, "float64")
-    assert model.reading("spring.force") == oracle["zero_length"]["scalar_f1"]
-    np.testing.assert_array_equal(model.reading("spring.force_a")[0], oracle["zero_length"]["F1"])
-    assert model.reading("spring.status") == wc.CouplingStatus.NO_DIRECTION
+    assert model.sensor("spring.force") == oracle["zero_length"]["scalar_f1"]
+    np.testing.assert_array_equal(model.sensor("spring.force_a")[0], oracle["zero_length"]["F1"])
+    assert model.sensor("spring.status") == wc.CouplingStatus.NO_DIRECTION
 
 
 def test_a_spring_remembers_where_it_pointed(device):
@@ -277,8 +277,8 @@ def test_a_spring_remembers_where_it_pointed(device):
     model = scene.build(1, device, "float64")
     wc.Simulation(model, 1.0e-6).step()
     model.state.body_position.zero_()
-    np.testing.assert_allclose(model.reading("spring.force_b"), [[0.0, 10.0, 0.0]], rtol=1e-12)
-    assert model.reading("spring.status") == 0
+    np.testing.assert_allclose(model.sensor("spring.force_b"), [[0.0, 10.0, 0.0]], rtol=1e-12)
+    assert model.sensor("spring.status") == 0
 
 
 def test_a_spring_of_no_length_is_smooth_through_its_centre(device):
@@ -290,7 +290,7 @@ def test_a_spring_of_no_length_is_smooth_through_its_centre(device):
     dt = np.pi / 5000
     wc.Simulation(model, dt).step(5000)
     # Half a period; first order in the step.
-    np.testing.assert_allclose(model.reading("ball.position"), [[-1.0, 0.0, 0.0]], atol=dt)
+    np.testing.assert_allclose(model.sensor("ball.position"), [[-1.0, 0.0, 0.0]], atol=dt)
 
 
 def test_far_from_the_origin_a_spring_is_as_fine_as_at_home(device):
@@ -302,7 +302,7 @@ def test_far_from_the_origin_a_spring_is_as_fine_as_at_home(device):
         scene.add_spring_damper(*ends, stiffness=100.0, damping=1.0, rest_length=1.0, name="spring")
         model = scene.build(1, device, "float32")
         wc.Simulation(model, 1.0e-3).step(1000)
-        lengths.append(model.reading("spring.length")[0])
+        lengths.append(model.sensor("spring.length")[0])
     assert lengths[1] == pytest.approx(lengths[0], abs=3e-7)
 
 
@@ -316,7 +316,7 @@ def test_schedule_threads_and_devices_change_no_bit(device):
         model = scene.build(33, device)
         model["ball.mass"] = np.linspace(0.5, 2.0, 33)
         wc.Simulation(model, 1.0e-3, **options).step(301)
-        return model.reading("ball.position"), model.reading("ball.angular_velocity")
+        return model.sensor("ball.position"), model.sensor("ball.angular_velocity")
 
     reference = final(device)
     variants = [final(device, graphs=False), final([device, device])]
@@ -334,11 +334,11 @@ def test_forces_from_outside(device):
     model = scene.build(3, device, "float64")
     sim = wc.Simulation(model, 0.01)
     sim.step(10)
-    np.testing.assert_allclose(model.reading("ball.linear_velocity")[:, 2], -0.981, rtol=1e-12)
+    np.testing.assert_allclose(model.sensor("ball.linear_velocity")[:, 2], -0.981, rtol=1e-12)
     model["ball.external_force"] = [(0, 0, 19.62), (0, 0, 0), (2, 0, 0)]
     sim.step(10)
-    np.testing.assert_allclose(model.reading("ball.linear_velocity")[:, 2], [-0.981, -1.962, -1.962], rtol=1e-12)
-    np.testing.assert_allclose(model.reading("ball.linear_velocity")[:, 0], [0.0, 0.0, 0.1], atol=1e-12)
+    np.testing.assert_allclose(model.sensor("ball.linear_velocity")[:, 2], [-0.981, -1.962, -1.962], rtol=1e-12)
+    np.testing.assert_allclose(model.sensor("ball.linear_velocity")[:, 0], [0.0, 0.0, 0.1], atol=1e-12)
     # Arrays, written between steps without a word to the model.
     force, torque = (array.numpy() for array in (model.external.force, model.external.torque))
     force[...] = 0.0
@@ -346,8 +346,8 @@ def test_forces_from_outside(device):
     model.external.force.assign(force)
     model.external.torque.assign(torque)
     sim.step(10)
-    np.testing.assert_allclose(model.reading("other.angular_velocity")[:, 2], [0.0, 0.2, 0.0], atol=1e-12)
-    np.testing.assert_allclose(model.reading("ball.linear_velocity")[:, 0], [0.0, 0.0, 0.1], atol=1e-12)
+    np.testing.assert_allclose(model.sensor("other.angular_velocity")[:, 2], [0.0, 0.2, 0.0], atol=1e-12)
+    np.testing.assert_allclose(model.sensor("ball.linear_velocity")[:, 0], [0.0, 0.0, 0.1], atol=1e-12)
 
 
 def test_a_bushing_swings_along_and_about_its_axes(device):
@@ -369,10 +369,10 @@ def test_a_bushing_swings_along_and_about_its_axes(device):
     small = 1.0e-3
     model["ball.orientation"] = [(0, 0, 0, 1)] * 3 + [(np.sin(small / 2), 0, 0, np.cos(small / 2))]
     np.testing.assert_allclose(
-        model.reading("bushing.force_b")[:3], [(-80.0, 0, 0), (0, -20.0, 0), (0, 0, -5.0)], atol=1e-12
+        model.sensor("bushing.force_b")[:3], [(-80.0, 0, 0), (0, -20.0, 0), (0, 0, -5.0)], atol=1e-12
     )
-    np.testing.assert_allclose(model.reading("bushing.rotation")[3], (0.0, -small, 0.0), atol=1e-15)
-    np.testing.assert_allclose(model.reading("ball.torque")[3], (-8.0 * small, 0.0, 0.0), atol=1e-15)
+    np.testing.assert_allclose(model.sensor("bushing.rotation")[3], (0.0, -small, 0.0), atol=1e-15)
+    np.testing.assert_allclose(model.sensor("ball.torque")[3], (-8.0 * small, 0.0, 0.0), atol=1e-15)
     dt = 1.0e-4
     recording = wc.Simulation(model, dt).run(1.0, ["bushing.displacement", "bushing.rotation"], every=dt)
     time = recording["time"].values

@@ -28,7 +28,7 @@ def slide_of_blocks(device, slope, mu_static, damping):
     model = scene.build(envs=len(mu_static), device=device, precision="float64")
     model["foot.friction.mu_static"], model["foot.friction.damping"] = mu_static, damping
     wc.Simulation(model, dt=1.0e-5).step(30_000)
-    return model.reading("block.position")[:, 0]
+    return model.sensor("block.position")[:, 0]
 
 
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")

@@ -35,10 +35,10 @@ def test_an_environment_is_held_bitwise_at_the_first_state_at_which_the_conditio
     position, time = recording["ball.position"].to_numpy(), recording["time"].to_numpy()
     first = (position[..., 2] < 0.15).argmax(axis=0)
     sim.step(333)
-    at_stop = {name: model.reading(f"ball.{name}") for name in ("position", "linear_velocity", "orientation")}
+    at_stop = {name: model.sensor(f"ball.{name}") for name in ("position", "linear_velocity", "orientation")}
     sim.step(100)
     for name, values in at_stop.items():
-        np.testing.assert_array_equal(model.reading(f"ball.{name}"), values)
+        np.testing.assert_array_equal(model.sensor(f"ball.{name}"), values)
     each = np.arange(model.envs)
     np.testing.assert_array_equal(at_stop["position"], position[first, each])
     velocity = recording["ball.linear_velocity"].to_numpy()
@@ -62,7 +62,7 @@ def test_both_buffers_of_the_state_hold_it():
     seen = []
     for _ in range(400):
         sim.step()
-        seen.append(model.reading("ball.position"))
+        seen.append(model.sensor("ball.position"))
     seen = np.array(seen)
     held = seen[..., 2] < 0.15
     for env in range(model.envs):
@@ -106,7 +106,7 @@ def test_the_first_condition_in_order_wins_and_outcomes_keep_their_results():
     assert found["stopped_by"].attrs["flag_meanings"] == "never deep low"
     # The state at the end is seen as well.
     np.testing.assert_array_equal(found["n"], 1.0)
-    np.testing.assert_allclose(found["fall"], model.reading("ball.position")[:, 2] - np.linspace(0.2, 0.5, 4))
+    np.testing.assert_allclose(found["fall"], model.sensor("ball.position")[:, 2] - np.linspace(0.2, 0.5, 4))
     np.testing.assert_array_equal(sim.events()["time"][:, 0], found["end_time"])
     sim.step(100)
     again = sim.outcomes()
@@ -132,8 +132,8 @@ def test_others_are_not_touched():
     alone = wc.Simulation(falling(), DT)
     for sim in (both, alone):
         sim.step(300)
-    expected = alone.model.reading("ball.position")
-    found = both.model.reading("ball.position")
+    expected = alone.model.sensor("ball.position")
+    found = both.model.sensor("ball.position")
     np.testing.assert_array_equal(found[:3], expected[:3])
     assert both.outcomes()["status"].to_numpy().tolist() == [0, 0, 0, 6]
     assert found[3, 2] == 0.5
@@ -152,7 +152,7 @@ def test_hard_contacts_stop_as_well():
     found = sim.outcomes()
     # The impact is at √(2 · 0.2 m / g); the state after the step with the impulse is the first to know of it.
     np.testing.assert_allclose(found["end_time"], np.sqrt(0.4 / 9.81), atol=2.0 * DT)
-    assert (model.reading("ball.linear_velocity")[:, 2] > 0.9).all()
+    assert (model.sensor("ball.linear_velocity")[:, 2] > 0.9).all()
 
 
 def test_divided_steps_stop_once():
@@ -176,7 +176,7 @@ def test_divided_steps_stop_once():
     # A step or a part of one is summed up once: times are those of the clocks, and impulses turn the ball round,
     # but for about ω dt / 2 of them, by which the velocity of a step differs from that of a part of it.
     np.testing.assert_allclose(found["time"], found["end_time"], rtol=1e-9)
-    gained = model.reading("ball.linear_velocity")[:, 2] - [-20.0, -30.0]
+    gained = model.sensor("ball.linear_velocity")[:, 2] - [-20.0, -30.0]
     np.testing.assert_allclose(found["impulse"], gained, rtol=0.05)
     assert (found["status"] == wc.EnvironmentStatus.STOPPED).all()
 
@@ -185,11 +185,11 @@ def test_divided_steps_stop_once():
     ("make", "problem"),
     [
         (lambda: wc.Stop("ball.position", below=0.1), r"stop\['x'\]: ball\.position is a vector; say which"),
-        (lambda: wc.Stop("ball.positon", below=0.1), r"stop\['x'\]: no reading 'ball\.positon'; did you mean"),
+        (lambda: wc.Stop("ball.positon", below=0.1), r"stop\['x'\]: no sensor 'ball\.positon'; did you mean"),
         (lambda: wc.Stop("touch.gap"), "Stop takes either above or below, got neither"),
         (lambda: wc.Stop("touch.gap", above=1, below=0), "got above=1 and below=0"),
         (lambda: wc.Stop("touch.gap", below=0, lasting=-1), "lasting must be at least 0, got -1 s"),
-        (lambda: wc.Stop(3, below=0), r"Stop\.of must be the name of a reading"),
+        (lambda: wc.Stop(3, below=0), r"Stop\.of must be the name of a sensor"),
     ],
 )
 def test_what_cannot_be_looked_at_is_refused(make, problem):

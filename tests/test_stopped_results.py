@@ -28,7 +28,7 @@ FALL = {
         "down": {"of": "ball.position", "component": "z", "below": 0.0},
         "late": {"of": "scene.kinetic_energy", "above": 11.0},
     },
-    "record": {"every": 0.02, "readings": ["scene.kinetic_energy"]},
+    "record": {"every": 0.02, "sensors": ["scene.kinetic_energy"]},
 }
 
 

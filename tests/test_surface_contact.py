@@ -54,7 +54,7 @@ def pressed_sphere(device, *, swap=False, subdivisions=5, depth=DEPTH, material=
 
 
 def force(device, **options):
-    return pressed_sphere(device, **options)[0].reading("ball.force")[0, 2]
+    return pressed_sphere(device, **options)[0].sensor("ball.force")[0, 2]
 
 
 @pytest.mark.parametrize("samples", ["centroids", "vertices"])
@@ -107,7 +107,7 @@ def test_both_bookkeepings_agree_on_flat_faces_as_points_grow(samples, device):
         law = wc.ContactMaterial(law=laws.ElasticFoundation(stiffness=1.0e8))
         amount = samples if sides == "average" else samples[0]
         scene.add_surface_contact(sole, ground, law, samples=amount, sides=sides, name="press")
-        found[sides] = scene.build(device=device, precision="float64").reading("plate.force")[0, 2]
+        found[sides] = scene.build(device=device, precision="float64").sensor("plate.force")[0, 2]
     exact = 1.0e8 * side**2 * depth
     # The points of the sole are all of it. Of the ground those count that are under it: cells at its rim are
     # in or out, of which there are 4 side/d, each half a cell wrong one way or the other.
@@ -143,7 +143,7 @@ def test_a_free_collision_of_two_meshes_conserves_momentum(sides, device):
         momentum = recording[name].values[:, 0]
         # 2000 steps with a few roundings of 1e-16 each.
         np.testing.assert_allclose(momentum, momentum[:1].repeat(len(momentum), axis=0), atol=2e-13)
-    assert abs(model.reading("block.linear_velocity")[0, 0]) > 0.1
+    assert abs(model.sensor("block.linear_velocity")[0, 0]) > 0.1
 
 
 def test_a_share_divides_all_that_acts(device):
@@ -162,15 +162,15 @@ def test_a_share_divides_all_that_acts(device):
     scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, material, radius=0.1, name="touch")
     model = scene.build(envs=3, device=device, precision="float64")
     assert (model["touch.share"] == 1.0).all()
-    whole = {name: model.reading(f"touch.{name}") for name in ("normal_force", "friction_force", "torque")}
-    wrench = model.reading("ball.force"), model.reading("ball.torque")
+    whole = {name: model.sensor(f"touch.{name}") for name in ("normal_force", "friction_force", "torque")}
+    wrench = model.sensor("ball.force"), model.sensor("ball.torque")
     assert all(np.abs(values).max() > 0 for values in whole.values())
     share = np.array([0.0, 0.5, 2.0])
     model["touch.share"] = share
     for name, values in whole.items():
         expected = values * share.reshape(-1, *[1] * (values.ndim - 1))
-        np.testing.assert_allclose(model.reading(f"touch.{name}"), expected, rtol=1e-14)
-    for now, before in zip((model.reading("ball.force"), model.reading("ball.torque")), wrench, strict=True):
+        np.testing.assert_allclose(model.sensor(f"touch.{name}"), expected, rtol=1e-14)
+    for now, before in zip((model.sensor("ball.force"), model.sensor("ball.torque")), wrench, strict=True):
         np.testing.assert_allclose(now, before * share[:, None], rtol=1e-14)
     with pytest.raises(ValueError, match=r"touch\.share must be at least 0, got -1"):
         model["touch.share"] = -1.0
@@ -199,11 +199,11 @@ def test_a_law_takes_the_areas_of_the_points(law, pressure, device):
     model = areas_scene(wc.ContactMaterial(law=law), areas=areas).build(envs=2, device=device, precision="float64")
     depth = np.array([1e-3, 2e-3])
     np.testing.assert_allclose(model["press.law.area"], [areas, areas])
-    np.testing.assert_allclose(model.reading("press.normal_force"), [pressure * areas * depth] * 2, rtol=1e-12)
+    np.testing.assert_allclose(model.sensor("press.normal_force"), [pressure * areas * depth] * 2, rtol=1e-12)
     # They stay a parameter, per point and per environment.
     model["press.law.area"] = [[2e-4, 1e-4], [1e-4, 5e-4]]
     np.testing.assert_allclose(
-        model.reading("press.normal_force")[1], pressure * np.array([1e-7, 1e-6]), rtol=1e-12
+        model.sensor("press.normal_force")[1], pressure * np.array([1e-7, 1e-6]), rtol=1e-12
     )
     wc.Simulation(model, dt=1e-6).step(2)
 
@@ -217,7 +217,7 @@ def test_an_area_of_the_law_comes_before_those_of_the_points(device):
 def test_a_friction_may_leave_its_area_to_the_points(device):
     material = wc.ContactMaterial(law=laws.Hooke(stiffness=1.0), friction=Felt(drag=1e3))
     model = areas_scene(material, areas=[1e-4, 3e-4]).build(device=device, precision="float64")
-    np.testing.assert_allclose(model.reading("press.friction_force")[0, :, 0], [-0.1, -0.3], rtol=1e-12)
+    np.testing.assert_allclose(model.sensor("press.friction_force")[0, :, 0], [-0.1, -0.3], rtol=1e-12)
 
 
 def test_points_without_areas_are_refused_by_name():
@@ -263,17 +263,17 @@ def test_points_of_a_surface_move_with_it(device):
         return [rotated(np.array([0, 0.6, 0, 0.8]), place)[2] + 1.0 for place in carried]
 
     local = [(0.1, 0.05, 0.15), (0, 0, 0.15)]
-    gap = model.reading("touch.gap")
+    gap = model.sensor("touch.gap")
     np.testing.assert_allclose(gap, [expected((0.1, 0, 0), (0, 0, 0.6, 0.8), local)] * 2, atol=1e-14)
     np.testing.assert_allclose(points.places[1], (0.1, 0, 0.15), atol=1e-15)
     model["hull.position"] = [(0.1, 0, 0), (0.2, 0.3, 0.4)]
     model["hull.orientation"] = (0.8, 0, 0.6, 0)
-    gap = model.reading("touch.gap")
+    gap = model.sensor("touch.gap")
     np.testing.assert_allclose(gap[0], expected((0.1, 0, 0), (0.8, 0, 0.6, 0), local), atol=1e-14)
     np.testing.assert_allclose(gap[1], expected((0.2, 0.3, 0.4), (0.8, 0, 0.6, 0), local), atol=1e-14)
     # The points themselves stay parameters, in the frame of the mesh.
     model["corners.position"] = [[(0, 0, 0), (0, 0, 0.15)]]
-    gap = model.reading("touch.gap")[1]
+    gap = model.sensor("touch.gap")[1]
     np.testing.assert_allclose(gap, expected((0.2, 0.3, 0.4), (0.8, 0, 0.6, 0), [(0, 0, 0), local[1]]), atol=1e-14)
 
 
@@ -297,7 +297,7 @@ def test_areas_grow_with_the_scale_of_their_surface(law, device):
         if scale * size == 1.0:
             model["body.position"] = [(0, 0, 0.5 - 1e-3), (0, 0, 1.0 - 1e-3)]
             model["skin.scale"] = [1.0, 2.0]
-        found[size, scale] = model.reading("body.force")
+        found[size, scale] = model.sensor("body.force")
         np.testing.assert_allclose(model["press.friction.area"].sum(axis=1), 6.0 * size**2)
     exact = 1e8 * 4.0 * 1e-3 if law.area is None else 2 * 1e8 * 1e-3 * 1e-3
     np.testing.assert_allclose(found[2.0, 1.0][:, [0, 2]], [[-4.0, exact]] * 2, rtol=1e-9)
@@ -341,7 +341,7 @@ def test_of_several_meshes_each_has_points_of_its_own(device):
     model["either.mesh"] = [0, 1]
     for index in (0, 1):
         model[f"press_{index}.enabled"] = model["either.mesh"] == index
-    force = model.reading("body.force")[:, 2]
+    force = model.sensor("body.force")[:, 2]
     assert force[0] == pytest.approx(1e8 * 1.0 * 1e-3, rel=1e-9)
     assert 0 < force[1] < 0.01 * force[0]
 

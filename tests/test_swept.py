@@ -68,11 +68,11 @@ def test_nothing_leaks_through_a_thin_plate(entry, side, radius, dt, precision, 
         hard_cases.plate(), start, velocity, dt=dt, precision=precision, device=device, radius=radius, entry=entry
     )
     sim.step(round((0.02 + BOUNCE + 0.03) / dt))
-    height = side * sim.model.reading("ball.position")[:, 2]
-    speed = side * sim.model.reading("ball.linear_velocity")[:, 2]
+    height = side * sim.model.sensor("ball.position")[:, 2]
+    speed = side * sim.model.sensor("ball.linear_velocity")[:, 2]
     assert (speed > 0).all(), f"{(speed <= 0).sum()} of {len(speed)} went through"
     assert (height > 0).all()
-    assert (sim.model.reading("touch.status") == Status.OPEN).all()
+    assert (sim.model.sensor("touch.status") == Status.OPEN).all()
     # One that begins h = v t too deep comes back with √(1 + ω² t²) of its speed, t ≤ dt.
     gain = speed / np.abs(velocity[:, 2])
     assert gain.max() < np.sqrt(1 + 1e3 * dt**2) + 0.1
@@ -83,21 +83,21 @@ def test_without_it_they_do(precision, device):
     start, velocity, _ = fan_of_shots(600, 1.0)
     sim = shots(hard_cases.plate(), start, velocity, dt=1e-2, precision=precision, device=device, swept=False)
     sim.step(16)
-    assert (sim.model.reading("ball.position")[:, 2] < 0).mean() > 0.5
+    assert (sim.model.sensor("ball.position")[:, 2] < 0).mean() > 0.5
 
 
 @PRECISIONS
 def test_crossings_are_counted_and_timed(precision, device):
     start, velocity, aims = fan_of_shots(300, 1.0)
     sim = shots(hard_cases.plate(), start, velocity, dt=1e-2, precision=precision, device=device)
-    assert np.isnan(sim.model.reading("touch.crossing_time")).all()
-    assert (sim.model.reading("touch.crossings") == 0).all()
+    assert np.isnan(sim.model.sensor("touch.crossing_time")).all()
+    assert (sim.model.sensor("touch.crossings") == 0).all()
     sim.step(20)
-    assert (sim.model.reading("touch.crossings") == 1).all()
+    assert (sim.model.sensor("touch.crossings") == 1).all()
     due = (start[:, 2] - aims[:, 2]) / -velocity[:, 2]
     # Positions of order one, at 10 m/s; the time itself is of order 0.02.
     exact = {"float32": 1e-6 / 9, "float64": 1e-14 / 9}[precision]
-    np.testing.assert_allclose(sim.model.reading("touch.crossing_time"), due, rtol=0, atol=exact)
+    np.testing.assert_allclose(sim.model.sensor("touch.crossing_time"), due, rtol=0, atol=exact)
 
 
 def test_late_crossings_are_timed_to_the_last_digit(device):
@@ -109,7 +109,7 @@ def test_late_crossings_are_timed_to_the_last_digit(device):
     sim.step(20)
     due = late + (start[:, 2] - aims[:, 2]) / -velocity[:, 2]
     half = 0.5 * np.spacing(np.float32(late))
-    assert np.abs(sim.model.reading("touch.crossing_time").astype(np.float64) - due).max() < half + 1e-6
+    assert np.abs(sim.model.sensor("touch.crossing_time").astype(np.float64) - due).max() < half + 1e-6
 
 
 @PRECISIONS
@@ -120,13 +120,13 @@ def test_a_reset_forgets_crossings_and_what_was_touched(precision, device):
 
     def run():
         sim.step(5)
-        return [sim.model.reading(name) for name in names]
+        return [sim.model.sensor(name) for name in names]
 
     first = run()
     mask = np.arange(30) % 2 == 0
     sim.reset(mask)
-    assert (sim.model.reading("touch.crossings") == ~mask).all()
-    np.testing.assert_array_equal(np.isnan(sim.model.reading("touch.crossing_time")), mask)
+    assert (sim.model.sensor("touch.crossings") == ~mask).all()
+    np.testing.assert_array_equal(np.isnan(sim.model.sensor("touch.crossing_time")), mask)
     sim.reset()
     for before, after in zip(first, run(), strict=True):
         np.testing.assert_array_equal(before, after)
@@ -151,13 +151,13 @@ def test_nothing_leaks_through_a_plate_that_turns_and_moves(radius, precision, d
     sim.step(20)
     outside = seen_from(sim.model, "carrier", "ball")
     assert (outside[:, 2] > 0).all(), f"{(outside[:, 2] <= 0).sum()} went through"
-    assert (sim.model.reading("touch.crossings") == 1).all()
+    assert (sim.model.sensor("touch.crossings") == 1).all()
 
 
 def seen_from(model, body, other):
     """Position of another body in the frame of ``body`` (envs, 3)."""
-    away = (model.reading(f"{other}.position") - model.reading(f"{body}.position")).astype(np.float64)
-    q = model.reading(f"{body}.orientation").astype(np.float64)
+    away = (model.sensor(f"{other}.position") - model.sensor(f"{body}.position")).astype(np.float64)
+    q = model.sensor(f"{body}.orientation").astype(np.float64)
     axis, w = -q[:, :3], q[:, 3:]
     return away + 2 * np.cross(axis, np.cross(axis, away) + w * away)
 
@@ -169,8 +169,8 @@ def test_a_point_that_came_far_is_held_by_where_it_is_over(precision, device):
     start, velocity = np.array([[-0.8, 0.013, 0.05]]), np.array([[130.0, 0.3, -10.0]])
     sim = shots(mesh, start, velocity, dt=1e-2, precision=precision, device=device)
     sim.step()
-    np.testing.assert_allclose(sim.model.reading("touch.gap"), -0.051, atol=1e-6)
-    np.testing.assert_allclose(sim.model.reading("touch.normal"), [[0, 0, 1]], atol=1e-6)
+    np.testing.assert_allclose(sim.model.sensor("touch.gap"), -0.051, atol=1e-6)
+    np.testing.assert_allclose(sim.model.sensor("touch.normal"), [[0, 0, 1]], atol=1e-6)
 
 
 @PRECISIONS
@@ -182,9 +182,9 @@ def test_a_search_radius_does_not_lose_what_has_crossed(entry, parts, precision,
         hard_cases.plate(), [[0.1, 0.2, 0.05]], [[0, 0, -10.0]], dt=1e-2, precision=precision, device=device,
         search_radius=0.03, entry=entry, crossing_steps=parts,
     )  # fmt: skip
-    assert sim.model.reading("touch.status").tolist() == [Status.FAR]
+    assert sim.model.sensor("touch.status").tolist() == [Status.FAR]
     sim.step(20)
-    assert sim.model.reading("ball.linear_velocity")[0, 2] > 0
+    assert sim.model.sensor("ball.linear_velocity")[0, 2] > 0
 
 
 @PRECISIONS
@@ -200,10 +200,10 @@ def test_what_is_known_to_be_on_the_wrong_side_is_not_armed_by_a_crossing(precis
             both, [[0.1, 0.2, start]], [[0, 0, -15.0]], dt=1e-2, precision=precision, device=device,
             search_radius=0.04, entry="latched",
         )  # fmt: skip
-        assert sim.model.reading("touch.status").tolist() == [status]
+        assert sim.model.sensor("touch.status").tolist() == [status]
         sim.step()
         # Whoever was not seen may have come from outside: there is nothing to say against it.
-        assert sim.model.reading("touch.crossings").tolist() == [int(status == Status.FAR)]
+        assert sim.model.sensor("touch.crossings").tolist() == [int(status == Status.FAR)]
 
 
 @PRECISIONS
@@ -223,12 +223,12 @@ def test_a_ball_between_two_plates_stays_there(gap, precision, device):
     seen = 0
     for _ in range(40):
         sim.step()
-        free = sim.model.reading("touch.status") == Status.OPEN
-        height = sim.model.reading("ball.position")[free, 2]
+        free = sim.model.sensor("touch.status") == Status.OPEN
+        height = sim.model.sensor("ball.position")[free, 2]
         assert ((height > 0) & (height < gap)).all()
         seen += len(height)
     assert seen >= 50
-    assert (sim.model.reading("touch.crossings") > 3).all()
+    assert (sim.model.sensor("touch.crossings") > 3).all()
 
 
 @PRECISIONS
@@ -245,7 +245,7 @@ def test_a_rolling_ball_does_not_leak_through_a_wall_of_its_own(precision, devic
         both, start, np.tile([20.0, 0, 0], (40, 1)), dt=1e-2, precision=precision, device=device, radius=0.1
     )
     sim.step(40)
-    assert (sim.model.reading("ball.linear_velocity")[:, 0] < 0).all()
+    assert (sim.model.sensor("ball.linear_velocity")[:, 0] < 0).all()
 
 
 @PRECISIONS
@@ -263,9 +263,9 @@ def test_hidden_faces_let_through(precision, device):
     model = scene.build(envs=2, precision=precision, device=device)
     model["ball.position"] = start
     wc.Simulation(model, dt=1e-2).step(20)
-    assert model.reading("touch.crossings").tolist() == [0, 1]
-    np.testing.assert_allclose(model.reading("ball.linear_velocity")[0], (0, 0, -10))
-    assert model.reading("ball.linear_velocity")[1, 2] > 0
+    assert model.sensor("touch.crossings").tolist() == [0, 1]
+    np.testing.assert_allclose(model.sensor("ball.linear_velocity")[0], (0, 0, -10))
+    assert model.sensor("ball.linear_velocity")[1, 2] > 0
 
 
 @PRECISIONS
@@ -276,8 +276,8 @@ def test_a_disabled_contact_lets_through_and_counts_nothing(precision, device):
     )  # fmt: skip
     sim.model["touch.enabled"] = [1, 0]
     sim.step(20)
-    assert sim.model.reading("touch.crossings").tolist() == [1, 0]
-    assert (sim.model.reading("ball.linear_velocity")[:, 2] > 0).tolist() == [True, False]
+    assert sim.model.sensor("touch.crossings").tolist() == [1, 0]
+    assert (sim.model.sensor("ball.linear_velocity")[:, 2] > 0).tolist() == [True, False]
 
 
 @PRECISIONS
@@ -286,5 +286,5 @@ def test_what_leaves_over_the_rim_is_free(precision, device):
     start, velocity = np.array([[0.98, 0.1, 0.011]]), np.array([[10.0, 0.0, -10.0]])
     sim = shots(hard_cases.plate(), start, velocity, dt=1e-2, precision=precision, device=device)
     sim.step(20)
-    np.testing.assert_allclose(sim.model.reading("ball.linear_velocity"), velocity)
-    assert sim.model.reading("touch.crossings").tolist() == [1]
+    np.testing.assert_allclose(sim.model.sensor("ball.linear_velocity"), velocity)
+    assert sim.model.sensor("touch.crossings").tolist() == [1]

@@ -44,12 +44,12 @@ def fired(mesh, start, aim, speed, stiffness, steps, *, within, **options):
     sim = shots(shell(mesh), start, velocity, dt=1e-2, law=law, **options)
     for _ in range(steps // 10):
         sim.step(10)
-        place = sim.model.reading("ball.position")
-        inwards = (sim.model.reading("touch.normal") * place).sum(axis=1) < 0
-        held = (sim.model.reading("touch.status") == Status.CONTACT) & inwards
+        place = sim.model.sensor("ball.position")
+        inwards = (sim.model.sensor("touch.normal") * place).sum(axis=1) < 0
+        held = (sim.model.sensor("touch.status") == Status.CONTACT) & inwards
         leaked = ~within(place) & ~held
         assert not leaked.any(), f"{leaked.sum()} of {COUNT} leaked"
-    assert (sim.model.reading("touch.crossings") > 0).all()
+    assert (sim.model.sensor("touch.crossings") > 0).all()
 
 
 @PRECISIONS
@@ -109,8 +109,8 @@ def test_a_corner_that_is_passed_through_does_not_hide_the_wall_behind_it(entry,
         law=wc.laws.Hooke(stiffness=1e4),
     )  # fmt: skip
     sim.step()
-    np.testing.assert_allclose(sim.model.reading("touch.gap"), -0.081, atol=1e-6)
-    np.testing.assert_allclose(sim.model.reading("touch.normal"), [[0, 0, 1]], atol=1e-6)
-    assert sim.model.reading("touch.crossings").tolist() == [1]
+    np.testing.assert_allclose(sim.model.sensor("touch.gap"), -0.081, atol=1e-6)
+    np.testing.assert_allclose(sim.model.sensor("touch.normal"), [[0, 0, 1]], atol=1e-6)
+    assert sim.model.sensor("touch.crossings").tolist() == [1]
     sim.step(10)
-    assert sim.model.reading("ball.linear_velocity")[0, 2] > 0
+    assert sim.model.sensor("ball.linear_velocity")[0, 2] > 0

@@ -95,8 +95,8 @@ def test_contact_couplings_are_loads():
     own = wc.unilateral.assemble(model)
     assert own.count == 0
     weight = np.array([0.0, 0.0, -3.0 * G])
-    np.testing.assert_allclose(own.force[:3] - weight, model.reading("cushion.force")[0], rtol=1e-14)
-    np.testing.assert_allclose(own.force[3:], model.reading("cushion.torque")[0], atol=1e-12)
+    np.testing.assert_allclose(own.force[:3] - weight, model.sensor("cushion.force")[0], rtol=1e-14)
+    np.testing.assert_allclose(own.force[3:], model.sensor("cushion.torque")[0], atol=1e-12)
     assert own.force[2] != weight[2]
 
 

@@ -160,10 +160,10 @@ def test_velocities_of_contacts_are_those_of_the_engine():
     model["box.angular_velocity"] = (0.3, -0.2, 0.7)
     own = wc.unilateral.assemble(model)
     world = (own.contact_velocity[:, None, :] @ own.axes)[:, 0]
-    np.testing.assert_allclose(-own.contact_velocity[:, 0], model.reading("feet.approach_speed")[0], atol=1e-12)
+    np.testing.assert_allclose(-own.contact_velocity[:, 0], model.sensor("feet.approach_speed")[0], atol=1e-12)
     slip = np.linalg.norm(own.contact_velocity[:, 1:], axis=1)
-    np.testing.assert_allclose(slip, model.reading("feet.slip_speed")[0], atol=1e-12)
-    arms = own.point - model.reading("box.position")[0]
+    np.testing.assert_allclose(slip, model.sensor("feet.slip_speed")[0], atol=1e-12)
+    arms = own.point - model.sensor("box.position")[0]
     turning = np.cross((0.3, -0.2, 0.7), arms)
     np.testing.assert_allclose(world, turning + np.array([1.5, 0.0, 0.0]), atol=1e-12)
 

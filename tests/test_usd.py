@@ -5,7 +5,7 @@ import pytest
 import scenes
 from pxr import Gf, Kind, Usd, UsdGeom, UsdPhysics
 from scipy.spatial.transform import Rotation
-from usd_stages import CORNERS, ENVS, RADII, READINGS, TILT, arrows, export, findings, simulate, value, world
+from usd_stages import CORNERS, ENVS, RADII, SENSORS, TILT, arrows, export, findings, simulate, value, world
 
 import warpcontact as wc
 
@@ -152,11 +152,11 @@ def test_readings_are_attributes(recording, device, tmp_path, precision):
     stage = export(recording, tmp_path)
     names = ("gap", "normalForce", "frictionForce", "normal", "point", "status", "slipSpeed")
     for contact, prim in (("touch", "touch"), ("cube-floor", "cube_floor")):
-        for reading, name in zip(READINGS, names, strict=True):
-            data = recording[f"{contact}.{reading}"].values
+        for sensor, name in zip(SENSORS, names, strict=True):
+            data = recording[f"{contact}.{sensor}"].values
             for frame in (0, 17, 30):
                 found = value(stage, f"/World/env_3/contacts/{prim}", f"warpcontact:{name}", frame)
-                np.testing.assert_array_equal(found, data[frame, 3], err_msg=f"{contact}.{reading} {frame}")
+                np.testing.assert_array_equal(found, data[frame, 3], err_msg=f"{contact}.{sensor} {frame}")
     assert recording["touch.normal_force"].values.any(), "the ball must have touched"
     energy = value(stage, "/World/env_1", "warpcontact:kineticEnergy", 9)
     assert energy == recording["scene.kinetic_energy"].values[9, 1]
@@ -179,15 +179,15 @@ def test_arrows_show_the_force_on_the_body(recording, stage, tmp_path):
     scale = stage.GetRootLayer().customLayerData["warpcontact"]["forceScale"]
     longest = 0.0
     for env in range(ENVS):
-        for body, contact, reading in (("ball", "touch", "touch"), ("cube", "cube_floor", "cube-floor")):
+        for body, contact, sensor in (("ball", "touch", "touch"), ("cube", "cube_floor", "cube-floor")):
             path = f"/World/env_{env}/contacts/{contact}/force"
             for frame in range(recording.sizes["time"]):
                 starts, vectors = arrows(scaled, path, frame)
                 force = recording[f"{body}.force"].values[frame, env]
                 np.testing.assert_allclose(np.nansum(vectors, axis=0) / 0.01, force, rtol=1e-3, atol=1e-3)
-                acts = recording[f"{reading}.normal_force"].values[frame, env].reshape(-1) > 0.0
+                acts = recording[f"{sensor}.normal_force"].values[frame, env].reshape(-1) > 0.0
                 np.testing.assert_array_equal(np.isfinite(starts[:, 0]), acts)
-                points = recording[f"{reading}.point"].values[frame, env].reshape(-1, 3)
+                points = recording[f"{sensor}.point"].values[frame, env].reshape(-1, 3)
                 np.testing.assert_allclose(starts[acts], points[acts], atol=1e-6)
                 extent = value(scaled, path, "extent", frame)
                 assert (extent[0] < starts[acts]).all()

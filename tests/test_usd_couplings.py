@@ -1,4 +1,4 @@
-"""Couplings in USD: curves from end to end, readings as attributes, broken ones gone."""
+"""Couplings in USD: curves from end to end, sensors as attributes, broken ones gone."""
 
 import numpy as np
 import pytest

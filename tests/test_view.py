@@ -207,7 +207,7 @@ def test_a_simulation_goes_on_with_a_parameter_that_was_changed():
 
         def force():
             found = []
-            show.do(lambda: found.append(simulation.model.reading("touch.normal_force")))
+            show.do(lambda: found.append(simulation.model.sensor("touch.normal_force")))
             settle(show)
             return found[0]
 
@@ -225,7 +225,7 @@ def test_a_simulation_goes_on_with_a_parameter_that_was_changed():
         show.do(show.pause)
         settle(show)
         np.testing.assert_allclose(force(), [WEIGHT, 3 * WEIGHT, WEIGHT], rtol=1e-5)
-        assert f"{3 * WEIGHT:.5}"[:4] in show._readings.content
+        assert f"{3 * WEIGHT:.5}"[:4] in show._sensors.content
         assert "environment 1: ball.mass = 3" in show.parameters._result.content
         assert show.problem == ""
 
@@ -302,7 +302,7 @@ def test_an_experiment_is_stepped_with_a_few_environments(tmp_path):
         settle(show)
         assert show.problem == "ball.linear_velocity must be numbers, got '0, oops, 0'"
         assert model["ball.mass"][0] == 7.0
-        assert "touch.gap" in show._readings.content
+        assert "touch.gap" in show._sensors.content
     with viewing(path, envs=3) as show:
         assert show.simulation.model.envs == 3
 
@@ -339,7 +339,7 @@ def test_long_names_are_shown_shortened():
         show.do(show.parameters._set_one)
         settle(show)
         assert "must be numbers" in show.problem
-        for handle in (show._problem_text, show._readings, show._status, show.parameters._result):
+        for handle in (show._problem_text, show._sensors, show._status, show.parameters._result):
             assert len(handle.content) < 5_000
         assert max(map(len, show.parameters._names)) < 100
 

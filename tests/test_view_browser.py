@@ -181,9 +181,9 @@ def test_a_parameter_is_changed_on_the_page_and_the_simulation_goes_on(tmp_path,
         page.click(button("Pause"))
         until(lambda: not show.playing)
         settle(show)
-        energy = model.reading("scene.kinetic_energy")[1]
-        speed = np.linalg.norm(model.reading("ball.linear_velocity")[1])
-        spin = np.linalg.norm(model.reading("ball.angular_velocity")[1])
+        energy = model.sensor("scene.kinetic_energy")[1]
+        speed = np.linalg.norm(model.sensor("ball.linear_velocity")[1])
+        spin = np.linalg.norm(model.sensor("ball.angular_velocity")[1])
         # Single precision.
         assert energy == pytest.approx(0.5 * 25.0 * speed**2 + 0.5 * 4e-3 * spin**2, rel=1e-5)
         page.wait_for(f"document.body.innerText.includes('{energy:.6g} J')")

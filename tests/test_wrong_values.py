@@ -167,8 +167,8 @@ def test_switches_refuse_other_values(value, model):
 
 @pytest.mark.parametrize("name", [3, None, ["ball.mass"], ("ball", "mass"), slice(2)])
 def test_names_that_are_no_strings_are_refused(name, model):
-    for call in (model.__getitem__, model.reading, lambda one: model.__setitem__(one, 1.0)):
-        with pytest.raises(TypeError, match=r"^name of a (parameter|reading) must be a string, .*got "):
+    for call in (model.__getitem__, model.sensor, lambda one: model.__setitem__(one, 1.0)):
+        with pytest.raises(TypeError, match=r"^name of a (parameter|sensor) must be a string, .*got "):
             call(name)
 
 

@@ -11,7 +11,7 @@ ENVS = 4
 RADII = np.array([0.05, 0.06, 0.07, 0.08])
 CORNERS = 0.2 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
 TILT = Rotation.from_rotvec([0.0, 0.3, 0.0]).as_quat()
-READINGS = ("gap", "normal_force", "friction_force", "normal", "point", "status", "slip_speed")
+SENSORS = ("gap", "normal_force", "friction_force", "normal", "point", "status", "slip_speed")
 
 
 def simulate(device, precision="float32"):
@@ -40,7 +40,7 @@ def simulate(device, precision="float32"):
     model = scene.build(envs=ENVS, device=device, precision=precision)
     model["touch.radius"] = RADII
     model["ball.linear_velocity"] = np.linspace((0, 0, 0), (1, 0, -1), ENVS)
-    record = [f"{contact}.{key}" for contact in ("touch", "cube-floor") for key in READINGS]
+    record = [f"{contact}.{key}" for contact in ("touch", "cube-floor") for key in SENSORS]
     record += ["pin.gap", "ball.force", "cube.force", "cube.linear_velocity", "cube.angular_velocity"]
     simulation = wc.Simulation(model, dt=1e-3)
     return simulation.run(duration=0.3, record=[*record, "scene.kinetic_energy"], every=1e-2)

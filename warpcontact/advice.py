@@ -47,7 +47,7 @@ def to_search(model: "Environments", hard: "HardContacts | None") -> "frozenset[
         for contact in scene.contacts
         if (envs := _envs_of(model, contact, hard)) and not is_clear(model, contact, envs)
     )
-    # A reading of a pile is one of the contacts of points as well.
+    # A sensor of a pile is one of the contacts of points as well.
     evaluated = scene.smooth_contacts or scene.contact_couplings or (scene.mutual_contacts and scene.contacts)
     return found if found or evaluated else None
 
@@ -112,7 +112,7 @@ def advice(model: "Environments", dt: float, hard: "HardContacts | None") -> lis
         if contact not in near:
             continue
         depth = np.where(
-            _reading(model, contact, "status") == CONTACT, _reading(model, contact, "penetration"), 0.0
+            _sensor(model, contact, "status") == CONTACT, _sensor(model, contact, "penetration"), 0.0
         )[:envs]
         energy = stiffness * depth ** (exponent + 1.0) / (exponent + 1.0)
         if not contact.points.spread:
@@ -141,8 +141,8 @@ def _smooth_advice(model: "Environments", contact: "SmoothContact", dt: float) -
     mass, speed = _mass_and_speed(model, contact)
     stiffness, exponent = (np.broadcast_to(part, (model.envs, contact.count)) for part in elastic)
     sentences = _about_steps(model, name, contact_time(stiffness, exponent, mass, speed), dt)
-    touching = _reading(model, contact, "status") == CONTACT
-    depth = np.where(touching, _reading(model, contact, "penetration"), 0.0)
+    touching = _sensor(model, contact, "status") == CONTACT
+    depth = np.where(touching, _sensor(model, contact, "penetration"), 0.0)
     energy = stiffness * depth ** (exponent + 1.0) / (exponent + 1.0)
     return sentences + _about_overlap(model, name, depth, np.sqrt(2.0 * energy / mass), speed, latched=False)
 
@@ -161,7 +161,7 @@ def _pile_advice(model: "Environments", contact: "MutualContact", dt: float) -> 
     speed = np.max([_speed(model, body).max(axis=1) for body in bodies], axis=0)[:, None]
     stiffness, exponent = (np.broadcast_to(part, (model.envs, 1)) for part in elastic)
     sentences = _about_steps(model, name, contact_time(stiffness, exponent, mass, speed), dt, ENOUGH_IN_PILES)
-    depth = model.reading(f"{name}.max_penetration")[:, None]
+    depth = model.sensor(f"{name}.max_penetration")[:, None]
     energy = stiffness * depth ** (exponent + 1.0) / (exponent + 1.0)
     return sentences + _about_overlap(model, name, depth, np.sqrt(2.0 * energy / mass), speed, latched=False)
 
@@ -246,7 +246,7 @@ def _about_overlap(
 
 def _about_rigid_overlap(model: "Environments", name: str, dt: float) -> list[str]:
     """Returns what to say about a hard contact that starts deeper than bodies sink in within a step."""
-    depth = model.reading(name).reshape(model.envs, -1).max(axis=1)
+    depth = model.sensor(name).reshape(model.envs, -1).max(axis=1)
     worst = int(np.argmax(depth))
     if depth[worst] <= USUAL_SPEED * dt:
         return []
@@ -284,6 +284,6 @@ def _column(model: "Environments", name: str) -> Array:
     return values[:, None] if values.ndim == 1 else values
 
 
-def _reading(model: "Environments", contact: "Contact | SmoothContact", quantity: str) -> Array:
+def _sensor(model: "Environments", contact: "Contact | SmoothContact", quantity: str) -> Array:
     values = model.measured(f"{contact.name}.{quantity}")
     return values[:, None] if values.ndim == 1 else values

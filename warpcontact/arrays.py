@@ -12,7 +12,7 @@ from warpcontact.allocation import Allocation, Allowed
 from warpcontact.footprint import Need
 from warpcontact.kernels import strides
 
-#: Purpose of what readings are measured into.
+#: Purpose of what sensors are measured into.
 MEASURES = "measures"
 
 #: Shape of an array for a number of environments.

@@ -51,7 +51,7 @@ class Bodies:
             motion: How it may move, of ``wc.motions`` or your own ``wc.Motion``; ``None``: free. Axes and anchors
                 are those of the initial pose, in the world. On a hinge or a ball the linear velocity follows from
                 the angular one and may be left out.
-            name: Name in parameters and readings; made up if not given.
+            name: Name in parameters and sensors; made up if not given.
             color: Display colour, RGB in 0…1.
 
         Raises:
@@ -105,7 +105,7 @@ class Bodies:
         name: str | None = None,
         color: ArrayLike | None = None,
     ) -> Body:
-        """Adds a set of rigid bodies as one element. Its parameters and readings have one more axis, ``item``.
+        """Adds a set of rigid bodies as one element. Its parameters and sensors have one more axis, ``item``.
 
         All but ``positions`` are one value that all of them share, or one per body, (n, …).
 
@@ -121,7 +121,7 @@ class Bodies:
             external_torques: Torques from outside, world axes [N·m].
             motion: How each of them may move: ``Free``, ``Fixed``, ``Translation``, ``Planar``, ``Slider`` or
                 ``Prescribed`` of ``wc.motions``; ``None``: free.
-            name: Name in parameters and readings; made up if not given.
+            name: Name in parameters and sensors; made up if not given.
             color: Display colour, RGB in 0…1.
 
         Raises:

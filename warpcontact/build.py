@@ -30,8 +30,8 @@ from warpcontact.parameters import ClosedGap, Field, Parameter, Parameters, Uplo
 from warpcontact.patches import Known, Patches, make_patches, upload_patches
 from warpcontact.piles.pile import make_piles
 from warpcontact.quarantine import add_guard
-from warpcontact.readings import readings_of
 from warpcontact.scene import Body, Contact, Scene
+from warpcontact.sensors import sensors_of
 from warpcontact.smooth.shape_sets import make_shape_sets
 from warpcontact.split_model import SplitModel
 
@@ -160,7 +160,7 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
         piles=piles,
         drives=drives,
         blocks=blocks,
-        readings=readings_of(scene, t, start_of, groups, contact_couplings, couplings, smooth, piles),
+        sensors=sensors_of(scene, t, start_of, groups, contact_couplings, couplings, smooth, piles),
         sides=common.patches.sides(),
         meshes=meshes,
     )

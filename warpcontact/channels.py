@@ -1,4 +1,4 @@
-"""The way of frames from where a reading is measured to the host.
+"""The way of frames from where a sensor is measured to the host.
 
 On the CPU launches put it where it belongs, in one graph with steps: Python, which steps drive out of the cache of
 a core, takes longer to call than a slice to copy. On a GPU frames wait in a buffer, and come to the host some at a
@@ -27,10 +27,10 @@ RING_BYTES = 64 * 2**20
 
 @dataclass(frozen=True)
 class Frame:
-    """What one frame of a reading takes for one environment.
+    """What one frame of a sensor takes for one environment.
 
     Attributes:
-        name: Name of the reading.
+        name: Name of the sensor.
         device: On the device, as it is read [bytes].
         host: On the host, as it is reported [bytes].
     """
@@ -55,7 +55,7 @@ class Frame:
 
 
 class Channel:
-    """The frames of one reading: results on the host, and on each GPU a buffer, once they are allocated.
+    """The frames of one sensor: results on the host, and on each GPU a buffer, once they are allocated.
 
     Attributes:
         result: Where frames are put now, one of ``results``.
@@ -64,11 +64,11 @@ class Channel:
 
     def __init__(self, model: Environments, name: str) -> None:
         self.model = model
-        self.reading = model.find_reading(name)
-        source = self.reading.array(model.parts[0].arrays)
+        self.sensor = model.find_sensor(name)
+        source = self.sensor.array(model.parts[0].arrays)
         row = prod(source.shape[1:]) * wp.types.type_size_in_bytes(source.dtype)
         # Of one environment, as it is reported.
-        self._sample = self.reading.finish(source[:1].numpy()[None], axis=2)[0, 0]
+        self._sample = self.sensor.finish(source[:1].numpy()[None], axis=2)[0, 0]
         self.frame = Frame(name, row, self._sample.nbytes)
         self.result = np.zeros((0, model.envs, *self._sample.shape), dtype=self._sample.dtype)
         self.results = [self.result]
@@ -82,7 +82,7 @@ class Channel:
         for part, own in self.model.shares():
             for copies, result in zip(blocks, self.results, strict=True):
                 if part in copies:
-                    copies[part].add(part.readings[self.frame.name], result[:, own])
+                    copies[part].add(part.sensors[self.frame.name], result[:, own])
             if not part.device.is_cpu:
                 self.rings[part] = Ring(part, self.frame, own, frames)
         self.begin(0)
@@ -104,18 +104,18 @@ class Channel:
 
 
 class Ring:
-    """The frames of one reading of a part on a GPU, that wait in a buffer there.
+    """The frames of one sensor of a part on a GPU, that wait in a buffer there.
 
     Args:
         part: The part.
-        frame: What one frame takes, and of which reading.
+        frame: What one frame takes, and of which sensor.
         own: Environments of the part, among all.
         frames: How many come until they are all on the host.
     """
 
     def __init__(self, part: Model, frame: Frame, own: slice, frames: int) -> None:
-        self.reading = part.readings[frame.name]
-        self.source = self.reading.array(part.arrays)
+        self.sensor = part.sensors[frame.name]
+        self.source = self.sensor.array(part.arrays)
         self.own = own
         shape = (frame.slots(part.envs, frames), *self.source.shape)
         self.memory = wp.zeros(shape, dtype=self.source.dtype, device=part.device)
@@ -134,6 +134,6 @@ class Ring:
         """Takes what waits to the host, to ``result`` (frame, env, …) of all environments."""
         count = self.taken - self.drained
         if count:
-            values = self.reading.finish(self.memory.numpy()[:count], axis=2)
+            values = self.sensor.finish(self.memory.numpy()[:count], axis=2)
             result[self.drained : self.taken, self.own] = values
             self.drained = self.taken

@@ -349,7 +349,7 @@ def _experiment(arguments: argparse.Namespace) -> "Experiment":
     """Reads the experiment of a command, with what its options change."""
     from warpcontact.experiment import Experiment
 
-    _say(f"reading {arguments.file}")
+    _say(f"sensor {arguments.file}")
     experiment = Experiment.from_toml(arguments.file, changes=arguments.set, on_stage=_say, trust=arguments.trust)
     for option in ("envs", "duration"):
         value = getattr(arguments, option)

@@ -90,8 +90,8 @@ def report(coupling: "ContactCoupling", model: "Environments") -> CouplingReport
     """Returns what ``ContactCoupling.report`` promises."""
     return CouplingReport(
         name=coupling.name,
-        effective_area=model.reading(f"{coupling.name}.effective_area").astype(np.float64),
-        minimum_distance=model.reading(f"{coupling.name}.minimum_distance").astype(np.float64),
+        effective_area=model.sensor(f"{coupling.name}.effective_area").astype(np.float64),
+        minimum_distance=model.sensor(f"{coupling.name}.minimum_distance").astype(np.float64),
         effective_range=model[f"{coupling.name}.effective_range"],
         impact=coupling.range.impact,
         first_env=model.first_env,

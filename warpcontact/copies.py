@@ -1,4 +1,4 @@
-"""How frames get on the CPU from where readings are measured to where they are kept: by launches."""
+"""How frames get on the CPU from where sensors are measured to where they are kept: by launches."""
 
 import functools
 from typing import TYPE_CHECKING, Any
@@ -13,11 +13,11 @@ from warpcontact.schedule import Span
 
 if TYPE_CHECKING:
     from warpcontact.model import Model
-    from warpcontact.readings import Reading
+    from warpcontact.sensors import Sensor
 
 
 class Copies:
-    """What is taken of the frames of a part on the CPU: from where readings are measured to their results.
+    """What is taken of the frames of a part on the CPU: from where sensors are measured to their results.
 
     Args:
         part: The part, which lives as long: its arrays may be views of its memory.
@@ -25,32 +25,32 @@ class Copies:
 
     def __init__(self, part: "Model") -> None:
         self._part = part
-        self._ways: list[tuple[Reading, wp.array, NDArray[Any]]] = []
+        self._ways: list[tuple[Sensor, wp.array, NDArray[Any]]] = []
 
-    def add(self, reading: "Reading", result: NDArray[Any]) -> None:
-        """Adds a reading of the part; ``result`` receives all its frames (frame, env, …)."""
-        self._ways.append((reading, reading.array(self._part.arrays), result))
+    def add(self, sensor: "Sensor", result: NDArray[Any]) -> None:
+        """Adds a sensor of the part; ``result`` receives all its frames (frame, env, …)."""
+        self._ways.append((sensor, sensor.array(self._part.arrays), result))
 
     @functools.cached_property
     def rows(self) -> NDArray[Any]:
-        """What launches are told of the readings, once all are added: a ``kernels.recording.Row`` for each."""
+        """What launches are told of the sensors, once all are added: a ``kernels.recording.Row`` for each."""
         return np.array([_row(*way) for way in self._ways], recording.Row.numpy_dtype())
 
     def take(self, number: int) -> None:
         """Takes a frame of all environments, without a launch."""
-        for reading, source, result in self._ways:
-            result[number] = reading.finish(source.numpy(), axis=1)
+        for sensor, source, result in self._ways:
+            result[number] = sensor.finish(source.numpy(), axis=1)
 
 
-def _row(reading: "Reading", source: wp.array, result: NDArray[Any]) -> tuple[int, ...]:
+def _row(sensor: "Sensor", source: wp.array, result: NDArray[Any]) -> tuple[int, ...]:
     size = wp.types.type_size_in_bytes(source.dtype)
     # Each item is in one piece, be it a number, a vector or a matrix; what has no items is one.
     items, apart = (source.shape[1], source.strides[1]) if source.ndim == 2 else (1, size)
-    if apart == size and not reading.total:
+    if apart == size and not sensor.total:
         items, size = 1, items * size
-    words = size // (8 if reading.total else 4)
+    words = size // (8 if sensor.total else 4)
     place = (source.ptr, source.strides[0], apart, result.ctypes.data, result.strides[0])
-    return (*place, items, words, int(reading.total))
+    return (*place, items, words, int(sensor.total))
 
 
 class Taking:
@@ -66,14 +66,14 @@ class Taking:
     @beside_captures()
     def __init__(self, span: Span) -> None:
         place = wp.zeros(2, dtype=wp.int32, device="cpu")
-        # There is room for all readings.
-        rows = wp.zeros(len(span.model.readings), dtype=recording.Row, device="cpu")
+        # There is room for all sensors.
+        rows = wp.zeros(len(span.model.sensors), dtype=recording.Row, device="cpu")
         self.launches = span.prepare(recording.take(), 1, [place, rows])
         # Views, which keep what the launch reads.
         self._place, self._rows = place.numpy(), rows.numpy()
 
     def read(self, copies: Copies | None) -> None:
-        """Takes frames of other readings from now on, or of none."""
+        """Takes frames of other sensors from now on, or of none."""
         count = 0
         if copies is not None:
             count = len(copies.rows)

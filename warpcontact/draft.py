@@ -18,8 +18,8 @@ from warpcontact.groups import Group
 from warpcontact.model import Model
 from warpcontact.of_scene import OfScene
 from warpcontact.parameters import Parameter, Parameters, needs_of
-from warpcontact.readings import Reading
 from warpcontact.scene import Contact, Scene
+from warpcontact.sensors import Sensor
 from warpcontact.sides import Sides
 from warpcontact.split_model import SplitModel
 from warpcontact.stepping import stepping_footprint
@@ -47,7 +47,7 @@ class PartDraft(OfScene):
         piles: The mutual contacts.
         drives: The bodies that follow functions of time, by class.
         blocks: The contacts by what lies together.
-        readings: What can be measured.
+        sensors: What can be measured.
         sides: Where the surface of each contact keeps its sides apart, mesh by mesh.
         meshes: What is searched, once it is built.
         no_step: What a model has as an array; see there.
@@ -67,7 +67,7 @@ class PartDraft(OfScene):
     piles: "list[Pile]"
     drives: list[Drive]
     blocks: Blocks
-    readings: dict[str, Reading]
+    sensors: dict[str, Sensor]
     sides: dict[Contact, list[Sides]]
     meshes: list[wp.Mesh]
     no_step: None = None
@@ -117,7 +117,7 @@ class PartDraft(OfScene):
             piles=self.piles,
             drives=self.drives,
             blocks=self.blocks,
-            readings=self.readings,
+            sensors=self.sensors,
             sides=self.sides,
             meshes=self.meshes,
         )

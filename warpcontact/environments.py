@@ -19,8 +19,8 @@ from warpcontact.kernels.names import stored_name
 from warpcontact.looks import EVALUATED
 from warpcontact.of_scene import MEASURES
 from warpcontact.parameters import Parameter
-from warpcontact.readings import Reading
 from warpcontact.scene import Scene
+from warpcontact.sensors import Sensor
 from warpcontact.stepping import stepping_footprint
 from warpcontact.uncopied import Uncopied
 
@@ -170,8 +170,8 @@ class Environments(
         parameters = self.parts[0].parameters
         if name in parameters:
             return parameters[name]
-        if stored_name(name) in self.parts[0].readings:
-            raise KeyError(f"{name!r} is a reading, not a parameter; use model.reading({name!r})")
+        if stored_name(name) in self.parts[0].sensors:
+            raise KeyError(f"{name!r} is a sensor, not a parameter; use model.sensor({name!r})")
         element, _, quantity = name.rpartition(".")
         owners = {contact.name: contact.material.formulas for contact in self.scene.contacts}
         owners |= {coupling.name: coupling.formulas for coupling in self.scene.couplings}
@@ -219,31 +219,31 @@ class Environments(
         for part in self.parts:
             part.prepare(EVALUATED)
 
-    def find_reading(self, name: str) -> Reading:
+    def find_sensor(self, name: str) -> Sensor:
         """Returns the sensor with this name or alias; its array is that of the first part.
 
         Raises:
             KeyError: If there is none; the message suggests the closest name.
         """
-        readings = self.parts[0].readings
-        return look_up("reading", name, readings, stored_name)
+        sensors = self.parts[0].sensors
+        return look_up("sensor", name, sensors, stored_name)
 
     @property
-    def reading_names(self) -> tuple[str, ...]:
-        """Names of all readings."""
-        return tuple(self.parts[0].readings)
+    def sensor_names(self) -> tuple[str, ...]:
+        """Names of all sensors."""
+        return tuple(self.parts[0].sensors)
 
-    def reading(self, name: str) -> NDArray[Any]:
+    def sensor(self, name: str) -> NDArray[Any]:
         """Measures ``name`` at the current state.
 
         Returns:
             A new array (envs,), or (envs, item) for a set of points, with a last axis for vectors.
 
         Raises:
-            KeyError: If there is no such reading.
+            KeyError: If there is no such sensor.
             MemoryError: If what it is measured into is more than there is.
         """
-        needs = {*self.find_reading(name).needs}
+        needs = {*self.find_sensor(name).needs}
         self.make_measures(needs)
         # All parts are at work before the first is waited for.
         for part in self.parts:
@@ -251,7 +251,7 @@ class Environments(
         return self.measured(name)
 
     def make_measures(self, needs: Set[str]) -> None:
-        """Allocates what readings are measured into, by their ``needs``, if it is not there yet.
+        """Allocates what sensors are measured into, by their ``needs``, if it is not there yet.
 
         Raises:
             MemoryError: If that is more than there is.
@@ -275,13 +275,13 @@ class Environments(
             part.add_measures(missing)
 
     def measured(self, name: str) -> NDArray[Any]:
-        """Returns reading ``name`` as it was computed last, in a new array."""
-        if "piles" in self.find_reading(name).needs:
+        """Returns sensor ``name`` as it was computed last, in a new array."""
+        if "piles" in self.find_sensor(name).needs:
             self.check_piles()
         # On the CPU what is read is a view of memory that the next step overwrites; this copies it.
-        reading = self.find_reading(name)
-        values = [part.readings[reading.name].array(part.arrays).numpy() for part in self.parts]
-        return reading.finish(np.concatenate(values))
+        sensor = self.find_sensor(name)
+        values = [part.sensors[sensor.name].array(part.arrays).numpy() for part in self.parts]
+        return sensor.finish(np.concatenate(values))
 
     def line_shape(self, name: str, count: int = 50) -> NDArray[np.float64]:
         """Returns where a catenary is at the current state, to be drawn.

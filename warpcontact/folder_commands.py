@@ -50,7 +50,7 @@ def add_to(commands: Any) -> None:
         "interruption the same command goes on",
     )
     export.add_argument(
-        "--color-by", metavar="NAME", help="outcome, parameter or reading that colours the animation"
+        "--color-by", metavar="NAME", help="outcome, parameter or sensor that colours the animation"
     )
     export.add_argument(
         "--spacing",

@@ -96,13 +96,13 @@ def build_bench(device: str, envs: int | None, threads: int | None, progress: Pr
     sims = [simulation(work, size, str(where)) for work in WORKS.values() for size in sizes]
     kernels: list[wp.Kernel] = []
     for sim in sims:
-        looks = [frozenset(sim.model.find_reading(POSITION).needs)]
+        looks = [frozenset(sim.model.find_sensor(POSITION).needs)]
         kernels += sim.kernels_of_steps([*looks, EVALUATED] if sim.evaluates_start else looks)
     load_kernels(kernels, threads, progress)
     for sim in sims:
         sim.step()
         sim.reset()
-        sim.model.reading(POSITION)
+        sim.model.sensor(POSITION)
     load_query(where)
 
 

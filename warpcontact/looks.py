@@ -1,4 +1,4 @@
-"""What is launched to look at a state: what readings need, of some environments apart from the others."""
+"""What is launched to look at a state: what sensors need, of some environments apart from the others."""
 
 from collections.abc import Iterable, Set
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,7 @@ from warpcontact.schedule import Span, force_stages
 if TYPE_CHECKING:
     from warpcontact.unilateral.hard_contacts import HardContacts
 
-#: Needs of readings that tell of surfaces that are far away as well.
+#: Needs of sensors that tell of surfaces that are far away as well.
 OF_FAR = ("distances", "points", "contact_couplings", *SMOOTH)
 #: Needs that can be computed of some environments apart from the others, and in every step.
 IN_PARTS = frozenset(("contacts", "wrenches", "distances", *measures.OF_BODIES, "points", "coordinates"))
@@ -34,17 +34,17 @@ def known_needs(needs: Iterable[str]) -> frozenset[str]:
 
 
 def in_parts(device: wp.Device, hard: "HardContacts | None", needs: Set[str]) -> bool:
-    """Whether ``look_stages`` computes all that readings with ``needs`` are of, and nobody waits for a device."""
+    """Whether ``look_stages`` computes all that sensors with ``needs`` are of, and nobody waits for a device."""
     return device.is_cpu and needs <= IN_PARTS and not (hard is not None and shows(needs))
 
 
 def shows(needs: Set[str]) -> bool:
-    """Whether readings with ``needs`` tell of contacts, of which hard ones have to be shown."""
+    """Whether sensors with ``needs`` tell of contacts, of which hard ones have to be shown."""
     return not needs.isdisjoint(("contacts", "wrenches", *OF_FAR))
 
 
 def looks_at_near(span: Span, needs: Set[str]) -> bool:
-    """Whether looks for readings with ``needs`` leave contacts as a step of ``span`` from there finds them."""
+    """Whether looks for sensors with ``needs`` leave contacts as a step of ``span`` from there finds them."""
     return span.cached and span.model.device.is_cpu and shows(needs) and needs.isdisjoint(OF_FAR)
 
 
@@ -58,7 +58,7 @@ def look_span(
 ) -> Span:
     """Returns ``count`` environments, or the slice ``own`` of them, to be looked at.
 
-    Forces are told of what may touch alone, unless a reading is of what is far away: all is looked at then, and
+    Forces are told of what may touch alone, unless a sensor is of what is far away: all is looked at then, and
     what is far is searched for, to the last digit. On a GPU steps alone leave out what cannot touch.
     """
     cached = model.device.is_cpu and needs.isdisjoint(OF_FAR)
@@ -66,11 +66,11 @@ def look_span(
 
 
 def look_stages(span: Span, needs: Set[str], no_step: Any, all_active: Any) -> list[wp.Launch]:
-    """Returns the launches that compute what readings need, of frozen environments too.
+    """Returns the launches that compute what sensors need, of frozen environments too.
 
     Args:
         span: The environments.
-        needs: Those of the readings.
+        needs: Those of the sensors.
         no_step: A step of 0 for each environment.
         all_active: The status of an active one for each.
     """
@@ -85,11 +85,11 @@ def look_stages(span: Span, needs: Set[str], no_step: Any, all_active: Any) -> l
 
 
 def measure_stages(span: Span, needs: Set[str], state: Any, status: wp.array) -> list[wp.Launch]:
-    """Returns the launches that measure what readings need of ``state``, whose contacts are computed.
+    """Returns the launches that measure what sensors need of ``state``, whose contacts are computed.
 
     Args:
         span: The environments.
-        needs: Those of the readings.
+        needs: Those of the sensors.
         state: Their state.
         status: Of the environments [env]; left out are those that are not active.
     """

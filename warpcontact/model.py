@@ -20,9 +20,9 @@ from warpcontact.groups import Group
 from warpcontact.looks import look_span, look_stages, shows
 from warpcontact.of_scene import MEASURES, SMOOTH, OfScene
 from warpcontact.parameters import Parameter, Upload, needs_of
-from warpcontact.readings import Reading
 from warpcontact.scene import Contact, Scene
 from warpcontact.schedule import Span
+from warpcontact.sensors import Sensor
 from warpcontact.sides import Sides
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ class Model(Environments, OfScene):
     """Many environments of one scene on a device. Made by ``Scene.build``.
 
     ``model["ball.mass"]`` reads a parameter, (envs, …); ``model["ball.mass"] = values`` sets it, from one value
-    or one per environment. ``model.reading("touch.gap")`` measures the current state.
+    or one per environment. ``model.sensor("touch.gap")`` measures the current state.
 
     Attributes:
         scene: The scene it was built from.
@@ -103,7 +103,7 @@ class Model(Environments, OfScene):
         piles: "list[Pile]",
         drives: list[Drive],
         blocks: Blocks,
-        readings: dict[str, Reading],
+        sensors: dict[str, Sensor],
         sides: dict[Contact, list[Sides]],
         meshes: list[wp.Mesh],
     ) -> None:
@@ -128,7 +128,7 @@ class Model(Environments, OfScene):
         self.elapsed = 0.0
         # Whether the state is still the initial one, which then follows its parameters.
         self.untouched = True
-        self.readings = readings
+        self.sensors = sensors
         self.sides = sides
         self._meshes = meshes  # kept alive: a kernel only holds their ids
         # Step of 0 [env, 0]: for the forces of an instant.
@@ -214,12 +214,12 @@ class Model(Environments, OfScene):
     def _exchange(self, hard: "HardContacts | None") -> None:
         if self.hard is not None:
             self.hard.let_go(self)
-            for own in self.hard.readings():
-                del self.readings[own.name]
+            for own in self.hard.sensors():
+                del self.sensors[own.name]
         self.hard = self.arrays.hard = hard
         if hard is not None:
             hard.follow(self)
-            self.readings.update((own.name, own) for own in hard.readings())
+            self.sensors.update((own.name, own) for own in hard.sensors())
         self._look_for_bounces()
         # Nobody writes what hard contacts would do to bodies by a force.
         near, ends = self.arrays.near, self.arrays.ends
@@ -324,12 +324,12 @@ class Model(Environments, OfScene):
 
     @beside_captures()
     def look(self, needs: Set[str], own: wp.array | None = None) -> list[wp.Launch]:
-        """Returns the launches that compute what readings need, of frozen environments too.
+        """Returns the launches that compute what sensors need, of frozen environments too.
 
         ``measure_all`` does the rest.
 
         Args:
-            needs: Those of the readings.
+            needs: Those of the sensors.
             own: Of which environments, see ``Span.slice``; ``None``: of all.
         """
         span = look_span(Span, self, self.envs, self.hard, needs, own)
@@ -337,7 +337,7 @@ class Model(Environments, OfScene):
 
     @beside_captures()
     def prepare(self, needs: Set[str]) -> None:
-        """Computes what readings of the current state need, by their ``needs``; there is room to measure into."""
+        """Computes what sensors of the current state need, by their ``needs``; there is room to measure into."""
         if self._looks[0] != self.revision:
             self._looks = (self.revision, {})
         known, wanted = self._looks[1], frozenset(needs)
@@ -348,7 +348,7 @@ class Model(Environments, OfScene):
         self.measure_all(needs)
 
     def measure_all(self, needs: Set[str]) -> None:
-        """Computes the rest of what readings need, after the launches of ``look`` for all environments."""
+        """Computes the rest of what sensors need, after the launches of ``look`` for all environments."""
         if self.hard is not None and shows(needs):
             self.hard.show(self)
         if "reactions" in needs:

@@ -61,7 +61,7 @@ class OfScene:
         return sum(body.count for body in self.scene.bodies if body.motion.kind not in (FREE, DRIVEN))
 
     def measures_needs(self, device: wp.Device, needs: Collection[str], envs: int) -> list[Need]:
-        """Returns what ``envs`` environments take that readings with these ``needs`` are measured into."""
+        """Returns what ``envs`` environments take that sensors with these ``needs`` are measured into."""
         layout = Layout(device)
         for name, declare in MEASURES.items():
             if name in needs:
@@ -108,7 +108,7 @@ def _smooth_gradients(layout: Layout, model: OfScene) -> Any:
     return layout.struct(PURPOSE, Gradients, per_env(model.smooth_count))
 
 
-#: How to declare what readings are measured into, by what they need.
+#: How to declare what sensors are measured into, by what they need.
 MEASURES: dict[str, Callable[[Layout, OfScene], Any]] = {
     **{name: _of_bodies(struct) for name, (struct, _) in measures.OF_BODIES.items()},
     "points": _points,

@@ -1,4 +1,4 @@
-"""Recording: chosen readings, frame by frame, put into one labelled data set."""
+"""Recording: chosen sensors, frame by frame, put into one labelled data set."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -26,8 +26,8 @@ from warpcontact.footprint import (
 )
 from warpcontact.model import Model
 from warpcontact.parameters import Parameter
-from warpcontact.readings import AXES
 from warpcontact.scene import Scene
+from warpcontact.sensors import AXES
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -43,9 +43,9 @@ class RecordingSize:
     """What a recording takes.
 
     Attributes:
-        frames: One frame of each reading.
+        frames: One frame of each sensor.
         parameters: Parameters that are kept with it, for one environment [bytes].
-        measured: What the readings are measured into, see ``Reading.needs``.
+        measured: What the sensors are measured into, see ``Sensor.needs``.
     """
 
     frames: tuple[Frame, ...]
@@ -113,11 +113,11 @@ def unchanged_parameters(model: Environments, kept: Iterable[str]) -> list[str]:
 
 
 class Recorder:
-    """Takes frames of readings from a model, once it is started, all of them or block after block.
+    """Takes frames of sensors from a model, once it is started, all of them or block after block.
 
     Args:
         model: The model.
-        names: Readings to take.
+        names: Sensors to take.
         frames: Number of frames that it holds, of each block.
         poses: Whether to take the pose of every body as well, and keep the parameters that differ.
         parameters: Names of further parameters to keep.
@@ -151,10 +151,10 @@ class Recorder:
             both = ("position", "orientation")
             wanted += [f"{body.name}.{key}" for body in model.scene.bodies for key in both]
         # By the names under which they are stored: two names of one sensor are one channel.
-        readings = {reading.name: reading for reading in map(model.find_reading, wanted)}
-        self.needs = {need for reading in readings.values() for need in reading.needs}
+        sensors = {sensor.name: sensor for sensor in map(model.find_sensor, wanted)}
+        self.needs = {need for sensor in sensors.values() for need in sensor.needs}
         model.make_measures(self.needs)
-        self.channels = [Channel(model, name) for name in readings]
+        self.channels = [Channel(model, name) for name in sensors]
         self.most, self._blocks = frames, blocks
         # Of each block, once started: what takes its frames of parts on the CPU, and their times.
         self._copies: list[dict[Model, Copies]] = [{}]
@@ -262,12 +262,12 @@ class Recorder:
             dims += ["row", "column"]
         elif parameter.tail:
             dims.append(AXES[parameter.tail[0]][0])
-        label = f"{name}.initial" if name in self.model.reading_names else name
+        label = f"{name}.initial" if name in self.model.sensor_names else name
         notes = {"units": parameter.limits["unit"], "long_name": f"parameter {name}"}
         return {label: (dims, self.model[name].copy(), notes)}
 
     def frames(self) -> dict[str, NDArray[Any]]:
-        """Returns the frames taken since the last ``rewind``, (frame, env, …) by reading; views."""
+        """Returns the frames taken since the last ``rewind``, (frame, env, …) by sensor; views."""
         for channel in self.channels:
             channel.drain()
         return {channel.frame.name: channel.result[: self.taken] for channel in self.channels}
@@ -297,16 +297,16 @@ class Recorder:
         variables = {}
         frames = self.frames()
         for channel in self.channels:
-            reading = channel.reading
-            element = reading.name.rpartition(".")[0]
-            dims = ["time", "env"] + ([item_dimension(self.model.scene, element)] if reading.items else [])
-            values = frames[reading.name]
+            sensor = channel.sensor
+            element = sensor.name.rpartition(".")[0]
+            dims = ["time", "env"] + ([item_dimension(self.model.scene, element)] if sensor.items else [])
+            values = frames[sensor.name]
             if values.ndim == len(dims) + 2:
                 dims += ["row", "column"]
             elif values.ndim > len(dims):
                 dims.append(AXES[values.shape[-1]][0])
-            notes = {"units": reading.unit, "long_name": reading.meaning, **reading.flags}
-            variables[reading.name] = (dims, values, notes)
+            notes = {"units": sensor.unit, "long_name": sensor.meaning, **sensor.flags}
+            variables[sensor.name] = (dims, values, notes)
         return variables
 
     def _time(self) -> dict[str, Any]:
@@ -347,7 +347,7 @@ class Recorder:
 
 
 def sources(model: Environments) -> dict[str, str]:
-    """Returns what is said of where readings of ``model`` come from."""
+    """Returns what is said of where sensors of ``model`` come from."""
     return {
         "source": f"warpcontact {__version__}",
         "device": ", ".join(map(str, model.devices)),

@@ -1,4 +1,4 @@
-"""Reading of files that others may have made: pipes, devices and sockets are refused before a read."""
+"""Sensor of files that others may have made: pipes, devices and sockets are refused before a read."""
 
 import errno
 import os

@@ -153,7 +153,7 @@ def _draw(arguments: argparse.Namespace, file: Path, found: Any) -> None:
     if arguments.forces and not forces:
         print(
             "note: no forces are shown: the run recorded no force, normal and point of a contact "
-            '([record] readings = ["<contact>.normal_force", "<contact>.normal", "<contact>.point"])',
+            '([record] sensors = ["<contact>.normal_force", "<contact>.normal", "<contact>.point"])',
             file=sys.stderr,
         )
     numbers = ", ".join(map(str, envs))

@@ -149,7 +149,7 @@ class Scene(Bodies, Couplings, SmoothContacts, MutualContacts):
                 Everything that is in the way is listed, with the path of its prim.
             ValueError: If another argument is out of range; the message names it.
         """
-        from warpcontact.usd.importing.reading import scene_from_usd
+        from warpcontact.usd.importing.scene_from_stage import scene_from_usd
 
         return scene_from_usd(
             path,
@@ -190,7 +190,7 @@ class Scene(Bodies, Couplings, SmoothContacts, MutualContacts):
                 or a list of names; or a function that is given the centroids (F, 3) [m], in the frame of the
                 mesh, and returns a mask; ``None``: all. For a list of meshes, a list
                 with one of these for each.
-            name: Name in parameters and readings; made up if not given.
+            name: Name in parameters and sensors; made up if not given.
             color: Display colour, RGB in 0…1.
             visible: Whether it is drawn.
 
@@ -233,7 +233,7 @@ class Scene(Bodies, Couplings, SmoothContacts, MutualContacts):
         """Adds a point fixed to ``body`` (``None``: the world) at ``position`` in its frame [m].
 
         On a surface it is in the frame of the mesh, and moves with that. On a set of bodies it is one point on
-        each of them, at the same place of all, and readings of its contacts have one more axis, ``item``.
+        each of them, at the same place of all, and sensors of its contacts have one more axis, ``item``.
         """
         name = checks.new_name("point", name, self._elements)
         place = checks.numbers(f"{name}.position", position, (3,), limits("m"))
@@ -249,7 +249,7 @@ class Scene(Bodies, Couplings, SmoothContacts, MutualContacts):
         areas: ArrayLike | None = None,
         name: str | None = None,
     ) -> Points:
-        """Adds a set of points. Readings of its contacts have one more axis, ``item``.
+        """Adds a set of points. Sensors of its contacts have one more axis, ``item``.
 
         Args:
             body: What carries them: a body, ``None`` for the world, or a surface, with which they move; a set of
@@ -258,7 +258,7 @@ class Scene(Bodies, Couplings, SmoothContacts, MutualContacts):
                 their areas, from ``wc.sample_surface``.
             areas: The area that each stands for, (n,) [m²], for laws that leave it to the points; on a surface
                 that in its mesh, to which the square of its scale comes.
-            name: Name in parameters and readings; made up if not given.
+            name: Name in parameters and sensors; made up if not given.
 
         Raises:
             ValueError: If a value is out of range; the message names it.
@@ -353,7 +353,7 @@ class Scene(Bodies, Couplings, SmoothContacts, MutualContacts):
                 (3π/16) √(R δ).
             share: Factor on the forces and couples of this contact: ½ each for two that describe the same touch.
             enabled: Whether it acts.
-            name: Name in parameters and readings; made up if not given.
+            name: Name in parameters and sensors; made up if not given.
             color: Colour of its arrows, RGB in 0…1.
             visible: Whether its arrows are drawn.
 

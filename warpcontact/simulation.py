@@ -63,7 +63,7 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
             on the CPU it does in any case, whatever the number of threads.
         distance_cache: Whether what is known of distances from earlier steps saves work; results are the same.
         graphs: Whether steps are captured and replayed, without a word from Python; results are the same.
-        outcomes: What to sum up of readings while stepping, ``wc.outcomes``, by name; see ``outcomes()``.
+        outcomes: What to sum up of sensors while stepping, ``wc.outcomes``, by name; see ``outcomes()``.
         stop: Conditions that stop an environment, by name; the first in order wins.
         events: The contacts of which to write down when they are made and lost; see ``events()``.
         quarantine: What becomes of an environment that turns non-finite or goes beyond ``scene.max_speed`` or
@@ -71,7 +71,7 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
             initial one, ``"raise"`` raises a ``QuarantineError``; the last two look every ``CADENCE`` steps.
 
     Raises:
-        KeyError: If there is no reading of a name.
+        KeyError: If there is no sensor of a name.
         ValueError: If an argument is not allowed.
         MemoryError: If stepping takes more memory than there is.
     """
@@ -154,7 +154,7 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         return round(self.model.time / self.dt)
 
     def _attach(self) -> None:
-        """Lets readings tell what this simulation does with contacts, not another one of the same model."""
+        """Lets sensors tell what this simulation does with contacts, not another one of the same model."""
         for part, buffers in zip(self.model.parts, self._buffers, strict=True):
             part.attach(buffers.hard, buffers.observer)
 
@@ -199,7 +199,7 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         return self.model.footprint().with_needs(self._stepping(self.model.envs).needs)
 
     def needs_of_frames(self, needs: Set[str]) -> list[Need]:
-        """Returns what steps take more of memory if they are recorded, by what readings need."""
+        """Returns what steps take more of memory if they are recorded, by what sensors need."""
         alone, with_frames = (self._stepping(self.model.envs, looks) for looks in (None, frozenset(needs)))
         return [Need("launches", HOST, with_frames.of("launches") - alone.of("launches"))]
 
@@ -276,7 +276,7 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         Args:
             frames: Number of frames.
             every: Steps between frames.
-            needs: Quantities to compute, see ``Reading.needs``; memory for them is allocated.
+            needs: Quantities to compute, see ``Sensor.needs``; memory for them is allocated.
             take: Called with a part of the model, a range of its environments and the number of the frame, from 0.
                 Several threads call it, each environment in order of frames. It may read only its range.
 
@@ -401,7 +401,7 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
 
         Args:
             duration: Simulated time [s]; rounded up to whole steps.
-            record: Names of readings, see ``model.reading_names``.
+            record: Names of sensors, see ``model.sensor_names``.
             every: Time between records [s], a multiple of the step; ``None``: every step.
             poses: Whether to record the position and orientation of every body as well, and the parameters
                 that differ between environments, so that the recording can be replayed and exported.
@@ -415,12 +415,12 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
 
         Raises:
             ValueError: If a time is not allowed.
-            KeyError: If there is no such reading.
+            KeyError: If there is no such sensor.
             MemoryError: If the recording takes more memory than there is, before anything runs.
         """
         steps, stride = recorded_steps(duration, every, self.dt)
         if isinstance(record, str):
-            raise TypeError(f"record must be a list of readings, got the string {record!r}")
+            raise TypeError(f"record must be a list of sensors, got the string {record!r}")
         self._attach()
         from warpcontact.recorder import Recorder
 

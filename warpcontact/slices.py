@@ -112,7 +112,7 @@ class Frames:
 
     Attributes:
         every: Steps from frame to frame.
-        needs: What is computed for each, see ``Reading.needs``.
+        needs: What is computed for each, see ``Sensor.needs``.
         take: Called when it is, by the thread that computed it, with the model, its environments that are there,
             and the number of the frame: in any order of environments, one frame after the other.
         copies: By model, on the CPU, what launches take where looks are at slices; ``take`` is not called there.
@@ -366,7 +366,7 @@ class Stepper:
         self._tells = self.ready_after_look(frames.needs)
 
     def ready_after_look(self, needs: Set[str]) -> bool:
-        """Prepares the step after a look for readings with ``needs``; returns whether it has less to do."""
+        """Prepares the step after a look for sensors with ``needs``; returns whether it has less to do."""
         if not (self.captured and looks_at_near(self._span, needs)):
             return False
         if not self._after_look:

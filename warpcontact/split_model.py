@@ -9,7 +9,7 @@ from warpcontact.model import Model
 class SplitModel(Environments):
     """Many environments of one scene, split over several devices. Made by ``Scene.build``.
 
-    Parameters, readings, resets, health and simulations are those of one ``Model`` with all environments, in one
+    Parameters, sensors, resets, health and simulations are those of one ``Model`` with all environments, in one
     order; only the arrays of the state are of each part: ``model.parts[0].state``. Parts are there to be looked at
     and written to on their device; to step or reset one alone lets it run apart from the others.
 
@@ -55,7 +55,7 @@ class SplitModel(Environments):
         """
         raise AttributeError(
             f"a model split over {self._listed()} has no one state: take model.parts[0].state, …, or "
-            "model.reading('<body>.position'), which gathers all environments"
+            "model.sensor('<body>.position'), which gathers all environments"
         )
 
     @property

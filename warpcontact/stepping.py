@@ -98,7 +98,7 @@ def stepping_footprint(
     """Returns what a ``Simulation`` takes beside the model; the options are those of its class.
 
     ``shares`` are the parts of the model, each with how many environments it has; the parameters ``varied`` are to
-    have a value in each. ``looks`` is what readings need that are recorded meanwhile; ``None``: none are.
+    have a value in each. ``looks`` is what sensors need that are recorded meanwhile; ``None``: none are.
     """
     threads = available_threads() if threads is None else threads
     integrator = SemiImplicitEuler() if integrator is None else integrator
@@ -156,7 +156,7 @@ def kernels_of_steps(part: "Model", stepper: Stepper, looks: Sequence[Set[str]])
     Args:
         part: The model.
         stepper: Its stepper, with a ``Tally`` as span.
-        looks: The needs of each kind of frame, see ``Reading.needs``.
+        looks: The needs of each kind of frame, see ``Sensor.needs``.
     """
     looked = [
         look_stages(look_span(Tally, part, part.envs, part.hard, needs), needs, part.no_step, None)

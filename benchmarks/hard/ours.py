@@ -43,14 +43,14 @@ class Run:
         """Returns figures of a run from the start, looked at now and then."""
         self.reset()
         residual, iterations, deepest = [], [], 0.0
-        names = [name for name in self.model.reading_names if name.endswith(".gap")]
+        names = [name for name in self.model.sensor_names if name.endswith(".gap")]
         for _ in range(looks):
             self.step(steps // looks)
-            residual.append(self.model.reading("scene.solve_residual"))
-            iterations.append(self.model.reading("scene.solve_iterations"))
-            deepest = min(deepest, *(float(self.model.reading(name).min()) for name in names))
-        failures = self.model.reading("scene.solve_failures").sum() / (steps * self.model.envs)
-        speed = np.sqrt(2.0 * self.model.reading("scene.kinetic_energy") / MASS)
+            residual.append(self.model.sensor("scene.solve_residual"))
+            iterations.append(self.model.sensor("scene.solve_iterations"))
+            deepest = min(deepest, *(float(self.model.sensor(name).min()) for name in names))
+        failures = self.model.sensor("scene.solve_failures").sum() / (steps * self.model.envs)
+        speed = np.sqrt(2.0 * self.model.sensor("scene.kinetic_energy") / MASS)
         return {
             "residual_median": float(np.median(residual)),
             "residual_worst": float(np.max(residual)),

@@ -25,7 +25,7 @@ class Law(Formula):
     0 on approach) [m/s], ``entry_speed`` (δ̇ at entry, or the largest since) [m/s] and, with ``needs_mass``, the
     effective ``mass`` along the normal [kg] and its inverse ``inverse_mass``, and with ``needs_curvature`` the
     principal relative curvatures ``curvature_1`` ≤ ``curvature_2`` [1/m]; ``dt`` is the step that the force acts
-    over [s], 0 for the force of an instant (a reading). Constants take the precision of the simulation when
+    over [s], 0 for the force of an instant (a sensor). Constants take the precision of the simulation when
     written as ``type(c.delta)(1.5)``. The force must depend on nothing else. A parameter ``area`` in m² with the
     default ``None`` is the area that each point stands for, where it is left out.
 

@@ -1,1 +1,1 @@
-"""Outcomes: what is kept of readings over time, in a few numbers per environment, while it is stepped."""
+"""Outcomes: what is kept of sensors over time, in a few numbers per environment, while it is stepped."""

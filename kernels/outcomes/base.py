@@ -1,4 +1,4 @@
-"""The contract of an outcome: a few numbers that sum up a reading over time."""
+"""The contract of an outcome: a few numbers that sum up a sensor over time."""
 
 import math
 from collections.abc import Sequence
@@ -10,12 +10,12 @@ from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.kernels.names import stored_name
 from warpcontact.kernels.outcomes.source import EACH, FOLDS, MOST
 
-#: What may be taken of a reading that is a vector, and which of its numbers that is.
+#: What may be taken of a sensor that is a vector, and which of its numbers that is.
 COMPONENTS = {"x": 0, "y": 1, "z": 2, "w": 3, "norm": None}
 
 
 class Source(NamedTuple):
-    """A reading as it is looked at.
+    """A sensor as it is looked at.
 
     Attributes:
         name: Its name.
@@ -43,7 +43,7 @@ def source_of(owner: str, of: object, component: object, items: object, folds: S
         ValueError: If ``component`` or ``items`` is not one of what there is.
     """
     if not isinstance(of, str):
-        raise TypeError(f"{owner}.of must be the name of a reading, such as 'touch.normal_force', got {of!r}")
+        raise TypeError(f"{owner}.of must be the name of a sensor, such as 'touch.normal_force', got {of!r}")
     for key, value, known in (("component", component, tuple(COMPONENTS)), ("items", items, tuple(folds))):
         if value not in known and not (key == "component" and value is None):
             raise ValueError(f"{owner}.{key} must be one of {', '.join(map(repr, known))}, got {value!r}")
@@ -70,7 +70,7 @@ def condition_of(owner: str, above: object, below: object) -> Condition:
 
 @explain_keywords_of
 class Outcome:
-    """A reading summed up over time, by a few numbers that are kept for each environment.
+    """A sensor summed up over time, by a few numbers that are kept for each environment.
 
     A subclass says what it starts from, and has two device functions in float64::
 
@@ -94,11 +94,11 @@ class Outcome:
     as steps may follow. ``result`` returns the outcome.
 
     Args:
-        of: Name of the reading.
+        of: Name of the sensor.
         component: Of a vector: ``"x"``, ``"y"``, ``"z"``, ``"w"`` or ``"norm"``; ``None``: each has a result.
         items: Of a set: ``"each"`` item has a result, or the ``"sum"``, ``"max"`` or ``"min"`` of them all at
             every instant is looked at.
-        above: With a ``conditional`` outcome: where the reading is above this ...
+        above: With a ``conditional`` outcome: where the sensor is above this ...
         below: ... or below this; one of both.
 
     Raises:
@@ -113,7 +113,7 @@ class Outcome:
     conditional: ClassVar[bool] = False
     #: Whether the state at the end is all that counts; ``update`` sees no other.
     at_end: ClassVar[bool] = False
-    #: What it is, before the name of the reading.
+    #: What it is, before the name of the sensor.
     meaning: ClassVar[str] = ""
 
     sources: tuple[Source, ...]
@@ -181,15 +181,15 @@ class Outcome:
 
 @explain_keywords_of
 class OfContact(Outcome, abstract=True):
-    """An outcome of several readings of one contact, ``quantities``; the argument is the name of the contact."""
+    """An outcome of several sensors of one contact, ``quantities``; the argument is the name of the contact."""
 
-    #: Readings, each with its component.
+    #: Sensors, each with its component.
     quantities: ClassVar[tuple[tuple[str, str | None], ...]]
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
         if not 1 <= len(cls.quantities) <= MOST:
-            raise TypeError(f"{cls.__name__}.quantities must be 1 to {MOST} readings, got {len(cls.quantities)}")
+            raise TypeError(f"{cls.__name__}.quantities must be 1 to {MOST} sensors, got {len(cls.quantities)}")
 
     # No items: sums of products are not products of sums.
     def __init__(self, contact: str) -> None:

@@ -1,4 +1,4 @@
-"""What outcomes, stop conditions and events look at: a number of a reading, out of (env, item, component)."""
+"""What outcomes, stop conditions and events look at: a number of a sensor, out of (env, item, component)."""
 
 import functools
 from typing import NamedTuple

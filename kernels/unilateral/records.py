@@ -57,7 +57,7 @@ def record_structs(real: type) -> SimpleNamespace:
 
     @wp.struct
     class Shown:
-        """What readings show of the last step."""
+        """What sensors show of the last step."""
 
         impulse: wp.array2d(dtype=vec3)  # [env, contact] on the first body, W [N·s]
         mode: wp.array2d(dtype=wp.int32)  # [env, contact] MODE_*

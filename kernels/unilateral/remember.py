@@ -146,7 +146,7 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
 
 @functools.cache
 def read(real: type, Contacts: Any) -> wp.Kernel:
-    """Returns the kernel that shows what the last step of active environments did, where readings look.
+    """Returns the kernel that shows what the last step of active environments did, where sensors look.
 
     Items: hard contacts. ``Contacts`` is the struct of the arrays of its contacts.
     """

@@ -32,19 +32,19 @@ ROUNDING = 1.0e-9
 @explain_keywords
 def quantile_fan(
     run: Figures,
-    reading: str,
+    sensor: str,
     quantiles: Sequence[float] = (0.05, 0.25, 0.5, 0.75, 0.95),
     *,
     missing: str = "refuse",
     stopped: str = "hold",
 ) -> xr.DataArray:
-    """Returns quantiles of a reading over the environments, at each time.
+    """Returns quantiles of a sensor over the environments, at each time.
 
     Some times are read at once, so that the series of a large run need not fit into memory.
 
     Args:
-        run: A run with a series of the reading.
-        reading: Its name.
+        run: A run with a series of the sensor.
+        sensor: Its name.
         quantiles: From 0 to 1, rising.
         missing: What becomes of environments that are frozen or, at a time, without a finite value: ``"refuse"``
             them, or ``"drop"`` the frozen ones, and others at those times.
@@ -52,7 +52,7 @@ def quantile_fan(
             is what the series has of them, or ``"drop"`` them, so that each counts up to its stop only.
 
     Returns:
-        Quantiles (quantile, time, …), NaN where no environment is left, with the attributes of the reading. The
+        Quantiles (quantile, time, …), NaN where no environment is left, with the attributes of the sensor. The
         attribute ``stopped`` is the argument, and ``stopped_environments`` how many a condition held.
 
     Raises:
@@ -66,7 +66,7 @@ def quantile_fan(
         raise ValueError(f"quantiles must be numbers from 0 to 1, got {quantiles!r}")
     if (np.diff(levels) <= 0.0).any():
         raise ValueError(f"quantiles must rise, got {quantiles!r}")
-    array = variable(run.series, reading, "reading", "time", "env")
+    array = variable(run.series, sensor, "sensor", "time", "env")
     envs = numbers(array)
     halted = np.isin(envs, frozen(run.outcome))
     ends = end_times(run.outcome, envs)

@@ -15,7 +15,7 @@ def write_fan(path: str | PathLike[str], fan: xr.DataArray, title: str | None = 
     Args:
         path: The .svg or .png file.
         fan: From ``quantile_fan``, (quantile, time); of a vector one component, such as ``fan.sel(axis="z")``.
-        title: Title; ``None``: the name of the reading.
+        title: Title; ``None``: the name of the sensor.
 
     Raises:
         ValueError: If the fan has more dimensions, or there can be no such file.

@@ -25,7 +25,7 @@ class Figures(Protocol):
     Attributes:
         outcome: Summaries (env, …) by name; ``status``, if it is there, tells by its flags which are frozen and
             which stopped, and ``end_time`` when these were.
-        series: Readings (time, env, …) by name.
+        series: Sensors (time, env, …) by name.
     """
 
     @property
@@ -34,7 +34,7 @@ class Figures(Protocol):
 
     @property
     def series(self) -> xr.Dataset:
-        """Readings (time, env, …) by name."""
+        """Sensors (time, env, …) by name."""
 
 
 class Results(Figures, Protocol):

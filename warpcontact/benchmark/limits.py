@@ -18,7 +18,7 @@ from warpcontact.model import Model
 ROUNDS = 7
 SECONDS = 0.01
 LONG = 1.0
-#: Reading of the places of the queries.
+#: Sensor of the places of the queries.
 POSITION = "body.position"
 # Of what is timed, in one graph of a GPU.
 IN_GRAPH = 16
@@ -81,10 +81,10 @@ def limits(model: Model, work: Work, threads: int) -> Limits:
 
 def _places(model: Model, work: Work) -> Array:
     """Returns where the points are in the world, ``(envs, points, 3)``."""
-    position = model.reading(POSITION)[:, None]
+    position = model.sensor(POSITION)[:, None]
     if work.points is None:
         return position
-    orientation = model.reading("body.orientation")[:, None]
+    orientation = model.sensor("body.orientation")[:, None]
     axis, w = orientation[..., :3], orientation[..., 3:]
     turned = np.cross(axis, work.points) * 2.0
     return position + work.points + w * turned + np.cross(axis, turned)

@@ -49,7 +49,7 @@ LIMITS = {
     "speed": checks.limits("m/s", above=0.0),
     "depth": checks.limits("m", above=0.0),
 }
-READINGS = ("penetration", "approach_speed", "normal_force")
+SENSORS = ("penetration", "approach_speed", "normal_force")
 
 
 @dataclass(frozen=True)
@@ -104,12 +104,12 @@ class Run:
 
     Attributes:
         time: Time since touch at the common speed (frame,) [s].
-        readings: By label and name of the reading, (frame, env).
+        sensors: By label and name of the sensor, (frame, env).
         rebound: By label, speed away from the plate over the impact speed (env,); NaN where it did not leave.
     """
 
     time: Array
-    readings: Mapping[str, Mapping[str, Array]]
+    sensors: Mapping[str, Mapping[str, Array]]
     rebound: Mapping[str, Array]
 
 
@@ -199,7 +199,7 @@ def drop(
         impact: Mass and device.
         steps: Steps per contact time of the stiffest law.
         patience: Contact times of the softest law to wait for.
-        record: Whether to keep readings over time.
+        record: Whether to keep sensors over time.
     """
     deepest = max(map(_reach, chosen.values()))
     shortest = min(map(_reach, chosen.values())) / speeds.max()
@@ -210,7 +210,7 @@ def drop(
     model = _model({label: case.law for label, case in chosen.items()}, height, speeds, deepest, impact)
     for label, value in values.items():
         model[f"touch_{_index(chosen, label)}.law.{chosen[label].varied}"] = value
-    names = [f"touch_{k}.{name}" for k in range(len(chosen)) for name in READINGS] if record else []
+    names = [f"touch_{k}.{name}" for k in range(len(chosen)) for name in SENSORS] if record else []
     sim = Simulation(model, dt)
     parts: list[dict[str, Array]] = []
     gone = np.zeros((len(chosen), len(speeds)), dtype=bool)
@@ -222,13 +222,13 @@ def drop(
         gone = _left(model, list(chosen.values()))
         if gone.all():
             break
-    out = np.array([model.reading(f"ball_{k}.linear_velocity")[:, 2] for k in range(len(chosen))])
+    out = np.array([model.sensor(f"ball_{k}.linear_velocity")[:, 2] for k in range(len(chosen))])
     rebound = np.where(gone, out / speeds, np.nan)
     frames = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     return Run(
         time=frames["time"] - float(height[0] / speeds[0]),
-        readings={
-            label: {name: frames[f"touch_{k}.{name}"] for name in READINGS} if record else {}
+        sensors={
+            label: {name: frames[f"touch_{k}.{name}"] for name in SENSORS} if record else {}
             for k, label in enumerate(chosen)
         },
         rebound=dict(zip(chosen, rebound, strict=True)),
@@ -243,11 +243,11 @@ def _left(model: Environments, chosen: Sequence[Case]) -> NDArray[np.bool_]:
     """Returns which spheres are free and on their way out, (law, env)."""
     gone = []
     for k, case in enumerate(chosen):
-        touching = model.reading(f"touch_{k}.status") == Status.CONTACT
+        touching = model.sensor(f"touch_{k}.status") == Status.CONTACT
         if not case.law.pulls:
             # Behind a force that was cut at zero a sphere flies free before its depth is zero.
-            touching &= model.reading(f"touch_{k}.normal_force") != 0.0
-        gone.append(~touching & (model.reading(f"ball_{k}.linear_velocity")[:, 2] > 0.0))
+            touching &= model.sensor(f"touch_{k}.normal_force") != 0.0
+        gone.append(~touching & (model.sensor(f"ball_{k}.linear_velocity")[:, 2] > 0.0))
     return np.array(gone)
 
 
@@ -263,7 +263,7 @@ def _works(laws: Mapping[str, Law], depths: Array, impact: Impact) -> dict[str, 
     model = _model(laws, -depths, np.zeros_like(depths), float(depths.max()), impact)
     works = {}
     for k, label in enumerate(laws):
-        force = model.reading(f"touch_{k}.normal_force")
+        force = model.sensor(f"touch_{k}.normal_force")
         # Below the first depth the force is taken as linear; there is 1e-8 of the energy or less.
         works[label] = cumulative_trapezoid(force, depths, initial=0.0) + 0.5 * force[0] * depths[0]
     return works

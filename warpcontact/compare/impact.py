@@ -148,7 +148,7 @@ def _dataset(
 ) -> xr.Dataset:
     over_time, over_cases = ("law", "restitution", "time"), ("law", "restitution")
     delta, rate, force = (
-        np.array([run.readings[label][name].T for label in chosen])
+        np.array([run.sensors[label][name].T for label in chosen])
         for name in ("penetration", "approach_speed", "normal_force")
     )
     acting = force != 0.0

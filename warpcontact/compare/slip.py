@@ -86,7 +86,7 @@ def slips(
     forward = np.array([np.cos(turn), np.sin(turn), 0.0])
     model = _model(chosen, load, every[:, None] * forward, device)
     _slide(model, _settling(chosen, load, device) / every.min(), every.max())
-    force = np.array([model.reading(f"touch_{k}.friction_force") @ forward for k in range(len(chosen))])
+    force = np.array([model.sensor(f"touch_{k}.friction_force") @ forward for k in range(len(chosen))])
     return xr.Dataset(
         {"coefficient": (("friction", "speed"), 0.0 - force / load, notes("-", "coefficient of friction"))},
         coords=_coordinates(chosen) | {"speed": ("speed", every, notes("m/s", "slip speed"))},
@@ -220,7 +220,7 @@ def _from_rest(chosen: Mapping[str, Friction], load: float, device: str, distanc
     forces = []
     for travel in np.diff(distances, prepend=0.0):
         Simulation(model, float(travel / speed)).step()
-        forces.append([np.linalg.norm(model.reading(f"touch_{k}.friction_force")) for k in range(len(chosen))])
+        forces.append([np.linalg.norm(model.sensor(f"touch_{k}.friction_force")) for k in range(len(chosen))])
     return np.array(forces) / load
 
 

@@ -79,7 +79,7 @@ class Couplings:
                 not stretched.
             break_force: Force of either sign beyond which it breaks, for good [N].
             enabled: Whether it acts.
-            name: Name in parameters and readings; made up if not given.
+            name: Name in parameters and sensors; made up if not given.
             color: Display colour, RGB in 0…1.
             visible: Whether it is drawn.
 
@@ -149,7 +149,7 @@ class Couplings:
             turn_damping: About the axes, 3 numbers [N·m·s/rad].
             orientation: Rotation from the axes of the bushing to the first body, quaternion (x, y, z, w).
             enabled: Whether it acts.
-            name: Name in parameters and readings; made up if not given.
+            name: Name in parameters and sensors; made up if not given.
             color: Display colour, RGB in 0…1.
             visible: Whether it is drawn.
 
@@ -203,7 +203,7 @@ class Couplings:
             floor: Height above the origin, against gravity, of a level floor without friction on which the line
                 may rest [m]; ``None``: there is none. An end below it is taken to be on it.
             enabled: Whether it acts.
-            name: Name in parameters and readings; made up if not given.
+            name: Name in parameters and sensors; made up if not given.
             color: Display colour, RGB in 0…1.
             visible: Whether it is drawn.
 
@@ -264,7 +264,7 @@ class Couplings:
             search: ``"whole"`` or ``"active"``, as in ``add_contact``.
             rim: ``"off"``: a face beyond an open border is not held; ``"outer"``: the border itself is.
             enabled: Whether it acts.
-            name: Name in parameters and readings; made up if not given. Its contacts are ``<name>_first`` and,
+            name: Name in parameters and sensors; made up if not given. Its contacts are ``<name>_first`` and,
                 with two sides, ``<name>_second``.
             color: Colour of its arrows, RGB in 0…1.
             visible: Whether its arrows are drawn.

@@ -1,4 +1,4 @@
-"""Couplings of equal code side by side on a device: what the step, resets and readings need of them."""
+"""Couplings of equal code side by side on a device: what the step, resets and sensors need of them."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -14,7 +14,7 @@ from warpcontact import checks
 from warpcontact.checks import Array
 from warpcontact.kernels.types import WORLD
 from warpcontact.parameters import Field, pack
-from warpcontact.readings import Reading, shape_in
+from warpcontact.sensors import Sensor, shape_in
 from warpcontact.status import CouplingStatus
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ class CouplingSet(ABC):
         types: Structs of the precision.
     """
 
-    #: What the readings of all kinds tell, and of this kind alone: quantity → (array, unit, meaning).
+    #: What the sensors of all kinds tell, and of this kind alone: quantity → (array, unit, meaning).
     quantities: ClassVar[Mapping[str, tuple[str, str, str]]]
     #: What the numbers of the quantity ``status`` stand for.
     codes: ClassVar[type[IntEnum]] = CouplingStatus
@@ -124,7 +124,7 @@ class CouplingSet(ABC):
     @property
     @abstractmethod
     def results(self) -> Any:
-        """The struct of arrays [env, coupling of the set] that its readings are in."""
+        """The struct of arrays [env, coupling of the set] that its sensors are in."""
 
     @abstractmethod
     def force_stages(self, span: "Span", state: Any, status: wp.array) -> list[wp.Launch]:
@@ -147,19 +147,19 @@ class CouplingSet(ABC):
             TypeError: If one does not compile.
         """
 
-    def readings(self) -> Iterator[Reading]:
+    def sensors(self) -> Iterator[Sensor]:
         """Iterates over what can be measured."""
         for item, coupling in enumerate(self.couplings):
             for end, place in _ENDS:
                 meaning = f"force on what end {end} is fixed to, world"
                 array = _column_of_ends(2 * (self.first + item) + place)
                 name = f"{coupling.name}.force_{end}"
-                yield Reading(name, "N", meaning, array, needs=("contacts",), shape=(3,))
+                yield Sensor(name, "N", meaning, array, needs=("contacts",), shape=(3,))
             for quantity, (attribute, unit, meaning) in self.quantities.items():
                 array = self._column(attribute, item)
                 name, codes = f"{coupling.name}.{quantity}", self.codes if quantity == "status" else None
                 shape = shape_in(self.results, attribute)
-                yield Reading(name, unit, meaning, array, needs=("contacts",), codes=codes, shape=shape)
+                yield Sensor(name, unit, meaning, array, needs=("contacts",), codes=codes, shape=shape)
 
     def _column(self, attribute: str, item: int) -> Callable[[SimpleNamespace], wp.array]:
         return lambda _: getattr(self.results, attribute)[:, item]

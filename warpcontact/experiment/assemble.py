@@ -8,7 +8,6 @@ from typing import Any
 from warpcontact import meshes
 from warpcontact.experiment.catalogue import FileMesh, FormulaSettings, Section, ShapeMesh
 from warpcontact.experiment.errors import Problems
-from warpcontact.experiment.reading import Parts
 from warpcontact.experiment.rows_file import read_rows
 from warpcontact.experiment.schema import (
     ROW_KEYS,
@@ -27,6 +26,7 @@ from warpcontact.experiment.schema import (
     SurfaceContactSettings,
     SurfaceSettings,
 )
+from warpcontact.experiment.parser import Parts
 from warpcontact.meshes import Mesh, MeshError
 from warpcontact.patches import Known
 from warpcontact.scene import ContactMaterial, Scene

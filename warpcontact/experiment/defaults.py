@@ -1,10 +1,10 @@
-"""What is recorded of an experiment that says nothing about it: which readings, and how often."""
+"""What is recorded of an experiment that says nothing about it: which sensors, and how often."""
 
 from warpcontact.couplings.elements import Bushing, Catenary, SpringDamper
 from warpcontact.environments import Environments
 from warpcontact.experiment.schema import Settings
 
-# Readings that tell most of a coupling.
+# Sensors that tell most of a coupling.
 _TOLD: dict[type, tuple[str, str]] = {
     SpringDamper: ("length", "force"),
     Bushing: ("displacement", "force"),
@@ -21,8 +21,8 @@ def default_interval(settings: Settings) -> float:
     return float(f"{steps * settings.dt:.12g}")
 
 
-def default_readings(model: Environments, *, far: bool = False) -> list[str]:
-    """Returns the readings of an experiment that names none: what tells most of each element, and the energy.
+def default_sensors(model: Environments, *, far: bool = False) -> list[str]:
+    """Returns the sensors of an experiment that names none: what tells most of each element, and the energy.
 
     Args:
         model: The model.
@@ -38,4 +38,4 @@ def default_readings(model: Environments, *, far: bool = False) -> list[str]:
     # Of sets what they sum up to: a value of each is for those who ask for it.
     joints = [f"{body.name}.{key}" for body in scene.bodies if body.single for key in ("angle", "displacement")]
     wanted = [f"{name}.{key}" for name, keys in told for key in keys]
-    return wanted + [name for name in joints if name in model.reading_names] + ["scene.kinetic_energy"]
+    return wanted + [name for name in joints if name in model.sensor_names] + ["scene.kinetic_energy"]

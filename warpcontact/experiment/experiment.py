@@ -16,15 +16,15 @@ from warpcontact.environments import Environments
 from warpcontact.experiment.assemble import Assembler, Loaded
 from warpcontact.experiment.catalogue import FileMesh
 from warpcontact.experiment.changes import changed_by
-from warpcontact.experiment.defaults import default_interval, default_readings
+from warpcontact.experiment.defaults import default_interval, default_sensors
 from warpcontact.experiment.design import Design
 from warpcontact.experiment.errors import ExperimentError, Problems
 from warpcontact.experiment.observation import check_watched, watching
 from warpcontact.experiment.own import OwnFiles
 from warpcontact.experiment.plan import Plan, make_plan, recording_size
-from warpcontact.experiment.reading import Parts, load_toml, read_settings
 from warpcontact.experiment.sampling import Sobol
 from warpcontact.experiment.schema import Settings
+from warpcontact.experiment.parser import Parts, load_toml, read_settings
 from warpcontact.experiment.trial import trial
 from warpcontact.experiment.trust import Trust
 from warpcontact.experiment.variation import Variation, truncated
@@ -378,7 +378,7 @@ class Experiment:
         problems.stop(self.source)
 
     def _check_with(self, model: Environments, parts: Parts, problems: Problems) -> None:
-        """Checks what needs to know parameters and readings, and fills in what follows from them."""
+        """Checks what needs to know parameters and sensors, and fills in what follows from them."""
         present = set(model.scene.element_names())
 
         def unsound(name: str) -> bool:
@@ -394,19 +394,19 @@ class Experiment:
         if settings is None:
             return
         steps = self._can_step(model, settings, problems, unsound)
-        for i, name in enumerate(settings.record.readings or ()):
+        for i, name in enumerate(settings.record.sensors or ()):
             if not steps and is_of_hard_contact(name):
                 continue
-            if stored_name(name) not in model.reading_names and not unsound(name):
-                hint = suggestion(name, model.reading_names) or f"; {there_are(name, model.reading_names)}"
-                problems.add(f"record.readings[{i}]", f"must be the name of a reading, got {name!r}{hint}")
+            if stored_name(name) not in model.sensor_names and not unsound(name):
+                hint = suggestion(name, model.sensor_names) or f"; {there_are(name, model.sensor_names)}"
+                problems.add(f"record.sensors[{i}]", f"must be the name of a sensor, got {name!r}{hint}")
         every = self._interval(model, settings, problems)
         self._given = settings
-        readings = tuple(dict.fromkeys(map(stored_name, settings.record.readings or default_readings(model))))
-        record = settings.record.model_copy(update={"every": every, "readings": readings})
+        sensors = tuple(dict.fromkeys(map(stored_name, settings.record.sensors or default_sensors(model))))
+        record = settings.record.model_copy(update={"every": every, "sensors": sensors})
         self.settings: Settings = settings.model_copy(update={"record": record})
         if not problems:
-            self._size = recording_size(model, readings, self.design.names, settings)
+            self._size = recording_size(model, sensors, self.design.names, settings)
 
     @staticmethod
     def _can_step(

@@ -47,7 +47,7 @@ class OutcomeSettings(Section):
 
     outcome: ClassVar[type[Outcome]]
     type: str
-    of: _Sensor = Field(min_length=1, description="the name of a reading, or of a contact")
+    of: _Sensor = Field(min_length=1, description="the name of a sensor, or of a contact")
 
     def make(self) -> Outcome:
         """Returns the outcome."""
@@ -65,7 +65,7 @@ class OutcomeSettings(Section):
 class StopSettings(Section):
     """An entry of ``[stop]``."""
 
-    of: _Sensor = Field(min_length=1, description="the name of a reading")
+    of: _Sensor = Field(min_length=1, description="the name of a sensor")
     component: _COMPONENT = None
     items: _ITEMS = EACH
     above: _LIMIT = None
@@ -108,7 +108,7 @@ class RecordSettings(Section):
     """``[record]``: what is recorded how often."""
 
     every: Annotated[float | None, q.time] = None
-    readings: Annotated[tuple[str, ...], Field(strict=False)] | None = None
+    sensors: Annotated[tuple[str, ...], Field(strict=False)] | None = None
     series: bool = True
 
 
@@ -205,7 +205,7 @@ def check_watched(
         integrator: What steps it.
         settings: The experiment.
         problems: Receives what is not.
-        unsound: Whether a reading is, or may be, of an element that has problems of its own.
+        unsound: Whether a sensor is, or may be, of an element that has problems of its own.
     """
     part = model.parts[0]
     finder = Finder(part, integrator.declare(part, Layout(part.device)))

@@ -2,7 +2,7 @@
 
 Such a file is run as any module is that one imports. It has to lie inside of the folder of the experiment, so that
 an experiment from elsewhere runs only its own files. In a run folder, a file must be trusted, see ``trust``.
-Errors in a file, and of reading it, are reported in one sentence with the line.
+Errors in a file, and of its import, are reported in one sentence with the line.
 """
 
 import contextlib

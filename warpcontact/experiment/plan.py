@@ -209,11 +209,11 @@ def shard_size(most: int, envs: int) -> int:
 
 
 def recording_size(
-    model: Environments, readings: Collection[str], varied: Collection[str], settings: Settings
+    model: Environments, sensors: Collection[str], varied: Collection[str], settings: Settings
 ) -> RecordingSize:
     """Returns what the recording of an experiment takes, from a model of any number of environments."""
     series = settings.record.series
-    names = readings if series else ()
+    names = sensors if series else ()
     parameters = kept(model, varied, settings.envs)
     return Recorder(model, names, 1, poses=True, parameters=parameters, series=series).size()
 

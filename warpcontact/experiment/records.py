@@ -17,7 +17,7 @@ COMMITS = "commit"
 #: In ``COMMITS``: the files that the store was made with.
 MADE = "store.json"
 
-#: The groups, of parameters, outcomes, readings over time, and events.
+#: The groups, of parameters, outcomes, sensors over time, and events.
 GROUPS = ("params", "outcome", "series", "events")
 
 #: Most axes of an array.

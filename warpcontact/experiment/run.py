@@ -23,9 +23,9 @@ from warpcontact.experiment.errors import ExperimentError, Problems, shown
 from warpcontact.experiment.expected import LABELS, ORDER, Extent
 from warpcontact.experiment.lock import is_written
 from warpcontact.experiment.own import OwnFiles
-from warpcontact.experiment.reading import Parts, load_toml, read_settings
 from warpcontact.experiment.records import COMMITS, DATA, GROUPS, Commit, StoreError
 from warpcontact.experiment.schema import Settings
+from warpcontact.experiment.parser import Parts, load_toml, read_settings
 from warpcontact.experiment.store import Ledger, Shards
 from warpcontact.experiment.trust import Trust
 from warpcontact.flags import words_of
@@ -120,7 +120,7 @@ class Run:
 
     @functools.cached_property
     def series(self) -> "xr.Dataset":
-        """The readings (time, env, …) of environments that have begun; NaN, or −1, behind the last whole block.
+        """The sensors (time, env, …) of environments that have begun; NaN, or −1, behind the last whole block.
 
         Records of an unfinished shard are written in blocks; those since the last one are in its checkpoint.
 

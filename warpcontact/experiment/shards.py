@@ -70,7 +70,7 @@ class Frames:
         """Returns those of an experiment, written in blocks."""
         steps, stride = recorded_steps(settings.duration, settings.record.every, settings.dt)
         if not settings.record.series:
-            # A frame without readings, at the end: steps are only looked at for progress.
+            # A frame without sensors, at the end: steps are only looked at for progress.
             return cls(steps, steps, 0, 2)
         return cls(steps, stride, frame_count(steps, stride), block)
 
@@ -179,13 +179,13 @@ class ShardRunner:
         ``most``: number of frames; ``None``: blocks of them.
         """
         record = self.settings.record
-        readings = record.readings or () if record.series else ()
+        sensors = record.sensors or () if record.series else ()
         varied = kept(self.model, self.design.names, self.design.envs)
         frames = self.frames
         blocks = blocks_at_once(frames.count, frames.block) if most is None else 1
         return Recorder(
             self.model,
-            readings,
+            sensors,
             frames.block if most is None else most,
             poses=True,
             parameters=varied,
@@ -209,9 +209,9 @@ class ShardRunner:
         for coupling in model.scene.contact_couplings:
             for key in OUTCOMES:
                 name = f"{coupling.name}.{key}"
-                reading = model.find_reading(name)
-                notes = {"units": reading.unit, "long_name": reading.meaning}
-                found[name] = ("env", model.reading(name), notes)
+                sensor = model.find_sensor(name)
+                notes = {"units": sensor.unit, "long_name": sensor.meaning}
+                found[name] = ("env", model.sensor(name), notes)
         return found
 
     def events(self) -> "xr.Dataset | None":
@@ -347,7 +347,7 @@ class _Attempt:
         if not commit.steps:
             self.staging.write("params", _values(self.recorder.parameters()))
         taken = commit.frames + self.recorder.taken
-        # The frames without readings are not counted.
+        # The frames without sensors are not counted.
         taken = taken if frames.count else min(1, commit.steps)
         steps = frames.steps
         for done in runner.simulation.advance(

@@ -14,8 +14,8 @@ from warpcontact.experiment.assemble import Assembler, Loaded
 from warpcontact.experiment.catalogue import FormulaSettings, own_class
 from warpcontact.experiment.errors import Problems
 from warpcontact.experiment.own import blame
-from warpcontact.experiment.reading import Parts
 from warpcontact.experiment.schema import FORMULA_SECTIONS
+from warpcontact.experiment.parser import Parts
 from warpcontact.kernels import laws, springs
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.motions import Motion

@@ -1,4 +1,4 @@
-"""Outcomes: what is kept of readings over time, by a few numbers per environment, while it is stepped."""
+"""Outcomes: what is kept of sensors over time, by a few numbers per environment, while it is stepped."""
 
 from typing import TYPE_CHECKING
 

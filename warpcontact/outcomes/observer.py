@@ -70,11 +70,11 @@ class Observer:
     Attributes:
         watch: What it watches.
         kept: The outcomes.
-        needs: What has to be computed for results, see ``Reading.needs``.
+        needs: What has to be computed for results, see ``Sensor.needs``.
         searches: Whether all contacts have to be looked at in every step.
 
     Raises:
-        KeyError: If there is no reading of a name.
+        KeyError: If there is no sensor of a name.
         ValueError: If one is not what is asked for.
     """
 
@@ -97,9 +97,9 @@ class Observer:
         self.first_places = np.cumsum([0, *(one.items for one in self.watched)]).tolist()
         in_step = [one for kept in self.kept if not kept.outcome.at_end for one in kept.seen]
         in_step += [*self._stops, *self.watched]
-        self._needs_in_step = frozenset(need for one in in_step for need in one.reading.needs)
+        self._needs_in_step = frozenset(need for one in in_step for need in one.sensor.needs)
         self.needs = self._needs_in_step.union(
-            need for kept in self.kept for one in kept.seen for need in one.reading.needs
+            need for kept in self.kept for one in kept.seen for need in one.sensor.needs
         )
         self.searches = any(one.searches for one in in_step)
         self._shows = any(one.shown for one in in_step)
@@ -227,7 +227,7 @@ def sources_of(finder: Finder, owner: str, outcome: Outcome) -> tuple[Seen, ...]
     """Returns the sources of an outcome.
 
     Raises:
-        KeyError: If there is no reading of a name.
+        KeyError: If there is no sensor of a name.
         ValueError: If one is not what is asked for; messages begin with ``owner``.
     """
     try:

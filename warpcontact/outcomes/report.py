@@ -12,8 +12,8 @@ from warpcontact._version import __version__
 from warpcontact.environments import Environments
 from warpcontact.outcomes.observer import Kept, Observer
 from warpcontact.outcomes.watch import Watch
-from warpcontact.readings import AXES
 from warpcontact.recorder import item_dimension
+from warpcontact.sensors import AXES
 from warpcontact.status import Cause, EnvironmentStatus
 
 Variable = tuple[Sequence[str], NDArray[Any], Mapping[str, Any]]
@@ -119,15 +119,15 @@ def _outcome(model: Environments, kept: Kept, values: NDArray[np.float64]) -> Va
     """Returns the results of an outcome (env, item, component) as a variable."""
     first = kept.seen[0]
     dims = ["env"]
-    if first.reading.items and first.source.items == "each":
-        dims.append(item_dimension(model.scene, first.reading.name.partition(".")[0]))
+    if first.sensor.items and first.source.items == "each":
+        dims.append(item_dimension(model.scene, first.sensor.name.partition(".")[0]))
     else:
         values = values[:, 0]
     if first.axis is None:
         values = values[..., 0]
     else:
         dims.append(first.axis)
-    return dims, values, {"units": kept.outcome.unit(first.reading.unit), "long_name": kept.outcome.long_name}
+    return dims, values, {"units": kept.outcome.unit(first.sensor.unit), "long_name": kept.outcome.long_name}
 
 
 def _dataset(model: Environments, variables: Mapping[str, Variable]) -> xr.Dataset:

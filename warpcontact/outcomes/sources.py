@@ -1,4 +1,4 @@
-"""Readings as outcomes, stop conditions and events look at them: found, checked, and brought to one form."""
+"""Sensors as outcomes, stop conditions and events look at them: found, checked, and brought to one form."""
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from warpcontact.checks import look_up
 from warpcontact.kernels.outcomes.base import COMPONENTS, Source
 from warpcontact.kernels.outcomes.source import EACH, SUM, Form
 from warpcontact.looks import IN_PARTS
-from warpcontact.readings import AXES, Reading
+from warpcontact.sensors import AXES, Sensor
 
 if TYPE_CHECKING:
     from warpcontact.draft import PartDraft
@@ -28,7 +28,7 @@ class Seen:
 
     Attributes:
         source: What was asked for.
-        reading: The reading.
+        sensor: The sensor.
         in_step: Whether it is there in every step.
         searches: Whether for that all contacts have to be looked at in every step.
         shown: Whether it is of a hard contact, which has to be shown first.
@@ -36,7 +36,7 @@ class Seen:
     """
 
     source: Source
-    reading: Reading
+    sensor: Sensor
     in_step: bool
     searches: bool
     shown: bool
@@ -45,12 +45,12 @@ class Seen:
     @property
     def items(self) -> int:
         """Number of items that have a result of their own."""
-        return max(1, self.reading.items) if self.source.items == EACH else 1
+        return max(1, self.sensor.items) if self.source.items == EACH else 1
 
     @property
     def components(self) -> int:
         """Number of components that have a result of their own."""
-        return 1 if self.source.component is not None or not self.reading.shape else self.reading.shape[0]
+        return 1 if self.source.component is not None or not self.sensor.shape else self.sensor.shape[0]
 
     @property
     def axis(self) -> str | None:
@@ -59,12 +59,12 @@ class Seen:
 
     def form(self, real: type) -> Form:
         """Returns how its numbers become one; before there is an array of it, as if that were of ``real``."""
-        items = SUM if self.reading.total else self.source.items
+        items = SUM if self.sensor.total else self.source.items
         return Form(real, self.source.component == "norm", items)
 
     def view(self, arrays: SimpleNamespace) -> wp.array:
         """Returns what is looked at as an array of numbers (env, item, component)."""
-        whole = self.reading.array(arrays)
+        whole = self.sensor.array(arrays)
         scalar = getattr(whole.dtype, "_wp_scalar_type_", whole.dtype)
         size = wp.types.type_size_in_bytes(scalar)
         width = getattr(whole.dtype, "_length_", 1)
@@ -83,7 +83,7 @@ class Seen:
 
 
 class Finder:
-    """Finds sources among the readings of a model.
+    """Finds sources among the sensors of a model.
 
     Args:
         model: The model, or what is drawn up of it.
@@ -91,11 +91,11 @@ class Finder:
     """
 
     def __init__(self, model: "Model | PartDraft", hard: "HardContacts | None") -> None:
-        self._readings: Mapping[str, Reading] = model.readings
+        self._sensors: Mapping[str, Sensor] = model.sensors
         self._hard: Collection[str] = frozenset()
         if hard is not None:
-            own = {one.name: one for one in hard.readings()}
-            self._readings = {**model.readings, **own}
+            own = {one.name: one for one in hard.sensors()}
+            self._sensors = {**model.sensors, **own}
             self._hard = hard.names
         self._meshed = {contact.name for contact in model.scene.contacts}
         self._single = [contact.name for contact in model.scene.contacts]
@@ -112,26 +112,26 @@ class Finder:
         """Returns what is known of ``source``.
 
         Raises:
-            KeyError: If there is no such reading.
+            KeyError: If there is no such sensor.
             ValueError: If it has no such component, no items, or is no vector.
         """
         try:
-            reading = look_up("reading", source.name, self._readings)
+            sensor = look_up("sensor", source.name, self._sensors)
         except KeyError as error:
             raise KeyError(f"{owner}: {error.args[0]}") from None
-        if len(reading.shape) > 1:
-            raise ValueError(f"{owner}: {source.name} is a matrix; take readings of numbers or vectors")
-        width = reading.shape[0] if reading.shape else 1
+        if len(sensor.shape) > 1:
+            raise ValueError(f"{owner}: {source.name} is a matrix; take sensors of numbers or vectors")
+        width = sensor.shape[0] if sensor.shape else 1
         at = COMPONENTS[source.component] if source.component is not None else 0
         if source.component is not None and (width == 1 or (at or 0) >= width):
             has = ", ".join([*map(repr, AXES[width][1]), "'norm'"]) if width > 1 else "no components"
             raise ValueError(f"{owner}: {source.name} has {has}, got component={source.component!r}")
-        if source.items != EACH and not reading.items:
+        if source.items != EACH and not sensor.items:
             raise ValueError(f"{owner}: {source.name} is not of a set and takes no items, got {source.items!r}")
         element, _, quantity = source.name.rpartition(".")
         return Seen(
             source,
-            reading,
+            sensor,
             in_step=self._lives(source.name),
             searches=element in self._meshed and quantity in OF_NEAR,
             shown=element in self._hard,
@@ -142,13 +142,13 @@ class Finder:
         """Returns the same of what is there in every step.
 
         Raises:
-            KeyError: If there is no such reading.
+            KeyError: If there is no such sensor.
             ValueError: If it has no such component, or is not there in every step.
         """
         found = self.find(owner, source)
         if not found.in_step:
             element = source.name.rpartition(".")[0]
-            others = [name for name in self._readings if name.rpartition(".")[0] == element and self._lives(name)]
+            others = [name for name in self._sensors if name.rpartition(".")[0] == element and self._lives(name)]
             listed = ", ".join(others) or f"those of {', '.join(sorted(self._meshed | self._bodies))}"
             raise ValueError(
                 f"{owner}: {source.name} is not there in every step, and may only be Final; in every step there "
@@ -160,14 +160,14 @@ class Finder:
         """Returns the same of what is one number of an environment in every step.
 
         Raises:
-            KeyError: If there is no such reading.
+            KeyError: If there is no such sensor.
             ValueError: If it is not one number, or not there in every step.
         """
         found = self.find_in_step(owner, source)
         if found.components > 1:
             known = ", ".join([*map(repr, AXES[found.components][1]), "'norm'"])
             raise ValueError(f"{owner}: {source.name} is a vector; say which component: {known}")
-        if found.reading.items and source.items == EACH:
+        if found.sensor.items and source.items == EACH:
             raise ValueError(f"{owner}: {source.name} is of a set; say items='sum', 'max' or 'min'")
         return found
 
@@ -188,9 +188,9 @@ class Finder:
         return self.find_in_step(owner, Source(name))
 
     def _lives(self, name: str) -> bool:
-        """Whether a reading is there in every step; wrenches are without impulses until they are asked for."""
-        reading: Any = self._readings.get(name)
+        """Whether a sensor is there in every step; wrenches are without impulses until they are asked for."""
+        sensor: Any = self._sensors.get(name)
         element, _, quantity = name.rpartition(".")
         if self._hard and element in self._bodies and quantity in ("force", "torque"):
             return False
-        return reading is not None and len(reading.shape) < 2 and IN_PARTS.issuperset(reading.needs)
+        return sensor is not None and len(sensor.shape) < 2 and IN_PARTS.issuperset(sensor.needs)

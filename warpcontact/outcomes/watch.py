@@ -33,10 +33,10 @@ class Stop:
     """A condition that stops an environment: it is held at the first state at which it holds, or has for a while.
 
     Args:
-        of: Name of a reading; of a set or a vector, ``items`` or ``component`` make it one number.
+        of: Name of a sensor; of a set or a vector, ``items`` or ``component`` make it one number.
         component: ``"x"``, ``"y"``, ``"z"``, ``"w"`` or ``"norm"`` of a vector.
         items: ``"sum"``, ``"max"`` or ``"min"`` of the items of a set.
-        above: The condition: the reading is above this ...
+        above: The condition: the sensor is above this ...
         below: ... or below this; one of both.
         lasting: How long it has to hold without a break [s].
 

@@ -67,7 +67,7 @@ class MutualContacts:
                 sphere of radius R under the pressure of Hertz, (3π/16) √(R δ).
             share: Factor on forces and couples.
             enabled: Whether it acts.
-            name: Name in parameters and readings; made up if not given.
+            name: Name in parameters and sensors; made up if not given.
             color: Colour of its arrows, RGB in 0…1.
             visible: Whether its arrows are drawn.
 

@@ -1,4 +1,4 @@
-"""A mutual contact on a device: what the step, resets and readings need of it."""
+"""A mutual contact on a device: what the step, resets and sensors need of it."""
 
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
@@ -23,8 +23,8 @@ from warpcontact.kernels.types import FREE
 from warpcontact.parameters import ClosedGap, Field, Parameter, Parameters, Upload, pack
 from warpcontact.piles.elements import MutualContact
 from warpcontact.piles.room import FEW, all_pairs, owned_of, partners_around
-from warpcontact.readings import Reading, shape_in
 from warpcontact.schedule import FEW_TOGETHER
+from warpcontact.sensors import Sensor, shape_in
 from warpcontact.smooth.elements import Shape
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ class Pile:
         lists: See there.
         touches: See there.
         grid: See there.
-        measured: What readings are measured into.
+        measured: What sensors are measured into.
     """
 
     def __init__(
@@ -447,7 +447,7 @@ class Pile:
         )
 
     def measure(self, envs: int, device: wp.Device) -> None:
-        """Measures what its readings are, of the forces computed last."""
+        """Measures what its sensors are, of the forces computed last."""
         inputs = [self.shapes, self.lists, self.touches]
         outputs = [self.measured]
         count = self.contact.count
@@ -456,16 +456,16 @@ class Pile:
         kernel = measures.totals(self.real)
         wp.launch(kernel, dim=envs, inputs=[count, *inputs], outputs=outputs, device=device)
 
-    def readings(self) -> Iterator[Reading]:
+    def sensors(self) -> Iterator[Sensor]:
         """Iterates over what can be measured."""
         name, count = self.contact.name, self.contact.count
         for quantity, (attribute, unit, meaning) in _FOR_ALL.items():
             array, shape = self._array(attribute), shape_in(self.measured, attribute)
-            yield Reading(f"{name}.{quantity}", unit, meaning, array, needs=("contacts", "piles"), shape=shape)
+            yield Sensor(f"{name}.{quantity}", unit, meaning, array, needs=("contacts", "piles"), shape=shape)
         for quantity, (attribute, unit, meaning) in _FOR_EACH.items():
             array = self._array(attribute)
             shape, needs = shape_in(self.measured, attribute), ("contacts", "piles")
-            yield Reading(f"{name}.{quantity}", unit, meaning, array, needs=needs, items=count, shape=shape)
+            yield Sensor(f"{name}.{quantity}", unit, meaning, array, needs=needs, items=count, shape=shape)
 
     def _array(self, attribute: str) -> Any:
         return lambda _: getattr(self.measured, attribute)

@@ -171,7 +171,7 @@ class Replay:
         return placed(scale[:, None, None] * local, position, orientation)
 
     def series(self, name: str) -> NDArray[Any] | None:
-        """Returns reading ``name``, (time, env, …), or ``None`` if it was not recorded."""
+        """Returns sensor ``name``, (time, env, …), or ``None`` if it was not recorded."""
         return self.variable(name).transpose("time", "env", ...).values if name in self.data else None
 
     def of_element(self, element: str) -> Iterator[tuple[str, xr.DataArray]]:

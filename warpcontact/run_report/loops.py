@@ -43,7 +43,7 @@ class Loop:
 
 
 def pairs_of(series: xr.Dataset) -> list[tuple[str, str, str]]:
-    """Returns contacts with normal force, and penetration or gap: name, reading of depth, reading of force."""
+    """Returns contacts with normal force, and penetration or gap: name, sensor of depth, sensor of force."""
     found = []
     for key in series.data_vars:
         element_name, _, last = str(key).rpartition(".")

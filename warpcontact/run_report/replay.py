@@ -48,7 +48,7 @@ def replay_of(recording: xr.Dataset, scene: Scene, choice: Choice) -> Replay:
     """Returns the replay of chosen environments, as many as there is room for.
 
     Args:
-        recording: Poses and readings (time, env, …), read where they are needed.
+        recording: Poses and sensors (time, env, …), read where they are needed.
         scene: What ran.
         choice: The environments, those first that matter most.
 

@@ -97,8 +97,8 @@ class _Measured:
         return float(np.abs(self.fan).max(initial=0.0, where=np.isfinite(self.fan)))
 
 
-def readings_of(series: xr.Dataset) -> list[tuple[str, str | None]]:
-    """Returns what there can be charts of, as readings and components, those first that were asked for.
+def sensors_of(series: xr.Dataset) -> list[tuple[str, str | None]]:
+    """Returns what there can be charts of, as sensors and components, those first that were asked for.
 
     Poses are recorded last.
     """
@@ -114,11 +114,11 @@ def curves_of(outcome: xr.Dataset, series: xr.Dataset, chosen: list[int]) -> tup
 
     Args:
         outcome: Outcomes of the environments, which say what is frozen.
-        series: Readings (time, env, …).
+        series: Sensors (time, env, …).
         chosen: Numbers of the environments that have a curve of their own.
     """
-    every = readings_of(series)
-    measured = [_measured(outcome, series, reading, axis, chosen) for reading, axis in every[:CHARTS]]
+    every = sensors_of(series)
+    measured = [_measured(outcome, series, sensor, axis, chosen) for sensor, axis in every[:CHARTS]]
     scales: dict[str, float] = {}
     for one in measured:
         unit = one.curves.unit
@@ -137,7 +137,7 @@ def section(curves: list[Curves], more: int, envs: int, records: int, health: He
         health: Which of the environments are frozen, and in no quantile, and which stopped, and in all.
     """
     if not curves:
-        return element("p", "No reading that is one number was recorded over time.", class_="note")
+        return element("p", "No sensor that is one number was recorded over time.", class_="note")
     left_out = f", without {several(len(health.frozen), 'frozen one')}" if len(health.frozen) else ""
     told = [f"{several(records, 'record')} of {several(envs, 'environment')}{left_out}."]
     if envs > 1:
@@ -151,7 +151,7 @@ def section(curves: list[Curves], more: int, envs: int, records: int, health: He
     if sampled < envs:
         told.append(f"Quantiles are those of {count(sampled)} environments or more, evenly spread over all.")
     if more:
-        told.append(f"{several(more, 'further reading')} left out; all are in data.zarr.")
+        told.append(f"{several(more, 'further sensor')} left out; all are in data.zarr.")
     return joined(
         [
             element("p", " ".join(told), class_="note"),
@@ -166,9 +166,9 @@ def data(curves: list[Curves]) -> list[dict[str, Any]]:
 
 
 def _measured(
-    outcome: xr.Dataset, series: xr.Dataset, reading: str, axis: str | None, chosen: list[int]
+    outcome: xr.Dataset, series: xr.Dataset, sensor: str, axis: str | None, chosen: list[int]
 ) -> _Measured:
-    array = series[reading]
+    array = series[sensor]
     envs = np.asarray(array["env"].values)
     halted = np.isin(envs, frozen(outcome))
     sample = evenly(len(envs), sample_size(array))
@@ -181,11 +181,11 @@ def _measured(
         dims=("time", "env"),
         coords={"time": curves.seconds, "env": envs[sample]},
     )
-    fan = quantile_fan(Sampled(outcome, sampled.to_dataset(name=reading)), reading, LEVELS, missing="drop")
+    fan = quantile_fan(Sampled(outcome, sampled.to_dataset(name=sensor)), sensor, LEVELS, missing="drop")
     # Those of the others are not held for all charts.
     lines = curves.values[:, np.searchsorted(rows, own)]
     return _Measured(
-        label=reading if axis is None else f"{reading}.{axis}",
+        label=sensor if axis is None else f"{sensor}.{axis}",
         meaning=f"{curves.reduction} {array.attrs.get('long_name', '')}".strip(),
         precision=float(np.finfo(array.dtype).eps) if array.dtype.kind == "f" else 0.0,
         curves=replace(curves, envs=envs[own], values=lines),
@@ -198,7 +198,7 @@ def _measured(
 
 
 def _curves(one: _Measured, scale: float) -> Curves:
-    """Draws a reading; ``scale``: the largest value of all readings of its unit."""
+    """Draws a sensor; ``scale``: the largest value of all sensors of its unit."""
     seconds = one.curves.seconds
     span = _range(one.fan, one.curves.values, one.failed)
     low, high = visible(*span, one.precision, scale)

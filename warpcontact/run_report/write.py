@@ -38,7 +38,7 @@ def report(
 ) -> Path:
     """Writes a report of a run as one HTML file, which opens anywhere and loads nothing.
 
-    It has what was run, statistics and histograms of the outcomes, quantiles of readings over time, force over
+    It has what was run, statistics and histograms of the outcomes, quantiles of sensors over time, force over
     penetration of contacts, contact couplings, environments that failed, a table of environments, and a replay.
     Large runs are sampled, and the report says where. Of an unfinished run it has what is committed.
 
@@ -99,12 +99,12 @@ def _page(run: Run, asked: Iterable[int] | None) -> Page:
     add("replay-section", "Replay", viewer.section(replay))
     add("outcomes", "Outcomes", outcomes.section(spreads, more_outcomes, finished, len(health.frozen)))
     if shown is not None and finished:
-        curves, more_readings = series.curves_of(outcome, shown, choice.envs)
+        curves, more_sensors = series.curves_of(outcome, shown, choice.envs)
         page.data["series"] = series.data(curves)
         add(
             "series",
             "Over time",
-            series.section(curves, more_readings, finished, shown.sizes["time"], health),
+            series.section(curves, more_sensors, finished, shown.sizes["time"], health),
         )
         add("loops", "Force over penetration", loops.section(shown, choice.envs))
     add("couplings", "Contact couplings", couplings.section(reports))

@@ -52,7 +52,7 @@ class SmoothContacts:
             position: Origin of its frame in the frame of the body [m]; for a set one for all, or (n, 3).
             orientation: Rotation of its frame to that of the body, quaternion (x, y, z, w); for a set one for
                 all, or (n, 4).
-            name: Name in parameters and readings; made up if not given.
+            name: Name in parameters and sensors; made up if not given.
             group: Bits of the groups that it is in, for contacts that are not given pair by pair.
             mask: Bits of the groups that it touches there. Two shapes touch if each is in a group that the mask
                 of the other has.
@@ -104,7 +104,7 @@ class SmoothContacts:
         """Adds the contact of two shapes, with the exact gap, normal and curvatures of their surfaces.
 
         Of the shapes of a set with one other, or with those of a set of as many, it is a contact each, and its
-        readings have one more axis, ``item``.
+        sensors have one more axis, ``item``.
 
         Args:
             shape: From ``add_shape``.
@@ -118,7 +118,7 @@ class SmoothContacts:
                 sphere of radius R under the pressure of Hertz, (3π/16) √(R δ).
             share: Factor on the forces and couples of this contact.
             enabled: Whether it acts.
-            name: Name in parameters and readings; made up if not given.
+            name: Name in parameters and sensors; made up if not given.
             color: Colour of its arrows, RGB in 0…1.
             visible: Whether its arrows are drawn.
 

@@ -30,7 +30,7 @@ from warpcontact.kernels.smooth.records import (
 )
 from warpcontact.kernels.touch import Parts, group_structs
 from warpcontact.parameters import ClosedGap, Field, pack
-from warpcontact.readings import CONTACT_READINGS, Reading, shape_in
+from warpcontact.sensors import CONTACT_SENSORS, Sensor, shape_in
 from warpcontact.smooth.elements import SmoothContact
 from warpcontact.smooth.measures import has_curvatures
 from warpcontact.smooth.shape_sets import ShapeSet
@@ -314,12 +314,12 @@ class SmoothSet:
         values: NDArray[np.int32] = self.smooth.failures.numpy()[:, self.items[contact]]
         return values
 
-    def readings(self) -> Iterator[Reading]:
+    def sensors(self) -> Iterator[Sensor]:
         """Iterates over what can be measured."""
         for contact, items in self.items.items():
             own: int | slice = items.start if contact.single else items
             several = 0 if contact.single else contact.count
-            for key, (attribute, unit, meaning) in (CONTACT_READINGS | _READINGS).items():
+            for key, (attribute, unit, meaning) in (CONTACT_SENSORS | _READINGS).items():
                 text = meaning.replace("the point's body", "the body of its first shape")
                 text = text.replace("out of the surface", "out of its other shape")
                 codes = Status if key == "status" else None
@@ -327,13 +327,13 @@ class SmoothSet:
                 name = f"{contact.name}.{key}"
                 shape = shape_in(self.smooth, attribute)
                 options: dict[str, Any] = {"items": several, "codes": codes, "shape": shape}
-                yield Reading(name, unit, text, array, needs=("contacts",), **options)
+                yield Sensor(name, unit, text, array, needs=("contacts",), **options)
             of_curvature = _CURVATURES | _GRADIENTS if has_curvatures(contact.kinds) else {}
             for key, (measure, attribute, unit, meaning) in (_MEASURES | of_curvature).items():
                 array = _measured(measure, attribute, _shifted(own, self.first))
                 shape = shape_in(_STRUCTS[measure], attribute)
                 name = f"{contact.name}.{key}"
-                yield Reading(name, unit, meaning, array, needs=(measure,), items=several, shape=shape)
+                yield Sensor(name, unit, meaning, array, needs=(measure,), items=several, shape=shape)
             if of_curvature:
                 yield from self._by_sizes(contact, _shifted(own, self.first), several)
             for part, formula in contact.formulas.items():
@@ -342,9 +342,9 @@ class SmoothSet:
                     meaning = f"{memory.meaning}, as of the last step{frame}"
                     array = self._remembered(part, key, own)
                     options = {"items": several, "shape": (3,) if memory.tangent else ()}
-                    yield Reading(f"{contact.name}.{part}.{key}", memory.unit, meaning, array, **options)
+                    yield Sensor(f"{contact.name}.{part}.{key}", memory.unit, meaning, array, **options)
 
-    def _by_sizes(self, contact: SmoothContact, items: int | slice, several: int) -> Iterator[Reading]:
+    def _by_sizes(self, contact: SmoothContact, items: int | slice, several: int) -> Iterator[Sensor]:
         """Iterates over the derivatives of the gap by the sizes of both shapes."""
         for side, shape in (("a", contact.shape), ("b", contact.other_shape)):
             first = 0
@@ -353,7 +353,7 @@ class SmoothSet:
                 array = _part(f"gap_by_sizes_{side}", first, width, items)
                 name = f"{contact.name}.gap_by_{size}_{side}"
                 options: dict[str, Any] = {"items": several, "shape": () if width == 1 else (width,)}
-                yield Reading(name, "-", meaning, array, needs=("smooth_gradients",), **options)
+                yield Sensor(name, "-", meaning, array, needs=("smooth_gradients",), **options)
                 first += width
 
     def _column(self, attribute: str, items: int | slice) -> Callable[[SimpleNamespace], wp.array]:

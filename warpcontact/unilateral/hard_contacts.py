@@ -22,8 +22,8 @@ from warpcontact.kernels.unilateral.rows import moving_struct, row_structs
 from warpcontact.parameters import Parameter
 from warpcontact.piles.elements import MutualContact
 from warpcontact.piles.pile import Pile
-from warpcontact.readings import Reading
 from warpcontact.scene import Contact, Scene
+from warpcontact.sensors import Sensor
 from warpcontact.smooth.elements import SmoothContact
 from warpcontact.status import ContactMode
 from warpcontact.unilateral.materials import CLOSED, Hard, material_upload, parameters_of
@@ -89,7 +89,7 @@ class HardContacts:
         restraint: How far restitution was lowered in the last step.
         memory: Of each contact, from the last step in which it was closed.
         account: Of each environment, since reset.
-        shown: What readings show.
+        shown: What sensors show.
         reactions: Mean wrenches of the last step on the bodies.
         material: [env, material].
     """
@@ -122,7 +122,7 @@ class HardContacts:
         }
         self._mesh = self._list(0, meshes, layout)
         self._mesh_blocks = self._list(0, self._blocks_of, layout)
-        # What readings show of single contacts.
+        # What sensors show of single contacts.
         self._shown: dict[Contact | SmoothContact, slice] = dict(meshes.items())
         self._smooth: list[tuple[SmoothSet, _List]] = []
         for one in model.smooth:
@@ -361,7 +361,7 @@ class HardContacts:
         wp.launch(remember.forget(self._real), dim=len(chosen), inputs=inputs, device=self._device)
 
     def show_stages(self, span: "Span", status: wp.array) -> list[wp.Launch]:
-        """Returns the launches that put the last step where readings of contacts look, but for those of piles.
+        """Returns the launches that put the last step where sensors of contacts look, but for those of piles.
 
         ``status`` [env] says which environments are active.
         """
@@ -376,7 +376,7 @@ class HardContacts:
         return launches
 
     def show(self, model: "Model") -> None:
-        """Puts the last step where readings look; forces are the mean over it."""
+        """Puts the last step where sensors look; forces are the mean over it."""
         from warpcontact.schedule import Span
 
         a, device, real = model.arrays, self._device, self._real
@@ -390,7 +390,7 @@ class HardContacts:
         shape = (model.envs, model.body_count)
         wp.launch(remember.push(real), dim=shape, inputs=[self.reactions, a.wrenches], device=device)
 
-    def readings(self) -> Iterator[Reading]:
+    def sensors(self) -> Iterator[Sensor]:
         """Iterates over what can be measured of hard contacts."""
         for contact, numbers in self._shown.items():
             if self.acts(contact.name):
@@ -403,12 +403,12 @@ class HardContacts:
             several = 0 if single else contact.count
             name, array = f"{contact.name}.impulse", _shown("impulse", own)
             text = f"impulse of the last step on {on}, world"
-            yield Reading(name, "N·s", text, array, needs=("contacts",), items=several, shape=(3,))
+            yield Sensor(name, "N·s", text, array, needs=("contacts",), items=several, shape=(3,))
             name, array = f"{contact.name}.mode", _shown("mode", own)
             text = "whether it stuck or slipped in the last step"
-            yield Reading(name, "-", text, array, needs=("contacts",), items=several, codes=ContactMode)
+            yield Sensor(name, "-", text, array, needs=("contacts",), items=several, codes=ContactMode)
         for key, (part, attribute, unit, meaning) in OF_SCENE.items():
-            yield Reading(f"scene.{key}", unit, meaning, _of_scene(part, attribute))
+            yield Sensor(f"scene.{key}", unit, meaning, _of_scene(part, attribute))
 
 
 # name: (struct, array, unit, what it is)
@@ -425,7 +425,7 @@ OF_SCENE = {
 
 
 def is_of_hard_contact(name: str) -> bool:
-    """Whether a reading is one of hard contacts alone, by its name."""
+    """Whether a sensor is one of hard contacts alone, by its name."""
     element, _, quantity = name.rpartition(".")
     return quantity in OF_SCENE if element == "scene" else quantity in ("impulse", "mode")
 

@@ -49,7 +49,7 @@ def mark(prim: Any, name: str) -> None:
 
 
 def attribute_name(quantity: str) -> str:
-    """Returns the name of the attribute for a reading: ``normal_force`` → ``warpcontact:normalForce``."""
+    """Returns the name of the attribute for a sensor: ``normal_force`` → ``warpcontact:normalForce``."""
     from pxr import Tf
 
     parts = []

@@ -28,7 +28,7 @@ def named_number(recording: xr.Dataset, name: str, outcome: xr.Dataset | None = 
 
 
 def _could_color(array: xr.DataArray) -> bool:
-    """Whether it may have a number for each environment, by what is known without reading it."""
+    """Whether it may have a number for each environment, decided without evaluating it."""
     return "env" in array.dims and array.dtype.kind in "biuf" and "axis" not in array.dims
 
 

@@ -19,7 +19,7 @@ from warpcontact.usd.joints import is_joint, write_joint
 from warpcontact.usd.layout import PROTOTYPE, RESERVED, SHAPES, WORLD, Layout
 from warpcontact.usd.materials import UsdMaterial, UsdMaterials, material_path, set_material
 from warpcontact.usd.prototype import Prototype
-from warpcontact.usd.readings import Readings
+from warpcontact.usd.sensors import Sensors
 from warpcontact.usd.surfaces import write_surface
 from warpcontact.usd.swarms import write_swarm
 
@@ -69,9 +69,9 @@ class Environments:
         """Writes what does not change over time; ``content`` begins with the first record."""
         layout = self.layout
         scene_path = f"{WORLD if self.one_gravity else PROTOTYPE}/PhysicsScene"
-        readings = readings_of(content.replay)
+        sensors = sensors_of(content.replay)
         prototype = Prototype(
-            self.stage, content, layout, self.materials, readings, None if self.one_gravity else scene_path
+            self.stage, content, layout, self.materials, sensors, None if self.one_gravity else scene_path
         )
         prototype.write()
         physics.define_gravity(self.stage, scene_path, self.gravity[0])
@@ -151,38 +151,38 @@ class Environments:
 
     def animate(self, content: Content, samples: Samples, tell: Callable[[int], None]) -> None:
         """Writes what changes over time, of the records in ``content``; ``tell``: is told of each environment."""
-        readings = readings_of(content.replay)
+        sensors = sensors_of(content.replay)
         for row in range(len(self.layout.envs)):
-            self._animate_environment(content, readings, samples, row)
+            self._animate_environment(content, sensors, samples, row)
             tell(1)
 
     def _animate_environment(
-        self, content: Content, readings: dict[str, Readings], samples: Samples, row: int
+        self, content: Content, sensors: dict[str, Sensors], samples: Samples, row: int
     ) -> None:
         stage, layout, replay = self.stage, self.layout, content.replay
         path = layout.env(row)
         scene = replay.scene
-        readings["scene"].write(stage.GetPrimAtPath(path), samples, row)
+        sensors["scene"].write(stage.GetPrimAtPath(path), samples, row)
         for body in scene.bodies:
             prim = stage.GetPrimAtPath(layout.body(path, body))
             if body.single:
                 self._move(prim, content, body, samples, row)
                 physics.write_velocity(prim, samples, replay, body, row)
-            readings[body.name].write(prim, samples, row)
+            sensors[body.name].write(prim, samples, row)
         for moving in content.form_swarms:
             own = stage.GetPrimAtPath(layout.form(path, moving.placement))
             write_form_swarm(own, samples, moving, row)
         for swarm in content.swarms:
             write_swarm(stage.GetPrimAtPath(layout.swarm(path, swarm)), samples, swarm, row)
         for name in (one.name for one in _touching(replay)):
-            readings[name].write(stage.GetPrimAtPath(layout.contact(path, name)), samples, row)
+            sensors[name].write(stage.GetPrimAtPath(layout.contact(path, name)), samples, row)
         for lines in (*content.lines, *content.resultants):
             prim = stage.GetPrimAtPath(f"{layout.contact(path, lines.name)}/force")
             write_arrows(prim, samples, lines, row, layout.force_scale, layout.size)
         for curve in content.curves:
             name = curve.coupling.name
             own = layout.coupling(path, name)
-            readings[name].write(stage.GetPrimAtPath(own), samples, row)
+            sensors[name].write(stage.GetPrimAtPath(own), samples, row)
             shape, shown = stage.GetPrimAtPath(f"{own}/shape"), curve.shown[:, row].tolist()
             write_curves(shape, samples, curve.points[:, row], shown, WIDTH * layout.size)
 
@@ -198,8 +198,8 @@ def _touching(replay: Replay) -> list[Any]:
     return [*scene.contacts, *scene.contact_couplings, *scene.smooth_contacts, *scene.mutual_contacts]
 
 
-def readings_of(replay: Replay) -> dict[str, Readings]:
+def sensors_of(replay: Replay) -> dict[str, Sensors]:
     """Returns what was recorded of the scene and its elements, by their names."""
     scene = replay.scene
     named: list[Any] = [*scene.bodies, *scene.couplings, *_touching(replay)]
-    return {name: Readings(replay, name) for name in ("scene", *(element.name for element in named))}
+    return {name: Sensors(replay, name) for name in ("scene", *(element.name for element in named))}

@@ -48,7 +48,7 @@ def export_usd(
         force_scale: Length of arrows [m/N]; ``None``: the largest force is 1.5 times the largest body.
         ensemble: Whether all environments of the recording are shown; ``"auto"``: where there are more than
             ``envs``, and in place, and of very many some that are evenly spread over all.
-        color_by: What colours the ensemble, from low to high by viridis: name of a parameter or reading of the
+        color_by: What colours the ensemble, from low to high by viridis: name of a parameter or sensor of the
             recording with one number for each environment, or one for all items of a set in it, or values with
             the coordinate ``env``, such as an outcome, or with ``time`` and ``env``. ``None``: the colours of the
             bodies.

@@ -16,7 +16,7 @@ from warpcontact.usd.forms import declare_form_swarm, write_form
 from warpcontact.usd.joints import define_joint, is_joint
 from warpcontact.usd.layout import PROTOTYPE, SHAPES, WORLD, Layout
 from warpcontact.usd.materials import UsdMaterials, bind_material, define_material, material_path
-from warpcontact.usd.readings import Readings
+from warpcontact.usd.sensors import Sensors
 from warpcontact.usd.surfaces import define_shapes, define_surfaces, write_surface
 from warpcontact.usd.swarms import declare_swarm
 
@@ -29,7 +29,7 @@ class Prototype:
         content: What is exported.
         layout: Where things are.
         materials: What surfaces are made of.
-        readings: What was recorded of the elements, by their names.
+        sensors: What was recorded of the elements, by their names.
         physics_scene: Path of the physics scene of an environment; ``None``: all have the same.
     """
 
@@ -39,21 +39,21 @@ class Prototype:
         content: Content,
         layout: Layout,
         materials: UsdMaterials,
-        readings: dict[str, Readings],
+        sensors: dict[str, Sensors],
         physics_scene: str | None,
     ) -> None:
         self.stage = stage
         self.content = content
         self.layout = layout
         self.materials = materials
-        self.readings = readings
+        self.sensors = sensors
         self.physics_scene = physics_scene
 
     def write(self) -> None:
         """Writes all of it."""
         prim = self.stage.CreateClassPrim(PROTOTYPE)
         prim.SetTypeName("Xform")
-        self.readings["scene"].declare(prim)
+        self.sensors["scene"].declare(prim)
         for material in self.materials.all:
             define_material(self.stage, material_path(material, self.layout.names, PROTOTYPE), material, 0)
         self._surfaces()
@@ -106,7 +106,7 @@ class Prototype:
             add_pose_operations(xform)
             reach = np.full(3, max(reach_of(content, body), 0.5 * POINT * layout.size))
             write_box(prim, -reach, reach)
-        self.readings[body.name].declare(prim)
+        self.sensors[body.name].declare(prim)
         for name, placement in content.placements.items():
             if placement.surface.body is body and name not in layout.own_surfaces:
                 own = layout.surface(PROTOTYPE, placement)
@@ -160,7 +160,7 @@ class Prototype:
         for name, visible in shown.items():
             prim = UsdGeom.Scope.Define(self.stage, layout.contact(PROTOTYPE, name)).GetPrim()
             mark(prim, name)
-            self.readings[name].declare(prim)
+            self.sensors[name].declare(prim)
             if not visible:
                 UsdGeom.Imageable(prim).MakeInvisible()
         for lines in (*self.content.lines, *self.content.resultants):
@@ -178,7 +178,7 @@ class Prototype:
             path = layout.coupling(PROTOTYPE, curve.coupling.name)
             prim = UsdGeom.Scope.Define(self.stage, path).GetPrim()
             mark(prim, curve.coupling.name)
-            self.readings[curve.coupling.name].declare(prim)
+            self.sensors[curve.coupling.name].declare(prim)
             if not curve.coupling.visible:
                 UsdGeom.Imageable(prim).MakeInvisible()
             count, width = curve.points.shape[2], WIDTH * layout.size

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from warpcontact.experiment.defaults import default_readings
+from warpcontact.experiment.defaults import default_sensors
 from warpcontact.recorder import Recorder
 from warpcontact.replay.drawing import Drawing
 from warpcontact.simulation import Simulation
@@ -25,7 +25,7 @@ _OF_CONTACTS = ("gap", "normal_force", "normal", "point", "friction_force")
 STEPPING = 0.7
 #: How much longer arrows become from picture to picture after a large force.
 FADE = 1.02
-# Of so many contacts readings are written out.
+# Of so many contacts sensors are written out.
 _READ = 8
 #: Time between looks at outcomes and at what failed [s].
 LOOK = 0.5
@@ -59,9 +59,9 @@ class Live(Show):
         self._owed = 0.0
         self._steps_per_second = 0.0
         self._looked = 0.0
-        scene, names = simulation.model.scene, simulation.model.reading_names
+        scene, names = simulation.model.scene, simulation.model.sensor_names
         pushing: list[Any] = [*scene.contacts, *scene.smooth_contacts]
-        self._read = list(dict.fromkeys([*default_readings(simulation.model, far=True), *self._of_sets()]))
+        self._read = list(dict.fromkeys([*default_sensors(simulation.model, far=True), *self._of_sets()]))
         drawn = [f"{one.name}.{key}" for one in pushing for key in _OF_CONTACTS]
         drawn += [f"{coupling.name}.status" for coupling in scene.couplings]
         self._recorder = Recorder(
@@ -82,8 +82,8 @@ class Live(Show):
         self._resets.on_click(lambda event: self.do(lambda: self._reset(event.target.value)))
         self.picker = Picker(self, self._choose)
         self.add_looks()
-        with gui.add_folder("Readings"):
-            self._readings = gui.add_html("")
+        with gui.add_folder("Sensors"):
+            self._sensors = gui.add_html("")
         self.parameters = Parameters(self, self.simulation.model, self._varied)
         self._outcomes = None
         if self.simulation.watch.outcomes or self.simulation.watch.stops:
@@ -192,7 +192,7 @@ class Live(Show):
             self._force_scale = min(self._force_scale * FADE, drawing.force_scale)
         self.redraw()
         own = recording[self._read].isel(time=0).sel(env=env)
-        self.write_table(self._readings, rows_of(own))
+        self.write_table(self._sensors, rows_of(own))
         self._tell()
 
     def _tell(self) -> None:

@@ -28,7 +28,7 @@ class Source(ABC):
 
     Attributes:
         name: What to call it.
-        recording: Readings and parameters, (time, env, …).
+        recording: Sensors and parameters, (time, env, …).
         scene: What ran.
     """
 

@@ -62,7 +62,7 @@ def plot_file(
         repair: Repairs of which the result is drawn.
         tolerance: Of merging.
         trusted: Whether to read without limits.
-        limits: Limits of reading.
+        limits: Limits of the process that reads the files.
         active_faces: As for :func:`examine_file`; the others are drawn pale.
 
     Raises:

@@ -142,7 +142,7 @@ class Candidates:
         self.place.write(snapshot)
         self.model.prepare(self._needs)
         parts = [(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)))]
-        parts += [self._of_reading(contact) for contact in self.elements]
+        parts += [self._of_sensor(contact) for contact in self.elements]
         parts += [self._of_pile(pile, pairs, snapshot) for pile, pairs in self.piles]
         gap, normal, point = (np.concatenate([part[i] for part in parts]) for i in range(3))
         gap = np.where(self.enabled > 0.0, gap, np.inf)
@@ -174,8 +174,8 @@ class Candidates:
         values = self.model[name][self.env] if name in self.model else otherwise
         return np.broadcast_to(values, (count,))
 
-    def _reading(self, name: str) -> Array:
-        """Returns a reading of this environment as it was computed last."""
+    def _sensor(self, name: str) -> Array:
+        """Returns a sensor of this environment as it was computed last."""
         if not self.model.device.is_cpu:
             return self.model.measured(name)[self.env].astype(np.float64)
         revision, views = self._views
@@ -183,12 +183,12 @@ class Candidates:
             self._views = revision, views = self.model.revision, {}
         if name not in views:
             # A view of what is computed next, too.
-            views[name] = self.model.find_reading(name).array(self.model.arrays).numpy()
+            views[name] = self.model.find_sensor(name).array(self.model.arrays).numpy()
         return views[name][self.env].astype(np.float64)
 
-    def _of_reading(self, contact: Contact | SmoothContact) -> tuple[Array, Array, Array]:
+    def _of_sensor(self, contact: Contact | SmoothContact) -> tuple[Array, Array, Array]:
         def read(key: str) -> Array:
-            return self._reading(f"{contact.name}.{key}").reshape(contact.count, -1)
+            return self._sensor(f"{contact.name}.{key}").reshape(contact.count, -1)
 
         gap, status = read("gap")[:, 0], read("status")[:, 0].astype(int)
         if (status == UNSOLVED).any():
@@ -236,7 +236,7 @@ class Candidates:
         """Adds the forces of a contact of a contact coupling to those of the bodies."""
 
         def read(key: str) -> Array:
-            return self._reading(f"{contact.name}.{key}").reshape(contact.count, -1)
+            return self._sensor(f"{contact.name}.{key}").reshape(contact.count, -1)
 
         force = read("normal_force") * read("normal") + read("friction_force")
         point, couple = read("point"), read("torque")

@@ -12,10 +12,10 @@ from warpcontact.checks import Array
 from warpcontact.elements import Body, ContactMaterial
 from warpcontact.kernels.motions import Fixed, Prescribed
 from warpcontact.scene import Scene
+from warpcontact.usd.importing.contact_materials import FRICTION, PhysicsMaterial
 from warpcontact.usd.importing.errors import StageError, shortened
 from warpcontact.usd.importing.findings import Unsupported, Wrong
 from warpcontact.usd.importing.forms import Part, part_of
-from warpcontact.usd.importing.contact_materials import FRICTION, PhysicsMaterial
 from warpcontact.usd.importing.solids import Weight
 from warpcontact.usd.importing.touching import Collider, Touching
 

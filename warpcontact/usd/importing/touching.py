@@ -11,9 +11,9 @@ from warpcontact.kernels.smooth import shapes
 from warpcontact.meshes import sample_surface
 from warpcontact.scene import Scene
 from warpcontact.smooth.elements import Shape
+from warpcontact.usd.importing.contact_materials import ContactMaterials, PhysicsMaterial, Side
 from warpcontact.usd.importing.findings import Wrong
 from warpcontact.usd.importing.forms import Part
-from warpcontact.usd.importing.contact_materials import ContactMaterials, PhysicsMaterial, Side
 from warpcontact.usd.importing.pairs import Numbers, loose, piles_of, within
 from warpcontact.usd.importing.together import share_of
 from warpcontact.usd.rolling import rolling_radius

@@ -15,7 +15,7 @@ _ROLES = {"point": "Point3", "normal": "Normal3"}
 _POSES = ("position", "orientation")
 
 
-class Readings:
+class Sensors:
     """Everything numeric that was recorded of one element, ready to be written to a prim per environment.
 
     Args:

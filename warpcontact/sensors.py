@@ -53,7 +53,7 @@ _SLIDER = {
 }
 # At each status a sensor has the value of the table "Status and sensors" in docs/contact.md: ``gap`` is the signed
 # distance, also at WRONG_SIDE, where it is negative without contact.
-CONTACT_READINGS = {
+CONTACT_SENSORS = {
     "gap": ("gap", "m", "signed distance, negative in overlap, with or without contact"),
     "penetration": ("penetration", "m", "depth, 0 without contact"),
     "normal_force": ("normal_force", "N", "normal force"),
@@ -89,7 +89,7 @@ _COUPLING = {
 
 
 @dataclass(frozen=True)
-class Reading:
+class Sensor:
     """One measurable quantity.
 
     Attributes:
@@ -142,7 +142,7 @@ def shape_in(struct: Any, attribute: str) -> tuple[int, ...]:
     return tuple(getattr(variables[attribute].type.dtype, "_shape_", ()))
 
 
-def readings_of(
+def sensors_of(
     scene: Scene,
     types: SimpleNamespace,
     start_of: Mapping[Contact, int],
@@ -151,8 +151,8 @@ def readings_of(
     couplings: "Sequence[CouplingSet]",
     smooth: "Sequence[SmoothSet]",
     piles: "Sequence[Pile]",
-) -> dict[str, Reading]:
-    """Returns all readings of a scene by name.
+) -> dict[str, Sensor]:
+    """Returns all sensors of a scene by name.
 
     Args:
         scene: The scene.
@@ -164,10 +164,10 @@ def readings_of(
         smooth: Its smooth contacts.
         piles: Its mutual contacts.
     """
-    table: dict[str, Reading] = {}
+    table: dict[str, Sensor] = {}
 
     def add(name: str, unit: str, meaning: str, array: Callable[..., wp.array], **options: Any) -> None:
-        table[name] = Reading(name, unit, meaning, array, **options)
+        table[name] = Sensor(name, unit, meaning, array, **options)
 
     structs = {
         "state": types.State,
@@ -202,7 +202,7 @@ def readings_of(
         for key, (need, unit, meaning) in _BODY_MEASURE.items():
             options = {"needs": (need,), "items": several}
             add_column(f"{body.name}.{key}", unit, meaning, need, key, own, **options)
-        for key, (need, attribute, unit, meaning) in motion_readings(body.motion).items():
+        for key, (need, attribute, unit, meaning) in joint_sensors(body.motion).items():
             before = ("wrenches",) if need == "reactions" else ()
             options = {"needs": (*before, need), "items": several}
             add_column(f"{body.name}.{key}", unit, meaning, need, attribute, own, **options)
@@ -214,7 +214,7 @@ def readings_of(
         meaning = "point K where the force acts, world"
         options = {"needs": ("points",), "items": count}
         add_column(f"{contact.name}.point", "m", meaning, "points", "position", items, **options)
-        for key, (attribute, unit, meaning) in CONTACT_READINGS.items():
+        for key, (attribute, unit, meaning) in CONTACT_SENSORS.items():
             codes = Status if key == "status" else None
             needs = ("contacts", "distances") if key in _OF_FAR else ("contacts",)
             options = {"needs": needs, "items": count, "codes": codes}
@@ -242,11 +242,11 @@ def readings_of(
             options = {"needs": (part,)} if part == "contact_couplings" else {}
             add_column(f"{coupling.name}.{key}", unit, meaning, part, attribute, number, **options)
     for couplings_of_code in couplings:
-        table.update((reading.name, reading) for reading in couplings_of_code.readings())
+        table.update((sensor.name, sensor) for sensor in couplings_of_code.sensors())
     for contacts_of_code in smooth:
-        table.update((reading.name, reading) for reading in contacts_of_code.readings())
+        table.update((sensor.name, sensor) for sensor in contacts_of_code.sensors())
     for pile in piles:
-        table.update((reading.name, reading) for reading in pile.readings())
+        table.update((sensor.name, sensor) for sensor in pile.sensors())
     for key, (need, unit, meaning) in _BODY_MEASURE.items():
         everything = slice(0, scene.bodies[-1].items.stop)
         options = {"needs": (need,), "total": True}
@@ -254,7 +254,7 @@ def readings_of(
     return table
 
 
-def motion_readings(motion: Motion) -> dict[str, tuple[str, str, str, str]]:
+def joint_sensors(motion: Motion) -> dict[str, tuple[str, str, str, str]]:
     """Returns what can be measured of a body with this motion: (need, array, unit, meaning) by name."""
     if motion.kind == FREE:
         return {}
