@@ -1,4 +1,4 @@
-"""Hard contact beside MuJoCo, in turn: boxes on feet that slide, come to rest and lie.
+"""Nonsmooth contact beside MuJoCo, in turn: boxes on feet that slide, come to rest and lie.
 
     python benchmarks/hard_contact.py                                   # on the CPU, all cores
     python benchmarks/hard_contact.py --device cuda:0 --envs 4096 32768 --no-peer

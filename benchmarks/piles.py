@@ -73,7 +73,7 @@ def packing(spheres: int, friction: float = 0.3) -> tuple[wc.Scene, float, float
     sizes = {"radius": 0.5 * DIAMETER, "max_depth": 0.5 * DIAMETER}
     for surface in (walls, floor):
         scene.add_contact(point, surface, material, name=f"on_{surface.name}", **sizes)
-    scene.add_mutual_contact(scene.add_shape(balls, wc.shapes.Sphere(0.5 * DIAMETER)), material, name="pile")
+    scene.add_particle_contact(scene.add_shape(balls, wc.shapes.Sphere(0.5 * DIAMETER)), material, name="pile")
     return scene, width, np.pi * np.sqrt(MASS / (2 * stiffness)) / 15
 
 

@@ -40,7 +40,7 @@ def energy_kept(duration: float = 1.0) -> float:
     hull = scene.add_shape(egg, wc.shapes.Ellipsoid(AXES), name="hull")
     bowl = scene.add_shape(None, Bowl(semi_axes=(1.0, 0.8, 0.7)), name="bowl")
     material = wc.ContactMaterial(law=wc.laws.PowerLaw(stiffness=STIFFNESS, exponent=1.5))
-    scene.add_smooth_contact(hull, bowl, material, name="touch")
+    scene.add_shape_contact(hull, bowl, material, name="touch")
     model = scene.build(1, "cpu", precision="float64")
     sensors = ["egg.kinetic_energy", "egg.potential_energy", "touch.penetration", "touch.converged"]
     recording = wc.Simulation(model, dt=5e-5).run(duration, sensors, every=5e-3)

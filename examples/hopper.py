@@ -107,7 +107,7 @@ def hopper(spheres: int, orifice: float, part: float, seed: int = 0) -> tuple[wc
     scene.add_contact(centres, gate, material, name="on_gate", **options)
     scene.add_contact(centres, ground, material, name="on_floor", **options)
     forms = [wc.shapes.Sphere(float(radius)) for radius in radii]
-    scene.add_mutual_contact(scene.add_shape(grains, forms), material, name="pile")
+    scene.add_particle_contact(scene.add_shape(grains, forms), material, name="pile")
     return scene, radii
 
 

@@ -1,4 +1,4 @@
-"""A heavy ball breaks through a wall of boxes in running bond: hard contact of many bodies, by both solvers.
+"""A heavy ball breaks through a wall of boxes in running bond: nonsmooth contact of many bodies, by both solvers.
 
 Boxes touch the ground, each other and the ball. Two boxes touch by the corners of each on the faces of the other.
 

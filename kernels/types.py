@@ -40,7 +40,7 @@ WRONG_SIDE = 4
 DISABLED = 5
 UNSOLVED = 6  # of smooth shapes: no root was found, and no force acts
 
-# What a hard contact does.
+# What a nonsmooth contact does.
 MODE_OPEN = 0
 MODE_STICK = 1
 MODE_SLIP = 2

@@ -95,7 +95,7 @@ def touching(gravity=(0.1, -0.2, -9.7)):
 
 
 def shaped():
-    """Shapes, smooth and mutual contacts, sets of bodies and every motion that a table or a joint describes."""
+    """Shapes, smooth and particle contacts, sets of bodies and every motion that a table or a joint describes."""
     odd = np.random.default_rng(8)
     scene = wc.Scene()
     plane = scene.add_shape(None, wc.shapes.Plane(), orientation=turned(odd), name="plane", color=(0, 1, 0))
@@ -106,7 +106,7 @@ def shaped():
     stone = wc.ContactMaterial(
         law=wc.laws.KelvinVoigt(stiffness=1e4, damping=1.0), friction=wc.frictions.Tanh(mu=0.3)
     )
-    scene.add_smooth_contact(shell, plane, stone, kappa=0.3, max_depth=0.02, name="tap")
+    scene.add_shape_contact(shell, plane, stone, kappa=0.3, max_depth=0.02, name="tap")
     places = odd.uniform(0.0, 0.1, (5, 3)) + np.array([0, 0, 0.6])
     grains = scene.add_bodies(
         places, 1e-3 * (1 + np.arange(5)), (4e-8, 5e-8, 6e-8), [turned(odd) for _ in range(5)], name="grains"
@@ -118,7 +118,7 @@ def shaped():
     balls = scene.add_shape(grains, sizes, odd.normal(size=(5, 3)) * 1e-3, group=3, name="balls")
     pills = scene.add_shape(few, wc.shapes.Capsule(0.01, 0.02), mask=0xFFFF0001, name="pills")
     one = scene.add_shape(egg, wc.shapes.Sphere(0.015), name="one")
-    scene.add_mutual_contact(
+    scene.add_particle_contact(
         [balls, pills, one], stone, exclude=[(balls, one), (pills, pills)], skin=0.004, partners=9, name="pile"
     )
     scene.add_shape(None, wc.shapes.RoundedBox((0.1, 0.2, 0.3), 0.01), visible=False)

@@ -1,4 +1,4 @@
-"""Steps of hard contact made by hand: bodies and rows in NumPy, their dense system, the device solvers on them."""
+"""Steps of nonsmooth contact made by hand: bodies and rows in NumPy, their dense system, the device solvers on them."""
 
 from dataclasses import dataclass, field
 

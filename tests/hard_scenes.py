@@ -1,4 +1,4 @@
-"""Scenes of hard contact that several tests use."""
+"""Scenes of nonsmooth contact that several tests use."""
 
 import numpy as np
 from scenes import square
@@ -10,7 +10,7 @@ HARD = wc.integrators.MoreauJean()
 
 
 def rigid(restitution=0.0, mu=None, **parts):
-    """A material of hard contact; without ``mu`` nothing opposes sliding."""
+    """A material of nonsmooth contact; without ``mu`` nothing opposes sliding."""
     friction = None if mu is None else wc.frictions.Coulomb(mu=mu)
     return wc.ContactMaterial(law=wc.laws.Rigid(restitution=restitution), friction=friction, **parts)
 

@@ -87,14 +87,14 @@ def pile_scene():
     )
     sphere = scene.add_shape(grains, wc.shapes.Sphere(0.5))
     rod = scene.add_shape(scene.bodies[0], wc.shapes.Capsule(0.1, 0.2))
-    scene.add_mutual_contact([sphere, rod], stuck, name="pile")
+    scene.add_particle_contact([sphere, rod], stuck, name="pile")
     others = scene.add_bodies(places[:9] + 10.0, 1.0, (1, 1, 1), name="others")
-    scene.add_mutual_contact(scene.add_shape(others, wc.shapes.Sphere(0.5)), stuck, name="few")
+    scene.add_particle_contact(scene.add_shape(others, wc.shapes.Sphere(0.5)), stuck, name="few")
     return scene
 
 
 def smooth_scene():
-    """Smooth contacts of two groups: with memory and curvatures, of a set of bodies, and on the world."""
+    """Shape contacts of two groups: with memory and curvatures, of a set of bodies, and on the world."""
     scene = ball_scene()
     grains = scene.add_bodies(np.eye(3) + 3.0, 1.0, (1, 1, 1), name="grains")
     egg = scene.add_shape(scene.bodies[0], wc.shapes.Ellipsoid((0.3, 0.2, 0.1)), name="egg")
@@ -105,9 +105,9 @@ def smooth_scene():
         friction=wc.frictions.CundallStrack(mu_static=0.6, mu_dynamic=0.4, stiffness=1e3, damping=1.0),
         rolling=wc.frictions.Tanh(mu=0.01),
     )
-    scene.add_smooth_contact(discs, egg, stuck, name="lie")
-    scene.add_smooth_contact(egg, floor, stuck, name="stand")
-    scene.add_smooth_contact(discs, floor, scene.contacts[0].material, name="rest")
+    scene.add_shape_contact(discs, egg, stuck, name="lie")
+    scene.add_shape_contact(egg, floor, stuck, name="stand")
+    scene.add_shape_contact(discs, floor, scene.contacts[0].material, name="rest")
     return scene
 
 

@@ -8,7 +8,7 @@ G = 9.81
 
 
 def rigid(mu=0.0, restitution=0.0):
-    """A material of hard contact; always with friction, so that all scenes share their kernels."""
+    """A material of nonsmooth contact; always with friction, so that all scenes share their kernels."""
     return wc.ContactMaterial(law=wc.laws.Rigid(restitution=restitution), friction=wc.frictions.Coulomb(mu=mu))
 
 
@@ -92,5 +92,5 @@ def three_balls(mu_between, mu_ground, spacing=2.1):
         shapes.append(scene.add_shape(body, wc.shapes.Sphere(1.0), name=f"{name}_ball"))
         centre = scene.add_point(body, (0, 0, 0), name=f"{name}_centre")
         scene.add_contact(centre, ground, rigid(mu_ground), radius=1.0, name=f"{name}_floor")
-    scene.add_mutual_contact(shapes, rigid(mu_between), name="balls")
+    scene.add_particle_contact(shapes, rigid(mu_between), name="balls")
     return scene.build(device="cpu", precision="float64"), 0.25 * spacing

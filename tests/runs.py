@@ -100,7 +100,7 @@ form = {{ type = "Sphere", radius = 0.1 }}
 [[material]]
 name = "soft"
 law = {{ type = "Hooke", stiffness = 100.0 }}
-[[mutual_contact]]
+[[particle_contact]]
 name = "pile"
 shapes = ["grain"]
 material = "soft"

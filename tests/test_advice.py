@@ -211,7 +211,7 @@ def two_balls(gap, device):
     for number, (mass, x) in enumerate([(1.0, 0.0), (3.0, 0.2 + gap), (1000.0, 5.0)]):
         body = scene.add_body(mass, (1.0, 1.0, 1.0), (x, 0, 0), name=f"ball_{number}")
         shapes += [scene.add_shape(body, wc.shapes.Sphere(radius)) for radius in (0.1, 0.05)]
-    scene.add_mutual_contact(shapes, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4)), name="pile")
+    scene.add_particle_contact(shapes, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4)), name="pile")
     return scene.build(2, device)
 
 

@@ -39,10 +39,10 @@ def everything(ground_name="ground"):
     egg = scene.add_body(mass=0.1, inertia=(1e-4,) * 3, position=(-1, 0, 0.09), name="egg")
     shell = scene.add_shape(egg, wc.shapes.Ellipsoid((0.12, 0.1, 0.08)), name="shell")
     plate = scene.add_shape(None, wc.shapes.Plane(), name="plate")
-    scene.add_smooth_contact(shell, plate, grip, name="tap")
+    scene.add_shape_contact(shell, plate, grip, name="tap")
     places = np.random.default_rng(0).uniform((-0.2, 2.8, -0.2), (0.2, 3.2, 0.2), (40, 3))
     grains = scene.add_bodies(places, mass=1e-2, inertia=(4e-7,) * 3, name="grains")
-    scene.add_mutual_contact(scene.add_shape(grains, wc.shapes.Sphere(0.05)), grip, name="pile")
+    scene.add_particle_contact(scene.add_shape(grains, wc.shapes.Sphere(0.05)), grip, name="pile")
     return scene
 
 

@@ -56,7 +56,7 @@ def changed(values, place, new):
 def test_files_hold_no_caches(saved):
     _, _, arrays = saved
     kinds = {name.rpartition(":")[0].rpartition(":")[2] for name in arrays if ":" in name}
-    assert kinds == {"state", "contacts", "couplings", "smooth contacts", "piles"}
+    assert kinds == {"state", "contacts", "couplings", "shape contacts", "piles"}
     names = {name.rpartition(":")[2] for name in arrays}
     assert names.isdisjoint({"wake", "nearest", "place", "gap", "penetration", "key", "head", "wrenches"})
     assert {"body_position", "entry_speed", "armed", "face", "partner", "slot", "status", "time"} <= names

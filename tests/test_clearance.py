@@ -189,7 +189,7 @@ def test_what_nobody_asks_for_is_not_searched():
         balls = scene.add_bodies([(0, 0, height), (1, 0, height)], 1.0, (1, 1, 1))
         scene.add_contact(scene.add_points(balls, np.zeros((2, 3))), ground, LAW, radius=0.1, name="touch")
         if piled:
-            scene.add_mutual_contact(scene.add_shape(balls, wc.shapes.Sphere(0.1)), LAW)
+            scene.add_particle_contact(scene.add_shape(balls, wc.shapes.Sphere(0.1)), LAW)
         sim = wc.Simulation(scene.build(device="cpu"), 1e-3, integrator)
         found = to_search(sim.model, sim._buffers[0].hard)
         return None if found is None else [contact.name for contact in found]

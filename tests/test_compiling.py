@@ -167,8 +167,8 @@ def all_kinds(law):
     middle = scene.add_point(ball, (0, 0, 0))
     scene.add_contact(middle, ground, material, radius=0.1)
     round_ones = [scene.add_shape(body, wc.shapes.Sphere(0.1)) for body in (ball, other, moved)]
-    scene.add_smooth_contact(round_ones[0], round_ones[2], material)
-    scene.add_mutual_contact(round_ones[:2], material)
+    scene.add_shape_contact(round_ones[0], round_ones[2], material)
+    scene.add_particle_contact(round_ones[:2], material)
     scene.add_spring_damper(middle, scene.add_point(None, (0, 0, 2)), spring=wc.springs.Linear(stiffness=1.0))
     return scene
 

@@ -112,10 +112,10 @@ def test_mutual_contacts_have_no_events():
     scene = wc.Scene()
     grains = scene.add_bodies([(0, 0, 0), (0, 0, 1)], mass=1.0, inertia=(0.1,) * 3, name="grains")
     material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4))
-    scene.add_mutual_contact(scene.add_shape(grains, wc.shapes.Sphere(0.1)), material, name="pile")
+    scene.add_particle_contact(scene.add_shape(grains, wc.shapes.Sphere(0.1)), material, name="pile")
     model = scene.build()
     with pytest.raises(
-        ValueError, match="events: 'pile' is a mutual contact, the touches of which have no numbers"
+        ValueError, match="events: 'pile' is a particle contact, the touches of which have no numbers"
     ):
         wc.Simulation(model, DT, events=wc.Events(["pile"]))
     with pytest.raises(ValueError, match=r"pile\.contacts is not there in every step, and may only be Final"):

@@ -168,7 +168,7 @@ def test_a_bead_leaves_a_sphere_where_it_presses_no_more():
     place = 1.1 * np.array([math.sin(start), 0.0, math.cos(start)])
     bead = scene.add_body(mass=1.0, inertia=[0.004] * 3, position=place, name="bead")
     small = scene.add_shape(bead, wc.shapes.Sphere(0.1), name="small")
-    scene.add_smooth_contact(small, dome, rigid(0.0), name="touch")
+    scene.add_shape_contact(small, dome, rigid(0.0), name="touch")
     run = EventDriven(scene.build(device="cpu", precision="float64")).run(1.0)
     (leaves,) = run.events
     assert leaves.kind is EventKind.LIFT_OFF
@@ -272,7 +272,7 @@ def test_fast_balls_that_meet_within_a_step_are_not_missed():
             mass=1.0, inertia=[1.0] * 3, position=(x, y, 0), linear_velocity=(v, 0, 0), name=name
         )
         shapes.append(scene.add_shape(body, wc.shapes.Sphere(0.05), name=f"{name}_ball"))
-    scene.add_mutual_contact(shapes, rigid(0.0, 1.0), name="balls")
+    scene.add_particle_contact(shapes, rigid(0.0, 1.0), name="balls")
     model = scene.build(device="cpu", precision="float64")
     run = EventDriven(model, step=0.02).run(0.04)
     (hit,) = run.events
@@ -398,7 +398,7 @@ def test_a_body_that_is_driven_into_the_world_is_told_of():
     motion = wc.motions.Harmonic(direction=(0, 0, 1), amplitude=-0.2, frequency=1.0)
     press = scene.add_body(mass=1.0, inertia=[0.4] * 3, position=(0, 0, 1.1), motion=motion, name="press")
     ram = scene.add_shape(press, wc.shapes.Sphere(1.0), name="ram")
-    scene.add_smooth_contact(ram, ground, rigid(0.3), name="touch")
+    scene.add_shape_contact(ram, ground, rigid(0.3), name="touch")
     with pytest.raises(ParadoxError, match=r"touch must open, but neither body can give way: both are driven"):
         EventDriven(scene.build(device="cpu", precision="float64")).run(0.25)
 

@@ -1,4 +1,4 @@
-"""Experiment files with hard contact of shapes and of piles: the words are those of Python."""
+"""Experiment files with nonsmooth contact of shapes and of piles: the words are those of Python."""
 
 import numpy as np
 import pytest
@@ -27,8 +27,8 @@ STUDY = {
         },
     ],
     "material": [{"name": "hard", "law": {"type": "Rigid", "restitution": 1.0}}],
-    "mutual_contact": [{"name": "pile", "shapes": ["first", "second"], "material": "hard"}],
-    "smooth_contact": [{"name": "touch", "shape": "second", "other_shape": "wall", "material": "hard"}],
+    "particle_contact": [{"name": "pile", "shapes": ["first", "second"], "material": "hard"}],
+    "shape_contact": [{"name": "touch", "shape": "second", "other_shape": "wall", "material": "hard"}],
     "variation": {"pile.law.restitution": {"values": [0.5, 1.0]}},
     "record": {
         "every": 1e-3,

@@ -1,4 +1,4 @@
-"""Mutual contacts in experiment files: their words, variations and errors."""
+"""Particle contacts in experiment files: their words, variations and errors."""
 
 import copy
 
@@ -22,7 +22,7 @@ STUDY = {
         {"name": "third", "body": "right", "form": {"type": "Sphere", "radius": 0.1}},
     ],
     "material": [{"name": "soft", "law": {"type": "Hooke", "stiffness": 1000.0}}],
-    "mutual_contact": [
+    "particle_contact": [
         {
             "name": "pile",
             "shapes": ["first", "second", "third"],
@@ -51,7 +51,7 @@ def test_a_pile_of_an_experiment_is_varied_recorded_and_kept(tmp_path, device):
 
 def test_all_problems_of_a_pile_are_told_at_once(tmp_path):
     study = copy.deepcopy(STUDY)
-    study["mutual_contact"][0] |= {
+    study["particle_contact"][0] |= {
         "shapes": ["first", "secnd"],
         "material": "sfot",
         "exclude": [["third", "gone"]],
@@ -59,16 +59,20 @@ def test_all_problems_of_a_pile_are_told_at_once(tmp_path):
     with pytest.raises(ValueError, match="secnd") as error:
         wc.Experiment.from_dict(study, tmp_path)
     text = str(error.value).replace(" ('pile')", "")
-    for words in ("mutual_contact[0].shapes[1]", "mutual_contact[0].material", "mutual_contact[0].exclude[0][1]"):
+    for words in (
+        "particle_contact[0].shapes[1]",
+        "particle_contact[0].material",
+        "particle_contact[0].exclude[0][1]",
+    ):
         assert words in text
     study = copy.deepcopy(STUDY)
-    study["mutual_contact"][0] |= {"skin": -1.0, "partners": 0, "kapa": 0.5}
+    study["particle_contact"][0] |= {"skin": -1.0, "partners": 0, "kapa": 0.5}
     with pytest.raises(ValueError, match="skin") as error:
         wc.Experiment.from_dict(study, tmp_path)
     text = str(error.value).replace(" ('pile')", "")
-    for words in ("mutual_contact[0].skin", "mutual_contact[0].partners", "kapa"):
+    for words in ("particle_contact[0].skin", "particle_contact[0].partners", "kapa"):
         assert words in text
     study = copy.deepcopy(STUDY)
     study["shape"][2]["form"] = {"type": "Plane"}
-    with pytest.raises(ValueError, match=r"mutual_contact\[0\].*'third' is a Plane; mutual contacts are of"):
+    with pytest.raises(ValueError, match=r"particle_contact\[0\].*'third' is a Plane; particle contacts are of"):
         wc.Experiment.from_dict(study, tmp_path)

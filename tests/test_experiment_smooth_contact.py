@@ -1,4 +1,4 @@
-"""Shapes and smooth contacts in experiment files: their words, errors, variations, and patches of one's own."""
+"""Shapes and shape contacts in experiment files: their words, errors, variations, and patches of one's own."""
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ STUDY = {
         {"name": "floor", "form": {"type": "Plane"}, "group": 2, "mask": 1},
     ],
     "material": [{"name": "soft", "law": {"type": "Hooke", "stiffness": 1000.0}}],
-    "smooth_contact": [
+    "shape_contact": [
         {"name": "in_bowl", "shape": "sphere", "other_shape": "bowl", "material": "soft"},
         {"name": "on_floor", "shape": "oval", "other_shape": "floor", "material": "soft", "max_depth": 0.5},
     ],
@@ -99,8 +99,8 @@ def test_forms_are_refused_with_their_key(folder, form, message):
 def test_errors_of_shapes_and_contacts_are_told_at_once(folder):
     study = STUDY | {
         "shape": [*STUDY["shape"], {"name": "x", "body": "bal", "form": {"type": "Plane"}, "group": -1}],
-        "smooth_contact": [
-            *STUDY["smooth_contact"],
+        "shape_contact": [
+            *STUDY["shape_contact"],
             {"name": "y", "shape": "sphere", "other_shape": "flor", "material": "soft", "kappa": 2.0},
             {"name": "z", "shape": "bowl", "other_shape": "floor", "material": "soft"},
         ],
@@ -109,8 +109,8 @@ def test_errors_of_shapes_and_contacts_are_told_at_once(folder):
         wc.Experiment.from_dict(study, folder)
     text = str(error.value)
     assert "shape[4] ('x').group must be at least 0, got -1" in text
-    assert "smooth_contact[2] ('y').kappa must be at least 0 and at most 1, got 2" in text
-    assert "smooth_contact[3] ('z'): both shapes are fixed to the world" in text
+    assert "shape_contact[2] ('y').kappa must be at least 0 and at most 1, got 2" in text
+    assert "shape_contact[3] ('z'): both shapes are fixed to the world" in text
 
 
 def test_the_picture_shows_what_shapes_stand_on_and_how_they_touch(tmp_path, device):
@@ -129,7 +129,7 @@ def test_the_picture_shows_what_shapes_stand_on_and_how_they_touch(tmp_path, dev
                 "form": {"type": "Superellipsoid", "semi_axes": [0.1, 0.1, 0.1], "exponents": [1.5, 1.5]},
             },
         ],
-        "smooth_contact": [{"name": "touch", "shape": "box", "other_shape": "floor", "material": "soft"}],
+        "shape_contact": [{"name": "touch", "shape": "box", "other_shape": "floor", "material": "soft"}],
     }
     recording = wc.Experiment.from_dict(study).run(tmp_path, device=device).recording
     plane, lower, upper = picture._extent([recording["ball.position"].values])

@@ -307,7 +307,7 @@ def test_looks_are_not_prepared_while_another_thread_captures(device):
 
 
 def test_frames_of_what_needs_all_environments_at_once(device):
-    """Hard contacts show their last step in one launch: such frames wait for all slices."""
+    """Nonsmooth contacts show their last step in one launch: such frames wait for all slices."""
     scene = SCENES["two bodies"]()
     model = scene.build(envs=ENVS, device=device)
     start(model)

@@ -157,7 +157,7 @@ def test_keywords_and_sensor_names_follow_the_package(golden):
 
     names = golden.names.Names(SimpleNamespace())
     assert names.call(add_contact, 1, boundary="outer", name="touch") == (1, "outer", "touch")
-    scene = SimpleNamespace(add_mutual_contact=lambda shapes, partners=None: (shapes, partners))
+    scene = SimpleNamespace(add_particle_contact=lambda shapes, partners=None: (shapes, partners))
     assert names.method(scene, "add_particle_contact", 3, max_neighbors=40) == (3, 40)
     with pytest.raises(AttributeError, match="none of boundary, rim"):
         names.call(lambda points: points, 1, boundary="outer")

@@ -158,7 +158,7 @@ def sticking_particles():
     places = [(0.19 * x, 0.19 * y, 0.35 + 0.19 * z) for x in range(2) for y in range(2) for z in range(2)]
     heap = scene.add_bodies(places, 1.0, [4e-3] * 3, name="body")
     scene.add_contact(scene.add_point(heap, (0, 0, 0)), ground, STICKING, radius=0.1, name="touch")
-    scene.add_mutual_contact(scene.add_shape(heap, wc.shapes.Sphere(0.1)), STICKING, name="heap")
+    scene.add_particle_contact(scene.add_shape(heap, wc.shapes.Sphere(0.1)), STICKING, name="heap")
     return scene
 
 
@@ -352,7 +352,7 @@ def sensors_of(sim):
     """Returns the contact sensors by name."""
     scene = sim.model.scene
     names = [f"{contact.name}.{key}" for contact in scene.contacts for key in SENSORS]
-    names += [f"{contact.name}.{key}" for contact in scene.mutual_contacts for key in PARTICLE_SENSORS]
+    names += [f"{contact.name}.{key}" for contact in scene.particle_contacts for key in PARTICLE_SENSORS]
     return {name: np.asarray(sim.model.sensor(name)) for name in names}
 
 

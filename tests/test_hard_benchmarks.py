@@ -1,4 +1,4 @@
-"""Hard contact in published benchmark cases of rigid bodies, with the errors that their sources measure.
+"""Nonsmooth contact in published benchmark cases of rigid bodies, with the errors that their sources measure.
 
 Rolling and bouncing are those of SimBenchmark (Kang and Hwangbo, leggedrobotics.github.io/SimBenchmark). The rod
 is that of Painlevé (1895), with the impact without collision of Génot and Brogliato (1999).

@@ -1,4 +1,4 @@
-"""Hard contact in time steps: impacts, sliding, sticking, rolling, tipping, against closed forms and an oracle."""
+"""Nonsmooth contact in time steps: impacts, sliding, sticking, rolling, tipping, against closed forms and an oracle."""
 
 import json
 import warnings

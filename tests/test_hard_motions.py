@@ -1,4 +1,4 @@
-"""Hard contact of bodies that are not free: joints hold exactly, and take their part of every impact."""
+"""Nonsmooth contact of bodies that are not free: joints hold exactly, and take their part of every impact."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Hard contact in piles: impacts, equilibrium and heaps of spheres against closed forms and invariants."""
+"""Nonsmooth contact in piles: impacts, equilibrium and heaps of spheres against closed forms and invariants."""
 
 import numpy as np
 import pytest
@@ -17,11 +17,11 @@ def spheres(positions, material, *, velocities=(0.0, 0.0, 0.0), gravity=G, floor
     scene = wc.Scene(gravity=(0.0, 0.0, -gravity))
     balls = scene.add_bodies(positions, MASS, INERTIA, linear_velocities=velocities, name="ball")
     shapes = scene.add_shape(balls, wc.shapes.Sphere(RADIUS), name="sphere")
-    scene.add_mutual_contact(shapes, material, name="pile", **options)
+    scene.add_particle_contact(shapes, material, name="pile", **options)
     if floor is not None:
         plane = scene.add_shape(None, wc.shapes.Plane(), name="plane")
         # At the surfaces of the balls, so that arms are their radii.
-        scene.add_smooth_contact(shapes, plane, floor, kappa=1.0, name="floor")
+        scene.add_shape_contact(shapes, plane, floor, kappa=1.0, name="floor")
     return scene
 
 
@@ -72,9 +72,9 @@ def test_a_pair_is_that_of_a_smooth_contact(forms, material, options, device):
             for start, form in zip(starts, forms, strict=True)
         ]
         if smooth:
-            scene.add_smooth_contact(*shapes, material, **options)
+            scene.add_shape_contact(*shapes, material, **options)
         else:
-            scene.add_mutual_contact(shapes, material, **options)
+            scene.add_particle_contact(shapes, material, **options)
         model = scene.build(device=device, precision="float64")
         wc.Simulation(model, 1e-3, HARD).step(100)
         names = [f"{body}.{key}_velocity" for body in ("one", "two") for key in ("linear", "angular")]
@@ -89,7 +89,7 @@ def test_a_ball_bounces_off_one_that_is_fixed(device):
     post = scene.add_body(MASS, INERTIA, motion=wc.motions.Fixed(), name="post")
     ball = scene.add_body(MASS, INERTIA, position=(0.1, 0, 0.3), linear_velocity=(0, 0, -1.0), name="ball")
     shapes = [scene.add_shape(body, wc.shapes.Sphere(RADIUS)) for body in (post, ball)]
-    scene.add_mutual_contact(shapes, rigid(0.5), name="pile")
+    scene.add_particle_contact(shapes, rigid(0.5), name="pile")
     model = scene.build(device=device, precision="float64")
     simulation = wc.Simulation(model, 1e-3, HARD)
     while model.sensor("pile.normal_force")[0] == 0.0:
@@ -183,7 +183,7 @@ def heap(**options):
         # A quarter turn of the upward normal.
         orientation = (*(np.sqrt(0.5) * np.array(turn)), np.sqrt(0.5))
         wall = scene.add_shape(None, wc.shapes.Plane(), position=place, orientation=orientation)
-        scene.add_smooth_contact(shapes, wall, rigid(0.3), name=name)
+        scene.add_shape_contact(shapes, wall, rigid(0.3), name=name)
     return scene, places, rng.uniform(-0.08, 0.08, (2, 60, 3)) * RADIUS
 
 
@@ -319,7 +319,7 @@ def test_compliant_piles_live_beside_hard_contacts(device):
         place = float(name == "hard")
         pair = scene.add_bodies([[place, 0, 0], [place, 0, 2.1 * RADIUS]], MASS, INERTIA, name=name, **head_on)
         shapes = scene.add_shape(pair, wc.shapes.Sphere(RADIUS))
-        scene.add_mutual_contact(shapes, material, name=f"{name}_pile")
+        scene.add_particle_contact(shapes, material, name=f"{name}_pile")
     wall = scene.add_surface(square(10.0, z=-1.0))
     ball = scene.add_body(MASS, INERTIA, position=(0, 0, -0.89), linear_velocity=(0, 0, -1.0), name="ball")
     scene.add_contact(scene.add_point(ball, (0, 0, 0)), wall, rigid(0.25), radius=RADIUS, name="touch")
@@ -371,9 +371,9 @@ def test_six_by_six_by_six_balls_of_ten_kilograms_fall_on_a_plane(restitution, d
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     balls = scene.add_bodies(places, mass, [0.4 * mass * radius**2] * 3, name="ball")
     shapes = scene.add_shape(balls, wc.shapes.Sphere(radius))
-    scene.add_mutual_contact(shapes, rigid(restitution), name="pile")
+    scene.add_particle_contact(shapes, rigid(restitution), name="pile")
     plane = scene.add_shape(None, wc.shapes.Plane())
-    scene.add_smooth_contact(shapes, plane, rigid(restitution), name="floor")
+    scene.add_shape_contact(shapes, plane, rigid(restitution), name="floor")
     model = scene.build(device=device, precision="float64")
     names = [*ENERGY, "ball.linear_velocity", "scene.closed_contacts"]
     names += ["pile.max_penetration", "pile.normal_force", "floor.penetration", "floor.normal_force"]

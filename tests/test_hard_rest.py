@@ -1,4 +1,4 @@
-"""Hard contact at rest: bodies that stand stay, to the last bit, and steps that change nothing are left out."""
+"""Nonsmooth contact at rest: bodies that stand stay, to the last bit, and steps that change nothing are left out."""
 
 import numpy as np
 import pytest

@@ -71,7 +71,7 @@ def test_a_capsule_that_rocks_on_its_ends_sinks_unless_overlap_is_taken_back(dev
     lying = (0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5))
     body_shape = scene.add_shape(body, wc.shapes.Capsule(0.05, 0.1), orientation=lying)
     plate = scene.add_shape(None, wc.shapes.Plane(), name="plate")
-    scene.add_smooth_contact(body_shape, plate, rigid(0.0, 0.4), name="touch")
+    scene.add_shape_contact(body_shape, plate, rigid(0.0, 0.4), name="touch")
     model = scene.build(device=device, precision="float64")
     model["log.angular_velocity"] = (0.0, 0.1, 0.0)
     deep = {}

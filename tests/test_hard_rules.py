@@ -1,4 +1,4 @@
-"""What hard contact promises beside its mechanics: schedules, resets, mixtures, sensors, errors and warnings."""
+"""What nonsmooth contact promises beside its mechanics: schedules, resets, mixtures, sensors, errors and warnings."""
 
 import warnings
 from typing import Any
@@ -227,7 +227,7 @@ def test_what_hard_contact_cannot_do_is_said(device):
     for own in (viscous, wc.ContactMaterial(law=wc.laws.Rigid(), friction=Own())):
         with pytest.raises(ValueError, match=r"touch\.friction is \w+, which has no coefficient of friction"):
             wc.Simulation(ball(material=own, device=device), 1e-3, HARD)
-    with pytest.raises(ValueError, match=r"Rigid is for hard contact, and has no force to compare"):
+    with pytest.raises(ValueError, match=r"Rigid is for nonsmooth contact, and has no force to compare"):
         wc.compare.plot_laws(wc.laws.Rigid)
     scene = wc.Scene()
     body = scene.add_body(1.0, (0.1,) * 3, position=(0, 0, 1))
@@ -249,14 +249,14 @@ def test_a_start_in_overlap_is_said_to_stay(device):
 def test_memory_of_hard_contacts_is_part_of_the_estimate(device):
     model = ball(0.5, 0.2, envs=100, device=device, precision="float32")
     simulation = wc.Simulation(model, 1e-3, HARD)
-    needs = [need for need in simulation.memory().needs if need.purpose == "hard contacts"]
+    needs = [need for need in simulation.memory().needs if need.purpose == "nonsmooth contacts"]
     assert needs
     shared = sum(need.size for need in needs)
     model["touch.friction.mu"] = np.linspace(0.1, 0.2, 100)
-    own = sum(need.size for need in simulation.memory().needs if need.purpose == "hard contacts")
+    own = sum(need.size for need in simulation.memory().needs if need.purpose == "nonsmooth contacts")
     # Five numbers for the only contact, in each environment.
     assert own - shared == 99 * 20
-    assert "hard contacts" not in [
+    assert "nonsmooth contacts" not in [
         need.purpose
         for need in wc.Simulation(
             ball(material=wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4)), device=device), 1e-3

@@ -1,4 +1,4 @@
-"""Hard contact of smooth shapes: that of the same sphere on a flat mesh, and closed forms."""
+"""Nonsmooth contact of smooth shapes: that of the same sphere on a flat mesh, and closed forms."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def sphere(material, *, smooth=True, start=THROWN, gravity=G, contact=None, **bu
     options = {"name": "touch", **(contact or {})}
     if smooth:
         plane = scene.add_shape(None, wc.shapes.Plane(), name="plane")
-        scene.add_smooth_contact(scene.add_shape(body, wc.shapes.Sphere(RADIUS)), plane, material, **options)
+        scene.add_shape_contact(scene.add_shape(body, wc.shapes.Sphere(RADIUS)), plane, material, **options)
     else:
         ground = scene.add_surface(square(50.0), name="ground")
         scene.add_contact(scene.add_point(body, (0.0, 0.0, 0.0)), ground, material, radius=RADIUS, **options)
@@ -81,7 +81,7 @@ def test_a_ball_bounces_off_an_ellipsoid_along_its_normal(precision, device):
     body = scene.add_body(1.0, INERTIA, position=(0.3, 0.1, 0.9), linear_velocity=(0.0, 0.0, -2.0), name="ball")
     hill = scene.add_shape(None, wc.shapes.Ellipsoid((1.0, 0.6, 0.4)), name="hill")
     ball = scene.add_shape(body, wc.shapes.Sphere(RADIUS), name="sphere")
-    scene.add_smooth_contact(ball, hill, rigid(0.8), name="touch")
+    scene.add_shape_contact(ball, hill, rigid(0.8), name="touch")
     model = scene.build(device=device, precision=precision)
     before = model.sensor("ball.linear_velocity")[0]
     data = wc.Simulation(model, 1e-3, HARD).run(0.4, ["touch.impulse", "touch.normal", "touch.gap"])
@@ -102,7 +102,7 @@ def test_two_spheres_exchange_momentum_as_newton_says(device):
     for name, place, velocity in (("one", 0.0, 2.0), ("two", 0.25, -0.5)):
         options = {"position": (place, 0, 0), "linear_velocity": (velocity, 0, 0), "name": name}
         shapes.append(scene.add_shape(scene.add_body(1.0, INERTIA, **options), wc.shapes.Sphere(RADIUS)))
-    scene.add_smooth_contact(*shapes, rigid(0.7), name="touch")
+    scene.add_shape_contact(*shapes, rigid(0.7), name="touch")
     model = scene.build(device=device, precision="float64", envs=2)
     model["touch.law.restitution"] = [0.7, 1.0]
     wc.Simulation(model, 1e-3, HARD).step(100)
@@ -123,7 +123,7 @@ def three(device):
     for number, name in enumerate(("left", "middle", "right")):
         start = {**THROWN, "position": (0.0, float(number), 0.15)}
         ball = scene.add_shape(scene.add_body(1.0, INERTIA, name=name, **start), wc.shapes.Sphere(RADIUS))
-        scene.add_smooth_contact(ball, plane, material, name=f"{name}_touch")
+        scene.add_shape_contact(ball, plane, material, name=f"{name}_touch")
     model = scene.build(device=device, precision="float64", envs=3)
     model["middle.linear_velocity"] = [(1.0, 0.2, -1.0), (1.0, 0.2, -2.0), (1.0, 0.2, -3.0)]
     return model, wc.integrators.MoreauJean(compliant=["left_touch", "right_touch"])

@@ -17,7 +17,7 @@ MODULES = ("compare", "frictions", "integrators", "laws", "meshes", "motions", "
 # Types that a user reads, and that the package alone makes; exceptions, enumerations and modules.
 MADE_HERE = (
     *("BenchReport", "Body", "Bushing", "Catenary", "Contact", "ContactCoupling", "Health", "MeshReport", "Model"),
-    *("Points", "Recording", "Run", "Shape", "SmoothContact", "SplitModel", "SpringDamper", "Surface"),
+    *("Points", "Recording", "Run", "Shape", "ShapeContact", "SplitModel", "SpringDamper", "Surface"),
     *("Component", "Integrator", "RepairStep", "SurfaceSamples", "check_path"),
     *("Assembly", "Diagnosis", "Equilibrium", "Event", "EventRun", "Solution"),
 )

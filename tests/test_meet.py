@@ -22,7 +22,7 @@ def balls(material=MATERIAL):
         places += [(1.95, 0.0, 0.3), (2.3, 0.0, 0.3)]
         heap = scene.add_bodies(places, 1.0, [4e-3] * 3, name="body")
         scene.add_contact(scene.add_point(heap, (0, 0, 0)), ground, material, radius=0.1, name="touch")
-        scene.add_mutual_contact(scene.add_shape(heap, wc.shapes.Sphere(0.1)), material, name="heap")
+        scene.add_particle_contact(scene.add_shape(heap, wc.shapes.Sphere(0.1)), material, name="heap")
 
     return make
 

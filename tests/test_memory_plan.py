@@ -61,7 +61,7 @@ def test_the_estimate_is_what_the_arrays_take(name, precision, device, counted):
         varied += ["egg.semi_axes", "lie.law.modulus"]
         for sensor in ("lie.point", "stand.curvature_1", "rest.gap_by_position_a"):
             model.sensor(sensor)
-        needs |= {"smooth_points", "smooth_curvatures", "smooth_gradients"}
+        needs |= {"shape_points", "shape_curvatures", "shape_gradients"}
     model.sensor("scene.kinetic_energy")
     gc.collect()
     assert of_arrays(sim.memory(), model) == counted.used

@@ -29,10 +29,10 @@ def row_of_balls(
         shapes.append(scene.add_shape(body, wc.shapes.Sphere(0.05), name=f"shape_{i}"))
     material = rigid(restitution, mu)
     if particles:
-        scene.add_mutual_contact(shapes, material, name="all")
+        scene.add_particle_contact(shapes, material, name="all")
     else:
         for i in range(count - 1):
-            scene.add_smooth_contact(shapes[i], shapes[i + 1], material, name=f"touch_{i}")
+            scene.add_shape_contact(shapes[i], shapes[i + 1], material, name=f"touch_{i}")
     return scene.build(envs=envs, **{"precision": "float64", **options})
 
 
@@ -178,7 +178,7 @@ def test_body_on_a_mesh_at_gap_zero_is_closed(gap, rule, device):
         )
         shapes.append(scene.add_shape(body, wc.shapes.Sphere(0.05)))
         scene.add_contact(scene.add_point(body, (0, 0, 0)), ground, rigid(0.5), radius=0.05, name=f"floor_{i}")
-    scene.add_smooth_contact(shapes[1], shapes[0], rigid(0.5), name="touch")
+    scene.add_shape_contact(shapes[1], shapes[0], rigid(0.5), name="touch")
     model = scene.build(device=device, precision="float64")
     # The floor reacts as one body of infinite mass in the row.
     mass, before = np.array([1e9, 1.0, 1.0]), np.array([0.0, 0.0, -1.0])

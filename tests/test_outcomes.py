@@ -314,7 +314,7 @@ def test_hard_contacts_have_impulses_and_forces_in_every_step():
     np.testing.assert_array_equal(found["loss"], model.sensor("scene.impact_loss"))
     first = recording["time"].to_numpy()[(impulse > 0.0).argmax(axis=0)]
     np.testing.assert_allclose(events["time"][:, 0], first, rtol=1e-12)
-    with pytest.raises(ValueError, match=r"Restitution: 'touch' is a hard contact.*touch\.law\.restitution"):
+    with pytest.raises(ValueError, match=r"Restitution: 'touch' is a nonsmooth contact.*touch\.law\.restitution"):
         wc.Simulation(model, dt, wc.integrators.MoreauJean(), outcomes={"e": wc.outcomes.Restitution("touch")})
     force = wc.outcomes.Max("ball.force", component="z")
     with pytest.raises(ValueError, match=r"ball\.force is not there in every step, and may only be Final"):
@@ -326,7 +326,7 @@ def test_smooth_contacts_and_springs_are_watched_alike():
     ball = scene.add_body(mass=1.0, inertia=(4e-3,) * 3, position=(0, 0, 0.11), name="ball")
     material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=STIFFNESS))
     shapes = scene.add_shape(ball, wc.shapes.Sphere(0.1)), scene.add_shape(None, wc.shapes.Plane())
-    scene.add_smooth_contact(*shapes, material, name="tap")
+    scene.add_shape_contact(*shapes, material, name="tap")
     hook, centre = scene.add_point(None, (0, 0, 0.5)), scene.add_point(ball, (0, 0, 0))
     scene.add_spring_damper(hook, centre, stiffness=20.0, rest_length=0.3, name="spring")
     model = scene.build(envs=2)

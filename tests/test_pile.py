@@ -17,7 +17,7 @@ def spheres(positions, velocities, material=ELASTIC, *, gravity=(0, 0, 0), form=
     scene = wc.Scene(gravity=gravity)
     balls = scene.add_bodies(positions, MASS, INERTIA, linear_velocities=velocities, name="ball")
     shape = scene.add_shape(balls, wc.shapes.Sphere(RADIUS) if form is None else form, name="shape")
-    scene.add_mutual_contact(shape, material, name="pile", **options)
+    scene.add_particle_contact(shape, material, name="pile", **options)
     return scene
 
 
@@ -153,7 +153,7 @@ def test_finds_the_pairs_of_a_search_over_all(device, capsules, precision):
     shape = scene.add_shape(balls, forms, name="shape")
     # So soft that they pass through each other.
     soft = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e-3))
-    scene.add_mutual_contact(shape, soft, name="pile", skin=0.02, partners=len(radii) - 1)
+    scene.add_particle_contact(shape, soft, name="pile", skin=0.02, partners=len(radii) - 1)
     model = scene.build(device=device, precision=precision)
     sim = wc.Simulation(model, dt=1e-3)
     # A float32 tells places a hundred metres away to 4 µm at best once; remainders keep differences finer.
@@ -209,7 +209,7 @@ def test_sphere_and_capsule_on_one_body_touch_others_alone(device):
     knob = scene.add_shape(pin, wc.shapes.Sphere(2 * RADIUS), position=(0, 0, 0.5), name="knob")
     ball = scene.add_body(MASS, INERTIA, position=(2.9 * RADIUS, 0, 0.5), name="ball")
     bead = scene.add_shape(ball, wc.shapes.Sphere(RADIUS), name="bead")
-    scene.add_mutual_contact([rod, knob, bead], ELASTIC, name="pile")
+    scene.add_particle_contact([rod, knob, bead], ELASTIC, name="pile")
     model = scene.build(device=device, precision="float64")
     touch = model.touching("pile")
     assert [(a, b) for a, b in zip(touch["name_1"].values, touch["name_2"].values, strict=True)] == [
@@ -230,7 +230,7 @@ def test_groups_masks_and_exclusions_keep_pairs_apart(device):
     for number, (group, mask) in enumerate(groups):
         body = scene.add_body(MASS, INERTIA, position=(0.001 * number, 0, 0), name=f"b{number}")
         shapes.append(scene.add_shape(body, wc.shapes.Sphere(RADIUS), group=group, mask=mask, name=f"s{number}"))
-    scene.add_mutual_contact(shapes, ELASTIC, name="pile", exclude=[(shapes[4], shapes[1])])
+    scene.add_particle_contact(shapes, ELASTIC, name="pile", exclude=[(shapes[4], shapes[1])])
     touch = scene.build(device=device).touching("pile")
     pairs = list(zip(touch["shape_1"].values.tolist(), touch["shape_2"].values.tolist(), strict=True))
     assert pairs == [(0, 1), (0, 2), (0, 4), (2, 4)]
@@ -256,7 +256,7 @@ def test_what_cannot_be_is_refused(device):
     fixed = scene.add_shape(None, wc.shapes.Sphere(0.1), name="fixed")
     one, two = (scene.add_shape(b, wc.shapes.Sphere(0.1), name=f"s_{b.name}") for b in (body, other))
     for shapes, options, words in (
-        ([one, box], {}, "'drum' is a Cylinder; mutual contacts are of spheres and capsules"),
+        ([one, box], {}, "'drum' is a Cylinder; particle contacts are of spheres and capsules"),
         ([one, fixed], {}, "'fixed' is fixed to the world"),
         ([one, one], {}, "'s_body' is listed more than once"),
         ([one], {}, "shapes must be at least 2, got 1"),
@@ -276,5 +276,5 @@ def test_what_cannot_be_is_refused(device):
         ("s_body", {}, "shapes of 'pile' must be a shape or a list of them, got 's_body'"),
     ):
         with pytest.raises(ValueError, match=words):
-            scene.add_mutual_contact(shapes, ELASTIC, name="pile", **options)
-    assert scene.mutual_contacts == []
+            scene.add_particle_contact(shapes, ELASTIC, name="pile", **options)
+    assert scene.particle_contacts == []

@@ -58,7 +58,7 @@ def test_hertz_contact_has_the_curvatures_of_the_pair(precision, tolerance, devi
             body = scene.add_body(1.0, (1.0, 1.0, 1.0), at, q, name=f"body_{len(shapes)}")
             shapes.append(scene.add_shape(body, one, name=f"shape_{len(shapes)}"))
     law = wc.laws.HertzElastic(modulus=MODULUS)
-    scene.add_mutual_contact(shapes, wc.ContactMaterial(law=law), name="pile")
+    scene.add_particle_contact(shapes, wc.ContactMaterial(law=law), name="pile")
     model = scene.build(2, device, precision)
     model["pile.law.modulus"] = [MODULUS, 3 * MODULUS]
     # A larger sphere in the second environment alone, as much farther away.
@@ -89,7 +89,7 @@ def test_spheres_alone_have_both_radii(device):
     balls = scene.add_bodies(places, 1.0, (1.0, 1.0, 1.0), name="ball")
     forms = [wc.shapes.Sphere(R if number % 2 == 0 else S) for number in range(count)]
     law = wc.laws.HertzElastic(modulus=MODULUS)
-    scene.add_mutual_contact(scene.add_shape(balls, forms), wc.ContactMaterial(law=law), name="pile")
+    scene.add_particle_contact(scene.add_shape(balls, forms), wc.ContactMaterial(law=law), name="pile")
     model = scene.build(1, device, "float64")
     known = 4 / 3 * MODULUS * np.sqrt(1 / 24.0) * DEPTH**1.5
     np.testing.assert_allclose(model.touching("pile")["normal_force"], np.full(count // 2, known), rtol=1e-9)
@@ -124,9 +124,9 @@ def test_an_impact_in_a_pile_is_that_of_a_smooth_contact(name, device):
             )  # fmt: skip
             shapes.append(scene.add_shape(body, form))
         if smooth:
-            scene.add_smooth_contact(*shapes, material, name="touch")
+            scene.add_shape_contact(*shapes, material, name="touch")
         else:
-            scene.add_mutual_contact(shapes, material, name="touch")
+            scene.add_particle_contact(shapes, material, name="touch")
         model = scene.build(1, device, "float64")
         recording = wc.Simulation(model, dt=2e-5).run(0.02, ["touch.normal_force"])
         assert (recording["touch.normal_force"] > 0).sum() > 100

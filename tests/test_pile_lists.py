@@ -25,7 +25,7 @@ def scene(skin=0.02, **options):
     spin = 5 * rng.normal(size=(COUNT, 3))
     balls = made.add_bodies(positions, 0.5, [0.002] * 3, (0, 0, 0, 1), -3 * positions, spin, name="ball")
     shape = made.add_shape(balls, [wc.shapes.Sphere(float(radius)) for radius in radii], name="shape")
-    made.add_mutual_contact(shape, MATERIAL, name="pile", skin=skin, **({"partners": 40} | options))
+    made.add_particle_contact(shape, MATERIAL, name="pile", skin=skin, **({"partners": 40} | options))
     return made
 
 
@@ -95,7 +95,7 @@ def test_lists_of_capsules_beside_their_bodies_change_no_bits(device, monkeypatc
             made.add_shape(rods, wc.shapes.Capsule(0.04, 0.08), position=(0.02, 0.0, 0.01)),
             made.add_shape(rods, wc.shapes.Sphere(0.06), position=(-0.05, 0.02, 0.0)),
         ]
-        made.add_mutual_contact(shapes, MATERIAL, name="pile", skin=skin, partners=59)
+        made.add_particle_contact(shapes, MATERIAL, name="pile", skin=skin, partners=59)
         model = made.build(device=device)
         wc.Simulation(model, dt=DT, deterministic=True).step(1500)
         ends.append(bits(model)[..., 3:])
@@ -228,7 +228,7 @@ def test_steps_that_are_taken_again_in_parts_give_the_same_bits(device):
         )
         made.add_contact(made.add_point(balls, (0, 0, 0)), floor, stiff, swept=True, name="floor")
         shape = made.add_shape(balls, wc.shapes.Sphere(0.02))
-        made.add_mutual_contact(shape, stiff, skin=skin, partners=40, name="pile")
+        made.add_particle_contact(shape, stiff, skin=skin, partners=40, name="pile")
         model = made.build(device=device)
         sim = wc.Simulation(model, dt=2e-4, crossing_steps=4, deterministic=True)
         with warnings.catch_warnings():

@@ -37,7 +37,7 @@ def test_two_tilted_ellipsoids_are_the_worked_numbers(oracle, device, precision,
     i, j = (scene.add_body(1.0, (1.0, 1.0, 1.0), name=name) for name in "ij")
     first = scene.add_shape(i, wc.shapes.Ellipsoid((1.0, 0.6, 0.4)))
     second = scene.add_shape(j, wc.shapes.Ellipsoid((0.8, 0.5, 0.3)))
-    scene.add_smooth_contact(second, first, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1.0)), name="touch")
+    scene.add_shape_contact(second, first, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1.0)), name="touch")
     model = scene.build(3, device, precision)
     model["j.position"] = [oracle[name]["c_j"] for name in NAMES]
     velocity = oracle["separated"]["velocity"]
@@ -103,7 +103,7 @@ def sphere_on_plane(smooth, device, precision, envs=1, bullet=False):
     ball = scene.add_body(0.5, (5e-4, 5e-4, 5e-4), (0, 0, 0.06), **moving, name="ball")
     if smooth:
         sphere = scene.add_shape(ball, wc.shapes.Sphere(0.05), name="sphere")
-        scene.add_smooth_contact(
+        scene.add_shape_contact(
             sphere, scene.add_shape(None, wc.shapes.Plane(), name="floor"), RUBBER, name="touch"
         )
     else:
@@ -146,7 +146,7 @@ def spheres(positions, velocities, radius, device, material=STEEL, precision="fl
         body = scene.add_body(1.0, inertia, (x, 0, 0), linear_velocity=(v, 0, 0), name=f"ball_{number}")
         shapes.append(scene.add_shape(body, wc.shapes.Sphere(radius), name=f"sphere_{number}"))
     for number, (shape, other) in enumerate(itertools.pairwise(shapes)):
-        scene.add_smooth_contact(shape, other, material, name=f"touch_{number}")
+        scene.add_shape_contact(shape, other, material, name=f"touch_{number}")
     return scene.build(envs, device, precision)
 
 
@@ -202,7 +202,7 @@ def test_meshes_of_a_sphere_come_to_the_smooth_one(device):
         meshed = scene.add_surface(wc.meshes.icosphere(1.0, level))
         scene.add_contact(scene.add_point(ball, (0, 0, 0)), meshed, material, radius=0.2, name="mesh")
         shapes = [scene.add_shape(body, wc.shapes.Sphere(r)) for body, r in ((ball, 0.2), (None, 1.0))]
-        scene.add_smooth_contact(*shapes, material, name="smooth")
+        scene.add_shape_contact(*shapes, material, name="smooth")
         model = scene.build(20, device, "float64")
         turns = Rotation.random(20, random_state=1)
         model["ball.position"] = turns.apply(place)
@@ -231,7 +231,7 @@ def two_ellipsoids(device, precision="float32", envs=4):
         law=wc.laws.HuntCrossley(stiffness=1e5, exponent=1.5, restitution=0.7),
         friction=wc.frictions.CundallStrack(mu_static=0.4, mu_dynamic=0.4, stiffness=2e4, damping=5.0),
     )
-    scene.add_smooth_contact(shapes[1], shapes[0], material, name="touch")
+    scene.add_shape_contact(shapes[1], shapes[0], material, name="touch")
     model = scene.build(envs, device, precision)
     model["shape_a.semi_axes"] = np.array(axes[0]) * np.linspace(0.99, 1.0, envs)[:, None]
     return model
@@ -315,7 +315,7 @@ def test_parts_on_several_devices_run_as_one(device):
 
 
 def test_steps_taken_again_in_parts_remember_as_those_of_a_mesh(device):
-    """Where a bullet crosses plates, its steps do the same to a smooth contact as to that of a mesh."""
+    """Where a bullet crosses plates, its steps do the same to a shape contact as to that of a mesh."""
     names = [f"touch.{name}" for name in (*SENSORS, "friction.spring")]
     runs = []
     for smooth in (True, False):
@@ -345,9 +345,9 @@ def test_sets_have_a_contact_each(device):
     alike = scene.add_shape(others, wc.shapes.Sphere(0.05))
     floor = scene.add_shape(None, wc.shapes.Plane())
     material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e3))
-    scene.add_smooth_contact(sizes, floor, material, name="on_floor")
-    scene.add_smooth_contact(floor, alike, material, name="under")
-    scene.add_smooth_contact(sizes, alike, material, name="pairs")
+    scene.add_shape_contact(sizes, floor, material, name="on_floor")
+    scene.add_shape_contact(floor, alike, material, name="under")
+    scene.add_shape_contact(sizes, alike, material, name="pairs")
     model = scene.build(2, device, "float64")
     np.testing.assert_allclose(model.sensor("on_floor.gap"), [0.1 - radii] * 2, atol=1e-15)
     np.testing.assert_allclose(model.sensor("pairs.gap"), [0.05 - radii] * 2, atol=1e-15)
@@ -404,7 +404,7 @@ def test_hertz_takes_the_curvatures_of_crossed_cylinders(device):
         turned = (Rotation.from_rotvec((0, 0, angle)) * Rotation.from_quat(quarter)).as_quat()
         lower = scene.add_shape(None, wc.shapes.Cylinder(radii[0], 1.0), (number, 0, 0), quarter)
         upper = scene.add_shape(body, wc.shapes.Cylinder(radii[1], 1.0), (0, 0, 0), turned)
-        scene.add_smooth_contact(upper, lower, wc.ContactMaterial(law=law), name=f"touch_{number}")
+        scene.add_shape_contact(upper, lower, wc.ContactMaterial(law=law), name=f"touch_{number}")
     model = scene.build(1, device, "float64")
     # Of equal radii at right angles the gap is that of a sphere on a plane.
     known = 4 / 3 * 1e9 * np.sqrt(0.1) * depth**1.5
@@ -461,7 +461,7 @@ def test_what_is_not_found_gives_no_force_and_is_told(device):
     body = scene.add_body(1.0, (1.0, 1.0, 1.0), (0.1, 0.05, 0.3), name="body")
     egg = scene.add_shape(body, wc.shapes.Ellipsoid((0.3, 0.2, 0.1)), name="egg")
     odd = scene.add_shape(None, Odd(0.3), name="odd")
-    scene.add_smooth_contact(egg, odd, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e3)), name="touch")
+    scene.add_shape_contact(egg, odd, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e3)), name="touch")
     model = scene.build(2, device)
     model["touch.enabled"] = [False, True]
     with pytest.warns(
@@ -502,24 +502,24 @@ def test_input_is_refused_with_its_name():
     with pytest.raises(ValueError, match=r"x.mask must be a whole number from 0 to 0xffffffff"):
         scene.add_shape(body, wc.shapes.Sphere(0.1), name="x", mask=-1)
     with pytest.raises(ValueError, match="both shapes are fixed to body 'body'"):
-        scene.add_smooth_contact(ball, scene.add_shape(body, wc.shapes.Plane()), material)
+        scene.add_shape_contact(ball, scene.add_shape(body, wc.shapes.Plane()), material)
     with pytest.raises(ValueError, match="two sets of shapes must be of one size, got 3"):
-        scene.add_smooth_contact(several, few, material)
+        scene.add_shape_contact(several, few, material)
     with pytest.raises(
         ValueError, match=r"other_shape of 'x' must come from add_shape of this scene, got Body 'body'"
     ):
-        scene.add_smooth_contact(ball, body, material, name="x")
+        scene.add_shape_contact(ball, body, material, name="x")
     with pytest.raises(TypeError, match=r"material of 'x' must be a wc\.ContactMaterial"):
-        scene.add_smooth_contact(ball, floor, material.law, name="x")
+        scene.add_shape_contact(ball, floor, material.law, name="x")
     with pytest.raises(ValueError, match=r"x.kappa must be at least 0 and at most 1, got 2"):
-        scene.add_smooth_contact(ball, floor, material, kappa=2.0, name="x")
+        scene.add_shape_contact(ball, floor, material, kappa=2.0, name="x")
     with pytest.raises(ValueError, match=r"x.torsion_radius is given, but its material has no torsion"):
-        scene.add_smooth_contact(ball, floor, material, torsion_radius=0.1, name="x")
+        scene.add_shape_contact(ball, floor, material, torsion_radius=0.1, name="x")
     area = wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=1e6))
     with pytest.raises(ValueError, match="was given no area"):
-        scene.add_smooth_contact(ball, floor, area)
-    assert scene.smooth_contacts == []
-    scene.add_smooth_contact(ball, floor, material, name="touch")
+        scene.add_shape_contact(ball, floor, area)
+    assert scene.shape_contacts == []
+    scene.add_shape_contact(ball, floor, material, name="touch")
     model = scene.build(2, "cpu")
     with pytest.raises(ValueError, match=r"ball.radius must be greater than 0"):
         model["ball.radius"] = -1.0

@@ -32,7 +32,7 @@ def capsules(gap):
         form = wc.shapes.Capsule(radius=0.2, half_length=0.5)
         shapes.append(scene.add_shape(body, form, name=f"capsule_{number}"))
     scene.bodies[1].orientation[:] = [np.sin(0.3), 0.0, 0.0, np.cos(0.3)]
-    scene.add_mutual_contact(shapes, rigid(0.3), name="rods")
+    scene.add_particle_contact(shapes, rigid(0.3), name="rods")
     return scene.build(device="cpu", precision="float64")
 
 
@@ -107,7 +107,7 @@ def test_a_mass_on_a_spring_strikes_a_stop():
         mass=2.0, inertia=[0.1] * 3, position=(0, 0, 1.5), motion=wc.motions.Slider(axis=(0, 0, 1)), name="mass"
     )
     tip = scene.add_shape(mass, wc.shapes.Sphere(0.5), name="tip")
-    scene.add_smooth_contact(tip, wall, rigid(0.0, 0.5), name="stop")
+    scene.add_shape_contact(tip, wall, rigid(0.0, 0.5), name="stop")
     ends = scene.add_point(mass, (0, 0, 0)), scene.add_point(None, (0, 0, 3.0))
     scene.add_spring_damper(*ends, stiffness=50.0, damping=0.0, rest_length=2.5)
     run = EventDriven(scene.build(device="cpu", precision="float64")).run(1.2)
@@ -152,7 +152,7 @@ def test_static_friction_lets_go_at_its_own_coefficient():
     foot = scene.add_shape(block, wc.shapes.Sphere(0.5), name="foot")
     friction = wc.frictions.Hollars(mu_static=0.6, mu_dynamic=0.4)
     hard = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e6), friction=friction)
-    scene.add_smooth_contact(foot, ground, hard, name="touch")
+    scene.add_shape_contact(foot, ground, hard, name="touch")
     # A sled pulls at a spring, which slips when it pulls with μ_s m g.
     sled = scene.add_body(
         mass=1.0,

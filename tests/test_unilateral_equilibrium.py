@@ -195,7 +195,7 @@ def test_couplings_are_loads():
             mass=1.0, inertia=[0.4] * 3, position=(0, 0, 1), motion=wc.motions.Translation(), name="b"
         )
         sphere = scene.add_shape(ball, wc.shapes.Sphere(1.0), name="sphere")
-        scene.add_smooth_contact(sphere, ground, rigid(mu), name="touch")
+        scene.add_shape_contact(sphere, ground, rigid(mu), name="touch")
         scene.add_spring_damper(
             scene.add_point(ball, (0, 0, 0)),
             scene.add_point(None, (3, 0, 1)),

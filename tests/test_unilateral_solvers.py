@@ -1,4 +1,4 @@
-"""The solvers of a step of hard contact, on bodies and contacts made by hand."""
+"""The solvers of a step of nonsmooth contact, on bodies and contacts made by hand."""
 
 import json
 

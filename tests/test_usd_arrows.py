@@ -1,4 +1,4 @@
-"""Forces of contact couplings and of mutual contacts as arrows, in the length and direction that was recorded."""
+"""Forces of contact couplings and of particle contacts as arrows, in the length and direction that was recorded."""
 
 import numpy as np
 import pytest
@@ -48,7 +48,7 @@ def test_a_mutual_contact_pushes_every_shape(device, tmp_path):
     other = scene.add_body(1.0, (1, 1, 1), (0.0, 0.18, 0.0), name="other")
     single = scene.add_shape(other, wc.shapes.Sphere(0.1), name="single")
     material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4))
-    scene.add_mutual_contact([shape, single], material, name="pile")
+    scene.add_particle_contact([shape, single], material, name="pile")
     recording = wc.Simulation(scene.build(2, device, "float64"), 1e-4).run(2e-3, ["pile.force"], every=1e-3)
     stage = export(recording, tmp_path, force_scale=1e-3)
     for code in range(3):

@@ -40,7 +40,7 @@ def ball_on(floor="plane", law=LINEAR, rolling=ROLLING, torsion_radius=0.05):
     }[floor]
     ground = scene.add_shape(None, form, (0, 0, -1), name="floor")
     skin = scene.add_shape(ball, wc.shapes.Sphere(RADIUS), name="skin")
-    scene.add_smooth_contact(skin, ground, touch, torsion_radius=torsion_radius, name="touch")
+    scene.add_shape_contact(skin, ground, touch, torsion_radius=torsion_radius, name="touch")
     return scene
 
 

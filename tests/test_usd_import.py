@@ -212,19 +212,19 @@ def test_materials_become_law_and_friction_by_the_mean_of_both(tmp_path):
     floor = prim("Plane", "floor", SHAPE, 'uniform token axis = "Z"\nrel material:binding:physics = </rough>')
     content = material("ice", 0.2, 0.1, 0.5) + material("rough", 1.0, 0.7, 0.1)
     scene = read(tmp_path, content + body(content="float physics:mass = 3\n" + ball) + floor, contact_time=0.02)
-    (contact,) = scene.smooth_contacts
+    (contact,) = scene.shape_contacts
     law, friction = contact.material.law, contact.material.friction
     assert (friction.mu_static, friction.mu_dynamic) == pytest.approx((0.6, 0.4), rel=SINGLE)
     assert law.restitution == pytest.approx(0.3, rel=SINGLE)
     # Half a period of mass and spring is the contact time.
     assert PI * np.sqrt(3.0 / law.stiffness) == pytest.approx(0.02, rel=SINGLE)
     own = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e5))
-    assert read(tmp_path, content + body(content=ball) + floor, material=own).smooth_contacts[0].material is own
+    assert read(tmp_path, content + body(content=ball) + floor, material=own).shape_contacts[0].material is own
 
 
 def names(scene):
     contacts = [(c.points.name, c.surface.name) for c in scene.contacts]
-    return sorted(contacts + [(c.shape.name, c.other_shape.name) for c in scene.smooth_contacts])
+    return sorted(contacts + [(c.shape.name, c.other_shape.name) for c in scene.shape_contacts])
 
 
 def three(more="", filtered=""):
@@ -327,8 +327,8 @@ def test_a_body_comes_to_rest_on_a_floor_whatever_both_are_made_of(tmp_path, par
 def test_many_spheres_of_one_material_are_a_pile(tmp_path):
     ball = prim("Sphere", "ball", COLLIDER, "double radius = 0.1")
     scene = read(tmp_path, "".join(body(f"grain_{i}", ball, moved(0.3 * i, 0, 0)) for i in range(40)))
-    (pile,) = scene.mutual_contacts
-    assert (pile.count, len(scene.smooth_contacts)) == (40, 0)
+    (pile,) = scene.particle_contacts
+    assert (pile.count, len(scene.shape_contacts)) == (40, 0)
 
 
 @pytest.mark.parametrize("approximation", ["convexHull", "boundingCube", "boundingSphere", "none", "sdf"])

@@ -18,7 +18,7 @@ def recording():
     law = wc.laws.HuntCrossley(stiffness=1e4, restitution=0.7)
     rubber = wc.ContactMaterial(law=law, friction=wc.frictions.Tanh(mu=0.4))
     ball = scene.add_body(0.5, (2e-4,) * 3, (0, 0, 0.3), name="ball-1", motion=wc.motions.Slider(axis=(0, 0, 1)))
-    scene.add_smooth_contact(scene.add_shape(ball, wc.shapes.Sphere(0.05), name="skin"), plate, rubber)
+    scene.add_shape_contact(scene.add_shape(ball, wc.shapes.Sphere(0.05), name="skin"), plate, rubber)
     box = scene.add_body(1.0, (1e-2,) * 3, (1, 0, 0.3), name="box")
     hull = scene.add_surface(wc.meshes.box((0.2, 0.2, 0.2)), body=box, name="hull")
     floor = scene.add_surface(wc.meshes.grid((4.0, 4.0)), name="floor")

@@ -29,8 +29,8 @@ def test_many_spheres_that_may_touch_each_other_are_read_in_memory_that_grows_wi
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    (pile,) = scene.mutual_contacts
-    assert (pile.count, len(scene.smooth_contacts), len(scene.contacts)) == (count, 0, 0)
+    (pile,) = scene.particle_contacts
+    assert (pile.count, len(scene.shape_contacts), len(scene.contacts)) == (count, 0, 0)
     # A body and a shape with all their attributes take some kilobytes; of all pairs there would be 200 kB each.
     assert peak < 30_000 * count
 
@@ -86,9 +86,9 @@ def test_what_is_kept_apart_within_a_pile_is_excluded_there_and_nowhere_else(tmp
     first = prim("Sphere", "first", apis, "double radius = 1\n" + filtered + moved(0, 9, 0))
     wall = prim("Cube", "wall", COLLIDER, "double size = 1")
     scene = wc.Scene.from_usd(stage(tmp_path, wall + first + many("Sphere", "double radius = 1", 40)))
-    (pile,) = scene.mutual_contacts
+    (pile,) = scene.particle_contacts
     assert [(one.name, other.name) for one, other in pile.excluded] == [("first_2", "part_3_2")]
-    assert len(scene.smooth_contacts) == 40
+    assert len(scene.shape_contacts) == 40
 
 
 @pytest.mark.parametrize(("apis", "what"), [(FREE, "rigid bodies"), (COLLIDER, "colliders")])

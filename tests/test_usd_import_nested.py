@@ -47,9 +47,7 @@ def test_nested_body_has_its_own_pose_mass_and_colliders(tmp_path, reset):
     np.testing.assert_allclose(Rotation.from_quat(inner.orientation).as_rotvec(), turn, atol=1e-12)
     assert [(one.name, one.body) for one in scene.shapes] == [("outer_box", outer), ("inner_box", inner)]
     # Nothing fixes one to the other, so they touch.
-    assert [(one.shape.name, one.other_shape.name) for one in scene.smooth_contacts] == [
-        ("outer_box", "inner_box")
-    ]
+    assert [(one.shape.name, one.other_shape.name) for one in scene.shape_contacts] == [("outer_box", "inner_box")]
     assert sum(NESTED in remark for remark in scene.remarks) == (not reset)
 
 
@@ -74,7 +72,7 @@ def test_velocity_of_nested_body_is_in_the_frame_of_the_outer_prim(tmp_path):
 def test_filtered_pair_of_outer_body_does_not_filter_nested_body(tmp_path):
     floor = prim("Plane", "floor", COLLIDER, 'uniform token axis = "Z"\nrel physics:filteredPairs = </outer>\n')
     scene = nested(tmp_path, reset=False, more=floor)
-    assert [(one.shape.name, one.other_shape.name) for one in scene.smooth_contacts] == [
+    assert [(one.shape.name, one.other_shape.name) for one in scene.shape_contacts] == [
         ("outer_box", "inner_box"),
         ("inner_box", "floor"),
     ]

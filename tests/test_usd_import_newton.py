@@ -36,7 +36,7 @@ def floor(kind="Plane", sizes=PLANE, bound="m"):
 def pair(tmp_path, materials, *, one=None, other=None, **options):
     """Law and friction of the contact of a ball of 0.1 m and 3 kg with a floor, and the scene."""
     scene = read(tmp_path, materials + (ball() if one is None else one) + (other or floor()), **options)
-    contacts = [*scene.smooth_contacts, *scene.contacts]
+    contacts = [*scene.shape_contacts, *scene.contacts]
     return contacts[0].material, scene
 
 
@@ -78,7 +78,7 @@ def test_unauthored_coefficient_of_friction_is_not_zero(tmp_path, values, expect
 
 def test_torsional_friction_is_the_arm_of_torsion(tmp_path):
     found, scene = pair(tmp_path, material(newton_torsionalFriction=0.02))
-    (contact,) = scene.smooth_contacts
+    (contact,) = scene.shape_contacts
     assert found.torsion.mu_dynamic * float(contact.torsion_radius) == pytest.approx(0.02, rel=SINGLE)
     # A spring with the period of the contact: J/r² of a solid sphere, in a contact of 3 kg.
     effective = 0.4 * 3.0 * 0.1**2 / 0.02**2
@@ -118,7 +118,7 @@ def test_rolling_friction_among_many_spheres_needs_equal_radii(tmp_path):
                  "rel material:binding:physics = </m>\n"), moved(0.5 * i, 0, 0))
             for i, size in enumerate(sizes)
         )  # fmt: skip
-        (pile,) = read(tmp_path, material(newton_rollingFriction=0.01) + content).mutual_contacts
+        (pile,) = read(tmp_path, material(newton_rollingFriction=0.01) + content).particle_contacts
         # 1/R = 1/R₁ + 1/R₂.
         assert getattr(pile.material.rolling, "mu_static", None) == (pytest.approx(0.2) if rolls else None)
 
@@ -131,7 +131,7 @@ def test_units_of_materials_are_those_of_the_stage(tmp_path):
     found, scene = pair(tmp_path, material(**named), one=skin, metadata=metadata)
     assert (found.law.stiffness, found.law.damping) == pytest.approx((1e4, 1e2), rel=SINGLE)
     assert found.rolling.mu_static == pytest.approx(0.01 / 0.1, rel=SINGLE)
-    assert float(scene.smooth_contacts[0].torsion_radius) == pytest.approx(0.02, rel=SINGLE)
+    assert float(scene.shape_contacts[0].torsion_radius) == pytest.approx(0.02, rel=SINGLE)
 
 
 def test_each_value_without_a_counterpart_is_named(tmp_path):

@@ -74,4 +74,4 @@ def test_a_box_comes_to_rest_on_the_plate_that_it_lies_on(device):
     sim.step(5000)
     # It sinks in by g (T/π)² at most with a contact time T of 0.01 s.
     assert sim.state.body_position.numpy()[0, 0, 2] == pytest.approx(0.1, abs=1.1e-4)
-    assert scene.smooth_contacts[0].material.friction.mu_static == pytest.approx(0.5 * (0.78 + 0.5))
+    assert scene.shape_contacts[0].material.friction.mu_static == pytest.approx(0.5 * (0.78 + 0.5))

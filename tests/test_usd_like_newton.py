@@ -126,7 +126,7 @@ class Both:
             for i, j in itertools.combinations(sorted(names), 2)
             if builder.shape_body[i] != builder.shape_body[j] and (i, j) not in apart
         }
-        ours = {tuple(sorted((c.shape.name, c.other_shape.name))) for c in self.scene.smooth_contacts}
+        ours = {tuple(sorted((c.shape.name, c.other_shape.name))) for c in self.scene.shape_contacts}
         return ours, theirs
 
     def check(self, **options):
@@ -205,7 +205,7 @@ def test_material_values_are_those_that_newton_reads(tmp_path):
     floor = prim("Plane", "floor", BOUND, 'uniform token axis = "Z"\nrel material:binding:physics = </stuff>\n')
     both = Both(tmp_path, material("stuff", **values) + body("one", ball) + floor)
     both.check()
-    (contact,) = both.scene.smooth_contacts
+    (contact,) = both.scene.shape_contacts
     law, friction = contact.material.law, contact.material.friction
     ours = {
         "mu": friction.mu_dynamic,  # Newton has no other
@@ -227,7 +227,7 @@ def test_friction_that_is_not_authored_is_not_zero_as_in_newton(tmp_path):
     assert both.builder.shape_material_mu[both.shape_numbers["ball"]] == 0.0
     # A collider without a material has 0.5 here and 1 in Newton.
     assert both.builder.shape_material_mu[both.shape_numbers["floor"]] == 1.0
-    assert both.scene.smooth_contacts[0].material.friction.mu_dynamic == 0.5
+    assert both.scene.shape_contacts[0].material.friction.mu_dynamic == 0.5
 
 
 @pytest.mark.parametrize("name", TOUCHING)

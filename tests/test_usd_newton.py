@@ -35,7 +35,7 @@ def loaded(device, tmp_path_factory):
             mass, inertia, (i, 0.5, 0.3), (0, 0, np.sin(0.2 * i), np.cos(0.2 * i)), name=f"ball_{i}"
         )
         skin = scene.add_shape(ball, wc.shapes.Sphere(0.1), name=f"skin_{i}")
-        scene.add_smooth_contact(skin, plane, rubber, name=f"touch_{i}")
+        scene.add_shape_contact(skin, plane, rubber, name=f"touch_{i}")
     model = scene.build(device=device)
     recording = wc.Simulation(model, dt=1e-3).run(duration=0.02, every=1e-2)
     for i, mass in enumerate(MASSES):  # what no environment changed is not recorded, and left out

@@ -86,7 +86,7 @@ def test_shapes_have_materials_and_convex_meshes(device, tmp_path):
     body = scene.add_body(1.0, (1, 1, 1), position=(0, 0, 1), name="egg")
     shape = scene.add_shape(body, wc.shapes.Ellipsoid((0.2, 0.1, 0.15)), name="shell")
     friction = wc.frictions.Tanh(mu=0.4, velocity_scale=0.01)
-    scene.add_smooth_contact(shape, floor, wc.ContactMaterial(law=STIFF, friction=friction), name="touch")
+    scene.add_shape_contact(shape, floor, wc.ContactMaterial(law=STIFF, friction=friction), name="touch")
     stage = export(wc.Simulation(scene.build(2, device), 1e-3).run(2e-3), tmp_path)
     for path in ("/World/env_1/egg/shell", "/World/Surfaces/floor"):
         assert bound_material(stage, path) == pytest.approx([0.4, 0.4, 0.6])

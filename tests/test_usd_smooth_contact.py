@@ -1,4 +1,4 @@
-"""Shapes and smooth contacts on USD stages: primitives, meshes, sizes of each environment, forces."""
+"""Shapes and shape contacts on USD stages: primitives, meshes, sizes of each environment, forces."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def stage(device, tmp_path_factory):
         body = scene.add_body(1.0, (0.1, 0.1, 0.1), (number, 0, 0.09), name=f"body_{name}")
         shape = scene.add_shape(body, form, (0.0, 0.0, 0.01), name=name)
         if name == "ball":
-            scene.add_smooth_contact(shape, floor, SOFT, name="touch")
+            scene.add_shape_contact(shape, floor, SOFT, name="touch")
     grains = scene.add_bodies([(x, 1.0, 1.0) for x in range(3)], mass=1.0, inertia=(1.0, 1.0, 1.0), name="grains")
     scene.add_shape(grains, [wc.shapes.Sphere(r) for r in (0.1, 0.2, 0.3)], name="sizes")
     model = scene.build(2, device)

@@ -45,7 +45,7 @@ class Solved:
     """A model of two environments whose contact problems were not solved in some steps."""
 
     first_env, envs = 3, 2
-    scene = SimpleNamespace(smooth_contacts=())
+    scene = SimpleNamespace(shape_contacts=())
 
     def __init__(self, residual):
         self.failures = np.zeros(2, np.int32)

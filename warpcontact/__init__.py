@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from warpcontact.run_report import report
     from warpcontact.scene import Scene
     from warpcontact.simulation import Simulation
-    from warpcontact.smooth.elements import Shape, SmoothContact
+    from warpcontact.smooth.elements import Shape, ShapeContact
     from warpcontact.split_model import SplitModel
     from warpcontact.status import Cause, ContactMode, CouplingStatus, EnvironmentStatus, LineStatus, Status
     from warpcontact.usd import check_usd, export_usd
@@ -88,7 +88,7 @@ _HOME = {
     "Scene": "warpcontact.scene",
     "Shape": "warpcontact.smooth.elements",
     "Simulation": "warpcontact.simulation",
-    "SmoothContact": "warpcontact.smooth.elements",
+    "ShapeContact": "warpcontact.smooth.elements",
     "SplitModel": "warpcontact.split_model",
     "Spring": "warpcontact.kernels.springs.base",
     "SpringDamper": "warpcontact.couplings.elements",
@@ -167,8 +167,8 @@ __all__ = [
     "RunWarning",
     "Scene",
     "Shape",
+    "ShapeContact",
     "Simulation",
-    "SmoothContact",
     "SplitModel",
     "Spring",
     "SpringDamper",

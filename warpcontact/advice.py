@@ -17,9 +17,9 @@ from warpcontact.mobility import LEAST_MOBILITY, mobility_of
 if TYPE_CHECKING:
     from warpcontact.elements import Body
     from warpcontact.environments import Environments
-    from warpcontact.piles.elements import MutualContact
+    from warpcontact.piles.elements import ParticleContact
     from warpcontact.scene import Contact
-    from warpcontact.smooth.elements import SmoothContact
+    from warpcontact.smooth.elements import ShapeContact
     from warpcontact.unilateral.hard_contacts import HardContacts
 
 # Steps per contact time from which on the restitution of a smooth law is kept to about 1e-3.
@@ -48,7 +48,7 @@ def to_search(model: "Environments", hard: "HardContacts | None") -> "frozenset[
         if (envs := _envs_of(model, contact, hard)) and not is_clear(model, contact, envs)
     )
     # A sensor of a pile is one of the contacts of points as well.
-    evaluated = scene.smooth_contacts or scene.contact_couplings or (scene.mutual_contacts and scene.contacts)
+    evaluated = scene.shape_contacts or scene.contact_couplings or (scene.particle_contacts and scene.contacts)
     return found if found or evaluated else None
 
 
@@ -119,12 +119,12 @@ def advice(model: "Environments", dt: float, hard: "HardContacts | None") -> lis
             energy = energy.sum(axis=1, keepdims=True)
         # The energy of all overlaps of a body, as speed.
         sentences += _about_overlap(model, contact.name, depth, np.sqrt(2.0 * energy / mass), speed)
-    for touch in model.scene.smooth_contacts:
+    for touch in model.scene.shape_contacts:
         if acts(touch.name):
-            sentences += _smooth_advice(model, touch, dt)
+            sentences += _shape_contact_advice(model, touch, dt)
         else:
             sentences += about_overlap(f"{touch.name}.penetration")
-    for pile in model.scene.mutual_contacts:
+    for pile in model.scene.particle_contacts:
         if acts(pile.name):
             sentences += _pile_advice(model, pile, dt)
         else:
@@ -132,8 +132,8 @@ def advice(model: "Environments", dt: float, hard: "HardContacts | None") -> lis
     return sentences + coupling_advice(model, dt)
 
 
-def _smooth_advice(model: "Environments", contact: "SmoothContact", dt: float) -> list[str]:
-    """Returns what to say about the start of a smooth contact, each of its items alone."""
+def _shape_contact_advice(model: "Environments", contact: "ShapeContact", dt: float) -> list[str]:
+    """Returns what to say about the start of a shape contact, each of its items alone."""
     name, law = contact.name, contact.material.law
     elastic = law.elastic({key: _column(model, f"{name}.law.{key}") for key in law.parameters()})
     if elastic is None:
@@ -147,8 +147,8 @@ def _smooth_advice(model: "Environments", contact: "SmoothContact", dt: float) -
     return sentences + _about_overlap(model, name, depth, np.sqrt(2.0 * energy / mass), speed, latched=False)
 
 
-def _pile_advice(model: "Environments", contact: "MutualContact", dt: float) -> list[str]:
-    """Returns what to say about the start of a mutual contact: of two of its bodies that are easiest to move."""
+def _pile_advice(model: "Environments", contact: "ParticleContact", dt: float) -> list[str]:
+    """Returns what to say about the start of a particle contact: of two of its bodies that are easiest to move."""
     name, law = contact.name, contact.material.law
     elastic = law.elastic({key: _column(model, f"{name}.law.{key}") for key in law.parameters()})
     if elastic is None:
@@ -245,7 +245,7 @@ def _about_overlap(
 
 
 def _about_rigid_overlap(model: "Environments", name: str, dt: float) -> list[str]:
-    """Returns what to say about a hard contact that starts deeper than bodies sink in within a step."""
+    """Returns what to say about a nonsmooth contact that starts deeper than bodies sink in within a step."""
     depth = model.sensor(name).reshape(model.envs, -1).max(axis=1)
     worst = int(np.argmax(depth))
     if depth[worst] <= USUAL_SPEED * dt:
@@ -257,7 +257,7 @@ def _about_rigid_overlap(model: "Environments", name: str, dt: float) -> list[st
     ]
 
 
-def _mass_and_speed(model: "Environments", contact: "Contact | SmoothContact") -> tuple[Array, Array]:
+def _mass_and_speed(model: "Environments", contact: "Contact | ShapeContact") -> tuple[Array, Array]:
     """Returns the reduced mass [kg], as bodies may move, and an impact speed to expect [m/s], (envs, 1).
 
     Of points on a set of bodies (envs, items).
@@ -284,6 +284,6 @@ def _column(model: "Environments", name: str) -> Array:
     return values[:, None] if values.ndim == 1 else values
 
 
-def _sensor(model: "Environments", contact: "Contact | SmoothContact", quantity: str) -> Array:
+def _sensor(model: "Environments", contact: "Contact | ShapeContact", quantity: str) -> Array:
     values = model.measured(f"{contact.name}.{quantity}")
     return values[:, None] if values.ndim == 1 else values

@@ -36,7 +36,7 @@ from warpcontact.smooth.shape_sets import make_shape_sets
 from warpcontact.split_model import SplitModel
 
 if TYPE_CHECKING:
-    from warpcontact.smooth.contact_sets import SmoothSet
+    from warpcontact.smooth.contact_sets import ShapeContactSet
 
 PRECISIONS = {"float32": wp.float32, "float64": wp.float64}
 
@@ -135,11 +135,11 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
     couplings = make_sets(scene, layout, parameters, t)
     moves = any(body.motion.kind != types.FREE for body in scene.bodies)
     shapes = make_shape_sets(scene.shapes, parameters)
-    smooth: list[SmoothSet] = []
-    if scene.smooth_contacts:  # Warp parses all functions of kernels that are imported
-        from warpcontact.smooth.contact_sets import make_smooth_sets
+    smooth: list[ShapeContactSet] = []
+    if scene.shape_contacts:  # Warp parses all functions of kernels that are imported
+        from warpcontact.smooth.contact_sets import make_shape_contact_sets
 
-        smooth = make_smooth_sets(scene, shapes, layout, parameters, t.real, moves)
+        smooth = make_shape_contact_sets(scene, shapes, layout, parameters, t.real, moves)
     piles = make_piles(scene, layout, parameters, t)
     add_ends(couplings, smooth, body_count, arrays.model, layout)
     groups = [

@@ -32,7 +32,7 @@ def declare_arrays(
     """
     contacts = len(blocks.contact)
     body_count = sum(body.count for body in scene.bodies)
-    ends = 2 * (len(scene.couplings) + sum(contact.count for contact in scene.smooth_contacts))
+    ends = 2 * (len(scene.couplings) + sum(contact.count for contact in scene.shape_contacts))
     bodies, each, parts = per_env(body_count), per_env(contacts), per_env(blocks.count)
     records = contacts > 1  # a few of many contacts are near; of one contact neighbours are those of other envs
     arrays = SimpleNamespace(

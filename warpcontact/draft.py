@@ -26,7 +26,7 @@ from warpcontact.stepping import stepping_footprint
 
 if TYPE_CHECKING:
     from warpcontact.piles.pile import Pile
-    from warpcontact.smooth.contact_sets import SmoothSet
+    from warpcontact.smooth.contact_sets import ShapeContactSet
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,8 @@ class PartDraft(OfScene):
         parameters: The parameters.
         groups: The contacts by the code of their laws and frictions.
         couplings: The couplings by their code.
-        smooth: The smooth contacts by the code of their laws and frictions.
-        piles: The mutual contacts.
+        smooth: The shape contacts by the code of their laws and frictions.
+        piles: The particle contacts.
         drives: The bodies that follow functions of time, by class.
         blocks: The contacts by what lies together.
         sensors: What can be measured.
@@ -63,7 +63,7 @@ class PartDraft(OfScene):
     parameters: Parameters
     groups: list[Group]
     couplings: list[CouplingSet]
-    smooth: "list[SmoothSet]"
+    smooth: "list[ShapeContactSet]"
     piles: "list[Pile]"
     drives: list[Drive]
     blocks: Blocks

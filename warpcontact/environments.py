@@ -175,8 +175,8 @@ class Environments(
         element, _, quantity = name.rpartition(".")
         owners = {contact.name: contact.material.formulas for contact in self.scene.contacts}
         owners |= {coupling.name: coupling.formulas for coupling in self.scene.couplings}
-        owners |= {contact.name: contact.formulas for contact in self.scene.smooth_contacts}
-        owners |= {contact.name: contact.formulas for contact in self.scene.mutual_contacts}
+        owners |= {contact.name: contact.formulas for contact in self.scene.shape_contacts}
+        owners |= {contact.name: contact.formulas for contact in self.scene.particle_contacts}
         for owner, formulas in owners.items():
             for part, formula in formulas.items():
                 if element == f"{owner}.{part}" and quantity in formula.varying():
@@ -355,11 +355,11 @@ class Environments(
                     if contact in own.items
                 ]
             )
-            for contact in self.scene.smooth_contacts
+            for contact in self.scene.shape_contacts
         }
 
     def unfinished_solves(self) -> NDArray[np.int32]:
-        """Returns in how many steps since reset the problem of hard contacts was not solved, (envs,)."""
+        """Returns in how many steps since reset the problem of nonsmooth contacts was not solved, (envs,)."""
         return np.concatenate(
             [
                 np.zeros(part.envs, np.int32) if part.hard is None else part.hard.account.failures.numpy()
@@ -385,7 +385,7 @@ class Environments(
                 part.hard.forget_residuals()
 
     def touching(self, name: str) -> "xr.Dataset":
-        """Returns which pairs of a mutual contact touch at the current state.
+        """Returns which pairs of a particle contact touch at the current state.
 
         Args:
             name: Its name.
@@ -397,12 +397,12 @@ class Environments(
             ``approach_speed``; units are in the attributes.
 
         Raises:
-            KeyError: If there is no such mutual contact.
+            KeyError: If there is no such particle contact.
             RuntimeError: If a list of partners was too short.
         """
         from warpcontact.piles.touching import touching
 
-        look_up("mutual contact", name, {contact.name: contact for contact in self.scene.mutual_contacts})
+        look_up("particle contact", name, {contact.name: contact for contact in self.scene.particle_contacts})
         self.evaluate()
         self.check_piles()
         return touching(
@@ -415,7 +415,7 @@ class Environments(
         )
 
     def check_piles(self) -> None:
-        """Waits for the devices and looks whether all pairs of mutual contacts were found.
+        """Waits for the devices and looks whether all pairs of particle contacts were found.
 
         Raises:
             RuntimeError: If a list of partners was too short, in any environment since its reset.
@@ -429,7 +429,7 @@ class Environments(
         """Returns which environments are frozen, why and since when, and which are stopped.
 
         Raises:
-            RuntimeError: If a list of partners of a mutual contact was too short.
+            RuntimeError: If a list of partners of a particle contact was too short.
         """
         self.check_piles()
         parts = self.parts

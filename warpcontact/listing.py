@@ -30,7 +30,7 @@ LEGEND = (
 )
 
 
-#: What hard contact is given.
+#: What nonsmooth contact is given.
 HARD: tuple[type[Formula], ...] = (*laws.RIGID, *frictions.RIGID)
 
 

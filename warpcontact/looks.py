@@ -77,7 +77,7 @@ def look_stages(span: Span, needs: Set[str], no_step: Any, all_active: Any) -> l
     a = span.model.arrays
     launches = []
     if shows(needs):
-        # On a GPU what adds up empties queues as well, and to what piles and hard contacts add has to be there.
+        # On a GPU what adds up empties queues as well, and to what piles and nonsmooth contacts add has to be there.
         added_to = span.model.device.is_cuda or span.model.piles or span.hard is not None
         by_block = not added_to and "wrenches" not in needs
         launches += force_stages(span, a.state, no_step, all_active, by_block=by_block)

@@ -9,8 +9,8 @@ from warpcontact.checks import Array
 from warpcontact.elements import Body
 from warpcontact.frames import placed
 from warpcontact.kernels.types import BALL, FREE, HINGE, PLANAR, SLIDER, TRANSLATION
-from warpcontact.piles.elements import MutualContact
-from warpcontact.smooth.elements import Shape, SmoothContact
+from warpcontact.piles.elements import ParticleContact
+from warpcontact.smooth.elements import Shape, ShapeContact
 
 if TYPE_CHECKING:
     from warpcontact.environments import Environments
@@ -39,7 +39,9 @@ class Mobility:
     turns_by_push: bool
 
 
-def mobility_of(model: "Environments", contact: "Contact | SmoothContact | MutualContact", body: Body) -> Mobility:
+def mobility_of(
+    model: "Environments", contact: "Contact | ShapeContact | ParticleContact", body: Body
+) -> Mobility:
     """Returns what ``body``, one of those of ``contact``, yields."""
     mass = model[f"{body.name}.mass"].reshape(model.envs, body.count)
     nothing = np.zeros_like(mass)
@@ -128,9 +130,9 @@ def _turned_by(lever: Array, inertia: Array) -> Array:
     return (lever * np.linalg.solve(inertia, lever[..., None])[..., 0]).sum(axis=1)
 
 
-def _places(contact: "Contact | SmoothContact | MutualContact", body: Body) -> Array:
+def _places(contact: "Contact | ShapeContact | ParticleContact", body: Body) -> Array:
     """Returns where ``contact`` may act on ``body``, in its frame and as in the scene, (n, 3) [m]."""
-    if isinstance(contact, SmoothContact | MutualContact):
+    if isinstance(contact, ShapeContact | ParticleContact):
         return np.concatenate([_skin(shape) for shape in contact.shapes if shape.body is body])
     if body is contact.points.body:
         return contact.points.places

@@ -28,7 +28,7 @@ from warpcontact.sides import Sides
 if TYPE_CHECKING:
     from warpcontact.outcomes.observer import Observer
     from warpcontact.piles.pile import Pile
-    from warpcontact.smooth.contact_sets import SmoothSet
+    from warpcontact.smooth.contact_sets import ShapeContactSet
     from warpcontact.unilateral.hard_contacts import HardContacts
 
 #: What is 0 of a contact that does not touch.
@@ -99,7 +99,7 @@ class Model(Environments, OfScene):
         uploads: list[Upload],
         groups: list[Group],
         couplings: list[CouplingSet],
-        smooth: "list[SmoothSet]",
+        smooth: "list[ShapeContactSet]",
         piles: "list[Pile]",
         drives: list[Drive],
         blocks: Blocks,
@@ -221,7 +221,7 @@ class Model(Environments, OfScene):
             hard.follow(self)
             self.sensors.update((own.name, own) for own in hard.sensors())
         self._look_for_bounces()
-        # Nobody writes what hard contacts would do to bodies by a force.
+        # Nobody writes what nonsmooth contacts would do to bodies by a force.
         near, ends = self.arrays.near, self.arrays.ends
         for array in (near.force, near.torque_1, near.torque_2, ends.force, ends.torque):
             array.zero_()

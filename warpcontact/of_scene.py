@@ -32,8 +32,8 @@ class OfScene:
 
     @cached_property
     def smooth_count(self) -> int:
-        """Number of smooth contacts of an environment."""
-        return sum(contact.count for contact in self.scene.smooth_contacts)
+        """Number of shape contacts of an environment."""
+        return sum(contact.count for contact in self.scene.shape_contacts)
 
     @cached_property
     def sweeps(self) -> bool:
@@ -90,19 +90,19 @@ def _contact_couplings(layout: Layout, model: OfScene) -> Any:
     return layout.struct(PURPOSE, contact_coupling.ContactCouplings, shape)
 
 
-def _smooth_points(layout: Layout, model: OfScene) -> Any:
+def _shape_points(layout: Layout, model: OfScene) -> Any:
     from warpcontact.kernels.smooth.measures import Points
 
     return layout.struct(PURPOSE, Points, per_env(model.smooth_count))
 
 
-def _smooth_curvatures(layout: Layout, model: OfScene) -> Any:
+def _shape_curvatures(layout: Layout, model: OfScene) -> Any:
     from warpcontact.kernels.smooth.measures import Curvatures
 
     return layout.struct(PURPOSE, Curvatures, per_env(model.smooth_count))
 
 
-def _smooth_gradients(layout: Layout, model: OfScene) -> Any:
+def _shape_gradients(layout: Layout, model: OfScene) -> Any:
     from warpcontact.kernels.smooth.measures import Gradients
 
     return layout.struct(PURPOSE, Gradients, per_env(model.smooth_count))
@@ -115,9 +115,9 @@ MEASURES: dict[str, Callable[[Layout, OfScene], Any]] = {
     "reactions": _reactions,
     "coordinates": _coordinates,
     "contact_couplings": _contact_couplings,
-    "smooth_points": _smooth_points,
-    "smooth_curvatures": _smooth_curvatures,
-    "smooth_gradients": _smooth_gradients,
+    "shape_points": _shape_points,
+    "shape_curvatures": _shape_curvatures,
+    "shape_gradients": _shape_gradients,
 }
-#: Those of smooth contacts, measured on contacts that were computed before.
-SMOOTH = ("smooth_points", "smooth_curvatures", "smooth_gradients")
+#: Those of shape contacts, measured on contacts that were computed before.
+SMOOTH = ("shape_points", "shape_curvatures", "shape_gradients")

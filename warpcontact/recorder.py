@@ -66,8 +66,8 @@ def item_dimension(scene: Scene, element: str) -> str:
     """Returns the name of the item axis of a set: sets of different size cannot share one."""
     sizes = {points.count for points in scene.points if not points.single}
     sizes |= {body.count for body in scene.bodies if not body.single}
-    # A mutual contact has one item for each of its shapes, which may be those of several sets.
-    sizes |= {pile.count for pile in scene.mutual_contacts if pile.name == element}
+    # A particle contact has one item for each of its shapes, which may be those of several sets.
+    sizes |= {pile.count for pile in scene.particle_contacts if pile.name == element}
     return "item" if len(sizes) == 1 else f"{element}.item"
 
 
@@ -88,7 +88,7 @@ def moved_elements(model: Environments) -> list[str]:
     first["scene.gravity"] = scene.gravity
     for body in scene.bodies:
         first |= {f"{body.name}.motion.{key}": value for key, value in body.motion.parameters().items()}
-    contacts: list[Any] = [*scene.contacts, *scene.smooth_contacts, *scene.mutual_contacts]
+    contacts: list[Any] = [*scene.contacts, *scene.shape_contacts, *scene.particle_contacts]
     for contact in contacts:
         formulas = contact.material.formulas
         values = {f"friction.{key}": value for key, value in formulas["friction"].parameters().items()}

@@ -48,7 +48,7 @@ class Remarks:
         """Returns a warning for each contact of two shapes that was not found in more steps."""
         now = self.model.unsolved_contacts()
         warned = []
-        for contact in self.model.scene.smooth_contacts:
+        for contact in self.model.scene.shape_contacts:
             failed = (now[contact.name] > self._unsolved[contact.name]).nonzero()[0]
             if len(failed):
                 text = (

@@ -30,11 +30,11 @@ from warpcontact.elements import (
 from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.meshes import SurfaceSamples
 from warpcontact.meshes.groups import face_mask
-from warpcontact.piles.adding import MutualContacts
-from warpcontact.piles.elements import MutualContact
+from warpcontact.piles.adding import ParticleContacts
+from warpcontact.piles.elements import ParticleContact
 from warpcontact.scene_checks import active_of_each, check_areas, check_arms, mesh_of, options_of
-from warpcontact.smooth.adding import SmoothContacts
-from warpcontact.smooth.elements import Shape, SmoothContact
+from warpcontact.smooth.adding import ShapeContacts
+from warpcontact.smooth.elements import Shape, ShapeContact
 
 if TYPE_CHECKING:
     from warpcontact.contact_coupling import ContactCoupling
@@ -51,8 +51,8 @@ _LISTS = (
     "contact_couplings",
     "couplings",
     "shapes",
-    "smooth_contacts",
-    "mutual_contacts",
+    "shape_contacts",
+    "particle_contacts",
 )
 
 
@@ -62,7 +62,7 @@ MAX_DISTANCE = limits("m", above=0.0, may_be_infinite=True)
 
 
 @explain_keywords_of
-class Scene(Bodies, Couplings, SmoothContacts, MutualContacts):
+class Scene(Bodies, Couplings, ShapeContacts, ParticleContacts):
     """Bodies, surfaces, shapes, points, contacts and couplings of one environment; ``build`` makes many of it.
 
     Args:
@@ -94,8 +94,8 @@ class Scene(Bodies, Couplings, SmoothContacts, MutualContacts):
         self.contact_couplings: list[ContactCoupling] = []
         self.couplings: list[Coupling] = []
         self.shapes: list[Shape] = []
-        self.smooth_contacts: list[SmoothContact] = []
-        self.mutual_contacts: list[MutualContact] = []
+        self.shape_contacts: list[ShapeContact] = []
+        self.particle_contacts: list[ParticleContact] = []
         self._elements: dict[str, Any] = {}
         self.remarks: tuple[str, ...] = ()
         self.suggested_dt: float | None = None
@@ -107,7 +107,7 @@ class Scene(Bodies, Couplings, SmoothContacts, MutualContacts):
             "surfaces": self.surfaces,
             "points": self.points,
             "shapes": self.shapes,
-            "contacts": [*self.contacts, *self.smooth_contacts, *self.mutual_contacts, *self.contact_couplings],
+            "contacts": [*self.contacts, *self.shape_contacts, *self.particle_contacts, *self.contact_couplings],
             "couplings": self.couplings,
         }
         told = [f"{kind}: {', '.join(one.name for one in some)}" for kind, some in kinds.items() if some]

@@ -2,7 +2,7 @@
 
 Each stage reads what earlier ones wrote:
 
-    travel → closest point → couplings → smooth contacts → contact force (one launch per law) → wrenches → piles
+    travel → closest point → couplings → shape contacts → contact force (one launch per law) → wrenches → piles
     → integrate, motions → sweep → outcomes → finish → history
 
 or, of bodies alone in their environment, one launch for all of it.
@@ -88,7 +88,7 @@ class Span:
 
     @property
     def sources(self) -> tuple[bool, bool]:
-        """What acts on bodies beside contacts: couplings or smooth contacts, and forces from outside."""
+        """What acts on bodies beside contacts: couplings or shape contacts, and forces from outside."""
         return bool(self.model.couplings or self.model.smooth), self.model.pushed
 
     @property

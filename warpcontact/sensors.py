@@ -22,7 +22,7 @@ from warpcontact.status import Status
 if TYPE_CHECKING:
     from warpcontact.couplings.coupling_set import CouplingSet
     from warpcontact.piles.pile import Pile
-    from warpcontact.smooth.contact_sets import SmoothSet
+    from warpcontact.smooth.contact_sets import ShapeContactSet
 
 AXES = {3: ("axis", ["x", "y", "z"]), 4: ("component", ["x", "y", "z", "w"])}
 
@@ -100,7 +100,7 @@ class Sensor:
         needs: What has to be computed first: ``"contacts"``, or also the ``"wrenches"`` on bodies; of these
             ``"positions"``, ``"energies"`` and ``"momenta"``; contact ``"points"``, ``"distances"`` of what is
             far away; of motions ``"reactions"`` and ``"coordinates"``; the forces of ``"contact_couplings"``; of
-            smooth contacts ``"smooth_points"``, ``"smooth_curvatures"`` and ``"smooth_gradients"``; or what is
+            shape contacts ``"shape_points"``, ``"shape_curvatures"`` and ``"shape_gradients"``; or what is
             measured of ``"piles"``.
         items: Number of items of a set, 0 if there is no item axis.
         total: Whether the item axis is summed over.
@@ -149,7 +149,7 @@ def sensors_of(
     groups: Sequence[Group],
     contact_couplings: ContactCouplings,
     couplings: "Sequence[CouplingSet]",
-    smooth: "Sequence[SmoothSet]",
+    smooth: "Sequence[ShapeContactSet]",
     piles: "Sequence[Pile]",
 ) -> dict[str, Sensor]:
     """Returns all sensors of a scene by name.
@@ -161,8 +161,8 @@ def sensors_of(
         groups: What its contacts are computed in.
         contact_couplings: Its contact couplings.
         couplings: Its other couplings.
-        smooth: Its smooth contacts.
-        piles: Its mutual contacts.
+        smooth: Its shape contacts.
+        piles: Its particle contacts.
     """
     table: dict[str, Sensor] = {}
 

@@ -13,7 +13,7 @@ class Status(IntEnum):
 
     OPEN: not touching. CONTACT: touching. HIDDEN: the nearest point is not on the active part, or beyond the edge
     of a patch. FAR: nothing within the search radius. WRONG_SIDE: deeper than ``max_depth``, or come from the
-    inner side with ``entry="latched"``. DISABLED: not enabled. NOT_CONVERGED: of a smooth contact, where its
+    inner side with ``entry="latched"``. DISABLED: not enabled. NOT_CONVERGED: of a shape contact, where its
     surfaces meet was not found; no force acts.
 
     ``<contact>.gap`` is the signed distance at OPEN, CONTACT and WRONG_SIDE, where it is negative without contact;
@@ -30,7 +30,7 @@ class Status(IntEnum):
 
 
 class ContactMode(IntEnum):
-    """What a hard contact does.
+    """What a nonsmooth contact does.
 
     OPEN: no force. STICK: it holds, and does not slide. SLIP: it holds, and slides, or nothing keeps it from it.
     """

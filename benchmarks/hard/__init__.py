@@ -1,1 +1,1 @@
-"""Hard contact measured: what is simulated, and how this engine and MuJoCo do it."""
+"""Nonsmooth contact measured: what is simulated, and how this engine and MuJoCo do it."""

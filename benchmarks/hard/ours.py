@@ -1,4 +1,4 @@
-"""This engine at the works of hard contact: feet on meshes, by the Moreau–Jean scheme."""
+"""This engine at the works of nonsmooth contact: feet on meshes, by the Moreau–Jean scheme."""
 
 import warnings
 

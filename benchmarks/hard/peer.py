@@ -1,4 +1,4 @@
-"""MuJoCo at the works of hard contact: small spheres under boxes, its own solver and soft constraints.
+"""MuJoCo at the works of nonsmooth contact: small spheres under boxes, its own solver and soft constraints.
 
     python benchmarks/hard/peer.py --work table8 --envs 4096 --threads 2 --steps 500
 

@@ -1,4 +1,4 @@
-"""What is simulated to measure hard contact, as plain NumPy: boxes on feet that slide, come to rest and lie.
+"""What is simulated to measure nonsmooth contact, as plain NumPy: boxes on feet that slide, come to rest and lie.
 
 ``table`` is one box with feet on a grid, ``stack`` boxes with four feet each, one on the other. Each environment
 throws its boxes along the ground with another velocity. A run ends in rest. SI units.

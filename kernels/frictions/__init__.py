@@ -51,7 +51,7 @@ _CATALOGUE = {
     "LuGre": "lugre",
 }
 
-# Those of hard contact, which have no force of their own.
+# Those of nonsmooth contact, which have no force of their own.
 _RIGID = {"Coulomb": "coulomb"}
 
 #: The names of all models.

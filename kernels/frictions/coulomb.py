@@ -16,7 +16,7 @@ class Coulomb(Friction):
     formula = "|F| ≤ μ N; where it slips, F = −μ N v/s"
     reference = "Coulomb"
     provenance = "S"
-    validity = "hard contact; it has no force of its own"
+    validity = "nonsmooth contact; it has no force of its own"
     rigid = True
 
     mu: float = parameter("-", "coefficient of friction μ", at_least=0.0)

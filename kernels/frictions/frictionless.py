@@ -7,7 +7,7 @@ from warpcontact.kernels.frictions.base import Friction
 
 
 class Frictionless(Friction):
-    """A perfectly smooth contact."""
+    """A perfectly shape contact."""
 
     formula = "F = 0"
     reference = "elementary"

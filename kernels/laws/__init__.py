@@ -76,7 +76,7 @@ _CATALOGUE = {
     "Impact": "impact",
 }
 
-# Those of hard contact, which have no force of their own.
+# Those of nonsmooth contact, which have no force of their own.
 _RIGID = {"Rigid": "rigid"}
 
 #: The names of all laws.

@@ -5,7 +5,7 @@ from warpcontact.kernels.laws.entry_speed import EntrySpeedLaw
 
 
 class Flores(EntrySpeedLaw):
-    """Hunt–Crossley damping for soft and hard contact."""
+    """Hunt–Crossley damping for soft and nonsmooth contact."""
 
     formula = "N = K δⁿ (1 + d δ̇/v₀),  d = 8(1−e)/(5e)"
     reference = "Flores et al., Multibody Syst. Dyn. 25 (2011) 357; the same as Ye, Li & Zhu, EESD 38 (2009) 1135"

@@ -297,10 +297,10 @@ class Restitution(OfContact):
         return wp.float64(wp.nan)
 
     def check(self, hard: frozenset[str]) -> None:
-        """Refuses hard contacts, which are no time in contact."""
+        """Refuses nonsmooth contacts, which are no time in contact."""
         if self.contact in hard:
             raise ValueError(
-                f"Restitution: {self.contact!r} is a hard contact, which ends within a step; that of its impacts "
+                f"Restitution: {self.contact!r} is a nonsmooth contact, which ends within a step; that of its impacts "
                 f"is {self.contact}.law.restitution"
             )
 
@@ -339,10 +339,10 @@ class Work(OfContact):
         return m[0]
 
     def check(self, hard: frozenset[str]) -> None:
-        """Refuses hard contacts, which keep an account of their own."""
+        """Refuses nonsmooth contacts, which keep an account of their own."""
         if self.contact in hard:
             raise ValueError(
-                f"Work: {self.contact!r} is a hard contact; what those took is Final('scene.impact_loss') and "
+                f"Work: {self.contact!r} is a nonsmooth contact; what those took is Final('scene.impact_loss') and "
                 "Final('scene.friction_loss')"
             )
 

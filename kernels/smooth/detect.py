@@ -94,7 +94,7 @@ def seen(kind_a: type[Shape], kind_b: type[Shape], real: type) -> SimpleNamespac
     ``pair`` takes ``(state, env, contact, members, shapes_a, shapes_b)`` and returns the ``Pose``; ``meeting`` the
     same arguments, that pose and a seed, and returns where the shapes meet.
     """
-    from warpcontact.kernels.smooth.meet import meet  # with its solvers, which only smooth contacts need
+    from warpcontact.kernels.smooth.meet import meet  # with its solvers, which only shape contacts need
 
     State = structs(real).State
     ShapesA, ShapesB = shapes_struct(kind_a), shapes_struct(kind_b)

@@ -1,4 +1,4 @@
-"""Forces of one group of smooth contacts: what each touch does, at the ends of its contact.
+"""Forces of one group of shape contacts: what each touch does, at the ends of its contact.
 
 A pure function of state and history: nothing here changes them.
 """

@@ -1,4 +1,4 @@
-"""Advances what smooth contacts remember, once per accepted step and nowhere else."""
+"""Advances what shape contacts remember, once per accepted step and nowhere else."""
 
 import functools
 

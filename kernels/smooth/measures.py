@@ -1,4 +1,4 @@
-"""Places, curvatures and derivatives of smooth contacts, in float64 in any case: of what was found last."""
+"""Places, curvatures and derivatives of shape contacts, in float64 in any case: of what was found last."""
 
 import functools
 from typing import Any

@@ -1,4 +1,4 @@
-"""The structs of smooth contacts: shapes on a device, settings, what is found of a contact and remembered."""
+"""The structs of shape contacts: shapes on a device, settings, what is found of a contact and remembered."""
 
 import functools
 from types import SimpleNamespace
@@ -20,7 +20,7 @@ class Mount:
 
 @wp.struct
 class Members:
-    """What smooth contacts are made of: [contact]."""
+    """What shape contacts are made of: [contact]."""
 
     shape_a: wp.array(dtype=wp.int32)  # among the shapes of its kind
     shape_b: wp.array(dtype=wp.int32)
@@ -30,7 +30,7 @@ class Members:
 
 @wp.struct
 class Settings:
-    """Parameters of a smooth contact."""
+    """Parameters of a shape contact."""
 
     kappa: wp.float64  # K = P_b + kappa (P_a − P_b) [-]
     max_depth: wp.float64  # deepest penetration that still counts as contact [m]
@@ -57,7 +57,7 @@ def shapes_struct(kind: type[Shape]) -> Any:
 
 @functools.cache
 def contact_structs(real: type) -> SimpleNamespace:
-    """Returns the structs of smooth contacts in one precision. Normals point out of shape b, towards shape a."""
+    """Returns the structs of shape contacts in one precision. Normals point out of shape b, towards shape a."""
     t = structs(real)
     vec3, quat = t.vec3, t.quat
 

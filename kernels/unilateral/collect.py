@@ -103,7 +103,7 @@ def mesh(real: type) -> wp.Kernel:
         state: State,
         contacts: Contacts,
         near: Near,
-        blocks: wp.array(dtype=wp.int32),  # those of hard contacts
+        blocks: wp.array(dtype=wp.int32),  # those of nonsmooth contacts
         block_count: wp.int32,
         recovery: real,  # [1/s]
         material: wp.array2d(dtype=records.Material),
@@ -149,7 +149,7 @@ def mesh(real: type) -> wp.Kernel:
 
 @functools.cache
 def smooth(real: type, rolls: bool) -> wp.Kernel:
-    """Returns the kernel that adds smooth contacts of one group; items: 1.
+    """Returns the kernel that adds shape contacts of one group; items: 1.
 
     ``rolls``: whether their radii of rolling are known.
     """
@@ -158,7 +158,7 @@ def smooth(real: type, rolls: bool) -> wp.Kernel:
     add = add_row(real)
 
     @unique_kernel()
-    def collect_smooth_contacts(
+    def collect_shape_contacts(
         work: Work,
         status: wp.array(dtype=wp.int32),
         state: State,
@@ -197,7 +197,7 @@ def smooth(real: type, rolls: bool) -> wp.Kernel:
                     smooth.normal[env, item], smooth.gap[env, item], recovery, radius, torsion_radius,
                 )  # fmt: skip
 
-    return collect_smooth_contacts
+    return collect_shape_contacts
 
 
 @functools.cache

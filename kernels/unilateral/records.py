@@ -1,4 +1,4 @@
-"""What hard contacts are given, and what they remember from step to step."""
+"""What nonsmooth contacts are given, and what they remember from step to step."""
 
 import functools
 from types import SimpleNamespace
@@ -14,7 +14,7 @@ def record_structs(real: type) -> SimpleNamespace:
 
     @wp.struct
     class Material:
-        """Of a contact, or of all pairs of a mutual contact."""
+        """Of a contact, or of all pairs of a particle contact."""
 
         restitution: real  # Newton's coefficient e
         mu_static: real  # coefficient of friction where it stuck, or was open

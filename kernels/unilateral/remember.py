@@ -1,4 +1,4 @@
-"""After a step: what hard contacts remember of it, what they took of the energy, and how it is read."""
+"""After a step: what nonsmooth contacts remember of it, what they took of the energy, and how it is read."""
 
 import functools
 from typing import Any
@@ -148,7 +148,7 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
 def read(real: type, Contacts: Any) -> wp.Kernel:
     """Returns the kernel that shows what the last step of active environments did, where sensors look.
 
-    Items: hard contacts. ``Contacts`` is the struct of the arrays of its contacts.
+    Items: nonsmooth contacts. ``Contacts`` is the struct of the arrays of its contacts.
     """
     vec3 = structs(real).vec3
     records = record_structs(real)

@@ -1,4 +1,4 @@
-"""What solvers of hard contact read and write: the contacts of a step, one row each, and the bodies they hold.
+"""What solvers of nonsmooth contact read and write: the contacts of a step, one row each, and the bodies they hold.
 
 Impulses and velocities of a row are in world axes. A cone is looked at in the local axes of its row: the normal,
 then two tangents that ``cone.basis`` makes of it.

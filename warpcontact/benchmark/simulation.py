@@ -36,7 +36,7 @@ def simulation(work: Work, envs: int, device: str, precision: str = "float32", *
     start = work.start(envs)
     if start.shape[1] > 1:
         body = scene.add_bodies(start[0], work.mass, [work.inertia] * 3, name="body")
-        scene.add_mutual_contact(scene.add_shape(body, Sphere(work.radius)), material, name="pile")
+        scene.add_particle_contact(scene.add_shape(body, Sphere(work.radius)), material, name="pile")
     else:
         body = scene.add_body(work.mass, [work.inertia] * 3, name="body")
         start = start[:, 0]

@@ -67,7 +67,7 @@ def named(kind: type[Formula], given: Any) -> dict[str, Any]:
         if not issubclass(class_of(entry), kind) or class_of(entry) is kind:
             raise TypeError(f"a {word} must be a class or an instance of wc.{kind.__name__}, got {entry!r}")
         if class_of(entry).rigid:
-            raise ValueError(f"{class_of(entry).__name__} is for hard contact, and has no force to compare")
+            raise ValueError(f"{class_of(entry).__name__} is for nonsmooth contact, and has no force to compare")
         if label in result:
             raise ValueError(f"two {word}s are called {label!r}: give them as a dict, {{'first': …, 'second': …}}")
         result[label] = entry

@@ -1,4 +1,4 @@
-"""The ends of couplings and smooth contacts on a device, listed by the bodies that they act on."""
+"""The ends of couplings and shape contacts on a device, listed by the bodies that they act on."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -10,13 +10,17 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from warpcontact.arrays import Layout
     from warpcontact.couplings.coupling_set import CouplingSet
-    from warpcontact.smooth.contact_sets import SmoothSet
+    from warpcontact.smooth.contact_sets import ShapeContactSet
 
 
 def add_ends(
-    couplings: "Sequence[CouplingSet]", smooth: "Sequence[SmoothSet]", bodies: int, model: Any, layout: "Layout"
+    couplings: "Sequence[CouplingSet]",
+    smooth: "Sequence[ShapeContactSet]",
+    bodies: int,
+    model: Any,
+    layout: "Layout",
 ) -> None:
-    """Declares where the ends of couplings and smooth contacts are, and lists them by their bodies."""
+    """Declares where the ends of couplings and shape contacts are, and lists them by their bodies."""
     points = np.array([point for one in couplings for point in one.end_points()], dtype=np.int32)
     numbers = [np.array([n for one in couplings for n in one.end_bodies()], dtype=np.int32)]
     numbers += [one.bodies.reshape(-1) for one in smooth]

@@ -8,6 +8,7 @@ from typing import Any
 from warpcontact import meshes
 from warpcontact.experiment.catalogue import FileMesh, FormulaSettings, Section, ShapeMesh
 from warpcontact.experiment.errors import Problems
+from warpcontact.experiment.parser import Parts
 from warpcontact.experiment.rows_file import read_rows
 from warpcontact.experiment.schema import (
     ROW_KEYS,
@@ -18,15 +19,14 @@ from warpcontact.experiment.schema import (
     ContactSettings,
     CouplingOptions,
     MaterialSettings,
-    MutualContactSettings,
+    ParticleContactSettings,
     PointSettings,
     PointsSettings,
+    ShapeContactSettings,
     ShapeSettings,
-    SmoothContactSettings,
     SurfaceContactSettings,
     SurfaceSettings,
 )
-from warpcontact.experiment.parser import Parts
 from warpcontact.meshes import Mesh, MeshError
 from warpcontact.patches import Known
 from warpcontact.scene import ContactMaterial, Scene
@@ -96,8 +96,8 @@ class Assembler:
             "catenary": lambda path, entry: self._coupling(scene.add_catenary, path, entry, problems),
             "contact_coupling": lambda path, entry: self._contact_coupling(scene, path, entry, problems),
             "shape": lambda path, entry: self._shape(scene, path, entry, problems),
-            "smooth_contact": lambda path, entry: self._smooth_contact(scene, path, entry, problems),
-            "mutual_contact": lambda path, entry: self._mutual_contact(scene, path, entry, problems),
+            "shape_contact": lambda path, entry: self._shape_contact(scene, path, entry, problems),
+            "particle_contact": lambda path, entry: self._particle_contact(scene, path, entry, problems),
         }
         for section, path, entry in self.parts:
             try:
@@ -208,12 +208,14 @@ class Assembler:
         body = self._find(f"{path}.body", entry.body, _BODY, problems)
         return scene.add_shape(body, entry.form.make(), **entry.model_dump(exclude={"body", "form"}))
 
-    def _smooth_contact(self, scene: Scene, path: str, entry: SmoothContactSettings, problems: Problems) -> Any:
+    def _shape_contact(self, scene: Scene, path: str, entry: ShapeContactSettings, problems: Problems) -> Any:
         references = {"shape": _SHAPE, "other_shape": _SHAPE, "material": _TEMPLATE}
         targets = self._find_all(path, entry, references, problems)
-        return scene.add_smooth_contact(*targets, **entry.model_dump(exclude=set(references)))
+        return scene.add_shape_contact(*targets, **entry.model_dump(exclude=set(references)))
 
-    def _mutual_contact(self, scene: Scene, path: str, entry: MutualContactSettings, problems: Problems) -> Any:
+    def _particle_contact(
+        self, scene: Scene, path: str, entry: ParticleContactSettings, problems: Problems
+    ) -> Any:
         def find(key: str, name: str, kind: tuple[str, tuple[str, ...]] = _SHAPE) -> Any:
             try:
                 return self._find(f"{path}.{key}", name, kind, problems)
@@ -230,12 +232,12 @@ class Assembler:
         if any(found is None for found in (*shapes, *(shape for pair in pairs for shape in pair), material)):
             raise _Unresolved
         options = entry.model_dump(exclude={"shapes", "material", "exclude"})
-        return scene.add_mutual_contact(shapes, material, exclude=pairs, **options)
+        return scene.add_particle_contact(shapes, material, exclude=pairs, **options)
 
     def _find_all(
         self,
         path: str,
-        entry: ContactOptions | CouplingOptions | ContactCouplingSettings | SmoothContactSettings,
+        entry: ContactOptions | CouplingOptions | ContactCouplingSettings | ShapeContactSettings,
         references: Mapping[str, tuple[str, tuple[str, ...]]],
         problems: Problems,
     ) -> list[Any]:

@@ -31,8 +31,8 @@ def default_sensors(model: Environments, *, far: bool = False) -> list[str]:
     scene = model.scene
     depth = "gap" if far else "penetration"
     told = [(contact.name, (depth, "normal_force")) for contact in scene.contacts if contact.points.single]
-    told += [(contact.name, ("gap", "normal_force")) for contact in scene.smooth_contacts if contact.single]
-    told += [(contact.name, ("contacts", "max_penetration")) for contact in scene.mutual_contacts]
+    told += [(contact.name, ("gap", "normal_force")) for contact in scene.shape_contacts if contact.single]
+    told += [(contact.name, ("contacts", "max_penetration")) for contact in scene.particle_contacts]
     told += [(coupling.name, _TOLD[type(coupling)]) for coupling in scene.couplings]
     told += [(coupling.name, ("minimum_distance", "force")) for coupling in scene.contact_couplings]
     # Of sets what they sum up to: a value of each is for those who ask for it.

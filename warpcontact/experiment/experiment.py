@@ -21,10 +21,10 @@ from warpcontact.experiment.design import Design
 from warpcontact.experiment.errors import ExperimentError, Problems
 from warpcontact.experiment.observation import check_watched, watching
 from warpcontact.experiment.own import OwnFiles
+from warpcontact.experiment.parser import Parts, load_toml, read_settings
 from warpcontact.experiment.plan import Plan, make_plan, recording_size
 from warpcontact.experiment.sampling import Sobol
 from warpcontact.experiment.schema import Settings
-from warpcontact.experiment.parser import Parts, load_toml, read_settings
 from warpcontact.experiment.trial import trial
 from warpcontact.experiment.trust import Trust
 from warpcontact.experiment.variation import Variation, truncated

@@ -23,9 +23,9 @@ from warpcontact.experiment.errors import ExperimentError, Problems, shown
 from warpcontact.experiment.expected import LABELS, ORDER, Extent
 from warpcontact.experiment.lock import is_written
 from warpcontact.experiment.own import OwnFiles
+from warpcontact.experiment.parser import Parts, load_toml, read_settings
 from warpcontact.experiment.records import COMMITS, DATA, GROUPS, Commit, StoreError
 from warpcontact.experiment.schema import Settings
-from warpcontact.experiment.parser import Parts, load_toml, read_settings
 from warpcontact.experiment.store import Ledger, Shards
 from warpcontact.experiment.trust import Trust
 from warpcontact.flags import words_of

@@ -214,8 +214,8 @@ class ShapeSettings(Section):
     visible: bool = True
 
 
-class SmoothContactSettings(Section):
-    """``[[smooth_contact]]``: the contact of two shapes."""
+class ShapeContactSettings(Section):
+    """``[[shape_contact]]``: the contact of two shapes."""
 
     name: Name
     shape: str = Field(description="the name of a shape")
@@ -230,8 +230,8 @@ class SmoothContactSettings(Section):
     visible: bool = True
 
 
-class MutualContactSettings(Section):
-    """``[[mutual_contact]]``: every two of many spheres and capsules touch."""
+class ParticleContactSettings(Section):
+    """``[[particle_contact]]``: every two of many spheres and capsules touch."""
 
     name: Name
     shapes: Rows[str] = Field(description="the names of shapes", min_length=1)
@@ -383,8 +383,8 @@ class Settings(Section):
     surface_contact: Rows[SurfaceContactSettings] = ()
     contact_coupling: Rows[ContactCouplingSettings] = ()
     shape: Rows[ShapeSettings] = ()
-    smooth_contact: Rows[SmoothContactSettings] = ()
-    mutual_contact: Rows[MutualContactSettings] = ()
+    shape_contact: Rows[ShapeContactSettings] = ()
+    particle_contact: Rows[ParticleContactSettings] = ()
     spring_damper: Rows[SpringDamperSettings] = ()
     bushing: Rows[BushingSettings] = ()
     catenary: Rows[CatenarySettings] = ()
@@ -412,8 +412,8 @@ SECTIONS: dict[str, type[Section]] = {
     "surface_contact": SurfaceContactSettings,
     "contact_coupling": ContactCouplingSettings,
     "shape": ShapeSettings,
-    "smooth_contact": SmoothContactSettings,
-    "mutual_contact": MutualContactSettings,
+    "shape_contact": ShapeContactSettings,
+    "particle_contact": ParticleContactSettings,
     "spring_damper": SpringDamperSettings,
     "bushing": BushingSettings,
     "catenary": CatenarySettings,

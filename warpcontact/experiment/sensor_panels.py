@@ -140,7 +140,7 @@ def _chosen(ranks: dict[str, int], first: str | None, most: int) -> list[str]:
 def _ranks(recording: Recording) -> dict[str, int]:
     """Returns the sensors that can be drawn, without poses, with their ranks, 0 for those that come first."""
     scene = recording.scene
-    touching: list[Any] = [*scene.contacts, *scene.smooth_contacts, *scene.mutual_contacts]
+    touching: list[Any] = [*scene.contacts, *scene.shape_contacts, *scene.particle_contacts]
     contacts = {one.name for one in (*touching, *scene.contact_couplings)}
     couplings = {coupling.name for coupling in scene.couplings}
 

@@ -14,8 +14,8 @@ from warpcontact.experiment.assemble import Assembler, Loaded
 from warpcontact.experiment.catalogue import FormulaSettings, own_class
 from warpcontact.experiment.errors import Problems
 from warpcontact.experiment.own import blame
-from warpcontact.experiment.schema import FORMULA_SECTIONS
 from warpcontact.experiment.parser import Parts
+from warpcontact.experiment.schema import FORMULA_SECTIONS
 from warpcontact.kernels import laws, springs
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.motions import Motion
@@ -78,9 +78,9 @@ def _classes(scene: Scene) -> set[type[Formula]]:
     """Returns the classes of all formulas in ``scene``."""
     formulas = [f for contact in scene.contacts for f in contact.material.formulas.values()]
     formulas += [f for coupling in scene.couplings for f in coupling.formulas.values()]
-    formulas += [f for contact in scene.smooth_contacts for f in contact.formulas.values()]
-    formulas += [f for contact in scene.mutual_contacts for f in contact.formulas.values()]
-    kinds = {kind for contact in scene.smooth_contacts for kind in contact.kinds}
+    formulas += [f for contact in scene.shape_contacts for f in contact.formulas.values()]
+    formulas += [f for contact in scene.particle_contacts for f in contact.formulas.values()]
+    kinds = {kind for contact in scene.shape_contacts for kind in contact.kinds}
     return kinds | {type(formula) for formula in (*formulas, *(body.motion for body in scene.bodies))}
 
 
@@ -105,7 +105,7 @@ def _fault(key: str, formula: Formula, precision: str) -> str | None:
         scene = Scene()
         ball = scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0))
         both = scene.add_shape(ball, shapes.Sphere(1.0)), scene.add_shape(None, formula)
-        scene.add_smooth_contact(*both, ContactMaterial(law=laws.Hooke(stiffness=1.0)))
+        scene.add_shape_contact(*both, ContactMaterial(law=laws.Hooke(stiffness=1.0)))
         _, failure = _built(scene, precision)
         return None if failure is None else _told(failure, cls)
     values = {name: np.full((1, 1), value) for name, value in formula.parameters(area=1.0).items()}

@@ -83,6 +83,6 @@ def formulas_of(scene: "Scene") -> dict[str, dict[str, Any]]:
     """Returns law and frictions by the name of their part, of every contact of a scene by its name."""
     return {
         **{contact.name: contact.material.formulas for contact in scene.contacts},
-        **{contact.name: contact.formulas for contact in scene.smooth_contacts},
-        **{contact.name: contact.formulas for contact in scene.mutual_contacts},
+        **{contact.name: contact.formulas for contact in scene.shape_contacts},
+        **{contact.name: contact.formulas for contact in scene.particle_contacts},
     }

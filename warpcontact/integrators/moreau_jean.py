@@ -1,4 +1,4 @@
-"""The Moreau–Jean scheme: hard contact in time steps, without locating impacts."""
+"""The Moreau–Jean scheme: nonsmooth contact in time steps, without locating impacts."""
 
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -144,7 +144,7 @@ class MoreauJean(Integrator):
             )
 
     def declare(self, model: "Model | PartDraft", layout: Layout) -> "HardContacts":
-        """Declares the hard contacts of ``model``."""
+        """Declares the nonsmooth contacts of ``model``."""
         from warpcontact.unilateral.hard_contacts import HardContacts
 
         scratch = {name: KERNELS[name].scratch for name in SOLVERS[self.solver]}

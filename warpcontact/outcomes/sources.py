@@ -31,7 +31,7 @@ class Seen:
         sensor: The sensor.
         in_step: Whether it is there in every step.
         searches: Whether for that all contacts have to be looked at in every step.
-        shown: Whether it is of a hard contact, which has to be shown first.
+        shown: Whether it is of a nonsmooth contact, which has to be shown first.
         owner: What to call who asked, in a message.
     """
 
@@ -99,8 +99,8 @@ class Finder:
             self._hard = hard.names
         self._meshed = {contact.name for contact in model.scene.contacts}
         self._single = [contact.name for contact in model.scene.contacts]
-        self._single += [contact.name for contact in model.scene.smooth_contacts]
-        self._piled = {contact.name for contact in model.scene.mutual_contacts}
+        self._single += [contact.name for contact in model.scene.shape_contacts]
+        self._piled = {contact.name for contact in model.scene.particle_contacts}
         self._bodies = {body.name for body in model.scene.bodies}
 
     @property
@@ -182,7 +182,7 @@ class Finder:
         if contact not in self._single:
             what = "not a contact"
             if contact in self._piled:
-                what = "a mutual contact, the touches of which have no numbers"
+                what = "a particle contact, the touches of which have no numbers"
             known = ", ".join(map(repr, self._single)) or "none here"
             raise ValueError(f"{owner}: {contact!r} is {what}; events are of {known}")
         return self.find_in_step(owner, Source(name))

@@ -1,4 +1,4 @@
-"""How mutual contacts are added to a scene. All input is checked here."""
+"""How particle contacts are added to a scene. All input is checked here."""
 
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -11,7 +11,7 @@ from warpcontact.checks import limits
 from warpcontact.elements import ContactMaterial
 from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.kernels.smooth import shapes as forms
-from warpcontact.piles.elements import MutualContact
+from warpcontact.piles.elements import ParticleContact
 from warpcontact.scene_checks import options_of
 from warpcontact.smooth.adding import check_material
 from warpcontact.smooth.elements import Shape
@@ -21,13 +21,13 @@ SKIN = 0.3
 
 
 @explain_keywords_of
-class MutualContacts:
-    """The mutual contacts of a ``Scene``, and how to add them."""
+class ParticleContacts:
+    """The particle contacts of a ``Scene``, and how to add them."""
 
-    mutual_contacts: list[MutualContact]
+    particle_contacts: list[ParticleContact]
     _elements: dict[str, Any]
 
-    def add_mutual_contact(
+    def add_particle_contact(
         self,
         shapes: Shape | Sequence[Shape],
         material: ContactMaterial,
@@ -43,7 +43,7 @@ class MutualContacts:
         name: str | None = None,
         color: ArrayLike | None = None,
         visible: bool = True,
-    ) -> MutualContact:
+    ) -> ParticleContact:
         """Lets every two of many spheres and capsules touch, but for those on one body.
 
         Shapes are numbered in the order in which they are given. Of two that touch, the first is the one with the
@@ -74,7 +74,7 @@ class MutualContacts:
         Raises:
             ValueError: If a value is out of range, or a shape is not a sphere or capsule on a body.
         """
-        name = checks.new_name("mutual_contact", name, self._elements)
+        name = checks.new_name("particle_contact", name, self._elements)
         if not isinstance(shapes, Shape | list | tuple):
             raise ValueError(f"shapes of {name!r} must be a shape or a list of them, got {checks.element(shapes)}")
         given: tuple[Shape, ...] = (shapes,) if isinstance(shapes, Shape) else tuple(shapes)
@@ -85,8 +85,8 @@ class MutualContacts:
                 )
             if shape.kind not in (forms.Sphere, forms.Capsule):
                 raise ValueError(
-                    f"{name}: shape {shape.name!r} is a {shape.kind.__name__}; mutual contacts are of spheres and "
-                    "capsules, add_smooth_contact is for others"
+                    f"{name}: shape {shape.name!r} is a {shape.kind.__name__}; particle contacts are of spheres and "
+                    "capsules, add_shape_contact is for others"
                 )
             if shape.body is None:
                 raise ValueError(
@@ -106,7 +106,7 @@ class MutualContacts:
         if partners is not None:
             checks.whole(f"{name}.partners", partners)
         radii = np.concatenate([shape.sizes["radius"] for shape in given])
-        contact = MutualContact(
+        contact = ParticleContact(
             name=name,
             shapes=given,
             material=material,
@@ -119,7 +119,7 @@ class MutualContacts:
             partners=None if partners is None else int(partners),
             **options_of(name, kappa, max_depth, torsion_radius, share, enabled, color, visible),
         )
-        self.mutual_contacts.append(contact)
+        self.particle_contacts.append(contact)
         self._elements[name] = contact
         return contact
 

@@ -1,4 +1,4 @@
-"""Mutual contacts of a scene."""
+"""Particle contacts of a scene."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -14,7 +14,7 @@ from warpcontact.smooth.elements import Shape
 
 
 @dataclass(frozen=True, eq=False)
-class MutualContact:
+class ParticleContact:
     """The contact of every two of many spheres and capsules.
 
     Its shapes are numbered in the order in which they are given, those of a set one by one.

@@ -1,4 +1,4 @@
-"""A mutual contact on a device: what the step, resets and sensors need of it."""
+"""A particle contact on a device: what the step, resets and sensors need of it."""
 
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
@@ -21,7 +21,7 @@ from warpcontact.kernels.piles.base import NONE, TOUCHED, TOUCHES, Form, pile_st
 from warpcontact.kernels.touch import group_structs
 from warpcontact.kernels.types import FREE
 from warpcontact.parameters import ClosedGap, Field, Parameter, Parameters, Upload, pack
-from warpcontact.piles.elements import MutualContact
+from warpcontact.piles.elements import ParticleContact
 from warpcontact.piles.room import FEW, all_pairs, owned_of, partners_around
 from warpcontact.schedule import FEW_TOGETHER
 from warpcontact.sensors import Sensor, shape_in
@@ -55,17 +55,17 @@ _FOR_EACH = {
 
 
 class Pile:
-    """A mutual contact on a device.
+    """A particle contact on a device.
 
     Args:
-        contact: The mutual contact.
+        contact: The particle contact.
         scene: What it is in.
         layout: Where to declare arrays.
         parameters: Where to add parameters; those of the shapes are there.
         types: Structs of the precision.
 
     Attributes:
-        contact: The mutual contact.
+        contact: The particle contact.
         fixed: Whether its lists are those of all pairs.
         entries: Entries of all lists of an environment.
         slots: Records of an environment.
@@ -78,7 +78,7 @@ class Pile:
 
     def __init__(
         self,
-        contact: MutualContact,
+        contact: ParticleContact,
         scene: "Scene",
         layout: Layout,
         parameters: Parameters,
@@ -285,7 +285,7 @@ class Pile:
                 raise ValueError(
                     f"{self.contact.name}: with these radii {self.contact.label(shape)!r} may have "
                     f"{needed[:, shape].max()} partners, and there is room for {self._room[shape]}; build the "
-                    "scene with the largest and smallest radii that are to come, or give add_mutual_contact "
+                    "scene with the largest and smallest radii that are to come, or give add_particle_contact "
                     "partners="
                 )
         return radius
@@ -443,7 +443,7 @@ class Pile:
             return None
         return (
             f"{self.contact.name}: a shape had {most} partners more than there is room for, and their forces are "
-            f"missing; give add_mutual_contact a larger partners=, or a smaller skin than {self.contact.skin:g} m"
+            f"missing; give add_particle_contact a larger partners=, or a smaller skin than {self.contact.skin:g} m"
         )
 
     def measure(self, envs: int, device: wp.Device) -> None:
@@ -490,5 +490,5 @@ def touches_of(pile: Pile | None, real: type) -> list[Any]:
 
 
 def make_piles(scene: "Scene", layout: Layout, parameters: Parameters, types: SimpleNamespace) -> list[Pile]:
-    """Declares the arrays of all mutual contacts, and adds their parameters."""
-    return [Pile(contact, scene, layout, parameters, types) for contact in scene.mutual_contacts]
+    """Declares the arrays of all particle contacts, and adds their parameters."""
+    return [Pile(contact, scene, layout, parameters, types) for contact in scene.particle_contacts]

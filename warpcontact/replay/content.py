@@ -30,7 +30,7 @@ class Content:
         form_swarms: Shapes on sets of bodies.
         swarms: Spheres and points on sets of bodies.
         lines: Forces of contacts.
-        resultants: Forces of contact couplings and of mutual contacts, of which only sums are recorded.
+        resultants: Forces of contact couplings and of particle contacts, of which only sums are recorded.
         curves: Couplings.
         size: Length of the largest body [m].
         force_scale: Metres per newton that draw the largest force at 1.5 times ``size``.
@@ -59,7 +59,7 @@ class Content:
         forms = [FormPlacement.of(replay, shape) for shape in scene.shapes]
         reaches = [2.0 * form.reach for form in forms if form.shape.body is not None]
         size = max([scene_size(replay, list(placements.values()), spheres), *reaches])
-        pushing: list[Any] = [*scene.contacts, *scene.smooth_contacts]
+        pushing: list[Any] = [*scene.contacts, *scene.shape_contacts]
         lines = [line for contact in pushing if (line := ForceLines.of(replay, contact))]
         resultants = resultants_of(replay, poses, lines)
         return cls(

@@ -7,11 +7,11 @@ import numpy as np
 
 from warpcontact.checks import Array
 from warpcontact.frames import placed
-from warpcontact.piles.elements import MutualContact
+from warpcontact.piles.elements import ParticleContact
 from warpcontact.replay.forms import FormPlacement
 from warpcontact.replay.replay import Replay
 from warpcontact.scene import Contact
-from warpcontact.smooth.elements import SmoothContact
+from warpcontact.smooth.elements import ShapeContact
 
 FORCE_COLOR = (0.9, 0.25, 0.1)
 # Length of the longest force line, in sizes of the largest body.
@@ -32,7 +32,7 @@ class ForceLines:
 
     def __init__(
         self,
-        contact: Contact | SmoothContact | MutualContact,
+        contact: Contact | ShapeContact | ParticleContact,
         start: Array,
         force: Array,
         name: str | None = None,
@@ -48,7 +48,7 @@ class ForceLines:
         self.start = np.where(np.isfinite(start), start, 0.0)
 
     @classmethod
-    def of(cls, replay: Replay, contact: Contact | SmoothContact) -> "ForceLines | None":
+    def of(cls, replay: Replay, contact: Contact | ShapeContact) -> "ForceLines | None":
         """Returns the lines, or ``None`` unless normal force, normal and point were recorded."""
         shape = (len(replay.codes), len(replay.envs), contact.count)
         parts = {}
@@ -71,7 +71,7 @@ class ForceLines:
 def resultants_of(
     replay: Replay, poses: Mapping[str, tuple[Array, Array]], lines: list[ForceLines]
 ) -> list[ForceLines]:
-    """Returns the forces of contact couplings, at the centre of mass, and of mutual contacts, on each shape.
+    """Returns the forces of contact couplings, at the centre of mass, and of particle contacts, on each shape.
 
     Those of couplings only where ``lines`` do not show them point by point.
     """
@@ -85,7 +85,7 @@ def resultants_of(
         meaning = "Force on the body of the first surface, from its centre of mass."
         each = force.astype(np.float64).reshape(*shape, 1, 3)
         found.append(ForceLines(coupling.contacts[0], start, each, coupling.name, meaning))
-    for pile in replay.scene.mutual_contacts:
+    for pile in replay.scene.particle_contacts:
         force = replay.series(f"{pile.name}.force")
         if force is not None:
             start = np.concatenate([_centres(replay, poses, one) for one in pile.shapes], axis=2)

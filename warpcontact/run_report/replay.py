@@ -92,7 +92,7 @@ def replay_of(recording: xr.Dataset, scene: Scene, choice: Choice) -> Replay:
 def _frames(recording: xr.Dataset, scene: Scene, most: int) -> NDArray[np.intp]:
     """Returns the records that are drawn: evenly spaced ones, and those with the largest and smallest forces."""
     records = recording.sizes["time"]
-    contacts: list[Any] = [*scene.contacts, *scene.smooth_contacts]
+    contacts: list[Any] = [*scene.contacts, *scene.shape_contacts]
     forces = [recording[name] for one in contacts if (name := f"{one.name}.normal_force") in recording]
     if records <= most or most < 8 or not forces:
         return evenly(records, most)
@@ -114,7 +114,7 @@ def _largest(forces: xr.DataArray) -> Array:
 
 def _items(recording: xr.Dataset, scene: Scene) -> int:
     """Returns how many poses and points of forces one record of one environment has."""
-    contacts: list[Any] = [*scene.contacts, *scene.smooth_contacts]
+    contacts: list[Any] = [*scene.contacts, *scene.shape_contacts]
     points = sum(contact.count for contact in contacts if f"{contact.name}.point" in recording)
     return max(1, points + sum(body.count for body in scene.bodies))
 

@@ -1,4 +1,4 @@
-"""How shapes and smooth contacts are added to a scene. All input is checked here."""
+"""How shapes and shape contacts are added to a scene. All input is checked here."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, cast
@@ -13,7 +13,7 @@ from warpcontact.kernels.frictions import Frictionless
 from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.kernels.smooth.base import Shape as Form
 from warpcontact.scene_checks import options_of
-from warpcontact.smooth.elements import ALL, Shape, SmoothContact
+from warpcontact.smooth.elements import ALL, Shape, ShapeContact
 
 if TYPE_CHECKING:
     from warpcontact.scene import Scene
@@ -23,11 +23,11 @@ _OWN = ("position", "orientation")
 
 
 @explain_keywords_of
-class SmoothContacts:
-    """The shapes and smooth contacts of a ``Scene``, and how to add them."""
+class ShapeContacts:
+    """The shapes and shape contacts of a ``Scene``, and how to add them."""
 
     shapes: list[Shape]
-    smooth_contacts: list[SmoothContact]
+    shape_contacts: list[ShapeContact]
     _elements: dict[str, Any]
 
     def add_shape(
@@ -86,7 +86,7 @@ class SmoothContacts:
         self._elements[name] = shape
         return shape
 
-    def add_smooth_contact(
+    def add_shape_contact(
         self,
         shape: Shape,
         other_shape: Shape,
@@ -100,7 +100,7 @@ class SmoothContacts:
         name: str | None = None,
         color: ArrayLike | None = None,
         visible: bool = True,
-    ) -> SmoothContact:
+    ) -> ShapeContact:
         """Adds the contact of two shapes, with the exact gap, normal and curvatures of their surfaces.
 
         Of the shapes of a set with one other, or with those of a set of as many, it is a contact each, and its
@@ -126,7 +126,7 @@ class SmoothContacts:
             ValueError: If a value is out of range, both shapes are fixed to the same body, or nothing is known
                 of how two such shapes meet.
         """
-        name = checks.new_name("smooth_contact", name, self._elements)
+        name = checks.new_name("shape_contact", name, self._elements)
         for key, one in (("shape", shape), ("other_shape", other_shape)):
             if not isinstance(one, Shape) or self._elements.get(one.name) is not one:
                 raise ValueError(
@@ -142,14 +142,14 @@ class SmoothContacts:
             )
         check_material(name, material, torsion_radius)
         _check_pair(name, shape.kind, other_shape.kind, material)
-        contact = SmoothContact(
+        contact = ShapeContact(
             name=name,
             shape=shape,
             other_shape=other_shape,
             material=material,
             **options_of(name, kappa, max_depth, torsion_radius, share, enabled, color, visible),
         )
-        self.smooth_contacts.append(contact)
+        self.shape_contacts.append(contact)
         self._elements[name] = contact
         return contact
 
@@ -175,7 +175,7 @@ def check_material(name: str, material: ContactMaterial, torsion_radius: float |
 
 def _check_pair(name: str, kind: type[Form], other: type[Form], material: ContactMaterial) -> None:
     """Raises ``ValueError`` if it is not known how two shapes meet, or what a material takes of them."""
-    # With their solvers, which only smooth contacts need.
+    # With their solvers, which only shape contacts need.
     from warpcontact.kernels.smooth.curvature import relative
     from warpcontact.kernels.smooth.force import looks_at_curvature
     from warpcontact.kernels.smooth.meet import meet

@@ -1,4 +1,4 @@
-"""Smooth contacts on a device, sorted by the code of their forces, and within by the kinds of their shapes."""
+"""Shape contacts on a device, sorted by the code of their forces, and within by the kinds of their shapes."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import SimpleNamespace
@@ -31,7 +31,7 @@ from warpcontact.kernels.smooth.records import (
 from warpcontact.kernels.touch import Parts, group_structs
 from warpcontact.parameters import ClosedGap, Field, pack
 from warpcontact.sensors import CONTACT_SENSORS, Sensor, shape_in
-from warpcontact.smooth.elements import SmoothContact
+from warpcontact.smooth.elements import ShapeContact
 from warpcontact.smooth.measures import has_curvatures
 from warpcontact.smooth.shape_sets import ShapeSet
 from warpcontact.status import Status
@@ -50,9 +50,9 @@ _RANGES = {
     "enabled": limits_of.ENABLED,
 }
 _STRUCTS = {
-    "smooth_points": measures.Points,
-    "smooth_curvatures": measures.Curvatures,
-    "smooth_gradients": measures.Gradients,
+    "shape_points": measures.Points,
+    "shape_curvatures": measures.Curvatures,
+    "shape_gradients": measures.Gradients,
 }
 # name: (array, unit, what it is), beside those of every contact
 _READINGS = {
@@ -63,14 +63,14 @@ _READINGS = {
 }
 # name: (measure, array, unit, what it is)
 _MEASURES = {
-    "point": ("smooth_points", "point", "m", "point K where the force acts, world"),
-    "point_a": ("smooth_points", "point_a", "m", "where the first surface meets the other, world"),
-    "point_b": ("smooth_points", "point_b", "m", "where the other surface meets the first, world"),
+    "point": ("shape_points", "point", "m", "point K where the force acts, world"),
+    "point_a": ("shape_points", "point_a", "m", "where the first surface meets the other, world"),
+    "point_b": ("shape_points", "point_b", "m", "where the other surface meets the first, world"),
 }
 # Likewise, where the curvatures of both shapes are known
 _CURVATURES = {
-    "curvature_1": ("smooth_curvatures", "curvature_1", "1/m", "smaller principal curvature of the gap"),
-    "curvature_2": ("smooth_curvatures", "curvature_2", "1/m", "larger principal curvature of the gap"),
+    "curvature_1": ("shape_curvatures", "curvature_1", "1/m", "smaller principal curvature of the gap"),
+    "curvature_2": ("shape_curvatures", "curvature_2", "1/m", "larger principal curvature of the gap"),
 }
 
 
@@ -78,7 +78,7 @@ _CURVATURES = {
 _DERIVED = {"gap": ("-", "m"), "normal": ("1/m", "-"), "point_a": ("-", "m"), "point_b": ("-", "m")}
 _GRADIENTS = {
     f"{what}_by_{by}_{side}": (
-        "smooth_gradients",
+        "shape_gradients",
         f"{what}_by_{by}_{side}",
         units[by == "rotation"],
         f"derivative by the {by} of what carries the {which} shape, world axes",
@@ -89,12 +89,12 @@ _GRADIENTS = {
 }
 
 
-class SmoothSet:
-    """Smooth contacts that share the code of law and frictions.
+class ShapeContactSet:
+    """Shape contacts that share the code of law and frictions.
 
     Args:
         contacts: The contacts; those of the same kinds of shapes side by side.
-        first: Number of the first item among all smooth contacts of the scene.
+        first: Number of the first item among all shape contacts of the scene.
         first_end: Number of its first end; of a contact of the set with number i they are two from
             ``first_end`` + 2 i on, that of ``shape`` first.
         shapes: The shapes of the scene by kind.
@@ -111,7 +111,7 @@ class SmoothSet:
 
     def __init__(
         self,
-        contacts: Sequence[SmoothContact],
+        contacts: Sequence[ShapeContact],
         first: int,
         first_end: int,
         shapes: Mapping[type[Form], ShapeSet],
@@ -146,10 +146,10 @@ class SmoothSet:
         Smooth = contact_structs(self.real).Smooth
         computed = [name for name in Smooth.vars if name not in ("entry_speed", "failures")]
         self.smooth = layout.struct(
-            "smooth contacts", Smooth, each, transient=computed, ranges={"failures": COUNT}, **apart
+            "shape contacts", Smooth, each, transient=computed, ranges={"failures": COUNT}, **apart
         )
-        self.held = layout.struct("smooth contacts", Seeds, each, ranges={"seed.known": SWITCH})
-        self.found = layout.struct("smooth contacts", Seeds, each, transient=True)
+        self.held = layout.struct("shape contacts", Seeds, each, ranges={"seed.known": SWITCH})
+        self.found = layout.struct("shape contacts", Seeds, each, transient=True)
         self.members = Members()
         bodies = {
             key: np.concatenate([_each(getattr(contact, key).body_numbers, contact) for contact in self.items])
@@ -163,8 +163,8 @@ class SmoothSet:
         }
         self.bodies = np.stack([bodies["shape"], bodies["other_shape"]], axis=1)
         for key, suffix in (("shape", "a"), ("other_shape", "b")):
-            layout.content("smooth contacts", self.members, f"shape_{suffix}", numbers[key], wp.int32)
-            layout.content("smooth contacts", self.members, f"body_{suffix}", bodies[key], wp.int32)
+            layout.content("shape contacts", self.members, f"shape_{suffix}", numbers[key], wp.int32)
+            layout.content("shape contacts", self.members, f"body_{suffix}", bodies[key], wp.int32)
         Coefficients, Memory = group_structs(self.parts, self.real)
         self.coefficients, self.memory, self.kept = Coefficients(), Memory(), Memory()
         for part, formula in self.parts._asdict().items():
@@ -173,9 +173,9 @@ class SmoothSet:
                 shape = each if formula.memories else nothing
                 transient = target is self.kept or not formula.memories
                 struct = memory_struct(formula, self.real)
-                layout.array("smooth contacts", target, part, struct, shape, transient=transient)
+                layout.array("shape contacts", target, part, struct, shape, transient=transient)
 
-    def _sides(self, key: str) -> Iterator[tuple[SmoothContact, Any]]:
+    def _sides(self, key: str) -> Iterator[tuple[ShapeContact, Any]]:
         return ((contact, getattr(contact, key)) for contact in self.items)
 
     def _add_settings(self, parameters: "Parameters") -> None:
@@ -251,7 +251,7 @@ class SmoothSet:
     def force_stages(self, span: "Span", state: Any, step: wp.array, status: wp.array) -> list[wp.Launch]:
         """Returns the launches that find where its shapes meet in ``state``, and the forces at its ends.
 
-        Hard contacts have none.
+        Nonsmooth contacts have none.
 
         ``step`` [env, 0] is what these act over [s]; ``status`` [env] says which environments are active.
         """
@@ -309,7 +309,7 @@ class SmoothSet:
                 ) from error
         compile_forces(self.parts, lambda: self.kernel, device, self.real)
 
-    def failures(self, contact: SmoothContact) -> NDArray[np.int32]:
+    def failures(self, contact: ShapeContact) -> NDArray[np.int32]:
         """Returns in how many steps since reset it was not found where ``contact`` is, (envs, items)."""
         values: NDArray[np.int32] = self.smooth.failures.numpy()[:, self.items[contact]]
         return values
@@ -344,7 +344,7 @@ class SmoothSet:
                     options = {"items": several, "shape": (3,) if memory.tangent else ()}
                     yield Sensor(f"{contact.name}.{part}.{key}", memory.unit, meaning, array, **options)
 
-    def _by_sizes(self, contact: SmoothContact, items: int | slice, several: int) -> Iterator[Sensor]:
+    def _by_sizes(self, contact: ShapeContact, items: int | slice, several: int) -> Iterator[Sensor]:
         """Iterates over the derivatives of the gap by the sizes of both shapes."""
         for side, shape in (("a", contact.shape), ("b", contact.other_shape)):
             first = 0
@@ -353,7 +353,7 @@ class SmoothSet:
                 array = _part(f"gap_by_sizes_{side}", first, width, items)
                 name = f"{contact.name}.gap_by_{size}_{side}"
                 options: dict[str, Any] = {"items": several, "shape": () if width == 1 else (width,)}
-                yield Sensor(name, "-", meaning, array, needs=("smooth_gradients",), **options)
+                yield Sensor(name, "-", meaning, array, needs=("shape_gradients",), **options)
                 first += width
 
     def _column(self, attribute: str, items: int | slice) -> Callable[[SimpleNamespace], wp.array]:
@@ -371,7 +371,7 @@ def _part(attribute: str, first: int, width: int, items: int | slice) -> Callabl
     """Returns what gives ``width`` of the numbers of each entry of an array, from ``first`` on, as a view."""
 
     def part(arrays: SimpleNamespace) -> wp.array:
-        whole = getattr(arrays.smooth_gradients, attribute)
+        whole = getattr(arrays.shape_gradients, attribute)
         return wp.array(
             ptr=whole.ptr + 8 * first,
             dtype=wp.float64 if width == 1 else wp.vec3d,
@@ -388,11 +388,11 @@ def _shifted(items: int | slice, first: int) -> int | slice:
     return slice(first + items.start, first + items.stop) if isinstance(items, slice) else first + items
 
 
-def _each(numbers: NDArray[np.int32], contact: SmoothContact) -> NDArray[np.int32]:
+def _each(numbers: NDArray[np.int32], contact: ShapeContact) -> NDArray[np.int32]:
     return np.broadcast_to(numbers, contact.count)
 
 
-def _ranges(items: Mapping[SmoothContact, slice]) -> list[tuple[tuple[type[Form], type[Form]], slice]]:
+def _ranges(items: Mapping[ShapeContact, slice]) -> list[tuple[tuple[type[Form], type[Form]], slice]]:
     """Returns the contacts of each pair of kinds, which lie side by side."""
     ranges: list[tuple[tuple[type[Form], type[Form]], slice]] = []
     for contact, own in items.items():
@@ -403,27 +403,27 @@ def _ranges(items: Mapping[SmoothContact, slice]) -> list[tuple[tuple[type[Form]
     return ranges
 
 
-def sorted_contacts(scene: "Scene") -> list[list[SmoothContact]]:
-    """Returns the smooth contacts of a scene by the code of their forces, and within by kinds, as they appear."""
-    sets: dict[Parts, dict[Any, list[SmoothContact]]] = {}
-    for contact in scene.smooth_contacts:
+def sorted_contacts(scene: "Scene") -> list[list[ShapeContact]]:
+    """Returns the shape contacts of a scene by the code of their forces, and within by kinds, as they appear."""
+    sets: dict[Parts, dict[Any, list[ShapeContact]]] = {}
+    for contact in scene.shape_contacts:
         sets.setdefault(contact.parts, {}).setdefault(contact.kinds, []).append(contact)
     return [[contact for alike in own.values() for contact in alike] for own in sets.values()]
 
 
-def make_smooth_sets(
+def make_shape_contact_sets(
     scene: "Scene",
     shapes: Mapping[type[Form], ShapeSet],
     layout: "Layout",
     parameters: "Parameters",
     real: type,
     moves: bool,
-) -> list[SmoothSet]:
-    """Declares the arrays of all smooth contacts, and adds their parameters. Their ends follow the couplings'."""
-    sets: list[SmoothSet] = []
+) -> list[ShapeContactSet]:
+    """Declares the arrays of all shape contacts, and adds their parameters. Their ends follow the couplings'."""
+    sets: list[ShapeContactSet] = []
     first = 0
     for own in sorted_contacts(scene):
         first_end = 2 * (len(scene.couplings) + first)
-        sets.append(SmoothSet(own, first, first_end, shapes, layout, parameters, real, moves))
+        sets.append(ShapeContactSet(own, first, first_end, shapes, layout, parameters, real, moves))
         first += sets[-1].count
     return sets

@@ -1,4 +1,4 @@
-"""Shapes and smooth contacts of a scene."""
+"""Shapes and shape contacts of a scene."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -66,7 +66,7 @@ def _plain(value: Array) -> Any:
 
 
 @dataclass(frozen=True, eq=False)
-class SmoothContact:
+class ShapeContact:
     """The contact of two shapes, or of the shapes of a set with one or with those of another set."""
 
     name: str

@@ -1,4 +1,4 @@
-"""What is measured of smooth contacts only when it is asked for."""
+"""What is measured of shape contacts only when it is asked for."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -10,17 +10,17 @@ from warpcontact.kernels.smooth.curvature import relative
 
 if TYPE_CHECKING:
     from warpcontact.model import Model
-    from warpcontact.smooth.contact_sets import SmoothSet
+    from warpcontact.smooth.contact_sets import ShapeContactSet
 
 
 def measure(name: str, model: "Model") -> None:
-    """Computes the measure ``name`` of all smooth contacts, as they were computed last."""
+    """Computes the measure ``name`` of all shape contacts, as they were computed last."""
     for own in model.smooth:
         for kinds, items in own.ranges:
-            if name == "smooth_points":
+            if name == "shape_points":
                 kernel, inputs = _points(model, own, kinds, items.start)
             elif has_curvatures(kinds):
-                make = measures.curvatures if name == "smooth_curvatures" else measures.gradients
+                make = measures.curvatures if name == "shape_curvatures" else measures.gradients
                 kernel, inputs = make(*kinds, own.real), _inputs(model, own, kinds, items.start)
             else:
                 continue
@@ -38,13 +38,13 @@ def has_curvatures(kinds: tuple[type[Form], type[Form]]) -> bool:
 
 
 def _points(
-    model: "Model", own: "SmoothSet", kinds: tuple[type[Form], type[Form]], first: int
+    model: "Model", own: "ShapeContactSet", kinds: tuple[type[Form], type[Form]], first: int
 ) -> tuple[wp.Kernel, list[Any]]:
     mounts = own.shapes[kinds[1]].arrays.mount
     inputs = [model.arrays.state, first, own.first, own.members, mounts, own.settings, own.smooth]
     return measures.points(own.real), inputs
 
 
-def _inputs(model: "Model", own: "SmoothSet", kinds: tuple[type[Form], type[Form]], first: int) -> list[Any]:
+def _inputs(model: "Model", own: "ShapeContactSet", kinds: tuple[type[Form], type[Form]], first: int) -> list[Any]:
     arrays = [own.shapes[kind].arrays for kind in kinds]
     return [model.arrays.state, first, own.first, own.members, *arrays, own.held]

@@ -1,4 +1,4 @@
-"""Unilateral contact: static problems, equilibrium, and the hard contacts of time stepping."""
+"""Unilateral contact: static problems, equilibrium, and the nonsmooth contacts of time stepping."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""Hard contacts of a model on its device: the rows of a step, what is remembered, and what the step launches."""
+"""Nonsmooth contacts of a model on its device: the rows of a step, what is remembered, and what the step launches."""
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -20,11 +20,11 @@ from warpcontact.kernels.unilateral import collect, impulses, remember, rest, se
 from warpcontact.kernels.unilateral.records import record_structs
 from warpcontact.kernels.unilateral.rows import moving_struct, row_structs
 from warpcontact.parameters import Parameter
-from warpcontact.piles.elements import MutualContact
+from warpcontact.piles.elements import ParticleContact
 from warpcontact.piles.pile import Pile
 from warpcontact.scene import Contact, Scene
 from warpcontact.sensors import Sensor
-from warpcontact.smooth.elements import SmoothContact
+from warpcontact.smooth.elements import ShapeContact
 from warpcontact.status import ContactMode
 from warpcontact.unilateral.materials import CLOSED, Hard, material_upload, parameters_of
 
@@ -32,10 +32,10 @@ if TYPE_CHECKING:
     from warpcontact.draft import PartDraft
     from warpcontact.model import Model
     from warpcontact.schedule import Span
-    from warpcontact.smooth.contact_sets import SmoothSet
+    from warpcontact.smooth.contact_sets import ShapeContactSet
 
 
-PURPOSE = "hard contacts"
+PURPOSE = "nonsmooth contacts"
 
 
 @dataclass
@@ -59,10 +59,10 @@ class _List:
 
 
 class HardContacts:
-    """What stepping hard contacts takes beside a model.
+    """What stepping nonsmooth contacts takes beside a model.
 
     Contacts are numbered: those with meshes as they lie on the device, then smooth ones, then the records of pairs
-    of mutual contacts that are hard. Materials likewise, but one for all pairs of a mutual contact.
+    of particle contacts that are hard. Materials likewise, but one for all pairs of a particle contact.
 
     Args:
         model: The model, or what is drawn up of it.
@@ -123,8 +123,8 @@ class HardContacts:
         self._mesh = self._list(0, meshes, layout)
         self._mesh_blocks = self._list(0, self._blocks_of, layout)
         # What sensors show of single contacts.
-        self._shown: dict[Contact | SmoothContact, slice] = dict(meshes.items())
-        self._smooth: list[tuple[SmoothSet, _List]] = []
+        self._shown: dict[Contact | ShapeContact, slice] = dict(meshes.items())
+        self._smooth: list[tuple[ShapeContactSet, _List]] = []
         for one in model.smooth:
             first = starts[-1] + one.first
             self._shown |= {
@@ -133,7 +133,7 @@ class HardContacts:
             self._smooth.append((one, self._list(first, one.items, layout)))
         count = starts[-1] + model.smooth_count
         known = count
-        self._number_of: dict[MutualContact, int] = {}
+        self._number_of: dict[ParticleContact, int] = {}
         self._piles: list[tuple[Pile, int]] = []  # those that are hard, with their material
         for pile in model.piles:
             if not self.acts(pile.contact.name):
@@ -235,7 +235,7 @@ class HardContacts:
         model.send([one.upload for one, _ in closed], [one.upload.content() for one, _ in closed])
 
     def _leave_laws(self, model: "Model") -> None:
-        """Lets laws and frictions of hard contacts begin anew should they act again: none has been going on."""
+        """Lets laws and frictions of nonsmooth contacts begin anew should they act again: none has been going on."""
         history, contacts = model.arrays.history, model.arrays.contacts
         if self._mesh.count:
             hard = self._mesh.items.numpy()
@@ -253,8 +253,8 @@ class HardContacts:
         """Whether the contact ``name`` acts by the force of its law."""
         return name in self.compliant
 
-    def number_of(self, contact: MutualContact) -> int:
-        """Returns the number of the first record of a mutual contact that is hard."""
+    def number_of(self, contact: ParticleContact) -> int:
+        """Returns the number of the first record of a particle contact that is hard."""
         return self._number_of[contact]
 
     @property
@@ -264,11 +264,11 @@ class HardContacts:
 
     @property
     def rolls(self) -> bool:
-        """Whether anything opposes rolling or spinning of a hard contact."""
+        """Whether anything opposes rolling or spinning of a nonsmooth contact."""
         return any(contact.material.parts.rolls or contact.material.parts.twists for contact in self._hard)
 
     def bounces(self, parameters: Mapping[str, Parameter]) -> bool:
-        """Whether any hard contact has a restitution now: impacts may then bring energy."""
+        """Whether any nonsmooth contact has a restitution now: impacts may then bring energy."""
         names = [f"{one.name}.law.restitution" for one in self._hard]
         return any(bool(parameters[name].field.values.any()) for name in names if name in parameters)
 
@@ -391,11 +391,11 @@ class HardContacts:
         wp.launch(remember.push(real), dim=shape, inputs=[self.reactions, a.wrenches], device=device)
 
     def sensors(self) -> Iterator[Sensor]:
-        """Iterates over what can be measured of hard contacts."""
+        """Iterates over what can be measured of nonsmooth contacts."""
         for contact, numbers in self._shown.items():
             if self.acts(contact.name):
                 continue
-            if isinstance(contact, SmoothContact):
+            if isinstance(contact, ShapeContact):
                 single, on = contact.single, "the body of its first shape"
             else:
                 single, on = contact.points.single, "the point's body"
@@ -413,19 +413,24 @@ class HardContacts:
 
 # name: (struct, array, unit, what it is)
 OF_SCENE = {
-    "closed_contacts": ("outcome", "count", "-", "hard contacts that were closed in the last step"),
+    "closed_contacts": ("outcome", "count", "-", "nonsmooth contacts that were closed in the last step"),
     "solve_residual": ("outcome", "residual", "-", "what is left of the contact problem of the last step"),
     "solve_iterations": ("outcome", "iterations", "-", "iterations of its solver"),
     "solve_converged": ("outcome", "converged", "-", "1: to its tolerance"),
     "solve_failures": ("account", "failures", "-", "steps that were not solved to it, since reset"),
     "restrained": ("account", "restrained", "-", "steps in which restitution was lowered to bring no energy"),
-    "friction_loss": ("account", "friction_loss", "J", "energy that friction of hard contacts took, since reset"),
-    "impact_loss": ("account", "impact_loss", "J", "energy that impacts of hard contacts took, since reset"),
+    "friction_loss": (
+        "account",
+        "friction_loss",
+        "J",
+        "energy that friction of nonsmooth contacts took, since reset",
+    ),
+    "impact_loss": ("account", "impact_loss", "J", "energy that impacts of nonsmooth contacts took, since reset"),
 }
 
 
 def is_of_hard_contact(name: str) -> bool:
-    """Whether a sensor is one of hard contacts alone, by its name."""
+    """Whether a sensor is one of nonsmooth contacts alone, by its name."""
     element, _, quantity = name.rpartition(".")
     return quantity in OF_SCENE if element == "scene" else quantity in ("impulse", "mode")
 

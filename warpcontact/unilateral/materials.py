@@ -1,4 +1,4 @@
-"""What hard contacts take from their materials: Newton's restitution and the coefficients of Coulomb's cone."""
+"""What nonsmooth contacts take from their materials: Newton's restitution and the coefficients of Coulomb's cone."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -53,7 +53,7 @@ def check_rigid(name: str, formulas: Mapping[str, Formula], remedy: str) -> None
             )
         if isinstance(formula, Friction) and not isinstance(formula, Frictionless) and formula.of_cone() is None:
             raise ValueError(
-                f"{name}.{part} is {kind}, which has no coefficient of friction for hard contact. Take a model "
+                f"{name}.{part} is {kind}, which has no coefficient of friction for nonsmooth contact. Take a model "
                 f"with mu, such as wc.frictions.Coulomb. {remedy}"
             )
 
@@ -65,7 +65,7 @@ class Hard:
     Attributes:
         contact: The contact.
         formulas: Its law and frictions by the name of their part.
-        count: Number of its items; 1 for all pairs of a mutual contact.
+        count: Number of its items; 1 for all pairs of a particle contact.
     """
 
     contact: Touching

@@ -195,7 +195,7 @@ class Environments:
 
 def _touching(replay: Replay) -> list[Any]:
     scene = replay.scene
-    return [*scene.contacts, *scene.contact_couplings, *scene.smooth_contacts, *scene.mutual_contacts]
+    return [*scene.contacts, *scene.contact_couplings, *scene.shape_contacts, *scene.particle_contacts]
 
 
 def sensors_of(replay: Replay) -> dict[str, Sensors]:

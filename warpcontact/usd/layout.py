@@ -90,7 +90,7 @@ class Layout:
         return f"{env}/Surfaces" if body is None else self.body(env, body)
 
     def contact(self, env: str, name: str) -> str:
-        """Returns the path of a contact, a contact coupling or a mutual contact."""
+        """Returns the path of a contact, a contact coupling or a particle contact."""
         return f"{env}/contacts/{self.names[name]}"
 
     def coupling(self, env: str, name: str) -> str:

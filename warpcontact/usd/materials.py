@@ -10,7 +10,7 @@ from warpcontact.checks import Array
 from warpcontact.kernels.frictions import Friction, Frictionless
 from warpcontact.replay.replay import Replay
 from warpcontact.scene import Contact
-from warpcontact.smooth.elements import SmoothContact
+from warpcontact.smooth.elements import ShapeContact
 from warpcontact.usd.layout import WORLD
 from warpcontact.usd.rolling import rolling_radius
 
@@ -85,9 +85,9 @@ def _contacts(replay: Replay) -> Iterator[tuple[Any, list[tuple[str, str]]]]:
     scene = replay.scene
     for contact in scene.contacts:
         yield contact, [("points", contact.points.name), ("surface", contact.surface.name)]
-    for smooth in scene.smooth_contacts:
+    for smooth in scene.shape_contacts:
         yield smooth, [("shape", shape.name) for shape in smooth.shapes]
-    for mutual in scene.mutual_contacts:
+    for mutual in scene.particle_contacts:
         yield mutual, [("shape", shape.name) for shape in mutual.shapes]
 
 
@@ -139,7 +139,7 @@ def _rolling_arm(replay: Replay, contact: Any) -> Array | None:
     if any(f"{shape.name}.{size}" in replay.data for shape in shapes for size in shape.sizes):
         return None  # sizes differ between environments
     forms = [shape.form(item) for shape in shapes for item in range(shape.count)]
-    if isinstance(contact, SmoothContact):
+    if isinstance(contact, ShapeContact):
         radius = rolling_radius(*forms) if len(forms) == 2 else None
     else:
         sizes: set[float] = {form.radius for form in forms}

@@ -152,7 +152,7 @@ class Prototype:
         from pxr import UsdGeom
 
         scene, layout = self.content.replay.scene, self.layout
-        elements: list[Any] = [*scene.contacts, *scene.smooth_contacts, *scene.mutual_contacts]
+        elements: list[Any] = [*scene.contacts, *scene.shape_contacts, *scene.particle_contacts]
         shown = {one.name: one.visible for one in elements}
         shown |= {one.name: any(part.visible for part in one.contacts) for one in scene.contact_couplings}
         if shown:

@@ -7,7 +7,7 @@ _FLAT = (shapes.Plane, shapes.RoundedBox)
 
 
 def rolling_radius(form: Form, other: Form) -> float | None:
-    """Returns the radius R of rolling of two shapes [m], see ``add_smooth_contact``.
+    """Returns the radius R of rolling of two shapes [m], see ``add_shape_contact``.
 
     ``None``: R depends on where they touch. The edges of boxes and the end faces of cylinders are ignored, because
     nothing rolls on them.

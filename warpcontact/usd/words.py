@@ -16,9 +16,9 @@ from warpcontact.contact_coupling import ContactCoupling
 from warpcontact.couplings.elements import Bushing, Catenary, SpringDamper
 from warpcontact.elements import Body, Contact, Points, Surface
 from warpcontact.kernels.motions import Free, Motion
-from warpcontact.piles.elements import MutualContact
+from warpcontact.piles.elements import ParticleContact
 from warpcontact.scene import Scene
-from warpcontact.smooth.elements import Shape, SmoothContact
+from warpcontact.smooth.elements import Shape, ShapeContact
 
 #: The function of ``Scene`` that adds an element, by its kind.
 ADDERS = {
@@ -33,8 +33,8 @@ ADDERS = {
     "bushing": "add_bushing",
     "catenary": "add_catenary",
     "shape": "add_shape",
-    "smooth_contact": "add_smooth_contact",
-    "mutual_contact": "add_mutual_contact",
+    "shape_contact": "add_shape_contact",
+    "particle_contact": "add_particle_contact",
 }
 #: What an element keeps as 0 or 1 and is given as false or true.
 SWITCHES = ("enabled", "tension_only")
@@ -182,13 +182,13 @@ def _own(element: Any) -> tuple[str, dict[str, Any], tuple[str, ...]]:
                 return "shape", own | {"form": form}, ()
             own = {"position": element.positions, "orientation": element.orientations}
             return "shape", own | {"form": form}, ("position", "orientation")
-        case SmoothContact():
-            return "smooth_contact", _depth(element), ()
-        case MutualContact():
+        case ShapeContact():
+            return "shape_contact", _depth(element), ()
+        case ParticleContact():
             # By numbers: a relationship has each of its targets once.
             pairs = [[element.shapes.index(shape) for shape in pair] for pair in element.excluded]
             excluded = np.array(pairs, dtype=np.int32) if pairs else None
-            return "mutual_contact", {"exclude": excluded, **_depth(element)}, ("exclude",)
+            return "particle_contact", {"exclude": excluded, **_depth(element)}, ("exclude",)
     raise TypeError(f"{element.name!r} is a {type(element).__name__}, which has no words")
 
 
@@ -196,7 +196,7 @@ def _motion(body: Body) -> Motion | None:
     return None if type(body.motion) is Free else body.motion
 
 
-def _depth(contact: Contact | SmoothContact | MutualContact) -> dict[str, Any]:
+def _depth(contact: Contact | ShapeContact | ParticleContact) -> dict[str, Any]:
     """Returns the greatest depth; ``None``: any."""
     return {"max_depth": contact.max_depth if np.isfinite(contact.max_depth) else None}
 

@@ -60,7 +60,7 @@ class Live(Show):
         self._steps_per_second = 0.0
         self._looked = 0.0
         scene, names = simulation.model.scene, simulation.model.sensor_names
-        pushing: list[Any] = [*scene.contacts, *scene.smooth_contacts]
+        pushing: list[Any] = [*scene.contacts, *scene.shape_contacts]
         self._read = list(dict.fromkeys([*default_sensors(simulation.model, far=True), *self._of_sets()]))
         drawn = [f"{one.name}.{key}" for one in pushing for key in _OF_CONTACTS]
         drawn += [f"{coupling.name}.status" for coupling in scene.couplings]

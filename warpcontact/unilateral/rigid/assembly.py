@@ -163,7 +163,7 @@ def assemble(model: Any, env: int = 0, closed: float = 1.0e-6) -> Assembly:
     """Returns the closed contacts of one environment in its current state, and the bodies that they hold.
 
     All contacts of the scene count: of points and spheres with meshes, of smooth shapes, and of the pairs of
-    mutual contacts. Contact couplings are forces like those of other couplings. μ is that of the friction of a
+    particle contacts. Contact couplings are forces like those of other couplings. μ is that of the friction of a
     contact (``mu``, or ``mu_static`` and ``mu_dynamic``), the restitution that of its law, or 0.
 
     Args:

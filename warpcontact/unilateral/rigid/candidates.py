@@ -9,9 +9,9 @@ from warpcontact.checks import Array
 from warpcontact.elements import Contact
 from warpcontact.kernels.frictions import Frictionless
 from warpcontact.kernels.types import DRIVEN, UNSOLVED, WORLD
-from warpcontact.piles.elements import MutualContact
+from warpcontact.piles.elements import ParticleContact
 from warpcontact.piles.pile import Pile
-from warpcontact.smooth.elements import SmoothContact
+from warpcontact.smooth.elements import ShapeContact
 from warpcontact.status import Status
 from warpcontact.unilateral.materials import Hard, check_rigid
 from warpcontact.unilateral.rigid.bodies import rotation_matrices
@@ -20,7 +20,7 @@ from warpcontact.unilateral.rigid.segments import closest_on_segments
 from warpcontact.unilateral.rigid.snapshot import Place, Snapshot
 from warpcontact.vectors import cross
 
-AnyContact = Contact | SmoothContact | MutualContact
+AnyContact = Contact | ShapeContact | ParticleContact
 
 # A point that a latch keeps out by a rounding touches; one farther in came from the wrong side [m].
 LATCHED_IN = 1.0e-6
@@ -35,7 +35,7 @@ class Measured:
         normal: Unit normals (n, 3) out of the second body, towards the first, world.
         point: Points K (n, 3) where forces act, world [m].
         force: Forces and moments about the centre of mass that couplings and forces from outside apply to each
-            body, one after the other, (6 bodies,), without gravity and hard contacts; world axes [N, N·m].
+            body, one after the other, (6 bodies,), without gravity and nonsmooth contacts; world axes [N, N·m].
     """
 
     gap: Array
@@ -54,7 +54,7 @@ class Candidates:
 
     Attributes:
         names: Name of the contact of each pair, (n,).
-        items: Its item (n,), −1 of a contact without items; of a mutual contact the number of the pair.
+        items: Its item (n,), −1 of a contact without items; of a particle contact the number of the pair.
         labels: What to call each pair.
         bodies: Numbers of the first and the second body, or ``WORLD``, (n, 2).
         mu_static: Coefficients of friction of pairs that stick (n,).
@@ -71,7 +71,7 @@ class Candidates:
         model = place.model
         scene = model.scene
         own = [contact for contact in scene.contacts if contact.facing is None]
-        self.elements: list[Contact | SmoothContact] = [*own, *scene.smooth_contacts]
+        self.elements: list[Contact | ShapeContact] = [*own, *scene.shape_contacts]
         self.piles = [(pile, _pairs(pile)) for pile in model.piles]
         names: list[str] = []
         items: list[int] = []
@@ -100,8 +100,8 @@ class Candidates:
         self._needs = {"contacts", "distances"}
         if scene.contacts:
             self._needs.add("points")
-        if scene.smooth_contacts:
-            self._needs.add("smooth_points")
+        if scene.shape_contacts:
+            self._needs.add("shape_points")
         if any(body.motion.kind == DRIVEN for body in scene.bodies):
             self._needs |= {"wrenches", "reactions"}
         model.make_measures(self._needs)
@@ -159,7 +159,7 @@ class Candidates:
         sources = Hard(contact, contact.material.formulas, count).sources()
         check_rigid(contact.name, contact.material.formulas, "Or use SemiImplicitEuler")
         if (self._values(f"{contact.name}.share", count, 1.0) != 1.0).any():
-            raise ValueError(f"{contact.name}.share must be 1: a hard contact cannot be a part of one")
+            raise ValueError(f"{contact.name}.share must be 1: a nonsmooth contact cannot be a part of one")
         columns = [
             np.zeros(count)
             if source is None
@@ -186,7 +186,7 @@ class Candidates:
             views[name] = self.model.find_sensor(name).array(self.model.arrays).numpy()
         return views[name][self.env].astype(np.float64)
 
-    def _of_sensor(self, contact: Contact | SmoothContact) -> tuple[Array, Array, Array]:
+    def _of_sensor(self, contact: Contact | ShapeContact) -> tuple[Array, Array, Array]:
         def read(key: str) -> Array:
             return self._sensor(f"{contact.name}.{key}").reshape(contact.count, -1)
 
@@ -247,7 +247,7 @@ class Candidates:
             np.add.at(result, numbers[held], sign * np.hstack([force[held], moment]))
 
 
-def _bodies_of(contact: Contact | SmoothContact) -> NDArray[np.int_]:
+def _bodies_of(contact: Contact | ShapeContact) -> NDArray[np.int_]:
     """Returns the bodies of each item of a contact (items, 2)."""
     if isinstance(contact, Contact):
         second = WORLD if contact.surface.body is None else contact.surface.body.index
@@ -258,7 +258,7 @@ def _bodies_of(contact: Contact | SmoothContact) -> NDArray[np.int_]:
 
 
 def _pairs(pile: Pile) -> NDArray[np.int_]:
-    """Returns the pairs of shapes of a mutual contact that may touch (pairs, 2), the lower number first."""
+    """Returns the pairs of shapes of a particle contact that may touch (pairs, 2), the lower number first."""
     one, other = np.triu_indices(pile.contact.count, 1)
     kind, allowed = pile.contact.kinds
     may = (allowed[kind[one], kind[other]] > 0) & (pile.contact.bodies[one] != pile.contact.bodies[other])

@@ -1,4 +1,4 @@
-"""Event-driven motion of rigid bodies with hard contacts: reference solutions for few of them."""
+"""Event-driven motion of rigid bodies with nonsmooth contacts: reference solutions for few of them."""
 
 from typing import Any
 
@@ -32,7 +32,7 @@ NOTHING = np.zeros(0, dtype=int)
 
 @explain_keywords_of
 class EventDriven:
-    """The motion of one environment with hard contacts, from event to event.
+    """The motion of one environment with nonsmooth contacts, from event to event.
 
     All contacts of the scene are rigid: they close without penetration, bounce by Newton's law with the
     ``restitution`` of their law (0 if it has none; less where that would bring energy), and slide or stick by
@@ -198,7 +198,7 @@ class EventDriven:
         if len(deep):
             label = self.assembler.candidates.labels[deep[0]]
             raise ValueError(
-                f"{label} begins in overlap, {-gap[deep[0]]:.3g} m deep; hard contacts begin apart or closed"
+                f"{label} begins in overlap, {-gap[deep[0]]:.3g} m deep; nonsmooth contacts begin apart or closed"
             )
 
     def _safe_step(self, view: View) -> float:

@@ -42,7 +42,7 @@ class Event:
         time: When [s].
         kind: What.
         contact: Name of the contact.
-        item: Its item, −1 of a contact without items; of a mutual contact the number of the pair.
+        item: Its item, −1 of a contact without items; of a particle contact the number of the pair.
         label: What to call it.
         impulse: Of an IMPACT, on the first body at K (3,), world [N·s]; 0 of other kinds.
         approach_speed: Normal speed before, positive on approach [m/s].
@@ -95,7 +95,7 @@ class EventRun:
         """
         wanted = EventKind(checks.choice("kind", kind, tuple(map(str, EventKind))))
         scene = self.scene
-        elements: list[Any] = [*scene.contacts, *scene.smooth_contacts, *scene.mutual_contacts]
+        elements: list[Any] = [*scene.contacts, *scene.shape_contacts, *scene.particle_contacts]
         names = [one.name for one in elements]
         if contact is not None and contact not in names:
             raise KeyError(f"no contact {contact!r} in the scene; there are {', '.join(names) or 'none'}")

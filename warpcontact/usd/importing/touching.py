@@ -143,10 +143,10 @@ class Touching:
         heaviest = max(members, key=lambda one: one.side.mass)
         radii = {one.own.form.radius for one in members}  # type: ignore[union-attr]
         radius = radii.pop() / 2.0 if len(radii) == 1 else None
-        label = f"the mutual contact of {members[0].name!r}"
+        label = f"the particle contact of {members[0].name!r}"
         material, options = self.materials.between(label, heaviest.side, heaviest.side, radius)
         exclude = [(_shape(colliders[i]), _shape(colliders[j])) for i, j in apart.tolist()]
-        self.scene.add_mutual_contact([_shape(one) for one in members], material, exclude=exclude, **options)
+        self.scene.add_particle_contact([_shape(one) for one in members], material, exclude=exclude, **options)
 
     def _add_pair(self, one: Collider, other: Collider) -> None:
         scene = self.scene
@@ -161,7 +161,7 @@ class Touching:
         material, common = self.materials.between(repr(name), one.side, other.side, radius)
         options: dict[str, Any] = {**common, "name": name}
         if smooth:
-            scene.add_smooth_contact(_shape(one), _shape(other), material, **options)
+            scene.add_shape_contact(_shape(one), _shape(other), material, **options)
         elif radius is not None:
             scene.add_contact(ball.middle(scene), around.surface(scene), material, radius=radius, **options)
         elif other.is_a(shapes.Plane):
