@@ -17,7 +17,7 @@ EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "terrain_drop.toml"
 #: One environment is stepped alone in so many turns, each of so many seconds at least.
 TURNS, SECONDS = 5, 0.2
 #: Names that the sample of the README uses up to its first step.
-TO_SIMULATE = ("Scene", "Simulation", "ContactMaterial", "frictions", "laws", "load_mesh", "meshes")
+TO_SIMULATE = ("Scene", "Simulation", "ContactMaterial", "friction", "laws", "load_mesh", "meshes")
 
 
 def imports(options: argparse.Namespace) -> dict[str, float]:

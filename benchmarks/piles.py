@@ -64,7 +64,7 @@ def packing(spheres: int, friction: float = 0.3) -> tuple[wc.Scene, float, float
     balls = scene.add_bodies(places, MASS, [0.1 * MASS * DIAMETER**2] * 3, linear_velocities=speeds, name="ball")
     material = wc.ContactMaterial(
         law=wc.laws.KelvinVoigt(stiffness=stiffness, restitution=0.5),
-        friction=wc.frictions.Tanh(mu=friction, velocity_scale=0.002),
+        friction=wc.friction.Tanh(mu=friction, velocity_scale=0.002),
     )
     point = scene.add_point(balls, (0, 0, 0))
     walls = scene.add_surface(tube(width, heights[-1] + 8 * DIAMETER), name="tube")

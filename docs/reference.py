@@ -1,6 +1,6 @@
 """What the reference takes from the code beside docstrings.
 
-``.. catalogue:: warpcontact.laws`` documents all that is public there. Laws, frictions, springs, motions and
+``.. catalogue:: warpcontact.laws`` documents all that is public there. Laws, friction models, springs, motions and
 shapes are described by what their classes declare: formula, source, range, parameters with units and limits.
 """
 

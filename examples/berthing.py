@@ -57,7 +57,7 @@ def harbour() -> tuple[wc.Scene, wc.ContactCoupling]:
         closest=CLOSEST,
         damping_ratio=DAMPING_RATIO,
     )
-    friction = wc.frictions.Tanh(mu=0.3, velocity_scale=0.05)
+    friction = wc.friction.Tanh(mu=0.3, velocity_scale=0.05)
     return scene, scene.add_contact_coupling(skin, wall, contact_range, friction, name="berth")
 
 

@@ -33,7 +33,7 @@ GRAVITY = 9.81  # m/s²
 # 9 mm instead of sharp ones save 3° of rotation error. The rest hardly matters: stiffness may go from 3e5 to
 # 3e6 N/m^1.5, velocity_scale from 0.01 to 0.2 m/s, and errors change by 0.2 % and 0.2°.
 LAW = wc.laws.HuntCrossley(stiffness=1.0e6, exponent=1.5, restitution=0.22, speed_floor=0.05)
-FRICTION = wc.frictions.Tanh(mu=0.18, velocity_scale=0.05)
+FRICTION = wc.friction.Tanh(mu=0.18, velocity_scale=0.05)
 CORNER_RADIUS = 9.0e-3  # m
 
 # A resting cube was tracked with its centre 1.2 mm lower than half its side. The table is put where the simulated

@@ -88,7 +88,7 @@ def hopper(spheres: int, orifice: float, part: float, seed: int = 0) -> tuple[wc
     stiffness = STIFFNESS * MASS * GRAVITY / DIAMETER
     material = wc.ContactMaterial(
         law=wc.laws.KelvinVoigt(stiffness=stiffness, restitution=RESTITUTION),
-        friction=wc.frictions.CundallStrack(
+        friction=wc.friction.CundallStrack(
             mu_static=FRICTION,
             mu_dynamic=FRICTION,
             stiffness=0.8 * stiffness,

@@ -37,7 +37,7 @@ def scene_in_space() -> wc.Scene:
     )
     material = wc.ContactMaterial(
         law=wc.laws.HuntCrossley(stiffness=1.0e7, exponent=1.5, restitution=0.5),
-        friction=wc.frictions.Tanh(mu=0.3, velocity_scale=0.02),
+        friction=wc.friction.Tanh(mu=0.3, velocity_scale=0.02),
     )
     scene.add_contact(scene.add_point(ball, (0, 0, 0)), hull, material, radius=RADIUS, name="touch")
     return scene

@@ -34,7 +34,7 @@ def block(envs: int, device: str) -> wc.Model:
     moments = MASS / 12.0 * np.array([1.0 + HEIGHT**2, WIDTH**2 + HEIGHT**2, WIDTH**2 + 1.0])
     body = scene.add_body(MASS, moments, position=(0.0, 0.0, 0.5 * HEIGHT), name="block")
     corners = [(x, y, -0.5 * HEIGHT) for x in (-0.5 * WIDTH, 0.5 * WIDTH) for y in (-0.5, 0.5)]
-    material = wc.ContactMaterial(law=wc.laws.Rigid(), friction=wc.frictions.Coulomb(mu=MU))
+    material = wc.ContactMaterial(law=wc.laws.Rigid(), friction=wc.friction.Coulomb(mu=MU))
     scene.add_contact(scene.add_points(body, corners), ground, material, name="feet")
     return scene.build(envs, device, precision="float64")
 

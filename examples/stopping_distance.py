@@ -35,10 +35,12 @@ def moments(low: float, high: float, power: int) -> tuple[float, float]:
     return mean(power), mean(2 * power)
 
 
-def closed_form(speeds: tuple[float, float], frictions: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+def closed_form(
+    speeds: tuple[float, float], friction_models: tuple[float, float]
+) -> tuple[np.ndarray, np.ndarray]:
     """Returns the first-order and total indices, of speed and of friction, of which the ranges are given."""
     f, ff = moments(*speeds, 2)
-    h, hh = moments(*frictions, -1)
+    h, hh = moments(*friction_models, -1)
     first = np.array([(ff - f**2) * h**2, (hh - h**2) * f**2]) / (ff * hh - (f * h) ** 2)
     return first, 1.0 - first[::-1]
 

@@ -44,7 +44,7 @@ def wall(columns: int, rows: int) -> wc.Scene:
     scene = wc.Scene(gravity=(0.0, 0.0, -GRAVITY))
     ground = scene.add_surface(wc.meshes.grid((20.0, 20.0)), name="ground", color=(0.5, 0.55, 0.5))
     material = wc.ContactMaterial(
-        law=wc.laws.Rigid(restitution=RESTITUTION), friction=wc.frictions.Coulomb(mu=FRICTION)
+        law=wc.laws.Rigid(restitution=RESTITUTION), friction=wc.friction.Coulomb(mu=FRICTION)
     )
     points, surfaces = [], []
     for number, (x, z, length) in enumerate(bond(columns, rows)):

@@ -199,7 +199,7 @@ def kernel(
     """Returns the kernel of a semi-implicit Euler step; items: one, but ``own`` of them have a warp of threads.
 
     Args:
-        parts: The classes of law and frictions.
+        parts: The classes of law and friction models.
         real: Type of a real number.
         projected: Whether contacts are weighed by the normals of their points.
         pushed: Whether there are forces from outside.

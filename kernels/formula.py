@@ -1,4 +1,4 @@
-"""What laws, frictions, motions and shapes have in common: named parameters, and device functions of few scalars.
+"""What laws, friction models, motions and shapes have in common: named parameters, and device functions of few scalars.
 
 A formula is a class with annotated parameters and device functions, written as ``wp.func``: the ``force`` of a
 law. Its instances are frozen and hold values for the host; the device sees one struct of coefficients per contact,
@@ -103,7 +103,7 @@ class Memory:
 
 
 @explain_keywords
-def memory(unit: str, meaning: str, *, tangent: bool = False) -> Any:
+def history(unit: str, meaning: str, *, tangent: bool = False) -> Any:
     """Declares, as an attribute of a formula's class, something that it remembers.
 
     Args:
@@ -217,7 +217,7 @@ def has_shape(values: np.ndarray, shape: tuple[int, ...]) -> bool:
 
 @dataclass_transform(kw_only_default=True, frozen_default=True, field_specifiers=(parameter, table))
 class Formula:
-    """Base of laws, frictions, motions and shapes. Subclasses become frozen dataclasses.
+    """Base of laws, friction models, motions and shapes. Subclasses become frozen dataclasses.
 
     Their parameters are keyword-only but where ``positional`` says otherwise.
     """
@@ -250,7 +250,7 @@ class Formula:
     vector_shapes: ClassVar[tuple[tuple[int, ...], ...]] = ((3,),)
     #: Names of its device functions, and what each of them returns, in words.
     functions: ClassVar[Mapping[str, str]] = {"force": "the force"}
-    #: The device function of laws and frictions.
+    #: The device function of laws and friction models.
     force: ClassVar[wp.Function]
     #: What it remembers, by name.
     memories: ClassVar[Mapping[str, Memory]] = {}
@@ -267,7 +267,7 @@ class Formula:
             if name in annotated:
                 raise TypeError(
                     f"{cls.__name__}.{name} is a parameter and a memory: a memory has a name of its own and no "
-                    f"annotation, {name} = wc.memory(unit, meaning)"
+                    f"annotation, {name} = wc.history(unit, meaning)"
                 )
             if name == "elapsed":
                 raise TypeError(
@@ -329,7 +329,9 @@ class Formula:
         """
         function = getattr(cls, name)
         if name == "advance" and not cls.memories:
-            raise TypeError(f"{cls.__name__}.advance has nothing to advance; declare what it remembers: wc.memory")
+            raise TypeError(
+                f"{cls.__name__}.advance has nothing to advance; declare what it remembers: wc.history"
+            )
         wanted = cls.arguments() if wanted is None else wanted
         if len(inspect.signature(function.func).parameters) != len(wanted):
             raise TypeError(f"{cls.__name__}.{name} must take {len(wanted)} arguments, ({', '.join(wanted)})")

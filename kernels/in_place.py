@@ -31,7 +31,7 @@ def kernel(parts: Parts, real: type, projected: bool, pushed: bool) -> wp.Kernel
     """Returns the kernel of accepted semi-implicit Euler steps, as many as the slice says; items: one.
 
     Args:
-        parts: The classes of law and frictions, of all contacts.
+        parts: The classes of law and friction models, of all contacts.
         real: Type of a real number.
         projected: Whether contacts are weighed by the normals of their points.
         pushed: Whether there are forces from outside.

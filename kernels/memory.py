@@ -1,4 +1,4 @@
-"""Memory of laws and frictions: what a formula declares by ``memory``, one struct per contact and environment.
+"""Memory of laws and friction models: what a formula declares by ``memory``, one struct per contact and environment.
 
 The force stage never changes it. It recalls the memory of the last accepted step, lets the formula advance it to
 the present instant, answers with the force, and keeps the result in a second array; ``history.py`` takes that over

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import warp as wp
 from warpcontact.kernels import frames, memory, pull_off
 from warpcontact.kernels.formula import Formula, coefficient_struct, named_struct
-from warpcontact.kernels.frictions import Frictionless
+from warpcontact.kernels.friction import Frictionless
 from warpcontact.kernels.motions import bodies
 from warpcontact.kernels.types import FREE, structs
 

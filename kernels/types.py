@@ -302,7 +302,7 @@ def structs(real: type) -> SimpleNamespace:
     class History:
         """Memory of the contacts; advances once per accepted step, in ``history.py`` or ``alone.py``.
 
-        That of laws and frictions is theirs to declare: ``memory.py``.
+        That of laws and friction models is theirs to declare: ``memory.py``.
         """
 
         entry_speed: wp.array2d(dtype=real)  # [env, contact] approach speed at entry [m/s]; < 0: not touching
@@ -427,7 +427,7 @@ def structs(real: type) -> SimpleNamespace:
         normal_force: real  # N ≥ 0 [N]
         patch_radius: real  # √(R δ), the radius of a sphere's patch of contact [m]; 0 for a point
         normal: vec3  # out of the surface, W
-        axis: vec3  # tangent unit vector that the surface carries, W; only for directional frictions
+        axis: vec3  # tangent unit vector that the surface carries, W; only for directional friction models
 
     return SimpleNamespace(
         **vars(n),

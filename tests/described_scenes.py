@@ -52,9 +52,9 @@ def touching(gravity=(0.1, -0.2, -9.7)):
     law = wc.laws.HuntCrossley(stiffness=1.1e5, exponent=1.4, restitution=0.7)
     rubber = wc.ContactMaterial(
         law=law,
-        friction=wc.frictions.CundallStrack(mu_static=0.5, mu_dynamic=0.4, stiffness=1e4),
-        rolling=wc.frictions.Tanh(mu=0.01),
-        torsion=wc.frictions.Tanh(mu=0.02),
+        friction=wc.friction.CundallStrack(mu_static=0.5, mu_dynamic=0.4, stiffness=1e4),
+        rolling=wc.friction.Tanh(mu=0.01),
+        torsion=wc.friction.Tanh(mu=0.02),
     )
     centre = scene.add_point(ball, (0.001, 0.002, 0.003), name="centre")
     scene.add_contact(
@@ -69,7 +69,14 @@ def touching(gravity=(0.1, -0.2, -9.7)):
     scene.add_points(plate, odd.normal(size=(3, 3)), areas=(0.1, 0.2, 0.3), name="loose")
     keep = wc.ContactRange.from_impact(mass=2.0, area=0.02, speed=1.5, effective_range=0.2, closest=0.005)
     scene.add_contact_coupling(
-        sheet, ground, keep, wc.frictions.Tanh(mu=0.3), sides="first", quadrature=3, damping_ramp=0.01, name="keep"
+        sheet,
+        ground,
+        keep,
+        wc.friction.Tanh(mu=0.3),
+        sides="first",
+        quadrature=3,
+        damping_ramp=0.01,
+        name="keep",
     )
     hook = scene.add_point(None, (0.0, 0.1, 1.5), name="hook")
     on_plate = scene.add_point(plate, (0.1, 0.0, 0.0), name="eye")
@@ -104,7 +111,7 @@ def shaped():
         egg, wc.shapes.Ellipsoid((0.03, 0.022, 0.021)), (0.001, 0, 0), turned(odd), name="shell"
     )
     stone = wc.ContactMaterial(
-        law=wc.laws.KelvinVoigt(stiffness=1e4, damping=1.0), friction=wc.frictions.Tanh(mu=0.3)
+        law=wc.laws.KelvinVoigt(stiffness=1e4, damping=1.0), friction=wc.friction.Tanh(mu=0.3)
     )
     scene.add_shape_contact(shell, plane, stone, kappa=0.3, max_depth=0.02, name="tap")
     places = odd.uniform(0.0, 0.1, (5, 3)) + np.array([0, 0, 0.6])

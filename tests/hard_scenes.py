@@ -11,7 +11,7 @@ HARD = wc.integrators.MoreauJean()
 
 def rigid(restitution=0.0, mu=None, **parts):
     """A material of nonsmooth contact; without ``mu`` nothing opposes sliding."""
-    friction = None if mu is None else wc.frictions.Coulomb(mu=mu)
+    friction = None if mu is None else wc.friction.Coulomb(mu=mu)
     return wc.ContactMaterial(law=wc.laws.Rigid(restitution=restitution), friction=friction, **parts)
 
 

@@ -14,7 +14,7 @@ def ball_scene():
     ground = scene.add_surface(wc.meshes.sinusoidal_terrain((4, 4), (20, 20)), name="ground")
     ball = scene.add_body(0.5, (5e-4,) * 3, position=(0, 0, 1), name="ball")
     law = wc.laws.HuntCrossley(stiffness=1e5, restitution=0.7)
-    material = wc.ContactMaterial(law=law, friction=wc.frictions.Tanh(mu=0.4))
+    material = wc.ContactMaterial(law=law, friction=wc.friction.Tanh(mu=0.4))
     scene.add_contact(scene.add_point(ball, (0, 0, 0), name="centre"), ground, material, radius=0.05, name="touch")
     return scene
 
@@ -28,7 +28,7 @@ def busy_scene():
     hull = scene.add_points(box, np.random.default_rng(1).uniform(-0.5, 0.5, (40, 3)), name="hull")
     stuck = wc.ContactMaterial(
         law=wc.laws.Jankowski(stiffness=1e5, restitution=0.5),
-        friction=wc.frictions.CundallStrack(mu_static=0.6, mu_dynamic=0.4, stiffness=1e3, damping=1.0),
+        friction=wc.friction.CundallStrack(mu_static=0.6, mu_dynamic=0.4, stiffness=1e3, damping=1.0),
     )
     scene.add_contact(hull, scene.surfaces[0], stuck, name="stand", swept=True)
     scene.add_contact(scene.points[0], skin, stuck, radius=0.05, name="bump", entry="latched")
@@ -83,7 +83,7 @@ def pile_scene():
     grains = scene.add_bodies(places, 1.0, (1, 1, 1), name="grains")
     stuck = wc.ContactMaterial(
         law=wc.laws.Hooke(stiffness=1e5),
-        friction=wc.frictions.CundallStrack(mu_static=0.6, mu_dynamic=0.4, stiffness=1e3, damping=1.0),
+        friction=wc.friction.CundallStrack(mu_static=0.6, mu_dynamic=0.4, stiffness=1e3, damping=1.0),
     )
     sphere = scene.add_shape(grains, wc.shapes.Sphere(0.5))
     rod = scene.add_shape(scene.bodies[0], wc.shapes.Capsule(0.1, 0.2))
@@ -102,8 +102,8 @@ def smooth_scene():
     floor = scene.add_shape(None, wc.shapes.Plane(), name="floor")
     stuck = wc.ContactMaterial(
         law=wc.laws.HertzElastic(modulus=1e8),
-        friction=wc.frictions.CundallStrack(mu_static=0.6, mu_dynamic=0.4, stiffness=1e3, damping=1.0),
-        rolling=wc.frictions.Tanh(mu=0.01),
+        friction=wc.friction.CundallStrack(mu_static=0.6, mu_dynamic=0.4, stiffness=1e3, damping=1.0),
+        rolling=wc.friction.Tanh(mu=0.01),
     )
     scene.add_shape_contact(discs, egg, stuck, name="lie")
     scene.add_shape_contact(egg, floor, stuck, name="stand")

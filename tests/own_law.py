@@ -67,7 +67,7 @@ class Plastic(wc.Law):
     loading: float = wc.parameter("N/m", "stiffness k₁ of loading", above=0.0)
     unloading: float = wc.parameter("N/m", "stiffness k₂ ≥ k₁ of unloading", above=0.0)
 
-    deepest = wc.memory("m", "deepest penetration so far")
+    deepest = wc.history("m", "deepest penetration so far")
 
     @wp.func
     def advance(p: Any, c: Any, m: Any):
@@ -85,9 +85,9 @@ class TwoBristles(wc.Friction):
     mu: float = wc.parameter("-", "coefficient of friction μ of each", at_least=0.0)
     stiffness: float = wc.parameter("N/m", "stiffness k of the first, half that of the second", above=0.0)
 
-    first = wc.memory("m", "stretch of the first", tangent=True)
-    age = wc.memory("s", "time since touch")
-    second = wc.memory("m", "stretch of the second", tangent=True)
+    first = wc.history("m", "stretch of the first", tangent=True)
+    age = wc.history("s", "time since touch")
+    second = wc.history("m", "stretch of the second", tangent=True)
 
     @wp.func
     def advance(p: Any, s: Any, m: Any):
@@ -114,7 +114,7 @@ class Clock(wc.Law):
 
     stiffness: float = wc.parameter("N/m", "stiffness k", above=0.0)
 
-    age = wc.memory("s", "time since touch")
+    age = wc.history("s", "time since touch")
 
     @wp.func
     def advance(p: Any, c: Any, m: Any):
@@ -132,8 +132,8 @@ class Tiring(wc.Law):
     damping: float = wc.parameter("N·s/m", "damping c", at_least=0.0)
     time: float = wc.parameter("s", "time in which it has weakened to c/e", above=0.0)
 
-    age = wc.memory("s", "time since touch")
-    depth = wc.memory("m", "deepest penetration so far")
+    age = wc.history("s", "time since touch")
+    depth = wc.history("m", "deepest penetration so far")
 
     @wp.func
     def advance(p: Any, c: Any, m: Any):
@@ -152,7 +152,7 @@ class Tiring(wc.Law):
 class Sprung(wc.Friction):
     """F = −k ξ, without a limit."""
 
-    spring = wc.memory("m", "stretch ξ", tangent=True)
+    spring = wc.history("m", "stretch ξ", tangent=True)
 
     @wp.func
     def advance(p: Any, s: Any, m: Any):

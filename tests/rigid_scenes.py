@@ -9,7 +9,7 @@ G = 9.81
 
 def rigid(mu=0.0, restitution=0.0):
     """A material of nonsmooth contact; always with friction, so that all scenes share their kernels."""
-    return wc.ContactMaterial(law=wc.laws.Rigid(restitution=restitution), friction=wc.frictions.Coulomb(mu=mu))
+    return wc.ContactMaterial(law=wc.laws.Rigid(restitution=restitution), friction=wc.friction.Coulomb(mu=mu))
 
 
 def box_inertia(mass, size):

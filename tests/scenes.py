@@ -9,7 +9,7 @@ def oracle_law():
     """The law and friction of the worked numbers of SPEC 1.6: k = 1e5 N/m, c = 100 N·s/m, μ = 0.3."""
     return wc.ContactMaterial(
         law=wc.laws.KelvinVoigt(stiffness=1.0e5, damping=100.0),
-        friction=wc.frictions.Tanh(mu=0.3, velocity_scale=1.0e-3),
+        friction=wc.friction.Tanh(mu=0.3, velocity_scale=1.0e-3),
     )
 
 

@@ -7,11 +7,9 @@ import warpcontact as wc
 ENVS = 7
 STICKY = wc.ContactMaterial(
     law=wc.laws.HuntCrossley(stiffness=2e4, restitution=0.5),
-    friction=wc.frictions.CundallStrack(mu_static=0.6, mu_dynamic=0.4, stiffness=1e3, damping=1.0),
+    friction=wc.friction.CundallStrack(mu_static=0.6, mu_dynamic=0.4, stiffness=1e3, damping=1.0),
 )
-SMOOTH = wc.ContactMaterial(
-    law=wc.laws.KelvinVoigt(stiffness=2e3, damping=4.0), friction=wc.frictions.Tanh(mu=0.5)
-)
+SMOOTH = wc.ContactMaterial(law=wc.laws.KelvinVoigt(stiffness=2e3, damping=4.0), friction=wc.friction.Tanh(mu=0.5))
 
 
 def scene():

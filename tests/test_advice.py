@@ -161,25 +161,25 @@ def test_impact_estimates_match_their_closed_forms():
 
 
 LONG_STEPS = [
-    ({"friction": wc.frictions.Tanh(mu=0.3, velocity_scale=1e-6)}, 2 * (2 / 7) * 1e-6 / (0.3 * 9.81)),
+    ({"friction": wc.friction.Tanh(mu=0.3, velocity_scale=1e-6)}, 2 * (2 / 7) * 1e-6 / (0.3 * 9.81)),
     (
-        {"friction": wc.frictions.CundallStrack(mu_static=0.5, mu_dynamic=0.5, stiffness=1e9)},
+        {"friction": wc.friction.CundallStrack(mu_static=0.5, mu_dynamic=0.5, stiffness=1e9)},
         2 * np.sqrt(2 / 7 / 1e9),
     ),
     (
-        {"friction": wc.frictions.CundallStrack(mu_static=0.5, mu_dynamic=0.5, stiffness=1.0, damping=1e6)},
+        {"friction": wc.friction.CundallStrack(mu_static=0.5, mu_dynamic=0.5, stiffness=1.0, damping=1e6)},
         2 * (2 / 7) / 1e6,
     ),
-    ({"friction": wc.frictions.Viscous(drag=1e6)}, 2 * (2 / 7) / (1e6 * 9.81)),
+    ({"friction": wc.friction.Viscous(drag=1e6)}, 2 * (2 / 7) / (1e6 * 9.81)),
     (  # under the weight and the pull-off force of 20 N
         {
-            "friction": wc.frictions.Tanh(mu=0.3, velocity_scale=1e-6),
+            "friction": wc.friction.Tanh(mu=0.3, velocity_scale=1e-6),
             "law": own_law.Adhesive(stiffness=1e4, depth=2e-3),
         },
         2 * (2 / 7) * 1e-6 / (0.3 * (9.81 + 20.0)),
     ),
-    ({"rolling": wc.frictions.Viscous(drag=1e6)}, 2 * 0.4 / (1e6 * 9.81)),
-    ({"torsion": wc.frictions.Viscous(drag=1e7)}, 2 * 0.4 * (0.1 / 0.01) ** 2 / (1e7 * 9.81)),
+    ({"rolling": wc.friction.Viscous(drag=1e6)}, 2 * 0.4 / (1e6 * 9.81)),
+    ({"torsion": wc.friction.Viscous(drag=1e7)}, 2 * 0.4 * (0.1 / 0.01) ** 2 / (1e7 * 9.81)),
 ]
 
 

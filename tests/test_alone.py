@@ -13,13 +13,14 @@ from warpcontact.integrators import SemiImplicitEuler
 pytestmark = pytest.mark.launch_shapes
 STATE = ("position", "orientation", "linear_velocity", "angular_velocity")
 MATERIAL = wc.ContactMaterial(
-    law=wc.laws.KelvinVoigt(stiffness=2e3, damping=4.0), friction=wc.frictions.Tanh(mu=0.5, velocity_scale=0.01)
+    law=wc.laws.KelvinVoigt(stiffness=2e3, damping=4.0),
+    friction=wc.friction.Tanh(mu=0.5, velocity_scale=0.01),
 )
 STUCK = wc.ContactMaterial(
     law=wc.laws.HuntCrossley(stiffness=2e4, restitution=0.5),
-    friction=wc.frictions.CundallStrack(mu_static=0.6, mu_dynamic=0.4, stiffness=1e3, damping=1.0),
-    rolling=wc.frictions.Tanh(mu=0.05, velocity_scale=0.01),
-    torsion=wc.frictions.CundallStrack(mu_static=0.2, mu_dynamic=0.1, stiffness=1e2, damping=0.1),
+    friction=wc.friction.CundallStrack(mu_static=0.6, mu_dynamic=0.4, stiffness=1e3, damping=1.0),
+    rolling=wc.friction.Tanh(mu=0.05, velocity_scale=0.01),
+    torsion=wc.friction.CundallStrack(mu_static=0.2, mu_dynamic=0.1, stiffness=1e2, damping=0.1),
 )
 HILLS = wc.meshes.sinusoidal_terrain((4, 4), (30, 30), amplitude=0.15, wavelength=1.3)
 ENVS = 45

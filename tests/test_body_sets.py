@@ -31,7 +31,7 @@ SENSORS = ("gap", "normal_force", "friction_force", "point", "status", "friction
 def sticky():
     return wc.ContactMaterial(
         law=wc.laws.HuntCrossley(stiffness=2e4, exponent=1.5, restitution=0.6),
-        friction=wc.frictions.CundallStrack(mu_static=0.5, mu_dynamic=0.3, stiffness=5e3, damping=1.0),
+        friction=wc.friction.CundallStrack(mu_static=0.5, mu_dynamic=0.3, stiffness=5e3, damping=1.0),
     )
 
 

@@ -9,12 +9,12 @@ from warpcontact import checkpoint
 
 
 def everything(ground_name="ground"):
-    """A scene with memory of all kinds: frictions, latches, lines, joints, shapes, lists of partners."""
+    """A scene with memory of all kinds: friction models, latches, lines, joints, shapes, lists of partners."""
     scene = wc.Scene()
     ground = scene.add_surface(square(5.0), name=ground_name)
     grip = wc.ContactMaterial(
         law=wc.laws.HuntCrossley(stiffness=1e5, restitution=0.5),
-        friction=wc.frictions.LuGre(mu_static=0.5, mu_dynamic=0.4, stiffness=1e4, stribeck_speed=0.01),
+        friction=wc.friction.LuGre(mu_static=0.5, mu_dynamic=0.4, stiffness=1e4, stribeck_speed=0.01),
     )
     ball = scene.add_body(
         mass=1.0, inertia=(4e-3,) * 3, position=(0, 0, 0.15), linear_velocity=(1, 0, 0), name="ball"
@@ -53,7 +53,7 @@ def hard():
         mass=1.0, inertia=(4e-3,) * 3, position=(0, 0, 0.11), angular_velocity=(2, 1, 0), name="box"
     )
     corners = np.array(np.meshgrid(*[(-0.1, 0.1)] * 3)).T.reshape(-1, 3)
-    rigid = wc.ContactMaterial(law=wc.laws.Rigid(restitution=0.3), friction=wc.frictions.Coulomb(mu=0.4))
+    rigid = wc.ContactMaterial(law=wc.laws.Rigid(restitution=0.3), friction=wc.friction.Coulomb(mu=0.4))
     scene.add_contact(scene.add_points(box, corners, name="corners"), ground, rigid, name="feet")
     return scene
 

@@ -1,4 +1,4 @@
-"""Laws and frictions side by side: what the data sets say, against tables and closed forms, and the pictures."""
+"""Laws and friction models side by side: what the data sets say, against tables and closed forms, and the pictures."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ import warp as wp
 import warpcontact as wc
 from warpcontact import compare
 
-L, F = wc.laws, wc.frictions
+L, F = wc.laws, wc.friction
 
 # law, its column of the table
 ROWS = [
@@ -191,10 +191,12 @@ def test_slip_has_a_direction_where_friction_has_one(device):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["laws", "frictions"])
+@pytest.mark.parametrize("kind", ["laws", "friction"])
 def test_the_catalogue_can_be_drawn(kind, times, device, tmp_path):
     """Every fifth of it, each of which compiles kernels of its own; all of it with --thorough."""
-    catalogue, draw = (L.CATALOGUE, compare.plot_laws) if kind == "laws" else (F.CATALOGUE, compare.plot_frictions)
+    catalogue, draw = (
+        (L.CATALOGUE, compare.plot_laws) if kind == "laws" else (F.CATALOGUE, compare.plot_friction_models)
+    )
     catalogue = catalogue[:: 5 // times]
     most = compare.figures.MOST
     for first in range(0, len(catalogue), most):

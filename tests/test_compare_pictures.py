@@ -1,4 +1,4 @@
-"""Pictures of laws and frictions say what they show: values, classes, units, and what is hidden in the curves."""
+"""Pictures of laws and friction models say what they show: values, classes, units, and what is hidden in the curves."""
 
 import functools
 import re
@@ -13,7 +13,7 @@ import warpcontact as wc
 from warpcontact import compare
 from warpcontact.compare.slip import breakaways
 
-L, F = wc.laws, wc.frictions
+L, F = wc.laws, wc.friction
 PLASTIC = own_law.Plastic(loading=1e6, unloading=4e6)
 
 
@@ -122,7 +122,7 @@ def test_labels_keep_the_class_and_the_depth_its_source(device):
         "0.002 m deep if nothing is lost; on soft as deep as the given stiffness has it"
     )
     assert compare.plot_laws({"soft": soft}, device=device).get_suptitle().startswith("soft\xa0(HuntCrossley):")
-    skate = compare.plot_frictions({"skate": F.Elliptic}, device=device)
+    skate = compare.plot_friction_models({"skate": F.Elliptic}, device=device)
     assert skate.get_suptitle().startswith("skate\xa0(Elliptic):")
 
 
@@ -143,25 +143,25 @@ def test_what_holds_at_rest_is_marked_where_steady_slip_hides_it(kind, device):
     assert 0.995 * 0.6 < held["given"] <= 0.6 + 1e-9
     assert held["Dahl"] <= 0.4
     assert "Tanh" not in held
-    figure = compare.plot_frictions([kind, F.Tanh, F.LuGre], device=device)
+    figure = compare.plot_friction_models([kind, F.Tanh, F.LuGre], device=device)
     for title in ("steady slip", "steady slip, logarithmic"):
         (mark,) = [line for line in panels(figure)[title].lines if line.get_linestyle() == "-."]
         np.testing.assert_allclose(mark.get_ydata(), 0.5, rtol=5e-3)
         assert panels(figure)[title].get_ylim()[1] > 0.5
     assert "dash-dotted: greatest force on a slow way from rest to steady slip" in foot(figure)
-    assert "on the way from rest: 0.5" in texts(compare.plot_frictions(kind, device=device))
+    assert "on the way from rest: 0.5" in texts(compare.plot_friction_models(kind, device=device))
 
 
 @pytest.mark.slow
 def test_a_picture_says_that_slip_has_a_direction_and_what_was_chosen(device):
-    figure = compare.plot_frictions([F.Elliptic, F.Tanh], load=20.0, device=device)
+    figure = compare.plot_friction_models([F.Elliptic, F.Tanh], load=20.0, device=device)
     note, along = foot(figure)[:2]
     assert note == "pressed on a plate with 20 N; where nothing else was given: mu = mu_1 = 0.4, mu_2 = 0.2"
     assert along == "slip is along the x axis of the surface; for Elliptic other directions differ"
     assert {"steady slip along x", "steady slip along x, logarithmic", "slip to and fro along x"} <= set(
         panels(figure)
     )
-    plain = compare.plot_frictions([F.Tanh(mu=0.2), functools.partial(F.Dahl, mu=0.3)], device=device)
+    plain = compare.plot_friction_models([F.Tanh(mu=0.2), functools.partial(F.Dahl, mu=0.3)], device=device)
     assert foot(plain)[0] == "pressed on a plate with 10 N"
 
 

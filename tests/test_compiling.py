@@ -158,7 +158,7 @@ class OwnLaw(wc.Law):
 def all_kinds(law):
     """A contact, a smooth one, a pile, a spring and a motion, of formulas of the library but the law."""
     scene = wc.Scene()
-    material = wc.ContactMaterial(law=law, friction=wc.frictions.Tanh(mu=0.3, velocity_scale=0.1))
+    material = wc.ContactMaterial(law=law, friction=wc.friction.Tanh(mu=0.3, velocity_scale=0.1))
     ground = scene.add_surface(wc.meshes.grid((4.0, 4.0)))
     slow = wc.motions.Harmonic(direction=(0, 0, 1), amplitude=0.1, frequency=1.0)
     ball, other, moved = (

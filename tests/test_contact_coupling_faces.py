@@ -9,7 +9,7 @@ from coupling_scenes import divided_box
 import warpcontact as wc
 
 K1, K2, RANGE, THICK = 4e6, 2e3, 0.02, 0.2
-FRICTION = wc.frictions.Tanh(mu=0.3, velocity_scale=0.01)
+FRICTION = wc.friction.Tanh(mu=0.3, velocity_scale=0.01)
 
 
 def box_over_plane(mesh, case, device, precision="float64", **options):

@@ -21,7 +21,7 @@ def warned(model, dt):
 
 @pytest.fixture(scope="module")
 def impact(device):
-    scene, coupling = impact_scene(friction=wc.frictions.Tanh(mu=0.3, velocity_scale=0.1))
+    scene, coupling = impact_scene(friction=wc.friction.Tanh(mu=0.3, velocity_scale=0.1))
     return scene.build(envs=3, device=device, precision="float64"), coupling
 
 
@@ -237,7 +237,7 @@ def test_bad_impacts_are_refused(changes, message):
         ({"surface_a": "several"}, "keep: 'several' has 2 meshes, and faces are of one"),
         ({"surface_a": "idle"}, "keep: 'idle' has no active face"),
         (
-            {"friction": wc.frictions.Mindlin(mu_static=0.3, mu_dynamic=0.3, shear_modulus=1e9)},
+            {"friction": wc.friction.Mindlin(mu_static=0.3, mu_dynamic=0.3, shear_modulus=1e9)},
             "keep.friction, Mindlin, is one of spheres",
         ),
         ({"enabled": "no"}, "keep.enabled must be True or False, got 'no'"),

@@ -17,7 +17,7 @@ def terrain_model(envs, device, spread=None):
     ground = scene.add_surface(wc.meshes.sinusoidal_terrain((4, 4), (30, 30)), name="ground")
     ball = scene.add_body(0.5, (5e-4, 5e-4, 5e-4), position=(0.1, 0.2, 0.3), name="ball")
     material = wc.ContactMaterial(
-        law=wc.laws.HuntCrossley(stiffness=2e4, restitution=0.7), friction=wc.frictions.Tanh(mu=0.4)
+        law=wc.laws.HuntCrossley(stiffness=2e4, restitution=0.7), friction=wc.friction.Tanh(mu=0.4)
     )
     scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, material, radius=0.05, name="touch")
     model = scene.build(envs=envs, device=device)
@@ -158,7 +158,7 @@ def test_readings_do_not_disturb_the_motion(device):
 
 def test_shared_and_repeated_parameters_give_the_same_bits(device):
     """Stride 0 and a full array are two ways to say the same."""
-    friction = wc.frictions.Tanh(mu=0.4)
+    friction = wc.friction.Tanh(mu=0.4)
     one, other = (
         dropped_sphere(
             wc.laws.HuntCrossley(stiffness=2e4, restitution=0.7), friction=friction, gravity=(0, 0, -9.81),

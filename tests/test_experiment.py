@@ -131,7 +131,7 @@ def test_experiment_is_what_the_same_script_does(device, tmp_path):
     ground = scene.add_surface(wc.meshes.grid(size=(4.0, 4.0)), name="ground")
     ball = scene.add_body(mass=1.0, inertia=[4.0e-3] * 3, position=(0.0, 0.0, 0.105), name="ball")
     centre = scene.add_point(ball, (0, 0, 0), name="centre")
-    rubber = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1.0e4), friction=wc.frictions.Tanh(mu=0.3))
+    rubber = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1.0e4), friction=wc.friction.Tanh(mu=0.3))
     scene.add_contact(centre, ground, rubber, radius=0.1, name="touch")
     model = scene.build(envs=4, device=device)
     model["ball.linear_velocity"] = recorded["ball.linear_velocity.initial"].values
@@ -171,7 +171,7 @@ def within(limits):
     return 0.5 * (low + limits["at_most"]) if np.isfinite(limits["at_most"]) else low + 1.0
 
 
-@pytest.mark.parametrize("kind", [*wc.laws.CATALOGUE, *wc.frictions.CATALOGUE], ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize("kind", [*wc.laws.CATALOGUE, *wc.friction.CATALOGUE], ids=lambda kind: kind.__name__)
 def test_every_law_and_friction_can_be_used(kind):
     optional = set(kind.exactly_one_of[1:])
     values = {

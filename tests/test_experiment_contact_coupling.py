@@ -49,7 +49,7 @@ def test_a_coupling_is_that_of_the_python_interface(tmp_path):
     block = scene.add_body(50, [1] * 3, (0, 0, 0.121), linear_velocity=(0.3, 0, -1.5), name="block")
     hull = scene.add_surface(wc.meshes.box((0.3, 0.2, 0.2)), block, name="hull")
     coupling = scene.add_contact_coupling(
-        *(hull, quay, wc.ContactRange.from_impact(**IMPACT), wc.frictions.Tanh(mu=0.3)),
+        *(hull, quay, wc.ContactRange.from_impact(**IMPACT), wc.friction.Tanh(mu=0.3)),
         **{"sides": "average", "quadrature": 3, "damping_ramp": 0.001, "name": "keep"},
     )
     model = scene.build(envs=2, device="cpu", precision="float64")

@@ -26,7 +26,7 @@ VARIED = ("variation", "ball.mass")
 LAW = ("material", 0, "law")
 GROUND = ("surface", 0)
 NAMES = ", ".join(law.__name__ for law in (*wc.laws.CATALOGUE, *wc.laws.RIGID)) + ", or FILE.py:CLASS"
-RUBBING = (*wc.frictions.CATALOGUE, *wc.frictions.RIGID)
+RUBBING = (*wc.friction.CATALOGUE, *wc.friction.RIGID)
 FRICTIONS = ", ".join(friction.__name__ for friction in RUBBING) + ", or FILE.py:CLASS"
 
 

@@ -7,7 +7,7 @@ from scipy.integrate import solve_ivp
 
 import warpcontact as wc
 
-F = wc.frictions
+F = wc.friction
 G = 9.81
 LOAD = 1e5  # N/m, of the plate
 

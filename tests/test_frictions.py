@@ -8,7 +8,7 @@ from scenes import dropped_sphere, square
 
 import warpcontact as wc
 
-F = wc.frictions
+F = wc.friction
 PAIR = {"mu_static": 0.5, "mu_dynamic": 0.3}
 SCALE = 0.01
 

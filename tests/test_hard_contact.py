@@ -67,7 +67,7 @@ def test_restitution_and_friction_of_the_template_are_those_of_each_environment(
 def test_a_compliant_template_lends_its_restitution_and_friction(device):
     material = wc.ContactMaterial(
         law=wc.laws.HuntCrossley(stiffness=1e5, exponent=1.5, restitution=0.7),
-        friction=wc.frictions.Tanh(mu=0.1, velocity_scale=1e-2),
+        friction=wc.friction.Tanh(mu=0.1, velocity_scale=1e-2),
     )
     model = ball(material=material, height=0.01, velocity=(2.0, 0.0, -3.0), gravity=0.0, device=device)
     wc.Simulation(model, 1e-3, HARD).run(0.01)
@@ -155,10 +155,10 @@ def test_a_ball_that_slides_ends_up_rolling(device):
 
 
 def test_rolling_and_spinning_friction_stop_a_ball_evenly(device):
-    resistance = wc.frictions.Coulomb(mu=0.02)
+    resistance = wc.friction.Coulomb(mu=0.02)
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     ground = scene.add_surface(square(50.0), name="ground")
-    material = rigid(mu=0.5, rolling=resistance, torsion=wc.frictions.Coulomb(mu=0.3))
+    material = rigid(mu=0.5, rolling=resistance, torsion=wc.friction.Coulomb(mu=0.3))
     for name, spin, velocity in (
         ("rolling", (0.0, 10.0, 0.0), (1.0, 0.0, 0.0)),
         ("spinning", (0.0, 0.0, 10.0), (0.0,) * 3),
@@ -255,7 +255,7 @@ def test_compliant_contact_comes_to_hard_contact_as_it_stiffens(device):
     for stiffness in (1e4, 1e6):
         material = wc.ContactMaterial(
             law=wc.laws.KelvinVoigt(stiffness=stiffness, damping=2.0 * np.sqrt(stiffness)),
-            friction=wc.frictions.RegularizedCoulomb(mu=0.3, velocity_scale=10.0 / stiffness**0.5),
+            friction=wc.friction.RegularizedCoulomb(mu=0.3, velocity_scale=10.0 / stiffness**0.5),
         )
         model = ball(material=material, height=0.05, velocity=(1.0, 0.0, 0.0), device=device)
         soft = wc.Simulation(model, 1e-5).run(0.5, ["ball.position"], every=1e-2)["ball.position"].values[:, 0]

@@ -40,7 +40,7 @@ def test_two_balls_exchange_momentum_as_newton_says(precision, device):
     assert np.abs(model.sensor("ball.angular_velocity")).max() == 0.0
 
 
-RESISTANCE = {"rolling": wc.frictions.Coulomb(mu=0.05), "torsion": wc.frictions.Coulomb(mu=0.2)}
+RESISTANCE = {"rolling": wc.friction.Coulomb(mu=0.05), "torsion": wc.friction.Coulomb(mu=0.2)}
 
 
 @pytest.mark.parametrize(
@@ -345,7 +345,7 @@ def test_compliant_piles_live_beside_hard_contacts(device):
 
 def test_radii_of_each_environment_roll_with_their_own(device):
     """A couple of μ R N opposes what turns across the line of centres, 1/R = 1/R₁ + 1/R₂, and μ r_t N about it."""
-    resistance = wc.frictions.Coulomb(mu=0.1)
+    resistance = wc.friction.Coulomb(mu=0.1)
     material = rigid(0.0, 0.0, rolling=resistance, torsion=resistance)
     places = [[0.0, 0.0, 0.0], [0.0, 0.0, 2.0 * RADIUS]]
     scene = spheres(places, material, velocities=[[0, 0, 1.0], [0, 0, -1.0]], gravity=0.0, torsion_radius=0.03)

@@ -87,7 +87,8 @@ def test_a_capsule_that_rocks_on_its_ends_sinks_unless_overlap_is_taken_back(dev
 
 def test_what_slips_says_so_and_has_its_dynamic_friction(device):
     material = wc.ContactMaterial(
-        law=wc.laws.Rigid(), friction=wc.frictions.Stribeck(mu_static=0.3, mu_dynamic=0.05, stribeck_speed=0.1)
+        law=wc.laws.Rigid(),
+        friction=wc.friction.Stribeck(mu_static=0.3, mu_dynamic=0.05, stribeck_speed=0.1),
     )
     scene = wc.Scene(gravity=(G * np.sin(0.35), 0.0, -G * np.cos(0.35)))
     ground = scene.add_surface(square(50.0), name="ground")

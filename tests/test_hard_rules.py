@@ -155,7 +155,7 @@ def test_compliant_and_hard_contacts_live_in_one_scene(device):
 
 def test_one_model_can_be_stepped_either_way(device):
     material = wc.ContactMaterial(
-        law=wc.laws.Hooke(stiffness=1e4), friction=wc.frictions.Tanh(mu=0.3, velocity_scale=0.01)
+        law=wc.laws.Hooke(stiffness=1e4), friction=wc.friction.Tanh(mu=0.3, velocity_scale=0.01)
     )
     model = ball(material=material, height=0.01, device=device)
     expected = wc.Simulation(model, 1e-4).run(0.2, ["ball.position"])["ball.position"].values
@@ -223,7 +223,7 @@ def test_what_hard_contact_cannot_do_is_said(device):
         wc.Simulation(model, 1e-3, wc.integrators.MoreauJean(compliant=["tuoch"]))
     with pytest.raises(ValueError, match=r"compliant: touch\.law is Rigid"):
         wc.Simulation(model, 1e-3, wc.integrators.MoreauJean(compliant=["touch"]))
-    viscous = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4), friction=wc.frictions.Viscous(drag=1.0))
+    viscous = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4), friction=wc.friction.Viscous(drag=1.0))
     for own in (viscous, wc.ContactMaterial(law=wc.laws.Rigid(), friction=Own())):
         with pytest.raises(ValueError, match=r"touch\.friction is \w+, which has no coefficient of friction"):
             wc.Simulation(ball(material=own, device=device), 1e-3, HARD)

@@ -27,7 +27,7 @@ def sphere(material, *, smooth=True, start=THROWN, gravity=G, contact=None, **bu
 
 
 def test_a_sphere_on_a_plane_is_that_on_a_flat_mesh(device):
-    material = rigid(0.6, 0.1, rolling=wc.frictions.Coulomb(mu=0.05), torsion=wc.frictions.Coulomb(mu=0.2))
+    material = rigid(0.6, 0.1, rolling=wc.friction.Coulomb(mu=0.05), torsion=wc.friction.Coulomb(mu=0.2))
     names = ["ball.position", "ball.angular_velocity", "touch.gap", *LOSSES]
     names += [f"touch.{key}" for key in ("impulse", "mode", "normal_force", "friction_force", "torque")]
     names += ["touch.slip_speed", "touch.approach_speed"]
@@ -118,7 +118,7 @@ def three(device):
     plane = scene.add_shape(None, wc.shapes.Plane(), name="plane")
     material = wc.ContactMaterial(
         law=wc.laws.KelvinVoigt(stiffness=1e5, damping=100.0),
-        friction=wc.frictions.CundallStrack(mu_static=0.4, mu_dynamic=0.3, stiffness=1e4, damping=10.0),
+        friction=wc.friction.CundallStrack(mu_static=0.4, mu_dynamic=0.3, stiffness=1e4, damping=10.0),
     )
     for number, name in enumerate(("left", "middle", "right")):
         start = {**THROWN, "position": (0.0, float(number), 0.15)}

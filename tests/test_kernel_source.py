@@ -143,5 +143,5 @@ def test_every_kernel_compiles(real, device):
 def test_every_law_and_friction_model_compiles(real, device):
     for law in wc.laws.CATALOGUE:
         contact_force.kernel(Parts(law), real).module.load(device)
-    for friction in wc.frictions.CATALOGUE:
+    for friction in wc.friction.CATALOGUE:
         contact_force.kernel(Parts(wc.laws.Hooke, friction), real).module.load(device)

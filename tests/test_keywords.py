@@ -13,7 +13,17 @@ import warpcontact as wc
 from warpcontact import checks
 from warpcontact.elements import ContactOptions
 
-MODULES = ("compare", "frictions", "integrators", "laws", "meshes", "motions", "outcomes", "shapes", "springs")
+MODULES = (
+    "compare",
+    "friction",
+    "integrators",
+    "laws",
+    "meshes",
+    "motions",
+    "outcomes",
+    "shapes",
+    "springs",
+)
 # Types that a user reads, and that the package alone makes; exceptions, enumerations and modules.
 MADE_HERE = (
     *("BenchReport", "Body", "Bushing", "Catenary", "Contact", "ContactCoupling", "Health", "MeshReport", "Model"),
@@ -88,8 +98,8 @@ PROPOSALS = [
     (lambda: wc.laws.HertzElastic.from_materials(1e9, 0.3, e=0.5), "HertzElastic.from_materials", "restitution"),
     (lambda: wc.laws.Hertz.from_materials(youngs_modulus=1e9), "Hertz.from_materials", "E"),
     (lambda: wc.springs.StiffnessTable.of(np.abs, [0, 1], skale=2.0), "StiffnessTable.of", "scale"),
-    (lambda: wc.frictions.Tanh(mu_s=0.3), "Tanh", "mu"),
-    (lambda: wc.frictions.CundallStrack(mu_s=0.3, kt=1e4), "CundallStrack", "mu_static' and 'stiffness"),
+    (lambda: wc.friction.Tanh(mu_s=0.3), "Tanh", "mu"),
+    (lambda: wc.friction.CundallStrack(mu_s=0.3, kt=1e4), "CundallStrack", "mu_static' and 'stiffness"),
     (lambda: wc.ContactMaterial(stiffness=1e5, mu=0.3), "ContactMaterial", "law' and 'friction"),
     (
         lambda: wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1.0), rolling_friction=None),
@@ -135,7 +145,7 @@ def test_unknown_keyword_gets_the_name_of_this_library(call, called, meant):
 
 def test_unknown_keyword_without_a_close_one_lists_the_arguments():
     with pytest.raises(TypeError) as caught:
-        wc.frictions.Tanh(mu=0.3, quux=1)
+        wc.friction.Tanh(mu=0.3, quux=1)
     assert str(caught.value) == ("Tanh() got an unexpected keyword argument 'quux'; it takes mu, velocity_scale")
 
 

@@ -23,7 +23,7 @@ def test_laws_lists_the_whole_catalogue(capsys):
     out = capsys.readouterr().out
     words = " ".join(out.split())
     entries = dict(zip(*[iter(re.split(r"\n  (\w+)\n", out)[1:])] * 2, strict=True))
-    for formula in (*wc.laws.CATALOGUE, *wc.frictions.CATALOGUE):
+    for formula in (*wc.laws.CATALOGUE, *wc.friction.CATALOGUE):
         for text in (formula.__name__, formula.formula, formula.validity, formula.reference):
             assert " ".join(text.split()) in words, formula
         for field in dataclasses.fields(formula):
@@ -44,7 +44,7 @@ def test_laws_say_in_words_how_sure_a_formula_is(capsys):
     for text in ("S: read in a public source", "D: derived and confirmed", "R: recalled from the literature"):
         assert text in legend
     entries = dict(zip(*[iter(re.split(r"\n  (\w+)\n", out)[1:])] * 2, strict=True))
-    for formula in (*wc.laws.CATALOGUE, *wc.frictions.CATALOGUE):
+    for formula in (*wc.laws.CATALOGUE, *wc.friction.CATALOGUE):
         known = " ".join(entries[formula.__name__].partition("    known ")[2].split())
         assert ("recalled from the literature (R)" in known) == ("R" in formula.provenance), formula
         assert ("read in a public source (S)" in known) == ("S" in formula.provenance), formula
@@ -79,7 +79,7 @@ def test_laws_of_a_name_shows_that_entry_only(capsys):
         (["Hooke", "--compare", "Tanh", "Hollars"], "give Hooke to --compare, or leave --compare out"),
         (
             ["--compare", "Hooke", "Tanh", "Hertz", "--plot", "a.svg"],
-            "laws and frictions cannot be compared with each other: Hooke, Hertz with Tanh",
+            "laws and friction models cannot be compared with each other: Hooke, Hertz with Tanh",
         ),
         (["--compare", "Hooke", "Herz", "--plot", "a.svg"], "no law or friction 'Herz'; did you mean 'Hertz'?"),
         (
@@ -88,7 +88,7 @@ def test_laws_of_a_name_shows_that_entry_only(capsys):
         ),
         (["Hooke", "--mass", "2"], "--mass is of the picture: say where it goes by --plot FILE"),
         (["Tanh", "--mass", "2", "--plot", "a.svg"], "--mass is an option of laws, and not of Tanh"),
-        (["Hooke", "--load", "2", "--plot", "a.svg"], "--load is an option of frictions, and not of Hooke"),
+        (["Hooke", "--load", "2", "--plot", "a.svg"], "--load is an option of friction models, and not of Hooke"),
         (["Hooke", "--speed", "0", "--plot", "a.svg"], ": --speed must be greater than 0, got 0 m/s"),
         (["Hooke", "--mass", "-1", "--plot", "a.svg"], ": --mass must be greater than 0, got -1 kg"),
         (["Tanh", "--load", "nan", "--plot", "a.svg"], ": --load must be greater than 0, got nan N"),

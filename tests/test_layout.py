@@ -96,7 +96,7 @@ def test_every_public_name_loads_and_is_listed_once():
 
 
 ON_DEMAND = (
-    *(f"kernels.{name}" for name in ("frictions", "laws", "motions", "smooth.shapes", "springs")),
+    *(f"kernels.{name}" for name in ("friction", "laws", "motions", "smooth.shapes", "springs")),
     *("experiment", "meshes", "outcomes", "unilateral"),
 )
 
@@ -140,7 +140,7 @@ def test_importing_every_name_does_not_start_warp(tmp_path):
 
 def test_importing_what_a_simulation_needs_loads_nothing_that_it_may_not_need(tmp_path):
     code = (
-        "import sys, warpcontact as wc; wc.Scene, wc.Simulation, wc.ContactMaterial, wc.laws, wc.frictions, wc.load_mesh;"
+        "import sys, warpcontact as wc; wc.Scene, wc.Simulation, wc.ContactMaterial, wc.laws, wc.friction, wc.load_mesh;"
         "slow = ('xarray', 'pandas', 'scipy', 'zarr', 'pydantic', 'matplotlib', 'trimesh', 'pxr');"
         "print([m for m in slow if m in sys.modules])"
     )
@@ -151,7 +151,7 @@ def test_importing_what_a_simulation_needs_loads_nothing_that_it_may_not_need(tm
 # What a first step has no need of; of kernels that are imported, Warp parses all functions.
 NEEDLESS = (
     *("matplotlib", "numpy.f2py", "pandas", "pxr", "pyarrow", "ray", "scipy", "tqdm", "trimesh", "xarray", "zarr"),
-    *(f"warpcontact.kernels.{part}" for part in ("couplings.catenary", "frictions.lugre", "laws.tsuji")),
+    *(f"warpcontact.kernels.{part}" for part in ("couplings.catenary", "friction_models.lugre", "laws.tsuji")),
     *(f"warpcontact.kernels.smooth.{part}" for part in ("curvature", "derivatives", "detect")),
     *("warpcontact.kernels.smooth.sphere", "warpcontact.kernels.smooth.superellipsoid"),
     *("warpcontact.kernels.motions.prescribed", "warpcontact.kernels.outcomes.catalogue"),

@@ -1,4 +1,4 @@
-"""Laws and frictions that remember: what they may do with it, and where their memory goes."""
+"""Laws and friction models that remember: what they may do with it, and where their memory goes."""
 
 from typing import Any
 
@@ -14,7 +14,7 @@ import warpcontact as wc
 
 pytestmark = pytest.mark.usefixtures("steps_tell")
 
-F = wc.frictions
+F = wc.friction
 G = 9.81
 REMEMBERING = [
     F.CundallStrack(mu_static=0.5, mu_dynamic=0.3, stiffness=1e4, damping=2.0),
@@ -406,21 +406,21 @@ def pulls(p: Any, s: Any, m: Any):
 
 MISTAKES = [
     (
-        {"spring": wc.memory("m", "", tangent=True), "force": pulls},
+        {"spring": wc.history("m", "", tangent=True), "force": pulls},
         r"Wrong\.advance must be a wp\.func of \(coeff",
     ),
     ({"advance": ADVANCE, "force": FORCE}, r"Wrong\.advance has nothing to advance"),
     (
-        {"spring": wc.memory("m", ""), "force": FORCE},
+        {"spring": wc.history("m", ""), "force": FORCE},
         r"Wrong\.force must take 3 arguments, \(coefficients, state, mem",
     ),
     (
-        {"spring": wc.memory("m", ""), "advance": forgets, "force": pulls},
+        {"spring": wc.history("m", ""), "advance": forgets, "force": pulls},
         r"Wrong\.advance returns nothing; .*return m",
     ),
-    ({"elapsed": wc.memory("s", "")}, r"Wrong\.elapsed: every memory has this already"),
-    ({"a": wc.memory("m", ""), "__annotations__": {"a": float}}, r"Wrong\.a is a parameter and a memory"),
-    ({"drag": wc.memory("m", "")}, r"Wrong\.drag is a parameter and a memory"),
+    ({"elapsed": wc.history("s", "")}, r"Wrong\.elapsed: every memory has this already"),
+    ({"a": wc.history("m", ""), "__annotations__": {"a": float}}, r"Wrong\.a is a parameter and a memory"),
+    ({"drag": wc.history("m", "")}, r"Wrong\.drag is a parameter and a memory"),
 ]
 
 
@@ -433,7 +433,7 @@ def test_a_mistaken_declaration_is_explained(body, message):
 
 def test_a_memory_may_come_from_a_mixin(device):
     class Spring:
-        spring = wc.memory("m", "stretch", tangent=True)
+        spring = wc.history("m", "stretch", tangent=True)
 
     class Mixed(Spring, wc.Friction):
         """With the memory of another class."""
@@ -452,7 +452,7 @@ def test_a_law_has_no_tangent_memory():
         class Sideways(wc.Law):
             """Remembers a direction."""
 
-            drift = wc.memory("m", "drift", tangent=True)
+            drift = wc.history("m", "drift", tangent=True)
 
 
 def test_what_a_set_of_contacts_remembers_is_read_per_item(device):

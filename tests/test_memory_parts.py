@@ -10,7 +10,7 @@ import warpcontact as wc
 
 pytestmark = pytest.mark.usefixtures("steps_tell")
 
-F = wc.frictions
+F = wc.friction
 
 
 def carried_over(path, device, precision="float64", friction=None):

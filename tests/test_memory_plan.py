@@ -239,7 +239,7 @@ scene = wc.Scene()
 ground = scene.add_surface(wc.meshes.sinusoidal_terrain(), name="ground")
 body = scene.add_body(0.5, (5e-4,) * 3, position=(0, 0, 1), name="body")
 law = wc.laws.HuntCrossley(stiffness=1e4, restitution=0.7)
-material = wc.ContactMaterial(law=law, friction=wc.frictions.Tanh(mu=0.4))
+material = wc.ContactMaterial(law=law, friction=wc.friction.Tanh(mu=0.4))
 if kind == "sphere":
     scene.add_contact(scene.add_point(body, (0, 0, 0)), ground, material, radius=0.05, name="touch")
 else:

@@ -56,7 +56,7 @@ def test_a_sliding_sphere_rolls_at_five_sevenths(device):
     # FORCE_LAWS G10: v₀ = 3 m/s, μ = 0.2, R = 0.05 m.
     model = dropped_sphere(
         wc.laws.KelvinVoigt(stiffness=1e5, damping=300.0),
-        friction=wc.frictions.RegularizedCoulomb(mu=0.2, velocity_scale=1e-3),
+        friction=wc.friction.RegularizedCoulomb(mu=0.2, velocity_scale=1e-3),
         radius=0.05, gravity=(0, 0, -G), velocity=(3, 0, 0), height=-G / 1e5, device=device,
     )  # fmt: skip
     sim = wc.Simulation(model, dt=2e-4)
@@ -78,7 +78,7 @@ def block_on_incline(slope, mu, velocity_scale, device):
     block = scene.add_body(1.0, (0.01, 0.01, 0.02), position=(0, 0, height), name="block")
     feet = scene.add_points(block, [(x, y, -height) for x in (-half, half) for y in (-half, half)])
     law = wc.laws.KelvinVoigt(stiffness=1e5, damping=200.0)
-    material = wc.ContactMaterial(law=law, friction=wc.frictions.Tanh(mu=mu, velocity_scale=velocity_scale))
+    material = wc.ContactMaterial(law=law, friction=wc.friction.Tanh(mu=mu, velocity_scale=velocity_scale))
     scene.add_contact(feet, ground, material, name="touch")
     return scene.build(device=device)
 
@@ -114,7 +114,7 @@ def test_a_block_creeps_as_tanh_friction_predicts(device):
 def test_oblique_impact_of_a_sphere(mu, tangential, expected, spin, device):
     model = dropped_sphere(
         wc.laws.HuntCrossley(stiffness=1e6, restitution=0.7),
-        friction=wc.frictions.RegularizedCoulomb(mu=mu, velocity_scale=1e-3),
+        friction=wc.friction.RegularizedCoulomb(mu=mu, velocity_scale=1e-3),
         # The force at the deepest point: its lever is the radius, as in the rigid oracle.
         radius=0.05, height=1e-4, velocity=(tangential, 0, -2.0), kappa=1.0, device=device,
     )  # fmt: skip
@@ -220,7 +220,7 @@ def test_two_bodies_exchange_momentum_without_loss(device):
         2.0, (0.02, 0.02, 0.02), position=(0.4, 0.05, 0.02), linear_velocity=(-1, 0, 0), name="ball"
     )
     material = wc.ContactMaterial(
-        law=wc.laws.HuntCrossley(stiffness=1e6, restitution=0.6), friction=wc.frictions.Tanh(mu=0.3)
+        law=wc.laws.HuntCrossley(stiffness=1e6, restitution=0.6), friction=wc.friction.Tanh(mu=0.3)
     )
     scene.add_contact(scene.add_point(ball, (0, 0, 0)), surface, material, radius=0.1, name="touch")
     model = scene.build(device=device, precision="float64")

@@ -218,7 +218,7 @@ def test_two_bodies_that_no_force_moves_press_on_each_other_and_stay(device):
     )
     face = scene.add_surface(square(), post)
     law = wc.laws.KelvinVoigt(stiffness=1e4, damping=50.0)
-    material = wc.ContactMaterial(law=law, friction=wc.frictions.Tanh(mu=0.3))
+    material = wc.ContactMaterial(law=law, friction=wc.friction.Tanh(mu=0.3))
     scene.add_contact(scene.add_point(ram, (0, 0, 0)), face, material, radius=0.1, name="touch")
     model = scene.build(device=device, precision="float64")
     wc.Simulation(model, dt=0.125).step(4)

@@ -151,7 +151,11 @@ def mixed():
     tip = scene.add_point(arm, (0.2, 0, 0))
     law = wc.laws.KelvinVoigt(stiffness=1e4, restitution=0.6)
     scene.add_contact(
-        tip, plate, wc.ContactMaterial(law=law, friction=wc.frictions.Tanh(mu=0.2)), radius=0.05, name="touch"
+        tip,
+        plate,
+        wc.ContactMaterial(law=law, friction=wc.friction.Tanh(mu=0.2)),
+        radius=0.05,
+        name="touch",
     )
     return scene
 

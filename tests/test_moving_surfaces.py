@@ -9,7 +9,7 @@ import warpcontact as wc
 PRECISIONS = pytest.mark.parametrize("precision", ["float32", "float64"])
 MATERIAL = wc.ContactMaterial(
     law=wc.laws.HuntCrossley(stiffness=1e5, restitution=0.7),
-    friction=wc.frictions.Tanh(mu=0.3, velocity_scale=1e-2),
+    friction=wc.friction.Tanh(mu=0.3, velocity_scale=1e-2),
 )
 BODIES = ("one", "two")
 

@@ -112,7 +112,7 @@ def test_a_contact_that_begins_without_an_approach_has_no_restitution():
 
 def recorded(quantities, envs=3, steps=400, dt=2.0e-4, **options):
     law = wc.laws.HuntCrossley(stiffness=1.0e5, exponent=1.5, restitution=0.6)
-    friction = wc.frictions.Tanh(mu=0.4, velocity_scale=1e-2)
+    friction = wc.friction.Tanh(mu=0.4, velocity_scale=1e-2)
     model = model_of(law, envs, "float32", gravity=(1.0, 0.0, -9.81), friction=friction)
     return model, wc.Simulation(model, dt, **options).run(steps * dt, record=quantities, every=dt)
 

@@ -72,7 +72,7 @@ def test_oblique_impact_with_sticking_friction_follows_the_closed_form(device):
     # So slow that the line of centres turns by little.
     normal_speed, slip = 0.02, 0.1
     material = wc.ContactMaterial(
-        law=wc.laws.Hooke(stiffness=1e6), friction=wc.frictions.Tanh(mu=2.0, velocity_scale=1e-4)
+        law=wc.laws.Hooke(stiffness=1e6), friction=wc.friction.Tanh(mu=2.0, velocity_scale=1e-4)
     )
     scene = spheres([[0, 0, 0], [0, 0, 2.0001 * RADIUS]], [[0, 0, normal_speed], [slip, 0, 0]], material)
     model = scene.build(device=device, precision="float64")

@@ -95,12 +95,12 @@ def test_spheres_alone_have_both_radii(device):
     np.testing.assert_allclose(model.touching("pile")["normal_force"], np.full(count // 2, known), rtol=1e-9)
 
 
-FRICTION = wc.frictions.CundallStrack(mu_static=0.5, mu_dynamic=0.4, stiffness=1e4, damping=1.0)
+FRICTION = wc.friction.CundallStrack(mu_static=0.5, mu_dynamic=0.4, stiffness=1e4, damping=1.0)
 TWO = {
     "capsules": ((wc.shapes.Capsule(0.1, 0.3), wc.shapes.Capsule(0.06, 0.4)), {}),
     "spheres": (
         (wc.shapes.Sphere(0.1), wc.shapes.Sphere(0.06)),
-        {"rolling": wc.frictions.Tanh(mu=0.02), "torsion": wc.frictions.Tanh(mu=0.3)},
+        {"rolling": wc.friction.Tanh(mu=0.02), "torsion": wc.friction.Tanh(mu=0.3)},
     ),
 }
 
@@ -109,9 +109,9 @@ TWO = {
 @pytest.mark.parametrize("name", TWO)
 def test_an_impact_in_a_pile_is_that_of_a_smooth_contact(name, device):
     """Oblique and spinning: capsules that cross, and spheres that roll and twist as well."""
-    forms, frictions = TWO[name]
+    forms, friction_models = TWO[name]
     law = wc.laws.HertzElastic(modulus=1e7, restitution=0.6)
-    material = wc.ContactMaterial(law=law, friction=FRICTION, **frictions)
+    material = wc.ContactMaterial(law=law, friction=FRICTION, **friction_models)
     ends = []
     for smooth in (True, False):
         scene = wc.Scene(gravity=(0, 0, 0))

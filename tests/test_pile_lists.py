@@ -12,7 +12,7 @@ COUNT = 60
 #: Remembers: a spring in the tangent plane, and the speed at which a contact began.
 MATERIAL = wc.ContactMaterial(
     law=wc.laws.LankaraniNikravesh(stiffness=2e5, exponent=1.5, restitution=0.6),
-    friction=wc.frictions.CundallStrack(mu_static=0.5, mu_dynamic=0.4, stiffness=5e3, damping=1.0),
+    friction=wc.friction.CundallStrack(mu_static=0.5, mu_dynamic=0.4, stiffness=5e3, damping=1.0),
 )
 
 

@@ -8,7 +8,7 @@ from test_pile import ELASTIC, INERTIA, MASS, cloud
 import warpcontact as wc
 from warpcontact.piles.pile import Pile
 
-FRICTION = wc.frictions.Tanh(mu=0.4, velocity_scale=0.1)
+FRICTION = wc.friction.Tanh(mu=0.4, velocity_scale=0.1)
 
 
 @pytest.mark.parametrize("several", [pytest.param(False, marks=pytest.mark.slow), True])

@@ -11,7 +11,7 @@ from scenes import dropped_sphere
 
 import warpcontact as wc
 
-F = wc.frictions
+F = wc.friction
 
 
 class Jump(wc.Law):

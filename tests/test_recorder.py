@@ -158,7 +158,7 @@ def test_recordings_have_values_of_every_kind(precision, device, in_slices):
     """One recording after the other, each into memory of its own."""
     scene = wc.Scene()
     ground = scene.add_surface(square())
-    friction = wc.frictions.LuGre(mu_static=0.6, mu_dynamic=0.5, stribeck_speed=0.01, stiffness=1e3)
+    friction = wc.friction.LuGre(mu_static=0.6, mu_dynamic=0.5, stribeck_speed=0.01, stiffness=1e3)
     material = wc.ContactMaterial(law=wc.laws.HuntCrossley(stiffness=1e4, restitution=0.5), friction=friction)
     for name, x in (("one", 0.0), ("two", 0.4)):
         body = scene.add_body(1.0, (0.01, 0.01, 0.01), position=(x, 0, 0.06), name=name)

@@ -6,7 +6,7 @@ from scenes import dropped_sphere, square
 
 import warpcontact as wc
 
-F = wc.frictions
+F = wc.friction
 G = 9.81
 R = 0.05
 

@@ -115,7 +115,7 @@ def spread_of(model):
 
 
 def test_a_frozen_environment_is_left_untouched(device):
-    friction = wc.frictions.Tanh(mu=0.4)
+    friction = wc.friction.Tanh(mu=0.4)
     model = dropped_sphere(
         wc.laws.HuntCrossley(stiffness=1e4, restitution=0.5), friction=friction, gravity=(0, 0, -G), height=-1e-3,
         velocity=(0.5, 0, 0), envs=4, device=device,
@@ -186,7 +186,7 @@ def test_a_law_that_returns_nan_freezes_its_environment(device):
 
 
 def test_surfaces_points_and_laws_find_their_own(device):
-    """Two meshes, each rotated, one on a rotated body; two frictions of one class; forces against hand values."""
+    """Two meshes, each rotated, one on a rotated body; two friction models of one class; forces against hand values."""
     scene = wc.Scene(gravity=(0, 0, 0))
     turn = Rotation.from_euler("xyz", [0.3, -0.4, 0.5])
     tilt = Rotation.from_euler("xyz", [-0.2, 0.1, 0.7])
@@ -204,7 +204,7 @@ def test_surfaces_points_and_laws_find_their_own(device):
     two = scene.add_body(1.0, (1, 1, 1), position=beside, linear_velocity=glide, name="two")
     for name, body, surface, stiffness, mu in (("a", one, first, 1e4, 0.2), ("b", two, second, 2e4, 0.5)):
         material = wc.ContactMaterial(
-            law=wc.laws.Hooke(stiffness=stiffness), friction=wc.frictions.RegularizedCoulomb(mu=mu)
+            law=wc.laws.Hooke(stiffness=stiffness), friction=wc.friction.RegularizedCoulomb(mu=mu)
         )
         scene.add_contact(scene.add_point(body, (0, 0, 0)), surface, material, name=name)
     model = scene.build(device=device, precision="float64")
@@ -253,7 +253,7 @@ def test_a_parameter_changed_between_steps_acts_like_one_set_before(name, value,
     def model():
         made = dropped_sphere(
             wc.laws.HuntCrossley(stiffness=1e4, restitution=0.5),
-            friction=wc.frictions.Tanh(mu=0.3), gravity=(0, 0, -G), height=-1e-3, velocity=(1, 0, 0), envs=3,
+            friction=wc.friction.Tanh(mu=0.3), gravity=(0, 0, -G), height=-1e-3, velocity=(1, 0, 0), envs=3,
             device=device,
         )  # fmt: skip
         made["ball.angular_velocity"] = (3.0, 1.0, 2.0)

@@ -1,9 +1,9 @@
-"""The hyperbolic tangent of frictions against that of NumPy in float64."""
+"""The hyperbolic tangent of friction models against that of NumPy in float64."""
 
 import numpy as np
 import pytest
 import warp as wp
-from warpcontact.kernels.frictions.saturation import saturated
+from warpcontact.kernels.friction.saturation import saturated
 
 
 @pytest.mark.parametrize(("real", "units"), [(np.float32, 3.0), (np.float64, 4.0)], ids=["float32", "float64"])

@@ -13,7 +13,7 @@ SENSORS = ("gap", "penetration", "normal", "point", "status", "normal_force")
 STATE = ("ball.position", "ball.orientation", "ball.linear_velocity", "ball.angular_velocity")
 FRICTION = wc.ContactMaterial(
     law=wc.laws.HuntCrossley(stiffness=1e5, restitution=0.6),
-    friction=wc.frictions.Tanh(mu=0.3, velocity_scale=1e-2),
+    friction=wc.friction.Tanh(mu=0.3, velocity_scale=1e-2),
 )
 
 

@@ -192,7 +192,7 @@ def test_parameters_of_every_kind_take_one_value_or_one_per_environment():
     surface = scene.add_surface(square(), name="ground")
     points = scene.add_points(scene.bodies[0], np.eye(3), name="corners")
     material = wc.ContactMaterial(
-        law=wc.laws.HuntCrossley(stiffness=1e3, restitution=0.5), friction=wc.frictions.Tanh(mu=0.3)
+        law=wc.laws.HuntCrossley(stiffness=1e3, restitution=0.5), friction=wc.friction.Tanh(mu=0.3)
     )
     scene.add_contact(points, surface, material, name="touch")
     envs = 5
@@ -235,7 +235,7 @@ def test_one_scene_holds_several_laws():
     ground = scene.add_surface(square(), name="ground")
     materials = [
         wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e3)),
-        wc.ContactMaterial(law=wc.laws.Hertz(stiffness=1e5), friction=wc.frictions.Tanh(mu=0.1)),
+        wc.ContactMaterial(law=wc.laws.Hertz(stiffness=1e5), friction=wc.friction.Tanh(mu=0.1)),
         wc.ContactMaterial(law=wc.laws.Hooke(stiffness=2e3)),
     ]
     for number, material in enumerate(materials):

@@ -17,11 +17,12 @@ from warpcontact import crew, schedule, stepping
 STATE = ("position", "orientation", "linear_velocity", "angular_velocity")
 PRECISIONS = pytest.mark.parametrize("precision", ["float32", "float64"])
 MATERIAL = wc.ContactMaterial(
-    law=wc.laws.KelvinVoigt(stiffness=2e3, damping=4.0), friction=wc.frictions.Tanh(mu=0.5, velocity_scale=0.01)
+    law=wc.laws.KelvinVoigt(stiffness=2e3, damping=4.0),
+    friction=wc.friction.Tanh(mu=0.5, velocity_scale=0.01),
 )
 STUCK = wc.ContactMaterial(
     law=wc.laws.HuntCrossley(stiffness=2e4, restitution=0.5),
-    friction=wc.frictions.CundallStrack(mu_static=0.6, mu_dynamic=0.4, stiffness=1e3, damping=1.0),
+    friction=wc.friction.CundallStrack(mu_static=0.6, mu_dynamic=0.4, stiffness=1e3, damping=1.0),
 )
 ENVS = 24
 
@@ -249,7 +250,7 @@ def test_nor_does_it_when_a_contact_that_never_was_outside_is_enabled(points, sp
         places = scene.add_points(body, [(0.03 * i, 0.0, 0.0) for i in range(points)])
         material = wc.ContactMaterial(
             law=wc.laws.Hooke(stiffness=1e4),
-            friction=wc.frictions.CundallStrack(mu_static=0.6, mu_dynamic=0.5, stiffness=1e4),
+            friction=wc.friction.CundallStrack(mu_static=0.6, mu_dynamic=0.5, stiffness=1e4),
         )
         scene.add_contact(places, ground, material, radius=0.1, enabled=False, name="touch")
         model = scene.build(envs=2, device=device)

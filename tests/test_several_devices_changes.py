@@ -179,7 +179,7 @@ def test_warnings_come_once_and_number_environments_in_all(looked_at, device, mo
 
     def said(where):
         model = dropped_sphere(
-            wc.laws.Hooke(stiffness=1e3), friction=wc.frictions.Tanh(mu=0.3), envs=6, device=where
+            wc.laws.Hooke(stiffness=1e3), friction=wc.friction.Tanh(mu=0.3), envs=6, device=where
         )
         model["touch.law.stiffness"] = [1e3, 1e3, 1e3, 1e3, 1e9, 1e3]
         model["touch.friction.mu"] = [0.3, 0.3, 0.3, 0.3, 0.3, 30.0]

@@ -18,9 +18,9 @@ import warpcontact as wc
 NAMES = ("separated", "penetrating", "deep")
 RUBBER = wc.ContactMaterial(
     law=wc.laws.HuntCrossley(stiffness=1e5, exponent=1.5, restitution=0.7),
-    friction=wc.frictions.CundallStrack(mu_static=0.4, mu_dynamic=0.4, stiffness=2e4, damping=5.0),
-    rolling=wc.frictions.Tanh(mu=0.01, velocity_scale=1e-2),
-    torsion=wc.frictions.Tanh(mu=0.4, velocity_scale=1e-2),
+    friction=wc.friction.CundallStrack(mu_static=0.4, mu_dynamic=0.4, stiffness=2e4, damping=5.0),
+    rolling=wc.friction.Tanh(mu=0.01, velocity_scale=1e-2),
+    torsion=wc.friction.Tanh(mu=0.4, velocity_scale=1e-2),
 )
 STEEL = wc.ContactMaterial(law=wc.laws.HuntCrossley(stiffness=1e7, exponent=1.5, restitution=1.0))
 SENSORS = ("gap", "normal", "normal_force", "friction_force", "torque", "slip_speed", "approach_speed", "point")
@@ -229,7 +229,7 @@ def two_ellipsoids(device, precision="float32", envs=4):
     ]
     material = wc.ContactMaterial(
         law=wc.laws.HuntCrossley(stiffness=1e5, exponent=1.5, restitution=0.7),
-        friction=wc.frictions.CundallStrack(mu_static=0.4, mu_dynamic=0.4, stiffness=2e4, damping=5.0),
+        friction=wc.friction.CundallStrack(mu_static=0.4, mu_dynamic=0.4, stiffness=2e4, damping=5.0),
     )
     scene.add_shape_contact(shapes[1], shapes[0], material, name="touch")
     model = scene.build(envs, device, precision)

@@ -6,7 +6,7 @@ from scenes import square
 
 import warpcontact as wc
 
-STICK = wc.frictions.CundallStrack
+STICK = wc.friction.CundallStrack
 G = 10.0
 STIFFNESS = 1.0e4
 # Damping ratio: overshoot exp(−2 φ cot φ), φ = arccos ζ.
@@ -60,7 +60,7 @@ def test_from_overshoot_inverts_the_closed_form():
             mu_static=0.5, mu_dynamic=0.4, stiffness=4.0e4, mass=0.25, overshoot=float(overshoot)
         )
         np.testing.assert_allclose(chosen.damping, 2.0 * ratio * 100.0, atol=1e-6)
-    patch = wc.frictions.Mindlin.from_overshoot(
+    patch = wc.friction.Mindlin.from_overshoot(
         mu_static=0.5, mu_dynamic=0.4, shear_modulus=1.0e6, patch_radius=5.0e-3, mass=0.25, overshoot=np.exp(-2.0)
     )
     np.testing.assert_allclose(patch.damping, 2.0 * np.sqrt(8.0e6 * 5.0e-3 * 0.25), rtol=1e-6)
@@ -92,4 +92,4 @@ def test_from_overshoot_raises_for_values_out_of_range(wrong, message):
 def test_from_overshoot_of_mindlin_names_its_own_arguments(wrong, message):
     values = {"mu_static": 0.5, "mu_dynamic": 0.4, "shear_modulus": 1e6, "patch_radius": 5e-3, "mass": 1.0}
     with pytest.raises(ValueError, match=f"^{message}$"):
-        wc.frictions.Mindlin.from_overshoot(**(values | wrong))
+        wc.friction.Mindlin.from_overshoot(**(values | wrong))

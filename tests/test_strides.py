@@ -47,7 +47,7 @@ def one_sphere(scene, ground):
 
 def boxes_with_friction(scene, ground):
     law = wc.laws.KelvinVoigt(stiffness=1e4, damping=10.0)
-    material = wc.ContactMaterial(law=law, friction=wc.frictions.Tanh(mu=0.3))
+    material = wc.ContactMaterial(law=law, friction=wc.friction.Tanh(mu=0.3))
     rng = np.random.default_rng(1)
     for number in range(3):
         box = scene.add_body(mass=1.0 + number, inertia=(0.1, 0.2, 0.3))

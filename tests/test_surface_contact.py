@@ -127,8 +127,8 @@ def test_a_free_collision_of_two_meshes_conserves_momentum(sides, device):
     skin = scene.add_surface(wc.meshes.icosphere(0.06, 3), ball, name="skin")
     rubber = wc.ContactMaterial(
         law=laws.ElasticFoundation(stiffness=5e8, damping=0.3),
-        friction=wc.frictions.Tanh(mu=0.4, velocity_scale=0.02),
-        torsion=wc.frictions.Tanh(mu=0.1, velocity_scale=0.02),
+        friction=wc.friction.Tanh(mu=0.4, velocity_scale=0.02),
+        torsion=wc.friction.Tanh(mu=0.1, velocity_scale=0.02),
     )
     contacts = scene.add_surface_contact(
         skin, hull, rubber, samples=300, sides=sides, name="hit", torsion_radius=0.01, max_depth=0.02
@@ -151,8 +151,8 @@ def test_a_share_divides_all_that_acts(device):
         law=laws.KelvinVoigt(stiffness=1e5, damping=10.0),
         # Not in proportion to N, so that a share of N alone would not divide it.
         friction=Felt(drag=3.0, area=1.0),
-        rolling=wc.frictions.Tanh(mu=0.1),
-        torsion=wc.frictions.Tanh(mu=0.1),
+        rolling=wc.friction.Tanh(mu=0.1),
+        torsion=wc.friction.Tanh(mu=0.1),
     )
     scene = wc.Scene(gravity=(0, 0, 0))
     ground = scene.add_surface(square())

@@ -56,7 +56,7 @@ def test_coefficients_are_those_of_the_environment():
     ground = scene.add_surface(wc.meshes.grid((4.0, 4.0), (1, 1)), name="ground")
     body = scene.add_body(mass=1.0, inertia=[0.1] * 3, name="body")
     points = scene.add_points(body, [(0, 0, 0), (1, 0, 0)], name="points")
-    hollars = wc.frictions.Hollars(mu_static=0.6, mu_dynamic=0.4)
+    hollars = wc.friction.Hollars(mu_static=0.6, mu_dynamic=0.4)
     law = wc.laws.HuntCrossley(stiffness=1e6, restitution=0.3)
     scene.add_contact(points, ground, wc.ContactMaterial(law=law, friction=hollars), name="touch")
     model = scene.build(envs=3, device="cpu", precision="float64")
@@ -150,7 +150,7 @@ def test_static_friction_lets_go_at_its_own_coefficient():
         mass=1.0, inertia=[0.1] * 3, position=(0, 0, 0.5), motion=wc.motions.Translation(), name="block"
     )
     foot = scene.add_shape(block, wc.shapes.Sphere(0.5), name="foot")
-    friction = wc.frictions.Hollars(mu_static=0.6, mu_dynamic=0.4)
+    friction = wc.friction.Hollars(mu_static=0.6, mu_dynamic=0.4)
     hard = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e6), friction=friction)
     scene.add_shape_contact(foot, ground, hard, name="touch")
     # A sled pulls at a spring, which slips when it pulls with μ_s m g.

@@ -221,8 +221,8 @@ def test_what_it_cannot_take_is_named():
 
     law = wc.laws.Hooke(stiffness=1e5)
     with pytest.raises(ValueError, match=r"touch.friction is Viscous, which has no coefficient of friction"):
-        wc.unilateral.equilibrium(model(wc.ContactMaterial(law=law, friction=wc.frictions.Viscous(drag=1.0))))
-    rolls = wc.ContactMaterial(law=law, rolling=wc.frictions.Tanh(mu=0.1, velocity_scale=1e-3))
+        wc.unilateral.equilibrium(model(wc.ContactMaterial(law=law, friction=wc.friction.Viscous(drag=1.0))))
+    rolls = wc.ContactMaterial(law=law, rolling=wc.friction.Tanh(mu=0.1, velocity_scale=1e-3))
     with pytest.raises(ValueError, match=r"touch.rolling must be left out.*got Tanh"):
         wc.unilateral.equilibrium(model(rolls))
     whole = model(wc.ContactMaterial(law=law))

@@ -12,8 +12,8 @@ import warpcontact as wc
 pytestmark = [pytest.mark.installed, pytest.mark.filterwarnings("default")]  # of Newton
 
 SINGLE = 1e-6
-ROLLING = wc.frictions.CundallStrack(mu_static=0.02, mu_dynamic=0.01, stiffness=1e3)
-TORSION = wc.frictions.Tanh(mu=0.4, velocity_scale=1e-3)
+ROLLING = wc.friction.CundallStrack(mu_static=0.02, mu_dynamic=0.01, stiffness=1e3)
+TORSION = wc.friction.Tanh(mu=0.4, velocity_scale=1e-3)
 LINEAR = wc.laws.KelvinVoigt(stiffness=2e4, damping=30.0)
 RADIUS = 0.25
 
@@ -24,7 +24,7 @@ def ball_on(floor="plane", law=LINEAR, rolling=ROLLING, torsion_radius=0.05):
     ball = scene.add_body(2.0, (0.05,) * 3, (0, 0, 1), name="ball")
     touch = wc.ContactMaterial(
         law=law,
-        friction=wc.frictions.Tanh(mu=0.3, velocity_scale=1e-2),
+        friction=wc.friction.Tanh(mu=0.3, velocity_scale=1e-2),
         rolling=rolling,
         torsion=None if torsion_radius is None else TORSION,
     )

@@ -16,7 +16,7 @@ def recording():
     scene = wc.Scene(gravity=GRAVITY)
     plate = scene.add_shape(None, wc.shapes.Plane(), name="plate")
     law = wc.laws.HuntCrossley(stiffness=1e4, restitution=0.7)
-    rubber = wc.ContactMaterial(law=law, friction=wc.frictions.Tanh(mu=0.4))
+    rubber = wc.ContactMaterial(law=law, friction=wc.friction.Tanh(mu=0.4))
     ball = scene.add_body(0.5, (2e-4,) * 3, (0, 0, 0.3), name="ball-1", motion=wc.motions.Slider(axis=(0, 0, 1)))
     scene.add_shape_contact(scene.add_shape(ball, wc.shapes.Sphere(0.05), name="skin"), plate, rubber)
     box = scene.add_body(1.0, (1e-2,) * 3, (1, 0, 0.3), name="box")

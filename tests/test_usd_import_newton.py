@@ -103,7 +103,7 @@ def test_rolling_friction_needs_a_radius_and_is_else_named(tmp_path, one, other,
     found, scene = pair(tmp_path, material(newton_rollingFriction=0.01), one=one, other=other)
     named = [remark for remark in scene.remarks if "newton:rollingFriction is not used in 1 contacts" in remark]
     if radius is None:
-        assert isinstance(found.rolling, wc.frictions.Frictionless)
+        assert isinstance(found.rolling, wc.friction.Frictionless)
         assert named
     else:
         assert found.rolling.mu_static == pytest.approx(0.01 / radius, rel=SINGLE)

@@ -27,7 +27,7 @@ def loaded(device, tmp_path_factory):
     plane = scene.add_shape(None, wc.shapes.Plane(), name="plane")
     rubber = wc.ContactMaterial(
         law=wc.laws.KelvinVoigt(stiffness=1e5, restitution=0.6),
-        friction=wc.frictions.CundallStrack(mu_static=0.5, mu_dynamic=0.4, stiffness=1e4),
+        friction=wc.friction.CundallStrack(mu_static=0.5, mu_dynamic=0.4, stiffness=1e4),
     )
     for i, mass in enumerate(MASSES):
         inertia = np.array([0.01, 0.02, 0.025]) * mass

@@ -37,8 +37,8 @@ def balls(device, materials, **parameters):
 @pytest.mark.parametrize(
     ("friction", "static", "dynamic"),
     [
-        (wc.frictions.Tanh(mu=0.3, velocity_scale=0.01), 0.3, 0.3),
-        (wc.frictions.Stribeck(mu_static=0.5, mu_dynamic=0.4), 0.5, 0.4),
+        (wc.friction.Tanh(mu=0.3, velocity_scale=0.01), 0.3, 0.3),
+        (wc.friction.Stribeck(mu_static=0.5, mu_dynamic=0.4), 0.5, 0.4),
         (None, 0.0, 0.0),
     ],
 )
@@ -50,7 +50,7 @@ def test_both_sides_of_a_contact_have_its_friction_and_restitution(device, tmp_p
 
 
 def test_friction_that_was_varied_is_that_of_each_environment(device, tmp_path):
-    material = wc.ContactMaterial(law=STIFF, friction=wc.frictions.Tanh(mu=0.3, velocity_scale=0.01))
+    material = wc.ContactMaterial(law=STIFF, friction=wc.friction.Tanh(mu=0.3, velocity_scale=0.01))
     recording = balls(device, [material], touch_0__friction__mu=[0.1, 0.2, 0.7])
     stage = export(recording, tmp_path)
     assert not stage.GetPrimAtPath("/World/Surfaces/ground")
@@ -61,7 +61,7 @@ def test_friction_that_was_varied_is_that_of_each_environment(device, tmp_path):
 
 
 def test_friction_that_was_set_alike_is_not_that_of_the_scene(device, tmp_path):
-    material = wc.ContactMaterial(law=STIFF, friction=wc.frictions.Tanh(mu=0.3, velocity_scale=0.01))
+    material = wc.ContactMaterial(law=STIFF, friction=wc.friction.Tanh(mu=0.3, velocity_scale=0.01))
     recording = balls(device, [material], touch_0__friction__mu=0.8, touch_0__law__restitution=0.5)
     stage = export(recording, tmp_path)
     assert bound_material(stage, "/World/Surfaces/ground") == pytest.approx([0.8, 0.8, 0.5])
@@ -69,7 +69,7 @@ def test_friction_that_was_set_alike_is_not_that_of_the_scene(device, tmp_path):
 
 def test_bodies_in_contacts_of_their_own_have_materials_of_their_own(device, tmp_path):
     materials = [
-        wc.ContactMaterial(law=STIFF, friction=wc.frictions.Tanh(mu=m, velocity_scale=0.01)) for m in (0.2, 0.9)
+        wc.ContactMaterial(law=STIFF, friction=wc.friction.Tanh(mu=m, velocity_scale=0.01)) for m in (0.2, 0.9)
     ]
     stage = export(balls(device, materials), tmp_path)
     found = [bound_material(stage, f"/World/env_0/ball_{number}/touch_{number}")[0] for number in (0, 1)]
@@ -85,7 +85,7 @@ def test_shapes_have_materials_and_convex_meshes(device, tmp_path):
     floor = scene.add_shape(None, wc.shapes.Plane(), name="floor")
     body = scene.add_body(1.0, (1, 1, 1), position=(0, 0, 1), name="egg")
     shape = scene.add_shape(body, wc.shapes.Ellipsoid((0.2, 0.1, 0.15)), name="shell")
-    friction = wc.frictions.Tanh(mu=0.4, velocity_scale=0.01)
+    friction = wc.friction.Tanh(mu=0.4, velocity_scale=0.01)
     scene.add_shape_contact(shape, floor, wc.ContactMaterial(law=STIFF, friction=friction), name="touch")
     stage = export(wc.Simulation(scene.build(2, device), 1e-3).run(2e-3), tmp_path)
     for path in ("/World/env_1/egg/shell", "/World/Surfaces/floor"):

@@ -69,7 +69,7 @@ OF_SCENE = {
 #: Other entries that take numbers.
 OTHERS = {
     "Hooke.stiffness": lambda v: wc.laws.Hooke(stiffness=v),
-    "Tanh.mu": lambda v: wc.frictions.Tanh(mu=v, velocity_scale=1.0),
+    "Tanh.mu": lambda v: wc.friction.Tanh(mu=v, velocity_scale=1.0),
     "Sphere.radius": lambda v: wc.shapes.Sphere(radius=v),
     "Hinge.axis": lambda v: wc.motions.Hinge(axis=v, anchor=(0, 0, 0)),
     "E": lambda v: wc.laws.Hertz.from_materials(E=v, nu=0.3, R=0.1),

@@ -1,4 +1,4 @@
-"""A file of laws and frictions as an experiment file names them, right and wrong; tests copy it."""
+"""A file of laws and friction models as an experiment file names them, right and wrong; tests copy it."""
 
 from typing import Any
 
@@ -139,7 +139,7 @@ class StickSpring(wc.Friction):
     mu: float = wc.parameter("-", "coefficient of friction μ", at_least=0.0)
     stiffness: float = wc.parameter("N/m", "stiffness k", above=0.0)
 
-    stretch = wc.memory("m", "stretch ξ", tangent=True)
+    stretch = wc.history("m", "stretch ξ", tangent=True)
 
     @wp.func
     def advance(p: Any, s: Any, m: Any):

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from warpcontact.elements import Body, Contact, ContactMaterial, Points, Surface
     from warpcontact.experiment import Experiment, ExperimentError, Run, StoreError, open_run
     from warpcontact.health import Health
-    from warpcontact.kernels import frictions, laws, motions, springs
-    from warpcontact.kernels.formula import memory, parameter, table
-    from warpcontact.kernels.frictions.base import Friction
+    from warpcontact.kernels import friction, laws, motions, springs
+    from warpcontact.kernels.formula import history, parameter, table
+    from warpcontact.kernels.friction.base import Friction
     from warpcontact.kernels.laws.base import Law
     from warpcontact.kernels.motions.base import Motion
     from warpcontact.kernels.outcomes.base import Outcome
@@ -69,7 +69,7 @@ _HOME = {
     "Events": "warpcontact.outcomes.watch",
     "Experiment": "warpcontact.experiment",
     "ExperimentError": "warpcontact.experiment",
-    "Friction": "warpcontact.kernels.frictions.base",
+    "Friction": "warpcontact.kernels.friction.base",
     "Health": "warpcontact.health",
     "Law": "warpcontact.kernels.laws.base",
     "LineStatus": "warpcontact.status",
@@ -107,11 +107,11 @@ _HOME = {
     "check_usd": "warpcontact.usd",
     "export_usd": "warpcontact.usd",
     "film": "warpcontact.rendering",
-    "frictions": "warpcontact.kernels.frictions",
+    "friction": "warpcontact.kernels.friction",
     "integrators": "warpcontact.integrators",
     "laws": "warpcontact.kernels.laws",
     "load_mesh": "warpcontact.meshes",
-    "memory": "warpcontact.kernels.formula",
+    "history": "warpcontact.kernels.formula",
     "meshes": "warpcontact.meshes",
     "motions": "warpcontact.kernels.motions",
     "open_run": "warpcontact.experiment",
@@ -187,11 +187,11 @@ __all__ = [
     "convergence",
     "export_usd",
     "film",
-    "frictions",
+    "friction",
+    "history",
     "integrators",
     "laws",
     "load_mesh",
-    "memory",
     "meshes",
     "motions",
     "open_run",

@@ -89,7 +89,7 @@ class _Common:
     Attributes:
         scene: What there is.
         precision: Of state and forces.
-        groups: All contacts by the code of their laws and frictions.
+        groups: All contacts by the code of their laws and friction models.
         contacts: The same as they lie on the device, in the order of their groups.
         blocks: What they are worked on in.
         patches: What they search.

@@ -9,7 +9,7 @@ from warpcontact import checks
 from warpcontact.contact_range import ContactRange
 from warpcontact.elements import Contact, ContactMaterial, Surface
 from warpcontact.kernels import laws
-from warpcontact.kernels.frictions import Friction, Frictionless
+from warpcontact.kernels.friction import Friction, Frictionless
 from warpcontact.kernels.keywords import keywords_of, refuse_unknown
 from warpcontact.meshes.quadrature import ORDERS, face_points
 from warpcontact.surface_contact import SIDES

@@ -8,7 +8,7 @@ import numpy as np
 from warpcontact.checks import Array
 from warpcontact.contact_range import ExpectedImpact
 from warpcontact.friction_advice import LOOKED_AT, USUAL_SPEED, steepness_under
-from warpcontact.kernels.frictions import Frictionless
+from warpcontact.kernels.friction import Frictionless
 from warpcontact.meshes.topology import area_vectors
 from warpcontact.mobility import LEAST_MOBILITY, mobility_of
 from warpcontact.vectors import norm

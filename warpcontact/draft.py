@@ -41,9 +41,9 @@ class PartDraft(OfScene):
         layout: What is to lie on the device.
         arrays: The arrays, once they are built.
         parameters: The parameters.
-        groups: The contacts by the code of their laws and frictions.
+        groups: The contacts by the code of their laws and friction models.
         couplings: The couplings by their code.
-        smooth: The shape contacts by the code of their laws and frictions.
+        smooth: The shape contacts by the code of their laws and friction models.
         piles: The particle contacts.
         drives: The bodies that follow functions of time, by class.
         blocks: The contacts by what lies together.

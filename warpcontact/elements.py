@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from warpcontact import frames
 from warpcontact.checks import Array, limits
 from warpcontact.kernels.formula import Formula
-from warpcontact.kernels.frictions import Friction, Frictionless
+from warpcontact.kernels.friction import Friction, Frictionless
 from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.kernels.laws import Law
 from warpcontact.kernels.motions import Motion
@@ -44,7 +44,7 @@ class ContactMaterial:
 
     Args:
         law: Normal-force law, an instance of a class of ``wc.laws`` or of your own ``wc.Law``.
-        friction: Friction model, of ``wc.frictions`` or your own ``wc.Friction``; ``None``: frictionless.
+        friction: Friction model, of ``wc.friction`` or your own ``wc.Friction``; ``None``: frictionless.
         rolling: Friction model of the resistance to rolling; ``None``: none.
         torsion: Friction model of the resistance to spinning about the normal; ``None``: none.
     """
@@ -71,7 +71,7 @@ class ContactMaterial:
 
     @property
     def formulas(self) -> dict[str, Formula]:
-        """The law and the frictions by the name of their part."""
+        """The law and the friction models by the name of their part."""
         return {name: getattr(self, name) for name in Parts._fields}
 
     @property
@@ -256,7 +256,7 @@ class Contact:
 
     @property
     def code(self) -> tuple[Parts, bool]:
-        """What its force kernel is chosen by: law and frictions, and whether it weighs by normals."""
+        """What its force kernel is chosen by: law and friction models, and whether it weighs by normals."""
         return self.material.parts, self.facing == "projected"
 
     @property

@@ -9,7 +9,7 @@ import warp as wp
 from warpcontact.checks import Array
 from warpcontact.kernels import pull_off, steepness
 from warpcontact.kernels.formula import Formula
-from warpcontact.kernels.frictions import Frictionless
+from warpcontact.kernels.friction import Frictionless
 from warpcontact.mobility import LEAST_MOBILITY, mobility_of
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ USUAL_SPEED = 1.0
 
 
 def friction_advice(model: "Environments", contact: "Contact", dt: float) -> list[str]:
-    """Returns what to say about the frictions of a contact, a sentence for each whose step is too long.
+    """Returns what to say about the friction models of a contact, a sentence for each whose step is too long.
 
     Under its share of the weight, and the pull-off force of a law that pulls, with the mass that slip, rolling or
     twist sees.
@@ -84,7 +84,7 @@ def steepness_under(
     Args:
         model: The model.
         contact: One of its contacts.
-        part: Which of its frictions.
+        part: Which of its friction_models.
         load: Normal force of the first environments, (env, item) [N].
         patch: Radius of the patch of a sphere, likewise [m].
     """

@@ -15,7 +15,7 @@ from warpcontact.contact_couplings import ContactCouplings
 from warpcontact.formula_errors import explained, of_users
 from warpcontact.kernels import contact_force
 from warpcontact.kernels.formula import Formula, coefficient_struct
-from warpcontact.kernels.frictions import Frictionless
+from warpcontact.kernels.friction import Frictionless
 from warpcontact.kernels.memory import memory_struct
 from warpcontact.kernels.touch import Parts, group_structs
 from warpcontact.kernels.types import structs
@@ -25,10 +25,10 @@ from warpcontact.scene import Contact
 
 @dataclass(frozen=True)
 class Group:
-    """Contacts side by side on the device that share the code of their law and frictions.
+    """Contacts side by side on the device that share the code of their law and friction models.
 
     Attributes:
-        parts: The classes of law and frictions.
+        parts: The classes of law and friction models.
         projected: Whether its contacts are weighed by the normals of their points.
         moves: Whether bodies that are not free oppose to its forces what their motions let them.
         real: Type of a real number.
@@ -67,7 +67,7 @@ class Group:
         return contact_force.kernel(self.parts, self.real, self.moves, self.projected)
 
     def compile(self, device: wp.Device) -> None:
-        """Compiles the force kernel of users' laws and frictions, so that a mistake in them shows at once.
+        """Compiles the force kernel of users' laws and friction models, so that a mistake in them shows at once.
 
         Raises:
             TypeError: If one does not compile.
@@ -105,7 +105,7 @@ def make_group(
     real: type,
     moves: bool,
 ) -> Group:
-    """Adds the parameters of the laws and frictions of ``contacts``, and the memory that these have.
+    """Adds the parameters of the laws and friction models of ``contacts``, and the memory that these have.
 
     ``moves`` says whether any body of the scene is not free.
     """

@@ -21,13 +21,15 @@ def add_to(commands: Any) -> None:
     """Adds the command and its options to the parsers of all commands."""
     laws = commands.add_parser(
         "laws",
-        help="list the laws and frictions, or draw some",
-        description="List the laws and frictions that come with it, or draw what they do in one impact or slip. "
+        help="list the laws and friction models, or draw some",
+        description="List the laws and friction models that come with it, or draw what they do in one impact or slip. "
         "NAME is one of these, or FILE.py:CLASS for one of your own; the file is run.",
     )
     laws.add_argument("name", metavar="NAME", nargs="?", help="show this one only")
     laws.add_argument("--plot", metavar="FILE", help="draw it into an .svg or .png file")
-    laws.add_argument("--compare", metavar="NAME", nargs="+", help="draw these laws, or frictions, side by side")
+    laws.add_argument(
+        "--compare", metavar="NAME", nargs="+", help="draw these laws, or friction models, side by side"
+    )
     laws.add_argument(
         "--set",
         metavar="PARAMETER=VALUE",
@@ -108,7 +110,7 @@ def _found(name: str) -> Chosen:
     file, colon, class_name = name.rpartition(":")
     if not colon or not file.endswith(".py"):
         return Chosen(name, listing.find(name))
-    from warpcontact import frictions, laws
+    from warpcontact import friction, laws
     from warpcontact.experiment.own import OwnFiles
 
     try:
@@ -117,7 +119,7 @@ def _found(name: str) -> Chosen:
         raise ValueError(f"{name}: {file!r} cannot be read: {error}") from None
     own = OwnFiles(path.parent, lambda text: None, trusted=True)
     try:
-        return Chosen(name, own.find(path.name, class_name, laws.Law, frictions.Friction), own)
+        return Chosen(name, own.find(path.name, class_name, laws.Law, friction.Friction), own)
     except ValueError as error:
         raise ValueError(f"{name}{error}") from None
 
@@ -159,7 +161,7 @@ def _parameters(entry: Chosen) -> list[str]:
 
 
 def _plot(chosen: Sequence[Chosen], file: str, values: dict[str, float], options: dict[str, Any]) -> None:
-    """Draws laws or frictions.
+    """Draws laws or friction models.
 
     Raises:
         ValueError: If they are mixed, or an option, a value or the file is not allowed.
@@ -171,15 +173,15 @@ def _plot(chosen: Sequence[Chosen], file: str, values: dict[str, float], options
     others = [entry.name for entry in chosen if entry.name not in ours]
     if ours and others:
         raise ValueError(
-            f"laws and frictions cannot be compared with each other: {', '.join(ours)} with {', '.join(others)}"
+            f"laws and friction models cannot be compared with each other: {', '.join(ours)} with {', '.join(others)}"
         )
     for name in options:
         if name in (OF_FRICTIONS if ours else OF_LAWS):
-            kind = "frictions" if ours else "laws"
+            kind = "friction models" if ours else "laws"
             raise ValueError(f"--{name} is an option of {kind}, and not of {', '.join(ours or others)}")
     _check_options(options)
     entries = _entries(chosen, values)
-    figures.check_count("laws" if ours else "frictions", list(entries))
+    figures.check_count("laws" if ours else "friction models", list(entries))
     if "depth" in options and all(map(samples.has_modulus, entries.values())):
         raise ValueError("--depth is what stiffnesses are chosen for, and here all are given: leave it out")
     with _blamed(chosen):
@@ -188,7 +190,7 @@ def _plot(chosen: Sequence[Chosen], file: str, values: dict[str, float], options
             (samples.law if ours else samples.friction)(entry, 1.0, 1.0e-3)
         compare.check_path(file)
         print("running impacts …" if ours else "running slips …", file=sys.stderr, flush=True)
-        draw = compare.plot_laws if ours else compare.plot_frictions
+        draw = compare.plot_laws if ours else compare.plot_friction_models
         draw(entries, file, **options)
 
 

@@ -1,4 +1,4 @@
-"""The catalogue of laws and frictions as text, and how to find an entry by its name."""
+"""The catalogue of laws and friction models as text, and how to find an entry by its name."""
 
 import dataclasses
 import inspect
@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any
 
-from warpcontact.kernels import frictions, laws
+from warpcontact.kernels import friction, laws
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.names import suggestion
 
@@ -31,7 +31,7 @@ LEGEND = (
 
 
 #: What nonsmooth contact is given.
-HARD: tuple[type[Formula], ...] = (*laws.RIGID, *frictions.RIGID)
+HARD: tuple[type[Formula], ...] = (*laws.RIGID, *friction.RIGID)
 
 
 class UnknownName(ValueError):
@@ -40,7 +40,7 @@ class UnknownName(ValueError):
 
 def every() -> dict[str, type[Formula]]:
     """Returns all entries by their names, laws first."""
-    return {formula.__name__: formula for formula in (*laws.CATALOGUE, *frictions.CATALOGUE, *HARD)}
+    return {formula.__name__: formula for formula in (*laws.CATALOGUE, *friction.CATALOGUE, *HARD)}
 
 
 def find(name: str) -> type[Formula]:
@@ -59,7 +59,11 @@ def find(name: str) -> type[Formula]:
 def catalogue() -> str:
     """Returns the whole catalogue."""
     lines = [*LETTERS, *LEGEND]
-    for title, formulas in (("LAWS", laws.CATALOGUE), ("FRICTIONS", frictions.CATALOGUE), ("HARD CONTACT", HARD)):
+    for title, formulas in (
+        ("LAWS", laws.CATALOGUE),
+        ("FRICTIONS", friction.CATALOGUE),
+        ("HARD CONTACT", HARD),
+    ):
         lines += ["", title]
         for formula in formulas:
             lines += ["", *entry(formula)]

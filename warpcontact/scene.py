@@ -135,7 +135,7 @@ class Scene(Bodies, Couplings, ShapeContacts, ParticleContacts):
 
         Args:
             path: A .usd, .usda, .usdc or .usdz file.
-            own: Laws, frictions, springs, motions and shapes of one's own that a stage of ours was made with.
+            own: Laws, friction models, springs, motions and shapes of one's own that a stage of ours was made with.
             material: Of a stage of others, law and friction of all contacts; ``None``: what its materials say.
             contact_time: Time that an impact takes there, which the stiffness of contacts follows from [s].
             samples: How points of meshes that touch meshes are made there, as for ``add_surface_contact``.

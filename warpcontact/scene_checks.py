@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from warpcontact import checks
 from warpcontact.checks import Array
 from warpcontact.elements import KAPPA, MAX_DEPTH, SHARE, TORSION_RADIUS, ContactMaterial, Points, needs_radius
-from warpcontact.kernels.frictions import Frictionless
+from warpcontact.kernels.friction import Frictionless
 from warpcontact.meshes import Mesh
 from warpcontact.meshes.groups import face_mask
 

@@ -74,11 +74,11 @@ def laws(names: Names, number: int) -> Plan:
     """
     first = number * LAWS_PER_SCENE
     chosen = list(LAWS.items())[first : first + LAWS_PER_SCENE]
-    frictions = list(FRICTIONS.items())
+    friction_models = list(FRICTIONS.items())
     scene = names.Scene()
     ground = scene.add_surface(names.meshes.sinusoidal_terrain((4.0, 4.0), (16, 16), 0.05, 2.0), name="ground")
     for place, (law, values) in enumerate(chosen):
-        friction, of_friction = frictions[(first + place) % len(frictions)]
+        friction, of_friction = friction_models[(first + place) % len(friction_models)]
         body = scene.add_body(
             mass=0.53,
             inertia=(5e-4, 6e-4, 7e-4),

@@ -17,7 +17,7 @@ class Run:
     ) -> None:
         scene = wc.Scene(gravity=(0.0, 0.0, -GRAVITY))
         below = scene.add_surface(wc.meshes.grid((20.0, 20.0), (2, 2)), name="ground")
-        material = wc.ContactMaterial(law=wc.laws.Rigid(), friction=wc.frictions.Coulomb(mu=FRICTION))
+        material = wc.ContactMaterial(law=wc.laws.Rigid(), friction=wc.friction.Coulomb(mu=FRICTION))
         for number, place in enumerate(work.start()):
             body = scene.add_body(MASS, work.inertia, position=place, name=f"box{number}")
             feet = scene.add_points(body, work.places, name=f"feet{number}")

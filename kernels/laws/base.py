@@ -34,7 +34,7 @@ class Law(Formula):
     at rest, max(0, −N(δ → 0, δ̇ = 0)). A law with a larger tension elsewhere defines ``pull_off(p, c)``, a
     ``wp.func`` with the arguments of ``force``, which returns F_p [N].
 
-    A law that remembers (the deepest penetration so far, a creep) declares what, with ``wc.memory``, and has two
+    A law that remembers (the deepest penetration so far, a creep) declares what, with ``wc.history``, and has two
     functions of ``(p, c, m)``: ``advance`` returns the memory ``m`` after the time ``m.elapsed`` [s] since it last
     did, and ``force`` the force from that.
     """

@@ -51,7 +51,7 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool, hard:
     """Returns the kernel of the touches that a shape owns; items: shapes.
 
     Args:
-        parts: The classes of law and frictions.
+        parts: The classes of law and friction models.
         form: What is in the pile.
         real: Precision.
         moves: Whether bodies that are not free oppose to a force what their motions let them.

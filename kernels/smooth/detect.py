@@ -195,7 +195,7 @@ def kernel(kind_a: type[Shape], kind_b: type[Shape], real: type, curved: bool, o
         kind_a: Of the first shapes.
         kind_b: Of the second, out of which normals point.
         real: Precision.
-        curved: Whether laws or frictions look at curvatures.
+        curved: Whether laws or friction models look at curvatures.
         oriented: Whether they look at directions that turn with the second shape.
     """
     t = structs(real)

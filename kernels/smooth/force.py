@@ -14,7 +14,7 @@ from warpcontact.kernels.unique import unique_kernel
 
 
 def looks_at_curvature(parts: Parts) -> bool:
-    """Whether law or frictions of these classes look at the curvatures of what touches."""
+    """Whether law or friction models of these classes look at the curvatures of what touches."""
     return parts.law.needs_curvature or parts.friction.needs_radius or parts.rolls or parts.twists
 
 

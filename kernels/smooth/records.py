@@ -73,7 +73,7 @@ def contact_structs(real: type) -> SimpleNamespace:
         iterations: wp.array2d(dtype=wp.int32)  # [env, contact]
         residual: wp.array2d(dtype=real)  # [env, contact] [-]
         failures: wp.array2d(dtype=wp.int32)  # [env, contact] steps without a solution since reset
-        # Only looked at by some laws and frictions
+        # Only looked at by some laws and friction models
         curvature_1: wp.array2d(dtype=real)  # [env, contact] of the gap, the smaller principal one [1/m]
         curvature_2: wp.array2d(dtype=real)  # [env, contact] the larger [1/m]
         radius: wp.array2d(dtype=real)  # [env, contact] of rolling and of a patch of contact [m]

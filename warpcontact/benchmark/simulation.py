@@ -8,7 +8,7 @@ import warp as wp
 
 from warpcontact.benchmark.works import DAMPING, DT, FRICTION, SLIP_SPEED, STIFFNESS, Work
 from warpcontact.elements import ContactMaterial
-from warpcontact.kernels import frictions, laws
+from warpcontact.kernels import friction, laws
 from warpcontact.kernels.smooth.sphere import Sphere
 from warpcontact.meshes import Mesh
 from warpcontact.scene import Scene
@@ -29,7 +29,7 @@ def simulation(work: Work, envs: int, device: str, precision: str = "float32", *
     stepping = {name: options.pop(name) for name in tuple(options) if name in names}
     material = ContactMaterial(
         law=laws.KelvinVoigt(stiffness=STIFFNESS, damping=DAMPING),
-        friction=frictions.Tanh(mu=FRICTION, velocity_scale=SLIP_SPEED),
+        friction=friction.Tanh(mu=FRICTION, velocity_scale=SLIP_SPEED),
     )
     scene = Scene()
     ground = scene.add_surface(Mesh(work.surface.vertices, work.surface.faces), name="ground")

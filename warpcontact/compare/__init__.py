@@ -1,9 +1,9 @@
-"""Laws and frictions side by side, measured in the engine: data sets, and pictures to choose by."""
+"""Laws and friction models side by side, measured in the engine: data sets, and pictures to choose by."""
 
 from warpcontact.compare.figures import check_path
-from warpcontact.compare.friction_picture import plot_frictions
+from warpcontact.compare.friction_picture import plot_friction_models
 from warpcontact.compare.impact import impacts, rebounds
 from warpcontact.compare.law_picture import plot_laws
 from warpcontact.compare.slip import slips, swings
 
-__all__ = ["check_path", "impacts", "plot_frictions", "plot_laws", "rebounds", "slips", "swings"]
+__all__ = ["check_path", "impacts", "plot_friction_models", "plot_laws", "rebounds", "slips", "swings"]

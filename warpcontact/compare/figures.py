@@ -1,4 +1,4 @@
-"""What all pictures of laws and frictions share: a sheet with a heading, colours, and the file it goes to."""
+"""What all pictures of laws and friction models share: a sheet with a heading, colours, and the file it goes to."""
 
 import re
 import textwrap
@@ -15,7 +15,7 @@ from warpcontact.picture_file import check_path, save
 
 __all__ = ["check_path", "save"]  # and what follows
 
-#: More laws or frictions than this in one picture cannot be told apart.
+#: More laws or friction models than this in one picture cannot be told apart.
 MOST = 8
 #: Panels beside each other.
 COLUMNS = 4

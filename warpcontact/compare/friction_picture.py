@@ -1,4 +1,4 @@
-"""Pictures of frictions: the coefficient over slip speed, and loops of a slip that swings to and fro."""
+"""Pictures of friction models: the coefficient over slip speed, and loops of a slip that swings to and fro."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from warpcontact.compare import figures, samples
 from warpcontact.compare.labels import number, prefixed, titled
 from warpcontact.compare.slip import breakaways, own_speeds, slips, swings
-from warpcontact.kernels.frictions.base import Friction
+from warpcontact.kernels.friction.base import Friction
 from warpcontact.kernels.keywords import explain_keywords
 
 # Slip speeds of the linear panel, in terms of the highest that a friction names.
@@ -26,11 +26,13 @@ LEAST = 0.1
 
 
 @explain_keywords
-def plot_frictions(frictions: Any, path: Any = None, *, load: float = 10.0, device: str = "cpu") -> Figure:
+def plot_friction_models(
+    friction_models: Any, path: Any = None, *, load: float = 10.0, device: str = "cpu"
+) -> Figure:
     """Draws one friction, or several side by side; see ``slips`` and ``swings``.
 
     Args:
-        frictions: A friction, several, or a mapping from labels to frictions; instances, or classes with or
+        friction_models: A friction, several, or a mapping from labels to friction models; instances, or classes with or
             without values.
         path: The .svg or .png file; ``None``: none is written.
         load: Normal force [N].
@@ -41,11 +43,11 @@ def plot_frictions(frictions: Any, path: Any = None, *, load: float = 10.0, devi
 
     Raises:
         TypeError: If a friction is none.
-        ValueError: If a value is out of range, the file cannot be written there, or there are too many frictions.
+        ValueError: If a value is out of range, the file cannot be written there, or there are too many friction models.
     """
     file = None if path is None else figures.check_path(path)
-    given = samples.named(Friction, frictions)
-    figures.check_count("frictions", list(given))
+    given = samples.named(Friction, friction_models)
+    figures.check_count("friction models", list(given))
     options: dict[str, Any] = {"load": load, "device": device}
     swinging = swings(given, **options)
     # Close together where speeds are shown from zero, too.
@@ -108,7 +110,7 @@ def _several(
     held: dict[str, float],
     directional: list[str],
 ) -> Figure:
-    """Draws frictions over each other, and the loops of each beside each other; ``directional`` slide along x."""
+    """Draws friction models over each other, and the loops of each beside each other; ``directional`` slide along x."""
     labels = steady["friction"].values.tolist()
     rows = -(-len(labels) // figures.COLUMNS)
     holding = _holding(held, [steady])
@@ -153,7 +155,7 @@ def _draw_swings(axes: Any, friction: xr.Dataset, colors: Any, **style: Any) -> 
 
 
 def _holding(held: dict[str, float], steady: list[xr.Dataset]) -> dict[str, float]:
-    """Returns what frictions hold at rest, of those for which it is more than ever in steady slip."""
+    """Returns what friction models hold at rest, of those for which it is more than ever in steady slip."""
     most = {label: max(float(data["coefficient"].sel(friction=label).max()) for data in steady) for label in held}
     return {label: greatest for label, greatest in held.items() if greatest > HOLDS * most[label]}
 

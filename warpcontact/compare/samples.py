@@ -1,4 +1,4 @@
-"""Laws and frictions to look at: instances are taken as they are, classes get values that suit the experiment.
+"""Laws and friction models to look at: instances are taken as they are, classes get values that suit the experiment.
 
 A class may come with some of its values, as ``functools.partial``: these are kept, and only the rest is chosen.
 """
@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from warpcontact.kernels.formula import Formula
-from warpcontact.kernels.frictions.base import Friction
+from warpcontact.kernels.friction.base import Friction
 from warpcontact.kernels.laws.base import Law
 
 # Parameters in proportion to which the elastic force grows.
@@ -153,7 +153,7 @@ def friction(entry: Any, load: float, patch_radius: float) -> Friction:
 
 
 def coefficients_chosen(entries: Iterable[Any]) -> str:
-    """Returns the coefficients that frictions are shown with because none were given, as a text."""
+    """Returns the coefficients that friction models are shown with because none were given, as a text."""
     chosen = {
         name
         for entry in entries

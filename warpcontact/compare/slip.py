@@ -1,4 +1,4 @@
-"""Frictions under a prescribed slip: what they answer to a steady one, and to one that swings to and fro.
+"""Friction models under a prescribed slip: what they answer to a steady one, and to one that swings to and fro.
 
 A sphere per friction is pressed on a plate, in float64, one environment per case. It is so heavy that nothing
 slows or turns it, and lies in balance between its spring and gravity, so slip and load are as prescribed; the
@@ -17,7 +17,7 @@ from warpcontact.checks import Array
 from warpcontact.compare import samples
 from warpcontact.compare.labels import notes, settings
 from warpcontact.environments import Environments
-from warpcontact.kernels.frictions.base import Friction
+from warpcontact.kernels.friction.base import Friction
 from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.kernels.laws.hooke import Hooke
 from warpcontact.meshes import grid
@@ -29,9 +29,9 @@ from warpcontact.simulation import Simulation
 HEAVY = 1.0e12
 # Radius of the spheres, and how deep they lie in the plate [m].
 RADIUS, DEPTH = 0.05, 1.0e-5
-# Slip speeds that are shown of frictions that have none of their own [m/s].
+# Slip speeds that are shown of friction models that have none of their own [m/s].
 USUAL_SPEEDS = (1.0e-3, 1.0e-1)
-# Amplitude of a swing for frictions that follow the slip speed at once [m].
+# Amplitude of a swing for friction models that follow the slip speed at once [m].
 USUAL_AMPLITUDE = 1.0e-3
 # Swings in terms of the largest one.
 SWINGS = (0.1, 0.3, 1.0)
@@ -50,7 +50,7 @@ PERIODS = 2.0
 
 @explain_keywords
 def slips(
-    frictions: Any,
+    friction_models: Any,
     speeds: Any = None,
     *,
     direction: float = 0.0,
@@ -60,10 +60,10 @@ def slips(
     """Measures the coefficient of friction in steady slip, one environment per speed.
 
     Args:
-        frictions: A friction, several, or a mapping from labels to frictions; each an instance, or a class,
+        friction_models: A friction, several, or a mapping from labels to friction models; each an instance, or a class,
             which then slides with 0.4, and holds with μ_s = 0.5. With some of its values,
             ``functools.partial(Class, mu=0.3)``, these are kept and the rest is chosen.
-        speeds: Slip speeds [m/s]; around those that the frictions name if not given.
+        speeds: Slip speeds [m/s]; around those that the friction models name if not given.
         direction: Direction of the slip, from the surface's x axis about its normal [rad].
         load: Normal force [N].
         device: Warp device.
@@ -76,7 +76,7 @@ def slips(
         TypeError: If a friction is none.
         ValueError: If a value is out of range, or a class needs values that only its author knows.
     """
-    chosen, load = _chosen(frictions, load)
+    chosen, load = _chosen(friction_models, load)
     if speeds is None:
         slow, fast = own_speeds(chosen, load)
         every = np.geomspace(slow / 50.0, 10.0 * fast, 181)
@@ -96,7 +96,7 @@ def slips(
 
 @explain_keywords
 def swings(
-    frictions: Any,
+    friction_models: Any,
     amplitude: Any = None,
     *,
     speed: float | None = None,
@@ -108,10 +108,10 @@ def swings(
     It begins at rest where the swing turns, so what a friction remembers starts from nothing.
 
     Args:
-        frictions: As for ``slips``.
+        friction_models: As for ``slips``.
         amplitude: Amplitudes of the displacement [m]; if not given, one that takes every friction well beyond
             where it yields, and two smaller ones.
-        speed: Greatest slip speed of the largest amplitude [m/s]; above those that the frictions name if not
+        speed: Greatest slip speed of the largest amplitude [m/s]; above those that the friction models name if not
             given. All swing with the same period.
         load: Normal force [N].
         device: Warp device.
@@ -124,7 +124,7 @@ def swings(
         TypeError: If a friction is none.
         ValueError: If a value is out of range, or a class needs values that only its author knows.
     """
-    chosen, load = _chosen(frictions, load)
+    chosen, load = _chosen(friction_models, load)
     fast = 3.0 * own_speeds(chosen, load)[1] if speed is None else speed
     fast = float(checks.numbers("speed", fast, (), checks.limits("m/s", above=0.0)))
     if amplitude is None:
@@ -173,19 +173,19 @@ def swings(
     )
 
 
-def _chosen(frictions: Any, load: float) -> tuple[dict[str, Friction], float]:
+def _chosen(friction_models: Any, load: float) -> tuple[dict[str, Friction], float]:
     load = float(checks.numbers("load", load, (), LOAD))
-    given = samples.named(Friction, frictions)
+    given = samples.named(Friction, friction_models)
     patch = float(np.sqrt(RADIUS * DEPTH))
     return {label: samples.friction(friction, load, patch) for label, friction in given.items()}, load
 
 
-def breakaways(frictions: Any, load: float, device: str) -> dict[str, float]:
-    """Returns by label the greatest coefficient on a slow way from rest, of frictions that do not yield at once.
+def breakaways(friction_models: Any, load: float, device: str) -> dict[str, float]:
+    """Returns by label the greatest coefficient on a slow way from rest, of friction models that do not yield at once.
 
     What holds a body at rest does not show in steady slip.
     """
-    chosen, load = _chosen(frictions, load)
+    chosen, load = _chosen(friction_models, load)
     reach = _yield_distances(chosen, load, device)
     yielding = {label: friction for label, friction in chosen.items() if reach[label] > 0.0}
     if not yielding:
@@ -197,9 +197,9 @@ def breakaways(frictions: Any, load: float, device: str) -> dict[str, float]:
     return dict(zip(yielding, greatest.tolist(), strict=True))
 
 
-def own_speeds(frictions: Any, load: float) -> tuple[float, float]:
-    """Returns the lowest and the highest slip speed that frictions have as parameters [m/s]."""
-    chosen, _ = _chosen(frictions, load)
+def own_speeds(friction_models: Any, load: float) -> tuple[float, float]:
+    """Returns the lowest and the highest slip speed that friction models have as parameters [m/s]."""
+    chosen, _ = _chosen(friction_models, load)
     own = [
         value
         for friction in chosen.values()
@@ -210,9 +210,9 @@ def own_speeds(frictions: Any, load: float) -> tuple[float, float]:
 
 
 def _from_rest(chosen: Mapping[str, Friction], load: float, device: str, distances: Array) -> Array:
-    """Returns the coefficients of frictions that have slid ``distances`` [m] from rest, (distance, friction).
+    """Returns the coefficients of friction models that have slid ``distances`` [m] from rest, (distance, friction).
 
-    The slip is slow against the speeds that the frictions name, but for those that follow it at once it does not
+    The slip is slow against the speeds that the friction models name, but for those that follow it at once it does not
     matter how slow.
     """
     speed = own_speeds(chosen, load)[0]
@@ -235,7 +235,7 @@ def _yield_distances(chosen: Mapping[str, Friction], load: float, device: str) -
 
 
 def _settling(chosen: Mapping[str, Friction], load: float, device: str) -> float:
-    """Returns the slip distance after which all frictions are steady [m]."""
+    """Returns the slip distance after which all friction models are steady [m]."""
     return 30.0 * max(_yield_distances(chosen, load, device).values())
 
 

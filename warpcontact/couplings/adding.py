@@ -33,7 +33,7 @@ from warpcontact.kernels.springs import Damper, Spring
 if TYPE_CHECKING:
     from warpcontact.contact_coupling import ContactCoupling
     from warpcontact.contact_range import ContactRange
-    from warpcontact.kernels.frictions import Friction
+    from warpcontact.kernels.friction import Friction
     from warpcontact.scene import Scene
 
 

@@ -1,4 +1,4 @@
-"""Tables of the experiment file that follow from classes and functions: laws, frictions, motions, meshes.
+"""Tables of the experiment file that follow from classes and functions: laws, friction models, motions, meshes.
 
 Their keys are the parameters of the classes and generators, with the ranges that are declared there. What a table
 says it is decides which model it is validated with; a law or friction of the library and one of a user's own are
@@ -29,7 +29,7 @@ from warpcontact.checks import limits
 from warpcontact.experiment import quantities as q
 from warpcontact.experiment.errors import shown
 from warpcontact.experiment.own import OwnFiles, blame
-from warpcontact.kernels import frictions, laws, motions, springs
+from warpcontact.kernels import friction, laws, motions, springs
 from warpcontact.kernels.formula import ROWS, Formula, unit_vectors
 from warpcontact.kernels.names import suggestion
 from warpcontact.kernels.smooth import shapes
@@ -182,7 +182,7 @@ def own_class(given: Any) -> tuple[str, str]:
 
 @functools.cache
 def settings_model(formula: type[Formula]) -> type[FormulaSettings]:
-    """Returns the model of the tables of a class of laws, frictions or motions.
+    """Returns the model of the tables of a class of laws, friction models or motions.
 
     Raises:
         ValueError: If a parameter has a name that a table cannot have; the message continues the key ``type``.
@@ -220,7 +220,7 @@ def _kind_of(allowed: Any) -> Any:
 
 #: What the formulas of a material, a spring-damper, a body and a shape are, by their keys.
 FORMULAS: dict[str, Any] = {
-    **{part: laws.Law if part == "law" else frictions.Friction for part in Parts._fields},
+    **{part: laws.Law if part == "law" else friction.Friction for part in Parts._fields},
     "spring": springs.Spring,
     "damper": springs.Damper,
     "motion": motions.Motion,
@@ -229,7 +229,7 @@ FORMULAS: dict[str, Any] = {
 #: Where the classes are that come with the library, by what they are and by name.
 CATALOGUES: dict[Any, dict[str, Any]] = {
     laws.Law: dict.fromkeys(laws.NAMES, laws),
-    frictions.Friction: dict.fromkeys(frictions.NAMES, frictions),
+    friction.Friction: dict.fromkeys(friction.NAMES, friction),
     springs.Spring: dict.fromkeys(springs.SPRING_NAMES, springs),
     springs.Damper: dict.fromkeys(springs.DAMPER_NAMES, springs),
     motions.Motion: dict.fromkeys(motions.NAMES, motions),

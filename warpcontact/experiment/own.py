@@ -24,7 +24,7 @@ from warpcontact.checks import check_length
 from warpcontact.experiment import trust
 from warpcontact.experiment.errors import ExperimentError, shown
 from warpcontact.kernels.formula import Formula
-from warpcontact.kernels.frictions import Friction
+from warpcontact.kernels.friction import Friction
 from warpcontact.kernels.laws import Law
 from warpcontact.kernels.motions import Motion
 from warpcontact.kernels.names import suggestion

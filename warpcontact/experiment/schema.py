@@ -1,6 +1,6 @@
 """The experiment file: its sections, their keys, types and defaults, in the words of the Python API.
 
-Laws, frictions and meshes are in ``catalogue``.
+Laws, friction models and meshes are in ``catalogue``.
 """
 
 from collections.abc import Sequence
@@ -35,7 +35,7 @@ from warpcontact.experiment.variation_settings import (
     VariationSettings,
 )
 from warpcontact.kernels import laws
-from warpcontact.kernels.frictions import Frictionless
+from warpcontact.kernels.friction import Frictionless
 from warpcontact.smooth.elements import ALL
 from warpcontact.surface_contact import SIDES
 
@@ -153,7 +153,7 @@ def _check_carrier(entry: PointSettings | PointsSettings) -> None:
 
 
 class MaterialSettings(Section):
-    """``[[material]]``: a law, and frictions against sliding, rolling and spinning, that contacts share."""
+    """``[[material]]``: a law, and friction models against sliding, rolling and spinning, that contacts share."""
 
     name: Name
     law: FormulaTable = Field(description="{ type = …, and its parameters }")
@@ -420,7 +420,7 @@ SECTIONS: dict[str, type[Section]] = {
 }
 
 
-#: Those with laws, frictions, springs and motions.
+#: Those with laws, friction models, springs and motions.
 FORMULA_SECTIONS = ("body", "bodies", "material", "contact_coupling", "shape", "spring_damper")
 #: Keys of sections that may name a file with rows.
 ROW_KEYS: dict[str, tuple[str, ...]] = {

@@ -80,7 +80,7 @@ class Integrator(ABC):
 
 
 def formulas_of(scene: "Scene") -> dict[str, dict[str, Any]]:
-    """Returns law and frictions by the name of their part, of every contact of a scene by its name."""
+    """Returns law and friction models by the name of their part, of every contact of a scene by its name."""
     return {
         **{contact.name: contact.material.formulas for contact in scene.contacts},
         **{contact.name: contact.formulas for contact in scene.shape_contacts},

@@ -47,12 +47,12 @@ class ParticleContact:
 
     @property
     def parts(self) -> Parts:
-        """The classes of law and frictions."""
+        """The classes of law and friction models."""
         return self.material.parts
 
     @property
     def formulas(self) -> dict[str, Formula]:
-        """The law and the frictions by the name of their part."""
+        """The law and the friction models by the name of their part."""
         return self.material.formulas
 
     @cached_property

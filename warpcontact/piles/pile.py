@@ -323,7 +323,7 @@ class Pile:
                 )
 
     def _add_formulas(self, layout: Layout, parameters: Parameters) -> None:
-        """Adds the parameters of law and frictions, the same for all pairs, and what these remember."""
+        """Adds the parameters of law and friction models, the same for all pairs, and what these remember."""
         Coefficients, Memory = group_structs(self._parts, self.real)
         self._coefficients, self._memory, self._kept = Coefficients(), Memory(), Memory()
         for part, formula in self.contact.formulas.items():

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from warpcontact import checks
 from warpcontact.checks import Array, limits
 from warpcontact.elements import Body, ContactMaterial
-from warpcontact.kernels.frictions import Frictionless
+from warpcontact.kernels.friction import Frictionless
 from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.kernels.smooth.base import Shape as Form
 from warpcontact.scene_checks import options_of

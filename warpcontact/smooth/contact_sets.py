@@ -90,7 +90,7 @@ _GRADIENTS = {
 
 
 class ShapeContactSet:
-    """Shape contacts that share the code of law and frictions.
+    """Shape contacts that share the code of law and friction models.
 
     Args:
         contacts: The contacts; those of the same kinds of shapes side by side.
@@ -104,7 +104,7 @@ class ShapeContactSet:
         moves: Whether any body of the scene is not free.
 
     Attributes:
-        parts: The classes of law and frictions.
+        parts: The classes of law and friction models.
         kernel: The force kernel.
         count: Number of contacts, items of sets each.
     """

@@ -88,7 +88,7 @@ class ShapeContact:
 
     @property
     def parts(self) -> Parts:
-        """The classes of its law and frictions: contacts that agree in them share the code of their forces."""
+        """The classes of its law and friction models: contacts that agree in them share the code of their forces."""
         return self.material.parts
 
     @property
@@ -113,5 +113,5 @@ class ShapeContact:
 
     @property
     def formulas(self) -> dict[str, Formula]:
-        """Its law and frictions by the name of their part."""
+        """Its law and friction models by the name of their part."""
         return self.material.formulas

@@ -235,7 +235,7 @@ class HardContacts:
         model.send([one.upload for one, _ in closed], [one.upload.content() for one, _ in closed])
 
     def _leave_laws(self, model: "Model") -> None:
-        """Lets laws and frictions of nonsmooth contacts begin anew should they act again: none has been going on."""
+        """Lets laws and friction models of nonsmooth contacts begin anew should they act again: none has been going on."""
         history, contacts = model.arrays.history, model.arrays.contacts
         if self._mesh.count:
             hard = self._mesh.items.numpy()

@@ -9,7 +9,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.kernels.formula import Formula
-from warpcontact.kernels.frictions import Friction, Frictionless
+from warpcontact.kernels.friction import Friction, Frictionless
 from warpcontact.kernels.laws import Law
 from warpcontact.kernels.unilateral.records import record_structs
 from warpcontact.parameters import Parameter, Upload, pack
@@ -54,7 +54,7 @@ def check_rigid(name: str, formulas: Mapping[str, Formula], remedy: str) -> None
         if isinstance(formula, Friction) and not isinstance(formula, Frictionless) and formula.of_cone() is None:
             raise ValueError(
                 f"{name}.{part} is {kind}, which has no coefficient of friction for nonsmooth contact. Take a model "
-                f"with mu, such as wc.frictions.Coulomb. {remedy}"
+                f"with mu, such as wc.friction.Coulomb. {remedy}"
             )
 
 
@@ -64,7 +64,7 @@ class Hard:
 
     Attributes:
         contact: The contact.
-        formulas: Its law and frictions by the name of their part.
+        formulas: Its law and friction models by the name of their part.
         count: Number of its items; 1 for all pairs of a particle contact.
     """
 

@@ -3,9 +3,9 @@
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from warpcontact.kernels import frictions, laws, motions, springs
+from warpcontact.kernels import friction, laws, motions, springs
 from warpcontact.kernels.formula import Formula
-from warpcontact.kernels.frictions import Friction
+from warpcontact.kernels.friction import Friction
 from warpcontact.kernels.laws import Law
 from warpcontact.kernels.motions import Motion
 from warpcontact.kernels.smooth import shapes
@@ -15,7 +15,7 @@ from warpcontact.kernels.springs import Damper, Spring
 #: Classes of the library by what they are.
 LIBRARY: Mapping[type[Formula], tuple[type[Any], ...]] = {
     Law: (*laws.CATALOGUE, *laws.RIGID),
-    Friction: (*frictions.CATALOGUE, *frictions.RIGID),
+    Friction: (*friction.CATALOGUE, *friction.RIGID),
     Spring: springs.SPRINGS,
     Damper: springs.DAMPERS,
     Motion: motions.CATALOGUE,

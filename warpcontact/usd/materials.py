@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from warpcontact.checks import Array
-from warpcontact.kernels.frictions import Friction, Frictionless
+from warpcontact.kernels.friction import Friction, Frictionless
 from warpcontact.replay.replay import Replay
 from warpcontact.scene import Contact
 from warpcontact.smooth.elements import ShapeContact

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from warpcontact.checks import Array
 from warpcontact.elements import Contact
-from warpcontact.kernels.frictions import Frictionless
+from warpcontact.kernels.friction import Frictionless
 from warpcontact.kernels.types import DRIVEN, UNSOLVED, WORLD
 from warpcontact.piles.elements import ParticleContact
 from warpcontact.piles.pile import Pile

@@ -6,7 +6,7 @@ from math import pi, sqrt
 from typing import Any
 
 from warpcontact.elements import Body, ContactMaterial
-from warpcontact.kernels.frictions import CundallStrack, Friction, Frictionless
+from warpcontact.kernels.friction import CundallStrack, Friction, Frictionless
 from warpcontact.kernels.laws import KelvinVoigt
 
 #: Friction where no physics material gives any.

@@ -10,7 +10,7 @@ import numpy as np
 from warpcontact.contact_range import ContactRange, ExpectedImpact
 from warpcontact.elements import ContactMaterial
 from warpcontact.kernels.formula import Formula
-from warpcontact.kernels.frictions import Friction
+from warpcontact.kernels.friction import Friction
 from warpcontact.kernels.laws import Law
 from warpcontact.kernels.motions import Motion
 from warpcontact.kernels.smooth.base import Shape as Form

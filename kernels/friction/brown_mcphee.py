@@ -4,8 +4,8 @@ from typing import Any
 
 import warp as wp
 from warpcontact.kernels.formula import parameter
-from warpcontact.kernels.frictions.base import Friction
-from warpcontact.kernels.frictions.saturation import saturated
+from warpcontact.kernels.friction.base import Friction
+from warpcontact.kernels.friction.saturation import saturated
 
 
 class BrownMcPhee(Friction):

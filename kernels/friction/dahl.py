@@ -3,9 +3,9 @@
 from typing import Any
 
 import warp as wp
-from warpcontact.kernels.formula import memory, parameter
-from warpcontact.kernels.frictions.base import Friction
-from warpcontact.kernels.frictions.lugre import bent
+from warpcontact.kernels.formula import history, parameter
+from warpcontact.kernels.friction.base import Friction
+from warpcontact.kernels.friction.lugre import bent
 
 
 class Dahl(Friction):
@@ -22,7 +22,7 @@ class Dahl(Friction):
     mu: float = parameter("-", "coefficient of friction μ", above=0.0)
     stiffness: float = parameter("1/m", "stiffness σ₀ at rest over N", above=0.0)
 
-    deflection = memory("m", "deflection z of the bristles", tangent=True)
+    deflection = history("m", "deflection z of the bristles", tangent=True)
 
     @wp.func
     def advance(p: Any, s: Any, m: Any):

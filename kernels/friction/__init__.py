@@ -2,29 +2,29 @@
 
 from typing import TYPE_CHECKING
 
-from warpcontact.kernels.frictions.base import Friction
+from warpcontact.kernels.friction.base import Friction
 from warpcontact.kernels.on_demand import names_of
 
 if TYPE_CHECKING:
-    from warpcontact.kernels.frictions.ambrosio import Ambrosio
-    from warpcontact.kernels.frictions.bengisu_akay import BengisuAkay
-    from warpcontact.kernels.frictions.brown_mcphee import BrownMcPhee
-    from warpcontact.kernels.frictions.coulomb import Coulomb
-    from warpcontact.kernels.frictions.coulomb_threshold import CoulombThreshold
-    from warpcontact.kernels.frictions.cundall_strack import CundallStrack
-    from warpcontact.kernels.frictions.dahl import Dahl
-    from warpcontact.kernels.frictions.elliptic import Elliptic
-    from warpcontact.kernels.frictions.frictionless import Frictionless
-    from warpcontact.kernels.frictions.hollars import Hollars
-    from warpcontact.kernels.frictions.lugre import LuGre
-    from warpcontact.kernels.frictions.mindlin import Mindlin
-    from warpcontact.kernels.frictions.regularized_coulomb import RegularizedCoulomb
-    from warpcontact.kernels.frictions.smooth_stribeck import SmoothStribeck
-    from warpcontact.kernels.frictions.step_friction import StepFriction
-    from warpcontact.kernels.frictions.stribeck import Stribeck
-    from warpcontact.kernels.frictions.tanh import Tanh
-    from warpcontact.kernels.frictions.threlfall import Threlfall
-    from warpcontact.kernels.frictions.viscous import Viscous
+    from warpcontact.kernels.friction.ambrosio import Ambrosio
+    from warpcontact.kernels.friction.bengisu_akay import BengisuAkay
+    from warpcontact.kernels.friction.brown_mcphee import BrownMcPhee
+    from warpcontact.kernels.friction.coulomb import Coulomb
+    from warpcontact.kernels.friction.coulomb_threshold import CoulombThreshold
+    from warpcontact.kernels.friction.cundall_strack import CundallStrack
+    from warpcontact.kernels.friction.dahl import Dahl
+    from warpcontact.kernels.friction.elliptic import Elliptic
+    from warpcontact.kernels.friction.frictionless import Frictionless
+    from warpcontact.kernels.friction.hollars import Hollars
+    from warpcontact.kernels.friction.lugre import LuGre
+    from warpcontact.kernels.friction.mindlin import Mindlin
+    from warpcontact.kernels.friction.regularized_coulomb import RegularizedCoulomb
+    from warpcontact.kernels.friction.smooth_stribeck import SmoothStribeck
+    from warpcontact.kernels.friction.step_friction import StepFriction
+    from warpcontact.kernels.friction.stribeck import Stribeck
+    from warpcontact.kernels.friction.tanh import Tanh
+    from warpcontact.kernels.friction.threlfall import Threlfall
+    from warpcontact.kernels.friction.viscous import Viscous
 
     CATALOGUE: tuple[type[Friction], ...]
     RIGID: tuple[type[Friction], ...]

@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from warpcontact.kernels.formula import memory, parameter
-from warpcontact.kernels.frictions.base import Friction
+from warpcontact.kernels.formula import history, parameter
+from warpcontact.kernels.friction.base import Friction
 
 
 @wp.func
@@ -61,7 +61,7 @@ class LuGre(Friction):
     )
     viscosity: float = parameter("N·s/m", "viscous friction σ₂", default=0.0, at_least=0.0)
 
-    deflection = memory("m", "deflection z of the bristles", tangent=True)
+    deflection = history("m", "deflection z of the bristles", tangent=True)
 
     @classmethod
     def coefficients(cls, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -14,7 +14,7 @@ class Friction(Formula):
     ``directional`` model, the ``axis``: the x axis of the surface laid into the tangent plane, a unit vector.
     Divide by ``speed`` only where it cannot be zero.
 
-    A model that remembers declares what, with ``wc.memory``, and has two functions of ``(p, s, m)``: ``advance``
+    A model that remembers declares what, with ``wc.history``, and has two functions of ``(p, s, m)``: ``advance``
     returns the memory ``m`` after the time ``m.elapsed`` [s] in which ``s`` prevailed, and ``force`` the force
     from that.
 

@@ -5,8 +5,8 @@ from typing import Any, Self
 
 import warp as wp
 from warpcontact.kernels.clamped_dashpot import damping_ratio_of_restitution
-from warpcontact.kernels.formula import memory, number, parameter
-from warpcontact.kernels.frictions.base import Friction
+from warpcontact.kernels.formula import history, number, parameter
+from warpcontact.kernels.friction.base import Friction
 from warpcontact.kernels.keywords import explain_keywords
 
 
@@ -97,8 +97,8 @@ class CundallStrack(Friction):
     stiffness: float = parameter("N/m", "tangential stiffness k_t", above=0.0)
     damping: float = parameter("N·s/m", "tangential damping c_t", default=0.0, at_least=0.0)
 
-    spring = memory("m", "stretch ξ of the spring", tangent=True)
-    sliding = memory("-", "1 while it slides")
+    spring = history("m", "stretch ξ of the spring", tangent=True)
+    sliding = history("-", "1 while it slides")
 
     @classmethod
     @explain_keywords
@@ -121,7 +121,7 @@ class CundallStrack(Friction):
             ValueError: If a value is out of range.
 
         Example:
-            >>> block = wc.frictions.CundallStrack.from_overshoot(
+            >>> block = wc.friction.CundallStrack.from_overshoot(
             ...     mu_static=0.5, mu_dynamic=0.4, stiffness=1e6, mass=1.0, overshoot=0.01
             ... )
             >>> round(block.damping / 2e3, 2)  # the damping ratio

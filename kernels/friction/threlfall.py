@@ -4,7 +4,7 @@ from typing import Any
 
 import warp as wp
 from warpcontact.kernels.formula import parameter
-from warpcontact.kernels.frictions.base import Friction
+from warpcontact.kernels.friction.base import Friction
 
 
 class Threlfall(Friction):

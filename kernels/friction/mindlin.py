@@ -3,9 +3,9 @@
 from typing import Any, Self
 
 import warp as wp
-from warpcontact.kernels.formula import memory, number, parameter
-from warpcontact.kernels.frictions.base import Friction
-from warpcontact.kernels.frictions.cundall_strack import spring_and_dashpot, spring_and_slider, stick_damping
+from warpcontact.kernels.formula import history, number, parameter
+from warpcontact.kernels.friction.base import Friction
+from warpcontact.kernels.friction.cundall_strack import spring_and_dashpot, spring_and_slider, stick_damping
 from warpcontact.kernels.keywords import explain_keywords
 
 
@@ -31,9 +31,9 @@ class Mindlin(Friction):
     shear_modulus: float = parameter("Pa", "effective shear modulus G*", above=0.0)
     damping: float = parameter("N·s/m", "tangential damping c_t", default=0.0, at_least=0.0)
 
-    spring = memory("m", "stretch ξ of the spring", tangent=True)
-    sliding = memory("-", "1 while it slides")
-    patch_radius = memory("m", "radius a of the patch")
+    spring = history("m", "stretch ξ of the spring", tangent=True)
+    sliding = history("-", "1 while it slides")
+    patch_radius = history("m", "radius a of the patch")
 
     @classmethod
     @explain_keywords

@@ -3,7 +3,7 @@
 from typing import Any
 
 import warp as wp
-from warpcontact.kernels.frictions.base import Friction
+from warpcontact.kernels.friction.base import Friction
 
 
 class Frictionless(Friction):

@@ -1,4 +1,4 @@
-"""The hyperbolic tangent of frictions, in float32 in a third of the time of a library's.
+"""The hyperbolic tangent of friction models, in float32 in a third of the time of a library's.
 
 Below 5/8 a polynomial and above that an exponential, as in Cephes (S. L. Moshier), tanhf.c; the result is within
 three units in the last place.
