@@ -36,11 +36,11 @@ def moments(low: float, high: float, power: int) -> tuple[float, float]:
 
 
 def closed_form(
-    speeds: tuple[float, float], friction_models: tuple[float, float]
+    speeds: tuple[float, float], coefficients: tuple[float, float]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Returns the first-order and total indices, of speed and of friction, of which the ranges are given."""
     f, ff = moments(*speeds, 2)
-    h, hh = moments(*friction_models, -1)
+    h, hh = moments(*coefficients, -1)
     first = np.array([(ff - f**2) * h**2, (hh - h**2) * f**2]) / (ff * hh - (f * h) ** 2)
     return first, 1.0 - first[::-1]
 

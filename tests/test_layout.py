@@ -151,7 +151,7 @@ def test_importing_what_a_simulation_needs_loads_nothing_that_it_may_not_need(tm
 # What a first step has no need of; of kernels that are imported, Warp parses all functions.
 NEEDLESS = (
     *("matplotlib", "numpy.f2py", "pandas", "pxr", "pyarrow", "ray", "scipy", "tqdm", "trimesh", "xarray", "zarr"),
-    *(f"warpcontact.kernels.{part}" for part in ("couplings.catenary", "friction_models.lugre", "laws.tsuji")),
+    *(f"warpcontact.kernels.{part}" for part in ("couplings.catenary", "friction.lugre", "laws.tsuji")),
     *(f"warpcontact.kernels.smooth.{part}" for part in ("curvature", "derivatives", "detect")),
     *("warpcontact.kernels.smooth.sphere", "warpcontact.kernels.smooth.superellipsoid"),
     *("warpcontact.kernels.motions.prescribed", "warpcontact.kernels.outcomes.catalogue"),
