@@ -26,7 +26,7 @@ COMPARISONS = {
     "float64 against float32": ({}, {"precision": "float64"}),
     "latched against literal": ({}, {"entry": "latched"}),
     "swept against not": ({}, {"swept": True}),
-    "swept in 16 parts against not": ({}, {"swept": True, "crossing_steps": 16}),
+    "swept in 16 parts against not": ({}, {"swept": True, "crossing_substeps": 16}),
 }
 
 

@@ -14,7 +14,7 @@ MASS, AXES = 1.0, (0.12, 0.08, 0.06)
 STIFFNESS = 1e6
 
 
-class Bowl(wc.Patch):
+class Bowl(wc.ParametricSurface):
     """z = c (1 − √(1 − (x/a)² − (y/b)²)), the lower part of an ellipsoid, open to the top."""
 
     semi_axes: tuple[float, float, float] = wc.parameter("m", "semi-axes a, b, c", shape=(3,), above=0.0)

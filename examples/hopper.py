@@ -103,7 +103,7 @@ def hopper(spheres: int, orifice: float, part: float, seed: int = 0) -> tuple[wc
     ground = scene.add_surface(wc.meshes.grid((16.0 * heap, 16.0 * heap)), position=(0, 0, -depth), name="floor")
     # A sphere beside the orifice, below the funnel, is not deep in its wall.
     options = {"radius": radii, "max_depth": 0.5 * DIAMETER}
-    scene.add_contact(centres, wall, material, rim="outer", name="on_funnel", **options)
+    scene.add_contact(centres, wall, material, boundary="outer", name="on_funnel", **options)
     scene.add_contact(centres, gate, material, name="on_gate", **options)
     scene.add_contact(centres, ground, material, name="on_floor", **options)
     forms = [wc.shapes.Sphere(float(radius)) for radius in radii]

@@ -1,10 +1,10 @@
-"""A block under a push sticks, slides or tips: maps of many environments against the borders of statics.
+"""A block under a push sticks, slides or tips: maps of many environments against the boundaries of statics.
 
 A block of 10 kg, 1 m wide and 2 m high, stands on rough ground and is pushed at the height z. It slides if the
 push exceeds μ m g, and tips over its front edge if it exceeds m g b/(2 z) with the width b. In one map a push of
 constant size acts on each block, in the other the push grows until the block moves: it slides if μ < b/(2 z), and
-tips otherwise. Beyond both borders it depends: a block that slides feels no more than μ m g at its feet, and may
-stay upright; one that turns presses harder on its edge, and may not slide. Dashed lines are the borders of these.
+tips otherwise. Beyond both boundaries it depends: a block that slides feels no more than μ m g at its feet, and may
+stay upright; one that turns presses harder on its edge, and may not slide. Dashed lines are the boundaries of these.
 
 Run it with ``python examples/pushed_block.py --picture pushed_block.png``.
 """
@@ -105,7 +105,7 @@ def growing(side: int, steps: int, device: str) -> dict[str, np.ndarray]:
 
 
 def draw(one: dict[str, np.ndarray], two: dict[str, np.ndarray], file: str) -> None:
-    """Draws both maps with the borders of statics."""
+    """Draws both maps with the boundaries of statics."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.colors import ListedColormap
     from matplotlib.figure import Figure

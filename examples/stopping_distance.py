@@ -35,9 +35,7 @@ def moments(low: float, high: float, power: int) -> tuple[float, float]:
     return mean(power), mean(2 * power)
 
 
-def closed_form(
-    speeds: tuple[float, float], coefficients: tuple[float, float]
-) -> tuple[np.ndarray, np.ndarray]:
+def closed_form(speeds: tuple[float, float], coefficients: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
     """Returns the first-order and total indices, of speed and of friction, of which the ranges are given."""
     f, ff = moments(*speeds, 2)
     h, hh = moments(*coefficients, -1)

@@ -90,7 +90,7 @@ def strike(
     simulation = wc.Simulation(model, DT, integrator)
     depths = [f"{contact.name}.penetration" for contact in scene.contacts]
     record = ["scene.kinetic_energy", "scene.potential_energy", "scene.closed_contacts", "scene.solve_failures"]
-    record += ["scene.solve_iterations", "scene.friction_loss", "scene.impact_loss"]
+    record += ["scene.solve_iterations", "scene.friction_dissipation", "scene.impact_dissipation"]
     record += [f"{body.name}.{key}" for body in scene.bodies for key in ("linear_velocity", "angular_velocity")]
     simulation.step(1)  # compiles
     simulation.reset()
@@ -118,8 +118,8 @@ def strike(
         "bound": speed * DT,
         "gain": float(np.diff(energy).max()),
         "lost": float(energy[0] - energy[-1]),
-        "friction": float(recording["scene.friction_loss"][-1, 0]),
-        "impact": float(recording["scene.impact_loss"][-1, 0]),
+        "friction": float(recording["scene.friction_dissipation"][-1, 0]),
+        "impact": float(recording["scene.impact_dissipation"][-1, 0]),
         "converged": 1.0 - float(recording["scene.solve_failures"][-1, 0]) / simulation.steps,
         "iterations": float(recording["scene.solve_iterations"].mean()),
         "contacts": float(recording["scene.closed_contacts"].mean()),

@@ -18,27 +18,27 @@ from warpcontact.kernels import recall as lists
 from warpcontact.kernels.sides import room_on_side as sides_of
 from warpcontact.kernels.types import (
     AT_POINT,
+    BOUNDARY_OUTER,
     CONTACT,
     DISABLED,
     FAR,
     FEATURE_ACTIVE,
-    FEATURE_BORDER,
-    HIDDEN,
+    FEATURE_BOUNDARY,
+    INACTIVE,
     LATCH_ARM,
     LATCH_DISARM,
     LATCH_KEEP,
     LATCHED,
     OPEN,
     REMEMBERED_IN_QUEUES,
-    RIM_OUTER,
     SWEPT,
     WRONG_SIDE,
     natural,
     structs,
 )
 
-# A point counts as beside an open border when it is farther sideways than this fraction of the border edge.
-BORDER_TOLERANCE = 1.0e-4
+# A point counts as beside an open boundary when it is farther sideways than this fraction of the boundary edge.
+BOUNDARY_TOLERANCE = 1.0e-4
 # Rounding, in units of epsilon times the size of the differences: below it a direction between two points means
 # nothing.
 ROUNDING = 16.0
@@ -95,7 +95,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
     point_epsilon = wp.constant(real(t.epsilon * POINT_ROUNDING))
     # The mesh that the query searches is stored in float32, whatever the precision of the simulation.
     query_epsilon = wp.constant(real(float(np.finfo(np.float32).eps) * search.QUERY_ROUNDING))
-    border_tolerance = wp.constant(real(BORDER_TOLERANCE))
+    boundary_tolerance = wp.constant(real(BOUNDARY_TOLERANCE))
 
     @wp.func
     def edge_length(model: Model, row: int, feature: int):
@@ -358,7 +358,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         n_S = model.face_normal[row, feature]
         flags = wp.int32(model.face_flags[row, feature])
 
-        # Signed distance s [m], direction n, and whether P lies beside an open border.
+        # Signed distance s [m], direction n, and whether P lies beside an open boundary.
         side = wp.dot(foot.to_point, n_S)
         s = side
         beside = wp.bool(False)
@@ -366,10 +366,10 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
             sign = real(1.0)
             if side < real(0.0):
                 sign = real(-1.0)
-            if (flags & FEATURE_BORDER) != 0:
+            if (flags & FEATURE_BOUNDARY) != 0:
                 sideways = wp.length(foot.to_point - side * n_S)
-                beside = sideways > border_tolerance * edge_length(model, foot.row, foot.feature)
-            if beside or (flags & FEATURE_BORDER) == 0:
+                beside = sideways > boundary_tolerance * edge_length(model, foot.row, foot.feature)
+            if beside or (flags & FEATURE_BOUNDARY) == 0:
                 s = sign * foot.distance
                 if foot.distance > wp.max(epsilon * foot.span, point_epsilon * extent):
                     n_S = (sign / foot.distance) * foot.to_point
@@ -377,8 +377,8 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         distance = scale * foot.distance
 
         hidden = (flags & FEATURE_ACTIVE) == 0
-        # Beside a border only a sphere on the outer side can touch, and only the rim.
-        missed = beside and (s < real(0.0) or radius == real(0.0) or (option & RIM_OUTER) == 0)
+        # Beside a boundary only a sphere on the outer side can touch, and only the boundary.
+        missed = beside and (s < real(0.0) or radius == real(0.0) or (option & BOUNDARY_OUTER) == 0)
 
         latch = LATCH_KEEP
         gap = s - radius
@@ -399,7 +399,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
 
         touching = OPEN
         if hidden:
-            touching = HIDDEN
+            touching = INACTIVE
         elif not missed and s < touch_at:
             touching = CONTACT
             if radius - s > geometry.max_depth or ((option & LATCHED) != 0 and armed == 0):

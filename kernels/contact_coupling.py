@@ -74,7 +74,7 @@ def advance(law: type[Formula], real: type, projected: bool) -> wp.Kernel:
                     contact = near.contact[env, place]
                     if contacts.status[env, contact] == CONTACT:
                         # Of two sides each has its share of the touch.
-                        own = model.contact_geometry[env, contact].share
+                        own = model.contact_geometry[env, contact].force_scale
                         own *= coefficients[env, contact - first_contact].area
                         if wp.static(projected):
                             point = model.contact_point[contact]

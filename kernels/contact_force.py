@@ -94,15 +94,15 @@ def functions(parts: Parts, real: type, moves: bool, projected: bool) -> SimpleN
         )
 
         # After the formulas: what is springy or viscous in them is shared like what is in proportion to N.
-        share = geometry.share
+        force_scale = geometry.force_scale
         if wp.static(projected):
-            share *= facing(model, env, model.contact_point[contact], R_W1, normal)
+            force_scale *= facing(model, env, model.contact_point[contact], R_W1, normal)
         push = Push()
         push.approach_speed = acts.approach_speed
         push.slip_speed = acts.slip_speed
-        push.normal_force = share * acts.normal_force
-        push.friction_force = share * acts.friction_force
-        push.torque = share * acts.torque
+        push.normal_force = force_scale * acts.normal_force
+        push.friction_force = force_scale * acts.friction_force
+        push.torque = force_scale * acts.torque
         # The same force at the same point K, and the same couple, on both bodies: nothing is left in total.
         push.force = push.normal_force * normal + push.friction_force
         push.torque_1 = wp.cross(place.arm_1, push.force) + push.torque

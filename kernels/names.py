@@ -60,7 +60,7 @@ rest_length length: l l0 natural_length free_length initial_length rest
 length: l l0 total_length
 area: a
 search_radius: cutoff search_distance max_distance
-rim: boundary border edge edges
+boundary: boundary edge edges rim
 gravity: g
 name: label id key title
 color: colour rgb rgba

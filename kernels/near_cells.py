@@ -1,7 +1,7 @@
 """Which contacts a step has to do with, where all meshes have cells: nothing is remembered but what is quiet.
 
 The cell of a point tells at once that it is far away, or which few faces to look at. What no cell tells of is left
-to a second launch, which searches: points that lie deep, or beside a rim.
+to a second launch, which searches: points that lie deep, or beside a boundary.
 """
 
 import functools

@@ -166,7 +166,7 @@ def kernel(real: type) -> wp.Kernel:
                 if at > real(1.0):
                     if inner(model, foot):
                         break
-                    # Past a border it comes out where it passes the plane of the face there.
+                    # Past a boundary it comes out where it passes the plane of the face there.
                     at = passes(model, over, p, q)
             elif row < 0:
                 break

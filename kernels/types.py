@@ -34,7 +34,7 @@ TOO_FAR = 3
 # Status of a contact.
 OPEN = 0
 CONTACT = 1
-HIDDEN = 2
+INACTIVE = 2
 FAR = 3
 WRONG_SIDE = 4
 DISABLED = 5
@@ -47,7 +47,7 @@ MODE_SLIP = 2
 
 # Option bits of a contact.
 LATCHED = 1  # entry="latched"
-RIM_OUTER = 2  # rim="outer"
+BOUNDARY_OUTER = 2  # boundary="outer"
 HERTZ_PATCH = 4  # the arm of torsion follows from the overlap
 SWEPT = 8  # a point that crosses the surface within a step is caught
 AT_POINT = 16  # the force acts at the point itself, as in a contact coupling
@@ -85,7 +85,7 @@ ROOT_NONE = 3  # no root was found
 FEATURE_COUNT = 7
 # Bits of a feature.
 FEATURE_ACTIVE = 1
-FEATURE_BORDER = 2
+FEATURE_BOUNDARY = 2
 
 # Where a point that does not come through a surface stays on the side that it is on.
 SIDES_NOWHERE = 0
@@ -205,7 +205,7 @@ def structs(real: type) -> SimpleNamespace:
         max_depth: real  # deepest penetration that still counts as contact [m]
         search_radius: real  # surfaces farther from the point are not seen [m]
         torsion_radius: real  # arm at which torsion acts [m]; unused with HERTZ_PATCH
-        share: real  # factor on forces and couples [-]
+        force_scale: real  # factor on forces and couples [-]
         closed: real  # gap below which there is contact [m]: 0, or the tolerance of nonsmooth contact
         enabled: wp.int32  # 0 or 1
 
@@ -253,7 +253,7 @@ def structs(real: type) -> SimpleNamespace:
         patch_cells: wp.array(dtype=wp.vec4i)  # [patch] how many along x, y and z, and its first; −1: none
         patch_cells_origin: wp.array(dtype=vec3)  # [patch] their lowest corner, S
         patch_cells_size: wp.array(dtype=real)  # [patch] of a cell, unit of the mesh
-        patch_cells_margin: wp.array(dtype=real)  # [patch] from their border to the mesh, at least
+        patch_cells_margin: wp.array(dtype=real)  # [patch] from their boundary to the mesh, at least
         cells: wp.array(dtype=Cell)  # [cell]
         listed_face: wp.array(dtype=wp.int32)  # rows of faces, by the cells that list them
         # Tree over the faces of a patch, on a CPU: ``tree.py``

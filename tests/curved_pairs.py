@@ -9,7 +9,7 @@ from scipy.ndimage import label
 from warpcontact.kernels.formula import coefficient_struct, parameter
 from warpcontact.kernels.smooth import curved, shapes
 from warpcontact.kernels.smooth.base import Meeting, Seed
-from warpcontact.kernels.smooth.patch import Patch
+from warpcontact.kernels.smooth.patch import ParametricSurface
 from warpcontact.kernels.smooth.torus import Torus
 
 S = shapes
@@ -145,7 +145,7 @@ def widest_way(ring, other, x, q, columns=96, rows=48):
     return max(hull, low) - ring.minor_radius
 
 
-class Quadric(Patch):
+class Quadric(ParametricSurface):
     """z = ½ (k_x x² + k_y y²): a bowl, a dome or a saddle by the signs."""
 
     k_x: float = parameter("1/m", "curvature along x")

@@ -58,8 +58,8 @@ def touching(gravity=(0.1, -0.2, -9.7)):
     )
     centre = scene.add_point(ball, (0.001, 0.002, 0.003), name="centre")
     scene.add_contact(
-        centre, ground, rubber, radius=0.1, kappa=0.25, entry="latched", swept=True, rim="outer",
-        search_radius=2.0, torsion_radius=0.01, share=0.9, max_depth=0.5, name="touch-1", color=(1, 0, 0),
+        centre, ground, rubber, radius=0.1, kappa=0.25, entry="latched", swept=True, boundary="outer",
+        search_radius=2.0, torsion_radius=0.01, force_scale=0.9, max_depth=0.5, name="touch-1", color=(1, 0, 0),
     )  # fmt: skip
     plate = scene.add_body(2.0, (0.1, 0.1, 0.15), (0.0, 0.0, 0.4), motion=wc.motions.Planar(normal=(0, 1, 0.1)))
     sheet = scene.add_surface(wavy(3, 4, 0.3), plate, (0, 0, 0.01), turned(odd), name="sheet", visible=False)
@@ -126,7 +126,12 @@ def shaped():
     pills = scene.add_shape(few, wc.shapes.Capsule(0.01, 0.02), mask=0xFFFF0001, name="pills")
     one = scene.add_shape(egg, wc.shapes.Sphere(0.015), name="one")
     scene.add_particle_contact(
-        [balls, pills, one], stone, exclude=[(balls, one), (pills, pills)], skin=0.004, partners=9, name="pile"
+        [balls, pills, one],
+        stone,
+        exclude=[(balls, one), (pills, pills)],
+        skin=0.004,
+        max_neighbors=9,
+        name="pile",
     )
     scene.add_shape(None, wc.shapes.RoundedBox((0.1, 0.2, 0.3), 0.01), visible=False)
     motions = (

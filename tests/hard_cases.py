@@ -69,7 +69,7 @@ def moved(mesh, shift):
 
 
 def rough_sheet():
-    """An open height field with borders."""
+    """An open height field with boundaries."""
     flat = wc.meshes.grid((1.0, 1.0), (6, 6))
     height = np.random.default_rng(5).uniform(-0.1, 0.1, len(flat.vertices))
     return wc.Mesh(flat.vertices + height[:, None] * [0, 0, 1], flat.faces)
@@ -90,7 +90,7 @@ CLOSED = {
     "bracket, beside its origin": lambda: moved(angle_bracket(), np.array([3.0, -1.3, 2.7])),
     "bracket, modelled 1 km away": lambda: moved(angle_bracket(), FAR_AWAY),
 }
-#: With borders; they are height fields over a rectangle.
+#: With boundaries; they are height fields over a rectangle.
 OPEN = {
     "terrain": lambda: wc.meshes.sinusoidal_terrain((5.0, 5.0), (24, 24)),
     "rough sheet": rough_sheet,

@@ -86,4 +86,4 @@ def energy(data):
 
 
 ENERGY = ["scene.kinetic_energy", "scene.potential_energy"]
-LOSSES = ["scene.friction_loss", "scene.impact_loss"]
+LOSSES = ["scene.friction_dissipation", "scene.impact_dissipation"]

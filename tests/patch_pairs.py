@@ -9,7 +9,7 @@ from curved_pairs import Quadric, backward, rotated
 from patch_reference import GRID, Reference
 from warpcontact.kernels.formula import parameter
 from warpcontact.kernels.smooth import shapes as S
-from warpcontact.kernels.smooth.patch import Patch
+from warpcontact.kernels.smooth.patch import ParametricSurface
 from warpcontact.kernels.smooth.torus import Torus
 from warpcontact.kernels.types import MET, NOT_CONVERGED, OUTSIDE
 
@@ -24,7 +24,7 @@ DEEP = 0.5
 BESIDE = 1e-6
 
 
-class Waves(Patch):
+class Waves(ParametricSurface):
     """z = h sin(k x) sin(k y), without derivatives of its own."""
 
     high: float = parameter("m", "height h")
@@ -38,7 +38,7 @@ class Waves(Patch):
         return wp.vec3d(u, v, p.high * wp.sin(p.wave * u) * wp.sin(p.wave * v))
 
 
-class Tube(Patch):
+class Tube(ParametricSurface):
     """A round bar along z, closed around."""
 
     radius: float = parameter("m", "radius", above=0.0)
@@ -52,7 +52,7 @@ class Tube(Patch):
         return wp.vec3d(p.radius * wp.cos(u), p.radius * wp.sin(u), v)
 
 
-class Bore(Patch):
+class Bore(ParametricSurface):
     """A round hole along z, closed around."""
 
     radius: float = parameter("m", "radius", above=0.0)

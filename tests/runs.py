@@ -105,7 +105,7 @@ name = "pile"
 shapes = ["grain"]
 material = "soft"
 skin = 0.01
-partners = 1
+max_neighbors = 1
 [variation]
 "grain.radius" = {{ values = [0.1, 0.1, 0.3, 0.3, 0.1, 0.1] }}
 """,

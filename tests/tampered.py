@@ -20,8 +20,8 @@ INTEGERS = (-(2**31), -2, -1, 2, 7, 100_000, 2**30 + 1, 2**31 - 1)
 REALS = (np.nan, np.inf, -np.inf, 1e30, -1e30, 1e308, 0.0)
 WATCHED = {
     "outcomes": {"high": wc.outcomes.Max("box.position", component="z")},
-    "stop": {"fallen": wc.Stop("box.position", component="z", below=-1.0)},
-    "events": wc.Events(["feet"]),
+    "stop": {"fallen": wc.StopCondition("box.position", component="z", below=-1.0)},
+    "events": wc.ContactEvents(["feet"]),
 }
 
 

@@ -53,9 +53,9 @@ def test_a_sound_scene_is_silent_and_warnings_come_once(device):
     [
         lambda sim: sim.step(),
         lambda sim: sim.run(0.02),
-        lambda sim: sim.step_in_frames(1, 2, [], lambda *_: None),
+        lambda sim: sim.step_with_callback(1, 2, [], lambda *_: None),
     ],
-    ids=["step", "run", "step_in_frames"],
+    ids=["step", "run", "step_with_callback"],
 )
 def test_a_warning_points_to_who_steps(step, device):
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), height=-1e-3, device=device)
@@ -88,7 +88,7 @@ def test_points_that_touch_together_share_the_mass(scale, device):
     assert 0.8 * exact < float(found.group(1)) < 1.01 * exact
     model.reset()
     recording = wc.Simulation(model, dt=exact / 500).run(0.02 * scale, ["touch.status"])
-    touching = (recording["touch.status"] == wc.Status.CONTACT).any("item").sum() * exact / 500
+    touching = (recording["touch.status"] == wc.ContactStatus.CONTACT).any("item").sum() * exact / 500
     assert float(found.group(1)) == pytest.approx(float(touching), rel=0.15)
 
 

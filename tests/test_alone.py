@@ -190,7 +190,7 @@ def test_what_is_changed_between_steps_is_seen(device, one_launch):
         model["touch.radius"] = 0.015
 
     def shared(model):
-        model["touch.share"] = 0.5
+        model["touch.force_scale"] = 0.5
 
     changes = [raised, left_out, let_in, larger, shared, lambda model: model.reset(np.arange(ENVS) % 3 == 0)]
     ways = [

@@ -344,7 +344,7 @@ def test_mistakes_are_named():
         (lambda: wc.convergence(run, "peak", "quantile", 0), "q must be greater than 0 and less than 1, got 0"),
         (lambda: wc.convergence(run, "peak", points=0), "points must be a whole number of at least 1, got 0"),
         (lambda: wc.convergence(saltelli, "peak"), "those of sampling.method = 'saltelli' are not independent"),
-        (lambda: wc.convergence(ordered, "peak"), 'variation."touch.share".linspace gives them an order'),
+        (lambda: wc.convergence(ordered, "peak"), 'variation."touch.force_scale".linspace gives them an order'),
         (
             lambda: wc.convergence(sampled(np.array([1.0, np.nan])), "peak", missing="drop"),
             "of at least 2 env.* got 1",

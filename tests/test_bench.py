@@ -73,7 +73,7 @@ def test_bodies_come_to_rest_on_the_terrain(title, device):
     position = sim.state.body_position.numpy()[:, 0]
     height = position[:, 2] - work.surface.height(position)
     assert np.all((height > 0.09) & (height < 0.25))
-    assert (sim.model.sensor("touch.status") == wc.Status.CONTACT).any()
+    assert (sim.model.sensor("touch.status") == wc.ContactStatus.CONTACT).any()
 
 
 def test_limits_are_of_the_points_where_they_are(device):

@@ -136,7 +136,7 @@ def test_a_set_does_what_the_same_bodies_do_one_by_one(precision, device):
         sim.step(1500)
     assert_same(models)
     # Touching, sticking, and hitting the other body, each somewhere.
-    assert (models[0].sensor("touch.status") == wc.Status.CONTACT).any()
+    assert (models[0].sensor("touch.status") == wc.ContactStatus.CONTACT).any()
     assert models[0].sensor("touch.friction.spring").any()
     assert models[0].sensor("hit.gap").min() < 0.2
     for sim in simulations:

@@ -39,7 +39,7 @@ def test_buoy_comes_to_rest_in_the_middle(device, tmp_path):
     np.testing.assert_allclose(last["east.tension_b"], tension, rtol=1e-6)
     np.testing.assert_allclose(last["west.tension_b"], tension, rtol=1e-6)
     np.testing.assert_allclose(last["west.grounded_length"], LENGTH - vertical / WEIGHT, rtol=1e-6)
-    assert (last["east.status"] == wc.LineStatus.GROUNDED).all()
+    assert (last["east.status"] == wc.CatenaryStatus.GROUNDED).all()
     # Upright, as on the first record.
     np.testing.assert_allclose(last["buoy.orientation"], [[0, 0, 0, 1]] * 6, atol=1e-6)
     assert float(recording["buoy.position"].isel(time=0, env=5, axis=0)) == 8.0

@@ -15,7 +15,7 @@ LONG = 0.5
 @pytest.fixture(scope="module")
 def sim():
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), envs=2)
-    made = wc.Simulation(model, dt=1e-3, graphs=False)
+    made = wc.Simulation(model, dt=1e-3, capture_graphs=False)
     made.run(2e-3, ["touch.gap"])  # compiles
     return made
 

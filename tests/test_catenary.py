@@ -74,7 +74,7 @@ def test_lines_of_the_specification(oracle, precision, direction, device):
             stretched = model.sensor("line.stretched_length")[env]
             np.testing.assert_allclose(stretched, case["stretched_length_formula"], **close)
     status = model.sensor("line.status")[unswapped]
-    assert [wc.LineStatus(code).name for code in status] == ["HANGING", "TAUT", "HANGING", "FOLDED", "TAUT"]
+    assert [wc.CatenaryStatus(code).name for code in status] == ["HANGING", "TAUT", "HANGING", "FOLDED", "TAUT"]
 
 
 def test_random_lines_have_the_forces_of_float64_in_float32(device):
@@ -87,8 +87,8 @@ def test_random_lines_have_the_forces_of_float64_in_float32(device):
         model["line.axial_stiffness"] = 9.81 * 2000.0 / (weight * give)
     exact, rounded = (model.sensor("line.force_b") for model in models)
     largest = np.abs(exact).max(axis=1, keepdims=True)
-    assert (models[0].sensor("line.status") != wc.LineStatus.FAILED).all()
-    assert (models[1].sensor("line.status") != wc.LineStatus.FAILED).all()
+    assert (models[0].sensor("line.status") != wc.CatenaryStatus.FAILED).all()
+    assert (models[1].sensor("line.status") != wc.CatenaryStatus.FAILED).all()
     for model, rounding in zip(models, (1e-12, 2e-7), strict=True):
         assert model.sensor("line.iterations").max() <= 20
         # Both ends carry the weight, to a rounding of the larger of their forces.
@@ -115,7 +115,7 @@ def test_both_ends_carry_the_weight(scattered):
 
 def test_shape_ends_where_the_line_does_and_is_as_long_as_it_says(scattered):
     model, places = scattered
-    shape = model.line_shape("line", 4001)
+    shape = model.catenary_shape("line", 4001)
     np.testing.assert_allclose(shape[:, 0], 0.0, atol=1e-7)
     np.testing.assert_allclose(shape[:, -1], places, atol=1e-7)
     polyline = np.linalg.norm(np.diff(shape, axis=1), axis=2).sum(axis=1)
@@ -141,7 +141,7 @@ def _differences(model, places, step):
 def test_stiffness_is_the_derivative_of_the_force(scattered):
     model, places = scattered
     expected = _differences(model, places, 1e-4)
-    stiffness = model.line_stiffness("line")
+    stiffness = model.catenary_stiffness("line")
     size = np.abs(stiffness).max(axis=(1, 2), keepdims=True)
     # Central differences over 0.1 mm of lines that bend within decimetres; a residual of 1e-8 m times stiffness.
     np.testing.assert_allclose(stiffness / size, expected / size, atol=1e-4)
@@ -152,7 +152,7 @@ def test_stiffness_is_the_derivative_of_the_force(scattered):
 def test_stiffness_of_upright_lines_is_the_limit(device):
     places = np.array([[0, 0, z] for z in (-120.0, -103.0, 50.0, 103.0, 120.0)], dtype=float)
     model = hung(places, len(places), device)
-    upright = model.line_stiffness("line")
+    upright = model.catenary_stiffness("line")
     expected = _differences(model, places, 1e-3)
     np.testing.assert_allclose(upright[:, 2, 2], expected[:, 2, 2], rtol=1e-6)
     taut = [0, 1, 3, 4]
@@ -170,11 +170,11 @@ def test_gravity_may_differ_between_environments_and_vanish(device):
     # A straight spring, or no force at all.
     expected = [(tension * 60.0 / chord, 0.0, tension * 84.0 / chord), (0, 0, 0), (0, 0, 0), (0, 0, -1e5)]
     np.testing.assert_allclose(model.sensor("line.force_a"), expected, rtol=1e-12)
-    names = [wc.LineStatus(code).name for code in model.sensor("line.status")]
+    names = [wc.CatenaryStatus(code).name for code in model.sensor("line.status")]
     assert names == ["TAUT", "LOOSE", "LOOSE", "TAUT"]
-    np.testing.assert_allclose(model.line_shape("line", 3)[1], [(0, 0, 0), (15.0, 20.0, 0), (30.0, 40.0, 0)])
+    np.testing.assert_allclose(model.catenary_shape("line", 3)[1], [(0, 0, 0), (15.0, 20.0, 0), (30.0, 40.0, 0)])
     # Without gravity there is no plane: of a straight spring, EA/L along it and T/chord across.
-    stiffness = model.line_stiffness("line")[3]
+    stiffness = model.catenary_stiffness("line")[3]
     np.testing.assert_allclose(stiffness, -np.diag([1e5 / 110.0, 1e5 / 110.0, 1e4]), rtol=1e-12)
     model["scene.gravity"] = [(0, 0, 0), (0, 0, 0), (0, -2.0, 0), (0, 0, 0)]
     # Both ends in one place: folded in the middle.
@@ -192,10 +192,10 @@ def test_far_from_the_origin_the_line_is_the_same(device):
     for sensor in ("force_b", "grounded_length"):
         near, far = (model.sensor(f"line_{k}.{sensor}") for k in range(2))
         np.testing.assert_allclose(far, near, rtol=1e-6)
-    assert model.sensor("line_1.status") == wc.LineStatus.GROUNDED
-    near, far = (model.line_shape(f"line_{k}", 9) for k in range(2))
+    assert model.sensor("line_1.status") == wc.CatenaryStatus.GROUNDED
+    near, far = (model.catenary_shape(f"line_{k}", 9) for k in range(2))
     np.testing.assert_allclose(far - 1e5, near, atol=1e-6)
-    near, far = (model.line_stiffness(f"line_{k}") for k in range(2))
+    near, far = (model.catenary_stiffness(f"line_{k}") for k in range(2))
     np.testing.assert_allclose(far, near, rtol=1e-6, atol=1e-4)
 
 
@@ -206,13 +206,13 @@ def test_a_line_rests_on_the_floor_and_is_lifted(device):
     model = hung(places, len(x), device, floor=0.0)
     status = model.sensor("line.status")
     lies = model.sensor("line.grounded_length")
-    grounded = status == wc.LineStatus.GROUNDED
+    grounded = status == wc.CatenaryStatus.GROUNDED
     assert grounded[0]
     assert not grounded[-1]
     # Once off, it is off.
     assert (np.diff(grounded.astype(int)) <= 0).all()
     assert (np.diff(lies) <= 1e-9).all()
-    shape = model.line_shape("line", 201)
+    shape = model.catenary_shape("line", 201)
     assert (shape[..., 2] > -1e-6).all()
     np.testing.assert_allclose(shape[:, -1], places, atol=1e-7)
     tension = model.sensor("line.horizontal_tension")
@@ -234,18 +234,18 @@ def test_stiffness_of_a_line_on_the_floor_is_the_derivative(device):
     rng = np.random.default_rng(1)
     places = np.stack([*rng.uniform(-60.0, 60.0, (2, 100)), rng.uniform(-1.0, 30.0, 100)], axis=1)
     model = hung(places, 100, device, floor=-2.0)
-    grounded = model.sensor("line.status") == wc.LineStatus.GROUNDED
+    grounded = model.sensor("line.status") == wc.CatenaryStatus.GROUNDED
     assert grounded.sum() > 50
     assert (places[grounded][:, 2] < 0.0).any()
     expected = _differences(model, places, 1e-4)[grounded]
-    stiffness = model.line_stiffness("line")[grounded]
+    stiffness = model.catenary_stiffness("line")[grounded]
     size = np.abs(stiffness).max(axis=(1, 2), keepdims=True)
     np.testing.assert_allclose(stiffness / size, expected / size, atol=1e-4)
 
 
 def test_an_end_below_the_floor_is_flagged_and_held_as_on_it(device):
     model = hung([(90.0, 0, 0.0), (90.0, 0, -0.5), (101.0, 0, -0.5)], 3, device, floor=0.0)
-    names = [wc.LineStatus(code).name for code in model.sensor("line.status")]
+    names = [wc.CatenaryStatus(code).name for code in model.sensor("line.status")]
     assert names == ["GROUNDED", "SUNK", "SUNK"]
     np.testing.assert_allclose(model.sensor("line.force_a"), [(0, 0, 0), (0, 0, 0), (1e4, 0, 0)], atol=1e-8)
 
@@ -294,7 +294,7 @@ def test_a_body_swings_on_a_line_without_gain_or_loss(device):
         for _ in range(100):
             sim.step(round(0.1 / dt))
             total = model.sensor("body.kinetic_energy")[0] + model.sensor("body.potential_energy")[0]
-            energy.append(total + _line_energy(model.line_shape("line", 401)[:1], line)[0])
+            energy.append(total + _line_energy(model.catenary_shape("line", 401)[:1], line)[0])
         spread.append(np.ptp(energy))
         # A symplectic step is off by half a step of work, force times speed, now and after ten seconds.
         assert spread[-1] < 7e3 * 9.0 * dt
@@ -335,8 +335,8 @@ def test_a_line_that_is_not_enabled_does_nothing(device):
     model = hung((50.0, 0, 0), 2, device)
     model["line.enabled"] = [0, 1]
     assert (model.sensor("line.force_a")[0] == 0.0).all()
-    assert (model.line_stiffness("line")[0] == 0.0).all()
-    assert model.sensor("line.status").tolist() == [wc.LineStatus.DISABLED, wc.LineStatus.HANGING]
+    assert (model.catenary_stiffness("line")[0] == 0.0).all()
+    assert model.sensor("line.status").tolist() == [wc.CatenaryStatus.DISABLED, wc.CatenaryStatus.HANGING]
 
 
 @pytest.fixture
@@ -352,7 +352,7 @@ def _no_iterations(monkeypatch):
 @pytest.mark.usefixtures("_no_iterations")
 def test_a_search_that_fails_is_told(device):
     model = hung([(50.0, 0, 0), (0, 0, 50.0)], 2, device)
-    assert model.sensor("line.status").tolist() == [wc.LineStatus.FAILED, wc.LineStatus.FOLDED]
+    assert model.sensor("line.status").tolist() == [wc.CatenaryStatus.FAILED, wc.CatenaryStatus.FOLDED]
     sim = wc.Simulation(model, dt=1e-4)
     with pytest.warns(RuntimeWarning, match="catenary 'line' was without a solution in some steps of 1 of 2"):
         sim.run(3e-4)
@@ -378,9 +378,9 @@ def test_values_that_are_not_allowed_are_refused(options, message):
 def test_shapes_of_what_is_not_there_are_refused(scattered):
     model, _ = scattered
     with pytest.raises(KeyError, match="no catenary 'lime'; did you mean 'line'"):
-        model.line_shape("lime")
+        model.catenary_shape("lime")
     with pytest.raises(ValueError, match="count must be a whole number of at least 2, got 1"):
-        model.line_shape("line", 1)
+        model.catenary_shape("line", 1)
 
 
 def test_mistakes_in_an_experiment_file_are_told_with_their_keys(tmp_path):
@@ -442,6 +442,6 @@ def test_an_environment_that_is_frozen_leaves_the_others_alone(device):
 def test_parts_on_several_devices_are_gathered_in_order():
     places = np.random.default_rng(2).normal(size=(5, 3)) * 50.0
     whole, split = hung(places, 5, "cpu"), hung(places, 5, ["cpu", "cpu"])
-    np.testing.assert_array_equal(split.line_shape("line", 5), whole.line_shape("line", 5))
-    np.testing.assert_array_equal(split.line_stiffness("line"), whole.line_stiffness("line"))
+    np.testing.assert_array_equal(split.catenary_shape("line", 5), whole.catenary_shape("line", 5))
+    np.testing.assert_array_equal(split.catenary_stiffness("line"), whole.catenary_stiffness("line"))
     np.testing.assert_array_equal(split.sensor("line.tension_a"), whole.sensor("line.tension_a"))

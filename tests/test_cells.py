@@ -331,7 +331,7 @@ def test_points_that_were_pushed_through_a_plate_are_not_left_behind_it(forget, 
     corners = [(x, y, 0.0) for x in (-4e-3, 4e-3) for y in (-4e-3, 4e-3)]
     scene = falling_points(corners, wc.meshes.box((1, 1, 0.02)), 0.03, entry="latched")
     in_cells = told(scene, 160, change=change)
-    assert in_cells[-1] == ([[wc.Status.CONTACT] * 4], [[4]])
+    assert in_cells[-1] == ([[wc.ContactStatus.CONTACT] * 4], [[4]])
     monkeypatch.undo()
     assert told(scene, 160, change=change) == in_cells
 
@@ -343,7 +343,7 @@ def test_points_beside_a_rim_hold_up_no_others(beside):
     plane = wc.Mesh([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], [(0, 1, 2), (0, 2, 3)])
     scene = falling_points([(0, 0, 0), (1.0 + beside, 0, 0.5)], plane, 0.05)
     seen = told(scene, 100)
-    assert seen[-1] == ([[wc.Status.CONTACT, wc.Status.OPEN]], [[1]])
+    assert seen[-1] == ([[wc.ContactStatus.CONTACT, wc.ContactStatus.OPEN]], [[1]])
 
 
 def block_with_a_gap(gap, cells=10, half=0.25, height=0.0137):
@@ -431,4 +431,4 @@ def test_a_reading_of_a_state_that_is_no_number_finds_nothing_in_cells(monkeypat
     assert own.cache.face.size == 0
     assert np.isfinite(model.sensor("touch.gap")).any()
     own.state.body_position.fill_(np.nan)
-    assert (model.sensor("touch.status") == wc.Status.FAR).all()
+    assert (model.sensor("touch.status") == wc.ContactStatus.FAR).all()

@@ -59,8 +59,8 @@ def hard():
 
 
 CASES = {
-    "forces": (everything, {"dt": 5e-4, "crossing_steps": 3}),
-    "launches": (everything, {"dt": 5e-4, "graphs": False}),
+    "forces": (everything, {"dt": 5e-4, "crossing_substeps": 3}),
+    "launches": (everything, {"dt": 5e-4, "capture_graphs": False}),
     "impulses": (hard, {"dt": 1e-3, "integrator": wc.integrators.MoreauJean(theta=0.5)}),
 }
 
@@ -137,7 +137,7 @@ def test_a_model_that_was_not_stepped_still_follows_its_parameters(device, tmp_p
     ("changes", "message"),
     [
         ({"dt": 1e-3}, r"dt: 0\.0005 there, 0\.001 here"),
-        ({"crossing_steps": 2}, "crossing_steps: 3 there, 2 here"),
+        ({"crossing_substeps": 2}, "crossing_substeps: 3 there, 2 here"),
         ({"envs": 4}, r"envs: \[3\] there, \[4\] here"),
     ],
 )
@@ -157,7 +157,7 @@ def test_another_scene_is_refused_by_what_differs(device, tmp_path):
     sim.save(tmp_path / "state.npz")
     with pytest.raises(wc.CheckpointError, match=r"another simulation: .*integrator|dt"):
         simulation("impulses", device).load(tmp_path / "state.npz")
-    other = wc.Simulation(everything("floor").build(envs=3, device=device), 5e-4, crossing_steps=3)
+    other = wc.Simulation(everything("floor").build(envs=3, device=device), 5e-4, crossing_substeps=3)
     with pytest.raises(wc.CheckpointError, match=r"parameters: it has 'ground\.\w+' and has no 'floor"):
         other.load(tmp_path / "state.npz")
 

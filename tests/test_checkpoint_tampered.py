@@ -110,18 +110,20 @@ def test_parameters_and_forces_that_a_user_could_not_set_are_refused(saved, tmp_
 
 def test_a_share_of_zero_is_refused_where_contacts_are_nonsmooth(tmp_path):
     sim, path = simulation("impulses", "cpu", envs=2), tmp_path / "state.npz"
-    sim.model["feet.share"] = 0.75
+    sim.model["feet.force_scale"] = 0.75
     sim.save(path)
     arrays = dict(np.load(path).items())
     (name,) = [name for name, values in arrays.items() if "/values/" in name and np.all(values == 0.75)]
     np.savez(path, **(arrays | {name: 0.0 * arrays[name]}))
-    sim.model["feet.share"] = 0.5
+    sim.model["feet.force_scale"] = 0.5
     sim.step(2)
     before = bits(sim)
-    with pytest.raises(wc.CheckpointError, match=r"feet\.share must be greater than 0, got 0: rigid contact"):
+    with pytest.raises(
+        wc.CheckpointError, match=r"feet\.force_scale must be greater than 0, got 0: rigid contact"
+    ):
         sim.load(path)
     assert bits(sim) == before
-    np.testing.assert_array_equal(sim.model["feet.share"], 0.5)
+    np.testing.assert_array_equal(sim.model["feet.force_scale"], 0.5)
 
 
 @pytest.mark.parametrize("value", [np.array(["a"]), np.array([np.nan]), np.array([-1.0]), np.zeros(2)], ids=str)

@@ -6,10 +6,10 @@ import sys
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from warpcontact.check import to_search
 
 import warpcontact as wc
-from warpcontact import Status
-from warpcontact.advice import to_search
+from warpcontact import ContactStatus
 from warpcontact.clearance import is_clear
 
 LAW = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4))
@@ -66,7 +66,7 @@ def test_what_is_clear_touches_nothing(kind, form, device):
     scene = wc.Scene(gravity=(0, 0, 0))
     surface, options = surfaces(scene, kind)
     points, radius = points_of(scene, form)
-    options |= {"rim": "outer" if radius else "off", "entry": ("literal", "latched")[KINDS.index(kind) % 2]}
+    options |= {"boundary": "outer" if radius else "off", "entry": ("literal", "latched")[KINDS.index(kind) % 2]}
     contact = scene.add_contact(points, surface, LAW, name="touch", radius=radius, **options)
     envs = 40
     model = scene.build(envs=envs, device=device, precision=("float32", "float64")[len(form) % 2])
@@ -96,7 +96,7 @@ def test_what_is_clear_touches_nothing(kind, form, device):
             model["touch.radius"] = radius * rng.uniform(0.9, 1.1, size=envs)
             if form == "hull":
                 model["hull.scale"] = rng.uniform(0.6, 0.8, size=envs)
-        touching = model.sensor("touch.status") == Status.CONTACT
+        touching = model.sensor("touch.status") == ContactStatus.CONTACT
         apart += not touching.any()
         if is_clear(model, contact, envs):
             clear += 1

@@ -111,7 +111,7 @@ def heap():
 
 def crossing():
     scene = falling_on(wc.meshes.grid((4, 4), (5, 5)), material=STUCK, swept=True)()
-    return wc.Simulation(scene.build(envs=3, device="cpu"), dt=1e-3, crossing_steps=3)
+    return wc.Simulation(scene.build(envs=3, device="cpu"), dt=1e-3, crossing_substeps=3)
 
 
 def bodies():

@@ -43,7 +43,7 @@ def test_all_faces_in_range_push_as_printed_at_every_level_of_the_mesh(oracle, n
         for prefix in ("keep", "box"):  # what the coupling says of itself, and what the body gets
             np.testing.assert_allclose(model.sensor(f"{prefix}.force")[0], level["force"], atol=1e-10 * scale)
             np.testing.assert_allclose(model.sensor(f"{prefix}.torque")[0], level["moment"], atol=1e-10 * scale)
-        assert (model.sensor("keep_first.status") == wc.Status.CONTACT).sum() == level["faces_in_range"]
+        assert (model.sensor("keep_first.status") == wc.ContactStatus.CONTACT).sum() == level["faces_in_range"]
         wc.Simulation(model, dt=1e-4).step()
         assert model.sensor("keep.effective_area")[0] == pytest.approx(level["area_in_range"], rel=1e-12)
 
@@ -113,7 +113,7 @@ def test_projected_faces_converge_to_the_volume_in_range_faster_with_more_points
             for n in (4, 8, 16, 32)
         ]
         errors[points] = np.abs(np.array(forces) / limit - 1.0)
-    # The border of the range cuts through faces, which no rule integrates exactly: the mean error of all levels,
+    # The boundary of the range cuts through faces, which no rule integrates exactly: the mean error of all levels,
     # as a single one may happen to be right.
     mean = {points: float(np.exp(np.log(values).mean())) for points, values in errors.items()}
     assert errors[1][-1] < 2e-3

@@ -228,7 +228,7 @@ def test_bad_impacts_are_refused(changes, message):
         ({"quadrature": 2}, "keep.quadrature must be a number of points per face, one of 1, 3, 6, 7, got 2"),
         ({"quadrature": True}, "keep.quadrature must be a number of points per face"),
         ({"damping_ramp": -0.1}, "keep.damping_ramp must be at least 0, got -0.1 m"),
-        ({"rim": "inner"}, "keep.rim must be one of 'off', 'outer', got 'inner'"),
+        ({"boundary": "inner"}, "keep.boundary must be one of 'off', 'outer', got 'inner'"),
         (
             {"surface_a": "plate", "surface_b": "hull"},
             "keep.surface_a must be on a body, got 'plate' on the world",

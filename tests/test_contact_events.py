@@ -47,7 +47,7 @@ def test_events_are_the_changes_of_a_recording(device):
     record = [f"{name}.penetration" for name in names]
     # Ordered sums: on a GPU two runs are the same then.
     recording = wc.Simulation(box(device=device), DT, deterministic=True).run(steps * DT, record=record, every=DT)
-    sim = wc.Simulation(box(device=device), DT, deterministic=True, events=wc.Events(names, most=200))
+    sim = wc.Simulation(box(device=device), DT, deterministic=True, events=wc.ContactEvents(names, most=200))
     sim.step(steps)
     events = sim.events()
     assert events.sizes == {"env": 3, "event": 200}
@@ -69,7 +69,7 @@ def test_events_are_the_changes_of_a_recording(device):
 def test_the_last_events_are_kept_and_the_others_counted():
     steps = 3000
     all_of_them, few = (
-        wc.Simulation(box(), DT, events=wc.Events(["touch", "feet"], most=most)) for most in (300, 7)
+        wc.Simulation(box(), DT, events=wc.ContactEvents(["touch", "feet"], most=most)) for most in (300, 7)
     )
     for sim in (all_of_them, few):
         sim.step(steps)
@@ -85,7 +85,7 @@ def test_the_last_events_are_kept_and_the_others_counted():
 def test_a_contact_at_the_start_is_made_at_the_start():
     model = box(1)
     model["ball.position"] = (0.5, 0.0, 0.099)
-    sim = wc.Simulation(model, DT, events=wc.Events(["touch"]))
+    sim = wc.Simulation(model, DT, events=wc.ContactEvents(["touch"]))
     sim.step()
     assert sim.events()["time"][0, 0] == 0.0
     assert sim.events()["made"][0, 0] == 1
@@ -94,12 +94,12 @@ def test_a_contact_at_the_start_is_made_at_the_start():
 @pytest.mark.parametrize(
     ("make", "problem"),
     [
-        (lambda: wc.Events([]), "Events.contacts must be one name of a contact or more"),
-        (lambda: wc.Events("touch"), "must be a list of names of contacts, got the string 'touch'"),
-        (lambda: wc.Events(["touch", "touch"]), "must be different contacts"),
-        (lambda: wc.Events(["touch"], most=0), "Events.most must be a whole number of at least 1, got 0"),
-        (lambda: wc.Events(["tuch"]), "events: 'tuch' is not a contact; events are of 'feet', 'touch'"),
-        (lambda: wc.Events(["ball"]), "events: 'ball' is not a contact"),
+        (lambda: wc.ContactEvents([]), "Events.contacts must be one name of a contact or more"),
+        (lambda: wc.ContactEvents("touch"), "must be a list of names of contacts, got the string 'touch'"),
+        (lambda: wc.ContactEvents(["touch", "touch"]), "must be different contacts"),
+        (lambda: wc.ContactEvents(["touch"], most=0), "Events.most must be a whole number of at least 1, got 0"),
+        (lambda: wc.ContactEvents(["tuch"]), "events: 'tuch' is not a contact; events are of 'feet', 'touch'"),
+        (lambda: wc.ContactEvents(["ball"]), "events: 'ball' is not a contact"),
     ],
 )
 def test_what_has_no_events_is_refused(make, problem):
@@ -117,7 +117,7 @@ def test_mutual_contacts_have_no_events():
     with pytest.raises(
         ValueError, match="events: 'pile' is a particle contact, the touches of which have no numbers"
     ):
-        wc.Simulation(model, DT, events=wc.Events(["pile"]))
+        wc.Simulation(model, DT, events=wc.ContactEvents(["pile"]))
     with pytest.raises(ValueError, match=r"pile\.contacts is not there in every step, and may only be Final"):
         wc.Simulation(model, DT, outcomes={"n": wc.outcomes.Max("pile.contacts")})
     sim = wc.Simulation(model, DT, outcomes={"n": wc.outcomes.Final("pile.contacts")})

@@ -5,7 +5,7 @@ import pytest
 from scenes import probe
 
 import warpcontact as wc
-from warpcontact import Status
+from warpcontact import ContactStatus
 
 
 def box_distance(points, size):
@@ -57,7 +57,7 @@ def test_thin_triangles_keep_their_digits(strips, precision, exact, device):
     points = np.stack([*rng.uniform(-0.45, 0.45, (2, 3000)), -depth], axis=1)
     sensors = probe(floor, points, device=device, precision=precision)
     np.testing.assert_allclose(sensors["gap"], -depth, atol=exact)
-    assert (sensors["status"] == Status.CONTACT).all()
+    assert (sensors["status"] == ContactStatus.CONTACT).all()
     # Depths of 1e-6 in coordinates of 0.5 leave six digits less for a direction across an edge.
     deep = depth > 1e-4
     np.testing.assert_allclose(sensors["normal"][deep], np.tile((0, 0, 1), (deep.sum(), 1)), atol=2e-3)
@@ -113,7 +113,7 @@ def test_a_contact_is_not_missed_where_the_query_names_a_wrong_face(device):
         [*(reach * inside * np.array([np.cos(turn), np.sin(turn)])), rng.uniform(-0.4, 0.4, 3000)]
     )
     sensors = probe(pipe, points, device=device, precision="float64")
-    assert (sensors["status"] == Status.CONTACT).all()
+    assert (sensors["status"] == ContactStatus.CONTACT).all()
     # To the nearest facet it is at most as deep as to this one.
     assert (sensors["penetration"] <= depth + 1e-15).all()
     np.testing.assert_allclose(sensors["penetration"], depth, atol=1e-6)
@@ -126,4 +126,4 @@ def test_on_an_edge_the_active_face_counts(device):
     points = np.stack([along, along, np.full(500, -1e-3)], axis=1)
     for active in ([0], [1]):
         sensors = probe(square, points, active_faces=active, device=device)
-        assert (sensors["status"] == Status.CONTACT).all()
+        assert (sensors["status"] == ContactStatus.CONTACT).all()

@@ -1,4 +1,4 @@
-"""Closest point, orientation, active part, borders: the sensor table and the worked numbers of SPEC 1."""
+"""Closest point, orientation, active part, boundaries: the sensor table and the worked numbers of SPEC 1."""
 
 import json
 
@@ -7,7 +7,7 @@ import pytest
 from scenes import oracle_law, probe, square
 
 import warpcontact as wc
-from warpcontact import Status
+from warpcontact import ContactStatus
 
 # One float32 epsilon is 1.2e-7; positions of order one pass a rotation, a query and a rotation back.
 LENGTH = 1.0e-6
@@ -62,7 +62,7 @@ def assert_like_oracle(model, oracle, rtol):
     def close(name, expected, scale=1.0):
         np.testing.assert_allclose(model.sensor(name)[0], expected, rtol=rtol, atol=rtol * scale, err_msg=name)
 
-    assert Status(model.sensor("touch.status")[0]).name == oracle["status"]
+    assert ContactStatus(model.sensor("touch.status")[0]).name == oracle["status"]
     close("touch.gap", oracle["gap"], 0.01)
     close("touch.penetration", oracle["delta"], 0.01)
     close("one.force", oracle["F1"], np.linalg.norm(oracle["F1"]))
@@ -94,7 +94,7 @@ def test_worked_numbers_on_a_sphere_appear_as_its_mesh_is_refined(shared, device
     # A facet of the fine icosphere (edge 0.02) lies up to h²/8 = 5e-5 inside; δ = 4e-3, so 1.5 % of the force.
     direction = np.array([1.0, 2.0, 2.0]) / 3.0
     model = oracle_model(wc.meshes.icosphere(1.0, 6), 0.996 * direction, "float32", device)
-    assert Status(model.sensor("touch.status")[0]) == Status.CONTACT
+    assert ContactStatus(model.sensor("touch.status")[0]) == ContactStatus.CONTACT
     np.testing.assert_allclose(model.sensor("touch.penetration")[0], oracle["delta"], rtol=0.015)
     np.testing.assert_allclose(model.sensor("touch.point")[0], oracle["K"], atol=5e-5)
     np.testing.assert_allclose(model.sensor("one.force")[0], oracle["F1"], rtol=0.03)
@@ -121,20 +121,20 @@ def test_open_contact_and_zero_gap(device):
     np.testing.assert_allclose(sensors["gap"], [0.25, 0.0], atol=LENGTH)
     assert sensors["penetration"].tolist() == [0.0, 0.0]
     assert sensors["normal_force"].tolist() == [0.0, 0.0]
-    assert sensors["status"][0] == Status.OPEN
+    assert sensors["status"][0] == ContactStatus.OPEN
 
 
 def test_a_point_exactly_on_the_surface_does_not_touch(device):
     sensors = probe(square(), [(0.1, 0.2, 0.0)], device=device)
     assert sensors["gap"][0] == 0.0
     assert sensors["penetration"][0] == 0.0
-    assert sensors["status"][0] == Status.OPEN
+    assert sensors["status"][0] == ContactStatus.OPEN
     np.testing.assert_allclose(sensors["normal"][0], (0, 0, 1))
 
 
 def test_contact_reports_depth_and_normal(device):
     sensors = probe(square(), [(0.1, 0.2, -0.01)], device=device)
-    assert sensors["status"][0] == Status.CONTACT
+    assert sensors["status"][0] == ContactStatus.CONTACT
     np.testing.assert_allclose(sensors["gap"], -0.01, atol=LENGTH)
     np.testing.assert_allclose(sensors["penetration"], 0.01, atol=LENGTH)
     np.testing.assert_allclose(sensors["normal"][0], (0, 0, 1), atol=LENGTH)
@@ -144,7 +144,7 @@ def test_hidden_faces_carry_no_force_and_report_a_distance(device):
     # The upper left triangle is hidden; the whole surface is searched, so the point above it finds it hidden.
     positions = [(-0.5, 0.5, -0.01), (-0.5, 0.5, 0.3), (0.5, -0.5, -0.01)]
     sensors = probe(square(), positions, active_faces=[0], device=device)
-    assert sensors["status"].tolist() == [Status.HIDDEN, Status.HIDDEN, Status.CONTACT]
+    assert sensors["status"].tolist() == [ContactStatus.INACTIVE, ContactStatus.INACTIVE, ContactStatus.CONTACT]
     np.testing.assert_allclose(sensors["gap"], [0.01, 0.3, -0.01], atol=LENGTH)
     assert sensors["normal_force"][:2].tolist() == [0.0, 0.0]
     sphere = probe(square(), positions[:2], active_faces=[0], radius=0.1, device=device)
@@ -155,32 +155,34 @@ def test_hidden_faces_carry_no_force_and_report_a_distance(device):
 def test_an_edge_shared_with_an_active_face_is_active(device):
     # The diagonal belongs to both triangles.
     sensors = probe(square(), [(0.25, 0.25, -0.01)], active_faces=[0], device=device)
-    assert sensors["status"][0] == Status.CONTACT
+    assert sensors["status"][0] == ContactStatus.CONTACT
 
 
 def test_searching_the_active_part_only_finds_its_nearest_point(device):
-    # Over the hidden triangle, 0.1 beside the diagonal: the nearest active point is on the diagonal, a border.
+    # Over the hidden triangle, 0.1 beside the diagonal: the nearest active point is on the diagonal, a boundary.
     beside = (-0.1 / np.sqrt(2), 0.1 / np.sqrt(2), 0.05)
-    for rim, status in (("off", Status.OPEN), ("outer", Status.CONTACT)):
-        sensors = probe(square(), [beside], active_faces=[0], search="active", radius=0.2, rim=rim, device=device)
+    for boundary, status in (("off", ContactStatus.OPEN), ("outer", ContactStatus.CONTACT)):
+        sensors = probe(
+            square(), [beside], active_faces=[0], search="active", radius=0.2, boundary=boundary, device=device
+        )
         assert sensors["status"][0] == status
         expected = np.hypot(0.1, 0.05) - 0.2
-        gap = expected if rim == "outer" else 0.0
+        gap = expected if boundary == "outer" else 0.0
         np.testing.assert_allclose(sensors["gap"], gap, atol=LENGTH)
     point = probe(square(), [(*beside[:2], -0.05)], active_faces=[0], search="active", device=device)
-    assert point["status"][0] == Status.OPEN
+    assert point["status"][0] == ContactStatus.OPEN
     np.testing.assert_allclose(point["gap"], np.hypot(0.1, 0.05), atol=LENGTH)
 
 
 def test_far_surfaces_are_not_seen(device):
     sensors = probe(square(), [(0, 0, 0.5), (0, 0, 0.2)], radius=0.05, search_radius=0.3, device=device)
-    assert sensors["status"].tolist() == [Status.FAR, Status.OPEN]
+    assert sensors["status"].tolist() == [ContactStatus.FAR, ContactStatus.OPEN]
     np.testing.assert_allclose(sensors["gap"], [0.25, 0.15], atol=LENGTH)
 
 
 def test_too_deep_is_the_wrong_side(device):
     sensors = probe(square(), [(0, 0, -0.01), (0, 0, -0.2)], max_depth=0.05, device=device)
-    assert sensors["status"].tolist() == [Status.CONTACT, Status.WRONG_SIDE]
+    assert sensors["status"].tolist() == [ContactStatus.CONTACT, ContactStatus.WRONG_SIDE]
     np.testing.assert_allclose(sensors["gap"], [-0.01, -0.2], atol=LENGTH)
     assert sensors["penetration"][1] == 0.0
     assert sensors["normal_force"][1] == 0.0
@@ -188,12 +190,12 @@ def test_too_deep_is_the_wrong_side(device):
 
 def test_a_disabled_contact_is_skipped(device):
     sensors = probe(square(), [(0, 0, -0.01)], enabled=False, device=device)
-    assert sensors["status"][0] == Status.DISABLED
+    assert sensors["status"][0] == ContactStatus.DISABLED
     assert np.isnan(sensors["gap"][0])
     assert sensors["normal_force"][0] == 0.0
 
 
-# Edges, vertices, borders, far field
+# Edges, vertices, boundaries, far field
 
 
 def test_directions_over_edges_and_corners_of_a_cube(device):
@@ -224,7 +226,7 @@ def test_the_sign_is_right_far_from_a_tetrahedron(device):
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     sensors = probe(tetrahedron(), 50.0 * directions, device=device)
     assert (sensors["gap"] > 48.0).all()
-    assert (sensors["status"] == Status.OPEN).all()
+    assert (sensors["status"] == ContactStatus.OPEN).all()
 
 
 def test_inside_a_tetrahedron_the_gap_is_negative(device):
@@ -250,18 +252,23 @@ def test_a_concave_edge_pushes_out_of_the_material(device):
 def test_nothing_touches_beyond_an_open_border(device):
     positions = [(1.1, 0.0, -0.01), (1.0 + 1e-5, 0.0, -0.01), (0.999, 0.0, -0.01), (1.1, 1.1, -0.01)]
     sensors = probe(square(), positions, device=device)
-    # 1e-5 beside a border of length 2 is within the tolerance of 1e-4 of the edge.
-    assert sensors["status"].tolist() == [Status.OPEN, Status.CONTACT, Status.CONTACT, Status.OPEN]
+    # 1e-5 beside a boundary of length 2 is within the tolerance of 1e-4 of the edge.
+    assert sensors["status"].tolist() == [
+        ContactStatus.OPEN,
+        ContactStatus.CONTACT,
+        ContactStatus.CONTACT,
+        ContactStatus.OPEN,
+    ]
     np.testing.assert_allclose(sensors["gap"][0], np.hypot(0.1, 0.01), atol=LENGTH)
     np.testing.assert_allclose(sensors["gap"][1], -0.01, atol=LENGTH)
 
 
-@pytest.mark.parametrize(("rim", "touching"), [("off", Status.OPEN), ("outer", Status.CONTACT)])
-def test_a_sphere_touches_the_rim_only_when_asked(rim, touching, device):
+@pytest.mark.parametrize(("boundary", "touching"), [("off", ContactStatus.OPEN), ("outer", ContactStatus.CONTACT)])
+def test_a_sphere_touches_the_rim_only_when_asked(boundary, touching, device):
     positions = [(1.06, 0.0, 0.08), (1.06, 0.0, -0.08)]
-    sensors = probe(square(), positions, radius=0.2, rim=rim, device=device)
-    assert sensors["status"].tolist() == [touching, Status.OPEN]
-    if rim == "outer":
+    sensors = probe(square(), positions, radius=0.2, boundary=boundary, device=device)
+    assert sensors["status"].tolist() == [touching, ContactStatus.OPEN]
+    if boundary == "outer":
         np.testing.assert_allclose(sensors["gap"][0], 0.1 - 0.2, atol=LENGTH)
         np.testing.assert_allclose(sensors["normal"][0], (0.6, 0, 0.8), atol=4 * LENGTH)
 
@@ -285,7 +292,7 @@ def test_at_a_tie_the_lowest_face_wins(device):
 
 def test_flip_turns_the_outer_side_over(device):
     sensors = probe(square(), [(0.1, 0.0, 0.01)], flip=True, device=device)
-    assert sensors["status"][0] == Status.CONTACT
+    assert sensors["status"][0] == ContactStatus.CONTACT
     np.testing.assert_allclose(sensors["normal"][0], (0, 0, -1), atol=LENGTH)
 
 
@@ -298,7 +305,7 @@ def test_the_direction_is_continuous_while_a_sphere_rolls_over_an_edge(device):
     x = 0.5 + 0.05 * np.sin(turn) + np.where(angle < 0, along, 0.0)
     z = 0.5 + 0.05 * np.cos(turn) - np.where(angle > np.pi / 2, along, 0.0)
     sensors = probe(cube, np.stack([x, 0 * x, z], axis=1), radius=0.06, device=device)
-    assert (sensors["status"] == Status.CONTACT).all()
+    assert (sensors["status"] == ContactStatus.CONTACT).all()
     # All at the same depth, and no step of the normal larger than the step of the angle.
     np.testing.assert_allclose(sensors["gap"], -0.01, atol=LENGTH)
     steps = np.linalg.norm(np.diff(sensors["normal"], axis=0), axis=1)
@@ -357,7 +364,7 @@ def test_literal_entry_pushes_a_point_from_the_inner_side_through(device):
 
 def test_latched_entry_lets_a_point_from_the_inner_side_pass(device):
     sim = latched("latched", -0.1, (0, 0, 1.0), device, steps=50)
-    assert sim.model.sensor("touch.status")[0] == Status.WRONG_SIDE
+    assert sim.model.sensor("touch.status")[0] == ContactStatus.WRONG_SIDE
     np.testing.assert_allclose(sim.model.sensor("touch.gap")[0], -0.05, atol=1e-5)
     sim.step(150)
     np.testing.assert_allclose(sim.model.sensor("body.linear_velocity")[0], (0, 0, 1.0))
@@ -372,7 +379,7 @@ def test_latched_entry_holds_a_point_from_the_outer_side(device):
 def test_the_latch_opens_below_the_greatest_depth_and_closes_outside(device):
     # Too fast to be stopped within 20 mm: passes, and is not pushed out of the other side again.
     sim = latched("latched", 0.05, (0, 0, -5.0), device, max_depth=0.02, steps=100)
-    assert sim.model.sensor("touch.status")[0] == Status.WRONG_SIDE
+    assert sim.model.sensor("touch.status")[0] == ContactStatus.WRONG_SIDE
     speed = sim.model.sensor("body.linear_velocity")[0, 2]
     assert speed < -4.0
     sim.step(100)
@@ -383,4 +390,4 @@ def test_reset_disarms_the_latch_with_its_environment(device):
     sim = latched("latched", -0.01, (0, 0, 1.0), device, steps=100)
     assert sim.model.sensor("touch.gap")[0] > 0
     sim.reset()
-    assert sim.model.sensor("touch.status")[0] == Status.WRONG_SIDE
+    assert sim.model.sensor("touch.status")[0] == ContactStatus.WRONG_SIDE

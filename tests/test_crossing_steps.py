@@ -19,7 +19,7 @@ def test_the_step_of_a_crossing_is_resolved_in_parts(precision, device):
     errors = []
     for count in parts.tolist():
         sim = shots(
-            hard_cases.plate(), start, velocity, dt=dt, precision=precision, device=device, crossing_steps=count,
+            hard_cases.plate(), start, velocity, dt=dt, precision=precision, device=device, crossing_substeps=count,
             law=wc.laws.Hooke(stiffness=omega**2),
         )  # fmt: skip
         depth, speed = np.full(64, np.nan), np.full(64, np.nan)
@@ -52,7 +52,7 @@ def test_a_bounce_in_parts_gains_no_energy_to_speak_of(whole, precision, device)
     velocity = np.tile([0.0, 0.0, -10.0], (64, 1))
     for parts in (1, 4, 16):
         sim = shots(
-            hard_cases.plate(), start, velocity, dt=1e-2, precision=precision, device=device, crossing_steps=parts,
+            hard_cases.plate(), start, velocity, dt=1e-2, precision=precision, device=device, crossing_substeps=parts,
             law=wc.laws.Hooke(stiffness=(whole / 1e-2) ** 2),
         )  # fmt: skip
         sim.step(14 + round(4 / whole))
@@ -77,11 +77,11 @@ def test_a_corner_that_turns_its_body_gains_no_energy_either(precision, device):
     # The corner arrives at 2 m/s, half of it from turning, at all times of the first step.
     model["body.position"] = np.linspace([0.0, 0.0, 0.103], [0.0, 0.0, 0.119], 32)
     model["body.linear_velocity"], model["body.angular_velocity"] = (0.0, 0.0, -1.0), (-2.0, 4.0, 0.0)
-    sim = wc.Simulation(model, dt=1e-2, crossing_steps=16)
+    sim = wc.Simulation(model, dt=1e-2, crossing_substeps=16)
     before = model.sensor("body.kinetic_energy")
     sim.step()
     assert (model.sensor("touch.crossings") == 1).all()
-    while (model.sensor("touch.status") != wc.Status.OPEN).any():
+    while (model.sensor("touch.status") != wc.ContactStatus.OPEN).any():
         sim.step()
     gain = model.sensor("body.kinetic_energy") / before - 1
     # The bounds of a straight bounce, and for the lever that turns meanwhile ω dt of 4.5 rad/s, squared, besides.
@@ -101,7 +101,7 @@ def test_environments_without_a_crossing_do_not_notice_the_others(parts, precisi
     def run(rows, count=12):
         sim = shots(
             hard_cases.plate(), start[rows], velocity[rows], dt=1e-2, precision=precision, device=device,
-            crossing_steps=parts,
+            crossing_substeps=parts,
         )  # fmt: skip
         sim.model["ball.angular_velocity"] = spin[rows]
         sim.step(count)
@@ -123,7 +123,7 @@ def test_where_nothing_crosses_the_steps_are_the_same_bits(parts, precision, dev
     start = np.array([[0.1, 0.2, 0.05], [0.3, -0.2, 0.02]])
     velocity = np.array([[0.0, 0.1, -0.25], [0.3, 0.0, -0.1]])
     results = []
-    for options in ({"swept": False}, {"swept": True}, {"swept": True, "crossing_steps": parts}):
+    for options in ({"swept": False}, {"swept": True}, {"swept": True, "crossing_substeps": parts}):
         sim = shots(
             hard_cases.plate(),
             start,
@@ -145,7 +145,9 @@ def test_where_nothing_crosses_the_steps_are_the_same_bits(parts, precision, dev
 @PRECISIONS
 def test_frozen_environments_stay_as_they_are(precision, device):
     start, velocity, _ = fan_of_shots(12, 1.0)
-    sim = shots(hard_cases.plate(), start, velocity, dt=1e-2, precision=precision, device=device, crossing_steps=4)
+    sim = shots(
+        hard_cases.plate(), start, velocity, dt=1e-2, precision=precision, device=device, crossing_substeps=4
+    )
     # A body that turns non-finite while others cross.
     sim.step(1)
     state = sim.state.body_linear_velocity.numpy().copy()
@@ -165,9 +167,11 @@ def test_frozen_environments_stay_as_they_are(precision, device):
 @PRECISIONS
 def test_two_simulations_of_one_model_take_turns(precision, device):
     start, velocity, _ = fan_of_shots(12, 1.0)
-    one = shots(hard_cases.plate(), start, velocity, dt=1e-2, precision=precision, device=device, crossing_steps=3)
+    one = shots(
+        hard_cases.plate(), start, velocity, dt=1e-2, precision=precision, device=device, crossing_substeps=3
+    )
     whole = [one.model.sensor(name) for _ in [one.step(16)] for name in STATE]
-    other = wc.Simulation(one.model, dt=1e-2, crossing_steps=3)
+    other = wc.Simulation(one.model, dt=1e-2, crossing_substeps=3)
     one.reset()
     for turn in range(16):
         (one if turn % 3 else other).step()
@@ -180,5 +184,5 @@ def test_wrong_numbers_of_parts_are_refused_by_name(wrong, device):
     model = shots(
         hard_cases.plate(), [[0, 0, 1.0]], [[0, 0, 0]], dt=1e-3, precision="float32", device=device, law=SPRING
     ).model
-    with pytest.raises(ValueError, match=r"crossing_steps must be a whole number of at least 1"):
-        wc.Simulation(model, dt=1e-3, crossing_steps=wrong)
+    with pytest.raises(ValueError, match=r"crossing_substeps must be a whole number of at least 1"):
+        wc.Simulation(model, dt=1e-3, crossing_substeps=wrong)

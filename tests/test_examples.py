@@ -192,6 +192,6 @@ def test_falling_boxes_come_to_rest_with_all_their_energy_accounted_for(device, 
         assert told[f"{pair}.penetration"].max() < 8e-3
     assert np.median(told["scene.kinetic_energy"][-1]) < 1e-3
     energy = told["scene.kinetic_energy"] + told["scene.potential_energy"]
-    energy += told["scene.friction_loss"] + told["scene.impact_loss"]
+    energy += told["scene.friction_dissipation"] + told["scene.impact_dissipation"]
     # To second order in the step, of bodies that turn at some rad/s; there were 129 J.
     assert np.abs(energy - energy[0]).max() < 1e-3

@@ -113,7 +113,7 @@ def test_spheres_of_the_example_gain_no_energy_and_stay_above_the_ground(device,
     assert np.abs(data["ball.position"].values[..., :2]).max() < 8.0  # the terrain ends there
     assert (data["touch.gap"] > -0.6 * data["touch.radius"]).all()
     energy = (data["scene.kinetic_energy"] + data["scene.potential_energy"]).values
-    flying = data["touch.status"].values == wc.Status.OPEN
+    flying = data["touch.status"].values == wc.ContactStatus.OPEN
     for env in range(64):
         flights = energy[flying[:, env], env]
         # Float32 holds 3 J to 2e-7 J; one percent is less than any bounce loses.
@@ -225,7 +225,13 @@ def test_all_that_a_file_may_say_reads_back_as_it_was_written(tmp_path):
             *content()["contact"],
             {
                 **{"name": "edge", "points": "corners", "surface": "roof", "material": "rubber", "kappa": 1},
-                **{"search": "active", "entry": "latched", "max_depth": 0.1, "rim": "outer", "search_radius": 2},
+                **{
+                    "search": "active",
+                    "entry": "latched",
+                    "max_depth": 0.1,
+                    "boundary": "outer",
+                    "search_radius": 2,
+                },
                 "enabled": False,
             },
         ],

@@ -23,7 +23,7 @@ RANDOM = {
 ORDERED = {
     "ball.angular_velocity": {"linspace": [[0, 0, 0], [3, 0, 1]]},
     "scene.gravity": {"value": [0, 0, -1.6]},
-    "touch.share": {"grid": [0.1, 0.2, 0.3]},
+    "touch.force_scale": {"grid": [0.1, 0.2, 0.3]},
     "touch.max_depth": {"grid": [0.01, 0.02], "group": "depth"},
     "ball.external_force": {"grid": [[0, 0, 0], [0, 0, 1]], "group": "depth"},
     "ball.external_torque": {"values": np.arange(3.0 * 2500).reshape(2500, 3).tolist()},
@@ -77,7 +77,7 @@ def test_a_design_can_be_sent_to_another_process(method, variation, envs, correl
 
 @pytest.mark.parametrize("method", ["random", "sobol"])
 def test_environments_have_the_same_values_however_many_follow(method):
-    variation = RANDOM | {"touch.share": {"grid": [0.1, 0.2, 0.3]}}
+    variation = RANDOM | {"touch.force_scale": {"grid": [0.1, 0.2, 0.3]}}
     few, many = (values_of(variation, envs, method, correlation=TOGETHER) for envs in (10, 3000))
     for name, values in few.items():
         assert values.tobytes() == many[name][:10].tobytes(), name
@@ -116,14 +116,14 @@ def test_what_may_be_drawn_wrong_is_still_drawn_to_be_checked():
         design({"ball.mass": {"normal": [1.0, 0.5]}}, 1000)
     # Each within what one normal number can be; together they go beyond it.
     lowest = 1.0 / 8.0
-    variation = {"ball.mass": {"normal": [1.0, lowest]}, "touch.share": {"normal": [0.5, 0.01]}}
-    together = [{"names": ["ball.mass", "touch.share"], "matrix": [[1, 0.5], [0.5, 1]]}]
+    variation = {"ball.mass": {"normal": [1.0, lowest]}, "touch.force_scale": {"normal": [0.5, 0.01]}}
+    together = [{"names": ["ball.mass", "touch.force_scale"], "matrix": [[1, 0.5], [0.5, 1]]}]
     assert design(variation, 100, correlation=together).ends("ball.mass") is None
     assert design(variation, 100).ends("ball.mass") is not None
 
 
 def test_more_combinations_than_there_can_be_environments_are_refused():
-    names = ["ball.mass", "touch.radius", "touch.kappa", "touch.share"]
+    names = ["ball.mass", "touch.radius", "touch.kappa", "touch.force_scale"]
     raw = content(variation={name: {"grid": np.linspace(0.1, 0.9, 216).tolist()} for name in names})
     raw.pop("envs")
     message = f"variation: grid must have at most 2147483647 combinations, got {216**4}"
@@ -144,7 +144,7 @@ def test_values_of_a_set_say_which_axis_is_that_of_the_environments():
     varied = {
         "touch.radius": {"uniform": [0.01, 0.1]},
         "corners.position": {"values": np.arange(27.0).reshape(3, 3, 3).tolist()},
-        "touch.share": {"values": [[1, 2, 3], [4, 5, 6], [7, 8, 9]]},
+        "touch.force_scale": {"values": [[1, 2, 3], [4, 5, 6], [7, 8, 9]]},
     }
     raw = content(envs=3, point=[], points=points, contact=contact, variation=varied)
     experiment = wc.Experiment.from_dict(raw)
@@ -152,11 +152,11 @@ def test_values_of_a_set_say_which_axis_is_that_of_the_environments():
     assert {name: values.shape for name, values in rows.items()} == {
         "touch.radius": (3, 1),
         "corners.position": (3, 3, 3),
-        "touch.share": (3, 3),
+        "touch.force_scale": (3, 3),
     }
     model = experiment.model(device="cpu")
     assert (model["touch.radius"] == rows["touch.radius"]).all()
-    assert model["touch.share"].tolist() == varied["touch.share"]["values"]
+    assert model["touch.force_scale"].tolist() == varied["touch.force_scale"]["values"]
 
 
 # --- distributions
@@ -308,7 +308,7 @@ def test_grid_has_all_combinations_of_which_the_first_varies_slowest():
         "ball.mass": {"grid": [1, 2]},
         "ball.linear_velocity": {"grid": [[0, 0, 0], [1, 0, 0], [2, 0, 0]], "group": "speed"},
         "touch.radius": {"uniform": [0.01, 0.02]},
-        "touch.share": {"grid": [0.1, 0.2]},
+        "touch.force_scale": {"grid": [0.1, 0.2]},
         "touch.kappa": {"grid": [0.0, 0.5, 1.0], "group": "speed"},
     }
     raw = content(variation=varied)
@@ -319,7 +319,7 @@ def test_grid_has_all_combinations_of_which_the_first_varies_slowest():
     assert rows["ball.mass"].tolist() == [1] * 6 + [2] * 6
     assert rows["ball.linear_velocity"][:, 0].tolist() == [0, 0, 1, 1, 2, 2] * 2
     assert rows["touch.kappa"].tolist() == [0, 0, 0.5, 0.5, 1, 1] * 2
-    assert rows["touch.share"].tolist() == [0.1, 0.2] * 6
+    assert rows["touch.force_scale"].tolist() == [0.1, 0.2] * 6
     assert len(np.unique(rows["touch.radius"])) == 12
     # With other numbers of environments it is cut off, or begins again.
     more = experiment.changed(envs=20).design.rows(0, 20)
@@ -335,7 +335,7 @@ def test_correlated_normals_have_their_correlation():
         "ball.mass": {"normal": [10, 1]},
         "touch.radius": {"lognormal": [-3, 0.1]},
         "touch.kappa": {"uniform": [0, 1]},
-        "touch.share": {"distribution": {"name": "expon"}},
+        "touch.force_scale": {"distribution": {"name": "expon"}},
     }
     matrix = [[1, 0.8, 0.5, 0.0], [0.8, 1, 0.3, 0.1], [0.5, 0.3, 1, -0.4], [0.0, 0.1, -0.4, 1]]
     correlation = [{"names": list(varied), "matrix": matrix}]
@@ -380,10 +380,10 @@ def test_written_experiment_draws_the_same(device, tmp_path):
     varied = {
         "ball.mass": {"values": "masses.csv"},
         "touch.kappa": {"distribution": {"name": "beta", "a": 2, "b": 3}},
-        "touch.share": {"lognormal": [0, 0.1]},
+        "touch.force_scale": {"lognormal": [0, 0.1]},
         "touch.radius": {"grid": [0.1, 0.11], "group": "size"},
     }
-    correlation = [{"names": ["touch.share", "touch.kappa"], "matrix": [[1, -0.5], [-0.5, 1]]}]
+    correlation = [{"names": ["touch.force_scale", "touch.kappa"], "matrix": [[1, -0.5], [-0.5, 1]]}]
     raw = content(variation=varied, correlation=correlation, sampling={"method": "sobol"})
     first = wc.Experiment.from_dict(raw, tmp_path)
     run = first.run(tmp_path / "results" / "first", device=device)

@@ -32,7 +32,7 @@ STUDY = {
     "variation": {"pile.law.restitution": {"values": [0.5, 1.0]}},
     "record": {
         "every": 1e-3,
-        "sensors": ["touch.impulse", "touch.mode", "pile.normal_force", "scene.impact_loss"],
+        "sensors": ["touch.impulse", "touch.mode", "pile.normal_force", "scene.impact_dissipation"],
     },
 }
 
@@ -46,7 +46,7 @@ def test_two_balls_and_a_wall(tmp_path, device):
     assert data["touch.impulse"].values[:, :, 0].min(axis=0) == pytest.approx(-2.0 * passed, rel=1e-9)
     assert set(np.unique(data["touch.mode"])) == {wc.ContactMode.OPEN, wc.ContactMode.SLIP}
     # (1 − e²) m/4 times the square of their speed, in each impact of the two.
-    loss = data["scene.impact_loss"].values[-1]
+    loss = data["scene.impact_dissipation"].values[-1]
     assert loss[1] == pytest.approx(0.0, abs=1e-12)
     assert loss[0] >= 0.25 * 0.75 - 1e-12
 

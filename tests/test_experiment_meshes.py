@@ -80,8 +80,8 @@ def test_it_does_what_the_same_script_does(device, folder, tmp_path):
     # By hand: the surfaces are at 0, 0.2 and 0 m, and the second cannot be touched where the ball is: no gap.
     np.testing.assert_allclose(recorded["touch.gap"][0], [0.19, 0, 0.19, 0.19, 0, 0.19], atol=1e-6)
     status = recorded["touch.status"][0]
-    assert status[CHOSEN.index(1)] == wc.Status.HIDDEN
-    assert status[CHOSEN.index(0)] == wc.Status.OPEN
+    assert status[CHOSEN.index(1)] == wc.ContactStatus.INACTIVE
+    assert status[CHOSEN.index(0)] == wc.ContactStatus.OPEN
 
 
 def test_a_choice_is_a_value_a_list_or_drawn(folder):

@@ -29,7 +29,7 @@ STUDY = {
             "material": "soft",
             "exclude": [["second", "third"]],
             "skin": 0.01,
-            "partners": 5,
+            "max_neighbors": 5,
         }
     ],
     "variation": {
@@ -66,11 +66,11 @@ def test_all_problems_of_a_pile_are_told_at_once(tmp_path):
     ):
         assert words in text
     study = copy.deepcopy(STUDY)
-    study["particle_contact"][0] |= {"skin": -1.0, "partners": 0, "kapa": 0.5}
+    study["particle_contact"][0] |= {"skin": -1.0, "max_neighbors": 0, "kapa": 0.5}
     with pytest.raises(ValueError, match="skin") as error:
         wc.Experiment.from_dict(study, tmp_path)
     text = str(error.value).replace(" ('pile')", "")
-    for words in ("particle_contact[0].skin", "particle_contact[0].partners", "kapa"):
+    for words in ("particle_contact[0].skin", "particle_contact[0].max_neighbors", "kapa"):
         assert words in text
     study = copy.deepcopy(STUDY)
     study["shape"][2]["form"] = {"type": "Plane"}

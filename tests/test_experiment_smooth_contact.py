@@ -13,7 +13,7 @@ import warp as wp
 import warpcontact as wc
 
 
-class Bowl(wc.Patch):
+class Bowl(wc.ParametricSurface):
     """z = (x² + y²)/(2 R)."""
 
     depth: float = wc.parameter("m", "radius R at the bottom", above=0.0)

@@ -37,7 +37,10 @@ def content(**changes):
         ],
         "point": [{"name": "pole", "surface": "skin", "position": [0, 0, -0.05]}],
         "contact": [{"name": "prick", "points": "pins", "surface": "ground", "material": "bed"}],
-        "variation": {"press_first.share": {"values": [0.5, 1.0]}, "skin.position": {"values": [[0, 0, 0]] * 2}},
+        "variation": {
+            "press_first.force_scale": {"values": [0.5, 1.0]},
+            "skin.position": {"values": [[0, 0, 0]] * 2},
+        },
         "record": {"sensors": ["press_first.normal_force", "press_second.normal_force", "prick.gap"]},
     }
     return given | changes
@@ -141,7 +144,10 @@ BAD = [
         {"surface_contact": [PRESS | {"surface_b": "floor"}]},
         "surface_contact[0].surface_b must be the name of a surface",
     ),
-    ({"surface_contact": [PRESS | {"share": -1}]}, "surface_contact[0].share must be at least 0, got -1"),
+    (
+        {"surface_contact": [PRESS | {"force_scale": -1}]},
+        "surface_contact[0].force_scale must be at least 0, got -1",
+    ),
     (
         {"points": [], "contact": [{"name": "prick", "points": "pole", "surface": "ground", "material": "bed"}]},
         "contact[0]: the law of its material, ElasticFoundation, was given no area [m²], and the points",

@@ -134,13 +134,13 @@ BAD = [
     (sampled("saltelli", PAIR, envs=1), "got 1; next to it: 8"),
     (sampled("saltelli", PAIR, envs=33), "got 33; next to it: 32 and 64"),
     (
-        sampled("saltelli", PAIR | {"touch.share": {"linspace": [0, 1]}}, envs=16),
+        sampled("saltelli", PAIR | {"touch.force_scale": {"linspace": [0, 1]}}, envs=16),
         "variation.\"touch.share\".linspace must be left out with sampling.method = 'saltelli'; "
         "allowed: uniform, ",
     ),
     (
-        sampled("saltelli", PAIR | {"touch.share": {"grid": [0, 1]}}, envs=16),
-        'variation."touch.share".grid must be left out',
+        sampled("saltelli", PAIR | {"touch.force_scale": {"grid": [0, 1]}}, envs=16),
+        'variation."touch.force_scale".grid must be left out',
     ),
     (
         sampled("saltelli", {MASS: {"value": 1}}, envs=16),

@@ -8,7 +8,7 @@ import pytest
 from test_swept import PRECISIONS
 
 import warpcontact as wc
-from warpcontact import Status
+from warpcontact import ContactStatus
 
 
 def pushed(mesh, path, *, precision, device, entry="latched", radius=0.0, surface=None, **contact):
@@ -48,7 +48,7 @@ def test_a_point_deeper_than_half_a_plate_is_pushed_back_where_it_came_from(side
     _, seen = pushed(hard_cases.plate(thickness=0.02), path, precision=precision, device=device)
     inside = side * path[:-1, 2] < 0.01
     assert inside.sum() > 10
-    assert (seen["status"][inside] == Status.CONTACT).all()
+    assert (seen["status"][inside] == ContactStatus.CONTACT).all()
     np.testing.assert_allclose(seen["gap"], side * path[:-1, 2] - 0.01, atol=1e-6)
     np.testing.assert_allclose(seen["normal"][inside], np.tile((0, 0, side), (inside.sum(), 1)), atol=1e-5)
     _, literal = pushed(
@@ -62,10 +62,10 @@ def test_a_point_from_the_wrong_side_is_not_caught(precision, device):
     path = line((0.1, 0.2, 0.003), (0.1, 0.2, 0.03), (0.12, 0.2, 0.004))
     _, seen = pushed(hard_cases.plate(thickness=0.02), path, precision=precision, device=device)
     inner = path[:-1, 2] < 0.01
-    assert (seen["status"][:20][inner[:20]] == Status.WRONG_SIDE).all()
+    assert (seen["status"][:20][inner[:20]] == ContactStatus.WRONG_SIDE).all()
     assert (seen["normal_force"][:20] == 0).all()
     # It has been outside: now it touches.
-    assert (seen["status"][20:][inner[20:]] == Status.CONTACT).all()
+    assert (seen["status"][20:][inner[20:]] == ContactStatus.CONTACT).all()
 
 
 @PRECISIONS
@@ -86,7 +86,7 @@ def test_it_follows_over_convex_edges_and_into_valleys(precision, device):
         path = np.concatenate([touch[:-1], ring * (1.0 - depth)])
         _, seen = pushed(mesh, path, precision=precision, device=device)
         around = slice(len(touch) - 1, None)
-        assert (seen["status"][around] == Status.CONTACT).all()
+        assert (seen["status"][around] == ContactStatus.CONTACT).all()
         # Outwards, within the slope of the facets seen from half way to the centre.
         outward = np.sign(depth) * path[:-1] / np.linalg.norm(path[:-1], axis=1)[:, None]
         assert np.einsum("ni,ni->n", seen["normal"], outward)[around].min() > 0.8
@@ -111,9 +111,9 @@ def test_it_leaves_over_an_edge_freely(precision, device):
     path = line((0.9, 0.1, 0.02), (0.9, 0.1, 0.006), (1.1, 0.1, 0.006), (1.3, 0.1, -0.1))
     _, seen = pushed(hard_cases.plate(thickness=0.02), path, precision=precision, device=device)
     over = path[:-1, 0] > 1.0 + 1e-6
-    assert (seen["status"][over] == Status.OPEN).all()
+    assert (seen["status"][over] == ContactStatus.OPEN).all()
     touching = (path[:-1, 2] < 0.01 - 1e-6) & (path[:-1, 0] < 1.0 - 1e-6)
-    assert (seen["status"][touching] == Status.CONTACT).all()
+    assert (seen["status"][touching] == ContactStatus.CONTACT).all()
 
 
 @PRECISIONS
@@ -123,8 +123,8 @@ def test_in_an_open_box_it_is_held_by_floor_and_walls(precision, device):
     path = line((0, 0, 0), (0, 0, -1.1), (0.9, 0, -1.1), (1.2, 0.1, -0.8), (0.5, 0, 0), (0.5, 1.3, 0))
     _, seen = pushed(room, path, precision=precision, device=device)
     outside = np.abs(path[:-1]).max(axis=1) > 1.0 + 1e-6
-    assert (seen["status"][outside] == Status.CONTACT).all()
-    assert (seen["status"][np.abs(path[:-1]).max(axis=1) < 1.0 - 1e-6] == Status.OPEN).all()
+    assert (seen["status"][outside] == ContactStatus.CONTACT).all()
+    assert (seen["status"][np.abs(path[:-1]).max(axis=1) < 1.0 - 1e-6] == ContactStatus.OPEN).all()
     inward = np.einsum("ni,ni->n", seen["normal"], -path[:-1])
     assert (inward[outside] > 0).all()
 
@@ -138,7 +138,7 @@ def test_another_mesh_does_not_inherit_the_face_that_was_touched(precision, devi
         path = line((0.1, 0.2, 0.6), (0.1, 0.2, 0.4), count=4)
         model, _ = pushed([box, turned], path, precision=precision, device=device, entry=entry, swept=swept)
         before = {name: model.sensor(f"touch.{name}") for name in ("gap", "normal", "status")}
-        assert before["status"][0] == Status.CONTACT
+        assert before["status"][0] == ContactStatus.CONTACT
         model["ground.mesh"] = 1
         for name, value in before.items():
             np.testing.assert_allclose(model.sensor(f"touch.{name}"), value, atol=1e-6)
@@ -152,13 +152,13 @@ def test_what_is_disabled_or_lost_forgets_its_face(precision, device):
     sim = wc.Simulation(model, dt=1e-9)
     model["touch.enabled"] = 0
     sim.step()
-    assert model.sensor("touch.status")[0] == Status.DISABLED
+    assert model.sensor("touch.status")[0] == ContactStatus.DISABLED
     model["touch.enabled"] = 1
     # The latch is kept, the face is not: the nearest is that of the other side now.
     assert model.sensor("touch.normal")[0, 2] < -0.9
     sim.reset()
     model.state.body_position.assign(np.array([[path[-1]]]))
-    assert model.sensor("touch.status")[0] == Status.WRONG_SIDE
+    assert model.sensor("touch.status")[0] == ContactStatus.WRONG_SIDE
 
 
 @PRECISIONS
@@ -171,5 +171,5 @@ def test_a_state_written_from_outside_is_followed_as_far_as_the_surface_goes(pre
     np.testing.assert_allclose(model.sensor("touch.gap"), -0.017, atol=1e-6)
     np.testing.assert_allclose(model.sensor("touch.normal"), [[0, 0, 1]], atol=1e-5)
     model.state.body_position.assign(np.array([[[0.93, 0.05, 0.5]]]))
-    assert model.sensor("touch.status")[0] == Status.OPEN
+    assert model.sensor("touch.status")[0] == ContactStatus.OPEN
     np.testing.assert_allclose(model.sensor("touch.gap"), 0.49, atol=1e-6)

@@ -98,7 +98,7 @@ def test_forces_alone_are_those_of_a_look_at_everything(name, device):
     check()
 
 
-@pytest.mark.parametrize(("threads", "size", "graphs"), [(1, 128, True), (3, 2, True), (2, 3, False)])
+@pytest.mark.parametrize(("threads", "size", "capture_graphs"), [(1, 128, True), (3, 2, True), (2, 3, False)])
 @pytest.mark.parametrize("name", ["box of points on terrain", "two bodies", "with memory"])
 @pytest.mark.parametrize("keys", [CONTACT, NEUTRAL], ids=["of all", "of what touches"])
 def test_frames_are_what_one_sees_by_stopping(keys, name, threads, size, graphs, device, monkeypatch):
@@ -112,7 +112,7 @@ def test_frames_are_what_one_sees_by_stopping(keys, name, threads, size, graphs,
 
     monkeypatch.setattr(stepping, "LARGEST_SLICE", size)
     monkeypatch.setattr(crew, "ALONE", 0)
-    sim = simulation(name, device, threads=threads, graphs=graphs)
+    sim = simulation(name, device, threads=threads, capture_graphs=graphs)
     model = sim.model
     needs = {need for key in names for need in model.find_sensor(key).needs}
     model.make_measures(needs)
@@ -128,10 +128,10 @@ def test_frames_are_what_one_sees_by_stopping(keys, name, threads, size, graphs,
         taken[own] += 1
 
     before = 0
-    sim.step_in_frames(20, 7, needs, take)
+    sim.step_with_callback(20, 7, needs, take)
     before = 20
     taken[:] = 0
-    sim.step_in_frames(10, 7, needs, take)
+    sim.step_with_callback(10, 7, needs, take)
     for k, key in enumerate(names):
         np.testing.assert_array_equal(results[k], np.stack([of[k] for of in expected]), err_msg=key)
     # And nothing was changed by looking.
@@ -150,7 +150,7 @@ def test_steps_after_frames_are_those_without(name, every, device):
     plain, sim = simulation(name, device), simulation(name, device)
     model = sim.model
     needs = {need for key in names_of(model, NEUTRAL) for need in model.find_sensor(key).needs}
-    sim.step_in_frames(300 // every, every, needs, lambda part, own, number: None)
+    sim.step_with_callback(300 // every, every, needs, lambda part, own, number: None)
     plain.step(300)
     for body in model.scene.bodies:
         for key in STATE:
@@ -176,11 +176,11 @@ def test_steps_after_looks_are_captured_where_there_are_some(device):
     # On a GPU a frame is looked at when it is there, and eight steps are four times two.
     on_cpu = sim.model.device.is_cpu
     first = {Way(8), Way(0, looks=True)} if on_cpu else {Way(2)}
-    sim.step_in_frames(1, 8, needs, lambda part, own, number: None)
+    sim.step_with_callback(1, 8, needs, lambda part, own, number: None)
     assert captured() == first
-    sim.step_in_frames(2, 4, needs, lambda part, own, number: None)
+    sim.step_with_callback(2, 4, needs, lambda part, own, number: None)
     assert captured() == first | {Way(2)} | ({Way(4, known=True, looks=True)} if on_cpu else set())
-    sim.step_in_frames(2, 20, needs, lambda part, own, number: None)
+    sim.step_with_callback(2, 20, needs, lambda part, own, number: None)
     # So many steps have no graph of their own: the first of them are as many as leave eight and eight.
     known = {Way(4, known=True, looks=True), Way(4, known=True)} if on_cpu else set()
     assert captured() == first | {Way(2)} | known
@@ -199,7 +199,7 @@ def test_recordings_after_each_other_have_their_own_frames(device):
         made.append(recorder.frames())
         before = {name: values.copy() for name, values in made[-1].items()}
         sim.step(7)
-        sim.step_in_frames(1, 7, recorder.needs, lambda part, own, number: None)
+        sim.step_with_callback(1, 7, recorder.needs, lambda part, own, number: None)
         sim.step(3)
         for name, values in made[-1].items():
             np.testing.assert_array_equal(values, before[name], err_msg=name)
@@ -252,7 +252,7 @@ def test_looks_at_contacts_add_nothing_to_wrenches(name, device):
 def test_wrong_frames_are_refused_by_name(frames, every, needs, message, device):
     sim = simulation("two bodies", device)
     with pytest.raises(ValueError, match=message):
-        sim.step_in_frames(frames, every, set(needs), lambda part, own, number: None)
+        sim.step_with_callback(frames, every, set(needs), lambda part, own, number: None)
     assert sim.steps == 0
 
 
@@ -320,7 +320,7 @@ def test_frames_of_what_needs_all_environments_at_once(device):
         assert (own.start, own.stop, number) == (0, ENVS, len(frames))
         frames.append(part.measured("lower.normal_force"))
 
-    sim.step_in_frames(4, 100, needs, take)
+    sim.step_with_callback(4, 100, needs, take)
     np.testing.assert_array_equal(frames[-1], model.sensor("lower.normal_force"))
     assert np.max(frames) > 0.0
 

@@ -18,7 +18,7 @@ SIDE = {"float32": 1e-6, "float64": 2e-15}
 # Within 16 roundings of the differences, √3 times the size at most, a direction means nothing and the normal is
 # that of the feature: P − S and gap n, both that short, then need not agree.
 ON_SURFACE = {"float32": 16 * 1.2e-7 * 1.8, "float64": 16 * 2.2e-16 * 1.8}
-# Beside a border is what is farther sideways than this part of the border edge.
+# Beside a boundary is what is farther sideways than this part of the boundary edge.
 BORDER = 1e-4
 
 PRECISIONS = ("float32", "float64")
@@ -51,7 +51,7 @@ def assert_nearest(points, distance, sensors, surface, precision):
     assert (surface.nearest(foot)[0] / scale).max() < LENGTH[precision]
     normal, gap = sensors["normal"].astype(np.float64), sensors["gap"].astype(np.float64)[:, None]
     np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0, rtol=0, atol=LENGTH[precision])
-    # Beside a border the gap has no sign.
+    # Beside a boundary the gap has no sign.
     away = [np.linalg.norm(to_point - sign * gap * normal, axis=1) / scale for sign in (1, -1)]
     return np.minimum(*away), away[0]
 
@@ -105,19 +105,19 @@ def test_open_meshes_are_exact_over_their_faces_and_beside_their_borders(name, p
     away, _ = assert_nearest(points, distance, sensors, surface, precision)
     gap, foot = sensors["gap"].astype(np.float64), sensors["point"].astype(np.float64)
     edges = np.linalg.norm(np.diff(surface.corners, axis=1, append=surface.corners[:, :1]), axis=2)
-    # Where the nearest point is on the rectangle's border, P may be a little beside it and count as over it.
+    # Where the nearest point is on the rectangle's boundary, P may be a little beside it and count as over it.
     inset = np.minimum(foot - surface.low, surface.high - foot)[:, :2].min(axis=1)
-    border = inset < LENGTH[precision] * scale
-    over = ~border
+    boundary = inset < LENGTH[precision] * scale
+    over = ~boundary
     assert over.sum() > 1000
-    assert border.sum() > 300
+    assert boundary.sum() > 300
     clear = distance / scale > ON_SURFACE[precision]
     assert away[over & clear].max() < LENGTH[precision]
     assert (np.abs(np.abs(gap) - distance) / scale)[over].max() < LENGTH[precision]
     sideways = np.sqrt(np.maximum(distance**2 - gap**2, 0))
     # To the gap's rounding the root of a difference of squares is far from exact.
     rounding = np.sqrt(2 * distance * LENGTH[precision] * scale)
-    assert (sideways - rounding)[border].max() <= BORDER * edges.max()
+    assert (sideways - rounding)[boundary].max() <= BORDER * edges.max()
     # A height field: inside is what lies below.
     bottom = np.column_stack([points[:, :2], np.full(len(points), surface.low[2] - surface.size)])
     height = surface.first_hit(bottom, np.tile([0.0, 0.0, 1.0], (len(points), 1)))
@@ -180,7 +180,7 @@ def test_a_search_radius_loses_nothing_that_it_reaches(precision, device):
     away = rng.uniform(0.05, 2.0, count) * reach
     beside, above = rng.uniform(-0.49, 0.49, count), rng.uniform(-4e-4, 4e-4, count)
     model["body.position"] = np.column_stack([0.5 + away, beside, above])
-    seen = model.sensor("touch.status") != wc.Status.FAR
+    seen = model.sensor("touch.status") != wc.ContactStatus.FAR
     # float32 places a point to 6e-8 m.
     np.testing.assert_array_equal(seen[np.abs(away - reach) > 1e-7], (away < reach)[np.abs(away - reach) > 1e-7])
     np.testing.assert_allclose(model.sensor("touch.gap"), np.minimum(away, reach), rtol=0, atol=1e-7)

@@ -296,7 +296,7 @@ def start(case, device, monkeypatch, *, staged, **options):
             for name in ("alone", "meets", "ends_by_body", "sums_by_body"):
                 patch.setattr(Span, name, False)
             patch.setattr(Pile, "sums_by_body", False)
-            options |= {"distance_cache": False, "deterministic": True, "graphs": False}
+            options |= {"distance_cache": False, "deterministic": True, "capture_graphs": False}
         else:
             patch.setattr(schedule, "FEW", case.few)
             patch.setattr(schedule, "WARPS", case.warps)
@@ -409,7 +409,7 @@ def test_launch_shape_equals_staged_steps_after_changes(name, cuda, monkeypatch)
         lambda model: model.__setitem__("touch.enabled", np.arange(ENVS) % 2),
         lambda model: model.__setitem__("touch.enabled", 1),
         lambda model: model.__setitem__("touch.radius", 0.12),
-        lambda model: model.__setitem__("touch.share", 0.5),
+        lambda model: model.__setitem__("touch.force_scale", 0.5),
         lambda model: model.reset(np.arange(ENVS) % 3 == 0),
     ]
     both = start_both(CASES[name], cuda, monkeypatch)

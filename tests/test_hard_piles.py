@@ -94,7 +94,7 @@ def test_a_ball_bounces_off_one_that_is_fixed(device):
     simulation = wc.Simulation(model, 1e-3, HARD)
     while model.sensor("pile.normal_force")[0] == 0.0:
         simulation.step(1)
-    pair = model.touching("pile")
+    pair = model.contact_pairs("pile")
     normal = pair["normal"].values[0]
     before = np.array([0.0, 0.0, -1.0])
     # The post has the lower number, so that the normal points towards it.
@@ -126,7 +126,7 @@ def test_a_pyramid_rests_with_the_forces_of_its_closed_form(device):
     simulation.step(300)
     weight = MASS * G
     theta = np.arcsin(APART / np.sqrt(3.0))
-    pairs = model.touching("pile")
+    pairs = model.contact_pairs("pile")
     assert pairs["shape_1"].values.tolist() == [0, 1, 2]
     assert pairs["shape_2"].values.tolist() == [3, 3, 3]
     # It sank by a few g h² until all touched: so much the angle is off.
@@ -250,7 +250,7 @@ def test_a_heap_presses_on_the_floor_with_its_weight(fallen):
     assert force == pytest.approx(60 * MASS * G + gain[:, 2], rel=1e-9)
     side = model.sensor("left.normal_force").sum(axis=1) - model.sensor("right.normal_force").sum(axis=1)
     assert side == pytest.approx(gain[:, 0], abs=1e-6)
-    pairs = model.touching("pile")
+    pairs = model.contact_pairs("pile")
     for env in range(2):
         own = pairs["env"].values == env
         force = np.zeros((60, 3))
@@ -286,7 +286,7 @@ def test_parts_on_several_devices_give_the_same_bits(fallen, device):
     np.testing.assert_array_equal(bits(model), fallen[2])
 
 
-@pytest.mark.parametrize("options", [{"threads": 2}, {"threads": 1, "graphs": False}], ids=str)
+@pytest.mark.parametrize("options", [{"threads": 2}, {"threads": 1, "capture_graphs": False}], ids=str)
 def test_slices_threads_and_graphs_give_the_same_bits(fallen, options, device, monkeypatch):
     monkeypatch.setattr(stepping, "LARGEST_SLICE", 1)
     monkeypatch.setattr(crew, "ALONE", 0)
@@ -306,7 +306,7 @@ def test_a_look_between_steps_changes_nothing(fallen, device):
     simulation = wc.Simulation(model, STEP, INTEGRATOR)
     for _ in range(FALL // 40):
         simulation.step(20)
-        model.touching("pile")
+        model.contact_pairs("pile")
     np.testing.assert_array_equal(bits(model), fallen[2])
 
 

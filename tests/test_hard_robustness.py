@@ -38,20 +38,20 @@ def test_restitution_of_what_brings_no_energy_is_not_lowered(device, solver):
     wc.Simulation(model, 1e-3, wc.integrators.MoreauJean(solver=solver)).step(10)
     # Turning bodies keep it to second order, 1e-3 s at a radian a second.
     np.testing.assert_allclose(model.sensor("scene.kinetic_energy"), before, rtol=1e-5)
-    assert model.sensor("scene.restrained").sum() == 0
+    assert model.sensor("scene.restitution_limited").sum() == 0
 
 
 def test_nothing_is_restrained_where_nothing_bounces(device):
     model = ball(0.0, height=1e-4, device=device)
     simulation = wc.Simulation(model, 1e-3, HARD)
     simulation.step(50)
-    assert model.sensor("scene.restrained")[0] == 0
+    assert model.sensor("scene.restitution_limited")[0] == 0
     model["touch.law.restitution"] = 0.5
     simulation.step(20)
     model["touch.law.restitution"] = 0.0
-    before = model.sensor("scene.restrained")[0]
+    before = model.sensor("scene.restitution_limited")[0]
     simulation.step(20)
-    assert model.sensor("scene.restrained")[0] == before
+    assert model.sensor("scene.restitution_limited")[0] == before
 
 
 def test_overlap_is_taken_back_in_the_time_that_is_asked(device):
@@ -127,12 +127,14 @@ def test_boxes_rest_on_each_other_with_recovery_as_without(device):
     model = scene.build(device=device, precision="float64")
     simulation = wc.Simulation(model, 1e-3, wc.integrators.MoreauJean(recovery_time=0.02))
     simulation.step(500)
-    failures, restrained = (model.sensor(f"scene.{name}")[0] for name in ("solve_failures", "restrained"))
+    failures, restitution_limited = (
+        model.sensor(f"scene.{name}")[0] for name in ("solve_failures", "restitution_limited")
+    )
     simulation.step(1000)
     assert model.sensor("scene.kinetic_energy")[0] < 1e-9
     assert model.sensor("scene.closed_contacts")[0] == 12
     assert model.sensor("scene.solve_failures")[0] == failures
-    assert model.sensor("scene.restrained")[0] == restrained
+    assert model.sensor("scene.restitution_limited")[0] == restitution_limited
     # What is left is what bodies fall in a step, for each contact.
     assert -4.0 * G * 1e-6 < model.sensor("box0_feet.gap").min() < 0.0
 

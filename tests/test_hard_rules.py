@@ -55,12 +55,18 @@ def state_after(model, steps=400, **options):
 
 @pytest.fixture(scope="module")
 def reference(device):
-    return state_after(thrown(device=device), graphs=False)
+    return state_after(thrown(device=device), capture_graphs=False)
 
 
 @pytest.mark.parametrize(
     "options",
-    [{}, {"threads": 1}, {"threads": 2}, {"distance_cache": False, "graphs": False}, {"deterministic": True}],
+    [
+        {},
+        {"threads": 1},
+        {"threads": 2},
+        {"distance_cache": False, "capture_graphs": False},
+        {"deterministic": True},
+    ],
     ids=str,
 )
 def test_however_it_is_scheduled_the_result_is_the_same_to_the_bit(device, reference, options):
@@ -90,12 +96,12 @@ def test_a_reset_forgets_impulses_losses_and_failures_of_its_environments(device
     simulation = wc.Simulation(model, 1e-3, HARD)
     simulation.step(500)
     first = model.sensor("ball.position").copy()
-    losses = model.sensor("scene.friction_loss")
+    losses = model.sensor("scene.friction_dissipation")
     assert (losses > 0.0).all()
     assert (model.sensor("touch.impulse")[:, 2] > 0.0).all()
     simulation.reset([True, False])
-    assert model.sensor("scene.friction_loss")[0] == 0.0
-    assert model.sensor("scene.friction_loss")[1] == losses[1]
+    assert model.sensor("scene.friction_dissipation")[0] == 0.0
+    assert model.sensor("scene.friction_dissipation")[1] == losses[1]
     assert model.sensor("touch.impulse")[0].tolist() == [0.0, 0.0, 0.0]
     assert model.sensor("touch.mode")[0] == wc.ContactMode.OPEN
     simulation.step(500)
@@ -285,14 +291,14 @@ def test_a_recording_is_of_the_simulation_that_runs(device):
     model = ball(0.5, height=0.01, velocity=(0.0, 0.0, -1.0), device=device)
     own = wc.Simulation(model, 1e-3, HARD)
     own.step(30)
-    lost = model.sensor("scene.impact_loss")[0]
+    lost = model.sensor("scene.impact_dissipation")[0]
     assert lost > 0.1
     wc.Simulation(model, 1e-3, wc.integrators.MoreauJean(solver="accelerated"))
-    data = own.run(0.5, ["touch.impulse", "scene.closed_contacts", "scene.impact_loss"])
+    data = own.run(0.5, ["touch.impulse", "scene.closed_contacts", "scene.impact_dissipation"])
     assert data["touch.impulse"].values[..., 2].max() > 0.1
     assert data["scene.closed_contacts"].max() == 1
     # What was lost before has not been forgotten.
-    assert data["scene.impact_loss"].values[-1, 0] > lost
+    assert data["scene.impact_dissipation"].values[-1, 0] > lost
 
 
 def test_contact_couplings_stay_forces(device):

@@ -169,7 +169,7 @@ def test_compliant_and_hard_contacts_of_the_same_code_live_in_one_scene(three):
 def test_graphs_threads_and_resets_give_the_same_bits(three):
     model, integrator = three
     results = []
-    for options in ({}, {"graphs": False, "threads": 1}):
+    for options in ({}, {"capture_graphs": False, "threads": 1}):
         simulation = wc.Simulation(model, 1e-3, integrator, **options)
         simulation.reset()
         simulation.step(150)

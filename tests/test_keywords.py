@@ -111,7 +111,7 @@ PROPOSALS = [
     (lambda: wc.integrators.MoreauJean(tol=1e-6), "MoreauJean", "tolerance"),
     (lambda: wc.ContactRange(k1=1.0, efective_range=1.0), "ContactRange", "effective_range"),
     (lambda: wc.outcomes.Max("touch.gap", abov=1.0), "Max", "above"),
-    (lambda: wc.Stop("touch.gap", belw=0.0), "Stop", "below"),
+    (lambda: wc.StopCondition("touch.gap", belw=0.0), "StopCondition", "below"),
     (lambda: wc.Simulation(None, timestep=1e-3), "Simulation", "dt"),
     (lambda: wc.Scene(g=(0, 0, -9.81)), "Scene", "gravity"),
     (lambda: wc.Scene().add_body(m=1.0, quat=(0, 0, 0, 1)), "Scene.add_body", "mass' and 'orientation"),

@@ -204,7 +204,7 @@ def test_an_oblique_impact_in_full_slip_loses_what_coulomb_says(speed, damping, 
         device=device, precision="float64",
     )  # fmt: skip
     wc.Simulation(model, dt=1e-5).step(1300)
-    assert model.sensor("touch.status")[0] == wc.Status.OPEN
+    assert model.sensor("touch.status")[0] == wc.ContactStatus.OPEN
     # Until the spring is stretched it pulls less: 3e-5 s at 5 m/s and μ N/k, of second order in its reach.
     np.testing.assert_allclose(model.sensor("ball.linear_velocity")[0, 0], speed - 0.6, rtol=1e-3)
 

@@ -32,7 +32,7 @@ def test_the_estimate_is_what_the_arrays_take(name, precision, device, counted):
     gc.collect()
     counted.used = 0
     model = scene.build(envs, device, precision)
-    sim = wc.Simulation(model, dt=1e-4, graphs=False)
+    sim = wc.Simulation(model, dt=1e-4, capture_graphs=False)
     gc.collect()
     assert of_arrays(model.memory(), model) == counted.used
     assert planned.needs == model.memory().needs
@@ -78,7 +78,7 @@ def test_a_split_model_takes_what_its_parts_take(device, counted):
     gc.collect()
     counted.used = 0
     model = scene.build(envs, where)
-    sim = wc.Simulation(model, dt=1e-4, graphs=False)
+    sim = wc.Simulation(model, dt=1e-4, capture_graphs=False)
     gc.collect()
     memory = sim.memory()
     assert of_arrays(memory, model) == counted.used
@@ -87,7 +87,7 @@ def test_a_split_model_takes_what_its_parts_take(device, counted):
     for purpose in ("state", "contacts", "cache", "surfaces", "parameters", "stepping"):
         assert memory.of(purpose) == sum(part.memory().of(purpose) for part in model.parts)
     # One more is on one of the devices; what each of them holds in any case is there three times.
-    one = wc.Simulation(scene.build(envs, device), dt=1e-4, graphs=False)
+    one = wc.Simulation(scene.build(envs, device), dt=1e-4, capture_graphs=False)
     assert memory.of("surfaces") == 3 * one.memory().of("surfaces")
     whole, alone = model.footprint(), one.model.footprint()
     assert whole.bytes_per_env == pytest.approx(alone.bytes_per_env)
@@ -154,10 +154,10 @@ def test_bytes_are_readable(size, text):
 
 def test_what_cannot_be_captured_takes_no_graphs(device):
     draft = draw_up(busy_scene(), device)
-    assert draft.memory(9, crossing_steps=4).of("launches") < draft.memory(9).of("launches")
+    assert draft.memory(9, crossing_substeps=4).of("launches") < draft.memory(9).of("launches")
     model = busy_scene().build(9, device)
-    sim = wc.Simulation(model, dt=1e-4, crossing_steps=4)
-    assert sim.memory().of("launches") == draft.memory(9, crossing_steps=4).of("launches")
+    sim = wc.Simulation(model, dt=1e-4, crossing_substeps=4)
+    assert sim.memory().of("launches") == draft.memory(9, crossing_substeps=4).of("launches")
 
 
 def test_a_recording_takes_what_is_planned(device):

@@ -26,8 +26,8 @@ def test_too_many_environments_are_refused_before_anything_is_allocated(device, 
     # So many do fit, and one more does not.
     draft = draw_up(ball_scene(), device)
     rooms = footprint.rooms_of(draft.memory(1))
-    assert footprint.shortage(draft.memory(most, graphs=False), rooms) is None
-    assert footprint.shortage(draft.memory(most + 1, graphs=False), rooms) is not None
+    assert footprint.shortage(draft.memory(most, capture_graphs=False), rooms) is None
+    assert footprint.shortage(draft.memory(most + 1, capture_graphs=False), rooms) is not None
     with_room(monkeypatch, 100_000)
     with pytest.raises(MemoryError, match="not even one environment fits"):
         ball_scene().build(1, device)
@@ -60,8 +60,8 @@ def test_a_split_model_is_refused_before_anything_is_allocated(device, monkeypat
     draft = draw_up(ball_scene(), [device] * 2)
     rooms = footprint.rooms_of(draft.memory(1))
     most = caught.value.most
-    assert footprint.shortage(draft.memory(most, graphs=False), rooms) is None
-    assert footprint.shortage(draft.memory(most + 1, graphs=False), rooms) is not None
+    assert footprint.shortage(draft.memory(most, capture_graphs=False), rooms) is None
+    assert footprint.shortage(draft.memory(most + 1, capture_graphs=False), rooms) is not None
 
 
 def test_steps_that_do_not_fit_are_refused_before_anything_is_made_for_them(monkeypatch):
@@ -123,7 +123,7 @@ def test_values_for_each_environment_that_do_not_fit_are_refused(parts, device, 
 def test_what_all_parts_measure_into_is_refused_together(device, monkeypatch):
     """What fits for each part alone may be too much for all."""
     model = ball_scene().build(100, [device] * 2)
-    sim = wc.Simulation(model, dt=1e-4, graphs=False)
+    sim = wc.Simulation(model, dt=1e-4, capture_graphs=False)
     part = model.parts[0]
     needed = sum(need.size for need in part.measures_needs(part.device, {"points"}, part.envs))
     with_room(monkeypatch, int(1.5 * needed / 0.85))

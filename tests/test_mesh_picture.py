@@ -96,7 +96,7 @@ def edges(ends):
 
 
 def check_counts(defects, report):
-    assert edges(defects.border) == report.border_edge_count
+    assert edges(defects.boundary) == report.boundary_edge_count
     assert edges(defects.non_manifold) == report.non_manifold_edge_count
     assert edges(defects.inconsistent) == report.inconsistent_edge_count
     assert defects.degenerate.sum() == report.degenerate_face_count
@@ -133,7 +133,7 @@ def test_all_kinds_of_defects_are_found_and_named_in_the_legend(tmp_path):
     assert np.flatnonzero(defects.degenerate).tolist() == [len(faces) - 4]
     assert np.flatnonzero(defects.duplicate).tolist() == [3, len(faces) - 3]
     assert np.flatnonzero(defects.inward).tolist() == list(range(box, len(faces) - 4))
-    assert edges(defects.border) == 6  # of the hole and of the sliver
+    assert edges(defects.boundary) == 6  # of the hole and of the sliver
 
     write_obj(tmp_path / "broken.obj", vertices, faces)
     report = plot_file(tmp_path / "broken.obj", tmp_path / "broken.svg")
@@ -146,7 +146,7 @@ def test_all_kinds_of_defects_are_found_and_named_in_the_legend(tmp_path):
         "inner side",
         "closed parts that face inward: 320 faces",
         "on others with the same corners: 2 faces",
-        "open border: 6 edges",
+        "open boundary: 6 edges",
         "degenerate: 1 face",
         "2 faces without a finite place not shown",
         "500 mm",

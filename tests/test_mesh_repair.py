@@ -133,7 +133,7 @@ def test_many_slivers_in_a_row_are_taken_out():
     upper = [(i, i + 1, 6) for i in range(5)]
     slivers = [(0, i + 1, i) for i in range(1, 5)]
     mesh = repaired(Broken(v, [*upper, *slivers, (0, 7, 5)]))
-    assert (mesh.report.border_edge_count, mesh.report.border_loop_count) == (4, 1)
+    assert (mesh.report.boundary_edge_count, mesh.report.boundary_loop_count) == (4, 1)
     assert mesh.report.area == pytest.approx(1.0)
     assert mesh.report.degenerate_face_count == 0
 

@@ -221,8 +221,8 @@ def test_report_of_a_box():
 def test_report_of_an_open_grid():
     report = grid((2, 3), (4, 5)).report
     assert (report.closed, report.orientation, report.volume) == (False, "open surface", None)
-    assert (report.border_edge_count, report.border_loop_count, report.euler_number) == (18, 1, 1)
-    assert report.warnings == ("the surface is open: 18 border edges in 1 loop",)
+    assert (report.boundary_edge_count, report.boundary_loop_count, report.euler_number) == (18, 1, 1)
+    assert report.warnings == ("the surface is open: 18 boundary edges in 1 loop",)
 
 
 def test_report_of_a_flipped_box():
@@ -251,7 +251,7 @@ def test_a_moebius_strip_is_mixed():
     quads = [(i, i + 12, i + 13, i + 1) for i in range(11)] + [(11, 23, 0, 12)]  # the last with a half twist
     faces = [f for a, b, c, d in quads for f in ((a, b, c), (a, c, d))]
     report = examine(np.concatenate((rim - across, rim + across)), faces)
-    assert (report.orientation, report.border_loop_count, report.euler_number) == ("mixed", 1, 0)
+    assert (report.orientation, report.boundary_loop_count, report.euler_number) == ("mixed", 1, 0)
 
 
 def test_report_of_several_components():
@@ -266,13 +266,13 @@ def test_report_of_several_components():
 def test_report_of_a_non_manifold_fin():
     v, f = box().vertices, box().faces
     report = Mesh([*v, (2, 2, 2)], [*f, (f[0][0], f[0][1], 8)]).report
-    assert (report.non_manifold_edge_count, report.border_edge_count, report.closed) == (1, 2, False)
+    assert (report.non_manifold_edge_count, report.boundary_edge_count, report.closed) == (1, 2, False)
     assert "1 edge with more than two faces (non-manifold)" in report.to_text()
 
 
 def test_a_wall_inside_is_no_border_and_yet_not_closed():
     report = Mesh([*TETRAHEDRON, (0, 0, -1)], [*OUTWARD, (0, 4, 1), (1, 4, 2), (2, 4, 0)]).report
-    assert (report.non_manifold_edge_count, report.border_edge_count, report.closed) == (3, 0, False)
+    assert (report.non_manifold_edge_count, report.boundary_edge_count, report.closed) == (3, 0, False)
 
 
 def test_figures_leave_out_a_copied_face_but_not_its_reverse():
@@ -307,7 +307,7 @@ def test_a_crack_is_told_from_a_border():
     v, f = soup(box())
     v[f[0]] += 1e-9
     report = Mesh(v, f).report
-    assert (report.border_edge_count, report.crack_vertex_count) == (6, 6)
+    assert (report.boundary_edge_count, report.crack_vertex_count) == (6, 6)
     assert Mesh(np.round(v, 6), f).report.closed
     assert grid(cells=(3, 3)).report.crack_vertex_count == 0
 
@@ -344,7 +344,7 @@ def test_a_report_reads_as_aligned_lines():
     assert {line.index(line[25:]) for line in facts} == {25}
     assert facts[0].split() == ["usable", "no"]
     assert lines[lines.index("errors") + 1].startswith("  - 1 of 4 faces is out of index range")
-    assert lines[lines.index("warnings") + 1] == "  - the surface is open: 3 border edges in 1 loop"
+    assert lines[lines.index("warnings") + 1] == "  - the surface is open: 3 boundary edges in 1 loop"
 
 
 # Generators -------------------------------------------------------------------------------------------------

@@ -189,7 +189,7 @@ def test_environments_of_their_own_are_the_same_alone_and_split_and_launched_and
     assert (model.sensor("touch.normal_force") > 0.0).any()
     for name in ("arm.position", "shaker.position"):
         assert len(np.unique(model.sensor(name).round(6), axis=0)) == 4, name
-    for options in ({"split": 2}, {"graphs": False}, {"distance_cache": False}):
+    for options in ({"split": 2}, {"capture_graphs": False}, {"distance_cache": False}):
         for name, one, other in zip(NAMES, expected, run(**options)[1], strict=True):
             np.testing.assert_array_equal(one, other, err_msg=f"{name} {options}")
     alone = mixed().build(envs=1, device=device)
@@ -249,7 +249,7 @@ def test_an_arm_that_crosses_a_plate_within_a_step_is_caught_and_thrown_back(par
     model = scene.build(device=device, precision="float64")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        wc.Simulation(model, dt=2e-3, crossing_steps=parts).step(60)
+        wc.Simulation(model, dt=2e-3, crossing_substeps=parts).step(60)
     assert model.sensor("touch.crossings")[0] == 1
     place, rate = model.sensor("arm.position")[0], model.sensor("arm.angular_velocity")[0]
     assert place[2] > 0.0
@@ -274,7 +274,7 @@ def test_a_step_in_parts_changes_no_pendulum_beside_it(device):
     dt, angles = 5e-3, []
     for parts in (1, 8):
         model.reset()
-        wc.Simulation(model, dt, crossing_steps=parts).step(11)
+        wc.Simulation(model, dt, crossing_substeps=parts).step(11)
         assert model.sensor("touch.crossings")[0] == 1
         angles.append(model.sensor("arm.angle")[0])
         t = 11 * dt

@@ -181,8 +181,8 @@ SOME = {
 }
 WATCH = {
     "outcomes": SOME,
-    "stop": {"high": wc.Stop("ball.position", component="z", above=0.108, lasting=2e-3)},
-    "events": wc.Events(["touch"], most=3),
+    "stop": {"high": wc.StopCondition("ball.position", component="z", above=0.108, lasting=2e-3)},
+    "events": wc.ContactEvents(["touch"], most=3),
 }
 
 
@@ -202,7 +202,7 @@ def bits(envs=5, steps=600, first=0, count=None, device="cpu", **options):
 
 @pytest.mark.parametrize(
     "options",
-    [{"threads": 2}, {"graphs": False}, {"device": ["cpu", "cpu"]}, {"distance_cache": False}],
+    [{"threads": 2}, {"capture_graphs": False}, {"device": ["cpu", "cpu"]}, {"distance_cache": False}],
     ids=str,
 )
 def test_results_are_the_same_bits_however_they_are_stepped(options):
@@ -222,7 +222,7 @@ def test_an_environment_has_the_same_results_alone(device):
 def test_a_reset_starts_outcomes_of_those_environments_anew():
     model = model_of(wc.laws.Hooke(stiffness=STIFFNESS))
     outcomes = {key: ELASTIC[key] for key in ("peak", "first", "times")}
-    sim = wc.Simulation(model, 1e-4, outcomes=outcomes, events=wc.Events(["touch"], most=2))
+    sim = wc.Simulation(model, 1e-4, outcomes=outcomes, events=wc.ContactEvents(["touch"], most=2))
     sim.step(400)
     before = sim.outcomes()
     sim.reset(np.array([False, True, False]))
@@ -295,12 +295,12 @@ def test_hard_contacts_have_impulses_and_forces_in_every_step():
         "blow": wc.outcomes.Max("touch.impulse", component="z"),
         "peak": wc.outcomes.Max("touch.normal_force"),
         "total": wc.outcomes.Integral("touch.normal_force"),
-        "loss": wc.outcomes.Final("scene.impact_loss"),
+        "loss": wc.outcomes.Final("scene.impact_dissipation"),
         "moved": wc.outcomes.Change("ball.linear_momentum", component="z"),
     }
     steps = 280
     sim = wc.Simulation(
-        model, dt, wc.integrators.MoreauJean(), outcomes=outcomes, events=wc.Events(["touch"], most=4)
+        model, dt, wc.integrators.MoreauJean(), outcomes=outcomes, events=wc.ContactEvents(["touch"], most=4)
     )
     recording = sim.run(steps * dt, record=["touch.impulse", "touch.normal_force"], every=dt)
     found, events = sim.outcomes(), sim.events()
@@ -311,7 +311,7 @@ def test_hard_contacts_have_impulses_and_forces_in_every_step():
     # The force of a state is the mean over the step before, which is summed up with the step after.
     np.testing.assert_allclose(found["total"], (force[:-1] * dt).sum(axis=0), rtol=1e-12)
     np.testing.assert_allclose(found["total"], found["moved"] + 2.0 * 9.81 * steps * dt, rtol=1e-9)
-    np.testing.assert_array_equal(found["loss"], model.sensor("scene.impact_loss"))
+    np.testing.assert_array_equal(found["loss"], model.sensor("scene.impact_dissipation"))
     first = recording["time"].to_numpy()[(impulse > 0.0).argmax(axis=0)]
     np.testing.assert_allclose(events["time"][:, 0], first, rtol=1e-12)
     with pytest.raises(ValueError, match=r"Restitution: 'touch' is a nonsmooth contact.*touch\.law\.restitution"):
@@ -332,7 +332,7 @@ def test_smooth_contacts_and_springs_are_watched_alike():
     model = scene.build(envs=2)
     names = ["tap.normal_force", "tap.penetration", "tap.gap", "spring.length", "spring.force"]
     outcomes = {f"largest_{i}": wc.outcomes.Max(name) for i, name in enumerate(names)}
-    sim = wc.Simulation(model, 1e-4, outcomes=outcomes, events=wc.Events(["tap"]))
+    sim = wc.Simulation(model, 1e-4, outcomes=outcomes, events=wc.ContactEvents(["tap"]))
     recording = sim.run(0.08, record=names, every=1e-4)
     found = sim.outcomes()
     for i, name in enumerate(names):
@@ -345,7 +345,7 @@ def test_smooth_contacts_and_springs_are_watched_alike():
 def test_the_memory_of_what_is_watched_is_counted():
     plain, watched = (
         wc.Simulation(model_of(wc.laws.Hooke(stiffness=STIFFNESS), envs=64), 1e-4, **options)
-        for options in ({}, {"outcomes": ELASTIC, "events": wc.Events(["touch"], most=10)})
+        for options in ({}, {"outcomes": ELASTIC, "events": wc.ContactEvents(["touch"], most=10)})
     )
     before, after = plain.memory(), watched.memory()
     assert "outcomes" not in {need.purpose for need in before.needs}

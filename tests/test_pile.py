@@ -153,7 +153,7 @@ def test_finds_the_pairs_of_a_search_over_all(device, capsules, precision):
     shape = scene.add_shape(balls, forms, name="shape")
     # So soft that they pass through each other.
     soft = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e-3))
-    scene.add_particle_contact(shape, soft, name="pile", skin=0.02, partners=len(radii) - 1)
+    scene.add_particle_contact(shape, soft, name="pile", skin=0.02, max_neighbors=len(radii) - 1)
     model = scene.build(device=device, precision=precision)
     sim = wc.Simulation(model, dt=1e-3)
     # A float32 tells places a hundred metres away to 4 µm at best once; remainders keep differences finer.
@@ -165,7 +165,7 @@ def test_finds_the_pairs_of_a_search_over_all(device, capsules, precision):
         x, y, z, w = q.T
         axes = half[:, None] * np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], 1)
         expected = gaps_of(places, axes, radii)
-        found = model.touching("pile")
+        found = model.contact_pairs("pile")
         pairs = list(zip(found["shape_1"].values.tolist(), found["shape_2"].values.tolist(), strict=True))
         deep = {pair for pair, gap in expected.items() if gap < -within}
         assert deep <= set(pairs)
@@ -181,13 +181,13 @@ def test_parallel_capsules_touch_in_the_middle_of_where_they_overlap(device):
     form = wc.shapes.Capsule(RADIUS, 0.3)
     scene = spheres([[0, 0, 0], [1.9 * RADIUS, 0, 0.2]], [[0, 0, 0]] * 2, form=form)
     model = scene.build(device=device, precision="float64")
-    touch = model.touching("pile")
+    touch = model.contact_pairs("pile")
     np.testing.assert_allclose(touch["point"][0], [0.95 * RADIUS, 0, 0.1], atol=1e-15)
     np.testing.assert_allclose(touch["normal"][0], [-1, 0, 0], atol=1e-15)
     np.testing.assert_allclose(touch["gap"], [-0.1 * RADIUS], rtol=1e-12)
     # End to end they overlap nowhere; their caps meet.
     ends = spheres([[0, 0, 0], [0, 0, 0.6 + 1.9 * RADIUS]], [[0, 0, 0]] * 2, form=form)
-    touch = ends.build(device=device, precision="float64").touching("pile")
+    touch = ends.build(device=device, precision="float64").contact_pairs("pile")
     np.testing.assert_allclose(touch["point"][0], [0, 0, 0.3 + 0.95 * RADIUS], atol=1e-15)
 
 
@@ -197,7 +197,7 @@ def test_kappa_places_the_force_between_the_surfaces(device):
     model = scene.build(envs=3, device=device, precision="float64")
     model["pile.kappa"] = [0.0, 0.5, 1.0]
     np.testing.assert_allclose(
-        model.touching("pile")["point"][:, 0], np.array([0.9, 0.95, 1.0]) * RADIUS, atol=1e-15
+        model.contact_pairs("pile")["point"][:, 0], np.array([0.9, 0.95, 1.0]) * RADIUS, atol=1e-15
     )
 
 
@@ -211,7 +211,7 @@ def test_sphere_and_capsule_on_one_body_touch_others_alone(device):
     bead = scene.add_shape(ball, wc.shapes.Sphere(RADIUS), name="bead")
     scene.add_particle_contact([rod, knob, bead], ELASTIC, name="pile")
     model = scene.build(device=device, precision="float64")
-    touch = model.touching("pile")
+    touch = model.contact_pairs("pile")
     assert [(a, b) for a, b in zip(touch["name_1"].values, touch["name_2"].values, strict=True)] == [
         ("knob", "bead")
     ]
@@ -231,7 +231,7 @@ def test_groups_masks_and_exclusions_keep_pairs_apart(device):
         body = scene.add_body(MASS, INERTIA, position=(0.001 * number, 0, 0), name=f"b{number}")
         shapes.append(scene.add_shape(body, wc.shapes.Sphere(RADIUS), group=group, mask=mask, name=f"s{number}"))
     scene.add_particle_contact(shapes, ELASTIC, name="pile", exclude=[(shapes[4], shapes[1])])
-    touch = scene.build(device=device).touching("pile")
+    touch = scene.build(device=device).contact_pairs("pile")
     pairs = list(zip(touch["shape_1"].values.tolist(), touch["shape_2"].values.tolist(), strict=True))
     assert pairs == [(0, 1), (0, 2), (0, 4), (2, 4)]
 
@@ -261,7 +261,7 @@ def test_what_cannot_be_is_refused(device):
         ([one, one], {}, "'s_body' is listed more than once"),
         ([one], {}, "shapes must be at least 2, got 1"),
         ([one, two], {"skin": 0.0}, r"pile\.skin must be greater than 0, got 0 m"),
-        ([one, two], {"partners": 0}, "partners must be a whole number of at least 1, got 0"),
+        ([one, two], {"max_neighbors": 0}, "max_neighbors must be a whole number of at least 1, got 0"),
         (
             [one, two],
             {"exclude": [(one, box)]},

@@ -64,7 +64,7 @@ def test_hertz_contact_has_the_curvatures_of_the_pair(precision, tolerance, devi
     # A larger sphere in the second environment alone, as much farther away.
     model["shape_0.radius"] = [R, 2 * R]
     model["body_0.position"] = [[0, 0, R + S - DEPTH], [0, 0, 2 * R + S - DEPTH]]
-    found = model.touching("pile")
+    found = model.contact_pairs("pile")
     assert found["shape_1"].values.tolist() == 2 * list(range(0, len(shapes), 2))
     curvatures = np.array([[own[-1] for own in PAIRS.values()]] * 2)
     curvatures[1, 0] = 20.0
@@ -92,7 +92,7 @@ def test_spheres_alone_have_both_radii(device):
     scene.add_particle_contact(scene.add_shape(balls, forms), wc.ContactMaterial(law=law), name="pile")
     model = scene.build(1, device, "float64")
     known = 4 / 3 * MODULUS * np.sqrt(1 / 24.0) * DEPTH**1.5
-    np.testing.assert_allclose(model.touching("pile")["normal_force"], np.full(count // 2, known), rtol=1e-9)
+    np.testing.assert_allclose(model.contact_pairs("pile")["normal_force"], np.full(count // 2, known), rtol=1e-9)
 
 
 FRICTION = wc.friction.CundallStrack(mu_static=0.5, mu_dynamic=0.4, stiffness=1e4, damping=1.0)

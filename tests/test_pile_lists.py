@@ -25,7 +25,7 @@ def scene(skin=0.02, **options):
     spin = 5 * rng.normal(size=(COUNT, 3))
     balls = made.add_bodies(positions, 0.5, [0.002] * 3, (0, 0, 0, 1), -3 * positions, spin, name="ball")
     shape = made.add_shape(balls, [wc.shapes.Sphere(float(radius)) for radius in radii], name="shape")
-    made.add_particle_contact(shape, MATERIAL, name="pile", skin=skin, **({"partners": 40} | options))
+    made.add_particle_contact(shape, MATERIAL, name="pile", skin=skin, **({"max_neighbors": 40} | options))
     return made
 
 
@@ -95,7 +95,7 @@ def test_lists_of_capsules_beside_their_bodies_change_no_bits(device, monkeypatc
             made.add_shape(rods, wc.shapes.Capsule(0.04, 0.08), position=(0.02, 0.0, 0.01)),
             made.add_shape(rods, wc.shapes.Sphere(0.06), position=(-0.05, 0.02, 0.0)),
         ]
-        made.add_particle_contact(shapes, MATERIAL, name="pile", skin=skin, partners=59)
+        made.add_particle_contact(shapes, MATERIAL, name="pile", skin=skin, max_neighbors=59)
         model = made.build(device=device)
         wc.Simulation(model, dt=DT, deterministic=True).step(1500)
         ends.append(bits(model)[..., 3:])
@@ -114,7 +114,7 @@ def test_lists_of_capsules_beside_their_bodies_change_no_bits(device, monkeypatc
 def test_slices_and_threads_give_the_same_bits(run, device, monkeypatch):
     """One environment a slice, on one thread, and without graphs."""
     monkeypatch.setattr("warpcontact.stepping.LARGEST_SLICE", 1)
-    end, _ = again(run, scene(), device, threads=1, graphs=False)
+    end, _ = again(run, scene(), device, threads=1, capture_graphs=False)
     np.testing.assert_array_equal(end, run[1])
 
 
@@ -162,7 +162,7 @@ def test_split_over_devices_gives_the_same_bits(run, device):
     model["ball.linear_velocity"] = run[0]["ball.linear_velocity"]
     wc.Simulation(model, dt=DT, deterministic=True).step(STEPS)
     np.testing.assert_array_equal(np.concatenate([bits(part) for part in model.parts]), run[1])
-    assert model.touching("pile").equals(run[0].touching("pile"))
+    assert model.contact_pairs("pile").equals(run[0].contact_pairs("pile"))
 
 
 def test_momentum_stays_to_rounding(run):
@@ -195,8 +195,10 @@ def test_a_failed_environment_is_frozen_and_the_others_go_on(run, device):
 
 def test_a_list_that_is_too_short_is_an_error(device):
     """Partners that do not fit are missed by no one: the next look says so, and what helps."""
-    model = scene(skin=0.15, partners=2).build(device=device)
-    with pytest.raises(RuntimeError, match=r"pile: a shape had \d+ partners more.*larger partners=.*smaller skin"):
+    model = scene(skin=0.15, max_neighbors=2).build(device=device)
+    with pytest.raises(
+        RuntimeError, match=r"pile: a shape had \d+ partners more.*larger max_neighbors=.*smaller skin"
+    ):
         model.sensor("pile.contacts")
     with pytest.raises(RuntimeError, match="partners more"):
         wc.Simulation(model, dt=DT).run(2 * DT)
@@ -204,7 +206,7 @@ def test_a_list_that_is_too_short_is_an_error(device):
 
 def test_radii_that_need_longer_lists_are_refused(device):
     """Room for partners is made for the radii of the scene; others that need more are an error, and not taken."""
-    model = scene(partners=None).build(device=device)
+    model = scene(max_neighbors=None).build(device=device)
     radii = model["shape.radius"]
     smaller = radii.copy()
     smaller[0, :40] = 0.02
@@ -228,9 +230,9 @@ def test_steps_that_are_taken_again_in_parts_give_the_same_bits(device):
         )
         made.add_contact(made.add_point(balls, (0, 0, 0)), floor, stiff, swept=True, name="floor")
         shape = made.add_shape(balls, wc.shapes.Sphere(0.02))
-        made.add_particle_contact(shape, stiff, skin=skin, partners=40, name="pile")
+        made.add_particle_contact(shape, stiff, skin=skin, max_neighbors=40, name="pile")
         model = made.build(device=device)
-        sim = wc.Simulation(model, dt=2e-4, crossing_steps=4, deterministic=True)
+        sim = wc.Simulation(model, dt=2e-4, crossing_substeps=4, deterministic=True)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", wc.ContactWarning)  # the step is too long for this floor, on purpose
             sim.step(600)

@@ -22,7 +22,7 @@ def test_touches_summed_by_body_are_those_added_one_by_one(several):
     if several:
         shapes.append(scene.add_shape(balls, wc.shapes.Sphere(0.05), position=(0.1, 0.02, 0.0)))
     material = wc.ContactMaterial(law=ELASTIC.law, friction=FRICTION)
-    scene.add_particle_contact(shapes, material, name="pile", partners=200)
+    scene.add_particle_contact(shapes, material, name="pile", max_neighbors=200)
     forces = []
     for alone in (True, False):
         model = scene.build(2, "cpu", "float64")
@@ -48,7 +48,7 @@ def heap():
     material = wc.ContactMaterial(law=wc.laws.KelvinVoigt(stiffness=1e3, damping=20.0), friction=FRICTION)
     scene.add_contact(scene.add_point(balls, (0, 0, 0)), floor, material, radius=0.05)
     forms = [wc.shapes.Sphere(float(radius)) for radius in rng.uniform(0.05, 0.1, 40)]
-    scene.add_particle_contact(scene.add_shape(balls, forms), material, name="pile", partners=39)
+    scene.add_particle_contact(scene.add_shape(balls, forms), material, name="pile", max_neighbors=39)
     return scene
 
 

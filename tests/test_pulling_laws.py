@@ -134,31 +134,31 @@ def test_event_driven_refuses_a_friction_without_a_coefficient(device):
 
 
 def test_share_does_not_scale_an_impulse_and_is_refused_at_zero(device):
-    sentence = r"touch\.share must be greater than 0, got 0: rigid contact has no force to scale"
-    model = dropped_sphere(wc.laws.Rigid(restitution=0.0), share=0.0, device=device, precision="float64")
+    sentence = r"touch\.force_scale must be greater than 0, got 0: rigid contact has no force to scale"
+    model = dropped_sphere(wc.laws.Rigid(restitution=0.0), force_scale=0.0, device=device, precision="float64")
     with pytest.raises(ValueError, match=sentence):
         wc.Simulation(model, 1e-3, HARD)
-    model["touch.share"] = 0.5
+    model["touch.force_scale"] = 0.5
     wc.Simulation(model, 1e-3, HARD).step()
     np.testing.assert_allclose(model.sensor("touch.impulse")[0], (0, 0, 1), atol=1e-12)
     with pytest.raises(ValueError, match=sentence):
-        model["touch.share"] = 0.0
-    np.testing.assert_array_equal(model["touch.share"], 0.5)
+        model["touch.force_scale"] = 0.0
+    np.testing.assert_array_equal(model["touch.force_scale"], 0.5)
 
 
 def test_share_of_zero_is_refused_in_every_step_and_leaves_the_model_as_it_is(device):
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), device=device, precision="float64")
     rigid, compliant = wc.Simulation(model, 1e-3, HARD), wc.Simulation(model, 1e-3)
     compliant.step()
-    model["touch.share"] = 0.0
+    model["touch.force_scale"] = 0.0
     names, uploads = list(model.sensor_names), list(model.find_parameter("touch.law.stiffness").uploads)
     for _ in range(2):
-        with pytest.raises(ValueError, match=r"touch\.share must be greater than 0, got 0"):
+        with pytest.raises(ValueError, match=r"touch\.force_scale must be greater than 0, got 0"):
             rigid.step()
         assert model.hard is None
         assert list(model.sensor_names) == names
     assert model.find_parameter("touch.law.stiffness").uploads == uploads
     compliant.step()
-    model["touch.share"] = 1.0
+    model["touch.force_scale"] = 1.0
     rigid.step()
     assert model.hard is not None

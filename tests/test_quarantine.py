@@ -31,7 +31,7 @@ def test_limits_hold_an_environment_at_the_last_state_within_them(integrator, de
     sim.step(1000)
     health = model.health()
     assert health.frozen.tolist() == [1, 2]
-    assert health.causes == (wc.Cause.TOO_FAST, wc.Cause.TOO_FAR)
+    assert health.causes == (wc.FailureCause.TOO_FAST, wc.FailureCause.TOO_FAR)
     # The ball starts 100.1 m away, too far from the first step on; 5 m/s are reached after half a second.
     np.testing.assert_allclose(health.times, [0.5, 0.0], atol=1.5 * DT)
     speed = -model.sensor("ball.linear_velocity")[:, 2]
@@ -54,7 +54,7 @@ def test_joints_and_functions_of_time_have_the_same_limits():
     sim = wc.Simulation(model, DT)
     sim.step(400)
     health = model.health()
-    assert health.causes == (wc.Cause.TOO_FAST,)
+    assert health.causes == (wc.FailureCause.TOO_FAST,)
     np.testing.assert_allclose(health.times, 2.0 / 9.81, atol=1.5 * DT)
 
 
@@ -91,7 +91,7 @@ def test_one_that_turns_non_finite_leaves_a_thousand_as_they_are():
         np.testing.assert_array_equal(found[others], of[others])
     health = model.health()
     assert health.frozen.tolist() == [500]
-    assert health.causes == (wc.Cause.NON_FINITE,)
+    assert health.causes == (wc.FailureCause.NON_FINITE,)
     np.testing.assert_allclose(health.times, 20 * DT)
     found = sim.outcomes()
     # What was found before stays; that of the failed state is left out.
@@ -161,7 +161,7 @@ def test_raising_names_the_first_environment_with_its_time_and_cause():
         wc.QuarantineError, match=r"environment 102 failed at 0\.2 s: TOO_FAST, and 1 more"
     ) as caught:
         sim.step(1000)
-    assert (caught.value.env, caught.value.cause, caught.value.count) == (102, wc.Cause.TOO_FAST, 2)
+    assert (caught.value.env, caught.value.cause, caught.value.count) == (102, wc.FailureCause.TOO_FAST, 2)
     # It looks every so many steps; the others have come no farther.
     assert sim.steps == CADENCE * -(-201 // CADENCE)
 

@@ -123,7 +123,7 @@ def test_random_damage_neither_crashes_nor_changes_what_is_verified(kind, reques
             assert str(run)
         else:
             refused += 1
-            with pytest.raises((wc.ExperimentError, wc.StoreError)):
+            with pytest.raises((wc.ExperimentError, wc.RunDataError)):
                 wc.open_run(folder, verify=True)
         if number % 10 == 4:
             commanded(capsys, "report", folder, "-o", tmp_path / "report.html")

@@ -210,7 +210,7 @@ def test_blocks_are_a_recording_in_pieces(blocks, device, in_slices):
 
 @pytest.mark.parametrize(
     "options",
-    [{}, {"graphs": False}, {"quarantine": "reset"}],
+    [{}, {"capture_graphs": False}, {"quarantine": "reset"}],
     ids=["by launches in graphs", "by launches", "of all environments"],
 )
 def test_frames_of_many_chunks_have_their_numbers(options, device, in_slices):

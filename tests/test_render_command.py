@@ -152,7 +152,7 @@ def test_what_is_not_drawn_is_not_read(tmp_path):
             if path.is_file():
                 path.write_bytes(path.read_bytes()[:-1] + b"x")  # its check sum is compared when it is read
         if is_drawn:
-            with pytest.raises(wc.StoreError):
+            with pytest.raises(wc.RunDataError):
                 wc.render(wc.open_run(folder), time=0.1, **SMALL)
         else:
             np.testing.assert_array_equal(wc.render(wc.open_run(folder), time=0.1, **SMALL), whole)

@@ -384,7 +384,7 @@ def test_results_that_were_changed_are_refused(copied, tmp_path):
     path = next((folder / "data.zarr/outcome/hardest/c").rglob("*"))
     path = path if path.is_file() else next(p for p in path.rglob("*") if p.is_file())
     path.write_bytes(path.read_bytes()[:-1] + b"x")
-    with pytest.raises(wc.StoreError, match="was changed since it was committed"):
+    with pytest.raises(wc.RunDataError, match="was changed since it was committed"):
         wc.report(folder, tmp_path / "x.html")
     assert not (tmp_path / "x.html").exists()
 

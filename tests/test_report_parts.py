@@ -31,7 +31,7 @@ from warpcontact.run_report import (
 from warpcontact.run_report.choice import choose
 from warpcontact.run_report.columns import columns_of
 from warpcontact.run_report.packing import Pack
-from warpcontact.status import Cause, EnvironmentStatus
+from warpcontact.status import EnvironmentStatus, FailureCause
 
 
 def unpacked(pack):
@@ -316,7 +316,11 @@ def test_records_with_peaks_of_forces_are_replayed():
 
 def test_failed_stopped_and_repeated_environments_are_told():
     status = np.array([EnvironmentStatus.ACTIVE, EnvironmentStatus.FROZEN, EnvironmentStatus.STOPPED], int)
-    health = Health.of(status, np.array([Cause.NONE, Cause.TOO_FAR, Cause.NONE], int), np.array([1.0, 0.25, 0.5]))
+    health = Health.of(
+        status,
+        np.array([FailureCause.NONE, FailureCause.TOO_FAR, FailureCause.NONE], int),
+        np.array([1.0, 0.25, 0.5]),
+    )
     stops = {"flag_values": [0, 1], "flag_meanings": "landed <tipped>"}
     outcome = xr.Dataset({"stopped_by": ("env", [-1, -1, 1], stops), "resets": ("env", [0, 0, 3])})
     content = ended.section(health, outcome)

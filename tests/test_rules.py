@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from warpcontact.kernels.types import ENV_FROZEN
 
 import warpcontact as wc
-from warpcontact import Status
+from warpcontact import ContactStatus
 
 G = 9.81
 
@@ -25,7 +25,7 @@ def test_every_bounce_has_its_own_entry_speed(device):
     for speed in (1.0, 3.0, 0.5):
         sim.state.body_linear_velocity.fill_(model.types.vec3(0.0, 0.0, -speed))
         sim.step(2500)
-        assert (model.sensor("touch.status") == Status.OPEN).all()
+        assert (model.sensor("touch.status") == ContactStatus.OPEN).all()
         # Some 500 steps per contact.
         np.testing.assert_allclose(model.sensor("ball.linear_velocity")[:, 2], e * speed, rtol=1e-3)
         sim.state.body_position.fill_(model.types.vec3(0.0, 0.0, 0.101))
@@ -57,14 +57,14 @@ def test_slow_contacts_use_the_speed_floor(device):
 
 LATCH = [
     # start, options, what happens to the point, status at the end
-    ((0.5, -0.5, 0.1), {}, [(0.5, -0.5, -0.01)], Status.CONTACT),
-    ((0.5, -0.5, -0.1), {}, [(0.5, -0.5, -0.01)], Status.WRONG_SIDE),
-    ((0.5, -0.5, 0.1), {"max_depth": 0.05}, [(0.5, -0.5, -0.2), (0.5, -0.5, -0.01)], Status.WRONG_SIDE),
-    ((0.5, -0.5, 0.1), {}, [(-0.5, 0.5, -0.01), (0.5, -0.5, -0.01)], Status.WRONG_SIDE),
-    ((-0.5, 0.5, 0.1), {}, [(0.5, -0.5, -0.01)], Status.CONTACT),
-    ((0.5, -0.5, 0.1), {"search_radius": 0.5}, [(0.5, -0.5, 3.0), (0.5, -0.5, -0.01)], Status.CONTACT),
-    ((0.5, -0.5, -0.1), {"search_radius": 0.5}, [(0.5, -0.5, -3.0), (0.5, -0.5, -0.01)], Status.WRONG_SIDE),
-    ((0.5, -0.5, 0.1), {}, [(1.5, -0.5, -0.1), (0.5, -0.5, -0.01)], Status.WRONG_SIDE),
+    ((0.5, -0.5, 0.1), {}, [(0.5, -0.5, -0.01)], ContactStatus.CONTACT),
+    ((0.5, -0.5, -0.1), {}, [(0.5, -0.5, -0.01)], ContactStatus.WRONG_SIDE),
+    ((0.5, -0.5, 0.1), {"max_depth": 0.05}, [(0.5, -0.5, -0.2), (0.5, -0.5, -0.01)], ContactStatus.WRONG_SIDE),
+    ((0.5, -0.5, 0.1), {}, [(-0.5, 0.5, -0.01), (0.5, -0.5, -0.01)], ContactStatus.WRONG_SIDE),
+    ((-0.5, 0.5, 0.1), {}, [(0.5, -0.5, -0.01)], ContactStatus.CONTACT),
+    ((0.5, -0.5, 0.1), {"search_radius": 0.5}, [(0.5, -0.5, 3.0), (0.5, -0.5, -0.01)], ContactStatus.CONTACT),
+    ((0.5, -0.5, -0.1), {"search_radius": 0.5}, [(0.5, -0.5, -3.0), (0.5, -0.5, -0.01)], ContactStatus.WRONG_SIDE),
+    ((0.5, -0.5, 0.1), {}, [(1.5, -0.5, -0.1), (0.5, -0.5, -0.01)], ContactStatus.WRONG_SIDE),
 ]
 
 
@@ -93,7 +93,7 @@ def test_a_disabled_contact_keeps_its_latch(device):
     sim.state.body_position.fill_(model.types.vec3(0.0, 0.0, 0.09))
     sim.step(2)
     model["touch.enabled"] = 1
-    assert model.sensor("touch.status")[0] == Status.CONTACT
+    assert model.sensor("touch.status")[0] == ContactStatus.CONTACT
 
 
 # Frozen environments

@@ -8,7 +8,7 @@ from dataclasses import asdict
 import pytest
 
 from warpcontact.experiment.expected import ChunkGrid, Expected, Extent
-from warpcontact.experiment.records import AXES, Commit, StoreError, digest, is_chunk
+from warpcontact.experiment.records import AXES, Commit, RunDataError, digest, is_chunk
 from warpcontact.experiment.run import Run
 from warpcontact.experiment.status import status_of
 from warpcontact.experiment.store import Ledger, Shard, Shards
@@ -75,13 +75,13 @@ def stored(folder, shape, chunks=None, dims=None):
     ids=lambda value: str(value)[:20],
 )
 def test_extreme_grid_of_an_array_is_refused(shape, words, tmp_path):
-    with pytest.raises(StoreError, match=r"mass/zarr\.json: must have a shape of at most 8 axes"):
+    with pytest.raises(RunDataError, match=r"mass/zarr\.json: must have a shape of at most 8 axes"):
         stored(tmp_path, shape, **words)
 
 
 def test_more_frames_than_steps_are_refused(tmp_path):
     stored(tmp_path, [11, 4], dims=["time", "env"])
-    with pytest.raises(StoreError, match=r"must have at most 11 frames, as run\.json has 10 steps, got 12"):
+    with pytest.raises(RunDataError, match=r"must have at most 11 frames, as run\.json has 10 steps, got 12"):
         stored(tmp_path, [12, 4], dims=["time", "env"])
 
 
@@ -163,7 +163,7 @@ def test_folders_that_no_chunk_is_in_are_not_entered(name, tmp_path, monkeypatch
 
     monkeypatch.setattr(RunPath, "names", noted)
     if name == "x":
-        with pytest.raises(StoreError, match=r"mass/c/x: is not of this run; remove it"):
+        with pytest.raises(RunDataError, match=r"mass/c/x: is not of this run; remove it"):
             ledger.check(EXTENT, contents=True)
     else:
         ledger.check(EXTENT, contents=True)
@@ -203,5 +203,5 @@ def test_chunk_that_is_still_staged_counts(tmp_path):
     (tmp_path / "data.zarr/params/mass/c/2").rename(staged)
     ledger.check(EXTENT, contents=True)
     staged.unlink()
-    with pytest.raises(StoreError, match="c/2: is missing, and was committed"):
+    with pytest.raises(RunDataError, match="c/2: is missing, and was committed"):
         ledger.check(EXTENT)

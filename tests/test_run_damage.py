@@ -40,7 +40,7 @@ def test_missing_parts_are_named(whole_run, copied_run):
     ):
         content = (folder / name).read_bytes()
         (folder / name).unlink()
-        with pytest.raises((wc.ExperimentError, wc.StoreError), match=message):
+        with pytest.raises((wc.ExperimentError, wc.RunDataError), match=message):
             wc.open_run(folder)
         (folder / name).write_bytes(content)
     wc.open_run(folder)
@@ -66,10 +66,10 @@ def test_chunks_that_are_missing_or_cut_off_are_named(whole_run, copied_run):
     content = path.read_bytes()
     path.write_bytes(content[:-1])
     message = f"has {len(content) - 1} bytes, and {len(content)} were committed"
-    with pytest.raises(wc.StoreError, match=rf"series/touch\.gap/c/\S+: {message}"):
+    with pytest.raises(wc.RunDataError, match=rf"series/touch\.gap/c/\S+: {message}"):
         wc.open_run(folder)
     path.unlink()
-    with pytest.raises(wc.StoreError, match=r"series/touch\.gap/c/\S+: is missing, and was committed"):
+    with pytest.raises(wc.RunDataError, match=r"series/touch\.gap/c/\S+: is missing, and was committed"):
         wc.open_run(folder)
 
 
@@ -92,7 +92,7 @@ def test_a_chunk_that_is_missing_with_its_entry_is_named(array, whole_run, copie
     name = chunk.relative_to(folder / "data.zarr").as_posix()
     chunk.unlink()
     drop_entry(folder, name)
-    with pytest.raises(wc.StoreError, match=rf"{name}: is missing"):
+    with pytest.raises(wc.RunDataError, match=rf"{name}: is missing"):
         wc.open_run(folder)
     assert main(["status", str(folder), "--verify"]) == 1
     assert f"{name}: is missing" in capsys.readouterr().err
@@ -105,7 +105,7 @@ def test_an_array_that_is_missing_with_its_entries_is_named(whole_run, copied_ru
         content = json.loads(path.read_text())
         kept = {name: one for name, one in content["files"].items() if "/touch.gap/" not in name}
         path.write_text(json.dumps(content | {"files": kept}))
-    with pytest.raises(wc.StoreError, match=r"series/touch\.gap/zarr\.json: is missing in \S+store\.json"):
+    with pytest.raises(wc.RunDataError, match=r"series/touch\.gap/zarr\.json: is missing in \S+store\.json"):
         wc.open_run(folder)
 
 
@@ -115,7 +115,7 @@ def test_a_block_of_an_unfinished_shard_that_is_missing_with_its_entry_is_named(
     for root in ("data.zarr", "staging/shard_000001"):  # it may not be moved yet
         (folder / root / name).unlink(missing_ok=True)
     drop_entry(folder, name)
-    with pytest.raises(wc.StoreError, match=rf"{name}: is missing"):
+    with pytest.raises(wc.RunDataError, match=rf"{name}: is missing"):
         wc.open_run(folder)
     with pytest.warns(RuntimeWarning, match=rf"shard_000001 begins anew: \S+{name}: is missing"):
         wc.Experiment.from_toml(folder / "experiment.toml").run(folder, device="cpu", resume=True)
@@ -149,7 +149,7 @@ def test_a_record_that_no_run_writes_is_not_verified(changes, message, whole_run
         runs.change(record, files=files | {changes["add"]: next(iter(files.values()))})
     else:
         runs.change(record, **changes)
-    with pytest.raises(wc.StoreError, match=rf"shard_000000\.json: {message}"):
+    with pytest.raises(wc.RunDataError, match=rf"shard_000000\.json: {message}"):
         wc.open_run(folder, verify=True)
 
 
@@ -165,7 +165,7 @@ def test_files_that_no_run_writes_are_not_verified(name, message, whole_run, cop
     folder = copied_run(whole_run)
     (folder / name).parent.mkdir(exist_ok=True)
     shutil.copy(folder / "commit" / "shard_000000.json", folder / name)
-    with pytest.raises(wc.StoreError, match=message):
+    with pytest.raises(wc.RunDataError, match=message):
         wc.open_run(folder, verify=True)
 
 
@@ -208,17 +208,17 @@ def test_a_changed_bit_is_found_when_it_is_read_and_when_all_is_verified(name, w
     path = chunk_of(folder, name, shard=1)
     flip(path)
     message = rf"{name}/c/\S+: was changed since it was committed"
-    with pytest.raises(wc.StoreError, match=message):
+    with pytest.raises(wc.RunDataError, match=message):
         wc.open_run(folder, verify=True)
     run = wc.open_run(folder)  # looks at sizes only
-    with pytest.raises(wc.StoreError, match=message):
+    with pytest.raises(wc.RunDataError, match=message):
         run.check()
-    with pytest.raises(wc.StoreError, match=message):
+    with pytest.raises(wc.RunDataError, match=message):
         run.digest()
     group, variable = name.split("/")
     values = getattr(run, group)[variable]
     values.sel(env=slice(0, 3)).load()  # that of another shard is good
-    with pytest.raises(wc.StoreError, match=message):
+    with pytest.raises(wc.RunDataError, match=message):
         values.sel(env=[5]).load()
     # Who reads the arrays without this library is told by the check sum of the chunk.
     with pytest.raises((RuntimeError, ValueError), match=r"checksum|decompression"):
@@ -229,7 +229,7 @@ def test_chunks_that_vanish_after_opening_are_no_empty_values(whole_run, copied_
     folder = copied_run(whole_run)
     run = wc.open_run(folder)
     chunk_of(folder, "series/touch.gap").unlink()
-    with pytest.raises(wc.StoreError, match=r"touch\.gap/c/\S+: is missing, and was committed"):
+    with pytest.raises(wc.RunDataError, match=r"touch\.gap/c/\S+: is missing, and was committed"):
         run.series["touch.gap"].load()
 
 
@@ -259,7 +259,7 @@ def test_a_missing_checkpoint_is_named_and_its_shard_begins_anew(whole_run, part
     folder = copied_run(part_run)
     name = runs.records(folder)[1]["checkpoint"]
     (folder / "checkpoint" / name).unlink()
-    with pytest.raises(wc.StoreError, match=rf"{name}: is missing, and was committed; --resume lets"):
+    with pytest.raises(wc.RunDataError, match=rf"{name}: is missing, and was committed; --resume lets"):
         wc.open_run(folder)
     experiment = wc.Experiment.from_toml(folder / "experiment.toml")
     with pytest.warns(RuntimeWarning, match="shard_000001 begins anew: .*No such file"):
@@ -311,7 +311,7 @@ def test_a_checkpoint_of_another_content_is_named_and_its_shard_begins_anew(whol
     name = next(name for name, values in arrays.items() if values.dtype.kind == "f" and values.size)
     checkpoint.write(path, arrays | {name: arrays[name] + 1.0}, header)
     wc.open_run(folder)
-    with pytest.raises(wc.StoreError, match=rf"{path}: was changed since it was committed; --resume lets"):
+    with pytest.raises(wc.RunDataError, match=rf"{path}: was changed since it was committed; --resume lets"):
         wc.open_run(folder, verify=True)
     with pytest.warns(RuntimeWarning, match=rf"shard_000001 begins anew: {path}: was changed since it was commit"):
         wc.Experiment.from_toml(folder / "experiment.toml").run(folder, device="cpu", resume=True)

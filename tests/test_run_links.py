@@ -179,7 +179,7 @@ def test_planted_entry_leads_nowhere(name, kind, place, capsys):
         told = str(place / "run")
         try:
             act()
-        except (wc.ExperimentError, wc.StoreError, OSError) as error:
+        except (wc.ExperimentError, wc.RunDataError, OSError) as error:
             told = str(error)
         assert str(place / "run") in told, command
         assert len(told.splitlines()) == 1, command

@@ -18,10 +18,10 @@ def test_a_damaged_record_is_named(content, whole_run, copied_run):
     folder = copied_run(whole_run)
     (folder / "commit" / "shard_000001.json").write_text(content)
     with pytest.raises(
-        wc.StoreError, match=r"commit/shard_000001\.json: (is no whole record|must have the entries)"
+        wc.RunDataError, match=r"commit/shard_000001\.json: (is no whole record|must have the entries)"
     ):
         wc.open_run(folder)
-    with pytest.raises(wc.StoreError, match=r"commit/shard_000001\.json: "):
+    with pytest.raises(wc.RunDataError, match=r"commit/shard_000001\.json: "):
         wc.Experiment.from_toml(folder / "experiment.toml").run(folder, device="cpu", resume=True)
 
 
@@ -56,7 +56,7 @@ def test_a_record_with_wrong_entries_names_them(entries, message, whole_run, cop
     folder = copied_run(whole_run)
     path = folder / "commit" / "shard_000001.json"
     runs.change(path, **entries)
-    with pytest.raises(wc.StoreError, match=rf"shard_000001\.json: {message}"):
+    with pytest.raises(wc.RunDataError, match=rf"shard_000001\.json: {message}"):
         wc.open_run(folder)
 
 
@@ -95,7 +95,7 @@ def test_a_record_that_names_files_elsewhere_is_refused_and_nothing_is_moved(nam
         lambda: wc.open_run(folder, verify=True),
         lambda: wc.Experiment.from_toml(folder / "experiment.toml").run(folder, device="cpu", resume=True),
     ):
-        with pytest.raises(wc.StoreError, match=r"files must name files that a run writes into data\.zarr, got"):
+        with pytest.raises(wc.RunDataError, match=r"files must name files that a run writes into data\.zarr, got"):
             act()
     assert sorted(folder.parent.rglob("*")) == before
     assert victim.read_text() == "mine"
@@ -108,7 +108,7 @@ def test_a_record_with_wrong_sizes_or_sums_is_refused(entry, whole_run, copied_r
     folder = copied_run(whole_run)
     path = folder / "commit" / "shard_000001.json"
     runs.change(path, files={"outcome/status/c/0": entry})
-    with pytest.raises(wc.StoreError, match=r"files\.outcome/status/c/0 must be a size in bytes and a SHA-256"):
+    with pytest.raises(wc.RunDataError, match=r"files\.outcome/status/c/0 must be a size in bytes and a SHA-256"):
         wc.open_run(folder)
 
 

@@ -6,7 +6,7 @@ import pytest
 from scenes import probe
 
 import warpcontact as wc
-from warpcontact import Status
+from warpcontact import ContactStatus
 
 PRECISIONS = pytest.mark.parametrize("precision", ["float32", "float64"])
 SENSORS = ("gap", "penetration", "normal", "point", "status", "normal_force")
@@ -120,7 +120,7 @@ def test_scale_and_choice_act_between_steps(precision, device):
     model["ground.scale"] = [1.5, 1.0]
     sim.step(3)
     np.testing.assert_allclose(model.sensor("touch.gap")[0], -0.15, atol=1e-6)
-    assert model.sensor("touch.status").tolist() == [Status.CONTACT, Status.OPEN]
+    assert model.sensor("touch.status").tolist() == [ContactStatus.CONTACT, ContactStatus.OPEN]
 
 
 @PRECISIONS
@@ -135,8 +135,8 @@ def test_each_choice_has_its_own_active_part(search, precision, device):
     scene.add_contact(scene.add_point(body, (0, 0, 0)), ground, FRICTION, search=search, name="touch")
     model = scene.build(envs=3, precision=precision, device=device)
     model["ground.mesh"] = [0, 1, 2]
-    free = Status.HIDDEN if search == "whole" else Status.OPEN
-    assert model.sensor("touch.status").tolist() == [Status.CONTACT, free, Status.CONTACT]
+    free = ContactStatus.INACTIVE if search == "whole" else ContactStatus.OPEN
+    assert model.sensor("touch.status").tolist() == [ContactStatus.CONTACT, free, ContactStatus.CONTACT]
 
 
 def test_wrong_values_are_refused_by_name(device):

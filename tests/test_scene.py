@@ -76,7 +76,7 @@ BAD = [
     (lambda: contact_with(search_radius=-1), "touch.search_radius must be greater than 0, got -1 m"),
     (lambda: contact_with(search="all"), "touch.search must be one of 'whole', 'active', got 'all'"),
     (lambda: contact_with(entry="late"), "touch.entry must be one of 'literal', 'latched', got 'late'"),
-    (lambda: contact_with(rim="inner"), "touch.rim must be one of 'off', 'outer', got 'inner'"),
+    (lambda: contact_with(boundary="inner"), "touch.boundary must be one of 'off', 'outer', got 'inner'"),
     (lambda: wc.Scene().build(), "the scene has no body"),
     (lambda: scene_with().build(envs=0), "envs must be a whole number of at least 1, got 0"),
     (lambda: scene_with().build(envs=2.5), "envs must be a whole number of at least 1, got 2.5"),

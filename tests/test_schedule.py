@@ -102,7 +102,7 @@ SCENES = {
     "on a mesh in another unit": falling_on(wc.meshes.icosphere(4.0, 3), surface={"scale": 0.1}),
     "on the inner side of a ball": falling_on(SHELL.flipped(), height=0.1),
     "beside a plate": falling_on(PLATE),
-    "over its rim": falling_on(PLATE, rim="outer"),
+    "over its rim": falling_on(PLATE, boundary="outer"),
     "latched": falling_on(PLATE, entry="latched"),
     "latched on a ball": falling_on(SHELL, entry="latched"),
     "latched, and seeing little": falling_on(SHELL, entry="latched", search_radius=0.15),
@@ -165,7 +165,7 @@ def test_what_is_known_of_distances_changes_nothing(name, few, precision, device
             pytest.skip("a CPU does the same for few and many")
         monkeypatch.setattr(schedule, "FEW", 0)
     known, pushed = run(name, precision, device)
-    afresh, _ = run(name, precision, device, distance_cache=False, graphs=False, threads=1)
+    afresh, _ = run(name, precision, device, distance_cache=False, capture_graphs=False, threads=1)
     assert pushed.sum() >= 3
     assert_same(known, afresh)
 
@@ -193,7 +193,7 @@ def test_what_was_seen_before_a_step_is_taken_again_is_not_forgotten(looked_at):
             scene.add_contact(scene.add_point(body, (0, 0, 0)), ground, MATERIAL, name=f"{name}_touch", **options)
         model = scene.build(device="cpu")
         model["shot.linear_velocity"] = (0, 0, -30)  # through the ground in the first step
-        sim = wc.Simulation(model, dt=1e-3, crossing_steps=3, distance_cache=distance_cache)
+        sim = wc.Simulation(model, dt=1e-3, crossing_substeps=3, distance_cache=distance_cache)
         states = []
         for _ in range(4):
             sim.step()
@@ -328,7 +328,7 @@ def test_captured_steps_are_the_launched_ones(name, precision, device):
     def run(graphs):
         model = SCENES[name]().build(envs=ENVS, precision=precision, device=device)
         start(model)
-        sim = wc.Simulation(model, dt=1e-3, graphs=graphs)
+        sim = wc.Simulation(model, dt=1e-3, capture_graphs=graphs)
         states = []
         for count in (1, 2, 3, 32, 65, 350, 1, 31):
             sim.step(count)
@@ -388,19 +388,19 @@ def test_simulations_side_by_side_do_not_notice_each_other(device):
 @pytest.mark.parametrize("name", ["box of points on terrain", "two bodies"])
 def test_a_deterministic_run_repeats_to_the_bit(name, device):
     first, _ = run(name, "float32", device, deterministic=True)
-    second, _ = run(name, "float32", device, deterministic=True, graphs=False)
+    second, _ = run(name, "float32", device, deterministic=True, capture_graphs=False)
     assert_same(first, second)
 
 
-@pytest.mark.parametrize("crossing_steps", [1, 4])
+@pytest.mark.parametrize("crossing_substeps", [1, 4])
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
-def test_an_interruption_leaves_all_environments_at_one_time(crossing_steps, device):
+def test_an_interruption_leaves_all_environments_at_one_time(crossing_substeps, device):
     """Ctrl-C, whenever it comes: whole steps were taken by everybody, and the clock tells how many."""
 
     def prepared():
         model = SCENES["swept"]().build(envs=ENVS, device=device)
         start(model)
-        return wc.Simulation(model, dt=1e-3, crossing_steps=crossing_steps)
+        return wc.Simulation(model, dt=1e-3, crossing_substeps=crossing_substeps)
 
     sim = prepared()
     sim.step()

@@ -8,7 +8,7 @@ from scenes import oracle_law, square
 from test_experiment import content
 
 import warpcontact as wc
-from warpcontact import Status
+from warpcontact import ContactStatus
 from warpcontact.usd.coloring import named_number
 
 DOCS = Path(__file__).parents[1] / "docs" / "contact.md"
@@ -24,7 +24,15 @@ PLACES = [
     (0.5, -0.5, 0.03),
     (0.5, -0.5, 0.08),
 ]
-CODES = (Status.OPEN, Status.OPEN, Status.CONTACT, Status.HIDDEN, Status.FAR, Status.WRONG_SIDE, Status.DISABLED)
+CODES = (
+    ContactStatus.OPEN,
+    ContactStatus.OPEN,
+    ContactStatus.CONTACT,
+    ContactStatus.INACTIVE,
+    ContactStatus.FAR,
+    ContactStatus.WRONG_SIDE,
+    ContactStatus.DISABLED,
+)
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +44,7 @@ def model(device):
     scene.add_contact(scene.add_point(ball, (0, 0, 0)), plate, oracle_law(), **options)
     model = scene.build(envs=len(PLACES), device=device)
     model["ball.position"] = PLACES
-    model["touch.enabled"] = [code != Status.DISABLED for code in CODES]
+    model["touch.enabled"] = [code != ContactStatus.DISABLED for code in CODES]
     return model
 
 
@@ -100,7 +108,7 @@ def test_delta_is_a_name_of_penetration_on_input_only(model):
         "deepest": wc.outcomes.Max("touch.delta"),
         "first": wc.outcomes.FirstTime("touch.delta", above=0.0),
     }
-    stop = {"deep": wc.Stop("touch.delta", above=1.0)}
+    stop = {"deep": wc.StopCondition("touch.delta", above=1.0)}
     sim = wc.Simulation(model, dt=1e-6, outcomes=outcomes, stop=stop)
     recording = sim.run(2e-6, ["touch.delta", "touch.gap", "touch.penetration"], poses=False)
     assert list(recording.data_vars) == ["touch.penetration", "touch.gap"]

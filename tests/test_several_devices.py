@@ -117,8 +117,8 @@ def test_what_is_measured_on_one_device_refuses_several(device):
     "options",
     [
         {},
-        {"crossing_steps": 4},
-        {"graphs": False},
+        {"crossing_substeps": 4},
+        {"capture_graphs": False},
         {"distance_cache": False, "threads": 1},
         {"threads": 3, "integrator": wc.integrators.SemiImplicitEuler()},
     ],

@@ -199,10 +199,10 @@ def test_warnings_come_once_and_number_environments_in_all(looked_at, device, mo
     assert len(set(split)) == len(split)
 
 
-@pytest.mark.parametrize("crossing_steps", [1, 4])
-def test_an_interruption_leaves_all_parts_at_one_time(crossing_steps, devices, device):
+@pytest.mark.parametrize("crossing_substeps", [1, 4])
+def test_an_interruption_leaves_all_parts_at_one_time(crossing_substeps, devices, device):
     _, model = both(device, devices)
-    sim = wc.Simulation(model, dt=1e-3, crossing_steps=crossing_steps)
+    sim = wc.Simulation(model, dt=1e-3, crossing_substeps=crossing_substeps)
     sim.step(64)
     timer = threading.Timer(1.0, signal.raise_signal, (signal.SIGINT,))
     timer.start()

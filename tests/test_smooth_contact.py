@@ -52,7 +52,11 @@ def test_two_tilted_ellipsoids_are_the_worked_numbers(oracle, device, precision,
     # Approach at K is that of the points, whichever: they lie on one normal.
     rates = [-oracle[name]["velocity"]["gap_rate"] for name in NAMES[1:]]
     np.testing.assert_allclose(model.sensor("touch.approach_speed")[1:], rates, rtol=0, atol=tolerance)
-    assert model.sensor("touch.status").tolist() == [wc.Status.OPEN, wc.Status.CONTACT, wc.Status.CONTACT]
+    assert model.sensor("touch.status").tolist() == [
+        wc.ContactStatus.OPEN,
+        wc.ContactStatus.CONTACT,
+        wc.ContactStatus.CONTACT,
+    ]
     assert model.sensor("touch.converged").tolist() == [1, 1, 1]
     np.testing.assert_allclose(model.sensor("touch.normal_force")[0], 0.0)
     depths = [-oracle[name]["gap"] for name in NAMES[1:]]
@@ -255,7 +259,7 @@ def test_forces_are_equal_and_opposite(device):
 
 def test_graphs_slices_and_threads_do_not_matter(device):
     runs = []
-    for options in ({}, {"graphs": False}, {"threads": 1}, {"threads": 2, "distance_cache": False}):
+    for options in ({}, {"capture_graphs": False}, {"threads": 1}, {"threads": 2, "distance_cache": False}):
         model = two_ellipsoids(device, envs=5)
         wc.Simulation(model, dt=1e-4, deterministic=True, **options).step(1500)
         runs.append(state_of(model))
@@ -320,7 +324,7 @@ def test_steps_taken_again_in_parts_remember_as_those_of_a_mesh(device):
     runs = []
     for smooth in (True, False):
         model = sphere_on_plane(smooth, device, "float64", envs=2, bullet=True)
-        sim = wc.Simulation(model, dt=2e-4, crossing_steps=4)
+        sim = wc.Simulation(model, dt=2e-4, crossing_substeps=4)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", wc.ContactWarning)  # the step is long for the plates, on purpose
             runs.append(sim.run(0.2, names, every=1e-3))
@@ -366,7 +370,12 @@ def test_status_tells_what_is_not_counted(device):
     model["ball.position"] = [(0, 0, 0.06), (0, 0, 0.045), (0, 0, 0.01), (0, 0, 0.045)]
     model["touch.max_depth"] = 0.02
     model["touch.enabled"] = [True, True, True, False]
-    codes = [wc.Status.OPEN, wc.Status.CONTACT, wc.Status.WRONG_SIDE, wc.Status.DISABLED]
+    codes = [
+        wc.ContactStatus.OPEN,
+        wc.ContactStatus.CONTACT,
+        wc.ContactStatus.WRONG_SIDE,
+        wc.ContactStatus.DISABLED,
+    ]
     assert model.sensor("touch.status").tolist() == codes
     np.testing.assert_array_equal(model.sensor("touch.normal_force") > 0, [False, True, False, False])
     np.testing.assert_allclose(model.sensor("touch.gap"), [0.01, -0.005, -0.04, np.nan], rtol=1e-5)
@@ -470,7 +479,7 @@ def test_what_is_not_found_gives_no_force_and_is_told(device):
         recording = wc.Simulation(model, dt=1e-4).run(
             1e-3, ["touch.status", "touch.normal_force", "touch.failures"]
         )
-    assert (recording["touch.status"].sel(env=1) == wc.Status.NOT_CONVERGED).all()
+    assert (recording["touch.status"].sel(env=1) == wc.ContactStatus.NOT_CONVERGED).all()
     assert (recording["touch.normal_force"] == 0.0).all()
     assert recording["touch.failures"].values[-1].tolist() == [0, 10]
     assert "touch.curvature_1" not in model.sensor_names

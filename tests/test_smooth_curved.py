@@ -19,7 +19,7 @@ from curved_pairs import (
 from scipy.spatial import cKDTree
 from warpcontact.kernels.formula import coefficient_struct, parameter
 from warpcontact.kernels.smooth import curved, nearest, shapes
-from warpcontact.kernels.smooth.patch import Patch, jet_of_patch
+from warpcontact.kernels.smooth.patch import ParametricSurface, jet_of_patch
 from warpcontact.kernels.smooth.torus import Torus
 from warpcontact.kernels.types import MET, NOT_CONVERGED, OUTSIDE
 
@@ -346,7 +346,7 @@ def test_a_patch_is_open(device):
     np.testing.assert_allclose(met["gap"][[0, 1, 4]], (-0.1, -0.1, -0.39), atol=1e-14)
 
 
-class Tube(Patch):
+class Tube(ParametricSurface):
     """A cylinder around the z axis, closed around; without derivatives of its own."""
 
     radius: float = parameter("m", "radius", above=0.0)
@@ -401,15 +401,15 @@ def test_differences_are_as_good_as_derivatives(device):
 
 def test_wrong_contracts_are_told():
     with pytest.raises(TypeError, match=r"Upside\.u_range must be two increasing numbers, got \(1, 0\)"):
-        type("Upside", (Patch,), {"u_range": (1, 0), "v_range": (0, 1)})
+        type("Upside", (ParametricSurface,), {"u_range": (1, 0), "v_range": (0, 1)})
     with pytest.raises(TypeError, match=r"Coarse\.scan must be two whole numbers of at least 4, got \(2, 9\)"):
-        type("Coarse", (Patch,), {"scan": (2, 9)})
+        type("Coarse", (ParametricSurface,), {"scan": (2, 9)})
     with pytest.raises(TypeError, match=r"Endless\.u_range must be given: u_range = \(first, last\)"):
-        type("Endless", (Patch,), {"position": Tube.position, "v_range": (0, 1)})()
+        type("Endless", (ParametricSurface,), {"position": Tube.position, "v_range": (0, 1)})()
     with pytest.raises(TypeError, match=r"Nowhere\.position must be a wp\.func of \(p, u, v\)"):
-        type("Nowhere", (Patch,), {"u_range": (0, 1), "v_range": (0, 1)})()
+        type("Nowhere", (ParametricSurface,), {"u_range": (0, 1), "v_range": (0, 1)})()
     with pytest.raises(TypeError, match=r"Steep\.derivatives must be a wp\.func of \(p, u, v\)"):
-        type("Steep", (Patch,), {"derivatives": 1})
+        type("Steep", (ParametricSurface,), {"derivatives": 1})
     with pytest.raises(TypeError, match=r"two patches, Tube and Quadric, cannot touch"):
         curved.meet(Tube, Quadric)
     with pytest.raises(ValueError, match=r"Torus\.minor_radius must be less than the major radius, got 0\.5 m"):

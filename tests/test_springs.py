@@ -319,7 +319,7 @@ def test_schedule_threads_and_devices_change_no_bit(device):
         return model.sensor("ball.position"), model.sensor("ball.angular_velocity")
 
     reference = final(device)
-    variants = [final(device, graphs=False), final([device, device])]
+    variants = [final(device, capture_graphs=False), final([device, device])]
     if device == "cpu":
         variants.append(final(device, threads=1))
     for other in variants:

@@ -16,7 +16,7 @@ import zarr
 from warpcontact.experiment import store
 from warpcontact.experiment.chunks import Chunk, Chunks, compressors
 from warpcontact.experiment.expected import Extent
-from warpcontact.experiment.records import StoreError
+from warpcontact.experiment.records import RunDataError
 from warpcontact.run_folder import RunPath
 
 ENVS, FRAMES = 96, 5
@@ -154,7 +154,7 @@ def test_labels_of_a_single_environment_have_a_file(tmp_path):
 def test_arrays_that_are_compressed_otherwise_are_refused(tmp_path):
     group = zarr.open_group(tmp_path, mode="w", zarr_format=3)
     array = group.create_array("x", shape=(4,), chunks=(4,), dtype="f4", compressors=zarr.codecs.GzipCodec())
-    with pytest.raises(StoreError, match="gzip"):
+    with pytest.raises(RunDataError, match="gzip"):
         Chunks(array)
 
 

@@ -24,7 +24,7 @@ def falling(envs=4, precision="float64", device="cpu"):
 
 
 def landed(**options):
-    return wc.Stop("ball.position", component="z", below=0.15, **options)
+    return wc.StopCondition("ball.position", component="z", below=0.15, **options)
 
 
 def test_an_environment_is_held_bitwise_at_the_first_state_at_which_the_condition_holds(device):
@@ -91,15 +91,15 @@ def test_lasting_conditions_begin_anew_after_a_break():
 def test_the_first_condition_in_order_wins_and_outcomes_keep_their_results():
     model = falling()
     stops = {
-        "never": wc.Stop("ball.position", component="z", above=9.0),
-        "deep": wc.Stop("touch.normal_force", above=0.0),
-        "low": wc.Stop("touch.penetration", above=0.0),
+        "never": wc.StopCondition("ball.position", component="z", above=9.0),
+        "deep": wc.StopCondition("touch.normal_force", above=0.0),
+        "low": wc.StopCondition("touch.penetration", above=0.0),
     }
     outcomes = {
         "fall": wc.outcomes.Change("ball.position", component="z"),
         "n": wc.outcomes.Count("touch.penetration", above=0.0),
     }
-    sim = wc.Simulation(model, DT, stop=stops, outcomes=outcomes, events=wc.Events(["touch"]))
+    sim = wc.Simulation(model, DT, stop=stops, outcomes=outcomes, events=wc.ContactEvents(["touch"]))
     sim.step(500)
     found = sim.outcomes()
     np.testing.assert_array_equal(found["stopped_by"], 1)
@@ -128,7 +128,9 @@ def test_a_reset_lets_a_stopped_environment_go_on():
 
 
 def test_others_are_not_touched():
-    both = wc.Simulation(falling(), DT, stop={"high": wc.Stop("ball.position", component="z", above=0.45)})
+    both = wc.Simulation(
+        falling(), DT, stop={"high": wc.StopCondition("ball.position", component="z", above=0.45)}
+    )
     alone = wc.Simulation(falling(), DT)
     for sim in (both, alone):
         sim.step(300)
@@ -146,7 +148,7 @@ def test_hard_contacts_stop_as_well():
     rigid = wc.ContactMaterial(law=wc.laws.Rigid(restitution=0.5))
     scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, rigid, radius=0.1, name="touch")
     model = scene.build(envs=2)
-    stop = {"hit": wc.Stop("touch.impulse", component="norm", above=0.0)}
+    stop = {"hit": wc.StopCondition("touch.impulse", component="norm", above=0.0)}
     sim = wc.Simulation(model, DT, wc.integrators.MoreauJean(), stop=stop)
     sim.step(400)
     found = sim.outcomes()
@@ -169,8 +171,8 @@ def test_divided_steps_stop_once():
         "impulse": wc.outcomes.Integral("touch.normal_force"),
         "time": wc.outcomes.Duration("ball.position", component="z", above=-9.0),
     }
-    stop = {"up": wc.Stop("ball.position", component="z", above=0.1)}
-    sim = wc.Simulation(model, DT, crossing_steps=20, outcomes=outcomes, stop=stop)
+    stop = {"up": wc.StopCondition("ball.position", component="z", above=0.1)}
+    sim = wc.Simulation(model, DT, crossing_substeps=20, outcomes=outcomes, stop=stop)
     sim.step(200)
     found = sim.outcomes()
     # A step or a part of one is summed up once: times are those of the clocks, and impulses turn the ball round,
@@ -184,12 +186,18 @@ def test_divided_steps_stop_once():
 @pytest.mark.parametrize(
     ("make", "problem"),
     [
-        (lambda: wc.Stop("ball.position", below=0.1), r"stop\['x'\]: ball\.position is a vector; say which"),
-        (lambda: wc.Stop("ball.positon", below=0.1), r"stop\['x'\]: no sensor 'ball\.positon'; did you mean"),
-        (lambda: wc.Stop("touch.gap"), "Stop takes either above or below, got neither"),
-        (lambda: wc.Stop("touch.gap", above=1, below=0), "got above=1 and below=0"),
-        (lambda: wc.Stop("touch.gap", below=0, lasting=-1), "lasting must be at least 0, got -1 s"),
-        (lambda: wc.Stop(3, below=0), r"Stop\.of must be the name of a sensor"),
+        (
+            lambda: wc.StopCondition("ball.position", below=0.1),
+            r"stop\['x'\]: ball\.position is a vector; say which",
+        ),
+        (
+            lambda: wc.StopCondition("ball.positon", below=0.1),
+            r"stop\['x'\]: no sensor 'ball\.positon'; did you mean",
+        ),
+        (lambda: wc.StopCondition("touch.gap"), "StopCondition takes either above or below, got neither"),
+        (lambda: wc.StopCondition("touch.gap", above=1, below=0), "got above=1 and below=0"),
+        (lambda: wc.StopCondition("touch.gap", below=0, lasting=-1), "lasting must be at least 0, got -1 s"),
+        (lambda: wc.StopCondition(3, below=0), r"StopCondition\.of must be the name of a sensor"),
     ],
 )
 def test_what_cannot_be_looked_at_is_refused(make, problem):

@@ -161,19 +161,19 @@ def test_a_share_divides_all_that_acts(device):
     )
     scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, material, radius=0.1, name="touch")
     model = scene.build(envs=3, device=device, precision="float64")
-    assert (model["touch.share"] == 1.0).all()
+    assert (model["touch.force_scale"] == 1.0).all()
     whole = {name: model.sensor(f"touch.{name}") for name in ("normal_force", "friction_force", "torque")}
     wrench = model.sensor("ball.force"), model.sensor("ball.torque")
     assert all(np.abs(values).max() > 0 for values in whole.values())
     share = np.array([0.0, 0.5, 2.0])
-    model["touch.share"] = share
+    model["touch.force_scale"] = share
     for name, values in whole.items():
         expected = values * share.reshape(-1, *[1] * (values.ndim - 1))
         np.testing.assert_allclose(model.sensor(f"touch.{name}"), expected, rtol=1e-14)
     for now, before in zip((model.sensor("ball.force"), model.sensor("ball.torque")), wrench, strict=True):
         np.testing.assert_allclose(now, before * share[:, None], rtol=1e-14)
-    with pytest.raises(ValueError, match=r"touch\.share must be at least 0, got -1"):
-        model["touch.share"] = -1.0
+    with pytest.raises(ValueError, match=r"touch\.force_scale must be at least 0, got -1"):
+        model["touch.force_scale"] = -1.0
 
 
 def areas_scene(material, **points):
@@ -318,7 +318,7 @@ def test_names_and_samples_of_both_sides():
     assert (first.name, first.points.name, first.surface.name) == ("pair_first", "pair_first_points", "ground")
     assert (second.name, second.points.name, second.surface.name) == ("pair_second", "pair_second_points", "hull")
     assert [contact.count for contact in (first, second)] == [8, 30]
-    assert first.share == second.share == 0.5
+    assert first.force_scale == second.force_scale == 0.5
     assert first.radius == second.radius == 0.01
     # Points of the active faces only.
     assert second.points.areas.sum() == pytest.approx(0.5)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import warpcontact as wc
-from warpcontact import Status
+from warpcontact import ContactStatus
 
 PRECISIONS = pytest.mark.parametrize("precision", ["float32", "float64"])
 # A spring that stops 1 kg within 0.3 m, in a tenth of a second: dt = 1e-2 resolves it, but not a plate of 2 mm.
@@ -13,7 +13,9 @@ SPRING = wc.laws.Hooke(stiffness=1e3)
 BOUNCE = np.pi * np.sqrt(1.0 / 1e3)
 
 
-def shots(mesh, start, velocity, *, dt, precision, device, carrier=None, crossing_steps=1, law=SPRING, **contact):
+def shots(
+    mesh, start, velocity, *, dt, precision, device, carrier=None, crossing_substeps=1, law=SPRING, **contact
+):
     """Returns a simulation of one ball of 1 kg per environment, shot at a surface in free space.
 
     Args:
@@ -33,7 +35,7 @@ def shots(mesh, start, velocity, *, dt, precision, device, carrier=None, crossin
     )
     model = scene.build(envs=len(start), device=device, precision=precision)
     model["ball.position"], model["ball.linear_velocity"] = start, velocity
-    return wc.Simulation(model, dt=dt, crossing_steps=crossing_steps)
+    return wc.Simulation(model, dt=dt, crossing_substeps=crossing_substeps)
 
 
 def fan_of_shots(count, side, seed=1):
@@ -72,7 +74,7 @@ def test_nothing_leaks_through_a_thin_plate(entry, side, radius, dt, precision, 
     speed = side * sim.model.sensor("ball.linear_velocity")[:, 2]
     assert (speed > 0).all(), f"{(speed <= 0).sum()} of {len(speed)} went through"
     assert (height > 0).all()
-    assert (sim.model.sensor("touch.status") == Status.OPEN).all()
+    assert (sim.model.sensor("touch.status") == ContactStatus.OPEN).all()
     # One that begins h = v t too deep comes back with √(1 + ω² t²) of its speed, t ≤ dt.
     gain = speed / np.abs(velocity[:, 2])
     assert gain.max() < np.sqrt(1 + 1e3 * dt**2) + 0.1
@@ -180,9 +182,9 @@ def test_a_search_radius_does_not_lose_what_has_crossed(entry, parts, precision,
     """It has never been near enough to be seen."""
     sim = shots(
         hard_cases.plate(), [[0.1, 0.2, 0.05]], [[0, 0, -10.0]], dt=1e-2, precision=precision, device=device,
-        search_radius=0.03, entry=entry, crossing_steps=parts,
+        search_radius=0.03, entry=entry, crossing_substeps=parts,
     )  # fmt: skip
-    assert sim.model.sensor("touch.status").tolist() == [Status.FAR]
+    assert sim.model.sensor("touch.status").tolist() == [ContactStatus.FAR]
     sim.step(20)
     assert sim.model.sensor("ball.linear_velocity")[0, 2] > 0
 
@@ -195,7 +197,7 @@ def test_what_is_known_to_be_on_the_wrong_side_is_not_armed_by_a_crossing(precis
         np.concatenate([thick.vertices, under.vertices]),
         np.concatenate([thick.faces, under.faces + len(thick.vertices)]),
     )
-    for start, status in ((0.02, Status.WRONG_SIDE), (0.0, Status.FAR)):
+    for start, status in ((0.02, ContactStatus.WRONG_SIDE), (0.0, ContactStatus.FAR)):
         sim = shots(
             both, [[0.1, 0.2, start]], [[0, 0, -15.0]], dt=1e-2, precision=precision, device=device,
             search_radius=0.04, entry="latched",
@@ -203,7 +205,7 @@ def test_what_is_known_to_be_on_the_wrong_side_is_not_armed_by_a_crossing(precis
         assert sim.model.sensor("touch.status").tolist() == [status]
         sim.step()
         # Whoever was not seen may have come from outside: there is nothing to say against it.
-        assert sim.model.sensor("touch.crossings").tolist() == [int(status == Status.FAR)]
+        assert sim.model.sensor("touch.crossings").tolist() == [int(status == ContactStatus.FAR)]
 
 
 @PRECISIONS
@@ -223,7 +225,7 @@ def test_a_ball_between_two_plates_stays_there(gap, precision, device):
     seen = 0
     for _ in range(40):
         sim.step()
-        free = sim.model.sensor("touch.status") == Status.OPEN
+        free = sim.model.sensor("touch.status") == ContactStatus.OPEN
         height = sim.model.sensor("ball.position")[free, 2]
         assert ((height > 0) & (height < gap)).all()
         seen += len(height)

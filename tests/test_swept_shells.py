@@ -6,7 +6,7 @@ import pytest
 from test_swept import PRECISIONS, shots
 
 import warpcontact as wc
-from warpcontact import Status
+from warpcontact import ContactStatus
 
 ENTRIES = pytest.mark.parametrize("entry", ["literal", "latched"])
 COUNT = 1000
@@ -46,7 +46,7 @@ def fired(mesh, start, aim, speed, stiffness, steps, *, within, **options):
         sim.step(10)
         place = sim.model.sensor("ball.position")
         inwards = (sim.model.sensor("touch.normal") * place).sum(axis=1) < 0
-        held = (sim.model.sensor("touch.status") == Status.CONTACT) & inwards
+        held = (sim.model.sensor("touch.status") == ContactStatus.CONTACT) & inwards
         leaked = ~within(place) & ~held
         assert not leaked.any(), f"{leaked.sum()} of {COUNT} leaked"
     assert (sim.model.sensor("touch.crossings") > 0).all()
@@ -59,7 +59,7 @@ def test_nothing_leaks_out_of_a_hollow_box(parts, entry, precision, device):
     fired(
         wc.meshes.box((2.0, 2.0, 2.0)), *at_edges_and_corners(np.random.default_rng(0)), 20.0, 1e3, 60,
         within=lambda place: np.abs(place).max(axis=1) < 1.0 - 1e-3,
-        crossing_steps=parts, entry=entry, precision=precision, device=device,
+        crossing_substeps=parts, entry=entry, precision=precision, device=device,
     )  # fmt: skip
 
 

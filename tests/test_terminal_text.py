@@ -37,11 +37,11 @@ def test_control_characters_are_shown_as_escapes():
 
 
 def test_messages_of_errors_are_shown_with_escapes():
-    errors = [wc.StoreError(EVIL), wc.CheckpointError(EVIL), wc.MeshError(EVIL)]
+    errors = [wc.RunDataError(EVIL), wc.CheckpointError(EVIL), wc.MeshError(EVIL)]
     errors += [
         wc.ExperimentError(EVIL, [EVIL]),
         wc.ExperimentError(EVIL, [EVIL, EVIL]),
-        wc.StageError(EVIL, [EVIL]),
+        wc.UsdError(EVIL, [EVIL]),
     ]
     for error in errors:
         assert not controls(str(error)), type(error)

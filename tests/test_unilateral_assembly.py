@@ -38,7 +38,7 @@ def capsules(gap):
 
 def test_pairs_of_a_mutual_contact_are_where_the_engine_has_them():
     model = capsules(gap=-0.01)
-    seen = model.touching("rods")
+    seen = model.contact_pairs("rods")
     own = wc.unilateral.assemble(model)
     assert own.labels == ["rods: capsule_0 on capsule_1"]
     np.testing.assert_allclose(own.gap, seen["gap"].values, atol=1e-15)
@@ -46,7 +46,7 @@ def test_pairs_of_a_mutual_contact_are_where_the_engine_has_them():
     np.testing.assert_allclose(own.point, seen["point"].values, atol=1e-15)
     # And where it has none, as they are apart.
     apart = capsules(gap=1.0)
-    assert len(apart.touching("rods")["gap"]) == 0
+    assert len(apart.contact_pairs("rods")["gap"]) == 0
     assert wc.unilateral.assemble(apart).count == 0
     assert wc.unilateral.assemble(apart, closed=1.0).gap.min() > 0.0
 
@@ -136,7 +136,7 @@ def test_a_point_that_slides_off_a_table_leaves_it():
     speed = np.sqrt(4.0 - 2.0 * 0.2 * G * 0.5)
     leaves = (2.0 - speed) / (0.2 * G)
     (event,) = run.events
-    # The engine has a point beside a border yet at it, up to a small part of an edge.
+    # The engine has a point beside a boundary yet at it, up to a small part of an edge.
     assert event.kind == "LIFT_OFF"
     assert event.time == pytest.approx(leaves, abs=2e-4)
     falls = 0.1 - 0.5 * G * (0.4 - event.time) ** 2

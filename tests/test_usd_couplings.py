@@ -109,7 +109,7 @@ def test_a_catenary_hangs_as_it_did(device, tmp_path):
     stage = Usd.Stage.Open(str(wc.export_usd(recording, tmp_path / "a.usdc")))
     assert [error.GetErrorAsString() for error in findings(stage)] == []
     for name in ("line", "free"):
-        expected = model.line_shape(name, LINE_POINTS)
+        expected = model.catenary_shape(name, LINE_POINTS)
         for env in range(2):
             points = np.array(curve(stage, env, name).GetPointsAttr().Get(3))
             # Points of USD are float32.
@@ -125,6 +125,6 @@ def test_a_folded_catenary_is_not_taken_for_a_broken_spring(device, tmp_path):
     ends = scene.add_point(None, (0.0, 0.0, 0.0)), scene.add_point(load, (0.0, 0.0, 0.0))
     scene.add_catenary(*ends, length=5.0, mass_per_length=1.0, axial_stiffness=1e4, name="line")
     recording = wc.Simulation(scene.build(device=device, precision="float64"), 1.0e-3).run(2e-3, ["line.status"])
-    assert (recording["line.status"] == wc.LineStatus.FOLDED).all()
+    assert (recording["line.status"] == wc.CatenaryStatus.FOLDED).all()
     stage = Usd.Stage.Open(str(wc.export_usd(recording, tmp_path / "a.usdc")))
     assert curve(stage, 0, "line").ComputeVisibility(1) == "inherited"

@@ -163,5 +163,5 @@ def test_gravity_that_is_switched_off_later_is_a_change_of_the_stage(tmp_path):
         "newton:gravityEnabled", Sdf.ValueTypeNames.Bool
     ).Set(False)
     stage.Save()
-    with pytest.raises(wc.StageError, match=r"/World/PhysicsScene: a gravity of \[0.0, 0.0, 0.0\] m/s²"):
+    with pytest.raises(wc.UsdError, match=r"/World/PhysicsScene: a gravity of \[0.0, 0.0, 0.0\] m/s²"):
         wc.Scene.from_usd(path, trusted=True)

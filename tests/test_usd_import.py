@@ -64,7 +64,7 @@ def test_stage_units_and_up_axis_are_turned_into_si_and_z_up(tmp_path):
     np.testing.assert_allclose(found.angular_velocity, (0, 0, np.pi), atol=1e-12)
     np.testing.assert_allclose([found.mass, *np.diag(found.inertia)], (2, 0.1, 0.2, 0.25), rtol=SINGLE)
     np.testing.assert_allclose(scene.gravity, (0, 0, -9.81), atol=1e-12)
-    assert any("up axis is Y" in remark for remark in scene.remarks)
+    assert any("up axis is Y" in remark for remark in scene.import_warnings)
     # The axes of the body are those of its prim: its y axis is up.
     np.testing.assert_allclose(Rotation.from_quat(found.orientation).apply((0, 1, 0)), (0, 0, 1), atol=1e-12)
 
@@ -72,7 +72,7 @@ def test_stage_units_and_up_axis_are_turned_into_si_and_z_up(tmp_path):
 def test_a_stage_that_does_not_say_its_unit_is_in_centimetres_and_that_is_said(tmp_path):
     scene = read(tmp_path, body(content=WEIGHT, pose=moved(100, 0, 0)), metadata={"metres": None})
     np.testing.assert_allclose(scene.bodies[0].position, (1, 0, 0))
-    assert any("its unit is 0.01 m" in remark for remark in scene.remarks)
+    assert any("its unit is 0.01 m" in remark for remark in scene.import_warnings)
 
 
 @pytest.mark.parametrize(
@@ -342,7 +342,7 @@ def test_meshes_collide_as_their_approximation_says(tmp_path, approximation):
         assert scene.shapes[0].form().radius == pytest.approx(np.sqrt(3.0))
     else:
         assert scene.surfaces[0].mesh.report.volume == pytest.approx(8.0)
-    assert any("sdf is not carried out" in remark for remark in scene.remarks) == (approximation == "sdf")
+    assert any("sdf is not carried out" in remark for remark in scene.import_warnings) == (approximation == "sdf")
 
 
 @pytest.mark.parametrize("scale", [(1, 1, 1), (-1, 1, 1), (-1, -1, -1)])
@@ -355,7 +355,7 @@ def test_meshes_look_outward_whatever_their_hand_and_mirrors(tmp_path, scale, ha
     own = mesh(indices=indices, more=f'uniform token orientation = "{hand}"\n' + moved(0, 0, 0, scale=scale))
     scene = read(tmp_path, prim("Mesh", "static", COLLIDER, own) + body(content=WEIGHT))
     assert scene.surfaces[0].mesh.report.volume == pytest.approx(8.0)
-    assert not [remark for remark in scene.remarks if "turned" in remark]
+    assert not [remark for remark in scene.import_warnings if "turned" in remark]
 
 
 def test_instances_are_read_where_they_are(tmp_path):
@@ -382,8 +382,8 @@ def test_what_is_for_looks_and_what_is_switched_off_is_said(tmp_path):
     look = prim("Sphere", "look", "", "double radius = 1")
     off = prim("Sphere", "off", COLLIDER, "double radius = 1\nbool physics:collisionEnabled = 0")
     scene = read(tmp_path, body(content=WEIGHT + "\n" + look + off))
-    assert any("1 shapes without CollisionAPI" in remark for remark in scene.remarks)
-    assert any("/body/off: its collision is not enabled" in remark for remark in scene.remarks)
+    assert any("1 shapes without CollisionAPI" in remark for remark in scene.import_warnings)
+    assert any("/body/off: its collision is not enabled" in remark for remark in scene.import_warnings)
     assert not scene.shapes
 
 

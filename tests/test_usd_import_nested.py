@@ -48,7 +48,7 @@ def test_nested_body_has_its_own_pose_mass_and_colliders(tmp_path, reset):
     assert [(one.name, one.body) for one in scene.shapes] == [("outer_box", outer), ("inner_box", inner)]
     # Nothing fixes one to the other, so they touch.
     assert [(one.shape.name, one.other_shape.name) for one in scene.shape_contacts] == [("outer_box", "inner_box")]
-    assert sum(NESTED in remark for remark in scene.remarks) == (not reset)
+    assert sum(NESTED in remark for remark in scene.import_warnings) == (not reset)
 
 
 def test_one_remark_counts_all_nested_bodies(tmp_path):
@@ -57,7 +57,7 @@ def test_one_remark_counts_all_nested_bodies(tmp_path):
         content = cube(f"box_{i}") + body(f"link_{i}", content, moved(2, 0, 0))
     scene = read(tmp_path, body("outer", content))
     assert len(scene.bodies) == 4
-    (remark,) = [one for one in scene.remarks if "nested" in one]
+    (remark,) = [one for one in scene.import_warnings if "nested" in one]
     assert remark.startswith(f"/outer/link_1: the rigid body {NESTED} and 2 more: ")
 
 
@@ -85,7 +85,7 @@ def test_colliders_of_a_body_that_is_left_out_are_left_out(tmp_path):
         "double3 xformOp:translate.timeSamples = {0: (0,0,0), 1: (1,0,0)}\n"
         'uniform token[] xformOpOrder = ["xformOp:translate"]',
     )
-    with pytest.raises(wc.StageError, match="/led/led_box: it is part of the rigid body /led, which is left out"):
+    with pytest.raises(wc.UsdError, match="/led/led_box: it is part of the rigid body /led, which is left out"):
         read(tmp_path, led)
     scene = read(tmp_path, led, skip_unsupported=True)
     assert [(one.name, one.body.name) for one in scene.shapes] == [("inner_box", "inner")]

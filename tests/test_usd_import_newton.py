@@ -45,7 +45,7 @@ def test_stiffness_and_damping_of_materials_are_those_of_the_law(tmp_path):
     found, scene = pair(tmp_path, material(**given))
     assert (found.law.stiffness, found.law.damping) == pytest.approx((12345.0, 67.0), rel=SINGLE)
     assert found.law.restitution is None
-    assert not any("settings of other programs" in remark for remark in scene.remarks)
+    assert not any("settings of other programs" in remark for remark in scene.import_warnings)
 
 
 def test_values_of_two_materials_are_averaged_only_if_both_are_authored(tmp_path):
@@ -70,7 +70,9 @@ def test_unauthored_coefficient_of_friction_is_not_zero(tmp_path, values, expect
     named = {f"physics_{key}Friction": value for key, value in values.items()}
     found, scene = pair(tmp_path, material(apis='"PhysicsMaterialAPI"', **named))
     assert (found.friction.mu_static, found.friction.mu_dynamic) == pytest.approx(expected, rel=SINGLE)
-    assert any("/m: the material has no authored friction" in remark for remark in scene.remarks) == (not values)
+    assert any("/m: the material has no authored friction" in remark for remark in scene.import_warnings) == (
+        not values
+    )
     # With a collider without material, 0.5, sliding friction does not exceed friction at rest either.
     mixed, _ = pair(tmp_path, material(apis='"PhysicsMaterialAPI"', **named), other=floor(bound=None))
     assert mixed.friction.mu_static >= mixed.friction.mu_dynamic
@@ -101,7 +103,9 @@ def test_torsional_friction_is_the_arm_of_torsion(tmp_path):
 )  # fmt: skip
 def test_rolling_friction_needs_a_radius_and_is_else_named(tmp_path, one, other, radius):
     found, scene = pair(tmp_path, material(newton_rollingFriction=0.01), one=one, other=other)
-    named = [remark for remark in scene.remarks if "newton:rollingFriction is not used in 1 contacts" in remark]
+    named = [
+        remark for remark in scene.import_warnings if "newton:rollingFriction is not used in 1 contacts" in remark
+    ]
     if radius is None:
         assert isinstance(found.rolling, wc.friction.Frictionless)
         assert named
@@ -145,7 +149,7 @@ def test_each_value_without_a_counterpart_is_named(tmp_path):
         '"PhysicsCollisionAPI"', '"NewtonCollisionAPI"'
     )
     _, scene = pair(tmp_path, material(**given), one=skin)
-    told = "\n".join(scene.remarks)
+    told = "\n".join(scene.import_warnings)
     for sentence in (
         "/m: newton:contactFrictionGain 1000 is not used",
         "/m: newton:contactAdhesion 0.001 is not used",
@@ -166,7 +170,7 @@ def test_each_value_without_a_counterpart_is_named(tmp_path):
     ],
 )
 def test_material_value_out_of_range_is_refused(tmp_path, name, value, message):
-    with pytest.raises(wc.StageError, match=f"/m: newton:{name} {message}"):
+    with pytest.raises(wc.UsdError, match=f"/m: newton:{name} {message}"):
         pair(tmp_path, material(**{f"newton_{name}": value}))
 
 
@@ -182,14 +186,14 @@ def test_time_step_and_iterations_of_the_stage_are_suggestions_of_the_scene(tmp_
     for nothing in ("", "uniform int newton:maxSolverIterations = -1"):
         scene = scene_of(tmp_path, nothing)
         assert (scene.suggested_dt, scene.suggested_iterations) == (None, None)
-    with pytest.raises(wc.StageError, match="/physics: newton:timeStepsPerSecond must be at least 1, got 0"):
+    with pytest.raises(wc.UsdError, match="/physics: newton:timeStepsPerSecond must be at least 1, got 0"):
         scene_of(tmp_path, "uniform int newton:timeStepsPerSecond = 0")
 
 
 def test_gravity_that_is_switched_off_is_zero(tmp_path):
     scene = scene_of(tmp_path, "bool newton:gravityEnabled = 0")
     np.testing.assert_array_equal(scene.gravity, 0.0)
-    assert any("newton:gravityEnabled is off" in remark for remark in scene.remarks)
+    assert any("newton:gravityEnabled is off" in remark for remark in scene.import_warnings)
 
 
 def test_schemas_of_newton_include_those_of_usd_physics(tmp_path):
@@ -203,7 +207,7 @@ def test_schemas_of_newton_include_those_of_usd_physics(tmp_path):
     np.testing.assert_allclose(box.inertia, [[1, 0.1, 0.2], [0.1, 2, 0.3], [0.2, 0.3, 2.5]], rtol=1e-12)
     assert scene.shapes[0].form() == wc.shapes.RoundedBox((1.0, 1.0, 1.0))
     root = prim("Xform", "robot", 'prepend apiSchemas = ["NewtonArticulationRootAPI"]')
-    with pytest.raises(wc.StageError, match="/robot: an articulation"):
+    with pytest.raises(wc.UsdError, match="/robot: an articulation"):
         read(tmp_path, root + body("box", tensor + part, apis=apis))
 
 
@@ -219,7 +223,7 @@ def test_schemas_of_newton_include_those_of_usd_physics(tmp_path):
 def test_inertia_tensor_that_makes_no_sense_is_refused(tmp_path, tensor, message):
     apis = 'prepend apiSchemas = ["PhysicsRigidBodyAPI", "NewtonMassAPI"]'
     content = f"double[] newton:inertia = {tensor}\n{prim('Cube', 'part', COLLIDER, 'double size = 1')}"
-    with pytest.raises(wc.StageError, match=f"/box: newton:inertia {message}"):
+    with pytest.raises(wc.UsdError, match=f"/box: newton:inertia {message}"):
         read(tmp_path, body("box", content, apis=apis))
 
 
@@ -228,7 +232,7 @@ def test_mass_of_a_shell_is_refused_or_that_of_a_solid(tmp_path):
     content = body(
         "box", prim("Cube", "part", apis, 'double size = 1\nuniform token newton:massModel = "shell"\n')
     )
-    with pytest.raises(wc.StageError, match="/box/part: newton:massModel shell"):
+    with pytest.raises(wc.UsdError, match="/box/part: newton:massModel shell"):
         read(tmp_path, content)
     scene = read(tmp_path, content, skip_unsupported=True)
     assert float(scene.bodies[0].mass) == pytest.approx(1000.0)

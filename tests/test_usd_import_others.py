@@ -62,7 +62,7 @@ def test_a_scene_of_bodies_and_colliders_runs(name, device):
 
 @pytest.mark.parametrize("name", [name for name, reason in SCENES.items() if reason is not None])
 def test_a_scene_with_what_there_is_no_counterpart_for_is_refused_with_a_list(name):
-    with pytest.raises(wc.StageError) as raised:
+    with pytest.raises(wc.UsdError) as raised:
         wc.Scene.from_usd(scene_file(name))
     assert any(SCENES[name] in problem for problem in raised.value.problems), raised.value
 

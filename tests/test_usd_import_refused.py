@@ -17,7 +17,7 @@ BALL = prim("Sphere", "ball", COLLIDER, "double radius = 1")
 
 
 def problems(path, **options):
-    with pytest.raises(wc.StageError) as raised:
+    with pytest.raises(wc.UsdError) as raised:
         wc.Scene.from_usd(path, **options)
     assert all(problem[:100] in str(raised.value) for problem in raised.value.problems[:1])
     return raised.value.problems
@@ -139,14 +139,14 @@ def test_what_there_is_no_counterpart_for_is_refused_or_skipped_and_listed(tmp_p
     assert found.endswith("(not supported)")
     scene = wc.Scene.from_usd(path, skip_unsupported=True, trusted=True)
     assert [one.name for one in scene.bodies] == ["body"]
-    assert any(remark.startswith("left out: ") and message in remark for remark in scene.remarks)
+    assert any(remark.startswith("left out: ") and message in remark for remark in scene.import_warnings)
 
 
 def test_all_problems_are_listed_at_once(tmp_path):
     content = "".join(joint(name=f"joint_{i}") for i in range(70)) + weighing("float physics:mass = -1")
     path = stage(tmp_path, content)
     assert len(problems(path)) == 71
-    with pytest.raises(wc.StageError, match="has 71 problems") as raised:
+    with pytest.raises(wc.UsdError, match="has 71 problems") as raised:
         wc.Scene.from_usd(path)
     assert "and 21 more" in str(raised.value)
 
@@ -250,7 +250,7 @@ def test_damaged_descriptions_end_in_a_scene_or_an_error_with_a_reason(tmp_path)
         path.write_bytes(data)
         try:
             wc.Scene.from_usd(path)
-        except wc.StageError as error:
+        except wc.UsdError as error:
             reasons.append(error.problems)
     assert all(reasons)
 
@@ -268,7 +268,7 @@ def test_damaged_stages_end_in_a_scene_or_an_error_with_a_reason(tmp_path):
         path.write_bytes(data)
         try:
             wc.Scene.from_usd(path, skip_unsupported=True)
-        except wc.StageError as error:
+        except wc.UsdError as error:
             reasons.append(error.problems)
     assert all(reasons)
 

@@ -35,7 +35,7 @@ def test_text_without_a_level_is_a_caution(text):
 def test_scene_warnings_have_levels(device):
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), height=-1e-3, device=device)
     with pytest.warns(wc.ContactWarning, match="divides no step") as idle:
-        sim = wc.Simulation(model, dt=0.01, crossing_steps=2)
+        sim = wc.Simulation(model, dt=0.01, crossing_substeps=2)
     with pytest.warns(wc.ContactWarning, match="too long") as long:
         sim.step()
     assert [warning.message.level for warning in [*idle, *long]] == [NOTE, CAUTION]
@@ -54,7 +54,7 @@ class Solved:
     def health(self):
         return SimpleNamespace(frozen=())
 
-    def failed_lines(self):
+    def failed_catenaries(self):
         return {}
 
     def unsolved_contacts(self):

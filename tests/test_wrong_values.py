@@ -98,7 +98,7 @@ OF_MODEL = {
     "touch.law.stiffness": lambda m, v: m.__setitem__("touch.law.stiffness", v),
     "ball.position": lambda m, v: m.__setitem__("ball.position", v),
     "dt": wc.Simulation,
-    "crossing_steps": lambda m, v: wc.Simulation(m, 1e-3, crossing_steps=v),
+    "crossing_substeps": lambda m, v: wc.Simulation(m, 1e-3, crossing_substeps=v),
     "count": lambda m, v: wc.Simulation(m, 1e-3).step(v),
     "duration": lambda m, v: wc.Simulation(m, 1e-3).run(v),
     "every?": lambda m, v: wc.Simulation(m, 1e-3).run(1e-2, ["touch.gap"], every=v),

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from warpcontact.contact_warning import ContactWarning, RunWarning, WarningLevel
     from warpcontact.couplings.elements import Bushing, Catenary, SpringDamper
     from warpcontact.elements import Body, Contact, ContactMaterial, Points, Surface
-    from warpcontact.experiment import Experiment, ExperimentError, Run, StoreError, open_run
+    from warpcontact.experiment import Experiment, ExperimentError, Run, RunDataError, open_run
     from warpcontact.health import Health
     from warpcontact.kernels import friction, laws, motions, springs
     from warpcontact.kernels.formula import history, parameter, table
@@ -31,11 +31,11 @@ if TYPE_CHECKING:
     from warpcontact.kernels.motions.base import Motion
     from warpcontact.kernels.outcomes.base import Outcome
     from warpcontact.kernels.smooth import shapes
-    from warpcontact.kernels.smooth.patch import Patch
+    from warpcontact.kernels.smooth.patch import ParametricSurface
     from warpcontact.kernels.springs.base import Damper, Spring
     from warpcontact.meshes import Mesh, MeshError, MeshReport, SurfaceSamples, load_mesh, sample_surface
     from warpcontact.model import Model
-    from warpcontact.outcomes.watch import Events, Stop
+    from warpcontact.outcomes.watch import ContactEvents, StopCondition
     from warpcontact.quarantine import QuarantineError
     from warpcontact.recording import Recording
     from warpcontact.regular_files import UnsafeFileError
@@ -45,9 +45,16 @@ if TYPE_CHECKING:
     from warpcontact.simulation import Simulation
     from warpcontact.smooth.elements import Shape, ShapeContact
     from warpcontact.split_model import SplitModel
-    from warpcontact.status import Cause, ContactMode, CouplingStatus, EnvironmentStatus, LineStatus, Status
+    from warpcontact.status import (
+        CatenaryStatus,
+        ContactMode,
+        ContactStatus,
+        CouplingStatus,
+        EnvironmentStatus,
+        FailureCause,
+    )
     from warpcontact.usd import check_usd, export_usd
-    from warpcontact.usd.importing.errors import StageError
+    from warpcontact.usd.importing.errors import UsdError
     from warpcontact.viewer import view
 
 # Where each public name lives; a module stands for itself.
@@ -57,7 +64,7 @@ _HOME = {
     "Bushing": "warpcontact.couplings.elements",
     "Catenary": "warpcontact.couplings.elements",
     "CheckpointError": "warpcontact.checkpoint_values",
-    "Cause": "warpcontact.status",
+    "FailureCause": "warpcontact.status",
     "Contact": "warpcontact.elements",
     "ContactCoupling": "warpcontact.contact_coupling",
     "ContactMode": "warpcontact.status",
@@ -66,20 +73,20 @@ _HOME = {
     "CouplingStatus": "warpcontact.status",
     "Damper": "warpcontact.kernels.springs.base",
     "EnvironmentStatus": "warpcontact.status",
-    "Events": "warpcontact.outcomes.watch",
+    "ContactEvents": "warpcontact.outcomes.watch",
     "Experiment": "warpcontact.experiment",
     "ExperimentError": "warpcontact.experiment",
     "Friction": "warpcontact.kernels.friction.base",
     "Health": "warpcontact.health",
     "Law": "warpcontact.kernels.laws.base",
-    "LineStatus": "warpcontact.status",
+    "CatenaryStatus": "warpcontact.status",
     "Mesh": "warpcontact.meshes",
     "MeshError": "warpcontact.meshes",
     "MeshReport": "warpcontact.meshes",
     "Model": "warpcontact.model",
     "Motion": "warpcontact.kernels.motions.base",
     "Outcome": "warpcontact.kernels.outcomes.base",
-    "Patch": "warpcontact.kernels.smooth.patch",
+    "ParametricSurface": "warpcontact.kernels.smooth.patch",
     "Points": "warpcontact.elements",
     "QuarantineError": "warpcontact.quarantine",
     "Recording": "warpcontact.recording",
@@ -92,10 +99,10 @@ _HOME = {
     "SplitModel": "warpcontact.split_model",
     "Spring": "warpcontact.kernels.springs.base",
     "SpringDamper": "warpcontact.couplings.elements",
-    "StageError": "warpcontact.usd.importing.errors",
-    "Status": "warpcontact.status",
-    "StoreError": "warpcontact.experiment",
-    "Stop": "warpcontact.outcomes.watch",
+    "UsdError": "warpcontact.usd.importing.errors",
+    "ContactStatus": "warpcontact.status",
+    "RunDataError": "warpcontact.experiment",
+    "StopCondition": "warpcontact.outcomes.watch",
     "Surface": "warpcontact.elements",
     "SurfaceSamples": "warpcontact.meshes",
     "ContactMaterial": "warpcontact.elements",
@@ -135,35 +142,37 @@ __all__ = [
     "Body",
     "Bushing",
     "Catenary",
-    "Cause",
+    "CatenaryStatus",
     "CheckpointError",
     "Contact",
     "ContactCoupling",
+    "ContactEvents",
     "ContactMaterial",
     "ContactMode",
     "ContactRange",
+    "ContactStatus",
     "ContactWarning",
     "CouplingStatus",
     "Damper",
     "EnvironmentStatus",
-    "Events",
     "Experiment",
     "ExperimentError",
+    "FailureCause",
     "Friction",
     "Health",
     "Law",
-    "LineStatus",
     "Mesh",
     "MeshError",
     "MeshReport",
     "Model",
     "Motion",
     "Outcome",
-    "Patch",
+    "ParametricSurface",
     "Points",
     "QuarantineError",
     "Recording",
     "Run",
+    "RunDataError",
     "RunWarning",
     "Scene",
     "Shape",
@@ -172,13 +181,11 @@ __all__ = [
     "SplitModel",
     "Spring",
     "SpringDamper",
-    "StageError",
-    "Status",
-    "Stop",
-    "StoreError",
+    "StopCondition",
     "Surface",
     "SurfaceSamples",
     "UnsafeFileError",
+    "UsdError",
     "WarningLevel",
     "__version__",
     "bench",

@@ -340,7 +340,7 @@ def _add_contacts(
     send("contact_patch", [patch_of[contact] for contact in contacts])
     options = [
         types.LATCHED * (contact.entry == "latched")
-        + types.RIM_OUTER * (contact.rim == "outer")
+        + types.BOUNDARY_OUTER * (contact.boundary == "outer")
         + types.HERTZ_PATCH * (contact.torsion_radius is None)
         + types.SWEPT * contact.swept
         + types.AT_POINT * (contact.facing is not None)
@@ -354,7 +354,7 @@ def _add_contacts(
         "max_depth": limits_of.MAX_DEPTH,
         "search_radius": limits_of.SEARCH_RADIUS,
         "torsion_radius": limits_of.TORSION_RADIUS,
-        "share": limits_of.SHARE,
+        "force_scale": limits_of.FORCE_SCALE,
         "enabled": limits_of.ENABLED,
     }
 

@@ -120,7 +120,7 @@ def _build_experiments(files: Sequence[Path], arguments: argparse.Namespace, dev
 def _experiment(file: Path, arguments: argparse.Namespace) -> "Experiment":
     from warpcontact.experiment import Experiment, ExperimentError
 
-    _say(f"sensor {file}")
+    _say(f"reading {file}")
     experiment = Experiment.from_toml(file, on_stage=_say, trust=arguments.trust)
     try:
         return experiment.changed(envs=arguments.envs)

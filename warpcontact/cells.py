@@ -41,7 +41,7 @@ class Grid:
         origin: Its lowest corner (3,).
         counts: Cells along the axes.
         size: Size of a cell.
-        margin: From its border to the patch.
+        margin: From its boundary to the patch.
         places: Room for the faces that its cells list.
         reach: How far points on the outer side are that may come to touch.
         bytes: What it takes.
@@ -131,7 +131,7 @@ def declare_grids(
     origins = np.array([grid.origin for grid in rows]).reshape(-1, 3)
     layout.content("surfaces", model, "patch_cells_origin", origins, t.vec3)
     layout.content("surfaces", model, "patch_cells_size", [grid.size for grid in rows], t.real)
-    # Rounding of the border, which is of single precision, takes none of it.
+    # Rounding of the boundary, which is of single precision, takes none of it.
     margins = [grid.margin * (1.0 - 1e-4) - 1e-6 * float(np.abs(grid.origin).max()) for grid in rows]
     layout.content("surfaces", model, "patch_cells_margin", margins, t.real)
 

@@ -117,7 +117,7 @@ def identity(simulation: "Simulation") -> dict[str, Any]:
         "precision": model.precision,
         "dt": simulation.dt,
         "integrator": repr(simulation.integrator),
-        "crossing_steps": simulation.crossing_steps,
+        "crossing_substeps": simulation.crossing_substeps,
         "watched": _watched(simulation.watch),
         "parameters": list(model),
         "formulas": [

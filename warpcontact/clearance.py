@@ -20,7 +20,7 @@ ROUNDING = 1.0e-5
 def is_clear(model: "Environments", contact: "Contact", envs: int) -> bool:
     """Returns whether no point of ``contact`` can be inside of its surface, in the first ``envs`` environments.
 
-    It is so above the whole of a terrain or bowl, over its rim, and beside the box about a solid. Of points that
+    It is so above the whole of a terrain or bowl, over its boundary, and beside the box about a solid. Of points that
     move together the ball about them is asked.
     """
     return all(

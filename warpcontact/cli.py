@@ -263,7 +263,7 @@ def _run_experiment(arguments: argparse.Namespace, begun: _Begun) -> int:
     import warp as wp
 
     wp.config.log_level = wp.LOG_ERROR
-    from warpcontact.experiment import ExperimentError, StoreError
+    from warpcontact.experiment import ExperimentError, RunDataError
     from warpcontact.experiment.folder import DATA, EXPERIMENT, check_usable, has_commits, read_summary
     from warpcontact.quarantine import QuarantineError
     from warpcontact.run_folder import RunPath
@@ -296,7 +296,7 @@ def _run_experiment(arguments: argparse.Namespace, begun: _Begun) -> int:
                 on_stage=_say,
                 on_warning=warn,
             )
-    except (ExperimentError, StoreError, QuarantineError) as error:
+    except (ExperimentError, RunDataError, QuarantineError) as error:
         return _fail(str(error))
     except OSError as error:
         code = _fail(_sentence(error))
@@ -349,7 +349,7 @@ def _experiment(arguments: argparse.Namespace) -> "Experiment":
     """Reads the experiment of a command, with what its options change."""
     from warpcontact.experiment import Experiment
 
-    _say(f"sensor {arguments.file}")
+    _say(f"reading {arguments.file}")
     experiment = Experiment.from_toml(arguments.file, changes=arguments.set, on_stage=_say, trust=arguments.trust)
     for option in ("envs", "duration"):
         value = getattr(arguments, option)

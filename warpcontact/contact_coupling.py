@@ -104,7 +104,7 @@ def add_contact_coupling(
                 other,
                 material,
                 radius=contact_range.effective_range,
-                share=1.0 / len(pairs),
+                force_scale=1.0 / len(pairs),
                 name=label,
                 color=checks.color(f"{name}.color", color),
                 **{key: _named(name, key, value) for key, value in options.items()},
@@ -127,7 +127,7 @@ def check_quadrature(label: str, number: Any) -> int:
     return number
 
 
-_WORDS = {"search": ("whole", "active"), "rim": ("off", "outer")}
+_WORDS = {"search": ("whole", "active"), "boundary": ("off", "outer")}
 
 
 def _named(name: str, key: str, value: Any) -> Any:

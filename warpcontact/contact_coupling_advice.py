@@ -169,7 +169,7 @@ def _about_start(
     squares = np.zeros(len(k1))
     depth = np.zeros(len(k1))
     for contact in coupling.contacts:
-        area = model[f"{contact.name}.law.area"][: len(k1)] * model[f"{contact.name}.share"][: len(k1)]
+        area = model[f"{contact.name}.law.area"][: len(k1)] * model[f"{contact.name}.force_scale"][: len(k1)]
         if (carrier := contact.area_carrier("law")) is not None:
             area = area * model[f"{carrier.name}.scale"][: len(k1), None] ** 2
         inside = model.measured(f"{contact.name}.penetration")[: len(k1)].astype(np.float64)

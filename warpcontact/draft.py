@@ -157,6 +157,6 @@ class Draft:
             TypeError: If a law, a shape or such of a user does not compile.
         """
         # Whether steps are to be captured is for the simulation to say.
-        require(lambda count: self.memory(count, graphs=False), envs)
+        require(lambda count: self.memory(count, capture_graphs=False), envs)
         models = [part.build(own) for part, own in self.shares(envs)]
         return models[0] if len(models) == 1 else SplitModel(models)

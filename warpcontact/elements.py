@@ -26,7 +26,7 @@ KAPPA = limits("-", at_least=0.0, at_most=1.0)
 MAX_DEPTH = limits("m", above=0.0, may_be_infinite=True)
 SEARCH_RADIUS = limits("m", above=0.0, may_be_infinite=True)
 TORSION_RADIUS = limits("m", at_least=0.0)
-SHARE = limits("-", at_least=0.0)
+FORCE_SCALE = limits("-", at_least=0.0)
 SCALE = limits("-", above=0.0)
 ENABLED = limits("-", at_least=0.0, at_most=1.0)
 
@@ -213,10 +213,10 @@ class ContactOptions(TypedDict, total=False):
     entry: str
     swept: bool
     max_depth: float | None
-    rim: str
+    boundary: str
     search_radius: float
     torsion_radius: float | None
-    share: float
+    force_scale: float
     enabled: bool
     color: ArrayLike | None
     visible: bool
@@ -238,12 +238,12 @@ class Contact:
     max_depth: Array
     search_radius: Array
     torsion_radius: Array | None
-    share: Array
+    force_scale: Array
     enabled: Array
     search: str
     entry: str
     swept: bool
-    rim: str
+    boundary: str
     color: Array | None
     visible: bool
     # Of a contact coupling: "all" or "projected", and the force acts at the points; None of an ordinary contact.

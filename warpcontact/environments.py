@@ -283,7 +283,7 @@ class Environments(
         values = [part.sensors[sensor.name].array(part.arrays).numpy() for part in self.parts]
         return sensor.finish(np.concatenate(values))
 
-    def line_shape(self, name: str, count: int = 50) -> NDArray[np.float64]:
+    def catenary_shape(self, name: str, count: int = 50) -> NDArray[np.float64]:
         """Returns where a catenary is at the current state, to be drawn.
 
         Args:
@@ -300,7 +300,7 @@ class Environments(
         self.evaluate()
         return np.concatenate([lines.shape(part, item, count) for part, lines, item in self._lines(name)])
 
-    def line_stiffness(self, name: str) -> NDArray[np.float64]:
+    def catenary_stiffness(self, name: str) -> NDArray[np.float64]:
         """Returns the derivative of the force on end b of a catenary by the place of that end.
 
         Of an end that lies on the floor, as it slides there.
@@ -331,7 +331,7 @@ class Environments(
             if one.name == name
         ]
 
-    def failed_lines(self) -> dict[str, int]:
+    def failed_catenaries(self) -> dict[str, int]:
         """Returns in how many environments a catenary was without a solution since reset; of those that were."""
         counts = {}
         for one in self.scene.couplings:
@@ -384,7 +384,7 @@ class Environments(
             if part.hard is not None:
                 part.hard.forget_residuals()
 
-    def touching(self, name: str) -> "xr.Dataset":
+    def contact_pairs(self, name: str) -> "xr.Dataset":
         """Returns which pairs of a particle contact touch at the current state.
 
         Args:
@@ -400,12 +400,12 @@ class Environments(
             KeyError: If there is no such particle contact.
             RuntimeError: If a list of partners was too short.
         """
-        from warpcontact.piles.touching import touching
+        from warpcontact.piles.contact_pairs import contact_pairs
 
         look_up("particle contact", name, {contact.name: contact for contact in self.scene.particle_contacts})
         self.evaluate()
         self.check_piles()
-        return touching(
+        return contact_pairs(
             [
                 (part, part.first_env - self.first_env, pile)
                 for part in self.parts

@@ -68,7 +68,7 @@ def status(arguments: argparse.Namespace) -> int:
     Raises:
         ValueError: If the folder holds no whole run.
     """
-    from warpcontact.experiment.records import StoreError
+    from warpcontact.experiment.records import RunDataError
     from warpcontact.experiment.run import open_run
     from warpcontact.experiment.status import status_of
     from warpcontact.experiment.store import Ledger
@@ -79,7 +79,7 @@ def status(arguments: argparse.Namespace) -> int:
         return 0
     try:
         open_run(arguments.folder, verify=True)
-    except StoreError as error:
+    except RunDataError as error:
         print(f"warpcontact: {error}", file=sys.stderr)
         return 1
     print("verified: all that was committed is there, and as it was written")

@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.kernels.types import ENV_FROZEN, ENV_STOPPED
-from warpcontact.status import Cause
+from warpcontact.status import FailureCause
 
 _WORDS = {
-    Cause.NON_FINITE: "turned non-finite",
-    Cause.TOO_FAST: "became faster than scene.max_speed",
-    Cause.TOO_FAR: "went beyond scene.max_distance",
+    FailureCause.NON_FINITE: "turned non-finite",
+    FailureCause.TOO_FAST: "became faster than scene.max_speed",
+    FailureCause.TOO_FAR: "went beyond scene.max_distance",
 }
 
 
@@ -24,7 +24,7 @@ class Health:
         envs: Number of environments.
         frozen: Numbers of the environments that failed. They are held at the last state before and cost no more
             time; ``reset`` revives them.
-        causes: Why each of these failed, a ``Cause``.
+        causes: Why each of these failed, a ``FailureCause``.
         times: What its clock says: that of the state it is held at [s].
         stopped: Numbers of the environments that a stop condition holds.
         conditions: How many of these by which condition, by its name, where it is known.
@@ -32,7 +32,7 @@ class Health:
 
     envs: int
     frozen: NDArray[np.int_]
-    causes: Sequence[Cause]
+    causes: Sequence[FailureCause]
     times: NDArray[np.float64]
     stopped: NDArray[np.int_]
     conditions: Mapping[str, int] = field(default_factory=dict)
@@ -55,7 +55,7 @@ class Health:
         return cls(
             envs=len(status),
             frozen=numbers[frozen],
-            causes=tuple(Cause(int(one)) for one in cause[frozen]),
+            causes=tuple(FailureCause(int(one)) for one in cause[frozen]),
             times=time[frozen],
             stopped=numbers[status == ENV_STOPPED],
             conditions=conditions or {},

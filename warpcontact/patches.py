@@ -1,4 +1,4 @@
-"""What the closest-point search reads: meshes, and the pseudonormals, activity and borders of their features.
+"""What the closest-point search reads: meshes, and the pseudonormals, activity and boundaries of their features.
 
 The angle-weighted pseudonormal of the feature that is nearest to a point tells the side of the point without
 error (Bærentzen & Aanæs, IEEE TVCG 11 (2005) 243); a face normal, or Warp's own sign, does not.
@@ -18,7 +18,7 @@ from warpcontact.arrays import Layout
 from warpcontact.cells import Grid, declare_grids
 from warpcontact.checks import Array
 from warpcontact.kernels.simd import WIDTH
-from warpcontact.kernels.types import FEATURE_ACTIVE, FEATURE_BORDER, FEATURE_COUNT
+from warpcontact.kernels.types import FEATURE_ACTIVE, FEATURE_BOUNDARY, FEATURE_COUNT
 from warpcontact.meshes import Mesh
 from warpcontact.meshes.examine import SLIVER_LIMIT
 from warpcontact.meshes.topology import angles, area_vectors, directions, slenderness
@@ -91,21 +91,23 @@ def make_patch(mesh: Mesh, active: NDArray[np.bool_], centre: Array, *, only_act
     edge = edge.reshape(-1, 3)
     face_count = np.bincount(edge.ravel())
     edge_sum = _sum_over(edge, np.repeat(face_normal[:, None], 3, axis=1), len(face_count))
-    border = face_count == 1
+    boundary = face_count == 1
     edge_active = np.bincount(edge.ravel(), weights=np.repeat(active, 3)) > 0
 
     # Corners: weighted with the angle of the face there.
     corner_sum = _sum_over(welded, angles(corner)[..., None] * face_normal[:, None], count)
-    on_border = np.zeros(count, dtype=bool)
-    on_border[ends[border[edge]].ravel()] = True
+    on_boundary = np.zeros(count, dtype=bool)
+    on_boundary[ends[boundary[edge]].ravel()] = True
     corner_active = np.bincount(welded.ravel(), weights=np.repeat(active, 3), minlength=count) > 0
 
     normal = np.concatenate([face_normal[:, None], edge_sum[edge], corner_sum[welded]], axis=1)
     normal = directions(normal, face_normal[:, None])
 
     is_active = np.concatenate([active[:, None], edge_active[edge], corner_active[welded]], axis=1)
-    is_border = np.concatenate([np.zeros((len(faces), 1), dtype=bool), border[edge], on_border[welded]], axis=1)
-    flags = FEATURE_ACTIVE * is_active.astype(np.uint8) + FEATURE_BORDER * is_border.astype(np.uint8)
+    is_boundary = np.concatenate(
+        [np.zeros((len(faces), 1), dtype=bool), boundary[edge], on_boundary[welded]], axis=1
+    )
+    flags = FEATURE_ACTIVE * is_active.astype(np.uint8) + FEATURE_BOUNDARY * is_boundary.astype(np.uint8)
     assert normal.shape == (len(faces), FEATURE_COUNT, 3)
     neighbor = _neighbors(edge, ends)
     whole = len(faces) == len(mesh.faces)

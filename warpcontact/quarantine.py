@@ -11,7 +11,7 @@ from warpcontact.kernels import quarantine
 from warpcontact.kernels.types import ENV_FROZEN, NO_CAUSE, TOO_FAR
 from warpcontact.parameters import Field, Parameters, pack
 from warpcontact.scene import MAX_DISTANCE, MAX_SPEED, Scene
-from warpcontact.status import Cause
+from warpcontact.status import FailureCause
 
 if TYPE_CHECKING:
     from warpcontact.environments import Environments
@@ -54,7 +54,7 @@ class QuarantineError(RuntimeError):
         count: How many have failed.
     """
 
-    def __init__(self, env: int, time: float, cause: Cause, count: int) -> None:
+    def __init__(self, env: int, time: float, cause: FailureCause, count: int) -> None:
         self.env, self.time, self.cause, self.count = env, time, cause, count
         others = f", and {count - 1} more" if count > 1 else ""
         super().__init__(f"environment {env} failed at {time:g} s: {cause.name}{others}")
@@ -76,7 +76,9 @@ def raise_failed(model: "Environments") -> None:
     time = np.concatenate([part.arrays.time.numpy() for part in model.parts])
     cause = np.concatenate([part.arrays.guard.cause.numpy() for part in model.parts])
     first = int(failed[time[failed].argmin()])
-    raise QuarantineError(model.first_env + first, float(time[first]), Cause(int(cause[first])), len(failed))
+    raise QuarantineError(
+        model.first_env + first, float(time[first]), FailureCause(int(cause[first])), len(failed)
+    )
 
 
 def reset_failed(model: "Environments", observers: "list[Observer]") -> None:

@@ -19,7 +19,7 @@ class Remarks:
     def __init__(self, model: Environments) -> None:
         self.model = model
         self._frozen = len(model.health().frozen)
-        self._failed = model.failed_lines()
+        self._failed = model.failed_catenaries()
         self._unsolved = model.unsolved_contacts()
         self._unfinished = model.unfinished_solves()
         model.forget_residuals()
@@ -40,7 +40,7 @@ class Remarks:
                 f"catenary {line!r} was without a solution in some steps of {count} of {self.model.envs} "
                 f"environments, and its forces were those of the last iterate; {line}.failures has their number"
             )
-            for line, count in self.model.failed_lines().items()
+            for line, count in self.model.failed_catenaries().items()
             if count > self._failed.get(line, 0)
         ]
 

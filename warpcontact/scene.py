@@ -72,7 +72,7 @@ class Scene(Bodies, Couplings, ShapeContacts, ParticleContacts):
         max_distance: Likewise one that gets farther from the origin [m].
 
     Attributes:
-        remarks: What to know of how a USD stage was read, see ``from_usd``.
+        import_warnings: What to know of how a USD stage was read, see ``from_usd``.
         suggested_dt: Time step that the NewtonSceneAPI of that stage requests [s]; ``None``: none.
         suggested_iterations: Likewise the largest number of iterations of a solver in a step.
     """
@@ -97,7 +97,7 @@ class Scene(Bodies, Couplings, ShapeContacts, ParticleContacts):
         self.shape_contacts: list[ShapeContact] = []
         self.particle_contacts: list[ParticleContact] = []
         self._elements: dict[str, Any] = {}
-        self.remarks: tuple[str, ...] = ()
+        self.import_warnings: tuple[str, ...] = ()
         self.suggested_dt: float | None = None
         self.suggested_iterations: int | None = None
 
@@ -118,7 +118,7 @@ class Scene(Bodies, Couplings, ShapeContacts, ParticleContacts):
         cls,
         path: str | os.PathLike[str],
         *,
-        own: "Iterable[type[Formula]]" = (),
+        custom_types: "Iterable[type[Formula]]" = (),
         material: ContactMaterial | None = None,
         contact_time: float = 0.01,
         samples: int | str = "vertices",
@@ -135,17 +135,17 @@ class Scene(Bodies, Couplings, ShapeContacts, ParticleContacts):
 
         Args:
             path: A .usd, .usda, .usdc or .usdz file.
-            own: Laws, friction models, springs, motions and shapes of one's own that a stage of ours was made with.
+            custom_types: Laws, friction models, springs, motions and shapes of one's own that a stage of ours was made with.
             material: Of a stage of others, law and friction of all contacts; ``None``: what its materials say.
             contact_time: Time that an impact takes there, which the stiffness of contacts follows from [s].
             samples: How points of meshes that touch meshes are made there, as for ``add_surface_contact``.
             skip_unsupported: Whether to leave out what there is no counterpart for, such as joints, and list it in
-                ``remarks``; otherwise it is an error.
+                ``import_warnings``; otherwise it is an error.
             trusted: Whether to read the file in this process, and files out of its folder that it refers to.
             limits: Memory, time and size of its meshes.
 
         Raises:
-            StageError: If it cannot be read, something in it makes no sense, or there is no counterpart for it.
+            UsdError: If it cannot be read, something in it makes no sense, or there is no counterpart for it.
                 Everything that is in the way is listed, with the path of its prim.
             ValueError: If another argument is out of range; the message names it.
         """
@@ -153,7 +153,7 @@ class Scene(Bodies, Couplings, ShapeContacts, ParticleContacts):
 
         return scene_from_usd(
             path,
-            own=own,
+            custom_types=custom_types,
             material=material,
             contact_time=contact_time,
             samples=samples,
@@ -320,10 +320,10 @@ class Scene(Bodies, Couplings, ShapeContacts, ParticleContacts):
         entry: str = "literal",
         swept: bool = False,
         max_depth: float | None = None,
-        rim: str = "off",
+        boundary: str = "off",
         search_radius: float = math.inf,
         torsion_radius: float | None = None,
-        share: float = 1.0,
+        force_scale: float = 1.0,
         enabled: bool = True,
         name: str | None = None,
         color: ArrayLike | None = None,
@@ -344,14 +344,14 @@ class Scene(Bodies, Couplings, ShapeContacts, ParticleContacts):
             swept: Whether to look for points that cross the surface within a step, which are then held by the
                 face that they crossed, through however thin a plate.
             max_depth: Deepest penetration that still counts as contact [m]; ``None``: any.
-            rim: ``"off"``: nothing touches beyond an open border; ``"outer"``: a sphere touches the rim while
+            boundary: ``"off"``: nothing touches beyond an open boundary; ``"outer"``: a sphere touches the boundary while
                 its centre is on the outer side.
             search_radius: Surfaces farther than this from a point are not seen [m]; its gap then is this
                 bound less the radius.
             torsion_radius: Arm r_t at which the material's torsion acts [m]: 2/3 of the radius of a patch under
                 uniform pressure. ``None``: that of the overlap of a sphere under the pressure of Hertz,
                 (3π/16) √(R δ).
-            share: Factor on the forces and couples of this contact: ½ each for two that describe the same touch.
+            force_scale: Factor on the forces and couples of this contact: ½ each for two that describe the same touch.
             enabled: Whether it acts.
             name: Name in parameters and sensors; made up if not given.
             color: Colour of its arrows, RGB in 0…1.
@@ -386,8 +386,8 @@ class Scene(Bodies, Couplings, ShapeContacts, ParticleContacts):
             search=checks.choice(f"{name}.search", search, ("whole", "active")),
             entry=checks.choice(f"{name}.entry", entry, ("literal", "latched")),
             swept=checks.switch(f"{name}.swept", swept),
-            rim=checks.choice(f"{name}.rim", rim, ("off", "outer")),
-            **options_of(name, kappa, max_depth, torsion_radius, share, enabled, color, visible),
+            boundary=checks.choice(f"{name}.boundary", boundary, ("off", "outer")),
+            **options_of(name, kappa, max_depth, torsion_radius, force_scale, enabled, color, visible),
         )
         if search == "active" and not all(active.any() for active in surface.active):
             raise ValueError(f"{name}: search='active' needs at least one active face on {surface.name!r}")

@@ -9,7 +9,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from warpcontact import checks
 from warpcontact.checks import Array
-from warpcontact.elements import KAPPA, MAX_DEPTH, SHARE, TORSION_RADIUS, ContactMaterial, Points, needs_radius
+from warpcontact.elements import (
+    FORCE_SCALE,
+    KAPPA,
+    MAX_DEPTH,
+    TORSION_RADIUS,
+    ContactMaterial,
+    Points,
+    needs_radius,
+)
 from warpcontact.kernels.friction import Frictionless
 from warpcontact.meshes import Mesh
 from warpcontact.meshes.groups import face_mask
@@ -20,7 +28,7 @@ def options_of(
     kappa: float,
     max_depth: float | None,
     torsion_radius: float | None,
-    share: float,
+    force_scale: float,
     enabled: bool,
     color: ArrayLike | None,
     visible: bool,
@@ -37,7 +45,7 @@ def options_of(
         "torsion_radius": None
         if torsion_radius is None
         else checks.numbers(f"{name}.torsion_radius", torsion_radius, (), TORSION_RADIUS),
-        "share": checks.numbers(f"{name}.share", share, (), SHARE),
+        "force_scale": checks.numbers(f"{name}.force_scale", force_scale, (), FORCE_SCALE),
         "enabled": np.array(float(checks.switch(f"{name}.enabled", enabled))),
         "color": checks.color(f"{name}.color", color),
         "visible": checks.switch(f"{name}.visible", visible),

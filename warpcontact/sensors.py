@@ -17,7 +17,7 @@ from warpcontact.kernels.motions import Motion
 from warpcontact.kernels.motions.measures import Coordinates, Reactions
 from warpcontact.kernels.types import BALL, FREE, HINGE, PLANAR, SLIDER
 from warpcontact.scene import Contact, Scene
-from warpcontact.status import Status
+from warpcontact.status import ContactStatus
 
 if TYPE_CHECKING:
     from warpcontact.couplings.coupling_set import CouplingSet
@@ -215,7 +215,7 @@ def sensors_of(
         options = {"needs": ("points",), "items": count}
         add_column(f"{contact.name}.point", "m", meaning, "points", "position", items, **options)
         for key, (attribute, unit, meaning) in CONTACT_SENSORS.items():
-            codes = Status if key == "status" else None
+            codes = ContactStatus if key == "status" else None
             needs = ("contacts", "distances") if key in _OF_FAR else ("contacts",)
             options = {"needs": needs, "items": count, "codes": codes}
             add_column(f"{contact.name}.{key}", unit, meaning, "contacts", attribute, items, **options)

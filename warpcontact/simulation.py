@@ -25,7 +25,7 @@ from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.kernels.outcomes.base import Outcome
 from warpcontact.looks import EVALUATED, in_parts, known_needs
 from warpcontact.model import Model, State
-from warpcontact.outcomes.watch import Events, Stop, Watch
+from warpcontact.outcomes.watch import ContactEvents, StopCondition, Watch
 from warpcontact.pace import Pace, bar_of
 from warpcontact.parameters import rounded
 from warpcontact.quarantine import CADENCE, raise_failed, reset_failed
@@ -57,12 +57,12 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         model: The model, on one device or split over several; its state is the state of the simulation.
         dt: Time step [s].
         integrator: Scheme, semi-implicit Euler if not given.
-        crossing_steps: Substeps in environments in which a swept point crosses a surface. 1: no substeps.
+        crossing_substeps: Substeps in environments in which a swept point crosses a surface. 1: no substeps.
         threads: Threads that step the environments on the CPU, of all parts of a model; ``None``: one per core.
         deterministic: Whether a run repeats to the bit on a GPU as well, where several points of a body touch;
             on the CPU it does in any case, whatever the number of threads.
         distance_cache: Whether what is known of distances from earlier steps saves work; results are the same.
-        graphs: Whether steps are captured and replayed, without a word from Python; results are the same.
+        capture_graphs: Whether steps are captured and replayed, without a word from Python; results are the same.
         outcomes: What to sum up of sensors while stepping, ``wc.outcomes``, by name; see ``outcomes()``.
         stop: Conditions that stop an environment, by name; the first in order wins.
         events: The contacts of which to write down when they are made and lost; see ``events()``.
@@ -82,14 +82,14 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         dt: float,
         integrator: Integrator | None = None,
         *,
-        crossing_steps: int = 1,
+        crossing_substeps: int = 1,
         threads: int | None = None,
         deterministic: bool = False,
         distance_cache: bool = True,
-        graphs: bool = True,
+        capture_graphs: bool = True,
         outcomes: Mapping[str, Outcome] | None = None,
-        stop: Mapping[str, Stop] | None = None,
-        events: Events | None = None,
+        stop: Mapping[str, StopCondition] | None = None,
+        events: ContactEvents | None = None,
         quarantine: str = "freeze",
     ) -> None:
         integrator = SemiImplicitEuler() if integrator is None else integrator
@@ -105,20 +105,20 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         self.dt = float(checks.numbers("dt", dt, (), checks.limits("s", above=0.0)))
         integrator.check_step(self.dt)
         rounded("dt", np.array(self.dt), wp.dtype_to_numpy(model.parts[0].types.real))
-        self.crossing_steps = checks.whole("crossing_steps", crossing_steps)
-        if self.crossing_steps > 1 and not model.parts[0].sweeps:
-            unused = f"crossing_steps = {self.crossing_steps} divides no step: no contact has swept=True"
+        self.crossing_substeps = checks.whole("crossing_substeps", crossing_substeps)
+        if self.crossing_substeps > 1 and not model.parts[0].sweeps:
+            unused = f"crossing_substeps = {self.crossing_substeps} divides no step: no contact has swept=True"
             warnings.warn(ContactWarning(unused, WarningLevel.NOTE), stacklevel=level_outside())
         self.threads = available_threads() if threads is None else checks.whole("threads", threads)
         self.deterministic = bool(deterministic)
         self.distance_cache = bool(distance_cache)
-        self.graphs = bool(graphs)
+        self.capture_graphs = bool(capture_graphs)
         self.watch = Watch.of(outcomes, stop, events, quarantine)
         # Whether the first step has nothing to warn of any more.
         self.advised = False
         require(self._stepping, model.envs, "to step them, ")
         self._buffers = [
-            Buffers(part, integrator, self.dt, self.crossing_steps, self.watch) for part in model.parts
+            Buffers(part, integrator, self.dt, self.crossing_substeps, self.watch) for part in model.parts
         ]
         self._observers = [own.observer for own in self._buffers if own.observer is not None]
         if self._observers:
@@ -158,7 +158,7 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         for part, buffers in zip(self.model.parts, self._buffers, strict=True):
             part.attach(buffers.hard, buffers.observer)
 
-    def advice(self) -> list[str]:
+    def check(self) -> list[str]:
         """Returns what there is to say about the model as it is, and this step for it.
 
         The first step from the start of the model warns of it.
@@ -208,10 +208,10 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         return stepping_footprint(
             self.model.shares_of(envs),
             self.integrator,
-            crossing_steps=self.crossing_steps,
+            crossing_substeps=self.crossing_substeps,
             threads=self.threads,
             distance_cache=self.distance_cache,
-            graphs=self.graphs,
+            capture_graphs=self.capture_graphs,
             outcomes=self.watch.outcomes,
             stop=self.watch.stops,
             events=self.watch.events,
@@ -268,7 +268,7 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         if checks.whole("count", count, least=0):
             self._advance(count, None)
 
-    def step_in_frames(
+    def step_with_callback(
         self, frames: int, every: int, needs: Iterable[str], take: Callable[[Model, slice, int], None]
     ) -> None:
         """Takes ``frames`` times ``every`` steps, and evaluates the state after each ``every`` of them.
@@ -313,7 +313,7 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         self._compile(frozenset() if frames is None else frames.needs)
         if model.at_start and not self.advised:
             self.advised = True
-            for sentence in self.advice():
+            for sentence in self.check():
                 warnings.warn(ContactWarning(sentence), stacklevel=level_outside())
         for part, buffers in zip(model.parts, self._buffers, strict=True):
             part.untouched = False
@@ -385,7 +385,7 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         ordered = self.deterministic or not queued
         own = None if queued else wp.array([0, model.envs, 0], dtype=wp.int32, device=model.device)
         span = (kind or Span)(model, model.envs, self.distance_cache, ordered, queued, buffers.hard, slice=own)
-        return Stepper(span, self.integrator, buffers, parts=self.crossing_steps, captured=self.graphs)
+        return Stepper(span, self.integrator, buffers, parts=self.crossing_substeps, captured=self.capture_graphs)
 
     def run(
         self,

@@ -8,21 +8,21 @@ from enum import IntEnum
 from warpcontact.kernels import types
 
 
-class Status(IntEnum):
+class ContactStatus(IntEnum):
     """State of a contact.
 
-    OPEN: not touching. CONTACT: touching. HIDDEN: the nearest point is not on the active part, or beyond the edge
+    OPEN: not touching. CONTACT: touching. INACTIVE: the nearest point is not on the active part, or beyond the edge
     of a patch. FAR: nothing within the search radius. WRONG_SIDE: deeper than ``max_depth``, or come from the
     inner side with ``entry="latched"``. DISABLED: not enabled. NOT_CONVERGED: of a shape contact, where its
     surfaces meet was not found; no force acts.
 
     ``<contact>.gap`` is the signed distance at OPEN, CONTACT and WRONG_SIDE, where it is negative without contact;
-    not less than 0 at HIDDEN; the search radius less the radius at FAR; NaN at DISABLED.
+    not less than 0 at INACTIVE; the search radius less the radius at FAR; NaN at DISABLED.
     """
 
     OPEN = types.OPEN
     CONTACT = types.CONTACT
-    HIDDEN = types.HIDDEN
+    INACTIVE = types.INACTIVE
     FAR = types.FAR
     WRONG_SIDE = types.WRONG_SIDE
     DISABLED = types.DISABLED
@@ -56,7 +56,7 @@ class CouplingStatus(IntEnum):
     DISABLED = types.COUPLING_DISABLED
 
 
-class LineStatus(IntEnum):
+class CatenaryStatus(IntEnum):
     """State of a catenary.
 
     HANGING: longer than the distance of its ends. TAUT: shorter, and stretched. FOLDED: its ends are above one
@@ -78,7 +78,7 @@ class LineStatus(IntEnum):
 class EnvironmentStatus(IntEnum):
     """State of an environment between steps.
 
-    ACTIVE: it is stepped. FROZEN: a step failed, and it is held at the last state before; ``Cause`` says why.
+    ACTIVE: it is stepped. FROZEN: a step failed, and it is held at the last state before; ``FailureCause`` says why.
     STOPPED: it is held at the state at which a stop condition held.
     """
 
@@ -87,7 +87,7 @@ class EnvironmentStatus(IntEnum):
     STOPPED = types.ENV_STOPPED
 
 
-class Cause(IntEnum):
+class FailureCause(IntEnum):
     """Why an environment was frozen.
 
     NONE: it was not. NON_FINITE: its state, or what was to lead to it, was no longer made of finite numbers.

@@ -14,7 +14,7 @@ from warpcontact.footprint import Footprint, Need, total
 from warpcontact.integrators import Integrator, SemiImplicitEuler
 from warpcontact.kernels import recording
 from warpcontact.looks import in_parts, look_span, look_stages
-from warpcontact.outcomes.watch import Events, Stop, Watch
+from warpcontact.outcomes.watch import ContactEvents, StopCondition, Watch
 from warpcontact.schedule import Span
 from warpcontact.slices import FRAME_GRAPHS, Buffers, Stepper, Way
 
@@ -84,13 +84,13 @@ def stepping_footprint(
     shares: Sequence[tuple["Model | PartDraft", int]],
     integrator: Integrator | None = None,
     *,
-    crossing_steps: int = 1,
+    crossing_substeps: int = 1,
     threads: int | None = None,
     distance_cache: bool = True,
-    graphs: bool = True,
+    capture_graphs: bool = True,
     outcomes: "Mapping[str, Outcome] | None" = None,
-    stop: Mapping[str, Stop] | None = None,
-    events: Events | None = None,
+    stop: Mapping[str, StopCondition] | None = None,
+    events: ContactEvents | None = None,
     quarantine: str = "freeze",
     looks: Set[str] | None = None,
     varied: Collection[str] = (),
@@ -119,7 +119,7 @@ def stepping_footprint(
             queued=queued,
             hard=buffers.hard,
         )
-        one = Stepper(span, integrator, buffers, parts=crossing_steps, captured=graphs)
+        one = Stepper(span, integrator, buffers, parts=crossing_substeps, captured=capture_graphs)
         size = LAUNCH_BYTES * sum(len(launches) for launches in one.launches())
         for steps in (1,) if one.in_place else one.graph_steps:
             size += _captured_bytes(one.graph(Way(steps)))

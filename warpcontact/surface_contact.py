@@ -57,8 +57,8 @@ def _add(
     pair = _pair(name, samples, sides)
     runs = [(surface_a, surface_b, pair[0], name)]
     if sides == "average":
-        share = 0.5 * float(checks.numbers(f"{name}.share", options.get("share", 1.0), ()))
-        options = {**options, "share": share}
+        share = 0.5 * float(checks.numbers(f"{name}.force_scale", options.get("force_scale", 1.0), ()))
+        options = {**options, "force_scale": share}
         runs = [
             (surface_a, surface_b, pair[0], f"{name}_first"),
             (surface_b, surface_a, pair[1], f"{name}_second"),

@@ -48,7 +48,7 @@ def run(arguments: argparse.Namespace) -> None:
     from warpcontact.viewer import view
 
     device = arguments.device.split(",") if "," in arguments.device else arguments.device
-    print(f"sensor {arguments.target} …", file=sys.stderr, flush=True)
+    print(f"reading {arguments.target} …", file=sys.stderr, flush=True)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the page tells

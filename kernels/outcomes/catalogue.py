@@ -342,8 +342,8 @@ class Work(OfContact):
         """Refuses nonsmooth contacts, which keep an account of their own."""
         if self.contact in hard:
             raise ValueError(
-                f"Work: {self.contact!r} is a nonsmooth contact; what those took is Final('scene.impact_loss') and "
-                "Final('scene.friction_loss')"
+                f"Work: {self.contact!r} is a nonsmooth contact; what those took is Final('scene.impact_dissipation') and "
+                "Final('scene.friction_dissipation')"
             )
 
     def unit(self, of: str) -> str:

@@ -53,7 +53,7 @@ def pile_structs(real: type) -> SimpleNamespace:
         kappa: real  # contact point K = S + kappa (D − S) [-]
         max_depth: real  # deepest penetration that still counts as contact [m]
         torsion_radius: real  # arm at which torsion acts [m]; < 0: that of the overlap
-        share: real  # factor on forces and couples [-]
+        force_scale: real  # factor on forces and couples [-]
         closed: real  # gap below which there is contact [m]: 0, or the tolerance of nonsmooth contact
         skin: real  # shapes closer than this are partners [m]
         cell: real  # edge of a cell: no two shapes that are partners are farther apart [m]

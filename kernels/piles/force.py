@@ -154,9 +154,9 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool, hard:
             model, state, env, place, entry_speed, dt, coefficients, remembered, kept, slot,
             settings.torsion_radius, q_WS,
         )  # fmt: skip
-        normal_force = settings.share * acts.normal_force
-        force = normal_force * place.normal + settings.share * acts.friction_force
-        torque = settings.share * acts.torque
+        normal_force = settings.force_scale * acts.normal_force
+        force = normal_force * place.normal + settings.force_scale * acts.friction_force
+        torque = settings.force_scale * acts.torque
         touches.approach_speed[env, slot] = acts.approach_speed
         if told:
             touches.normal_force[env, slot] = normal_force

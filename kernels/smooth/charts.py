@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import warp as wp
 from warpcontact.kernels.smooth.base import Shape, one, real, two, vec3d, zero
 from warpcontact.kernels.smooth.ellipsoid import Ellipsoid
-from warpcontact.kernels.smooth.patch import Jet, Patch, jet_of_patch
+from warpcontact.kernels.smooth.patch import Jet, ParametricSurface, jet_of_patch
 from warpcontact.kernels.smooth.sphere import Sphere
 from warpcontact.kernels.smooth.superellipsoid import Superellipsoid
 from warpcontact.kernels.smooth.torus import Torus
@@ -184,7 +184,7 @@ def chart(A: type[Shape]) -> Chart:
     Raises:
         NoChart: If it is not one surface with a chart.
     """
-    if issubclass(A, Patch):
+    if issubclass(A, ParametricSurface):
         return Chart(jet_of_patch(A), None, poles=False, latitude=False)
     known = {
         Sphere: Chart(sphere_jet, sphere_place, poles=True, latitude=True),

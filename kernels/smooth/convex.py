@@ -3,8 +3,8 @@
 A direction where g is stationary is the answer if g is not negative there: the vector between the contact
 points is as long as g, and no two points of the bodies can be nearer than the planes g apart. So it is in
 overlap no deeper than the sum of the radii of spheres that roll inside both surfaces (Blaschke): a sphere of
-that size fits into the set of all differences of points of the two bodies where it touches its border, and no
-other part of the border is nearer. In deeper overlap there may be several, however good the start. Of two
+that size fits into the set of all differences of points of the two bodies where it touches its boundary, and no
+other part of the boundary is nearer. In deeper overlap there may be several, however good the start. Of two
 bodies with straight edges, the normals of faces and of pairs of edges are all there are. Of others, bounds on
 cells of directions rule out all where the bodies come apart by less, and the climb starts again from any direction
 that is better than its end, until there is none. So the answer does not depend on where climbs happen to end, but

@@ -14,7 +14,7 @@ from typing import Any
 import warp as wp
 from warpcontact.kernels.smooth.base import Nearest, Shape, half, real, two, vec3d, zero
 from warpcontact.kernels.smooth.nearest import UP
-from warpcontact.kernels.smooth.patch import Jet, Patch, jet_of_patch
+from warpcontact.kernels.smooth.patch import Jet, ParametricSurface, jet_of_patch
 from warpcontact.kernels.smooth.plane import Plane
 from warpcontact.kernels.smooth.torus import Torus
 
@@ -99,7 +99,9 @@ def every_other_bit(code: wp.int32):
 
 
 @functools.cache
-def covering(A: type[Shape], B: type[Patch], of_place: wp.Function, polish: wp.Function) -> wp.Function:
+def covering(
+    A: type[Shape], B: type[ParametricSurface], of_place: wp.Function, polish: wp.Function
+) -> wp.Function:
     """Returns ``(p_a, p_b, x, q, lowered)``: the ``Sight`` with the least distance, and how many were taken.
 
     Args:

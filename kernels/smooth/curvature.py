@@ -19,7 +19,7 @@ from warpcontact.kernels.smooth.charts import chart
 from warpcontact.kernels.smooth.cone import Cone
 from warpcontact.kernels.smooth.cylinder import Cylinder
 from warpcontact.kernels.smooth.ellipsoid import Ellipsoid
-from warpcontact.kernels.smooth.patch import Patch
+from warpcontact.kernels.smooth.patch import ParametricSurface
 from warpcontact.kernels.smooth.plane import Plane
 from warpcontact.kernels.smooth.rounded_box import RoundedBox
 from warpcontact.kernels.smooth.sphere import Sphere
@@ -233,7 +233,7 @@ def curvature(A: type[Shape]) -> wp.Function:
     Raises:
         TypeError: If it is a shape of which no curvature is known.
     """
-    if issubclass(A, Patch):
+    if issubclass(A, ParametricSurface):
         jet_of = chart(A).jet
 
         @wp.func

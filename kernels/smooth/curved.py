@@ -6,7 +6,7 @@ from typing import Any
 import warp as wp
 from warpcontact.kernels.smooth import closed, ring, sheet
 from warpcontact.kernels.smooth.base import Seed, Shape, vec3d
-from warpcontact.kernels.smooth.patch import Patch
+from warpcontact.kernels.smooth.patch import ParametricSurface
 from warpcontact.kernels.smooth.sphere import Sphere
 from warpcontact.kernels.smooth.torus import Torus
 
@@ -21,14 +21,14 @@ def meet(A: type[Shape], B: type[Shape]) -> wp.Function:
     Raises:
         TypeError: If both are patches.
     """
-    if issubclass(A, Patch) and issubclass(B, Patch):
+    if issubclass(A, ParametricSurface) and issubclass(B, ParametricSurface):
         raise TypeError(
             f"two patches, {A.__name__} and {B.__name__}, cannot touch: each is open, and one of a pair must be a "
             "closed shape"
         )
-    if issubclass(B, Patch):
+    if issubclass(B, ParametricSurface):
         return sheet.meet(A, B)
-    if issubclass(A, Patch):
+    if issubclass(A, ParametricSurface):
         return _exchanged(sheet.meet(B, A))
     if A is Sphere:
         # The torus knows the point nearest to the centre.

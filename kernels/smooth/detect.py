@@ -15,7 +15,7 @@ from warpcontact.kernels.types import (
     CONTACT,
     DISABLED,
     ENV_ACTIVE,
-    HIDDEN,
+    INACTIVE,
     NOT_CONVERGED,
     OPEN,
     OUTSIDE,
@@ -244,7 +244,7 @@ def kernel(kind_a: type[Shape], kind_b: type[Shape], real: type, curved: bool, o
             if meeting.status == NOT_CONVERGED:
                 touching = UNSOLVED
             elif meeting.status == OUTSIDE:
-                touching = HIDDEN
+                touching = INACTIVE
             elif meeting.gap < own.closed:
                 touching = CONTACT
                 if -meeting.gap > own.max_depth:

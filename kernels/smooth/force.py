@@ -88,10 +88,10 @@ def kernel(parts: Parts, real: type, moves: bool = False) -> wp.Kernel:
             )  # fmt: skip
 
             # After the formulas: what is springy or viscous in them is shared like what is in proportion to N.
-            share = real(own.share)
-            normal_force = share * acts.normal_force
-            friction_W = share * acts.friction_force
-            torque_W = share * acts.torque
+            force_scale = real(own.force_scale)
+            normal_force = force_scale * acts.normal_force
+            friction_W = force_scale * acts.friction_force
+            torque_W = force_scale * acts.torque
             smooth.approach_speed[env, contact] = acts.approach_speed
             smooth.slip_speed[env, contact] = acts.slip_speed
             smooth.normal_force[env, contact] = normal_force

@@ -26,12 +26,12 @@ class Jet:
     vv: vec3d
 
 
-class Patch(Shape):
+class ParametricSurface(Shape):
     """A user's surface x(u, v), with the material below it: its outward normal is x_u × x_v.
 
     A subclass declares its parameters, the ranges of u and v, and the surface::
 
-        class Bowl(wc.Patch):
+        class Bowl(wc.ParametricSurface):
             \"\"\"z = (x² + y²)/(2 R), a bowl that is open to the top.\"\"\"
 
             radius: float = wc.parameter("m", "radius R of curvature at the bottom", above=0.0)
@@ -113,7 +113,7 @@ def _check_range(name: str, values: Any) -> None:
 
 
 @functools.cache
-def jet_of_patch(A: type[Patch]) -> wp.Function:
+def jet_of_patch(A: type[ParametricSurface]) -> wp.Function:
     """Returns the chart of a patch, ``(p, pole, u, v)``; it has no pole."""
     position = A.position
     given = getattr(A, "derivatives", None)

@@ -9,7 +9,7 @@ the shape is not the one back through the patch. The patch is then lowered along
 parallel surfaces have the same normals, so the contact is that with the lowered patch, its gap less by what it was
 lowered.
 
-Beyond an edge of the patch there is no contact: as at the border of a mesh, the place nearest to the shape
+Beyond an edge of the patch there is no contact: as at the boundary of a mesh, the place nearest to the shape
 decides. Nor is there of a shape that lies wholly behind the tangent plane where it would touch.
 """
 
@@ -21,7 +21,7 @@ from warpcontact.kernels.smooth.base import Meeting, Shape, half, one, real, two
 from warpcontact.kernels.smooth.covering import FAR, Sight, covering
 from warpcontact.kernels.smooth.curvature import curvature
 from warpcontact.kernels.smooth.nearest import UP, nearest_within
-from warpcontact.kernels.smooth.patch import Patch, jet_of_patch
+from warpcontact.kernels.smooth.patch import ParametricSurface, jet_of_patch
 from warpcontact.kernels.smooth.plane import Plane
 from warpcontact.kernels.types import MET, NOT_CONVERGED, OUTSIDE
 
@@ -47,7 +47,7 @@ GOAL = wp.constant(real(1.0e-14))
 
 
 @functools.cache
-def meet(A: type[Shape], B: type[Patch]) -> wp.Function:
+def meet(A: type[Shape], B: type[ParametricSurface]) -> wp.Function:
     """Returns the device function of a closed shape and a patch; arguments as in ``meet.py``."""
     of_place, bent = nearest_within(A), curvature(A)
     jet_of = jet_of_patch(B)

@@ -49,7 +49,7 @@ PASSES = wp.constant(wp.int32(4))
 SHORT = wp.constant(real(0.7))
 # A cell of a finer grid, over its radius.
 WIDE = wp.constant(real(2.0 / ROWS))
-# A cell that is nearer to the border of a grid is not well inside.
+# A cell that is nearer to the boundary of a grid is not well inside.
 INSIDE = wp.constant(wp.int32(3))
 LAST_ROW = wp.constant(wp.int32(ROWS - 1))
 # By how much the grid is off, over R: usually, and at most.

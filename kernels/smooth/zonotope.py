@@ -49,7 +49,7 @@ def function(count: int) -> wp.Function:
         """Divides r among the ``chosen`` edges.
 
         Returns the numbers of all edges, what is left of r, the edge that this is across, −1 if there is none, and
-        how much of the way to the border r is, 0 if it is outside or there is no inside. Within, all numbers are
+        how much of the way to the boundary r is, 0 if it is outside or there is no inside. Within, all numbers are
         as small as the largest of them can be.
         """
         best = wp.int32(0)

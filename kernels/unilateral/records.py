@@ -42,9 +42,9 @@ def record_structs(real: type) -> SimpleNamespace:
         failures: wp.array(dtype=wp.int32)  # [env] steps without convergence
         largest_residual: wp.array(dtype=real)  # [env] of these steps
         calm: wp.array(dtype=wp.int32)  # [env] last steps in which nothing moved or changed, at most 2
-        restrained: wp.array(dtype=wp.int32)  # [env] steps in which restitution was lowered
-        friction_loss: wp.array(dtype=wp.float64)  # [env] energy that friction took [J]
-        impact_loss: wp.array(dtype=wp.float64)  # [env] energy that impacts took [J]
+        restitution_limited: wp.array(dtype=wp.int32)  # [env] steps in which restitution was lowered
+        friction_dissipation: wp.array(dtype=wp.float64)  # [env] energy that friction took [J]
+        impact_dissipation: wp.array(dtype=wp.float64)  # [env] energy that impacts took [J]
 
     @wp.struct
     class Restraint:

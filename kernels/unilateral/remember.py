@@ -80,7 +80,7 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
             number = account.step[env] + 1
             account.step[env] = number
             if restraint.part[env] < real(1.0):
-                account.restrained[env] = account.restrained[env] + 1
+                account.restitution_limited[env] = account.restitution_limited[env] + 1
             account.failures[env] = account.failures[env] + 1 - outcome.converged[env]
             if outcome.converged[env] == 0:
                 account.largest_residual[env] = wp.max(account.largest_residual[env], outcome.residual[env])
@@ -138,8 +138,8 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                     calm = wp.int32(0)
                 memory[env, row.contact] = known
             account.calm[env] = calm
-            account.friction_loss[env] = account.friction_loss[env] + by_friction
-            account.impact_loss[env] = account.impact_loss[env] + by_impact
+            account.friction_dissipation[env] = account.friction_dissipation[env] + by_friction
+            account.impact_dissipation[env] = account.impact_dissipation[env] + by_impact
 
     return remember_rows
 
@@ -289,9 +289,9 @@ def forget(real: type) -> wp.Kernel:
         if everything == 1:
             account.failures[env] = 0
             account.largest_residual[env] = real(0.0)
-            account.restrained[env] = 0
-            account.friction_loss[env] = wp.float64(0.0)
-            account.impact_loss[env] = wp.float64(0.0)
+            account.restitution_limited[env] = 0
+            account.friction_dissipation[env] = wp.float64(0.0)
+            account.impact_dissipation[env] = wp.float64(0.0)
         outcome.count[env] = 0
         outcome.residual[env] = real(0.0)
         outcome.iterations[env] = 0

@@ -51,7 +51,7 @@ class Surface:
         return np.stack((a, b, c, a, c, d), axis=-1).reshape(-1, 3)
 
     def height(self, positions: Array) -> Array:
-        """Returns the height of the surface at positions ``(…, 2 or more)``; beyond the border, that at it."""
+        """Returns the height of the surface at positions ``(…, 2 or more)``; beyond the boundary, that at it."""
         lines = (self.x, self.y)
         u, v = (np.interp(positions[..., k], line, np.arange(len(line))) for k, line in enumerate(lines))
         i, j = (np.minimum(w.astype(int), len(line) - 2) for w, line in zip((u, v), lines, strict=True))
@@ -112,7 +112,7 @@ class Work:
 
     def start(self, envs: int) -> Array:
         """Returns the positions at the start, ``(envs, bodies, 3)``."""
-        # A meter from the border, so that none gets there.
+        # A meter from the boundary, so that none gets there.
         reach = np.array([self.surface.x[-1], self.surface.y[-1]]) - 1.0
         return self.above(np.random.default_rng(1).uniform(-reach, reach, (envs, 1, 2)))
 

@@ -21,7 +21,7 @@ from warpcontact.kernels.laws.base import Law
 from warpcontact.meshes import grid
 from warpcontact.scene import ContactMaterial, Scene
 from warpcontact.simulation import Simulation
-from warpcontact.status import Status
+from warpcontact.status import ContactStatus
 
 # An undamped contact takes 2.6 to 3.14 δ/v, by the exponent.
 CONTACT_TIME = 3.0
@@ -243,7 +243,7 @@ def _left(model: Environments, chosen: Sequence[Case]) -> NDArray[np.bool_]:
     """Returns which spheres are free and on their way out, (law, env)."""
     gone = []
     for k, case in enumerate(chosen):
-        touching = model.sensor(f"touch_{k}.status") == Status.CONTACT
+        touching = model.sensor(f"touch_{k}.status") == ContactStatus.CONTACT
         if not case.law.pulls:
             # Behind a force that was cut at zero a sphere flies free before its depth is zero.
             touching &= model.sensor(f"touch_{k}.normal_force") != 0.0

@@ -238,7 +238,7 @@ class Couplings:
         quadrature: int = 1,
         damping_ramp: float = 0.0,
         search: str = "whole",
-        rim: str = "off",
+        boundary: str = "off",
         enabled: bool = True,
         name: str | None = None,
         color: ArrayLike | None = None,
@@ -262,7 +262,7 @@ class Couplings:
             quadrature: Points per face: 1, 3, 6 or 7, exact for fields of order 1, 2, 4 or 5 over a face.
             damping_ramp: Depth within the range over which damping sets in [m]; 0: at once.
             search: ``"whole"`` or ``"active"``, as in ``add_contact``.
-            rim: ``"off"``: a face beyond an open border is not held; ``"outer"``: the border itself is.
+            boundary: ``"off"``: a face beyond an open boundary is not held; ``"outer"``: the boundary itself is.
             enabled: Whether it acts.
             name: Name in parameters and sensors; made up if not given. Its contacts are ``<name>_first`` and,
                 with two sides, ``<name>_second``.
@@ -285,7 +285,7 @@ class Couplings:
             quadrature=quadrature,
             damping_ramp=damping_ramp,
             search=search,
-            rim=rim,
+            boundary=boundary,
             enabled=enabled,
             name=name,
             color=color,

@@ -16,7 +16,7 @@ from warpcontact.couplings import elements
 from warpcontact.couplings.coupling_set import CouplingSet
 from warpcontact.couplings.elements import Catenary
 from warpcontact.kernels.couplings import catenary, line_measures
-from warpcontact.status import LineStatus
+from warpcontact.status import CatenaryStatus
 
 if TYPE_CHECKING:
     from warpcontact.arrays import Layout
@@ -48,7 +48,7 @@ class CatenarySet(CouplingSet):
         "status": ("status", "-", "state of the line"),
         "failures": ("failures", "-", "steps in which no solution was found, since reset"),
     }
-    codes = LineStatus
+    codes = CatenaryStatus
 
     @staticmethod
     def key(coupling: Catenary) -> bool:

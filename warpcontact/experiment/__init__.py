@@ -8,9 +8,9 @@ from warpcontact.kernels.on_demand import names_of
 
 if TYPE_CHECKING:
     from warpcontact.experiment.run import Run, open_run
-    from warpcontact.experiment.store import StoreError
+    from warpcontact.experiment.store import RunDataError
 
-__all__ = ["Experiment", "ExperimentError", "Run", "StoreError", "open_run"]
+__all__ = ["Experiment", "ExperimentError", "Run", "RunDataError", "open_run"]
 
 if not TYPE_CHECKING:  # there it would know every name
-    __getattr__, __dir__ = names_of(__name__, {"Run": "run", "StoreError": "store", "open_run": "run"}, {})
+    __getattr__, __dir__ = names_of(__name__, {"Run": "run", "RunDataError": "store", "open_run": "run"}, {})

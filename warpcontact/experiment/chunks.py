@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from warpcontact.direct import DirectFile
 from warpcontact.experiment.expected import ChunkGrid
-from warpcontact.experiment.records import StoreError
+from warpcontact.experiment.records import RunDataError
 from warpcontact.run_folder import RunPath
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ class Chunks:
         grid: How the array is divided.
 
     Raises:
-        StoreError: If it is compressed as no run compresses any.
+        RunDataError: If it is compressed as no run compresses any.
     """
 
     def __init__(self, array: "zarr.Array[Any]") -> None:
@@ -82,7 +82,7 @@ class Chunks:
         self._checked = [codec["name"] for codec in codecs[1:]] == ["crc32c"]
         known = first["name"] == "bytes" and len(codecs) == 1 + self._checked
         if not known or codecs[0]["name"] not in ("blosc", "zstd"):
-            raise StoreError(f"{array.store_path}: is compressed by {codecs}, which no run does")
+            raise RunDataError(f"{array.store_path}: is compressed by {codecs}, which no run does")
         self._dims: tuple[str, ...] = tuple(described["dimension_names"])
         self.grid = ChunkGrid(self._dims, array.shape, array.chunks)
         self._compressor = _compressor(**codecs[0])

@@ -16,7 +16,7 @@ from warpcontact.contact_warning import RunWarning, WarningLevel, labeled, split
 from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.folder import read_summary
 from warpcontact.experiment.progress import INTERVAL, Bar, told
-from warpcontact.experiment.store import Commit, Shard, StoreError
+from warpcontact.experiment.store import Commit, RunDataError, Shard
 from warpcontact.footprint import USABLE, MemoryShortage, environments, readable
 from warpcontact.quarantine import QuarantineError
 
@@ -227,14 +227,14 @@ class _Tasks:
 
         Raises:
             OSError: If results cannot be written: a full disk is full for all.
-            StoreError: If what was committed was changed.
+            RunDataError: If what was committed was changed.
             QuarantineError: If an environment failed, and the policy is to raise.
         """
         try:
             frozen, labels = self.ray.get(reference)
         except self.ray.exceptions.RayTaskError as error:
             cause = error.cause
-            if isinstance(cause, OSError | StoreError | QuarantineError):
+            if isinstance(cause, OSError | RunDataError | QuarantineError):
                 raise cause from None
             return f"{type(cause).__name__}: {cause}"
         except self.ray.exceptions.RayError as error:

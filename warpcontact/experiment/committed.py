@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator, Iterable, Mapping
 from zarr.abc.store import ByteRequest, OffsetByteRequest, RangeByteRequest, Store
 from zarr.core.buffer import Buffer, BufferPrototype, default_buffer_prototype
 
-from warpcontact.experiment.records import COMMITS, DATA, Commit, StoreError, commits_in, made_in
+from warpcontact.experiment.records import COMMITS, DATA, Commit, RunDataError, commits_in, made_in
 from warpcontact.experiment.store import STAGING
 from warpcontact.run_folder import RunPath
 
@@ -60,7 +60,7 @@ class CommittedStore(Store):
         """Returns a file, or a range of one; ``None``: nothing was committed, all values are empty.
 
         Raises:
-            StoreError: If it was committed, and is missing or was changed since.
+            RunDataError: If it was committed, and is missing or was changed since.
         """
         if key not in self._files:
             return None
@@ -130,7 +130,7 @@ class CommittedStore(Store):
                     if hashlib.sha256(content).hexdigest() == sha:
                         return content
         what = "was changed since it" if there else "is missing, and"
-        raise StoreError(f"{own}: {what} was committed")
+        raise RunDataError(f"{own}: {what} was committed")
 
 
 def _buffer(content: bytes, prototype: BufferPrototype | None, byte_range: ByteRequest | None) -> Buffer:

@@ -30,7 +30,7 @@ from warpcontact.experiment.progress import Bar
 from warpcontact.experiment.run import Run, open_run
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.shards import Frames, ShardRunner
-from warpcontact.experiment.store import Commit, Ledger, Shard, Shards, StoreError
+from warpcontact.experiment.store import Commit, Ledger, RunDataError, Shard, Shards
 from warpcontact.experiment.toml import to_toml
 from warpcontact.footprint import environments, readable
 from warpcontact.quarantine import QuarantineError
@@ -160,7 +160,7 @@ def all_finished(folder: Path, summary: Mapping[str, Any]) -> bool:
     """Whether no shard is left of the run of ``summary``, which may lack what shows its results.
 
     Raises:
-        StoreError: If the record of a shard is damaged.
+        RunDataError: If the record of a shard is damaged.
     """
     commits = Ledger(folder).commits()
     return all(_is_finished(commits, shard) for shard in Shards(summary["envs"], summary["shard"]))
@@ -291,7 +291,7 @@ def attempt(runner: ShardRunner, shard: Shard, commit: Commit | None, bar: Bar, 
             ended = runner.run(shard, commit, lambda done, frozen: bar.update(shard, done, frozen))
             bar.finish(shard, ended.frozen)
             return None
-        except (KeyboardInterrupt, StoreError, QuarantineError):
+        except (KeyboardInterrupt, RunDataError, QuarantineError):
             raise
         except OSError:
             raise  # a full disk is full for all

@@ -17,7 +17,7 @@ from warpcontact.experiment.records import (
     MADE,
     Commit,
     Files,
-    StoreError,
+    RunDataError,
     is_unchanged,
 )
 from warpcontact.run_folder import RunPath
@@ -119,7 +119,7 @@ class Expected:
         complete: Whether records name the chunks without a file; those of earlier versions do not.
 
     Raises:
-        StoreError: If metadata is missing, was changed, or does not fit to ``run.json``; names the array.
+        RunDataError: If metadata is missing, was changed, or does not fit to ``run.json``; names the array.
     """
 
     def __init__(self, folder: RunPath, made: Files, extent: Extent) -> None:
@@ -129,7 +129,7 @@ class Expected:
         known = {_META}
         listed = self._attributes("", self._read("")).get(PARTS)
         if listed is not None and not (isinstance(listed, list) and all(group in GROUPS for group in listed)):
-            raise StoreError(f"{self._data / _META}: {PARTS} must be a list of {', '.join(GROUPS)}")
+            raise RunDataError(f"{self._data / _META}: {PARTS} must be a list of {', '.join(GROUPS)}")
         self.complete = listed is not None
         recorded = [group for group in GROUPS if f"{group}/{_META}" in made]
         for group in recorded if listed is None else listed:
@@ -143,35 +143,35 @@ class Expected:
                 for name in self._names(group, attributes, LABELS):
                     known |= {f"{group}/{name}/{_META}", *self._label(group, name)}
         if self.complete and (more := sorted(made.keys() - known)):
-            raise StoreError(f"{self._record / MADE}: files must be those of the store, got {more[0]!r}")
+            raise RunDataError(f"{self._record / MADE}: files must be those of the store, got {more[0]!r}")
 
     def _read(self, array: str) -> dict[str, Any]:
         """Returns the metadata of an array or group; ``""``: of the store."""
         name = f"{array}/{_META}".lstrip("/")
         if name not in self._made:
-            raise StoreError(f"{self._data}/{name}: is missing in {self._record / MADE}")
+            raise RunDataError(f"{self._data}/{name}: is missing in {self._record / MADE}")
         path = self._data / name
         if not is_unchanged(path, *self._made[name]):
             what = "was changed since it" if path.is_file() else "is missing, and"
-            raise StoreError(f"{path}: {what} was committed")
+            raise RunDataError(f"{path}: {what} was committed")
         try:
             content = json.loads(path.read())
         except (OSError, ValueError, RecursionError) as error:
-            raise StoreError(f"{path}: cannot be read: {error}") from None
+            raise RunDataError(f"{path}: cannot be read: {error}") from None
         if not isinstance(content, dict):
-            raise StoreError(f"{path}: must be a table")
+            raise RunDataError(f"{path}: must be a table")
         return content
 
     def _attributes(self, array: str, content: Mapping[str, Any]) -> dict[str, Any]:
         attributes = content.get("attributes")
         if not isinstance(attributes, dict):
-            raise StoreError(f"{self._data}/{array}/{_META}: attributes must be a table")
+            raise RunDataError(f"{self._data}/{array}/{_META}: attributes must be a table")
         return attributes
 
     def _names(self, group: str, attributes: Mapping[str, Any], key: str) -> list[str]:
         names = attributes.get(key)
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-            raise StoreError(f"{self._data}/{group}/{_META}: {key} must be a list of names")
+            raise RunDataError(f"{self._data}/{group}/{_META}: {key} must be a list of names")
         return names
 
     def _grid(self, group: str, name: str) -> ChunkGrid:
@@ -186,18 +186,18 @@ class Expected:
             if not sizes or not len(shape) == len(chunks) == len(dims) == len(set(dims)) <= AXES:
                 raise ValueError
         except (KeyError, TypeError, ValueError):
-            raise StoreError(
+            raise RunDataError(
                 f"{path / _META}: must have a shape of at most {AXES} axes, and chunks of a regular grid, in "
                 f"whole numbers up to {_MOST}"
             ) from None
         grid = ChunkGrid(dims, shape, chunks)
         own = dict(zip(dims, zip(shape, chunks, strict=True), strict=True))
         if "env" in own and own["env"][0] != self._extent.envs:
-            raise StoreError(
+            raise RunDataError(
                 f"{path}: must have {self._extent.envs} environments, as in run.json, got {own['env'][0]}"
             )
         if "time" in own and own["time"][0] > self._extent.steps + 1:
-            raise StoreError(
+            raise RunDataError(
                 f"{path}: must have at most {self._extent.steps + 1} frames, as run.json has {self._extent.steps} "
                 f"steps, got {own['time'][0]}"
             )
@@ -209,7 +209,7 @@ class Expected:
         for chunk in grid.names():
             full = f"{group}/{name}/{chunk}"
             if full not in self._made:
-                raise StoreError(f"{self._data}/{full}: is missing in {self._record / MADE}")
+                raise RunDataError(f"{self._data}/{full}: is missing in {self._record / MADE}")
             found.append(full)
         return found
 

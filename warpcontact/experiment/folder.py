@@ -39,7 +39,7 @@ STATES = (FINISHED, UNFINISHED, INTERRUPTED, FAILED)
 #: In run.json: the SHA-256 of the copied files with laws, by their names.
 LAW_FILES = "law_files"
 
-# Entries of run.json that sensor relies on.
+# Entries of run.json that readers rely on.
 _WHOLE = ("envs", "shard", "shards", "block", "steps")
 _TIMES = ("dt", "duration")
 _TABLES = ("law_files", "failed", "contact_couplings")

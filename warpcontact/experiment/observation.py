@@ -29,7 +29,7 @@ from warpcontact.kernels.outcomes.base import COMPONENTS, OfContact, Outcome
 from warpcontact.kernels.outcomes.source import EACH, FOLDS
 from warpcontact.outcomes.observer import sources_of
 from warpcontact.outcomes.sources import Finder
-from warpcontact.outcomes.watch import LASTING, POLICIES, RESERVED, Events, Stop
+from warpcontact.outcomes.watch import LASTING, POLICIES, RESERVED, ContactEvents, StopCondition
 from warpcontact.scene import MAX_DISTANCE, MAX_SPEED
 
 if TYPE_CHECKING:
@@ -72,9 +72,9 @@ class StopSettings(Section):
     below: _LIMIT = None
     lasting: Annotated[float, q.numbers((), allowed=LASTING)] = 0.0
 
-    def make(self) -> Stop:
+    def make(self) -> StopCondition:
         """Returns the condition."""
-        return Stop(self.of, **self.model_dump(exclude={"of"}, exclude_none=True))
+        return StopCondition(self.of, **self.model_dump(exclude={"of"}, exclude_none=True))
 
     @model_validator(mode="after")
     def _one_limit(self) -> "StopSettings":
@@ -91,9 +91,9 @@ class EventsSettings(Section):
     contacts: Annotated[tuple[str, ...], Field(strict=False)] = Field(description="a list of names of contacts")
     most: int = Field(default=32, ge=1)
 
-    def make(self) -> Events:
+    def make(self) -> ContactEvents:
         """Returns the events."""
-        return Events(self.contacts, self.most)
+        return ContactEvents(self.contacts, self.most)
 
     @model_validator(mode="after")
     def _some(self) -> "EventsSettings":

@@ -133,7 +133,9 @@ class OwnFiles:
             raise ValueError(f": {file} has no {_words(bases)} {name!r}{hint}")
         if not _is_formula(given, bases):
             kinds = [kind for kind in KINDS if _is_formula(given, (kind,))]
-            derived = " or ".join("wc.Patch" if base is Shape else f"wc.{base.__name__}" for base in bases)
+            derived = " or ".join(
+                "wc.ParametricSurface" if base is Shape else f"wc.{base.__name__}" for base in bases
+            )
             fact = f"a {_words(kinds)} and no {_words(bases)}" if kinds else f"no class derived from {derived}"
             raise ValueError(f": {name!r} in {file} is {fact}")
         if issubclass(given, Formula) and (lacking := given.missing_function()):

@@ -149,7 +149,7 @@ def make_plan(draft: Draft, size: RecordingSize, settings: Settings, design: Des
         drawing = max(0, drawing - recorded)
         stepping = {
             "integrator": settings.integrator.make(),
-            "crossing_steps": settings.crossing_steps,
+            "crossing_substeps": settings.crossing_substeps,
             "looks": size.measured if frames else None,
         }
         return draft.memory(envs, design.names, **stepping, **watching(settings)).with_needs(

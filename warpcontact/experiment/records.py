@@ -39,7 +39,7 @@ _MOST = 2**63 - 1
 _COUNTS = ("steps", "frames", "frozen")
 
 
-class StoreError(VisibleError):
+class RunDataError(VisibleError):
     """A folder of results that is damaged, or was changed by somebody else."""
 
 
@@ -76,7 +76,7 @@ class Commit:
         """Reads a record.
 
         Raises:
-            StoreError: If it is cut off, or holds what no run writes; names the entry, the value and what is
+            RunDataError: If it is cut off, or holds what no run writes; names the entry, the value and what is
                 allowed.
         """
         entries = [one.name for one in fields(cls)]
@@ -108,7 +108,7 @@ class Commit:
         )
         for key, (holds, allowed) in rules.items():
             if not holds:
-                raise StoreError(f"{path}: {key} must be {allowed}, got {shown(content[key])}")
+                raise RunDataError(f"{path}: {key} must be {allowed}, got {shown(content[key])}")
         return cls(**content | {"files": _files(path, content["files"], _CHUNK)})
 
 
@@ -116,7 +116,7 @@ def commits_in(folder: RunPath) -> dict[int, Commit]:
     """Returns the records of shards in a folder, by their numbers.
 
     Raises:
-        StoreError: If one of them is damaged.
+        RunDataError: If one of them is damaged.
     """
     paths = (folder / name for name in folder.names() if _RECORD.fullmatch(name))
     return {commit.shard: commit for commit in map(Commit.read, paths)}
@@ -136,7 +136,7 @@ def made_in(folder: RunPath) -> Files:
     """Returns the files that the store was made with, by the record of them in a folder.
 
     Raises:
-        StoreError: If this is missing or damaged.
+        RunDataError: If this is missing or damaged.
     """
     path = folder / MADE
     return _files(path, _content(path, ["files"])["files"], _MADE)
@@ -161,16 +161,16 @@ def _content(path: RunPath, entries: Iterable[str], later: Mapping[str, Any] | N
     try:
         content = json.loads(path.read())
     except FileNotFoundError:
-        raise StoreError(f"{path}: is missing, which says what counts") from None
+        raise RunDataError(f"{path}: is missing, which says what counts") from None
     except UnsafeFileError as error:
-        raise StoreError(str(error)) from None
+        raise RunDataError(str(error)) from None
     except (OSError, ValueError, RecursionError) as error:
-        raise StoreError(f"{path}: is no whole record of a commit: {error}") from None
+        raise RunDataError(f"{path}: is no whole record of a commit: {error}") from None
     if isinstance(content, dict):
         content = {**(later or {}), **content}
     if not isinstance(content, dict) or set(content) != set(entries):
         got = sorted(content) if isinstance(content, dict) else content
-        raise StoreError(f"{path}: must have the entries {', '.join(entries)}, got {shown(got)}")
+        raise RunDataError(f"{path}: must have the entries {', '.join(entries)}, got {shown(got)}")
     return content
 
 
@@ -180,16 +180,16 @@ def _is_count(value: object) -> bool:
 
 def _files(path: RunPath, files: object, allowed: re.Pattern[str]) -> Files:
     if not isinstance(files, dict):
-        raise StoreError(f"{path}: files must be a table, got {shown(files)}")
+        raise RunDataError(f"{path}: files must be a table, got {shown(files)}")
     found: Files = {}
     for name, entry in files.items():
         if not allowed.fullmatch(name):
-            raise StoreError(f"{path}: files must name files that a run writes into {DATA}, got {shown(name)}")
+            raise RunDataError(f"{path}: files must name files that a run writes into {DATA}, got {shown(name)}")
         match entry:
             case [int(size), str(sha)] if _is_count(size) and _SHA.fullmatch(sha):
                 found[name] = (size, sha)
             case _:
-                raise StoreError(
+                raise RunDataError(
                     f"{path}: files.{name} must be a size in bytes and a SHA-256 in 64 hexadecimal digits, "
                     f"got {shown(entry)}"
                 )

@@ -24,7 +24,7 @@ from warpcontact.experiment.expected import LABELS, ORDER, Extent
 from warpcontact.experiment.lock import is_written
 from warpcontact.experiment.own import OwnFiles
 from warpcontact.experiment.parser import Parts, load_toml, read_settings
-from warpcontact.experiment.records import COMMITS, DATA, GROUPS, Commit, StoreError
+from warpcontact.experiment.records import COMMITS, DATA, GROUPS, Commit, RunDataError
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.store import Ledger, Shards
 from warpcontact.experiment.trust import Trust
@@ -326,7 +326,7 @@ class Run:
         """Reads every file of the results and compares it with what was committed.
 
         Raises:
-            StoreError: If one is missing or was changed.
+            RunDataError: If one is missing or was changed.
         """
         Ledger(self.folder).check(Extent.of(self.summary), contents=True)
 
@@ -344,7 +344,7 @@ class Run:
         order = data.attrs.pop(ORDER, None)
         data.attrs.pop(LABELS, None)
         if not isinstance(order, list) or set(order) != set(data.data_vars):
-            raise StoreError(f"{self.folder / DATA / name}: must have the variables {order}, has {list(data)}")
+            raise RunDataError(f"{self.folder / DATA / name}: must have the variables {order}, has {list(data)}")
         # A folder lists its arrays in any order.
         names = sorted(map(str, data.coords))
         return data[order].drop_vars(names).assign_coords({name: data.coords[name] for name in names})
@@ -405,7 +405,7 @@ def open_run(path: str | PathLike[str], *, verify: bool = False, trust: Trust = 
 
     Raises:
         ExperimentError: If it holds no run, or one of a schema that this version does not read.
-        StoreError: If anything that was committed is missing, cut off or was changed.
+        RunDataError: If anything that was committed is missing, cut off or was changed.
         UnsafeFileError: If there is a symbolic link, a pipe or a device instead of a file or folder of the run.
     """
     folder = Path(path)
@@ -437,7 +437,7 @@ def open_run(path: str | PathLike[str], *, verify: bool = False, trust: Trust = 
     commits = ledger.commits()
     for shard in run.shards if summary["state"] == files_of.FINISHED else ():
         if shard.number not in commits or not commits[shard.number].finished:
-            raise StoreError(
+            raise RunDataError(
                 f"{folder / COMMITS / shard.name}.json: the run is finished, and there is no record of this shard "
                 "that says so; --resume runs it again"
             )

@@ -173,10 +173,10 @@ class ContactOptions(Section):
     entry: Annotated[str, q.one_of(("literal", "latched"))] = "literal"
     swept: bool = False
     max_depth: Annotated[float | None, q.numbers((), allowed=limits_of.MAX_DEPTH)] = None
-    rim: Annotated[str, q.one_of(("off", "outer"))] = "off"
+    boundary: Annotated[str, q.one_of(("off", "outer"))] = "off"
     search_radius: Annotated[float | None, q.numbers((), allowed=limits_of.SEARCH_RADIUS)] = None
     torsion_radius: Annotated[float | None, q.numbers((), allowed=limits_of.TORSION_RADIUS)] = None
-    share: Annotated[float, q.numbers((), allowed=limits_of.SHARE)] = 1.0
+    force_scale: Annotated[float, q.numbers((), allowed=limits_of.FORCE_SCALE)] = 1.0
     enabled: bool = True
     color: Color | None = None
     visible: bool = True
@@ -224,7 +224,7 @@ class ShapeContactSettings(Section):
     kappa: Annotated[float, q.numbers((), allowed=limits_of.KAPPA)] = 0.5
     max_depth: Annotated[float | None, q.numbers((), allowed=limits_of.MAX_DEPTH)] = None
     torsion_radius: Annotated[float | None, q.numbers((), allowed=limits_of.TORSION_RADIUS)] = None
-    share: Annotated[float, q.numbers((), allowed=limits_of.SHARE)] = 1.0
+    force_scale: Annotated[float, q.numbers((), allowed=limits_of.FORCE_SCALE)] = 1.0
     enabled: bool = True
     color: Color | None = None
     visible: bool = True
@@ -238,11 +238,11 @@ class ParticleContactSettings(Section):
     material: str = Field(description="the name of a material")
     exclude: Rows[Rows[str]] = ()
     skin: Annotated[float | None, q.numbers((), allowed=limits_of.RANGE)] = None
-    partners: int | None = Field(default=None, ge=1)
+    max_neighbors: int | None = Field(default=None, ge=1)
     kappa: Annotated[float, q.numbers((), allowed=limits_of.KAPPA)] = 0.5
     max_depth: Annotated[float | None, q.numbers((), allowed=limits_of.MAX_DEPTH)] = None
     torsion_radius: Annotated[float | None, q.numbers((), allowed=limits_of.TORSION_RADIUS)] = None
-    share: Annotated[float, q.numbers((), allowed=limits_of.SHARE)] = 1.0
+    force_scale: Annotated[float, q.numbers((), allowed=limits_of.FORCE_SCALE)] = 1.0
     enabled: bool = True
     color: Color | None = None
     visible: bool = True
@@ -308,7 +308,7 @@ class ContactCouplingSettings(Section):
     quadrature: Annotated[int, q.quadrature] = 1
     damping_ramp: Annotated[float, q.numbers((), allowed=laws.ContactRange.limits("ramp"))] = 0.0
     search: Annotated[str, q.one_of(("whole", "active"))] = "whole"
-    rim: Annotated[str, q.one_of(("off", "outer"))] = "off"
+    boundary: Annotated[str, q.one_of(("off", "outer"))] = "off"
     enabled: bool = True
     color: Color | None = None
     visible: bool = True
@@ -369,7 +369,7 @@ class Settings(Section):
     envs: int = Field(default=1, ge=1, le=MOST_ENVS)
     duration: Annotated[float, q.time] = Field(description="simulated time [s]")
     dt: Annotated[float, q.time] = Field(description="time step [s]")
-    crossing_steps: int = Field(default=1, ge=1)
+    crossing_substeps: int = Field(default=1, ge=1)
     precision: Annotated[str, q.one_of(tuple(PRECISIONS))] = "float32"
     seed: int = Field(default=0, ge=0)
     gravity: Annotated[tuple[float, ...], q.acceleration] = (0.0, 0.0, -9.81)

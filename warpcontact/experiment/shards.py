@@ -150,7 +150,7 @@ class ShardRunner:
         recorder = self.recorder(steps + 1)
         recorder.start(self.simulation.needs_of_frames(recorder.needs))
         remarks = Remarks(self.model)
-        self.simulation.advice()
+        self.simulation.check()
         stride = min(self.frames.stride, steps)
         for _ in self.simulation.advance(recorder, steps, stride, start=0.0, alone=True):
             pass
@@ -312,7 +312,7 @@ class ShardRunner:
         """Warns as the first step of a simulation does, of what is not known from earlier shards."""
         if commit.steps:
             return
-        for sentence in self.simulation.advice():
+        for sentence in self.simulation.check():
             kind = re.sub(r"[\d.,+-]+(e[+-]?\d+)?", "", sentence)
             if kind not in self._said:
                 warnings.warn(ContactWarning(sentence), stacklevel=3)
@@ -427,7 +427,7 @@ def make_simulation(model: Environments, settings: Settings, threads: int | None
         model,
         dt=settings.dt,
         integrator=settings.integrator.make(),
-        crossing_steps=settings.crossing_steps,
+        crossing_substeps=settings.crossing_substeps,
         threads=threads,
         **watching(settings),
     )

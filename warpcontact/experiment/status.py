@@ -82,7 +82,7 @@ def status_of(path: str | PathLike[str]) -> RunStatus:
 
     Raises:
         ExperimentError: If it holds no run, or one of a schema that this version does not read.
-        StoreError: If a record in it is damaged.
+        RunDataError: If a record in it is damaged.
     """
     folder = Path(path)
     summary = files_of.read_summary(folder)

@@ -40,7 +40,7 @@ from warpcontact.experiment.records import (
     MADE,
     Commit,
     Files,
-    StoreError,
+    RunDataError,
     commits_in,
     is_chunk,
     is_chunk_folder,
@@ -266,7 +266,7 @@ class Ledger:
         """Returns the record of each shard that has one.
 
         Raises:
-            StoreError: If one of them is damaged.
+            RunDataError: If one of them is damaged.
         """
         return commits_in(self.folder / COMMITS)
 
@@ -320,12 +320,12 @@ class Ledger:
             checkpoints: Whether unfinished shards must be able to continue; otherwise they can start again.
 
         Raises:
-            StoreError: If a file or its entry is missing, or is not of the run; names it.
+            RunDataError: If a file or its entry is missing, or is not of the run; names it.
         """
         made = made_in(self.folder / COMMITS)
         expected = Expected(self.folder, made, extent)
         if problem := self._problem_of(made, "", contents):
-            raise StoreError(problem)
+            raise RunDataError(problem)
         commits = self.commits()
         for number, found in commits.items():
             commit: Commit | None = found
@@ -333,11 +333,11 @@ class Ledger:
                 # The run may have gone on since the record was read.
                 again = self.commits().get(number)
                 if again == commit:
-                    raise StoreError(problem)
+                    raise RunDataError(problem)
                 commit = again
         finished = sum(commit.finished for commit in commits.values()) == extent.shards
         if contents and finished and (problem := self._unknown_file(made, commits)):
-            raise StoreError(problem)
+            raise RunDataError(problem)
 
     def _unknown_file(self, made: Files, commits: Mapping[int, Commit]) -> str | None:
         """Returns what is wrong if there is a file that no record names; unnamed chunks are never read."""

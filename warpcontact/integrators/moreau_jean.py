@@ -60,7 +60,7 @@ class MoreauJean(Integrator):
     Every contact is hard, with the ``restitution`` of its law, 0 if that has none, and the coefficient of its
     friction, the dynamic one where it slipped in the step before; so the same scene may be stepped either way.
     ``wc.laws.Rigid`` and ``wc.friction.Coulomb`` have only these. A law that pulls and a friction without a
-    coefficient are refused; a ``share`` does not matter, since there is no force to scale.
+    coefficient are refused; a ``force_scale`` does not matter, since there is no force to scale.
 
     Args:
         theta: θ, from ½, which keeps the energy, to 1.

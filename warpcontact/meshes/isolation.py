@@ -68,7 +68,7 @@ def _default(name: str, value: float) -> float:
 @explain_keywords_of
 @dataclass(frozen=True)
 class Limits:
-    """What sensor a mesh file may take, with repair and examination.
+    """What the process that reads a mesh file may use, with repair and examination.
 
     Attributes:
         memory: Address space of the process that reads [bytes]; 4 GiB, or ``WARPCONTACT_MESH_GIB`` in GiB.

@@ -12,13 +12,16 @@ _NAMED = 5
 def warnings_of(report: MeshReport) -> tuple[str, ...]:
     """Returns what to know of a mesh before using it."""
     parts, inward, size = report.component_count, report.inward_component_count, max(report.size)
-    border, loops = counted(report.border_edge_count, "border edge"), counted(report.border_loop_count, "loop")
+    boundary, loops = (
+        counted(report.boundary_edge_count, "boundary edge"),
+        counted(report.boundary_loop_count, "loop"),
+    )
     void = report.closed and report.orientation == "undefined" and parts > 0
     few, many = USUAL_SIZE
     cut = report.first_intersection
     remarks = {
-        f"the surface is open: {border} in {loops}": report.border_edge_count > 0,
-        f"{report.crack_vertex_count} border vertices nearly coincide with another one: cracks, at which "
+        f"the surface is open: {boundary} in {loops}": report.boundary_edge_count > 0,
+        f"{report.crack_vertex_count} boundary vertices nearly coincide with another one: cracks, at which "
         'contact is lost; repair="merge" closes them': report.crack_vertex_count > 0,
         "the surface is closed and faces inward, like a container seen from inside; "
         "flipped() turns it": report.orientation == "inward",

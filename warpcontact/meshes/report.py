@@ -43,9 +43,9 @@ class MeshReport:
         volume: Signed volume [m³], positive if the faces point outward; ``None`` unless the surface is
             closed and consistently wound.
         closed: True if every edge belongs to an even number of faces, so that the surface bounds a volume.
-        border_edge_count: Edges with one face only.
-        border_loop_count: Connected curves that these edges form.
-        crack_vertex_count: Border vertices within 1e-6 of the size of another one, but not at its place.
+        boundary_edge_count: Edges with one face only.
+        boundary_loop_count: Connected curves that these edges form.
+        crack_vertex_count: Boundary vertices within 1e-6 of the size of another one, but not at its place.
         component_count: Parts of the surface, connected across edges.
         components: The first 100 of them, in the order of their first faces.
         inward_component_count: Closed parts with a negative volume: cavities, or parts turned inside out.
@@ -85,8 +85,8 @@ class MeshReport:
     area: float = 0.0
     volume: float | None = None
     closed: bool = False
-    border_edge_count: int = 0
-    border_loop_count: int = 0
+    boundary_edge_count: int = 0
+    boundary_loop_count: int = 0
     crack_vertex_count: int = 0
     component_count: int = 0
     components: tuple[Component, ...] = ()
@@ -141,7 +141,7 @@ class MeshReport:
         few, many = USUAL_SIZE
         words = {
             "closed": self.closed,
-            "open": self.border_edge_count > 0,
+            "open": self.boundary_edge_count > 0,
             "inward": self.orientation == "inward",
             "mixed winding": self.orientation == "mixed" or self.inconsistent_edge_count > 0,
             "non-manifold edges": self.non_manifold_edge_count > 0,
@@ -171,7 +171,7 @@ class MeshReport:
             "area": f"{self.area:.6g} m²",
             "volume": "none" if self.volume is None else f"{self.volume:.6g} m³",
             "surface": f"{'closed' if self.closed else 'not closed'}, orientation: {self.orientation}",
-            "border": f"{counted(self.border_edge_count, 'edge')} in {counted(self.border_loop_count, 'loop')}",
+            "boundary": f"{counted(self.boundary_edge_count, 'edge')} in {counted(self.boundary_loop_count, 'loop')}",
             "crack vertices": f"{self.crack_vertex_count}",
             "components": f"{self.component_count} ({self.inward_component_count} closed and inward, "
             f"{len(self.nested_components)} inside another)",

@@ -14,7 +14,7 @@ from warpcontact.vectors import bounds, cross, dot, norm
 
 Orientation = Literal["outward", "inward", "open surface", "mixed", "undefined"]
 
-# Border vertices closer than this fraction of the largest dimension are meant to be one. CAD programs write
+# Boundary vertices closer than this fraction of the largest dimension are meant to be one. CAD programs write
 # the two sides of a seam with different rounding, and float32 resolves 1e-7.
 CRACK_LIMIT = 1.0e-6
 # Meshes whose farthest coordinate is more than this many times their size lie far from their origin.
@@ -75,7 +75,7 @@ class Edges:
 
     @property
     def halves(self) -> npt.NDArray[np.intp]:
-        """Two half-edges of each edge, (E, 2); a border edge has one only."""
+        """Two half-edges of each edge, (E, 2); a boundary edge has one only."""
         return np.column_stack((self.first, np.roll(self.order, -1)[self.starts]))
 
     @property
@@ -116,7 +116,7 @@ def examine_surface(
     ends, counts, balance, first = edges.ends, edges.counts, edges.balance, edges.first
     parts, part = components(edges.links // 3, len(faces))
     lower, upper = bounds(v[faces])
-    loops, cracks = _border(v, ends[first[counts == 1]], CRACK_LIMIT * float((upper - lower).max()))
+    loops, cracks = _boundary(v, ends[first[counts == 1]], CRACK_LIMIT * float((upper - lower).max()))
 
     area, volumes, nothing = volumes_of(v, faces, part, parts)
     odd, mixed = counts % 2 == 1, (counts % 2 == 0) & (balance != 0)
@@ -136,8 +136,8 @@ def examine_surface(
         "area": area,
         "volume": None if (odd | mixed).any() else total,
         "closed": not odd.any(),
-        "border_edge_count": int((counts == 1).sum()),
-        "border_loop_count": loops,
+        "boundary_edge_count": int((counts == 1).sum()),
+        "boundary_loop_count": loops,
         "crack_vertex_count": cracks,
         "component_count": parts,
         "components": _describe(v, faces, part, bounding, volumes),
@@ -199,8 +199,8 @@ def _describe(
     )
 
 
-def _border(v: npt.NDArray[np.float64], edges: npt.NDArray[np.intp], near: float) -> tuple[int, int]:
-    """Number of loops of border edges (n, 2), and of their vertices with another one within ``near``."""
+def _boundary(v: npt.NDArray[np.float64], edges: npt.NDArray[np.intp], near: float) -> tuple[int, int]:
+    """Number of loops of boundary edges (n, 2), and of their vertices with another one within ``near``."""
     vertices, links = np.unique(edges, return_inverse=True)
     if not len(edges):
         return 0, 0

@@ -14,7 +14,7 @@ from warpcontact.outcomes.observer import Kept, Observer
 from warpcontact.outcomes.watch import Watch
 from warpcontact.recorder import item_dimension
 from warpcontact.sensors import AXES
-from warpcontact.status import Cause, EnvironmentStatus
+from warpcontact.status import EnvironmentStatus, FailureCause
 
 Variable = tuple[Sequence[str], NDArray[Any], Mapping[str, Any]]
 
@@ -46,7 +46,7 @@ def outcomes_of(model: Environments, watch: Watch, observers: Sequence[Observer]
     if observers:
         resets = np.concatenate([one.resets.numpy() for one in observers])
     variables["status"] = (["env"], status, {"long_name": "state of the environment", **_flags(EnvironmentStatus)})
-    variables["cause"] = (["env"], cause, {"long_name": "why it was frozen", **_flags(Cause)})
+    variables["cause"] = (["env"], cause, {"long_name": "why it was frozen", **_flags(FailureCause)})
     variables["end_time"] = (["env"], time, {"units": "s", "long_name": "time that it has come to"})
     about = {"units": "-", "long_name": "times that it was put back to its initial state after it failed"}
     variables["resets"] = (["env"], resets, about)
@@ -73,7 +73,7 @@ def events_of(model: Environments, watch: Watch, observers: Sequence[Observer]) 
         ValueError: If no events are watched.
     """
     if watch.events is None:
-        raise ValueError("no events are watched: give the simulation events=wc.Events(['touch'])")
+        raise ValueError("no events are watched: give the simulation events=wc.ContactEvents(['touch'])")
     most = watch.events.most
     first_places = np.array(observers[0].first_places)
     count = np.concatenate([one.events.count.numpy() for one in observers])

@@ -29,7 +29,7 @@ RESERVED = (
 
 
 @explain_keywords_of
-class Stop:
+class StopCondition:
     """A condition that stops an environment: it is held at the first state at which it holds, or has for a while.
 
     Args:
@@ -58,23 +58,23 @@ class Stop:
         below: float | None = None,
         lasting: float = 0.0,
     ) -> None:
-        self.source = source_of("Stop", of, component, items)
-        self.condition = condition_of("Stop", above, below)
+        self.source = source_of("StopCondition", of, component, items)
+        self.condition = condition_of("StopCondition", above, below)
         self.lasting = float(checks.numbers("lasting", lasting, (), LASTING))
 
     def __repr__(self) -> str:
         sign = "above" if self.condition.sign > 0.0 else "below"
         component = "" if self.source.component is None else f" {self.source.component}"
-        return f"<Stop where {self.source.name}{component} is {sign} {self.condition.limit:g}>"
+        return f"<StopCondition where {self.source.name}{component} is {sign} {self.condition.limit:g}>"
 
 
 @explain_keywords_of
-class Events:
+class ContactEvents:
     """When contacts are made and lost, by the times of the first states in and out of contact.
 
     Args:
         contacts: Names of the contacts to watch, each item of a set by itself.
-        most: Events that are kept for each environment; later ones take the places of the first, and those are
+        most: ContactEvents that are kept for each environment; later ones take the places of the first, and those are
             counted.
 
     Raises:
@@ -86,16 +86,18 @@ class Events:
 
     def __init__(self, contacts: Sequence[str], most: int = 32) -> None:
         if isinstance(contacts, str):
-            raise TypeError(f"Events.contacts must be a list of names of contacts, got the string {contacts!r}")
+            raise TypeError(
+                f"ContactEvents.contacts must be a list of names of contacts, got the string {contacts!r}"
+            )
         self.contacts = tuple(contacts)
         if not self.contacts or not all(isinstance(name, str) for name in self.contacts):
-            raise ValueError(f"Events.contacts must be one name of a contact or more, got {contacts!r}")
+            raise ValueError(f"ContactEvents.contacts must be one name of a contact or more, got {contacts!r}")
         if len(set(self.contacts)) < len(self.contacts):
-            raise ValueError(f"Events.contacts must be different contacts, got {list(self.contacts)}")
-        self.most = checks.whole("Events.most", most)
+            raise ValueError(f"ContactEvents.contacts must be different contacts, got {list(self.contacts)}")
+        self.most = checks.whole("ContactEvents.most", most)
 
     def __repr__(self) -> str:
-        return f"<Events of {', '.join(self.contacts)}, the last {self.most}>"
+        return f"<ContactEvents of {', '.join(self.contacts)}, the last {self.most}>"
 
 
 @dataclass(frozen=True)
@@ -110,26 +112,28 @@ class Watch:
     """
 
     outcomes: Mapping[str, Outcome] = field(default_factory=dict)
-    stops: Mapping[str, Stop] = field(default_factory=dict)
-    events: Events | None = None
+    stops: Mapping[str, StopCondition] = field(default_factory=dict)
+    events: ContactEvents | None = None
     quarantine: str = "freeze"
 
     def __post_init__(self) -> None:
         checks.choice("quarantine", self.quarantine, POLICIES)
         _check_names("outcomes", self.outcomes, Outcome, "wc.outcomes.Max('touch.normal_force')")
-        _check_names("stop", self.stops, Stop, "wc.Stop('ball.position', component='z', below=0.1)")
+        _check_names(
+            "stop", self.stops, StopCondition, "wc.StopCondition('ball.position', component='z', below=0.1)"
+        )
         for name in self.outcomes:
             if name in RESERVED:
                 raise ValueError(f"outcomes: {name!r} is the name of what every result has; choose another")
-        if self.events is not None and not isinstance(self.events, Events):
-            raise TypeError(f"events must be such as wc.Events(['touch']), got {self.events!r}")
+        if self.events is not None and not isinstance(self.events, ContactEvents):
+            raise TypeError(f"events must be such as wc.ContactEvents(['touch']), got {self.events!r}")
 
     @classmethod
     def of(
         cls,
         outcomes: Mapping[str, Outcome] | None,
-        stop: Mapping[str, Stop] | None,
-        events: Events | None,
+        stop: Mapping[str, StopCondition] | None,
+        events: ContactEvents | None,
         quarantine: str,
     ) -> "Watch":
         """Returns what the arguments of a ``Simulation`` ask for.

@@ -34,11 +34,11 @@ class ParticleContacts:
         *,
         exclude: Iterable[tuple[Shape, Shape]] = (),
         skin: float | None = None,
-        partners: int | None = None,
+        max_neighbors: int | None = None,
         kappa: float = 0.5,
         max_depth: float | None = None,
         torsion_radius: float | None = None,
-        share: float = 1.0,
+        force_scale: float = 1.0,
         enabled: bool = True,
         name: str | None = None,
         color: ArrayLike | None = None,
@@ -58,14 +58,14 @@ class ParticleContacts:
                 with itself has none that touch.
             skin: Shapes closer than this are remembered as partners, and looked for again when one has moved by
                 half of it [m]; ``None``: 0.3 mean radii. It changes no result.
-            partners: Most partners of one shape; ``None``: as many of the smallest shapes as there is room for
+            max_neighbors: Most partners of one shape; ``None``: as many of the smallest shapes as there is room for
                 around it. There is no such limit for up to 32 shapes.
             kappa: Where the force acts: K = P₂ + κ (P₁ − P₂), from 0 at the surface of the second shape to 1 at
                 that of the first.
             max_depth: Deepest penetration that still counts as contact [m]; ``None``: any.
             torsion_radius: Arm at which the material's torsion acts [m]; ``None``: that of the overlap of a
                 sphere of radius R under the pressure of Hertz, (3π/16) √(R δ).
-            share: Factor on forces and couples.
+            force_scale: Factor on forces and couples.
             enabled: Whether it acts.
             name: Name in parameters and sensors; made up if not given.
             color: Colour of its arrows, RGB in 0…1.
@@ -103,8 +103,8 @@ class ParticleContacts:
             raise ValueError(f"exclude of {name!r} must be pairs of its shapes, got {checks.element(exclude)}")
         among = frozenset(given)
         excluded = tuple(_pair(name, pair, among) for pair in exclude)
-        if partners is not None:
-            checks.whole(f"{name}.partners", partners)
+        if max_neighbors is not None:
+            checks.whole(f"{name}.max_neighbors", max_neighbors)
         radii = np.concatenate([shape.sizes["radius"] for shape in given])
         contact = ParticleContact(
             name=name,
@@ -116,8 +116,8 @@ class ParticleContacts:
                     f"{name}.skin", SKIN * radii.mean() if skin is None else skin, (), limits("m", above=0.0)
                 )
             ),
-            partners=None if partners is None else int(partners),
-            **options_of(name, kappa, max_depth, torsion_radius, share, enabled, color, visible),
+            max_neighbors=None if max_neighbors is None else int(max_neighbors),
+            **options_of(name, kappa, max_depth, torsion_radius, force_scale, enabled, color, visible),
         )
         self.particle_contacts.append(contact)
         self._elements[name] = contact

@@ -25,11 +25,11 @@ class ParticleContact:
     material: ContactMaterial
     excluded: tuple[tuple[Shape, Shape], ...]
     skin: float  # shapes closer than this are partners [m]
-    partners: int | None  # most of one shape; None: as many as there is room for around it
+    max_neighbors: int | None  # most of one shape; None: as many as there is room for around it
     kappa: Array
     max_depth: Array
     torsion_radius: Array | None
-    share: Array
+    force_scale: Array
     enabled: Array
     color: Array | None
     visible: bool

@@ -39,7 +39,7 @@ _RANGES = {
     "kappa": limits_of.KAPPA,
     "max_depth": limits_of.MAX_DEPTH,
     "torsion_radius": limits_of.TORSION_RADIUS,
-    "share": limits_of.SHARE,
+    "force_scale": limits_of.FORCE_SCALE,
     "enabled": limits_of.ENABLED,
 }
 _FOR_ALL = {
@@ -158,10 +158,10 @@ class Pile:
                 parameters.upload(self.lists, name, wp.int32, _constant(values))
             room = None
         else:
-            if contact.partners is None:
+            if contact.max_neighbors is None:
                 room = partners_around(*self._sizes(), contact.skin).max(axis=0)
             else:
-                room = np.full(count, min(contact.partners, count - 1))
+                room = np.full(count, min(contact.max_neighbors, count - 1))
             starts, slots = (np.cumsum([0, *most]) for most in (room, owned_of(room)))
             # Kept, as the history of a pair is found by them; after a checkpoint they are made again.
             ranges = {
@@ -278,7 +278,7 @@ class Pile:
             ValueError: If there is not.
         """
         radius, half = self._sizes()
-        if self._room is not None and self.contact.partners is None:
+        if self._room is not None and self.contact.max_neighbors is None:
             needed = partners_around(radius, half, self.contact.skin)
             if (needed > self._room).any():
                 shape = int((needed - self._room).max(axis=0).argmax())
@@ -286,7 +286,7 @@ class Pile:
                     f"{self.contact.name}: with these radii {self.contact.label(shape)!r} may have "
                     f"{needed[:, shape].max()} partners, and there is room for {self._room[shape]}; build the "
                     "scene with the largest and smallest radii that are to come, or give add_particle_contact "
-                    "partners="
+                    "max_neighbors="
                 )
         return radius
 
@@ -443,7 +443,7 @@ class Pile:
             return None
         return (
             f"{self.contact.name}: a shape had {most} partners more than there is room for, and their forces are "
-            f"missing; give add_particle_contact a larger partners=, or a smaller skin than {self.contact.skin:g} m"
+            f"missing; give add_particle_contact a larger max_neighbors=, or a smaller skin than {self.contact.skin:g} m"
         )
 
     def measure(self, envs: int, device: wp.Device) -> None:

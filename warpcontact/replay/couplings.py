@@ -137,7 +137,7 @@ def hanging(replay: Replay, line: Catenary, start: Array, end: Array) -> Array:
         values[f"line.{key}"] = _over(replay, f"{line.name}.{key}", getattr(line, key))
     for name, value in values.items():
         model[name] = value.reshape(-1, *value.shape[2:])
-    return model.line_shape("line", LINE_POINTS).reshape(*start.shape[:2], LINE_POINTS, 3)
+    return model.catenary_shape("line", LINE_POINTS).reshape(*start.shape[:2], LINE_POINTS, 3)
 
 
 def _over(replay: Replay, name: str, default: Array) -> Array:

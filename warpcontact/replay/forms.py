@@ -8,7 +8,7 @@ import numpy as np
 from warpcontact.checks import Array
 from warpcontact.frames import placed, product
 from warpcontact.kernels.smooth import shapes
-from warpcontact.kernels.smooth.patch import Patch
+from warpcontact.kernels.smooth.patch import ParametricSurface
 from warpcontact.kernels.smooth.plane import Plane
 from warpcontact.replay.replay import Replay
 from warpcontact.replay.spheres import body_color
@@ -68,7 +68,7 @@ class FormPlacement:
         """Iterates over sizes of which one reaches as far as any of them."""
         kind = self.shape.kind
         lengths = {key for key in self.sizes if kind.limits(key)["unit"] == "m"}
-        if issubclass(kind, Patch):
+        if issubclass(kind, ParametricSurface):
             lengths = set()
         most = {key: self.sizes[key].max(axis=(0, 1)) for key in lengths}
         others = [key for key in self.sizes if key not in lengths]

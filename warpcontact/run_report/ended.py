@@ -7,14 +7,14 @@ from warpcontact.flags import words_of
 from warpcontact.health import Health
 from warpcontact.number_format import count, quantity, several
 from warpcontact.run_report.markup import Markup, element, joined, name, table
-from warpcontact.status import Cause
+from warpcontact.status import FailureCause
 
 # Rows; more are counted.
 ROWS = 200
 _CAUSES = {
-    Cause.NON_FINITE: "its state turned non-finite",
-    Cause.TOO_FAST: "a body became faster than scene.max_speed",
-    Cause.TOO_FAR: "a body went beyond scene.max_distance",
+    FailureCause.NON_FINITE: "its state turned non-finite",
+    FailureCause.TOO_FAST: "a body became faster than scene.max_speed",
+    FailureCause.TOO_FAR: "a body went beyond scene.max_distance",
 }
 
 

@@ -12,7 +12,7 @@ from warpcontact.contact_coupling_report import CouplingReport
 from warpcontact.durable import check_place, replacing
 from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.own import TrustError
-from warpcontact.experiment.records import StoreError
+from warpcontact.experiment.records import RunDataError
 from warpcontact.experiment.run import Run, open_run
 from warpcontact.experiment.status import status_of
 from warpcontact.experiment.trust import Trust
@@ -55,7 +55,7 @@ def report(
     Raises:
         ValueError: If the path or an environment is not allowed, the file is in no folder that exists or cannot be
             written, or the folder holds no run.
-        StoreError: If results are missing or were changed.
+        RunDataError: If results are missing or were changed.
         OSError: If writing fails.
     """
     run = run if isinstance(run, Run) else open_run(run, trust=trust)
@@ -122,7 +122,7 @@ def _series(run: Run) -> xr.Dataset | None:
     try:
         found = run.series
     except ValueError as error:
-        if isinstance(error, ExperimentError | StoreError):
+        if isinstance(error, ExperimentError | RunDataError):
             raise
         return None
     return found if found.sizes["time"] else None

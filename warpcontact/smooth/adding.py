@@ -47,7 +47,7 @@ class ShapeContacts:
 
         Args:
             body: Body that carries it; ``None``: the world. Of a set of bodies each carries one.
-            form: What it is, of ``wc.shapes``, or your own ``wc.Patch``. For a set of bodies one for all, or a
+            form: What it is, of ``wc.shapes``, or your own ``wc.ParametricSurface``. For a set of bodies one for all, or a
                 list of one class with one for each.
             position: Origin of its frame in the frame of the body [m]; for a set one for all, or (n, 3).
             orientation: Rotation of its frame to that of the body, quaternion (x, y, z, w); for a set one for
@@ -95,7 +95,7 @@ class ShapeContacts:
         kappa: float = 0.5,
         max_depth: float | None = None,
         torsion_radius: float | None = None,
-        share: float = 1.0,
+        force_scale: float = 1.0,
         enabled: bool = True,
         name: str | None = None,
         color: ArrayLike | None = None,
@@ -116,7 +116,7 @@ class ShapeContacts:
             max_depth: Deepest penetration that still counts as contact [m]; ``None``: any.
             torsion_radius: Arm at which the material's torsion acts [m]; ``None``: that of the overlap of a
                 sphere of radius R under the pressure of Hertz, (3π/16) √(R δ).
-            share: Factor on the forces and couples of this contact.
+            force_scale: Factor on the forces and couples of this contact.
             enabled: Whether it acts.
             name: Name in parameters and sensors; made up if not given.
             color: Colour of its arrows, RGB in 0…1.
@@ -147,7 +147,7 @@ class ShapeContacts:
             shape=shape,
             other_shape=other_shape,
             material=material,
-            **options_of(name, kappa, max_depth, torsion_radius, share, enabled, color, visible),
+            **options_of(name, kappa, max_depth, torsion_radius, force_scale, enabled, color, visible),
         )
         self.shape_contacts.append(contact)
         self._elements[name] = contact

@@ -34,7 +34,7 @@ from warpcontact.sensors import CONTACT_SENSORS, Sensor, shape_in
 from warpcontact.smooth.elements import ShapeContact
 from warpcontact.smooth.measures import has_curvatures
 from warpcontact.smooth.shape_sets import ShapeSet
-from warpcontact.status import Status
+from warpcontact.status import ContactStatus
 
 if TYPE_CHECKING:
     from warpcontact.arrays import Layout
@@ -46,7 +46,7 @@ _RANGES = {
     "kappa": limits_of.KAPPA,
     "max_depth": limits_of.MAX_DEPTH,
     "torsion_radius": limits_of.TORSION_RADIUS,
-    "share": limits_of.SHARE,
+    "force_scale": limits_of.FORCE_SCALE,
     "enabled": limits_of.ENABLED,
 }
 _STRUCTS = {
@@ -322,7 +322,7 @@ class ShapeContactSet:
             for key, (attribute, unit, meaning) in (CONTACT_SENSORS | _READINGS).items():
                 text = meaning.replace("the point's body", "the body of its first shape")
                 text = text.replace("out of the surface", "out of its other shape")
-                codes = Status if key == "status" else None
+                codes = ContactStatus if key == "status" else None
                 array = self._column(attribute, own)
                 name = f"{contact.name}.{key}"
                 shape = shape_in(self.smooth, attribute)

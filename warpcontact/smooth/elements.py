@@ -76,7 +76,7 @@ class ShapeContact:
     kappa: Array
     max_depth: Array
     torsion_radius: Array | None
-    share: Array
+    force_scale: Array
     enabled: Array
     color: Array | None
     visible: bool

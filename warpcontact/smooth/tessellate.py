@@ -13,7 +13,7 @@ from warpcontact.devices import find_device
 from warpcontact.kernels.formula import coefficient_struct
 from warpcontact.kernels.smooth import tessellation
 from warpcontact.kernels.smooth.base import Shape as Form
-from warpcontact.kernels.smooth.patch import Patch
+from warpcontact.kernels.smooth.patch import ParametricSurface
 from warpcontact.kernels.smooth.plane import Plane
 from warpcontact.kernels.smooth.torus import Torus
 from warpcontact.meshes import icosphere
@@ -42,7 +42,7 @@ def tessellate(kind: type[Form], sizes: Mapping[str, Array], reach: float = 1.0)
         distance = sizes["major_radius"] + sizes["minor_radius"] * np.cos(around[:, 1])
         height = sizes["minor_radius"] * np.sin(around[:, 1])
         return np.stack([distance * np.cos(around[:, 0]), distance * np.sin(around[:, 0]), height], axis=1), faces
-    if issubclass(kind, Patch):
+    if issubclass(kind, ParametricSurface):
         parameters, faces = _grid(kind.u_range, kind.v_range, (kind.u_periodic, kind.v_periodic))
         return _computed(kind, sizes, tessellation.patch_points(kind), parameters, wp.vec2d), faces
     ball = icosphere(1.0, LEVEL)

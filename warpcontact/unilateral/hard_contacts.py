@@ -167,7 +167,7 @@ class HardContacts:
         solved = {"count": (0, self.capacity), "iterations": COUNT, "converged": SWITCH}
         self.outcome = layout.struct(PURPOSE, rows.Outcome, per_env(), transient=("slack",), ranges=solved)
         self.restraint = layout.struct(PURPOSE, records.Restraint, per_env(), transient=True)
-        counts = dict.fromkeys(("step", "failures", "restrained"), COUNT)
+        counts = dict.fromkeys(("step", "failures", "restitution_limited"), COUNT)
         self.account = layout.struct(PURPOSE, records.Account, per_env(), transient=("calm",), ranges=counts)
         self.shown = layout.struct(PURPOSE, records.Shown, per_env(max(1, count)), transient=True)
         self.reactions = layout.struct(PURPOSE, t.Wrenches, bodies)
@@ -279,14 +279,14 @@ class HardContacts:
             ValueError: If one has; names the contact.
         """
         for one in self._hard:
-            own = parameters.get(f"{one.name}.share")
+            own = parameters.get(f"{one.name}.force_scale")
             if own is not None:
                 self.check_share(own.name, own.values)
 
     def check_share(self, name: str, values: NDArray[np.float64]) -> None:
         """Raises the same error if ``values`` of parameter ``name`` are shares of a nonsmooth contact with a 0."""
         element, _, quantity = name.rpartition(".")
-        if quantity == "share" and element in self.names and not values.all():
+        if quantity == "force_scale" and element in self.names and not values.all():
             raise ValueError(
                 f"{name} must be greater than 0, got 0: rigid contact has no force to scale. Set "
                 f"{element}.enabled to 0 to switch it off"
@@ -418,14 +418,24 @@ OF_SCENE = {
     "solve_iterations": ("outcome", "iterations", "-", "iterations of its solver"),
     "solve_converged": ("outcome", "converged", "-", "1: to its tolerance"),
     "solve_failures": ("account", "failures", "-", "steps that were not solved to it, since reset"),
-    "restrained": ("account", "restrained", "-", "steps in which restitution was lowered to bring no energy"),
-    "friction_loss": (
+    "restitution_limited": (
         "account",
-        "friction_loss",
+        "restitution_limited",
+        "-",
+        "steps in which restitution was lowered to bring no energy",
+    ),
+    "friction_dissipation": (
+        "account",
+        "friction_dissipation",
         "J",
         "energy that friction of nonsmooth contacts took, since reset",
     ),
-    "impact_loss": ("account", "impact_loss", "J", "energy that impacts of nonsmooth contacts took, since reset"),
+    "impact_dissipation": (
+        "account",
+        "impact_dissipation",
+        "J",
+        "energy that impacts of nonsmooth contacts took, since reset",
+    ),
 }
 
 

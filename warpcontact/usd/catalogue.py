@@ -33,23 +33,23 @@ class Catalogue:
     """Classes by name.
 
     Args:
-        own: Those of a user.
+        custom_types: Those of a user.
 
     Raises:
         TypeError: If one of them is no class of a kind that scenes are made of.
         ValueError: If two of them have one name.
     """
 
-    def __init__(self, own: Iterable[type[Formula]] = ()) -> None:
+    def __init__(self, custom_types: Iterable[type[Formula]] = ()) -> None:
         self._own: dict[str, type[Formula]] = {}
-        for kind in own:
+        for kind in custom_types:
             if not isinstance(kind, type) or not issubclass(kind, tuple(LIBRARY)):
                 raise TypeError(
-                    "own must be classes derived from wc.Law, wc.Friction, wc.Spring, wc.Damper, wc.Motion or "
-                    f"wc.Patch, got {kind!r}"
+                    "custom_types must be classes derived from wc.Law, wc.Friction, wc.Spring, wc.Damper, wc.Motion or "
+                    f"wc.ParametricSurface, got {kind!r}"
                 )
             if self._own.setdefault(kind.__name__, kind) is not kind:
-                raise ValueError(f"own has two classes of the name {kind.__name__!r}")
+                raise ValueError(f"custom_types has two classes of the name {kind.__name__!r}")
 
     def find(self, base: type[Formula], name: str, own: bool) -> type[Formula]:
         """Returns the class of a name.
@@ -66,7 +66,7 @@ class Catalogue:
             kind = self._own.get(name)
             if kind is None or not issubclass(kind, base):
                 raise LookupError(
-                    f"{name!r} is a {base.__name__.lower()} of one's own; hand the class in: own=[{name}]"
+                    f"{name!r} is a {base.__name__.lower()} of one's own; hand the class in: custom_types=[{name}]"
                 )
             return kind
         table = {kind.__name__: kind for kind in LIBRARY[base]}

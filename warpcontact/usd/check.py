@@ -28,7 +28,7 @@ def check_usd(path: str | Path) -> list[str]:
     another only with a reset transform; and none of the validators that come with USD must find anything.
 
     Args:
-        path: A ``.usd``, ``.usda``, ``.usdc`` or ``.usdz`` file of one's own: sensor a hostile file may end the
+        path: A ``.usd``, ``.usda``, ``.usdc`` or ``.usdz`` file of one's own: reading a hostile file may end the
             process.
 
     Raises:

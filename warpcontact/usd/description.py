@@ -47,21 +47,21 @@ def write_description(stage: Any, scene: Scene, names: Mapping[str, str], root: 
         _Description(stage.GetEditTarget().GetLayer(), scene, names, root).write()
 
 
-def read_description(stage: Any, own: Iterable[type[Formula]] = ()) -> Scene | None:
+def read_description(stage: Any, custom_types: Iterable[type[Formula]] = ()) -> Scene | None:
     """Returns the scene that a stage describes; ``None`` if it has no description.
 
     Args:
         stage: The stage.
-        own: Classes of one's own that the scene was made with.
+        custom_types: Classes of one's own that the scene was made with.
 
     Raises:
-        StageError: If the description is damaged, or a class is missing; the message names the prims.
+        UsdError: If the description is damaged, or a class is missing; the message names the prims.
     """
     from warpcontact.usd.importing.records import read_records
     from warpcontact.usd.importing.restore import restored
 
     records = read_records(stage)
-    return None if records is None else restored(records, own)
+    return None if records is None else restored(records, custom_types)
 
 
 class _Description:
@@ -145,7 +145,12 @@ class _Description:
         if mesh.groups:
             members = list(mesh.groups.values())
             self._value(path, "group_names", list(mesh.groups))
-            self._value(path, "group_sizes", np.array([len(own) for own in members], dtype=np.int32), rows=True)
+            self._value(
+                path,
+                "group_sizes",
+                np.array([len(custom_types) for custom_types in members], dtype=np.int32),
+                rows=True,
+            )
             self._value(path, "group_faces", np.concatenate(members), rows=True)
 
     def _formula(self, path: str, kind: type[Formula], values: Mapping[str, Any], each: bool = False) -> None:
@@ -236,8 +241,8 @@ def _numbers(array: Array, rows: bool) -> tuple[Any, Any]:
 
     shape = array.shape[1:] if rows else array.shape
     name = _ROWS[shape]
-    own = {"Double2": "Vec2d", "Double3": "Vec3d", "Double4": "Vec4d"}.get(name, name)
+    custom_types = {"Double2": "Vec2d", "Double3": "Vec3d", "Double4": "Vec4d"}.get(name, name)
     if rows:
-        return getattr(Sdf.ValueTypeNames, f"{name}Array"), getattr(Vt, f"{own}Array").FromNumpy(array)
+        return getattr(Sdf.ValueTypeNames, f"{name}Array"), getattr(Vt, f"{custom_types}Array").FromNumpy(array)
     plain = array.reshape(-1).tolist()
-    return getattr(Sdf.ValueTypeNames, name), plain[0] if shape == () else getattr(Gf, own)(*plain)
+    return getattr(Sdf.ValueTypeNames, name), plain[0] if shape == () else getattr(Gf, custom_types)(*plain)

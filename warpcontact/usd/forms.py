@@ -10,7 +10,7 @@ from warpcontact.checks import Array
 from warpcontact.frames import placed
 from warpcontact.kernels.smooth import shapes
 from warpcontact.kernels.smooth.base import Shape as Form
-from warpcontact.kernels.smooth.patch import Patch
+from warpcontact.kernels.smooth.patch import ParametricSurface
 from warpcontact.kernels.smooth.plane import Plane
 from warpcontact.kernels.smooth.torus import Torus
 from warpcontact.replay.forms import PLANE, FormPlacement, FormSwarm
@@ -62,7 +62,7 @@ def write_form(
         return
     UsdPhysics.CollisionAPI.Apply(prim)
     if prim.IsA(UsdGeom.Mesh):
-        hollow = issubclass(form.shape.kind, Torus | Patch)
+        hollow = issubclass(form.shape.kind, Torus | ParametricSurface)
         tokens = UsdPhysics.Tokens
         shown = tokens.none if hollow else tokens.convexHull
         UsdPhysics.MeshCollisionAPI.Apply(prim).CreateApproximationAttr(shown)

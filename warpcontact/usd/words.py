@@ -211,7 +211,7 @@ def _of_coupling(coupling: ContactCoupling) -> dict[str, Any]:
         "quadrature": quadrature,
         "damping_ramp": law.ramp,
         "search": first.search,
-        "rim": first.rim,
+        "boundary": first.boundary,
         "enabled": first.enabled,
         "color": first.color,
         "visible": first.visible,

@@ -12,7 +12,7 @@ from warpcontact.experiment.defaults import default_sensors
 from warpcontact.recorder import Recorder
 from warpcontact.replay.drawing import Drawing
 from warpcontact.simulation import Simulation
-from warpcontact.status import Cause
+from warpcontact.status import FailureCause
 from warpcontact.viewer.environments import Picker
 from warpcontact.viewer.page import LocalServer
 from warpcontact.viewer.parameters import Parameters
@@ -97,7 +97,7 @@ class Live(Show):
         self.say("compiling …")
         self._recorder.start()
         if simulation.model.at_start:
-            self.write(self._notes, "\n".join(f"Caution: {sentence}" for sentence in simulation.advice()))
+            self.write(self._notes, "\n".join(f"Caution: {sentence}" for sentence in simulation.check()))
             simulation.advised = True
             # Compiles; whoever made the simulation may have put it into another state than that at the start.
             with tempfile.TemporaryDirectory() as folder:
@@ -129,7 +129,7 @@ class Live(Show):
         told = ""
         frozen = np.flatnonzero(health.frozen == env)
         if len(frozen):
-            at, cause = health.times[frozen[0]], Cause(health.causes[frozen[0]])
+            at, cause = health.times[frozen[0]], FailureCause(health.causes[frozen[0]])
             told = f"frozen: {cause.name}, at {spoken(float(at))} s"
         elif env in health.stopped:
             told = "stopped by a condition"

@@ -107,7 +107,7 @@ def view(
     Raises:
         ImportError: If viser is not installed.
         ExperimentError: If the folder holds no run, or the file no experiment that is right.
-        StoreError: If what was committed of a run is not there.
+        RunDataError: If what was committed of a run is not there.
         ValueError: If an option is not allowed, or nothing was recorded over time.
     """
     if importlib.util.find_spec("viser") is None:

@@ -112,7 +112,7 @@ def message(text: str, *, bad: bool = False) -> str:
 def gap_legend(deepest: float, far: float) -> str:
     """Returns HTML of the colours of gaps, from a depth to a distance [m]."""
     colors = ", ".join(f"rgb{color}" for _, color in GAPS)
-    bar = f"height:0.6em;border-radius:0.3em;background:linear-gradient(to right, {colors})"
+    bar = f"height:0.6em;boundary-radius:0.3em;background:linear-gradient(to right, {colors})"
     ends = f"<span>−{deepest:.3g} m</span><span>0</span><span>{far:.3g} m</span>"
     line = f'<div style="display:flex;justify-content:space-between">{ends}</div>'
     return f'<div style="{_STYLE}"><div style="{bar}"></div>{line}</div>'

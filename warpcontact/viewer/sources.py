@@ -17,7 +17,7 @@ from warpcontact.experiment.trust import Trust
 from warpcontact.replay.drawing import Drawing
 from warpcontact.run_folder import RunPath
 from warpcontact.scene import Scene
-from warpcontact.status import Cause
+from warpcontact.status import FailureCause
 from warpcontact.viewer.values import rows_of, rows_of_parameters, spoken
 
 Facts = dict[str, list[tuple[str, str]]]
@@ -116,7 +116,7 @@ class RunSource(Source):
 
     Raises:
         ExperimentError: If it holds no run.
-        StoreError: If what was committed is not there.
+        RunDataError: If what was committed is not there.
         ValueError: If nothing was recorded over time.
     """
 
@@ -187,6 +187,6 @@ class RunSource(Source):
 def _of_health(run: Run) -> dict[int, str]:
     health = run.health
     return {
-        int(env): f"frozen: {Cause(cause).name}, at {spoken(float(time))} s"
+        int(env): f"frozen: {FailureCause(cause).name}, at {spoken(float(time))} s"
         for env, cause, time in zip(health.frozen, health.causes, health.times, strict=True)
     }

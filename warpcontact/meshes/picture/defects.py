@@ -32,11 +32,11 @@ class Defects:
     duplicate: Mask
     inward: Mask  # of closed parts that face inward
     cutting: Mask  # that cut through others, or overlap them in a plane
-    border: npt.NDArray[np.int64]
+    boundary: npt.NDArray[np.int64]
     non_manifold: npt.NDArray[np.int64]
     inconsistent: npt.NDArray[np.int64]
     pinched: npt.NDArray[np.int64]  # vertices at which parts of the surface touch in a point only
-    cracks: npt.NDArray[np.int64]  # border vertices that all but meet another one
+    cracks: npt.NDArray[np.int64]  # boundary vertices that all but meet another one
 
 
 def find_defects(vertices: npt.NDArray[np.float64], faces: npt.NDArray[Any], *, cuts: bool = True) -> Defects:
@@ -66,10 +66,10 @@ def find_defects(vertices: npt.NDArray[np.float64], faces: npt.NDArray[Any], *, 
     balance = np.bincount(edge, np.where(ends[:, 0] < ends[:, 1], 1.0, -1.0), len(edge))
     inward = np.zeros(len(faces), dtype=bool)
     inward[sound] = _inward(vertices, corners[sound], edge, (count % 2 == 1) | (balance != 0.0))
-    border, seamed = ends[count == 1], np.zeros(0, dtype=np.int64)
+    boundary, seamed = ends[count == 1], np.zeros(0, dtype=np.int64)
     pinched, cutting = seamed, np.zeros(len(faces), dtype=bool)
     if len(sound):
-        rim = np.unique(border)
+        rim = np.unique(boundary)
         size = float(np.ptp(vertices[corners[sound]], axis=(0, 1)).max())
         seamed = rim[meets_another(vertices[rim], CRACK_LIMIT * size)]
         pinched = np.flatnonzero(Edges(corners[sound]).fans(corners[sound]) > 1)
@@ -83,7 +83,7 @@ def find_defects(vertices: npt.NDArray[np.float64], faces: npt.NDArray[Any], *, 
         duplicate=duplicate,
         inward=inward,
         cutting=cutting,
-        border=border,
+        boundary=boundary,
         non_manifold=ends[count > 2],
         inconsistent=ends[(count == 2) & (balance != 0.0)],
         pinched=pinched,

@@ -40,12 +40,12 @@ def line_kinds(defects: Defects, faces: npt.NDArray[Any] | None = None) -> list[
     if faces is not None:
         corners = faces[defects.degenerate].astype(np.int64)
         slivers = np.stack((corners, corners[:, [1, 2, 0]]), axis=2).reshape(-1, 2)
-    border, several, clash = (
+    boundary, several, clash = (
         (edges, len(np.unique(np.sort(edges, axis=1), axis=0)))
-        for edges in (defects.border, defects.non_manifold, defects.inconsistent)
+        for edges in (defects.boundary, defects.non_manifold, defects.inconsistent)
     )
     found = (
-        Kind("open border", "edge", (0.85, 0.08, 0.08), *border),
+        Kind("open boundary", "edge", (0.85, 0.08, 0.08), *boundary),
         Kind("non-manifold", "edge", (0.85, 0.0, 0.75), *several),
         Kind("wound inconsistently", "edge", (0.0, 0.5, 0.15), *clash),
         Kind("degenerate", "face", (0.0, 0.0, 0.0), slivers, int(defects.degenerate.sum())),

@@ -257,7 +257,7 @@ def _legend(
     if marks or spots:
         notes.append("lines and spots are faint where the surface hides them")
     elif not (defects.inward.any() or defects.duplicate.any() or defects.cutting.any()):
-        notes.append("no open border and no defect")
+        notes.append("no open boundary and no defect")
     if report.self_intersection_count is None:
         notes.append("not examined for faces that cut each other")
     if left_out := report.face_count - len(shown):

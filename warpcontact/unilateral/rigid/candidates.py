@@ -12,7 +12,7 @@ from warpcontact.kernels.types import DRIVEN, UNSOLVED, WORLD
 from warpcontact.piles.elements import ParticleContact
 from warpcontact.piles.pile import Pile
 from warpcontact.smooth.elements import ShapeContact
-from warpcontact.status import Status
+from warpcontact.status import ContactStatus
 from warpcontact.unilateral.materials import Hard, check_rigid
 from warpcontact.unilateral.rigid.bodies import rotation_matrices
 from warpcontact.unilateral.rigid.events import Event, EventKind
@@ -158,8 +158,8 @@ class Candidates:
                 )
         sources = Hard(contact, contact.material.formulas, count).sources()
         check_rigid(contact.name, contact.material.formulas, "Or use SemiImplicitEuler")
-        if (self._values(f"{contact.name}.share", count, 1.0) != 1.0).any():
-            raise ValueError(f"{contact.name}.share must be 1: a nonsmooth contact cannot be a part of one")
+        if (self._values(f"{contact.name}.force_scale", count, 1.0) != 1.0).any():
+            raise ValueError(f"{contact.name}.force_scale must be 1: a nonsmooth contact cannot be a part of one")
         columns = [
             np.zeros(count)
             if source is None
@@ -193,8 +193,8 @@ class Candidates:
         gap, status = read("gap")[:, 0], read("status")[:, 0].astype(int)
         if (status == UNSOLVED).any():
             raise RuntimeError(f"{contact.name}: it was not found where the shapes meet")
-        meets = (status == Status.OPEN) | (status == Status.CONTACT)
-        meets |= (status == Status.WRONG_SIDE) & (gap > -LATCHED_IN)
+        meets = (status == ContactStatus.OPEN) | (status == ContactStatus.CONTACT)
+        meets |= (status == ContactStatus.WRONG_SIDE) & (gap > -LATCHED_IN)
         return np.where(meets, gap, np.inf), read("normal"), read("point")
 
     def _of_pile(self, pile: Pile, pairs: NDArray[np.int_], snapshot: Snapshot) -> tuple[Array, Array, Array]:

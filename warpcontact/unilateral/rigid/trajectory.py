@@ -50,7 +50,7 @@ class Hold:
 
 
 class Gone(Exception):
-    """A contact that is held has left its surface: beyond its border nothing can touch."""
+    """A contact that is held has left its surface: beyond its boundary nothing can touch."""
 
     def __init__(self, pairs: NDArray[np.int_]) -> None:
         super().__init__()
@@ -273,7 +273,7 @@ class Trajectory:
             rows = contact_rows(axes, measured.point[pairs], self.pairs[pairs], moved.position)
             values[steps] = (rows.reshape(3 * len(pairs), -1) @ velocity).reshape(-1, 3)
         result = values[-2] - 8.0 * values[-1] + 8.0 * values[1] - values[2]
-        # At the border of a surface, by what lies behind.
+        # At the boundary of a surface, by what lies behind.
         behind = 6.0 * (values[-2] - 4.0 * values[-1] + 3.0 * values[0])
         result = np.where(there[:, None], result, behind)
         self.assembler.place.write(snapshot)
@@ -283,7 +283,7 @@ class Trajectory:
 def _touches(measured: Measured, pairs: NDArray[np.int_], normal: Array) -> NDArray[np.bool_]:
     """Whether contacts that were closed with these normals a little before touch the same part of a surface.
 
-    What is beside the border of a surface is turned away from it.
+    What is beside the boundary of a surface is turned away from it.
     """
     alike = (measured.normal[pairs] * normal).sum(axis=1) > 0.5
     result: NDArray[np.bool_] = np.isfinite(measured.gap[pairs]) & alike

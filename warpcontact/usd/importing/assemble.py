@@ -13,7 +13,7 @@ from warpcontact.elements import Body, ContactMaterial
 from warpcontact.kernels.motions import Fixed, Prescribed
 from warpcontact.scene import Scene
 from warpcontact.usd.importing.contact_materials import FRICTION, PhysicsMaterial
-from warpcontact.usd.importing.errors import StageError, shortened
+from warpcontact.usd.importing.errors import UsdError, shortened
 from warpcontact.usd.importing.findings import Unsupported, Wrong
 from warpcontact.usd.importing.forms import Part, part_of
 from warpcontact.usd.importing.solids import Weight
@@ -45,7 +45,7 @@ def assembled(
         skip_unsupported: Whether to leave out what there is no counterpart for.
 
     Raises:
-        StageError: If something makes no sense, or has no counterpart; all of it is listed.
+        UsdError: If something makes no sense, or has no counterpart; all of it is listed.
     """
     return _Assembly(physics).scene(subject, material, contact_time, samples, skip_unsupported)
 
@@ -97,7 +97,11 @@ class _Assembly:
             self.remarks.append(f"{bare} colliders have no physics material: friction {FRICTION}, restitution 0")
         scene.suggested_dt = self.physics["stepping"]["dt"]
         scene.suggested_iterations = self.physics["stepping"]["iterations"]
-        scene.remarks = (*self.remarks, *touching.remarks, *(f"left out: {one}" for one in self.unsupported))
+        scene.import_warnings = (
+            *self.remarks,
+            *touching.remarks,
+            *(f"left out: {one}" for one in self.unsupported),
+        )
         return scene
 
     def _named_colliders(self) -> list[tuple[dict[str, Any], str]]:
@@ -115,7 +119,7 @@ class _Assembly:
     def _refuse(self, subject: str, skip: bool) -> None:
         problems = self.wrong + ([] if skip else [f"{one} (not supported)" for one in self.unsupported])
         if problems:
-            raise StageError(subject, problems)
+            raise UsdError(subject, problems)
 
     def _part(self, record: dict[str, Any], name: str) -> Part:
         """Returns a collider in the frame of its body, the origin of which is that of the prim."""

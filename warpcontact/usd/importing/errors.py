@@ -9,7 +9,7 @@ _LISTED = 50
 _LENGTH = 600
 
 
-class StageError(ValueError):
+class UsdError(ValueError):
     """A USD stage of which no scene can be made.
 
     Attributes:

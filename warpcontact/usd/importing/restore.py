@@ -20,7 +20,7 @@ from warpcontact.meshes import Mesh, SurfaceSamples
 from warpcontact.scene import Scene
 from warpcontact.usd.author import identifiers
 from warpcontact.usd.catalogue import Catalogue
-from warpcontact.usd.importing.errors import StageError, shortened
+from warpcontact.usd.importing.errors import UsdError, shortened
 from warpcontact.usd.importing.records import Record
 from warpcontact.usd.words import ADDERS, arguments_of, required_of
 
@@ -39,19 +39,19 @@ _SURE_TO_BE_GIVEN = {"point": ("body",), "points": ("body",), "shape": ("body",)
 
 
 def restored(
-    records: Record, own: Iterable[type[Formula]] = (), subject: str = "the description of the scene"
+    records: Record, custom_types: Iterable[type[Formula]] = (), subject: str = "the description of the scene"
 ) -> Scene:
     """Returns the scene of a description.
 
     Args:
         records: The description.
-        own: Classes of one's own that it may name.
+        custom_types: Classes of one's own that it may name.
         subject: What to call it in messages.
 
     Raises:
-        StageError: If it cannot be made; every prim that is in the way is named.
+        UsdError: If it cannot be made; every prim that is in the way is named.
     """
-    return _Restoration(records, Catalogue(own), subject).scene()
+    return _Restoration(records, Catalogue(custom_types), subject).scene()
 
 
 class _Restoration:
@@ -89,8 +89,8 @@ class _Restoration:
                 raise self._error(self.problems)
         return scene
 
-    def _error(self, problems: list[str]) -> StageError:
-        return StageError(self.subject, problems)
+    def _error(self, problems: list[str]) -> UsdError:
+        return UsdError(self.subject, problems)
 
     def _tried(self, record: Record, make: Callable[[], Any]) -> Any:
         try:
@@ -179,10 +179,10 @@ class _Restoration:
     def _formula(self, base: type[Formula], record: Record, each: bool = False) -> Any:
         """Returns an instance, or for shapes, ``each``, one for each row of the parameters."""
         values = dict(record["values"])
-        name, own = values.pop("type", None), values.pop("own", False)
+        name, custom_types = values.pop("type", None), values.pop("own", False)
         if not isinstance(name, str):
             raise ValueError(f"{record['path']}: type must be the name of a class, got {name!r}")
-        kind = self.catalogue.find(base, name, bool(own))
+        kind = self.catalogue.find(base, name, bool(custom_types))
         fields = {prim: field for field, prim in identifiers(f.name for f in dataclasses.fields(kind)).items()}
         for key in values:
             if key not in fields:

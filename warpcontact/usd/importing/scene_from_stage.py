@@ -15,7 +15,7 @@ from warpcontact.meshes.readers import USD_SUFFIXES, Unreadable
 from warpcontact.scene import Scene
 from warpcontact.surface_contact import check_amount
 from warpcontact.usd.importing.assemble import assembled
-from warpcontact.usd.importing.errors import StageError, shortened
+from warpcontact.usd.importing.errors import UsdError, shortened
 from warpcontact.usd.importing.packing import unpack
 from warpcontact.usd.importing.restore import restored
 from warpcontact.usd.importing.stage import read_stage
@@ -24,7 +24,7 @@ from warpcontact.usd.importing.stage import read_stage
 def scene_from_usd(
     path: str | os.PathLike[str],
     *,
-    own: Iterable[type[Formula]],
+    custom_types: Iterable[type[Formula]],
     material: ContactMaterial | None,
     contact_time: float,
     samples: int | str,
@@ -44,11 +44,11 @@ def scene_from_usd(
     found = _read(Path(path), subject, checks.switch("trusted", trusted), Limits() if limits is None else limits)
     if "description" in found:
         if found["additions"] and not skip:
-            raise StageError(subject, [f"{one} (not supported)" for one in found["additions"]])
-        scene = restored(found["description"], own, subject)
+            raise UsdError(subject, [f"{one} (not supported)" for one in found["additions"]])
+        scene = restored(found["description"], custom_types, subject)
         scene.suggested_dt = found["stepping"]["dt"]
         scene.suggested_iterations = found["stepping"]["iterations"]
-        scene.remarks = tuple(f"left out: {one}" for one in found["additions"])
+        scene.import_warnings = tuple(f"left out: {one}" for one in found["additions"])
         return scene
     return assembled(
         found["physics"],
@@ -72,4 +72,4 @@ def _read(path: Path, subject: str, trusted: bool, limits: Limits) -> Any:
         task = {"file": file, "most_faces": limits.faces}
         return read_apart("warpcontact.usd.importing.stage", task, limits, partial(unpack, limits=limits))
     except (Unreadable, OSError) as error:
-        raise StageError(subject, [str(error)]) from error
+        raise UsdError(subject, [str(error)]) from error

@@ -190,8 +190,8 @@ class Touching:
         """Lets points of one surface touch the other; ``part``: of the force of the pair."""
         points, outside = one.sampled(self.scene, self.samples), other.surface(self.scene)
         reach = 0.5 * float(np.linalg.norm(np.ptp(outside.mesh.bounds, axis=0)))
-        share = part * share_of(points.positions, reach, convex=one.moves)
-        self.scene.add_contact(points, outside, material, share=share, **options)
+        force_scale = part * share_of(points.positions, reach, convex=one.moves)
+        self.scene.add_contact(points, outside, material, force_scale=force_scale, **options)
 
 
 def _shape(one: Collider) -> Shape:

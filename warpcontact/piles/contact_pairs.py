@@ -24,7 +24,7 @@ _MEANINGS = {
 }
 
 
-def touching(parts: "Sequence[tuple[Model, int, Pile]]") -> xr.Dataset:
+def contact_pairs(parts: "Sequence[tuple[Model, int, Pile]]") -> xr.Dataset:
     """Returns the pairs that touch in the state that forces were computed of last.
 
     Args:
