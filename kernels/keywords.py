@@ -12,6 +12,7 @@ from types import FunctionType
 from typing import Any, ParamSpec, TypeVar, get_args
 
 from warpcontact.kernels.names import closest
+from warpcontact.kernels.renamed import present_name
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -78,6 +79,8 @@ def unexpected(called: str, given: Iterable[str], known: Collection[str]) -> str
     """
     words = list(given)
     unknown = [name for name in words if name not in known]
+    if new := {name: now for name in unknown if (now := present_name(name, known)) is not None}:
+        return "; ".join(f"{called}(): the keyword {name!r} is now {now!r}" for name, now in new.items())
     left = [name for name in known if name not in words]
     meant = dict.fromkeys(found for found in (closest(name, left) for name in unknown) if found is not None)
     what = "an unexpected keyword argument" if len(unknown) == 1 else "unexpected keyword arguments"

@@ -7,6 +7,8 @@ or ``ke`` in Newton is ``stiffness`` here. Every "did you mean" comes from this 
 import difflib
 from collections.abc import Iterable, Iterator
 
+from warpcontact.kernels.renamed import present_name
+
 #: Words that are accepted for a sensor on input. Data, files and lists of names have the name on the right.
 ALIASES = {"delta": "penetration"}
 
@@ -133,8 +135,14 @@ def closest(name: str, known: Iterable[str]) -> str | None:
 
 
 def suggestion(name: object, known: Iterable[str]) -> str:
-    """Returns ``"; did you mean 'mass'?"`` with the closest known name, or nothing if none is close."""
-    found = closest(str(name), known)
+    """Returns ``"; did you mean 'mass'?"`` with the closest known name, or nothing if none is close.
+
+    A name that was renamed gives ``"; it is now 'material'"``.
+    """
+    names = list(known)
+    if (new := present_name(name, names)) is not None:
+        return f"; it is now {new!r}"
+    found = closest(str(name), names)
     return f"; did you mean {found!r}?" if found is not None else ""
 
 

@@ -198,7 +198,7 @@ def test_a_damaged_file_is_refused(device, tmp_path):
 
 def test_a_file_of_a_later_version_is_refused(device, tmp_path):
     checkpoint.write(tmp_path / "state.npz", {}, {"schema": 99})
-    with pytest.raises(wc.CheckpointError, match=r"schema 99, .*this version reads schema 4"):
+    with pytest.raises(wc.CheckpointError, match=r"schema 99, .*this version reads schema 5"):
         simulation("impulses", device).load(tmp_path / "state.npz")
 
 

@@ -167,7 +167,7 @@ def test_files_of_an_earlier_schema_are_named(saved, tmp_path):
     sim, _, _ = saved
     checkpoint.write(tmp_path / "old.npz", {}, {"schema": 3, "program": "warpcontact 0.0.1"})
     with pytest.raises(
-        wc.CheckpointError, match=r"is of schema 3, by 'warpcontact 0\.0\.1'; this version reads schema 4"
+        wc.CheckpointError, match=r"is of schema 3, by 'warpcontact 0\.0\.1'; this version reads schema 5"
     ):
         sim.load(tmp_path / "old.npz")
 

@@ -17,7 +17,7 @@ from warpcontact.run_folder import RunPath
 MOST = 2**31 - 1
 SUMMARY = {
     "program": "warpcontact 1.0",
-    "schema": 1,
+    "schema": 2,
     "state": "finished",
     "name": "study",
     "device": "cpu",

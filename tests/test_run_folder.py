@@ -46,9 +46,9 @@ def test_run_json_that_is_cut_off_is_no_run(content, whole_run, copied_run):
 @pytest.mark.parametrize(
     ("entries", "message"),
     [
-        ({"schema": 2}, "schema must be 1, got 2, written by warpcontact"),
-        ({"schema": "1"}, "schema must be 1, got '1'"),
-        ({"schema": None}, "schema must be 1, got None"),
+        ({"schema": 1}, "schema must be 2, got 1, written by warpcontact"),
+        ({"schema": "2"}, "schema must be 2, got '2'"),
+        ({"schema": None}, "schema must be 2, got None"),
         ({"envs": 0}, "envs must be a whole number from 1 to 2147483647, got 0"),
         ({"envs": 10**30}, "envs must be a whole number from 1 to 2147483647, got 10{30}"),
         ({"envs": 11}, r"envs must be 10, as in experiment\.toml, got 11"),

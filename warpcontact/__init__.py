@@ -227,7 +227,10 @@ def _load(name: str) -> ModuleType:
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
         from warpcontact.kernels.names import suggestion
+        from warpcontact.kernels.renamed import present_name
 
+        if (new := present_name(name, _HOME)) is not None:
+            raise AttributeError(f"warpcontact.{name} is now warpcontact.{new}")
         hint = "" if name.startswith("_") else suggestion(name, _HOME)
         raise AttributeError(f"module 'warpcontact' has no attribute {name!r}{hint}")
     module = _load(_HOME[name])

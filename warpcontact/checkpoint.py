@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from warpcontact.simulation import Simulation
 
 #: Goes up when files of earlier versions can no longer be read as they are.
-SCHEMA = 4
+SCHEMA = 5
 _HEADER = "header"
 
 Arrays = dict[str, NDArray[Any]]

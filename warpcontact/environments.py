@@ -16,6 +16,7 @@ from warpcontact.footprint import Footprint, environments, require, total
 from warpcontact.health import Health
 from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.kernels.names import stored_name
+from warpcontact.kernels.renamed import explain_renamed
 from warpcontact.looks import EVALUATED
 from warpcontact.of_scene import MEASURES
 from warpcontact.parameters import Parameter
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from warpcontact.model import Model, State
 
 
+@explain_renamed
 @explain_keywords_of
 class Environments(
     Uncopied, ABC, instead="pickle or copy its scene, and build that: model.scene.build(envs=model.envs)"

@@ -28,6 +28,7 @@ from warpcontact.elements import (
     Surface,
 )
 from warpcontact.kernels.keywords import explain_keywords_of
+from warpcontact.kernels.renamed import explain_renamed
 from warpcontact.meshes import SurfaceSamples
 from warpcontact.meshes.groups import face_mask
 from warpcontact.piles.adding import ParticleContacts
@@ -61,6 +62,7 @@ MAX_SPEED = limits("m/s", above=0.0, may_be_infinite=True)
 MAX_DISTANCE = limits("m", above=0.0, may_be_infinite=True)
 
 
+@explain_renamed
 @explain_keywords_of
 class Scene(Bodies, Couplings, ShapeContacts, ParticleContacts):
     """Bodies, surfaces, shapes, points, contacts and couplings of one environment; ``build`` makes many of it.

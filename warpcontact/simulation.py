@@ -23,6 +23,7 @@ from warpcontact.footprint import Footprint, Need, environments, require
 from warpcontact.integrators import Integrator, SemiImplicitEuler
 from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.kernels.outcomes.base import Outcome
+from warpcontact.kernels.renamed import explain_renamed
 from warpcontact.looks import EVALUATED, in_parts, known_needs
 from warpcontact.model import Model, State
 from warpcontact.outcomes.watch import ContactEvents, StopCondition, Watch
@@ -49,6 +50,7 @@ SHORTEST_PIECE = 8
 LONGEST_PIECE_QUEUED = 64
 
 
+@explain_renamed
 @explain_keywords_of
 class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(path) keep its state"):
     """Steps a model through time.

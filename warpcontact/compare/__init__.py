@@ -5,5 +5,8 @@ from warpcontact.compare.friction_picture import plot_friction_models
 from warpcontact.compare.impact import impacts, rebounds
 from warpcontact.compare.law_picture import plot_laws
 from warpcontact.compare.slip import slips, swings
+from warpcontact.kernels.renamed import explain_renamed_in
 
 __all__ = ["check_path", "impacts", "plot_friction_models", "plot_laws", "rebounds", "slips", "swings"]
+
+__getattr__ = explain_renamed_in(__name__, __all__)

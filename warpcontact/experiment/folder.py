@@ -27,7 +27,7 @@ PICTURE = "picture.png"
 PROGRESS = "progress"
 
 #: Goes up when the folders of earlier versions have to be read in another way.
-SCHEMA = 1
+SCHEMA = 2
 
 # What ``state`` in run.json may be. A run that was killed stays unfinished.
 FINISHED = "finished"

@@ -15,6 +15,7 @@ from warpcontact.experiment.own import OwnFiles
 from warpcontact.experiment.schema import LISTS, SECTIONS, Settings, VariationSettings, table_at
 from warpcontact.experiment.variation_settings import MOST_ENVS, grid_size
 from warpcontact.kernels.names import suggestion
+from warpcontact.kernels.renamed import present_name
 from warpcontact.run_folder import read_file
 
 # What a value must be, by the type of pydantic's error.
@@ -193,6 +194,9 @@ def _explain(error: Any, raw: Mapping[str, Any], own: OwnFiles, problems: Proble
         problems.add(path, f"is not known{_several(location[0])}")
     elif kind == "extra_forbidden":
         keys = list(table_at(location[:-1], raw, own).model_fields)
+        if (new := present_name(location[-1], keys)) is not None:
+            problems.add(path, f"is now {key_path((*location[:-1], new))}")
+            return
         problems.add(path, f"is not known{suggestion(location[-1], keys) or '; allowed: ' + ', '.join(keys)}")
     elif kind == "value_error":
         several = location[0] in _PLURALS and location[-1] == "position" and _is_list_of_lists(value)

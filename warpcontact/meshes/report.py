@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from warpcontact.hostile import visible
+from warpcontact.kernels.renamed import explain_renamed
 from warpcontact.meshes.topology import Component, Orientation
 
 # A largest dimension outside of this range [m] usually means a file in millimetres or inches.
@@ -27,6 +28,7 @@ class RepairStep:
     text: str
 
 
+@explain_renamed
 @dataclass(frozen=True)
 class MeshReport:
     """Facts about a triangle mesh; lengths in m, areas in m², volumes in m³.

@@ -21,10 +21,9 @@ from warpcontact.meshes import Mesh
 from warpcontact.scene import Scene
 from warpcontact.usd.author import identifiers
 from warpcontact.usd.catalogue import is_own
+from warpcontact.usd.importing.records import SCHEMA
 from warpcontact.usd.words import Form, Words, words_of
 
-#: Number of the way in which scenes are written; another one where a default of an argument changes.
-SCHEMA = 1
 #: Where exports have the description.
 ROOT = "/World/Description"
 

@@ -6,6 +6,8 @@ import numpy as np
 
 from warpcontact.usd.importing.errors import shortened
 
+#: Schema of descriptions. It increases when a default of an argument changes, or a name.
+SCHEMA = 2
 _PREFIX = "warpcontact:"
 # Types of attributes, as Sdf calls them: single values, rows of numbers, arrays.
 _PLAIN = ("bool", "int64", "double", "string")
@@ -32,18 +34,38 @@ class Record(TypedDict):
 
 
 def read_records(stage: Any) -> Record | None:
-    """Returns the description of a stage; ``None`` if there is none.
+    """Returns the description of a stage; ``None`` if it has none, or one of an earlier schema.
 
     Raises:
         ValueError: If there are several, or one has what descriptions do not have; the message names the prim.
     """
-    roots = [prim for prim in stage.Traverse() if prim.HasAttribute(f"{_PREFIX}schema")]
+    roots = [prim for prim in _roots(stage) if not _is_earlier(prim)]
     if not roots:
         return None
     if len(roots) > 1:
         listed = ", ".join(shortened(prim.GetPath()) for prim in roots[:5])
         raise ValueError(f"a stage describes one scene, got descriptions at {listed}")
     return _record(roots[0], 0)
+
+
+def earlier_description(stage: Any) -> str | None:
+    """Returns a warning if a stage has a description of an earlier schema, which is not read; else ``None``."""
+    for prim in filter(_is_earlier, _roots(stage)):
+        version = prim.GetAttribute(f"{_PREFIX}version").Get()
+        return (
+            f"{shortened(prim.GetPath())}: written by warpcontact {shortened(version)} in schema "
+            f"{prim.GetAttribute(f'{_PREFIX}schema').Get()}; the stage is imported as one of UsdPhysics"
+        )
+    return None
+
+
+def _roots(stage: Any) -> list[Any]:
+    return [prim for prim in stage.Traverse() if prim.HasAttribute(f"{_PREFIX}schema")]
+
+
+def _is_earlier(prim: Any) -> bool:
+    schema = prim.GetAttribute(f"{_PREFIX}schema").Get()
+    return isinstance(schema, int) and 0 < schema < SCHEMA
 
 
 def _record(prim: Any, depth: int) -> Record:

@@ -21,11 +21,9 @@ from warpcontact.scene import Scene
 from warpcontact.usd.author import identifiers
 from warpcontact.usd.catalogue import Catalogue
 from warpcontact.usd.importing.errors import UsdError, shortened
-from warpcontact.usd.importing.records import Record
+from warpcontact.usd.importing.records import SCHEMA, Record
 from warpcontact.usd.words import ADDERS, arguments_of, required_of
 
-# The ways in which descriptions were written so far.
-_SCHEMAS = (1,)
 _FORMULAS: dict[str, type[Formula]] = {
     "motion": Motion,
     "spring": Spring,
@@ -64,7 +62,7 @@ class _Restoration:
 
     def scene(self) -> Scene:
         values = self.root["values"]
-        if not isinstance(values["schema"], int) or values["schema"] not in _SCHEMAS:
+        if not isinstance(values["schema"], int) or values["schema"] != SCHEMA:
             version = shortened(values.get("version", "an unknown version"))
             raise self._error([f"{self.root['path']} was written by warpcontact {version}, which is newer"])
         given = {name: values[name] for name in ("gravity", "max_speed", "max_distance") if name in values}

@@ -7,7 +7,7 @@ from warpcontact.meshes.readers.unreadable import Unreadable
 from warpcontact.meshes.readers.usd_layers import check_layers, reason
 from warpcontact.usd.importing.additions import additions
 from warpcontact.usd.importing.physics import read_physics
-from warpcontact.usd.importing.records import read_records
+from warpcontact.usd.importing.records import earlier_description, read_records
 from warpcontact.usd.importing.stepping import stepping_of
 
 
@@ -47,7 +47,10 @@ def read_stage(file: str, most_faces: int, *, confined: bool) -> dict[str, Any]:
                 "additions": additions(stage, records),
                 "stepping": stepping_of(stage),
             }
-        return {"physics": read_physics(stage, most_faces)}
+        physics = read_physics(stage, most_faces)
+        if (warning := earlier_description(stage)) is not None:
+            physics["findings"]["remarks"].append(warning)
+        return {"physics": physics}
     except Tf.ErrorException as error:
         raise Unreadable(f"not valid USD: {reason(error)}") from error
     except Unreadable:
