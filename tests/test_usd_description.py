@@ -203,14 +203,17 @@ def test_what_was_exported_is_read_and_goes_on_as_it_was_simulated(suffix, devic
     assert (first["contact.normal_force"] > 0).any()
 
 
-def test_stage_with_a_description_of_an_earlier_schema_is_imported_as_usd_physics(tmp_path):
-    stage = written(scenes.touching())
+def test_stage_with_a_description_of_an_earlier_schema_is_imported_as_usd_physics(device, tmp_path):
+    simulation = wc.Simulation(scenes.touching().build(device=device), dt=1e-4)
+    path = wc.export_usd(simulation.run(1e-3, record=["ball.position", "ball.orientation"]), tmp_path / "a.usda")
+    stage = Usd.Stage.Open(str(path))
     for name, value in (("schema", 1), ("version", "0.0.1")):
         stage.GetPrimAtPath("/World/Description").GetAttribute(f"warpcontact:{name}").Set(value)
     assert read_description(stage) is None
-    stage.Export(str(tmp_path / "earlier.usda"))
-    scene = wc.Scene.from_usd(tmp_path / "earlier.usda", skip_unsupported=True)
-    assert any(
-        "written by warpcontact '0.0.1' in schema 1; the stage is imported as one of UsdPhysics" in warning
-        for warning in scene.import_warnings
-    )
+    stage.GetRootLayer().Save()
+    scene = wc.Scene.from_usd(path, skip_unsupported=True)
+    assert [
+        warning for warning in scene.import_warnings if "in schema 1; the stage is imported as one of" in warning
+    ] == [
+        "/World/Description: written by warpcontact 0.0.1 in schema 1; the stage is imported as one of UsdPhysics"
+    ]
