@@ -4,7 +4,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from hard_scenes import rigid
+from hard_scenes import G, rigid
 from scenes import square
 
 import warpcontact as wc
@@ -190,6 +190,78 @@ def test_body_on_a_mesh_at_gap_zero_is_closed(gap, rule, device):
 
 def sequential_from_above(mass, restitution, before):
     return -sequential(mass[::-1], restitution, -before[::-1])[::-1]
+
+
+def supported_balls(count, envs, device, precision="float64"):
+    """Balls of 1 kg on a floor, one on the other, under gravity, e = 1; 10 mm above them one that falls at 2 m/s."""
+    scene = wc.Scene(gravity=(0.0, 0.0, -G))
+    ground = scene.add_surface(square(2.0), name="ground")
+    shapes = []
+    for i in range(count):
+        top = {"linear_velocity": (0.0, 0.0, -2.0)} if i == count - 1 else {}
+        place = (0.0, 0.0, 0.05 + 0.1 * i + (0.01 if top else 0.0))
+        body = scene.add_body(1.0, (1e-3,) * 3, position=place, name=f"ball_{i}", **top)
+        shapes.append(scene.add_shape(body, wc.shapes.Sphere(0.05)))
+        if i == 0:
+            scene.add_contact(scene.add_point(body, (0, 0, 0)), ground, rigid(1.0), radius=0.05, name="floor")
+    for i in range(count - 1):
+        scene.add_shape_contact(shapes[i], shapes[i + 1], rigid(1.0), name=f"touch_{i}")
+    return scene.build(envs=envs, device=device, precision=precision)
+
+
+def energy_above_rest(data, model, count):
+    """Returns the energy (time, envs) without the potential energy of all balls at rest on each other."""
+    total = data["scene.kinetic_energy"].values + data["scene.potential_energy"].values
+    return total - sum(model[f"ball_{i}.mass"] * G * (0.05 + 0.1 * i) for i in range(count))
+
+
+def test_sequential_impact_on_a_supported_ball_converges_to_the_closed_form(device):
+    """The impulse that carries the weight does work during the impact, which restitution loses: both of order dt."""
+    top_mass = np.array([0.5, 0.1, 0.3, 0.5, 0.5])
+    e = np.array([1.0, 1.0, 1.0, 0.999, 0.5])
+    model = supported_balls(2, len(e), device)
+    model["ball_1.mass"] = top_mass
+    model["floor.law.restitution"] = model["touch_0.law.restitution"] = e
+    sensors = ["ball_0.linear_velocity", "ball_1.linear_velocity"]
+    sensors += ["scene.kinetic_energy", "scene.potential_energy"]
+    errors = []
+    for dt in (1e-3, 1e-4):
+        sim = wc.Simulation(model, dt, wc.integrators.MoreauJean(impacts="sequential"))
+        sim.reset()
+        data = sim.run(0.01, sensors)
+        lower, upper = (data[name].values[..., 2] for name in sensors[:2])
+        after = int(np.argmax(upper[:, 0] > 0.0))
+        speed = -upper[after - 1]
+        expected = [
+            sequential_from_above(np.array([1e9, 1.0, m]), one_e, np.array([0.0, 0.0, -v]))[1:]
+            for m, one_e, v in zip(top_mass, e, speed, strict=True)
+        ]
+        found = np.stack([lower[after], upper[after]], axis=1)
+        errors.append(np.abs(found - expected).max(axis=1))
+        energy = energy_above_rest(data, model, 2)
+        assert (energy <= energy[0] * (1.0 + 1e-6)).all()
+        # Restitution is limited by no more than this work.
+        np.testing.assert_allclose(energy[-1, :3], energy[0, :3], rtol=1e-5)
+    errors = np.array(errors)
+    # Limited restitution costs up to three times the speed that gravity adds in a step.
+    assert (errors[0] < 3.0 * G * 1e-3).all()
+    np.testing.assert_allclose(errors[0, :3] / errors[1, :3], 10.0, rtol=0.1)
+    assert (errors[:, 4] < 1e-6).all()
+
+
+def test_energy_of_elastic_balls_under_gravity_is_kept_by_sequential_impacts(device):
+    envs, rng = 8, np.random.default_rng(5)
+    model = supported_balls(4, envs, device)
+    for i in range(4):
+        model[f"ball_{i}.mass"] = rng.uniform(0.2, 3.0, envs)
+    sim = wc.Simulation(model, 1e-3, wc.integrators.MoreauJean(impacts="sequential"))
+    data = sim.run(1.0, ["scene.kinetic_energy", "scene.potential_energy"])
+    energy = energy_above_rest(data, model, 4)
+    np.testing.assert_allclose(energy, np.broadcast_to(energy[0], energy.shape), rtol=1e-3)
+    # A contact that is closed but parts with less than g h is held, which may lift each ball by as much.
+    held = sum(model[f"ball_{i}.mass"] for i in range(4)) * (G * 1e-3) ** 2 / 8.0
+    assert (np.diff(energy, axis=0) <= held + 1e-6 * energy[0]).all()
+    assert not model.sensor("scene.solve_failures").any()
 
 
 def test_unknown_rule_is_refused(device):

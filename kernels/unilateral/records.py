@@ -54,6 +54,8 @@ def record_structs(real: type) -> SimpleNamespace:
         part: wp.array(dtype=real)  # [env] of the solve, 0 to 1
         kept: wp.array(dtype=real)  # [env] the largest that is known to bring none
         gains: wp.array(dtype=real)  # [env] the smallest that is known to bring some
+        lost: wp.array(dtype=real)  # [env] twice the energy that impulses take at ``kept`` [J]
+        gained: wp.array(dtype=real)  # [env] twice the energy that they bring at ``gains`` [J]
 
     @wp.struct
     class Shown:

@@ -1,8 +1,13 @@
-"""Keeps impacts from bringing energy.
+"""Limits restitution so that impacts add no energy.
 
-Newton's law says with what speed a contact parts, whatever impulse that takes. Where friction turns the slip
-round, or contacts of different restitution are hit together, it may do more work than there was (Kane and Levinson
-1985). With no restitution it cannot, whatever the friction; so there is a part of it that does not.
+Newton's law prescribes the speed at which a contact parts, for any impulse. The impulses of a step may then do work
+W > 0 on the bodies: if friction reverses the slip, if contacts of different restitution are hit together
+(Kane and Levinson 1985), or if the impulse that carries the weight of a body at rest acts while an impact launches it.
+In the last case W is of the order of the step, so the reduction must vanish with the step.
+
+``restrain_impacts`` scales all restitution of an environment by the largest factor s found with W(s) ≤ 0. W(0) ≤ 0 for
+any friction. Without friction and with the same contacts pressed, W is a convex quadratic of s, so its chord between a
+point with W < 0 and one with W > 0 is zero at a point with W ≤ 0, near the root.
 """
 
 import functools
@@ -20,11 +25,11 @@ ROUNDS = 4
 
 @functools.cache
 def kernel(real: type, moves: bool) -> wp.Kernel:
-    """Returns the kernel that looks for a large part of the restitution that brings no energy; items: 1.
+    """Returns the kernel that chooses the factor of the restitution for the next solve; items: 1.
 
-    It comes after each solve, ``number`` 0 after the first, with the whole restitution. Where that brings energy,
-    the interval between what is known to bring some and none is halved and the environment solved again; the last
-    time with what brings none, which is nothing at the least.
+    It runs after each solve, with ``number`` 0 after the first, which has the factor 1. If that adds energy, three
+    factors between the largest found to add none and the smallest found to add some are tried: a Newton step from 1,
+    then zeros of the chord, or the middle if only 0 adds none. The last solve has a factor that adds none.
     """
     t = structs(real)
     State = t.State
@@ -39,6 +44,7 @@ def kernel(real: type, moves: bool) -> wp.Kernel:
     # Of the work at all contacts: what rounding may bring; and what a solve may, over its tolerance.
     slight = wp.constant(real(1.0e-4) if real is wp.float32 else real(1.0e-9))
     unsolved = wp.constant(real(10.0))
+    zero, half, one, two = (wp.constant(real(x)) for x in (0.0, 0.5, 1.0, 2.0))
 
     @wp.func
     def bounces(rows: Rows, env: int, count: int):
@@ -48,10 +54,11 @@ def kernel(real: type, moves: bool) -> wp.Kernel:
         return found
 
     @wp.func
-    def gains(middle: State, rows: Rows, moving: Moving, change: Change, env: int, count: int, tolerance: real):
-        """Whether all impulses together do work."""
+    def work_of(middle: State, rows: Rows, moving: Moving, change: Change, env: int, count: int, tolerance: real):
+        """Returns twice the work of all impulses, its rounding bound, and the estimate of its slope at factor 1."""
         work_done = real(0.0)
         size = real(0.0)
+        slope = zero
         for row in range(count):
             body_1 = rows[env, row].body_1
             body_2 = rows[env, row].body_2
@@ -71,7 +78,10 @@ def kernel(real: type, moves: bool) -> wp.Kernel:
             body = wp.where(body_1 < 0, body_2, body_1)
             free = wp.sqrt(wp.max(change[env, body].speed_squared, real(0.0)))
             size += wp.length(impulse) * (wp.length(u_before) + wp.length(u_after) + free)
-        return work_done > wp.max(slight, unsolved * tolerance) * size
+            # Exact for one contact without friction: W = ½ m (s² e² − 1) U⁻², P_n = m (1 + s e) U⁻, bounce s e U⁻.
+            e = rows[env, row].restitution
+            slope += two * e / (one + e) * rows[env, row].bounce * wp.dot(impulse, rows[env, row].normal)
+        return work_done, wp.max(slight, unsolved * tolerance) * size, slope
 
     @unique_kernel()
     def restrain_impacts(
@@ -99,15 +109,27 @@ def kernel(real: type, moves: bool) -> wp.Kernel:
             part = restraint.part[env]
             if part == real(1.0) and not bounces(rows, env, count):
                 continue
-            if gains(middle, rows, moving, change, env, count, tolerance):
+            work_done, bound, slope = work_of(middle, rows, moving, change, env, count, tolerance)
+            next_part = half * part
+            if work_done > bound:
                 restraint.gains[env] = part
-            elif part == real(1.0):
+                restraint.gained[env] = work_done
+                if part == one:
+                    # Twice the Newton step, so that W < 0 there; not below ½.
+                    next_part = wp.max(one - two * work_done / wp.max(slope, work_done), half)
+                # Illinois rule: the end that stays counts half, so that the next chord is zero nearer to it.
+                restraint.lost[env] = half * restraint.lost[env]
+            elif part == one:
                 continue
             else:
                 restraint.kept[env] = part
-            next_part = real(0.5) * (restraint.kept[env] + restraint.gains[env])
+                restraint.lost[env] = wp.max(-work_done, zero)
+            kept = restraint.kept[env]
+            if kept > zero:
+                lost = restraint.lost[env]
+                next_part = kept + (restraint.gains[env] - kept) * lost / (lost + restraint.gained[env])
             if number == last:
-                next_part = restraint.kept[env]
+                next_part = kept
                 if next_part == part:
                     continue
             restraint.part[env] = next_part
