@@ -115,6 +115,13 @@ def closest(name: str, known: Iterable[str]) -> str | None:
     Names with dots are compared within their element: ``touch.delta_dot`` stands for a name of ``touch``.
     """
     names = list(dict.fromkeys(known))
+    # Aliases last, so that a word stands for the stored name.
+    names += [
+        f"{name.removesuffix(stored)}{alias}"
+        for alias, stored in ALIASES.items()
+        for name in names
+        if name.count(".") == 1 and name.endswith(f".{stored}")
+    ]
     lower = {one.lower(): one for one in reversed(names)}
     # A single letter may be a symbol, in which capitals matter.
     if name.lower() in lower and len(name) > 1:

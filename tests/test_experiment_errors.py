@@ -106,6 +106,11 @@ BAD = [
         ["touch.zzzzzz"],
         "record.sensors[0] must be the name of a sensor, got 'touch.zzzzzz'; there are: touch.point, touch.",
     ),
+    (
+        ("record", "sensors"),
+        ["touch.impulse"],
+        "record.sensors[0] must be the name of a sensor, got 'touch.impulse'; only nonsmooth contact has it, with",
+    ),
     (("record", "sensors"), "touch.gap", "record.sensors must be a list, got 'touch.gap'"),
     # Ranges, with their units.
     (("envs",), 0, "envs must be at least 1, got 0"),

@@ -129,6 +129,27 @@ def test_delta_is_a_name_of_penetration_on_input_only(model):
     model.reset()
 
 
+def test_close_spelling_of_an_alias_suggests_the_alias(model):
+    with pytest.raises(KeyError, match=r"no sensor 'touch.dellta'; did you mean 'touch.delta'\?"):
+        model.sensor("touch.dellta")
+
+
+@pytest.mark.parametrize("name", ["touch.impulse", "touch.mode", "scene.closed_contacts"])
+def test_sensor_of_nonsmooth_contact_names_its_integrator(name, model):
+    expected = rf"no sensor '{name}'; only nonsmooth contact has it, with the integrator MoreauJean"
+    with pytest.raises(KeyError, match=expected):
+        model.sensor(name)
+    with pytest.raises(KeyError, match=expected):
+        wc.Simulation(model, 1e-4, outcomes={"largest": wc.outcomes.Max(name)})
+
+
+def test_run_reports_all_unknown_sensors(model):
+    with pytest.raises(
+        KeyError, match=r"'tuch.gap'; did you mean 'touch.gap'\? no sensor 'foo.gap'; did you mean"
+    ):
+        wc.Simulation(model, 1e-4).run(1e-3, ["tuch.gap", "touch.gap", "foo.gap"])
+
+
 def test_delta_is_stored_as_penetration_by_experiments(device, tmp_path):
     watched = {"outcome": {"deepest": {"type": "Max", "of": "touch.delta"}}}
     watched["stop"] = {"deep": {"of": "touch.delta", "above": 1.0}}

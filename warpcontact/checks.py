@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -214,7 +214,13 @@ def check_length(what: str, name: str, most: int = MOST_NAME) -> None:
         )
 
 
-def look_up(kind: str, name: str, table: Mapping[str, Any], stored: Callable[[str], str] = str) -> Any:
+def look_up(
+    kind: str,
+    name: str,
+    table: Mapping[str, Any],
+    stored: Callable[[str], str] = str,
+    hint: Callable[[str, Mapping[str, Any]], str] | None = None,
+) -> Any:
     """Returns the entry ``name``.
 
     Args:
@@ -222,6 +228,7 @@ def look_up(kind: str, name: str, table: Mapping[str, Any], stored: Callable[[st
         name: Name or alias of an entry.
         table: The entries by name.
         stored: Returns the name for an alias, other names unchanged.
+        hint: Returns the end of the message from an unknown name and the entries. Default: similar names.
 
     Raises:
         TypeError: If ``name`` is no string.
@@ -232,8 +239,13 @@ def look_up(kind: str, name: str, table: Mapping[str, Any], stored: Callable[[st
     try:
         return table[stored(name)]
     except KeyError:
-        hint = suggestion(name, table) or f"; {there_are(name, table)}"
-        raise KeyError(f"no {kind} {name!r}{hint}") from None
+        end = similar(name, table) if hint is None else hint(name, table)
+        raise KeyError(f"no {kind} {name!r}{end}") from None
+
+
+def similar(name: str, known: Collection[str]) -> str:
+    """Returns the end of a message about an unknown name: the closest known name, or some of all names."""
+    return suggestion(name, known) or f"; {there_are(name, known)}"
 
 
 def there_are(name: str, known: Iterable[str]) -> str:

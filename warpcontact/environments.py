@@ -1,7 +1,8 @@
 """What can be done with many environments of one scene, on whatever devices they are."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Set
+from collections.abc import Iterable, Iterator, Set
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -227,8 +228,26 @@ class Environments(
         Raises:
             KeyError: If there is none; the message suggests the closest name.
         """
-        sensors = self.parts[0].sensors
-        return look_up("sensor", name, sensors, stored_name)
+        from warpcontact.unilateral.hard_contacts import sensor_hint
+
+        hint = partial(sensor_hint, scene=self.scene)
+        return look_up("sensor", name, self.parts[0].sensors, stored_name, hint)
+
+    def find_sensors(self, names: Iterable[str]) -> list[Sensor]:
+        """Returns the sensors with these names or aliases.
+
+        Raises:
+            KeyError: If any is missing; the message names all that are.
+        """
+        found, problems = [], []
+        for name in names:
+            try:
+                found.append(self.find_sensor(name))
+            except KeyError as error:
+                problems.append(error.args[0])
+        if problems:
+            raise KeyError(". ".join(dict.fromkeys(problems)).replace("?. ", "? "))
+        return found
 
     @property
     def sensor_names(self) -> tuple[str, ...]:

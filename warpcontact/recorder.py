@@ -151,7 +151,7 @@ class Recorder:
             both = ("position", "orientation")
             wanted += [f"{body.name}.{key}" for body in model.scene.bodies for key in both]
         # By the names under which they are stored: two names of one sensor are one channel.
-        sensors = {sensor.name: sensor for sensor in map(model.find_sensor, wanted)}
+        sensors = {sensor.name: sensor for sensor in model.find_sensors(wanted)}
         self.needs = {need for sensor in sensors.values() for need in sensor.needs}
         model.make_measures(self.needs)
         self.channels = [Channel(model, name) for name in sensors]

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 from warpcontact import collecting
 from warpcontact.build import draw_up
-from warpcontact.checks import there_are
 from warpcontact.contact_warning import RunWarning
 from warpcontact.draft import Draft
 from warpcontact.environments import Environments
@@ -31,12 +30,12 @@ from warpcontact.experiment.variation import Variation, truncated
 from warpcontact.footprint import environments
 from warpcontact.integrators.base import formulas_of
 from warpcontact.kernels.keywords import explain_keywords_of
-from warpcontact.kernels.names import stored_name, suggestion
+from warpcontact.kernels.names import stored_name
 from warpcontact.model import Model
 from warpcontact.scene import Scene
 from warpcontact.simulation import Simulation
 from warpcontact.split_model import SplitModel
-from warpcontact.unilateral.hard_contacts import is_of_hard_contact
+from warpcontact.unilateral.hard_contacts import is_of_hard_contact, sensor_hint
 from warpcontact.whole_steps import whole_steps
 
 if TYPE_CHECKING:
@@ -398,7 +397,7 @@ class Experiment:
             if not steps and is_of_hard_contact(name):
                 continue
             if stored_name(name) not in model.sensor_names and not unsound(name):
-                hint = suggestion(name, model.sensor_names) or f"; {there_are(name, model.sensor_names)}"
+                hint = sensor_hint(name, model.sensor_names, model.scene)
                 problems.add(f"record.sensors[{i}]", f"must be the name of a sensor, got {name!r}{hint}")
         every = self._interval(model, settings, problems)
         self._given = settings

@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from functools import partial
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -92,6 +93,7 @@ class Finder:
 
     def __init__(self, model: "Model | PartDraft", hard: "HardContacts | None") -> None:
         self._sensors: Mapping[str, Sensor] = model.sensors
+        self._scene = model.scene
         self._hard: Collection[str] = frozenset()
         if hard is not None:
             own = {one.name: one for one in hard.sensors()}
@@ -115,8 +117,11 @@ class Finder:
             KeyError: If there is no such sensor.
             ValueError: If it has no such component, no items, or is no vector.
         """
+        from warpcontact.unilateral.hard_contacts import sensor_hint
+
         try:
-            sensor = look_up("sensor", source.name, self._sensors)
+            hint = partial(sensor_hint, scene=self._scene)
+            sensor = look_up("sensor", source.name, self._sensors, hint=hint)
         except KeyError as error:
             raise KeyError(f"{owner}: {error.args[0]}") from None
         if len(sensor.shape) > 1:

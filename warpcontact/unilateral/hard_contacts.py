@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from warpcontact.allocation import COUNT, SWITCH, Allowed
 from warpcontact.arrays import Layout, per_env
 from warpcontact.captures import beside_captures
+from warpcontact.checks import similar
 from warpcontact.footprint import Need
 from warpcontact.groups import Group, by_code
 from warpcontact.kernels.smooth.records import contact_structs
@@ -443,6 +444,15 @@ def is_of_hard_contact(name: str) -> bool:
     """Whether a sensor is one of nonsmooth contacts alone, by its name."""
     element, _, quantity = name.rpartition(".")
     return quantity in OF_SCENE if element == "scene" else quantity in ("impulse", "mode")
+
+
+def sensor_hint(name: str, known: Collection[str], scene: Scene) -> str:
+    """Returns the end of a message about an unknown sensor: the integrator that has it, or similar names."""
+    element = name.rpartition(".")[0]
+    contacts = {contact.name for contact in scene.contacts} | {contact.name for contact in scene.shape_contacts}
+    if is_of_hard_contact(name) and (element == "scene" or element in contacts):
+        return "; only nonsmooth contact has it, with the integrator MoreauJean"
+    return similar(name, known)
 
 
 def _shown(attribute: str, own: int | slice) -> Any:
