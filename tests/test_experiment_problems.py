@@ -42,6 +42,37 @@ def test_all_mistakes_are_found_at_once():
     assert len(found) == len(begins), found
 
 
+def test_references_of_an_entry_with_other_problems_are_reported():
+    content = wrong(
+        (("contact", 0, "radius"), -1),
+        (("contact", 0, "raduis"), 1),
+        (("contact", 0, "points"), "center"),
+        (("contact", 0, "material"), 3),
+        (("points", 0, "seed"), "x"),
+        (("points", 0, "body"), "bal"),
+    )
+    content["particle_contact"] = [
+        {"name": "pile", "shapes": ["no"], "exclude": [["no", "none"]], "material": "r", "x": 1}
+    ]
+    found = problems_of(content)
+    begins = [
+        "contact[0].radius must be at least 0",
+        "contact[0].raduis is not known",
+        "contact[0].points must be the name of a point, got 'center'; did you mean 'centre'?",
+        "contact[0].material must be a text",
+        "points[0].seed must be a whole number",
+        "points[0].body must be the name of a body, got 'bal'; did you mean 'ball'?",
+        "particle_contact[0].x is not known",
+        "particle_contact[0].shapes[0] must be the name of a shape, got 'no'",
+        "particle_contact[0].exclude[0][1] must be the name of a shape, got 'none'",
+        "particle_contact[0].material must be the name of a material, got 'r'",
+    ]
+    missed = [begin for begin in begins if not any(problem.startswith(begin) for problem in found)]
+    assert not missed, found
+    # The other one is exclude[0][0].
+    assert len(found) == len(begins) + 1, found
+
+
 def test_what_may_refer_to_an_entry_without_a_name_is_no_problem():
     content = wrong((("body", 1), {"mass": 1, "inertia": [1, 1, 1]}), (("record", "sensors"), ["box.position"]))
     content["variation"]["box.mass"] = {"solid_sphere": {"mass": "box.mass", "radius": 1}}

@@ -39,6 +39,23 @@ _SURFACE = ("surface", ("surface",))
 _SHAPE = ("shape", ("shape",))
 _TEMPLATE = ("material", ("material",))
 
+_ON_POINTS: dict[str, tuple[str, tuple[str, ...]]] = {"point_a": _POINTS, "point_b": _POINTS}
+# The keys of each section whose value is a reference, or a list of references.
+_REFERENCES: dict[str, dict[str, tuple[str, tuple[str, ...]]]] = {
+    "surface": {"body": _BODY},
+    "point": {"body": _BODY, "surface": _SURFACE},
+    "points": {"body": _BODY, "surface": _SURFACE},
+    "contact": {"points": _POINTS, "surface": _SURFACE, "material": _TEMPLATE},
+    "surface_contact": {"surface_a": _SURFACE, "surface_b": _SURFACE, "material": _TEMPLATE},
+    "spring_damper": _ON_POINTS,
+    "bushing": _ON_POINTS,
+    "catenary": _ON_POINTS,
+    "contact_coupling": {"surface_a": _SURFACE, "surface_b": _SURFACE},
+    "shape": {"body": _BODY},
+    "shape_contact": {"shape": _SHAPE, "other_shape": _SHAPE, "material": _TEMPLATE},
+    "particle_contact": {"shapes": _SHAPE, "exclude": _SHAPE, "material": _TEMPLATE},
+}
+
 
 @dataclass
 class Loaded:
@@ -106,7 +123,21 @@ class Assembler:
                 pass
             except ValueError as error:
                 problems.add(path, _continued(str(error), entry.name))
+        for section, references in _REFERENCES.items():
+            for i, raw in self.parts.damaged[section].items():
+                for key, kind in references.items():
+                    self._check_references(f"{section}[{i}].{key}", raw.get(key), kind, problems)
         return scene
+
+    def _check_references(
+        self, path: str, value: Any, kind: tuple[str, tuple[str, ...]], problems: Problems
+    ) -> None:
+        """Reports the references of an entry with other problems; values of another type are reported already."""
+        if isinstance(value, list | tuple):
+            for i, one in enumerate(value):
+                self._check_references(f"{path}[{i}]", one, kind, problems)
+        elif isinstance(value, str):
+            self._check_reference(path, value, kind, problems)
 
     def _body(self, scene: Scene, entry: BodySettings) -> Any:
         motion = entry.motion.make() if isinstance(entry.motion, FormulaSettings) else None
@@ -178,18 +209,18 @@ class Assembler:
         return ContactMaterial(**{key: table.make() for key, table in entry if isinstance(table, FormulaSettings)})
 
     def _contact(self, scene: Scene, path: str, entry: ContactSettings, problems: Problems) -> Any:
-        references = {"points": _POINTS, "surface": _SURFACE, "material": _TEMPLATE}
+        references = _REFERENCES["contact"]
         targets = self._find_all(path, entry, references, problems)
         options = entry.model_dump(exclude={*references}, exclude_none=True)
         return scene.add_contact(*targets, **(options | self._rows("contact", path, entry, problems)))
 
     def _surface_contact(self, scene: Scene, path: str, entry: SurfaceContactSettings, problems: Problems) -> Any:
-        references = {"surface_a": _SURFACE, "surface_b": _SURFACE, "material": _TEMPLATE}
+        references = _REFERENCES["surface_contact"]
         targets = self._find_all(path, entry, references, problems)
         return scene.add_surface_contact(*targets, **entry.model_dump(exclude=set(references), exclude_none=True))
 
     def _coupling(self, add: Callable[..., Any], path: str, entry: CouplingOptions, problems: Problems) -> Any:
-        references = {"point_a": _POINTS, "point_b": _POINTS}
+        references = _ON_POINTS
         targets = self._find_all(path, entry, references, problems)
         formulas = {key: table.make() for key, table in entry if isinstance(table, FormulaSettings)}
         options = entry.model_dump(exclude={*references, *formulas}, exclude_none=True)
@@ -198,7 +229,7 @@ class Assembler:
     def _contact_coupling(
         self, scene: Scene, path: str, entry: ContactCouplingSettings, problems: Problems
     ) -> Any:
-        references = {"surface_a": _SURFACE, "surface_b": _SURFACE}
+        references = _REFERENCES["contact_coupling"]
         targets = self._find_all(path, entry, references, problems)
         friction = entry.friction.make() if isinstance(entry.friction, FormulaSettings) else None
         options = entry.model_dump(exclude={*references, "range", "friction"})
@@ -209,7 +240,7 @@ class Assembler:
         return scene.add_shape(body, entry.form.make(), **entry.model_dump(exclude={"body", "form"}))
 
     def _shape_contact(self, scene: Scene, path: str, entry: ShapeContactSettings, problems: Problems) -> Any:
-        references = {"shape": _SHAPE, "other_shape": _SHAPE, "material": _TEMPLATE}
+        references = _REFERENCES["shape_contact"]
         targets = self._find_all(path, entry, references, problems)
         return scene.add_shape_contact(*targets, **entry.model_dump(exclude=set(references)))
 
@@ -254,14 +285,20 @@ class Assembler:
     def _find(self, path: str, name: str | None, kind: tuple[str, tuple[str, ...]], problems: Problems) -> Any:
         if name is None:
             return None
-        word, sections = kind
-        for section in sections:
+        for section in kind[1]:
             if name in self.made[section]:
                 return self.made[section][name]
+        self._check_reference(path, name, kind, problems)
+        raise _Unresolved
+
+    def _check_reference(
+        self, path: str, name: str, kind: tuple[str, tuple[str, ...]], problems: Problems
+    ) -> None:
+        """Reports a name that no entry of the file has."""
+        word, sections = kind
         known = [given for section in sections for given in sorted(self.parts.names[section])]
         if name not in known and not self.parts.unnamed.intersection(sections):
             problems.refer(path, name, word, known)
-        raise _Unresolved
 
 
 def _continued(message: str, name: str) -> str:

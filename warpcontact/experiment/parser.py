@@ -43,6 +43,7 @@ class Parts:
 
     Attributes:
         entries: The sound entries of each section, by their number.
+        damaged: The other entries of each section that are tables, as they stand in the file.
         names: Names of all entries of each section, sound or not: to refer to them is no mistake.
         unnamed: Sections with an entry of unknown name, which any reference may mean.
         variation: The sound variations.
@@ -52,6 +53,9 @@ class Parts:
     """
 
     entries: dict[str, dict[int, Any]] = field(default_factory=lambda: {section: {} for section in SECTIONS})
+    damaged: dict[str, dict[int, Mapping[str, Any]]] = field(
+        default_factory=lambda: {section: {} for section in SECTIONS}
+    )
     names: dict[str, set[str]] = field(default_factory=lambda: {section: set() for section in SECTIONS})
     unnamed: set[str] = field(default_factory=set)
     variation: dict[str, VariationSettings] = field(default_factory=dict)
@@ -84,6 +88,8 @@ class Parts:
                 sound = _sound(model, entry, own)
                 if sound is not None:
                     parts.entries[section][i] = sound
+                elif isinstance(entry, dict):
+                    parts.damaged[section][i] = entry
         variation = raw.get("variation")
         for name, entry in variation.items() if isinstance(variation, dict) else ():
             sound = _sound(VariationSettings, entry, own)
