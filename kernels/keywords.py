@@ -22,6 +22,8 @@ C = TypeVar("C")
 def explain_keywords(function: Callable[P, R]) -> Callable[P, R]:
     """Decorates a function, method or ``__init__`` so that a ``TypeError`` for an unknown keyword is explained.
 
+    Errors for missing arguments name the class of the object, not that which defines the method.
+
     ``**options`` are known if they are annotated with ``Unpack`` of a ``TypedDict``.
     """
     code = inspect.unwrap(function).__code__  # type: ignore[attr-defined]
@@ -34,7 +36,14 @@ def explain_keywords(function: Callable[P, R]) -> Callable[P, R]:
     def explained(*args: P.args, **keywords: P.kwargs) -> R:
         if not known.issuperset(keywords):
             raise TypeError(unexpected(_called(function, args), keywords, keywords_of(function)))
-        return function(*args, **keywords)
+        try:
+            return function(*args, **keywords)
+        except TypeError as error:
+            # Only a call that does not match the signature has no frame of the function.
+            if error.__traceback__ is None or error.__traceback__.tb_next is not None:
+                raise
+            what = str(error).removeprefix(f"{function.__qualname__}()")
+        raise TypeError(f"{_called(function, args)}(){what}") from None
 
     return explained
 

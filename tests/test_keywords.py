@@ -169,6 +169,26 @@ def test_surface_contact_takes_the_options_of_a_contact():
     assert set(ContactOptions.__annotations__) == set(keywords_of(wc.Scene.add_contact)) - own
 
 
+@pytest.mark.parametrize(
+    ("call", "expected"),
+    [
+        (
+            lambda: wc.Scene().add_body(mass=1),
+            "Scene.add_body() missing 1 required positional argument: 'inertia'",
+        ),
+        (
+            wc.friction.Tanh,
+            "Tanh() missing 1 required keyword-only argument: 'mu'",
+        ),
+        (lambda: wc.Scene().add_body(*range(9)), "Scene.add_body() takes from 3 to 7 positional arguments but 10"),
+    ],
+)
+def test_wrong_number_of_arguments_names_the_called_class(call, expected):
+    with pytest.raises(TypeError) as caught:
+        call()
+    assert str(caught.value).startswith(expected)
+
+
 def test_a_type_error_inside_of_a_function_is_unchanged():
     scene = wc.Scene()
     point = scene.add_point(scene.add_body(1.0, (1.0, 1.0, 1.0)), (0, 0, 0))
