@@ -349,13 +349,26 @@ class Formula:
         values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         may_be_none = {field.name for field in dataclasses.fields(self) if field.default is None}
         given = {name: value for name, value in values.items() if value is not None or name not in may_be_none}
+        choice = ""
         if self.exactly_one_of:
             chosen = [name for name in self.exactly_one_of if name in given]
             if len(chosen) != 1:
-                raise ValueError(
+                choice = (
                     f"{type(self).__name__} takes exactly one of {' and '.join(self.exactly_one_of)}, "
                     f"got {' and '.join(chosen) or 'none'}"
                 )
+        try:
+            self._check_values(given)
+        except ValueError as error:
+            if not choice:
+                raise
+            raise ValueError(f"{choice}; {error}") from None
+        if choice:
+            raise ValueError(choice)
+
+    def _check_values(self, given: Mapping[str, Any]) -> None:
+        """Raises ``ValueError`` if the value of a parameter is not allowed."""
+        cls = type(self)
         for name, value in given.items():
             limits = self.limits(name)
             shape = limits["shape"]

@@ -267,6 +267,10 @@ def test_no_law_pulls_unless_it_says_so(law, device):
             r"takes exactly one of restitution and damping, got none",
         ),
         (
+            lambda: wc.laws.HuntCrossley(stiffness=-1.0),
+            r"exactly one of restitution and damping, got none; HuntCrossley.stiffness must be greater than 0, got -1",
+        ),
+        (
             lambda: wc.laws.KelvinVoigt(stiffness=1.0, restitution=0.5, damping=1.0),
             r"takes exactly one of restitution and damping, got restitution and damping",
         ),
