@@ -75,6 +75,15 @@ def test_spacing(folder, tmp_path):
     np.testing.assert_array_equal(value(stage, "/World/env_1", "xformOp:translate"), [2, 0, 0])
 
 
+def test_csv_of_a_minus_is_written_to_standard_output(folder, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["export", str(folder), "--csv", "table.csv"]) == 0
+    capsys.readouterr()
+    assert main(["export", str(folder), "--csv", "-"]) == 0
+    assert capsys.readouterr().out == (tmp_path / "table.csv").read_text(encoding="utf-8")
+    assert [path.name for path in tmp_path.iterdir()] == ["table.csv"]
+
+
 @pytest.mark.parametrize("kind", ["csv", "usd"])
 def test_a_pipe_reads_what_was_asked_for_alone(folder, tmp_path, kind):
     path = tmp_path / f"a.{kind}"

@@ -31,7 +31,7 @@ def add_to(commands: Any) -> None:
     )
     export.add_argument("folder", metavar="DIR", help="folder of the run")
     kind = export.add_mutually_exclusive_group(required=True)
-    kind.add_argument("--csv", metavar="FILE", help="a table of comma-separated values")
+    kind.add_argument("--csv", metavar="FILE", help="a table of comma-separated values; - for standard output")
     kind.add_argument("--parquet", metavar="FILE", help="a Parquet file; needs pyarrow")
     kind.add_argument("--usd", metavar="FILE", help="an animation, a .usd, .usda, .usdc or .usdz file")
     export.add_argument(
@@ -102,7 +102,8 @@ def export(arguments: argparse.Namespace) -> None:
         if getattr(arguments, option) is not None and not arguments.usd:
             raise ValueError(f"--{option.replace('_', '-')} is of --usd; a table has all environments")
     file = arguments.csv or arguments.parquet or arguments.usd
-    check_place(Path(file))
+    if arguments.csv != "-":
+        check_place(Path(file))
     run = open_run(arguments.folder, trust=arguments.trust)
     if not arguments.usd and not run.outcome.sizes["env"]:
         print(
@@ -110,6 +111,9 @@ def export(arguments: argparse.Namespace) -> None:
             f"warpcontact run --resume --out {run.folder} goes on with the run",
             file=sys.stderr,
         )
+    if arguments.csv == "-":
+        run.write_csv(sys.stdout, "\n")
+        return
     if arguments.csv:
         run.to_csv(arguments.csv)
     elif arguments.parquet:

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, SupportsInt
+from typing import TYPE_CHECKING, Any, SupportsInt, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -284,14 +284,18 @@ class Run:
 
     def to_csv(self, path: str | PathLike[str]) -> None:
         """Writes that table as comma-separated values, numbers with all their digits, missing words as nothing."""
+        with writing(Path(path)) as raw, io.TextIOWrapper(raw, encoding="utf-8", newline="") as file:
+            self.write_csv(file)
+
+    def write_csv(self, file: TextIO, line_end: str = "\r\n") -> None:
+        """Writes that table to an open text file, as ``to_csv``."""
         frame = self.to_dataframe()
         coded = frame.select_dtypes("category").astype(object)
         frame[coded.columns] = coded.where(coded.notna(), None)
-        with writing(Path(path)) as raw, io.TextIOWrapper(raw, encoding="utf-8", newline="") as file:
-            writer = csv.writer(file)
-            writer.writerow(["env", *frame.columns])
-            for env, row in zip(frame.index, frame.itertuples(index=False), strict=True):
-                writer.writerow([env, *row])
+        writer = csv.writer(file, lineterminator=line_end)
+        writer.writerow(["env", *frame.columns])
+        for env, row in zip(frame.index, frame.itertuples(index=False), strict=True):
+            writer.writerow([env, *row])
 
     def to_parquet(self, path: str | PathLike[str]) -> None:
         """Writes that table as Parquet.
