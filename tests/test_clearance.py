@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from warpcontact.check import to_search
+from warpcontact.advice import to_search
 
 import warpcontact as wc
 from warpcontact import ContactStatus

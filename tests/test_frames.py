@@ -98,7 +98,7 @@ def test_forces_alone_are_those_of_a_look_at_everything(name, device):
     check()
 
 
-@pytest.mark.parametrize(("threads", "size", "capture_graphs"), [(1, 128, True), (3, 2, True), (2, 3, False)])
+@pytest.mark.parametrize(("threads", "size", "graphs"), [(1, 128, True), (3, 2, True), (2, 3, False)])
 @pytest.mark.parametrize("name", ["box of points on terrain", "two bodies", "with memory"])
 @pytest.mark.parametrize("keys", [CONTACT, NEUTRAL], ids=["of all", "of what touches"])
 def test_frames_are_what_one_sees_by_stopping(keys, name, threads, size, graphs, device, monkeypatch):

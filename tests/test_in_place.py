@@ -43,7 +43,7 @@ def kernels_of(sim):
         pytest.param("a sphere with memory", "float64", marks=pytest.mark.slow),
     ],
 )
-@pytest.mark.parametrize("capture_graphs", [True, False], ids=["capture_graphs", "launches"])
+@pytest.mark.parametrize("graphs", [True, False], ids=["graphs", "launches"])
 def test_the_steps_of_an_environment_come_to_what_stages_do(name, precision, graphs, monkeypatch):
     model = built(ALONE[name], "cpu", precision)
     sim = wc.Simulation(model, dt=1e-3, capture_graphs=graphs)

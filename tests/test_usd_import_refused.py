@@ -230,7 +230,7 @@ def test_arguments_out_of_range_are_refused(tmp_path, options, error, message):
 
 
 def test_a_stage_that_describes_several_scenes_is_refused(tmp_path):
-    scopes = "".join(prim("Scope", name, "", "custom int64 warpcontact:schema = 1") for name in "ab")
+    scopes = "".join(prim("Scope", name, "", "custom int64 warpcontact:schema = 2") for name in "ab")
     assert "a stage describes one scene, got descriptions at /a, /b" in problems(stage(tmp_path, scopes))[0]
 
 

@@ -49,7 +49,7 @@ def test_contact_times_are_those_with_the_gamma_function_of_scipy():
 
 
 @pytest.mark.parametrize("count", [1, 2, 50, 3000])
-@pytest.mark.parametrize("force_scale", [0.0, 0.4, 0.6, 2.0])
+@pytest.mark.parametrize("share", [0.0, 0.4, 0.6, 2.0])
 def test_connected_parts_are_those_of_scipy_and_numbered_by_their_first_items(count, share):
     rng = np.random.default_rng(count)
     chain = rng.permutation(count)
