@@ -20,7 +20,7 @@ from result_file import default_path, write
 
 import warpcontact as wc
 from warpcontact.benchmark.facts import facts
-from warpcontact.schedule import Span
+from warpcontact.schedule import ExecutionPlan
 
 LINE = {"length": 100.0, "mass_per_length": 20.0, "axial_stiffness": 1e7}
 #: Where the ends are [m], and the floor.
@@ -51,9 +51,9 @@ def seconds(model: wc.Model, places: np.ndarray, moves: int, *, warm: bool) -> t
     device = model.device
     clock = time.process_time if device.is_cpu else time.perf_counter
     lines = model.couplings[0]
-    span = Span(model, model.envs, cached=False, ordered=True)
-    solve = lines.force_stages(span, model.arrays.state, model.arrays.status)
-    accept = lines.accept_stages(span)
+    plan = ExecutionPlan(model, model.envs, uses_cache=False, ordered_sum=True)
+    solve = lines.force_stages(plan, model.arrays.state, model.arrays.status)
+    accept = lines.accept_stages(plan)
     everywhere = wp.ones(model.envs, dtype=wp.bool, device=device)
     model.reset()
     for launch in solve + accept:
@@ -62,7 +62,7 @@ def seconds(model: wc.Model, places: np.ndarray, moves: int, *, warm: bool) -> t
     for move in range(1, moves + 1):
         model.state.body_position.assign(places[:, None] + np.array([MOVE * move, 0.0, 0.0]))
         if not warm:
-            lines.restart(everywhere, model.envs)
+            lines.reset_state(everywhere, model.envs)
         wp.synchronize_device(device)
         start = clock()
         for launch in solve:

@@ -99,8 +99,8 @@ def python_of(name: str, options: argparse.Namespace) -> Path:
 def report(about: dict[str, Any], options: argparse.Namespace, entries: list[dict[str, Any]]) -> dict[str, Any]:
     """Returns what there is so far, as it is written."""
     versions = {entry["engine"]: entry["versions"] for entry in entries if "versions" in entry}
-    told = ("versions", "steps", "device")  # of all entries at once
-    measured = [{key: value for key, value in entry.items() if key not in told} for entry in entries]
+    common_keys = ("versions", "steps", "device")  # of all entries at once
+    measured = [{key: value for key, value in entry.items() if key not in common_keys} for entry in entries]
     return {
         "facts": about,
         "steps": options.steps,

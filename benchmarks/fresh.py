@@ -108,18 +108,18 @@ def alone(options: argparse.Namespace) -> dict[str, float]:
     return {name: statistics.median(found) for name, found in rates.items()}
 
 
-ASKED = {"imports": imports, "warp_alone": warp_alone, "first_step": first_step, "alone": alone}
+MEASUREMENTS = {"imports": imports, "warp_alone": warp_alone, "first_step": first_step, "alone": alone}
 
 
 def main() -> None:
     """Prints the answer."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=ASKED)
+    parser.add_argument("what", choices=MEASUREMENTS)
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--envs", type=int, help="of the terrain example (default: as in its file)")
     parser.add_argument("--at-least", type=float, default=SECONDS, help="seconds that one environment is stepped")
     options = parser.parse_args()
-    answer: dict[str, Any] = ASKED[options.what](options)
+    answer: dict[str, Any] = MEASUREMENTS[options.what](options)
     json.dump(answer, sys.stdout)
 
 

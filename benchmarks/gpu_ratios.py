@@ -28,7 +28,7 @@ from warpcontact.available import available_threads
 from warpcontact.benchmark import limits as lower_bounds
 from warpcontact.benchmark.facts import facts, versions
 from warpcontact.benchmark.simulation import run_seconds, seconds_of_runs, simulation
-from warpcontact.compiling import load_as_launched
+from warpcontact.compiling import compile_as_launched
 
 #: Environments of each scene: with as many, the comparison of engines has its best figures on an H200.
 ENVS = 262_144
@@ -120,7 +120,7 @@ class Queries:
     def __init__(self, sim: wc.Simulation, name: str) -> None:
         self._device = sim.model.devices[0]
         kernel = bare_query()
-        load_as_launched(kernel, self._device)
+        compile_as_launched(kernel, self._device)
         surface = WORKS[name].surface
         self._mesh = wp.Mesh(
             points=wp.array(surface.vertices, dtype=wp.vec3f, device=self._device),
@@ -156,7 +156,7 @@ def measure(options: argparse.Namespace) -> dict[str, dict[str, float]]:
     for name in options.works:
         start = time.perf_counter()
         sim = simulation(WORKS[name], options.envs, options.device)
-        sim.advised = True  # the warnings of the first step need kernels of their own
+        sim.warned_at_start = True  # the warnings of the first step need kernels of their own
         run_seconds(sim, options.steps)
         scenes.append(Scene(name, sim, Queries(sim, name), options.steps))
         print(f"{name}: built, compiled and run once in {time.perf_counter() - start:.1f} s", flush=True)

@@ -34,7 +34,7 @@ class Processes:
         for _ in range(case.threads):
             here, there = context.Pipe()
             # Nothing is left behind where what started them ends before it could say so.
-            process = context.Process(target=_run_when_asked, args=(each, steps, there), daemon=True)
+            process = context.Process(target=_run_on_request, args=(each, steps, there), daemon=True)
             process.start()
             there.close()
             self._lines.append(here)
@@ -55,7 +55,7 @@ class Processes:
             process.join()
 
 
-def _run_when_asked(case: Case, steps: int, line: "Connection[Any, Any]") -> None:
+def _run_on_request(case: Case, steps: int, line: "Connection[Any, Any]") -> None:
     """Says that a simulation is ready, and then how long its runs take, for as long as anybody asks."""
     import warp as wp
 

@@ -86,7 +86,7 @@ class Ready:
     least: Limits
     apart: Processes | None
     times: list[float] = field(default_factory=list)
-    times_apart: list[float] = field(default_factory=list)
+    process_times: list[float] = field(default_factory=list)
 
     def figures(self, steps: int) -> dict[str, Any]:
         """Returns what was found in runs of so many steps."""
@@ -112,7 +112,7 @@ class Ready:
             "frozen": len(self.sim.model.health().frozen),
         }
         if self.apart:
-            found["ns_in_processes"] = statistics.median(each(self.times_apart, self.apart.envs))
+            found["ns_in_processes"] = statistics.median(each(self.process_times, self.apart.envs))
         return found
 
 
@@ -132,7 +132,7 @@ def measure(some: list[Case], options: argparse.Namespace, bar: Any) -> list[dic
             bar.set_description(f"{one.case.series}: {one.case.line}, {one.case.value}")
             one.times.append(seconds_of_runs(one.sim, options.steps, options.at_least))
             if one.apart:
-                one.times_apart.append(one.apart.seconds_of_runs(options.at_least))
+                one.process_times.append(one.apart.seconds_of_runs(options.at_least))
             bar.update()
     for one in ready:
         if one.apart:

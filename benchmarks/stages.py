@@ -24,8 +24,8 @@ from warpcontact.available import available_threads
 from warpcontact.benchmark.facts import facts
 from warpcontact.benchmark.limits import limits
 from warpcontact.benchmark.simulation import simulation
-from warpcontact.schedule import Span, accept_stages
-from warpcontact.slices import Buffers
+from warpcontact.schedule import ExecutionPlan, accept_stages
+from warpcontact.slices import StepBuffers
 
 # Steps over which a stage is timed, an even number.
 STEPS = 20
@@ -55,25 +55,32 @@ def stages(sim: wc.Simulation, envs: int) -> dict[str, float]:
     model = sim.model
     device = str(model.device)
     gpu = model.device.is_cuda
-    span = Span(model, envs, sim.distance_cache, ordered=sim.deterministic or not gpu, queued=gpu, watched=False)
-    buffers = Buffers(model, sim.integrator, sim.dt)
+    plan = ExecutionPlan(
+        model,
+        envs,
+        sim.distance_cache,
+        ordered_sum=sim.deterministic or not gpu,
+        uses_queues=gpu,
+        write_outputs=False,
+    )
+    buffers = StepBuffers(model, sim.integrator, sim.dt)
     buffers.allocate(envs)
     own, other = model.arrays.state, buffers.other
-    ends = sim.integrator.may_end(span)
-    ways = [
-        sim.integrator.step_stages(span, sim.times.whole, *states, None, ends=ends)
-        + accept_stages(span, sim.times.whole, *states, ended=ends)
+    ends = sim.integrator.can_accept(plan)
+    launch_sequences = [
+        sim.integrator.step_stages(plan, sim.times.full, *states, None, accepts=ends)
+        + accept_stages(plan, sim.times.full, *states, accepted=ends)
         for states in ((own, other), (other, own))
     ]
     names: list[str] = []
-    for launch in ways[0]:
+    for launch in launch_sequences[0]:
         name = launch.kernel.key.split("__")[-1]
         again = sum(known.split(" ")[0] == name for known in names)
         names.append(f"{name} {again + 1}" if again else name)
     clock = Clock(device)
     instants = []
     for step in range(STEPS + 2):
-        for launch in ways[step % 2]:
+        for launch in launch_sequences[step % 2]:
             instants.append(clock.now())
             launch.launch()
     instants.append(clock.now())

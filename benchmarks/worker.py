@@ -61,7 +61,7 @@ class Worker:
             raise Failure(f"no answer within {self._patience:g} s") from None
         if not line:
             self._process.wait()
-            raise Failure(self.said() or f"ended with exit code {self._process.returncode}")
+            raise Failure(self.last_output() or f"ended with exit code {self._process.returncode}")
         return json.loads(line)
 
     def ready(self) -> bool:
@@ -77,7 +77,7 @@ class Worker:
             self._process.stdin.write("run\n")
             self._process.stdin.flush()
         except BrokenPipeError:
-            raise Failure(self.said()) from None
+            raise Failure(self.last_output()) from None
         return self.answer()["env_steps_per_s"]
 
     def result(self) -> dict[str, Any]:
@@ -91,7 +91,7 @@ class Worker:
             result["notes"]["overflow"] = overflows
         return result
 
-    def said(self) -> str:
+    def last_output(self) -> str:
         """Returns the last line that the process wrote to its error output."""
         lines = self._all().strip().splitlines()
         return lines[-1][:300] if lines else ""

@@ -98,10 +98,10 @@ def story(file: Path) -> str:
     """Returns what an example says of itself: its docstring, or the comment that it begins with."""
     text = file.read_text(encoding="utf-8")
     if file.suffix == ".py":
-        told = ast.get_docstring(ast.parse(text)) or ""
+        description = ast.get_docstring(ast.parse(text)) or ""
     else:
-        told = uncommented(re.match(r"(?:#.*\n)*", text)[0])
-    return COMMANDS.sub("", told).replace("::\n", ":\n").strip()
+        description = uncommented(re.match(r"(?:#.*\n)*", text)[0])
+    return COMMANDS.sub("", description).replace("::\n", ":\n").strip()
 
 
 def expected(file: Path) -> str:
@@ -117,7 +117,7 @@ def uncommented(comment: str) -> str:
 
 def page(example: Example) -> str:
     """Returns the page of an example as Markdown."""
-    told = [story(file) for file in example.files]
+    description = [story(file) for file in example.files]
     picture = f"{example.name}.png"
     commands = [example.command(file, picture) for file in example.files]
     if "render" in example.recipe:
@@ -125,7 +125,7 @@ def page(example: Example) -> str:
     promised = [expected(file) for file in example.files]
     parts = [
         f"# {example.title}",
-        *told,
+        *description,
         f"![{example.summary}]({example.picture.name})",
         "## Run it",
         "```bash\n" + "\n".join(commands) + "\n```",

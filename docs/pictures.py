@@ -73,11 +73,11 @@ def draw_recording(script: Path, options: dict[str, Any], picture: Path) -> str:
     models, recordings = [], []
 
     def keeping(function: Callable[..., Any], kept: list[Any]) -> Callable[..., Any]:
-        def kept_too(*arguments: Any, **keywords: Any) -> Any:
+        def wrapper(*arguments: Any, **keywords: Any) -> Any:
             kept.append(function(*arguments, **keywords))
             return kept[-1]
 
-        return kept_too
+        return wrapper
 
     print(script, flush=True)
     with (

@@ -46,8 +46,8 @@ def scene_in_space() -> wc.Scene:
 def collide(envs: int = 5, device: str = "auto", precision: str = "float64") -> dict[str, float]:
     """Prints what the collision does; returns the relative drifts of momentum and the error of restitution."""
     model = scene_in_space().build(envs=envs, device=device, precision=precision)
-    asked = np.linspace(0.1, 0.9, envs)
-    model["touch.law.restitution"] = asked
+    prescribed = np.linspace(0.1, 0.9, envs)
+    model["touch.law.restitution"] = prescribed
     sim = wc.Simulation(model, dt=1.0e-5)
     conserved = ["scene.linear_momentum", "scene.angular_momentum"]
     recording = sim.run(duration=0.06, record=[*conserved, "scene.kinetic_energy", "touch.approach_speed"])
@@ -67,9 +67,9 @@ def collide(envs: int = 5, device: str = "auto", precision: str = "float64") -> 
     restitution = np.array([-approach[-1] / approach[0] for approach in touching])
     energy = recording["scene.kinetic_energy"].values
     print("restitution asked    got  kinetic energy lost")
-    for e, got, loss in zip(asked, restitution, 1.0 - energy[-1] / energy[0], strict=True):
+    for e, got, loss in zip(prescribed, restitution, 1.0 - energy[-1] / energy[0], strict=True):
         print(f"{e:17.3f}  {got:.3f}  {100 * loss:17.1f} %")
-    result["restitution"] = float(np.abs(restitution - asked).max())
+    result["restitution"] = float(np.abs(restitution - prescribed).max())
     print(
         f"drift of momentum {result[conserved[0]]:.1e} linear, {result[conserved[1]]:.1e} angular; "
         f"largest error of restitution {result['restitution']:.4f}"

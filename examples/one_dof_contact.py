@@ -94,9 +94,9 @@ def draw(loads: NDArray[np.float64], u: NDArray[np.float64], lam: NDArray[np.flo
     energy.legend(loc="upper right")
 
     law.plot([-26.0, 10.0, 10.0], [0.0, 0.0, 26.0], color="0.5", linewidth=4.0, alpha=0.5, label="law of the wall")
-    ways = np.array([-6.0, 30.0])
+    displacements = np.array([-6.0, 30.0])
     for number, (name, load) in enumerate(LOADS.items()):
-        law.plot(ways, load - STIFFNESS * 1e-3 * ways, color=f"C{number}", linewidth=1.0)
+        law.plot(displacements, load - STIFFNESS * 1e-3 * displacements, color=f"C{number}", linewidth=1.0)
         place, force = closed_form(load)
         law.plot(1e3 * place, force, "o", color=f"C{number}", label=f"{name}: f = {load:g} N")
     law.set(xlabel="u [mm]", ylabel="λ [N]", title="λ = f − k u meets the law once", xlim=(-26, 16), ylim=(-4, 26))

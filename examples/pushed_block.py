@@ -46,7 +46,7 @@ def push(model: wc.Model, height: np.ndarray, force: np.ndarray) -> None:
     model["block.external_torque"] = np.stack([none, force * (height - 0.5 * HEIGHT), none], axis=-1)
 
 
-def seen(model: wc.Model) -> np.ndarray:
+def observed_mode(model: wc.Model) -> np.ndarray:
     """What each block has begun to do."""
     turning = model.sensor("block.angular_velocity")[:, 1]
     # The front feet stay on the ground when the block tips.
@@ -79,7 +79,7 @@ def at_once(side: int, device: str) -> dict[str, np.ndarray]:
     push(model, height, force)
     simulation.step(3)
     theory = expected(height, force, np.full_like(height, MU))
-    return {"height": height, "force": force, "seen": seen(model), "expected": theory}
+    return {"height": height, "force": force, "seen": observed_mode(model), "expected": theory}
 
 
 def growing(side: int, steps: int, device: str) -> dict[str, np.ndarray]:
@@ -94,7 +94,7 @@ def growing(side: int, steps: int, device: str) -> dict[str, np.ndarray]:
     for force in np.linspace(0.0, WEIGHT, steps + 1)[1:]:
         push(model, height, np.full_like(mu, force))
         simulation.step(1)
-        now = seen(model)
+        now = observed_mode(model)
         limit[first == STICKS] = force
         first[first == STICKS] = now[first == STICKS]
         if (first != STICKS).all():
@@ -165,8 +165,8 @@ def main(argv: list[str] | None = None) -> dict[str, float]:
     if options.picture:
         draw(one, two, options.picture)
         print(f"picture: {options.picture}")
-    counts = ", ".join(f"{(one['seen'] == mode).sum()} {name}" for mode, name in enumerate(NAMES))
-    print(f"{len(one['seen'])} blocks under a push of one size: {counts}")
+    counts = ", ".join(f"{(one['observed_mode'] == mode).sum()} {name}" for mode, name in enumerate(NAMES))
+    print(f"{len(one['observed_mode'])} blocks under a push of one size: {counts}")
     print(f"largest error of the push that ends the rest: {result['limit']:.3f} N of {WEIGHT:g} N")
     print(
         f"agree with the theory: {100.0 * result['push']:.2f} % under a push of one size, "

@@ -28,13 +28,13 @@ import warpcontact as wc
 
 MASSES, SPEEDS = (0.5, 5.0), (0.1, 3.0)  # kg, m/s
 HERTZ, LINEAR = 1e6, 1e5  # N/m^1.5, N/m
-DASHPOT, CHI, VISCOSITY, ASKED = 100.0, 0.3, 4e-4, 0.5  # N s/m, s/m, s, -
+DASHPOT, CHI, VISCOSITY, RESTITUTION = 100.0, 0.3, 4e-4, 0.5  # N s/m, s/m, s, -
 LAWS: dict[str, dict[str, Any]] = {
     "kelvin_voigt": {"type": "KelvinVoigt", "stiffness": LINEAR, "damping": DASHPOT},
     "hunt_crossley": {"type": "HuntCrossley", "stiffness": HERTZ, "damping": CHI},
     "kuwabara_kono": {"type": "KuwabaraKono", "stiffness": HERTZ, "viscosity": VISCOSITY},
-    "lankarani_nikravesh": {"type": "LankaraniNikravesh", "stiffness": HERTZ, "restitution": ASKED},
-    "flores": {"type": "Flores", "stiffness": HERTZ, "restitution": ASKED},
+    "lankarani_nikravesh": {"type": "LankaraniNikravesh", "stiffness": HERTZ, "restitution": RESTITUTION},
+    "flores": {"type": "Flores", "stiffness": HERTZ, "restitution": RESTITUTION},
 }
 TITLES = ("Kelvin–Voigt", "Hunt–Crossley", "Kuwabara–Kono", "Lankarani–Nikravesh", "Flores")
 
@@ -78,8 +78,8 @@ def closed_forms(mass: np.ndarray, speed: np.ndarray) -> dict[str, np.ndarray]:
         "kelvin_voigt": restitution_of_damping_ratio(DASHPOT / (2.0 * np.sqrt(LINEAR * mass))),
         "hunt_crossley": restitution_of_damping_factor(CHI * speed),
         "kuwabara_kono": restitution_of_viscosity(VISCOSITY * (HERTZ / mass) ** 0.4 * speed**0.2),
-        "lankarani_nikravesh": restitution_of_damping_factor(0.75 * (1.0 - ASKED**2) * same),
-        "flores": restitution_of_damping_factor(1.6 * (1.0 - ASKED) / ASKED * same),
+        "lankarani_nikravesh": restitution_of_damping_factor(0.75 * (1.0 - RESTITUTION**2) * same),
+        "flores": restitution_of_damping_factor(1.6 * (1.0 - RESTITUTION) / RESTITUTION * same),
     }
 
 
@@ -87,7 +87,7 @@ def plot(
     masses: np.ndarray,
     speeds: np.ndarray,
     found: dict[str, np.ndarray],
-    known: dict[str, np.ndarray],
+    closed_form_values: dict[str, np.ndarray],
     path: Path,
 ) -> None:
     """Draws a map (mass, speed) of each law with the contours of its closed form, and curves over the speed."""
@@ -100,13 +100,13 @@ def plot(
     levels = np.arange(0.4, 1.0, 0.05)
     for ax, (name, values), title in zip(axes.flat, found.items(), TITLES, strict=False):
         image = ax.pcolormesh(speeds, masses, values, vmin=levels[0], vmax=1.0, cmap="viridis", rasterized=True)
-        if np.ptp(known[name]) > 0.0:
-            lines = ax.contour(speeds, masses, known[name], levels, colors="white", linewidths=1.0)
+        if np.ptp(closed_form_values[name]) > 0.0:
+            lines = ax.contour(speeds, masses, closed_form_values[name], levels, colors="white", linewidths=1.0)
             ax.clabel(lines, fontsize="small")
         else:
-            text = f"{known[name].flat[0]:.3f} everywhere, {ASKED:g} asked"
+            text = f"{closed_form_values[name].flat[0]:.3f} everywhere, {RESTITUTION:g} asked"
             ax.text(0.5, 0.5, text, transform=ax.transAxes, ha="center", color="white")
-        error = np.abs(values - known[name]).max()
+        error = np.abs(values - closed_form_values[name]).max()
         ax.set(xscale="log", yscale="log", title=f"{title}: to {error:.1g}")
         ax.set(xlabel="speed [m/s]", ylabel="mass [kg]")
         ax.set_yticks([0.5, 1, 2, 5], ["0.5", "1", "2", "5"])
@@ -116,7 +116,7 @@ def plot(
     curves, row = axes[1, 2], len(masses) // 2
     some = np.unique(np.linspace(0, len(speeds) - 1, 16).astype(int))
     for i, (name, title) in enumerate(zip(LAWS, TITLES, strict=True)):
-        curves.plot(speeds, known[name][row], color=f"C{i}", label=title)
+        curves.plot(speeds, closed_form_values[name][row], color=f"C{i}", label=title)
         curves.plot(speeds[some], found[name][row][some], "o", color=f"C{i}", markersize=4)
     curves.set(xscale="log", xlabel="speed [m/s]", ylabel="restitution", ylim=(0.2, 1.0))
     curves.set_title(f"at {masses[row]:.2f} kg; dots: simulated")
@@ -139,14 +139,14 @@ def main(argv: Sequence[str] | None = None) -> dict[str, float]:
     print(run)
     shape = len(masses), len(speeds)
     found = {name: run.outcome[name].values.reshape(shape) for name in LAWS}
-    known = closed_forms(*np.meshgrid(masses, speeds, indexing="ij"))
-    errors = {name: float(np.abs(found[name] - known[name]).max()) for name in LAWS}
+    closed_form_values = closed_forms(*np.meshgrid(masses, speeds, indexing="ij"))
+    errors = {name: float(np.abs(found[name] - closed_form_values[name]).max()) for name in LAWS}
     print("\nlaw                    restitution        largest deviation from its closed form")
     for name, title in zip(LAWS, TITLES, strict=True):
         print(f"{title:<20}  {found[name].min():.4f} … {found[name].max():.4f}   {errors[name]:.1e}")
     print(f"largest deviation of all: {max(errors.values()):.1e}")
     picture = options.out / "restitution_map.png"
-    plot(masses, speeds, found, known, picture)
+    plot(masses, speeds, found, closed_form_values, picture)
     print(f"picture: {picture}")
     return errors
 

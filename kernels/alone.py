@@ -14,150 +14,177 @@ from types import SimpleNamespace
 
 import warp as wp
 from warpcontact.kernels import finish, history, integrate, travel, warps
-from warpcontact.kernels import meet as meeting
-from warpcontact.kernels import near as nearness
-from warpcontact.kernels import wrenches as of_wrenches
-from warpcontact.kernels.closest_point import EITHER
-from warpcontact.kernels.touch import Parts, group_structs
+from warpcontact.kernels import meet as fused_contact
+from warpcontact.kernels import near as contact_detection
+from warpcontact.kernels import wrenches as wrench_functions
+from warpcontact.kernels.closest_point import DETECT_GRID_ANY
+from warpcontact.kernels.touch import ContactModel, group_structs
 from warpcontact.kernels.types import (
     CONTACT,
     ENV_ACTIVE,
     ENV_FAILED,
     NO_CAUSE,
-    Work,
+    LaunchRange,
+    assume_nonnegative,
     first_env,
-    natural,
     structs,
     task_count,
 )
 from warpcontact.kernels.unique import unique_kernel
 
 # What the step has to do with a contact: nothing, or that it does not touch any more, or that it does.
-NOTHING, ENDED, TOUCHES = 0, 1, 2
+NO_CONTACT, ENDED, IN_CONTACT = 0, 1, 2
 # Registers of a thread of a GPU in float32, of 190 that it would take: measured.
 REGISTERS = 128
 
 
 @functools.cache
-def _functions(parts: Parts, real: type, projected: bool, width: int) -> SimpleNamespace:
+def _functions(contact_model: ContactModel, real: type, projected: bool, width: int) -> SimpleNamespace:
     """Returns the structs and device functions of a contact, of what all of a step share, and of its end."""
     t = structs(real)
     vec3, Model, State, History = t.vec3, t.Model, t.State, t.History
-    Near, Cache = t.Near, t.Cache
-    of_body = integrate.euler(real)
-    Guard, moved_by, put, failure_of = of_body.Guard, of_body.moved_by, of_body.put, of_body.failure_of
-    end = finish.end_of_step(real)
-    Coefficients, Memory = group_structs(parts, real)
-    of_contact = meeting.functions(parts, real, False, projected, EITHER)
-    pair_of, meet_pair, forget = of_contact.pair_of, of_contact.meet, of_contact.forget
-    remembers = any(part.memories for part in parts)
-    enter, remember = history.entering(real), history.remembering(parts, real)
+    ActiveContacts, Cache = t.ActiveContacts, t.Cache
+    body_functions = integrate.euler(real)
+    Guard, stepped_body, write_body, step_failure_cause = (
+        body_functions.Guard,
+        body_functions.stepped_body,
+        body_functions.write_body,
+        body_functions.step_failure_cause,
+    )
+    accept = finish.accept_step(real)
+    Coefficients, MaterialHistory = group_structs(contact_model, real)
+    contact_functions = fused_contact.functions(contact_model, real, False, projected, DETECT_GRID_ANY)
+    set_bodies_of, evaluate_pair, clear_history = (
+        contact_functions.set_bodies_of,
+        contact_functions.detect_and_evaluate,
+        contact_functions.clear_history,
+    )
+    has_history = any(part.memories for part in contact_model)
+    record_entry, store_history = (
+        history.entry_function(real),
+        history.material_history_function(contact_model, real),
+    )
 
     @wp.struct
-    class Met:
+    class ContactUpdate:
         """What a step finds of a contact."""
 
         kind: wp.int32  # NOTHING, ENDED, TOUCHES
-        free: real  # how far its point can move and not touch [m]
+        clearance: real  # how far its point can move and not touch [m]
         armed: wp.int32  # its latch; only where formulas remember
         approach_speed: real  # [m/s]
         force: vec3  # on the body, W [N]
         torque: vec3  # about its centre of mass, W [N·m]
 
     @wp.func
-    def awake_of(model: Model, cache: Cache, env: int, block: int, travelled: real):
+    def active_mask(model: Model, cache: Cache, env: int, cluster: int, max_travel: real):
         """The contacts of a block that may touch, as bits by their places in it."""
-        start = natural(model.block_start[block])
-        size = model.block_start[block + 1] - start
-        those = wp.int32(0)
+        start = assume_nonnegative(model.cluster_start[cluster])
+        size = model.cluster_start[cluster + 1] - start
+        mask = wp.int32(0)
         # Unrolled: all are read at once.
-        for place in range(wp.static(width)):
-            if place < size:  # noqa: SIM102  Warp would evaluate both sides
-                if not (travelled < cache.wake[env, natural(model.block_contact[start + place])]):
-                    those = those | (1 << place)
-        return those
+        for index in range(wp.static(width)):
+            if index < size:
+                if not (
+                    max_travel < cache.safe_travel[env, assume_nonnegative(model.cluster_contact[start + index])]
+                ):
+                    mask = mask | (1 << index)
+        return mask
 
     @wp.func
-    def wake_of_block(model: Model, cache: Cache, env: int, block: int, news: bool):
+    def cluster_safe_travel(model: Model, cache: Cache, env: int, cluster: int, news: bool):
         """Travel up to which no contact of a block can touch [m]; with ``news`` of one it is looked at again."""
-        wake = real(wp.inf)
+        safe_travel = real(wp.inf)
         if news:
             return real(0.0)
-        start = natural(model.block_start[block])
-        size = model.block_start[block + 1] - start
-        for place in range(wp.static(width)):
-            if place < size:
-                wake = wp.min(wake, cache.wake[env, natural(model.block_contact[start + place])])
-        return wake
+        start = assume_nonnegative(model.cluster_start[cluster])
+        size = model.cluster_start[cluster + 1] - start
+        for index in range(wp.static(width)):
+            if index < size:
+                safe_travel = wp.min(
+                    safe_travel, cache.safe_travel[env, assume_nonnegative(model.cluster_contact[start + index])]
+                )
+        return safe_travel
 
     @wp.func
-    def meet(
+    def detect_and_evaluate(
         model: Model,
         state: State,
         history: History,
-        memory: Memory,
+        history_in: MaterialHistory,
         dt: real,
         coefficients: Coefficients,
-        kept: Memory,
+        history_out: MaterialHistory,
         cache: Cache,
         env: int,
         contact: int,
-        there: bool,
+        has_env: bool,
     ):
         """Looks at a contact, and computes its force if it touches; nothing if there is none."""
-        met = Met()
+        update = ContactUpdate()
         # Returned early: of both sides of a branch Warp copies what they change.
-        if not there:
-            return met
-        pair = pair_of(model, state, env, 0)
-        found = meet_pair(
-            model, state, pair, history, memory, dt, coefficients, kept, cache, env, contact, contact
+        if not has_env:
+            return update
+        set_bodies = set_bodies_of(model, state, env, 0)
+        found = evaluate_pair(
+            model,
+            state,
+            set_bodies,
+            history,
+            history_in,
+            dt,
+            coefficients,
+            history_out,
+            cache,
+            env,
+            contact,
+            contact,
         )
         if found.status == CONTACT:
-            met.kind = TOUCHES
-            met.approach_speed = found.approach_speed
-            if pair.body_1 >= 0:
-                met.force = found.force
-                met.torque = found.torque_1
+            update.kind = IN_CONTACT
+            update.approach_speed = found.approach_speed
+            if set_bodies.body_1 >= 0:
+                update.force = found.force
+                update.torque = found.torque_1
             else:
-                met.force = -found.force
-                met.torque = found.torque_2
+                update.force = -found.force
+                update.torque = found.torque_2
         elif history.entry_speed[env, contact] >= real(0.0):
-            met.kind = ENDED
-        if wp.static(remembers):
-            met.armed = found.armed
-            if met.kind == NOTHING and found.armed != history.armed[env, contact]:
-                met.kind = ENDED
-            if met.kind == ENDED:
-                forget(kept, env, contact, met.armed, dt)
-        met.free = found.free
-        return met
+            update.kind = ENDED
+        if wp.static(has_history):
+            update.armed = found.armed
+            if update.kind == NO_CONTACT and found.armed != history.armed[env, contact]:
+                update.kind = ENDED
+            if update.kind == ENDED:
+                clear_history(history_out, env, contact, update.armed, dt)
+        update.clearance = found.clearance
+        return update
 
     @wp.func
-    def take(
+    def accept_contact(
         model: Model,
         history: History,
-        memory: Memory,
-        kept: Memory,
-        near: Near,
+        history_in: MaterialHistory,
+        history_out: MaterialHistory,
+        active_contacts: ActiveContacts,
         cache: Cache,
         env: int,
-        block: int,
+        cluster: int,
         contact: int,
         touching: bool,
         armed: int,
         approach_speed: real,
     ):
         """Takes a contact into the history, of a step that is accepted."""
-        near.news[env, contact] = wp.where(touching, 1, 0)
-        enter(model, cache, history, env, block, contact, touching, approach_speed)
-        if wp.static(remembers):
+        active_contacts.needs_history[env, contact] = wp.where(touching, 1, 0)
+        record_entry(model, cache, history, env, cluster, contact, touching, approach_speed)
+        if wp.static(has_history):
             # Of others nobody asks for it, without latches.
             history.armed[env, contact] = armed
-        remember(memory, kept, env, contact)
+        store_history(history_in, history_out, env, contact)
 
     @wp.func
-    def move(
+    def integrate_body(
         status: wp.array(dtype=wp.int32),
         clock_step: wp.array2d(dtype=wp.float64),
         time: wp.array(dtype=wp.float64),
@@ -171,76 +198,98 @@ def _functions(parts: Parts, real: type, projected: bool, width: int) -> SimpleN
         dt: real,
     ):
         """Moves the body of an environment, and ends its step; returns whether it is accepted."""
-        moved = moved_by(model, state_in, env, 0, force, torque, dt)
-        put(state_out, env, 0, moved)
+        body_step = stepped_body(model, state_in, env, 0, force, torque, dt)
+        write_body(state_out, env, 0, body_step)
         found = wp.int32(ENV_ACTIVE)
-        cause = failure_of(guard, env, moved)
+        cause = step_failure_cause(guard, env, body_step)
         if cause != NO_CAUSE:
             found = wp.int32(ENV_FAILED)
             guard.cause[env] = cause
-        end(status, clock_step, time, 1, state_in, state_out, env, found)
+        accept(status, clock_step, time, 1, state_in, state_out, env, found)
         return cause == NO_CAUSE
 
     return SimpleNamespace(
         Guard=Guard,
-        remembers=remembers,
-        awake_of=awake_of,
-        wake_of_block=wake_of_block,
-        meet=meet,
-        move=move,
-        take=take,
+        has_history=has_history,
+        active_mask=active_mask,
+        cluster_safe_travel=cluster_safe_travel,
+        detect_and_evaluate=detect_and_evaluate,
+        integrate_body=integrate_body,
+        accept_contact=accept_contact,
     )
 
 
 @functools.cache
 def kernel(
-    parts: Parts, real: type, projected: bool, pushed: bool, width: int, blocks: int, lanes: int
+    contact_model: ContactModel,
+    real: type,
+    projected: bool,
+    has_external_forces: bool,
+    width: int,
+    clusters: int,
+    lanes: int,
 ) -> wp.Kernel:
-    """Returns the kernel of a semi-implicit Euler step; items: one, but ``own`` of them have a warp of threads.
+    """Returns the kernel of a semi-implicit Euler step; a warp handles ``envs_per_warp`` environments.
 
     Args:
-        parts: The classes of law and friction models.
+        contact_model: The classes of law and friction models.
         real: Type of a real number.
         projected: Whether contacts are weighed by the normals of their points.
-        pushed: Whether there are forces from outside.
+        has_external_forces: Whether there are forces from outside.
         width: Contacts that a block has room for, fewer than a number has bits.
-        blocks: Blocks of contacts.
+        clusters: Blocks of contacts.
         lanes: Threads of a warp.
     """
     t = structs(real)
-    vec3, Model, State, History, Contacts, Near, Cache, Ends = (
-        t.vec3, t.Model, t.State, t.History, t.Contacts, t.Near, t.Cache, t.Ends,
-    )  # fmt: skip
-    Coefficients, Memory = group_structs(parts, real)
-    of_set = _functions(parts, real, projected, width)
-    Guard, awake_of, wake_of_block = of_set.Guard, of_set.awake_of, of_set.wake_of_block
-    meet, move, take, remembers = of_set.meet, of_set.move, of_set.take, of_set.remembers
-    of_travel = travel.functions(real)
-    add_travel, sleeps = of_travel.add, of_travel.sleeps
-    wake_of = nearness.functions(real, False, EITHER).wake_of
-    start_of = of_wrenches.functions(real, False, pushed).start
-    told_by, number_told_by = warps.telling(real), warps.telling(wp.int32)
+    vec3, Model, State, History, Contacts, ActiveContacts, Cache, CouplingWrenches = (
+        t.vec3,
+        t.Model,
+        t.State,
+        t.History,
+        t.Contacts,
+        t.ActiveContacts,
+        t.Cache,
+        t.CouplingWrenches,
+    )
+    Coefficients, MaterialHistory = group_structs(contact_model, real)
+    set_functions = _functions(contact_model, real, projected, width)
+    Guard, active_mask, cluster_safe_travel = (
+        set_functions.Guard,
+        set_functions.active_mask,
+        set_functions.cluster_safe_travel,
+    )
+    detect_and_evaluate, integrate_body, accept_contact, has_history = (
+        set_functions.detect_and_evaluate,
+        set_functions.integrate_body,
+        set_functions.accept_contact,
+        set_functions.has_history,
+    )
+    travel_functions = travel.functions(real)
+    accumulate_travel, is_culled = travel_functions.accumulate_travel, travel_functions.is_culled
+    safe_travel_for = contact_detection.functions(real, False, DETECT_GRID_ANY).safe_travel_for
+    external_wrench_of = wrench_functions.functions(real, False, has_external_forces).external_wrench
+    broadcast_from, broadcast_int_from = warps.broadcast_function(real), warps.broadcast_function(wp.int32)
     # What is kept of each block until the step is accepted: bits by the places of contacts.
-    Bits = wp.types.vector(length=blocks, dtype=wp.int32)
+    Bits = wp.types.vector(length=clusters, dtype=wp.int32)
     # A contact alone is met by the thread of its environment.
-    single = width == 1 and blocks == 1
+    single_contact = width == 1 and clusters == 1
     registers = REGISTERS if real is wp.float32 else None
 
     @wp.func
-    def told_vector(v: vec3, lane: int):
-        return vec3(told_by(v[0], lane), told_by(v[1], lane), told_by(v[2], lane))
+    def broadcast_vec3(v: vec3, lane: int):
+        return vec3(broadcast_from(v[0], lane), broadcast_from(v[1], lane), broadcast_from(v[2], lane))
 
     @wp.func
-    def slot_of(block: int):
+    def mask_index(cluster: int):
         """Where it is kept what was found of a block."""
-        if wp.static(blocks == 1):
+        if wp.static(clusters == 1):
             return 0
-        return block
+        return cluster
 
     @unique_kernel(registers)
-    def step_alone(
-        work: Work,
-        own: wp.int32,  # environments of a warp
+    def fused_step(
+        launch: LaunchRange,
+        envs_per_warp: wp.int32,  # environments of a warp
         status: wp.array(dtype=wp.int32),
         step: wp.array2d(dtype=real),  # [env, 0] [s]
         clock_step: wp.array2d(dtype=wp.float64),  # [env, 0] [s]
@@ -249,156 +298,193 @@ def kernel(
         guard: Guard,
         state_in: State,
         history: History,
-        memory: Memory,
+        history_in: MaterialHistory,
         coefficients: Coefficients,
-        kept: Memory,
+        history_out: MaterialHistory,
         contacts: Contacts,
-        near: Near,
+        active_contacts: ActiveContacts,
         cache: Cache,
-        ends: Ends,
+        ends: CouplingWrenches,
         state_out: State,
     ):
         lane = warps.lane()
         # All threads of a warp come by together where they tell each other, those without work as well.
         for warp in range(
-            wp.tid() // wp.static(lanes), (task_count(work) + own - 1) // own, work.threads // wp.static(lanes)
+            wp.tid() // wp.static(lanes),
+            (task_count(launch) + envs_per_warp - 1) // envs_per_warp,
+            launch.threads // wp.static(lanes),
         ):
-            first = natural(first_env(work) + warp * own)
+            first = assume_nonnegative(first_env(launch) + warp * envs_per_warp)
             env = first
-            there = lane < own and warp * own + lane < task_count(work)
-            if there:
-                env = first + natural(lane)
-                there = status[env] == ENV_ACTIVE
+            has_env = lane < envs_per_warp and warp * envs_per_warp + lane < task_count(launch)
+            if has_env:
+                env = first + assume_nonnegative(lane)
+                has_env = status[env] == ENV_ACTIVE
             force = vec3()
             torque = vec3()
-            if there:
-                wrench = start_of(model, ends, env, 0)
+            if has_env:
+                wrench = external_wrench_of(model, ends, env, 0)
                 force = wrench.force
                 torque = wrench.torque
             touching = Bits()
             ended = Bits()
             armed = Bits()
             speed = real(0.0)
-            if wp.static(single):
-                met = meet(
-                    model, state_in, history, memory, step[env, 0], coefficients, kept, cache, env, 0, there
+            if wp.static(single_contact):
+                update = detect_and_evaluate(
+                    model,
+                    state_in,
+                    history,
+                    history_in,
+                    step[env, 0],
+                    coefficients,
+                    history_out,
+                    cache,
+                    env,
+                    0,
+                    has_env,
                 )
-                force += met.force
-                torque += met.torque
-                touching[0] = wp.where(met.kind == TOUCHES, 1, 0)
-                ended[0] = wp.where(met.kind == ENDED, 1, 0)
-                armed[0] = met.armed
-                speed = met.approach_speed
+                force += update.force
+                torque += update.torque
+                touching[0] = wp.where(update.kind == IN_CONTACT, 1, 0)
+                ended[0] = wp.where(update.kind == ENDED, 1, 0)
+                armed[0] = update.armed
+                speed = update.approach_speed
             else:
-                travelled = real(0.0)
-                awake = wp.bool(False)
-                looked_at = wp.int32(0)
-                if there:
-                    travelled = add_travel(model, state_in, cache, env, 0)
-                    awake = not sleeps(model, cache, env, 0, travelled)
+                max_travel = real(0.0)
+                is_active = wp.bool(False)
+                evaluated_clusters = wp.int32(0)
+                if has_env:
+                    max_travel = accumulate_travel(model, state_in, cache, env, 0)
+                    is_active = not is_culled(model, cache, env, 0, max_travel)
                 # What a thread wrote of its environment is there for the others.
                 warps.sync()
-                awakes = Bits()
+                active_masks = Bits()
                 count = wp.int32(0)
-                if awake:
-                    for block in range(model.block_set.shape[0]):
-                        if not (travelled < cache.block_wake[env, block]):
-                            those = awake_of(model, cache, env, block, travelled)
-                            awakes[slot_of(block)] = those
-                            count += warps.count_of(those)
-                            looked_at = looked_at | (1 << block)
+                if is_active:
+                    for cluster in range(model.cluster_set.shape[0]):
+                        if not (max_travel < cache.cluster_safe_travel[env, cluster]):
+                            mask = active_mask(model, cache, env, cluster, max_travel)
+                            active_masks[mask_index(cluster)] = mask
+                            count += warps.popcount(mask)
+                            evaluated_clusters = evaluated_clusters | (1 << cluster)
                 # Of the contacts of all environments of the warp, the next of this one: its block and those left.
-                up_to = warps.sum_up_to(count)
-                at = up_to - count
-                start = at
-                total = number_told_by(up_to, wp.static(lanes - 1))
-                mine = wp.int32(0)
-                left = awakes[0]
+                inclusive_sum = warps.inclusive_scan(count)
+                position = inclusive_sum - count
+                start = position
+                total = broadcast_int_from(inclusive_sum, wp.static(lanes - 1))
+                own_cluster = wp.int32(0)
+                remaining_mask = active_masks[0]
                 sum_force = vec3()
                 sum_torque = vec3()
-                for base in range(0, total, wp.static(lanes)):
-                    owner = warps.owner_of(start, base + lane)
-                    number = base + lane - number_told_by(start, owner)
-                    block = wp.int32(0)
-                    those = number_told_by(awakes[0], owner)
-                    for other in range(1, model.block_set.shape[0]):
-                        one = number_told_by(awakes[slot_of(other)], owner)
-                        if block == other - 1 and number >= warps.count_of(those):
-                            number -= warps.count_of(those)
-                            those = one
-                            block = other
-                    whose = first
+                for first_item in range(0, total, wp.static(lanes)):
+                    owner = warps.find_owner(start, first_item + lane)
+                    number = first_item + lane - broadcast_int_from(start, owner)
+                    cluster = wp.int32(0)
+                    mask = broadcast_int_from(active_masks[0], owner)
+                    for other in range(1, model.cluster_set.shape[0]):
+                        lane_mask = broadcast_int_from(active_masks[mask_index(other)], owner)
+                        if cluster == other - 1 and number >= warps.popcount(mask):
+                            number -= warps.popcount(mask)
+                            mask = lane_mask
+                            cluster = other
+                    owner_env = first
                     contact = wp.int32(0)
-                    found = base + lane < total
+                    found = first_item + lane < total
                     if found:
-                        whose = first + natural(owner)
-                        place = natural(model.block_start[block]) + warps.one_of(those, number)
-                        contact = natural(model.block_contact[place])
-                    met = meet(
-                        model, state_in, history, memory, step[whose, 0], coefficients, kept, cache, whose,
-                        contact, found,
-                    )  # fmt: skip
+                        owner_env = first + assume_nonnegative(owner)
+                        index = assume_nonnegative(model.cluster_start[cluster]) + warps.nth_set_bit(mask, number)
+                        contact = assume_nonnegative(model.cluster_contact[index])
+                    update = detect_and_evaluate(
+                        model,
+                        state_in,
+                        history,
+                        history_in,
+                        step[owner_env, 0],
+                        coefficients,
+                        history_out,
+                        cache,
+                        owner_env,
+                        contact,
+                        found,
+                    )
                     if found:
-                        cache.wake[whose, contact] = wake_of(cache.set_travel[whose, 0], met.free)
-                        if met.kind == TOUCHES:
-                            contacts.approach_speed[whose, contact] = met.approach_speed
-                    touch_there = warps.lanes_with(met.kind == TOUCHES)
-                    ended_there = warps.lanes_with(met.kind == ENDED)
-                    armed_there = wp.int32(0)
-                    if wp.static(remembers):
-                        armed_there = warps.lanes_with(met.armed != 0)
-                    waits = at < wp.min(up_to, base + wp.static(lanes))
-                    while warps.lanes_with(waits) != 0:
-                        lane_of_it = wp.where(waits, at - base, lane)
-                        one_force = told_vector(met.force, lane_of_it)
-                        one_torque = told_vector(met.torque, lane_of_it)
-                        if waits:
-                            while left == 0:
+                        cache.safe_travel[owner_env, contact] = safe_travel_for(
+                            cache.set_travel[owner_env, 0], update.clearance
+                        )
+                        if update.kind == IN_CONTACT:
+                            contacts.approach_speed[owner_env, contact] = update.approach_speed
+                    contact_lanes = warps.ballot(update.kind == IN_CONTACT)
+                    ended_lanes = warps.ballot(update.kind == ENDED)
+                    armed_lanes = wp.int32(0)
+                    if wp.static(has_history):
+                        armed_lanes = warps.ballot(update.armed != 0)
+                    pending = position < wp.min(inclusive_sum, first_item + wp.static(lanes))
+                    while warps.ballot(pending) != 0:
+                        source_lane = wp.where(pending, position - first_item, lane)
+                        lane_force = broadcast_vec3(update.force, source_lane)
+                        lane_torque = broadcast_vec3(update.torque, source_lane)
+                        if pending:
+                            while remaining_mask == 0:
                                 force += sum_force
                                 torque += sum_torque
                                 sum_force = vec3()
                                 sum_torque = vec3()
-                                mine += 1
-                                left = awakes[slot_of(mine)]
-                            sum_force += one_force
-                            sum_torque += one_torque
-                            bit = left & -left
-                            left = left - bit
-                            slot = slot_of(mine)
-                            touching[slot] = touching[slot] | (bit * warps.some(touch_there, lane_of_it, 1))
-                            ended[slot] = ended[slot] | (bit * warps.some(ended_there, lane_of_it, 1))
-                            if wp.static(remembers):
-                                armed[slot] = armed[slot] | (bit * warps.some(armed_there, lane_of_it, 1))
-                            at += 1
-                        waits = at < wp.min(up_to, base + wp.static(lanes))
+                                own_cluster += 1
+                                remaining_mask = active_masks[mask_index(own_cluster)]
+                            sum_force += lane_force
+                            sum_torque += lane_torque
+                            bit = remaining_mask & -remaining_mask
+                            remaining_mask = remaining_mask - bit
+                            slot = mask_index(own_cluster)
+                            touching[slot] = touching[slot] | (
+                                bit * warps.bit_range(contact_lanes, source_lane, 1)
+                            )
+                            ended[slot] = ended[slot] | (bit * warps.bit_range(ended_lanes, source_lane, 1))
+                            if wp.static(has_history):
+                                armed[slot] = armed[slot] | (bit * warps.bit_range(armed_lanes, source_lane, 1))
+                            position += 1
+                        pending = position < wp.min(inclusive_sum, first_item + wp.static(lanes))
                 force += sum_force
                 torque += sum_torque
                 # And what others wrote of its contacts.
                 warps.sync()
-                for block in range(model.block_set.shape[0]):
-                    if warps.some(looked_at, block, 1) != 0:
-                        slot = slot_of(block)
-                        cache.block_wake[env, block] = wake_of_block(
-                            model, cache, env, block, (touching[slot] | ended[slot]) != 0
+                for cluster in range(model.cluster_set.shape[0]):
+                    if warps.bit_range(evaluated_clusters, cluster, 1) != 0:
+                        slot = mask_index(cluster)
+                        cache.cluster_safe_travel[env, cluster] = cluster_safe_travel(
+                            model, cache, env, cluster, (touching[slot] | ended[slot]) != 0
                         )
-            if there:  # noqa: SIM102  Warp would evaluate both sides
-                if move(
+            if has_env:
+                if integrate_body(
                     status, clock_step, time, model, guard, state_in, state_out, env, force,
                     torque, step[env, 0],
                 ):  # fmt: skip
-                    for block in range(model.block_set.shape[0]):
-                        slot = slot_of(block)
-                        left = touching[slot] | ended[slot]
-                        while left != 0:
-                            place = warps.one_of(left, 0)
-                            left = left & (left - 1)
-                            contact = natural(model.block_contact[natural(model.block_start[block]) + place])
-                            if wp.static(not single):
+                    for cluster in range(model.cluster_set.shape[0]):
+                        slot = mask_index(cluster)
+                        remaining_mask = touching[slot] | ended[slot]
+                        while remaining_mask != 0:
+                            index = warps.nth_set_bit(remaining_mask, 0)
+                            remaining_mask = remaining_mask & (remaining_mask - 1)
+                            contact = assume_nonnegative(
+                                model.cluster_contact[assume_nonnegative(model.cluster_start[cluster]) + index]
+                            )
+                            if wp.static(not single_contact):
                                 speed = contacts.approach_speed[env, contact]
-                            touches = warps.some(touching[slot], place, 1) != 0
-                            take(
-                                model, history, memory, kept, near, cache, env, block, contact, touches,
-                                warps.some(armed[slot], place, 1), speed,
-                            )  # fmt: skip
+                            in_contact = warps.bit_range(touching[slot], index, 1) != 0
+                            accept_contact(
+                                model,
+                                history,
+                                history_in,
+                                history_out,
+                                active_contacts,
+                                cache,
+                                env,
+                                cluster,
+                                contact,
+                                in_contact,
+                                warps.bit_range(armed[slot], index, 1),
+                                speed,
+                            )
 
-    return step_alone
+    return fused_step

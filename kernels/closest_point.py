@@ -13,27 +13,27 @@ from types import SimpleNamespace
 import numpy as np
 import warp as wp
 from warpcontact.kernels import cells, frames, rotations, search, tree
-from warpcontact.kernels import foot as feet
-from warpcontact.kernels import recall as lists
-from warpcontact.kernels.sides import room_on_side as sides_of
+from warpcontact.kernels import foot as closest_points
+from warpcontact.kernels import recall as face_cache
+from warpcontact.kernels.sides import side_clearance as side_clearance_of
 from warpcontact.kernels.types import (
-    AT_POINT,
     BOUNDARY_OUTER,
+    CACHED_FACES_GPU,
     CONTACT,
     DISABLED,
     FAR,
     FEATURE_ACTIVE,
     FEATURE_BOUNDARY,
+    FORCE_AT_POINT,
     INACTIVE,
     LATCH_ARM,
     LATCH_DISARM,
     LATCH_KEEP,
     LATCHED,
     OPEN,
-    REMEMBERED_IN_QUEUES,
     SWEPT,
     WRONG_SIDE,
-    natural,
+    assume_nonnegative,
     structs,
 )
 
@@ -45,51 +45,78 @@ ROUNDING = 16.0
 # The same of a point alone, in units of epsilon times its coordinates: on fine meshes this is more.
 POINT_ROUNDING = 4.0
 # Parts of a look.
-WHOLE, KNOWN, LISTED, RECALLED, SEARCH = "whole", "known", "listed", "recalled", "search"
-CELL, AWAY, EITHER, QUERY = "cell", "away", "either", "query"
+DETECT_ALL, DETECT_CACHED, DETECT_CANDIDATES, DETECT_FACE_CACHE, DETECT_BVH = (
+    "all",
+    "cached",
+    "candidates",
+    "face_cache",
+    "bvh",
+)
+DETECT_GRID, DETECT_GRID_FAR, DETECT_GRID_ANY, DETECT_QUERY = "grid", "grid_far", "grid_any", "query"
 # Of what a point was free by: with less left it would soon be looked at again.
-FEW = 0.25
+MIN_CLEARANCE_FRACTION = 0.25
 # Result of one that is left to the next part: no distance.
-LATER = -math.inf
+DEFERRED = -math.inf
 # Contacts that stay with the part of the surface that they touched.
-FOLLOWS = LATCHED | SWEPT
+TRACKED = LATCHED | SWEPT
 
 
 @functools.cache
-def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
-    """Returns the struct ``View`` and the device functions for ``real``.
+def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
+    """Returns the struct ``SetFrames`` and the device functions for ``real``.
 
-    With ``follows``, latched and swept contacts stay with the part of the surface that they touched: on the inner
+    With ``tracks``, latched and swept contacts stay with the part of the surface that they touched: on the inner
     side their nearest point is the one reached by walking from the last, so that neither the middle of a plate
     nor its far side turns the force over.
 
-    ``part`` is ``WHOLE``, or one of some that do it in turn, each putting off what it does not know: ``KNOWN``
-    takes the face that is sure to be nearest, ``LISTED`` looks through the remembered ones, ``RECALLED`` does
-    both, and ``SEARCH`` searches. Or, about meshes with cells, with no faces remembered: ``CELL`` looks through
-    the faces of a cell, ``AWAY`` does unless it remembers that none is near, ``QUERY`` searches, and ``EITHER``
-    does what is due.
+    ``part`` selects the code that is compiled. ``DETECT_ALL`` does everything. The others are successive
+    parts, each of which defers what it cannot decide. With a face cache: ``DETECT_CACHED`` uses the nearest face,
+    ``DETECT_CANDIDATES`` the cached candidates, ``DETECT_FACE_CACHE`` both, ``DETECT_BVH`` queries the BVH. With a
+    face grid: ``DETECT_GRID`` uses the faces of a cell, ``DETECT_GRID_FAR`` first the stored clearance,
+    ``DETECT_QUERY`` queries the BVH, ``DETECT_GRID_ANY`` uses the cell and, if necessary, the BVH.
     """
     t = structs(real)
     vec3, mat33, Model, State, History = t.vec3, t.mat33, t.Model, t.State, t.History
     Contacts, Cache = t.Contacts, t.Cache
-    in_queues = part != WHOLE
-    of_face, of_list, of_search = feet.functions(real), lists.functions(real), search.functions(real)
-    Foot, foot_on, inner, walk = of_face.Foot, of_face.foot_on, of_face.inner, of_face.walk
-    fallen = of_face.fallen
-    recall = {
-        WHOLE: of_list.recall_at_once,
-        KNOWN: of_list.recall_sure,
-        LISTED: of_list.recall_listed,
-        RECALLED: of_list.recall,
-    }.get(part, of_list.recall_nothing)
-    nearest_of_all, extent_of, unsure_of = of_search.nearest_of_all, of_search.extent_of, of_search.unsure_of
-    nearest_to_remember = search.nearest_to_remember(real, REMEMBERED_IN_QUEUES)
-    of_tree = tree.functions(real)
-    search_tree, rounding_of, remember_about = of_tree.nearest, of_tree.rounding_of, of_tree.remember_about
-    cell_at, nearest_listed = cells.functions(real).cell_at, cells.functions(real).nearest_listed
-    room_on_side = sides_of(real)
+    uses_queues = part != DETECT_ALL
+    face_functions, cache_functions, search_functions = (
+        closest_points.functions(real),
+        face_cache.functions(real),
+        search.functions(real),
+    )
+    ClosestPoint, closest_on_face, is_inside, descend = (
+        face_functions.ClosestPoint,
+        face_functions.closest_on_face,
+        face_functions.is_inside,
+        face_functions.descend,
+    )
+    lost_tie = face_functions.lost_tie
+    cached_closest = {
+        DETECT_ALL: cache_functions.nearest_candidate_simd,
+        DETECT_CACHED: cache_functions.cached_nearest,
+        DETECT_CANDIDATES: cache_functions.nearest_candidate,
+        DETECT_FACE_CACHE: cache_functions.cached_closest,
+    }.get(part, cache_functions.no_cached_point)
+    refine_closest, max_coordinate, query_error = (
+        search_functions.refine_closest,
+        search_functions.max_coordinate,
+        search_functions.query_error,
+    )
+    closest_and_cache = search.closest_and_cache(real, CACHED_FACES_GPU)
+    bvh_functions = tree.functions(real)
+    search_tree, rounding_error, cache_faces_near = (
+        bvh_functions.closest_in_bvh,
+        bvh_functions.rounding_error,
+        bvh_functions.cache_faces_near,
+    )
+    cell_at, closest_in_cell = cells.functions(real).cell_at, cells.functions(real).closest_in_cell
+    side_clearance = side_clearance_of(real)
     frame = frames.functions(real)
-    apart, turned, matrix = frame.apart, frame.turned, rotations.functions(real).matrix
+    offset_between, rotate_to_world, matrix = (
+        frame.offset_between,
+        frame.rotate_to_world,
+        rotations.functions(real).matrix,
+    )
     orientation_to_world, rotation_to_world = frame.orientation_to_world, frame.rotation_to_world
     epsilon = wp.constant(real(t.epsilon * ROUNDING))
     point_epsilon = wp.constant(real(t.epsilon * POINT_ROUNDING))
@@ -120,269 +147,295 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         return length
 
     @wp.struct
-    class View:
+    class SetFrames:
         """Where the points of a set are, and what they see of their surface."""
 
-        apart_W: vec3  # from the origin of the surface to where the points are given from
+        offset_W: vec3  # from the origin of the surface to where the points are given from
         R_WB: mat33
         R_WS: mat33
         scale: real
-        per_scale: real
-        number: wp.int32  # of their set
-        patch: wp.int32
+        inverse_scale: real
+        set_index: wp.int32  # of their set
+        query_mesh: wp.int32
         start: wp.int32  # first row of its faces
         stop: wp.int32
 
     @wp.func
-    def view_of(model: Model, state: State, env: int, number: int):
-        view = View()
-        contact = natural(model.set_contact[number])
-        view.number = number
-        point = natural(model.contact_point[contact])
-        view.R_WB = rotation_to_world(state, env, model.point_body[point])
-        base = natural(model.contact_patch[contact])
-        surface = natural(model.patch_surface[base])
+    def frames_of_set(model: Model, state: State, env: int, set_index: int):
+        set_frames = SetFrames()
+        contact = assume_nonnegative(model.set_contact[set_index])
+        set_frames.set_index = set_index
+        point = assume_nonnegative(model.contact_point[contact])
+        set_frames.R_WB = rotation_to_world(state, env, model.point_body[point])
+        base = assume_nonnegative(model.contact_query_mesh[contact])
+        surface = assume_nonnegative(model.query_mesh_surface[base])
         carrier = model.surface_body[surface]
-        o_W = turned(state, env, carrier, model.surface_position[env, surface])
-        view.apart_W = apart(model, state, env, point, surface) - o_W
+        o_W = rotate_to_world(state, env, carrier, model.surface_position[env, surface])
+        set_frames.offset_W = offset_between(model, state, env, point, surface) - o_W
         q_BS = model.surface_orientation[env, surface]
-        view.R_WS = matrix(orientation_to_world(state, env, carrier, q_BS))
-        view.scale = model.surface_scale[env, surface]
-        view.per_scale = real(1.0) / view.scale
-        view.patch = natural(base + model.surface_mesh[env, surface])
-        view.start = model.patch_face_start[view.patch]
-        view.stop = model.patch_face_start[view.patch + 1]
-        return view
+        set_frames.R_WS = matrix(orientation_to_world(state, env, carrier, q_BS))
+        set_frames.scale = model.surface_scale[env, surface]
+        set_frames.inverse_scale = real(1.0) / set_frames.scale
+        set_frames.query_mesh = assume_nonnegative(base + model.surface_mesh[env, surface])
+        set_frames.start = model.query_mesh_face_start[set_frames.query_mesh]
+        set_frames.stop = model.query_mesh_face_start[set_frames.query_mesh + 1]
+        return set_frames
 
     @wp.struct
-    class Found:
+    class DetectedContact:
         """What a look at a contact finds."""
 
-        free: real  # how far its point can move and not touch [m]; < 0: not at all; LATER: nothing was found
+        clearance: real  # how far its point can move and not touch [m]; < 0: not at all; LATER: nothing was found
         status: wp.int32  # OPEN, CONTACT, …
         armed: wp.int32  # the latch that this leads to
         penetration: real  # 0 unless status is CONTACT [m]
-        told: wp.bool  # whether what follows is told: not of what is far away, as far as steps look at it
+        has_details: wp.bool  # whether what follows is told: not of what is far away, as far as steps look at it
         gap: real  # < 0 in overlap [m]
         face: wp.int32  # row of the face; −1: none
         normal: vec3  # out of the surface, W
         arm: vec3  # to K, where the force acts, from where points are given, W [m]
 
     @wp.func
-    def keep_away(cache: Cache, env: int, contact: int, p_S: vec3, room: real):
+    def store_clearance(cache: Cache, env: int, contact: int, p_S: vec3, clearance: real):
         """Remembers how far a point can move from where it is and not touch, in units of the mesh."""
-        cache.room[env, contact] = room
-        cache.room_place[env, contact] = p_S
+        cache.clearance[env, contact] = clearance
+        cache.clearance_center[env, contact] = p_S
 
     @wp.func
-    def left_of_room(cache: Cache, env: int, contact: int, p_S: vec3):
+    def remaining_clearance(cache: Cache, env: int, contact: int, p_S: vec3):
         """How far a point can still move, of what it could where that was remembered, in units of the mesh."""
-        return cache.room[env, contact] - wp.length(p_S - cache.room_place[env, contact])
+        return cache.clearance[env, contact] - wp.length(p_S - cache.clearance_center[env, contact])
 
     @wp.func
-    def lost(free: real, gap: real, status: int, armed: int, arm_W: vec3):
+    def no_closest_point(clearance: real, gap: real, status: int, armed: int, arm_W: vec3):
         """What is found of one that has no nearest point."""
-        found = Found()
-        found.free = free
-        found.status = status
-        found.armed = armed
-        found.told = True
-        found.gap = gap
-        found.face = -1
-        found.arm = arm_W
-        return found
+        detected = DetectedContact()
+        detected.clearance = clearance
+        detected.status = status
+        detected.armed = armed
+        detected.has_details = True
+        detected.gap = gap
+        detected.face = -1
+        detected.arm = arm_W
+        return detected
 
     @wp.func
-    def away(free: real):
+    def far_contact(clearance: real):
         """What is found of one that is far away on the outer side."""
-        found = Found()
-        found.free = free
-        found.status = OPEN
-        found.armed = 1
-        return found
+        detected = DetectedContact()
+        detected.clearance = clearance
+        detected.status = OPEN
+        detected.armed = 1
+        return detected
 
     @wp.func
-    def later():
+    def deferred_contact():
         """What is found by a part that leaves it to the next."""
-        found = Found()
-        found.free = real(LATER)
-        return found
+        detected = DetectedContact()
+        detected.clearance = real(DEFERRED)
+        return detected
 
     @wp.func
-    def leave(contacts: Contacts, env: int, contact: int):
+    def mark_far(contacts: Contacts, env: int, contact: int):
         """Fills ``contacts`` for one that is far away on the outer side, as far as steps look at it."""
         contacts.status[env, contact] = OPEN
         contacts.penetration[env, contact] = real(0.0)
         contacts.armed[env, contact] = 1
 
     @wp.func
-    def find(model: Model, view: View, history: History, cached: bool, cache: Cache, env: int, contact: int):
+    def detect(
+        model: Model, set_frames: SetFrames, history: History, cached: bool, cache: Cache, env: int, contact: int
+    ):
         """Looks at a contact."""
         geometry = model.contact_geometry[env, contact]
         radius = geometry.radius
         armed = history.armed[env, contact]
-        arm_W = view.R_WB * model.point_position[env, natural(model.contact_point[contact])]
+        arm_W = set_frames.R_WB * model.point_position[env, assume_nonnegative(model.contact_point[contact])]
         if geometry.enabled == 0:
-            return lost(real(wp.inf), real(wp.nan), DISABLED, armed, arm_W)
-        out_of_sight = wp.max(geometry.search_radius - radius, real(0.0))
+            return no_closest_point(real(wp.inf), real(wp.nan), DISABLED, armed, arm_W)
+        search_gap = wp.max(geometry.search_radius - radius, real(0.0))
 
         # Distance below which there is contact.
-        touch_at = radius + geometry.closed
+        contact_radius = radius + geometry.closed
         # Into the mesh's own frame and unit, where float32 is as good as the mesh.
-        patch, scale = view.patch, view.scale
-        reach = touch_at * view.per_scale
-        p_S = view.per_scale * (wp.transpose(view.R_WS) * (view.apart_W + arm_W))
+        query_mesh, scale = set_frames.query_mesh, set_frames.scale
+        contact_distance = contact_radius * set_frames.inverse_scale
+        p_S = set_frames.inverse_scale * (wp.transpose(set_frames.R_WS) * (set_frames.offset_W + arm_W))
 
         option = model.contact_options[contact]
-        extent = extent_of(p_S)
-        foot = Foot()
+        extent = max_coordinate(p_S)
+        closest = ClosestPoint()
         # How far the nearest face may be nearer than the foot.
-        unsure = real(0.0)
-        held = wp.bool(False)
-        if wp.static(follows):
+        error = real(0.0)
+        tracked_inside = wp.bool(False)
+        if wp.static(tracks):
             # A face of another mesh, which the surface had before, says nothing.
             last = history.face[env, contact]
-            if last >= view.start and last < view.stop and (option & FOLLOWS) != 0:
-                foot = walk(model, last, p_S)
-                held = inner(model, foot)
-        if not held:
+            if last >= set_frames.start and last < set_frames.stop and (option & TRACKED) != 0:
+                closest = descend(model, last, p_S)
+                tracked_inside = is_inside(model, closest)
+        if not tracked_inside:
             # A sphere sees at least what it overlaps.
-            seen = wp.max(geometry.search_radius * view.per_scale, reach)
+            search_distance = wp.max(geometry.search_radius * set_frames.inverse_scale, contact_distance)
             # A latch that is not armed waits until the surface is in sight.
-            may_be_away = armed != 0 or (option & LATCHED) == 0
-            if wp.static(part == AWAY):
-                if may_be_away:
-                    left = left_of_room(cache, env, contact, p_S)
-                    if left > query_epsilon * extent:
-                        return away(scale * left)
-            elif wp.static(part == WHOLE):  # noqa: SIM102
-                if cached and may_be_away and cache.faces[env, contact] == 0:
-                    left = left_of_room(cache, env, contact, p_S)
-                    if left > wp.max(query_epsilon * extent, real(FEW) * cache.room[env, contact]):
-                        return away(scale * left)
-            step = view.per_scale * cache.set_step[env, view.number]
-            recalled = recall(model, patch, cache, env, contact, p_S, step)
-            if wp.static(part == WHOLE):  # noqa: SIM102  Warp would evaluate both sides
-                if recalled.known:
+            can_be_far = armed != 0 or (option & LATCHED) == 0
+            if wp.static(part == DETECT_GRID_FAR):
+                if can_be_far:
+                    remaining = remaining_clearance(cache, env, contact, p_S)
+                    if remaining > query_epsilon * extent:
+                        return far_contact(scale * remaining)
+            elif wp.static(part == DETECT_ALL):
+                if cached and can_be_far and cache.face_count[env, contact] == 0:
+                    remaining = remaining_clearance(cache, env, contact, p_S)
+                    if remaining > wp.max(
+                        query_epsilon * extent, real(MIN_CLEARANCE_FRACTION) * cache.clearance[env, contact]
+                    ):
+                        return far_contact(scale * remaining)
+            step = set_frames.inverse_scale * cache.set_step_travel[env, set_frames.set_index]
+            cached_point = cached_closest(model, query_mesh, cache, env, contact, p_S, step)
+            if wp.static(part == DETECT_ALL):
+                if cached_point.valid:
                     if cached:
-                        cache.nearest[env, contact] = recalled.foot.row
+                        cache.nearest[env, contact] = cached_point.closest.row
                     else:
                         # Far away a search settles no ties, as what is remembered does.
-                        farthest = recalled.foot.distance
-                        farthest += unsure_of(model, patch, extent, farthest)
-                        recalled.known = farthest < reach + model.patch_skin[patch]
-            foot = recalled.foot
-            known = recalled.known
-            if wp.static(part in (CELL, AWAY, EITHER)):
-                cell = cell_at(model, patch, p_S)
-                if cell.free > reach and may_be_away:
-                    if wp.static(part == AWAY):
-                        keep_away(cache, env, contact, p_S, cell.free - reach)
-                    return away(scale * (cell.free - reach))
-                known = cell.faces >= 0
-                if known:
-                    margin = unsure_of(model, patch, extent, reach)
-                    foot = nearest_listed(model, cell.faces, p_S, margin)
-            if wp.static(part in (KNOWN, LISTED, RECALLED, CELL, AWAY)):  # noqa: SIM102
-                if not known:
-                    return later()
-            if wp.static(part == WHOLE):  # noqa: SIM102
-                if cached and not known:
-                    foot = search_tree(model, patch, p_S, cache.nearest[env, contact])
-                    cache.faces[env, contact] = 0
+                        farthest = cached_point.closest.distance
+                        farthest += query_error(model, query_mesh, extent, farthest)
+                        cached_point.valid = farthest < contact_distance + model.query_mesh_skin[query_mesh]
+            closest = cached_point.closest
+            valid = cached_point.valid
+            if wp.static(part in (DETECT_GRID, DETECT_GRID_FAR, DETECT_GRID_ANY)):
+                cell = cell_at(model, query_mesh, p_S)
+                if cell.clearance > contact_distance and can_be_far:
+                    if wp.static(part == DETECT_GRID_FAR):
+                        store_clearance(cache, env, contact, p_S, cell.clearance - contact_distance)
+                    return far_contact(scale * (cell.clearance - contact_distance))
+                valid = cell.faces >= 0
+                if valid:
+                    margin = query_error(model, query_mesh, extent, contact_distance)
+                    closest = closest_in_cell(model, cell.faces, p_S, margin)
+            if wp.static(part not in (DETECT_ALL, DETECT_BVH, DETECT_GRID_ANY, DETECT_QUERY)):
+                if not valid:
+                    return deferred_contact()
+            if wp.static(part == DETECT_ALL):
+                if cached and not valid:
+                    closest = search_tree(model, query_mesh, p_S, cache.nearest[env, contact])
+                    cache.face_count[env, contact] = 0
                     # A point that is no number has none.
-                    if not (foot.distance < real(wp.inf)):
-                        return lost(real(0.0), out_of_sight, FAR, armed, arm_W)
-                    if foot.distance < reach + model.patch_skin[patch] or inner(model, foot):
-                        remember_about(model, patch, p_S, foot, cache, env, contact)
-                    cache.nearest[env, contact] = foot.row
-                    unsure = rounding_of(extent, foot)
-                    known = True
-            if not known:
+                    if not (closest.distance < real(wp.inf)):
+                        return no_closest_point(real(0.0), search_gap, FAR, armed, arm_W)
+                    if closest.distance < contact_distance + model.query_mesh_skin[query_mesh] or is_inside(
+                        model, closest
+                    ):
+                        cache_faces_near(model, query_mesh, p_S, closest, cache, env, contact)
+                    cache.nearest[env, contact] = closest.row
+                    error = rounding_error(extent, closest)
+                    valid = True
+            if not valid:
                 # With a cache it looks farther, to know how long it need not look again. It never looks beyond the
                 # face that was nearest last: whichever that was, what is found is the same.
-                ahead = wp.where(cached, real(2.0) * seen, seen)
-                limit = ahead
+                lookahead = wp.where(cached, real(2.0) * search_distance, search_distance)
+                limit = lookahead
                 hinted = wp.bool(False)
                 hint = cache.nearest[env, contact]
-                if hint >= view.start and hint < view.stop:
-                    if wp.static(part in (SEARCH, EITHER, QUERY)) or not cached or cache.faces[env, contact] == 0:
-                        foot = foot_on(model, hint, p_S)
-                    hinted = foot.distance < ahead
-                    limit = wp.min(limit, foot.distance)
-                margin = unsure_of(model, patch, extent, limit)
+                if hint >= set_frames.start and hint < set_frames.stop:
+                    if (
+                        wp.static(part in (DETECT_BVH, DETECT_GRID_ANY, DETECT_QUERY))
+                        or not cached
+                        or cache.face_count[env, contact] == 0
+                    ):
+                        closest = closest_on_face(model, hint, p_S)
+                    hinted = closest.distance < lookahead
+                    limit = wp.min(limit, closest.distance)
+                margin = query_error(model, query_mesh, extent, limit)
                 # Ties are settled from the nearest on; what is remembered keeps the choice of an earlier search.
-                enough = cached and hinted and foot.distance + margin < reach + model.patch_skin[patch]
-                if not enough:
-                    mesh = model.patch_mesh[patch]
+                hint_suffices = (
+                    cached
+                    and hinted
+                    and closest.distance + margin < contact_distance + model.query_mesh_skin[query_mesh]
+                )
+                if not hint_suffices:
+                    mesh = model.query_mesh_id[query_mesh]
                     query = wp.mesh_query_point_no_sign(
                         mesh,
                         wp.vec3f(wp.float32(p_S[0]), wp.float32(p_S[1]), wp.float32(p_S[2])),
                         wp.float32(limit + margin),
                     )
                     if query.result:
-                        foot = foot_on(model, view.start + query.face, p_S)
+                        closest = closest_on_face(model, set_frames.start + query.face, p_S)
                     elif not hinted:
-                        return lost(scale * (ahead - seen), out_of_sight, FAR, armed, arm_W)
+                        return no_closest_point(
+                            scale * (lookahead - search_distance), search_gap, FAR, armed, arm_W
+                        )
                 # Wherever rounding matters, the choice is looked at again.
-                unsure = unsure_of(model, patch, extent, foot.distance)
-                inside = inner(model, foot)
-                close = inside or foot.distance < reach + model.patch_skin[patch]
-                doubtful = close or foot.distance < reach + unsure or model.patch_thin[patch] > real(0.0)
-                doubtful = doubtful or wp.abs(foot.distance - seen) < unsure or (option & LATCHED) != 0
-                if wp.static(part in (EITHER, QUERY)):
-                    if doubtful or wp.static(real is wp.float64):
-                        foot = nearest_of_all(model, patch, p_S, foot, unsure)
-                        unsure = real(0.0)
-                    cache.nearest[env, contact] = foot.row
+                error = query_error(model, query_mesh, extent, closest.distance)
+                inside = is_inside(model, closest)
+                is_close = inside or closest.distance < contact_distance + model.query_mesh_skin[query_mesh]
+                is_ambiguous = (
+                    is_close
+                    or closest.distance < contact_distance + error
+                    or model.query_mesh_thin_length[query_mesh] > real(0.0)
+                )
+                is_ambiguous = (
+                    is_ambiguous or wp.abs(closest.distance - search_distance) < error or (option & LATCHED) != 0
+                )
+                if wp.static(part in (DETECT_GRID_ANY, DETECT_QUERY)):
+                    if is_ambiguous or wp.static(real is wp.float64):
+                        closest = refine_closest(model, query_mesh, p_S, closest, error)
+                        error = real(0.0)
+                    cache.nearest[env, contact] = closest.row
                 else:
                     if cached:
-                        cache.faces[env, contact] = 0
-                    margin = unsure
-                    if wp.static(in_queues) and cached and close:
-                        foot = nearest_to_remember(model, patch, p_S, foot, unsure, cache, env, contact)
-                        doubtful = fallen(foot)
-                        foot.distance = wp.length(foot.to_point)
-                        unsure = real(0.0)
+                        cache.face_count[env, contact] = 0
+                    margin = error
+                    if wp.static(uses_queues) and cached and is_close:
+                        closest = closest_and_cache(model, query_mesh, p_S, closest, error, cache, env, contact)
+                        is_ambiguous = lost_tie(closest)
+                        closest.distance = wp.length(closest.to_point)
+                        error = real(0.0)
                     else:
-                        doubtful = doubtful or wp.static(real is wp.float64)
-                    if doubtful:
-                        foot = nearest_of_all(model, patch, p_S, foot, margin)
-                        unsure = real(0.0)
-                    if cached or cache.faces[env, contact] == 0:
-                        cache.nearest[env, contact] = foot.row
-            if foot.distance >= seen:
-                return lost(scale * (foot.distance - unsure - seen), out_of_sight, FAR, armed, arm_W)
-        row = natural(foot.row)
-        feature = natural(foot.feature)
+                        is_ambiguous = is_ambiguous or wp.static(real is wp.float64)
+                    if is_ambiguous:
+                        closest = refine_closest(model, query_mesh, p_S, closest, margin)
+                        error = real(0.0)
+                    if cached or cache.face_count[env, contact] == 0:
+                        cache.nearest[env, contact] = closest.row
+            if closest.distance >= search_distance:
+                return no_closest_point(
+                    scale * (closest.distance - error - search_distance), search_gap, FAR, armed, arm_W
+                )
+        row = assume_nonnegative(closest.row)
+        feature = assume_nonnegative(closest.feature)
         n_S = model.face_normal[row, feature]
         flags = wp.int32(model.face_flags[row, feature])
 
         # Signed distance s [m], direction n, and whether P lies beside an open boundary.
-        side = wp.dot(foot.to_point, n_S)
+        side = wp.dot(closest.to_point, n_S)
         s = side
-        beside = wp.bool(False)
-        if foot.feature != 0:
+        beside_boundary = wp.bool(False)
+        if closest.feature != 0:
             sign = real(1.0)
             if side < real(0.0):
                 sign = real(-1.0)
             if (flags & FEATURE_BOUNDARY) != 0:
-                sideways = wp.length(foot.to_point - side * n_S)
-                beside = sideways > boundary_tolerance * edge_length(model, foot.row, foot.feature)
-            if beside or (flags & FEATURE_BOUNDARY) == 0:
-                s = sign * foot.distance
-                if foot.distance > wp.max(epsilon * foot.span, point_epsilon * extent):
-                    n_S = (sign / foot.distance) * foot.to_point
+                sideways = wp.length(closest.to_point - side * n_S)
+                beside_boundary = sideways > boundary_tolerance * edge_length(model, closest.row, closest.feature)
+            if beside_boundary or (flags & FEATURE_BOUNDARY) == 0:
+                s = sign * closest.distance
+                if closest.distance > wp.max(epsilon * closest.span, point_epsilon * extent):
+                    n_S = (sign / closest.distance) * closest.to_point
         s = scale * s
-        distance = scale * foot.distance
+        distance = scale * closest.distance
 
-        hidden = (flags & FEATURE_ACTIVE) == 0
+        is_inactive = (flags & FEATURE_ACTIVE) == 0
         # Beside a boundary only a sphere on the outer side can touch, and only the boundary.
-        missed = beside and (s < real(0.0) or radius == real(0.0) or (option & BOUNDARY_OUTER) == 0)
+        outside_boundary = beside_boundary and (
+            s < real(0.0) or radius == real(0.0) or (option & BOUNDARY_OUTER) == 0
+        )
 
         latch = LATCH_KEEP
         gap = s - radius
-        if hidden or missed:
+        if is_inactive or outside_boundary:
             gap = wp.max(distance - radius, real(0.0))
             if s < real(0.0):
                 latch = LATCH_DISARM
@@ -397,70 +450,70 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         elif latch == LATCH_DISARM:
             armed = 0
 
-        touching = OPEN
-        if hidden:
-            touching = INACTIVE
-        elif not missed and s < touch_at:
-            touching = CONTACT
+        contact_status = OPEN
+        if is_inactive:
+            contact_status = INACTIVE
+        elif not outside_boundary and s < contact_radius:
+            contact_status = CONTACT
             if radius - s > geometry.max_depth or ((option & LATCHED) != 0 and armed == 0):
-                touching = WRONG_SIDE
+                contact_status = WRONG_SIDE
         penetration = real(0.0)
-        if touching == CONTACT:
+        if contact_status == CONTACT:
             penetration = wp.max(radius - s, real(0.0))
 
         # How far the point is from touching. On the side that it is on it stays, where that is known; one that is
         # deeper than counts as contact, or farther than that outside, does not touch whatever its side.
-        free = real(-1.0)
-        if not held and touching != CONTACT:
-            nearest = distance - scale * unsure
-            if s >= touch_at:
-                free = wp.min(nearest - touch_at, scale * room_on_side(model, patch, p_S))
+        clearance = real(-1.0)
+        if not tracked_inside and contact_status != CONTACT:
+            nearest = distance - scale * error
+            if s >= contact_radius:
+                clearance = wp.min(nearest - contact_radius, scale * side_clearance(model, query_mesh, p_S))
             if (option & LATCHED) == 0:
-                free = wp.max(free, nearest - wp.max(touch_at, geometry.max_depth - radius))
-            if wp.static(part in (AWAY, WHOLE)):  # noqa: SIM102  Warp would evaluate both sides
-                if cached and touching == OPEN and armed != 0 and free > real(0.0):
-                    keep_away(cache, env, contact, p_S, view.per_scale * free)
+                clearance = wp.max(clearance, nearest - wp.max(contact_radius, geometry.max_depth - radius))
+            if wp.static(part in (DETECT_GRID_FAR, DETECT_ALL)):
+                if cached and contact_status == OPEN and armed != 0 and clearance > real(0.0):
+                    store_clearance(cache, env, contact, p_S, set_frames.inverse_scale * clearance)
 
         # K = S + κ (D − S) with D = P − RC n, the deepest point; seen from P.
-        to_surface = -scale * foot.to_point
-        if foot.feature == 0:
+        to_surface = -scale * closest.to_point
+        if closest.feature == 0:
             to_surface = -s * n_S
         to_deepest = -radius * n_S
         to_contact = to_surface + geometry.kappa * (to_deepest - to_surface)
-        if (option & AT_POINT) != 0:
+        if (option & FORCE_AT_POINT) != 0:
             to_contact = vec3()
-        found = Found()
-        found.free = free
-        found.status = touching
-        found.armed = armed
-        found.penetration = penetration
-        found.told = True
-        found.gap = gap
-        found.face = foot.row
-        found.normal = view.R_WS * n_S
-        found.arm = arm_W + view.R_WS * to_contact
-        return found
+        detected = DetectedContact()
+        detected.clearance = clearance
+        detected.status = contact_status
+        detected.armed = armed
+        detected.penetration = penetration
+        detected.has_details = True
+        detected.gap = gap
+        detected.face = closest.row
+        detected.normal = set_frames.R_WS * n_S
+        detected.arm = arm_W + set_frames.R_WS * to_contact
+        return detected
 
     @wp.func
-    def tell(found: Found, contacts: Contacts, env: int, contact: int):
+    def write_contact(detected: DetectedContact, contacts: Contacts, env: int, contact: int):
         """Fills ``contacts`` for one."""
-        if wp.static(follows):
+        if wp.static(tracks):
             contacts.crossed_face[env, contact] = -1
-        if not found.told:
-            leave(contacts, env, contact)
+        if not detected.has_details:
+            mark_far(contacts, env, contact)
             return
-        contacts.gap[env, contact] = found.gap
-        contacts.status[env, contact] = found.status
-        contacts.armed[env, contact] = found.armed
-        contacts.penetration[env, contact] = found.penetration
-        contacts.face[env, contact] = found.face
-        contacts.normal[env, contact] = found.normal
-        contacts.arm[env, contact] = found.arm
+        contacts.gap[env, contact] = detected.gap
+        contacts.status[env, contact] = detected.status
+        contacts.armed[env, contact] = detected.armed
+        contacts.penetration[env, contact] = detected.penetration
+        contacts.face[env, contact] = detected.face
+        contacts.normal[env, contact] = detected.normal
+        contacts.arm[env, contact] = detected.arm
 
     @wp.func
-    def look(
+    def update_contact(
         model: Model,
-        view: View,
+        set_frames: SetFrames,
         history: History,
         contacts: Contacts,
         cached: bool,
@@ -469,19 +522,19 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         contact: int,
     ):
         """Fills ``contacts`` for one; returns how far its point can move and not touch [m], < 0: not at all."""
-        found = find(model, view, history, cached, cache, env, contact)
-        if wp.static(part in (KNOWN, LISTED, RECALLED, CELL)):  # noqa: SIM102  Warp would evaluate both sides
-            if found.free == real(LATER):
-                return found.free
-        tell(found, contacts, env, contact)
-        return found.free
+        detected = detect(model, set_frames, history, cached, cache, env, contact)
+        if wp.static(part in (DETECT_CACHED, DETECT_CANDIDATES, DETECT_FACE_CACHE, DETECT_GRID)):
+            if detected.clearance == real(DEFERRED):
+                return detected.clearance
+        write_contact(detected, contacts, env, contact)
+        return detected.clearance
 
     return SimpleNamespace(
-        View=View,
-        Found=Found,
-        view_of=view_of,
-        find=find,
-        leave=leave,
-        tell=tell,
-        look=look,
+        SetFrames=SetFrames,
+        DetectedContact=DetectedContact,
+        frames_of_set=frames_of_set,
+        detect=detect,
+        mark_far=mark_far,
+        write_contact=write_contact,
+        update_contact=update_contact,
     )

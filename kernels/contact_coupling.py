@@ -5,7 +5,7 @@ import functools
 import warp as wp
 from warpcontact.kernels import frames
 from warpcontact.kernels.formula import Formula, coefficient_struct
-from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, Work, env_of, item_of, structs, task_count
+from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, LaunchRange, structs, task_count, task_env, task_item
 from warpcontact.kernels.unique import unique_kernel
 
 
@@ -18,7 +18,7 @@ class ContactCouplings:
 
 
 @wp.struct
-class Sets:
+class CouplingSets:
     """Which sets of contacts a coupling has: one, or two side by side, the second the other way round."""
 
     first: wp.array(dtype=wp.int32)  # [coupling] its first set
@@ -27,84 +27,86 @@ class Sets:
 
 @functools.cache
 def advance(law: type[Formula], real: type, projected: bool) -> wp.Kernel:
-    """Returns the kernel that takes the contacts of one group that are near into ``reached``; items: couplings.
+    """Returns the kernel that takes the contacts of one group that are near into ``extremes``; items: couplings.
 
     ``projected``: whether the group weighs areas by the normals of its points.
     """
     t = structs(real)
     mat33, Model, State, Contacts = t.mat33, t.Model, t.State, t.Contacts
-    Near, Reached = t.Near, t.Reached
+    ActiveContacts, CouplingExtremes = t.ActiveContacts, t.CouplingExtremes
     Coefficients = wp.array2d(dtype=coefficient_struct(law, real))
     frame = frames.functions(real)
-    facing, rotation_to_world = frame.facing, frame.rotation_to_world
+    facing_fraction, rotation_to_world = frame.facing_fraction, frame.rotation_to_world
 
     @unique_kernel()
-    def advance_reached(
-        work: Work,
+    def advance_extremes(
+        launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         model: Model,
         state: State,  # that of the contacts: the step began from it
         contacts: Contacts,
-        near: Near,
-        sets: Sets,
+        active_contacts: ActiveContacts,
+        sets: CouplingSets,
         first_coupling: wp.int32,
         first_contact: wp.int32,
         coefficients: Coefficients,
-        reached: Reached,
+        extremes: CouplingExtremes,
     ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            coupling = first_coupling + item_of(work, task)
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            coupling = first_coupling + task_item(launch, task)
             if status[env] != ENV_ACTIVE:
                 continue
             area = real(0.0)
-            closest = reached.minimum_distance[env, coupling]
+            closest = extremes.minimum_distance[env, coupling]
             first = sets.first[coupling]
-            for block in range(model.set_block_start[first], model.set_block_start[first + sets.count[coupling]]):
-                count = near.count[env, block]
+            for cluster in range(
+                model.set_cluster_start[first], model.set_cluster_start[first + sets.count[coupling]]
+            ):
+                count = active_contacts.count[env, cluster]
                 if count == 0:
                     continue
-                start = model.block_start[block]
+                start = model.cluster_start[cluster]
                 R_WB = mat33()
                 if wp.static(projected):
                     # One body for all points of a block.
-                    point = model.contact_point[model.block_contact[start]]
+                    point = model.contact_point[model.cluster_contact[start]]
                     R_WB = rotation_to_world(state, env, model.point_body[point])
-                for place in range(start, start + count):
-                    contact = near.contact[env, place]
+                for index in range(start, start + count):
+                    contact = active_contacts.contact[env, index]
                     if contacts.status[env, contact] == CONTACT:
                         # Of two sides each has its share of the touch.
-                        own = model.contact_geometry[env, contact].force_scale
-                        own *= coefficients[env, contact - first_contact].area
+                        contribution = model.contact_geometry[env, contact].force_scale
+                        contribution *= coefficients[env, contact - first_contact].area
                         if wp.static(projected):
                             point = model.contact_point[contact]
-                            own *= facing(model, env, point, R_WB, contacts.normal[env, contact])
-                        area += own
+                            contribution *= facing_fraction(model, env, point, R_WB, contacts.normal[env, contact])
+                        area += contribution
                         radius = model.contact_geometry[env, contact].radius
                         # A face that looks away is in nobody's way.
-                        if own > real(0.0):
+                        if contribution > real(0.0):
                             distance = radius - contacts.penetration[env, contact]
                             if not (distance >= closest):
                                 closest = distance
-            reached.effective_area[env, coupling] = wp.max(reached.effective_area[env, coupling], area)
-            reached.minimum_distance[env, coupling] = closest
+            extremes.effective_area[env, coupling] = wp.max(extremes.effective_area[env, coupling], area)
+            extremes.minimum_distance[env, coupling] = closest
 
-    return advance_reached
+    return advance_extremes
 
 
 @functools.cache
-def forget(real: type) -> wp.Kernel:
-    """Returns the kernel that empties ``reached`` of chosen environments. Launch with dim (env, coupling)."""
-    Reached = structs(real).Reached
+def reset(real: type) -> wp.Kernel:
+    """Returns the kernel that empties ``extremes`` of chosen environments. Launch with dim (env, coupling)."""
+    CouplingExtremes = structs(real).CouplingExtremes
 
     @unique_kernel()
-    def forget_reached(mask: wp.array(dtype=wp.bool), reached: Reached):
+    def reset_extremes(mask: wp.array(dtype=wp.bool), extremes: CouplingExtremes):
         env, coupling = wp.tid()
         if mask[env]:
-            reached.effective_area[env, coupling] = real(0.0)
-            reached.minimum_distance[env, coupling] = real(wp.nan)
+            extremes.effective_area[env, coupling] = real(0.0)
+            extremes.minimum_distance[env, coupling] = real(wp.nan)
 
-    return forget_reached
+    return reset_extremes
 
 
 @functools.cache
@@ -113,31 +115,33 @@ def measure(real: type) -> wp.Kernel:
     t = structs(real)
     Model, State, Contacts = t.Model, t.State, t.Contacts
     frame = frames.functions(real)
-    apart, wide = frame.apart, frame.wide
+    offset_between, wide = frame.offset_between, frame.wide
 
     @unique_kernel()
-    def measure_couplings(model: Model, state: State, contacts: Contacts, sets: Sets, measured: ContactCouplings):
+    def measure_couplings(
+        model: Model, state: State, contacts: Contacts, sets: CouplingSets, measured: ContactCouplings
+    ):
         env, coupling = wp.tid()
         force = wp.vec3d()
         torque = wp.vec3d()
         first = sets.first[coupling]
         for number in range(first, first + sets.count[coupling]):
             point = model.contact_point[model.set_contact[number]]
-            surface = model.patch_surface[model.contact_patch[model.set_contact[number]]]
-            start = model.block_start[model.set_block_start[number]]
-            stop = model.block_start[model.set_block_start[number + 1]]
-            for place in range(start, stop):
-                contact = model.block_contact[place]
+            surface = model.query_mesh_surface[model.contact_query_mesh[model.set_contact[number]]]
+            start = model.cluster_start[model.set_cluster_start[number]]
+            stop = model.cluster_start[model.set_cluster_start[number + 1]]
+            for index in range(start, stop):
+                contact = model.cluster_contact[index]
                 if contacts.status[env, contact] == CONTACT:
                     arm = contacts.arm[env, contact]
-                    own = wide(contacts.normal_force[env, contact] * contacts.normal[env, contact])
-                    own += wide(contacts.friction_force[env, contact])
+                    contribution = wide(contacts.normal_force[env, contact] * contacts.normal[env, contact])
+                    contribution += wide(contacts.friction_force[env, contact])
                     if number > first:
                         # Points of the other body: what is left for this one is the reaction.
-                        arm += apart(model, state, env, point, surface)
-                        own = -own
-                    force += own
-                    torque += wp.cross(wide(arm), own)
+                        arm += offset_between(model, state, env, point, surface)
+                        contribution = -contribution
+                    force += contribution
+                    torque += wp.cross(wide(arm), contribution)
         measured.force[env, coupling] = force
         measured.torque[env, coupling] = torque
 

@@ -3,19 +3,19 @@
 import functools
 
 import warp as wp
-from warpcontact.kernels import foot as feet
+from warpcontact.kernels import foot as closest_points
 from warpcontact.kernels import search
-from warpcontact.kernels.cells import LISTED, OVERLAP, PLACED
-from warpcontact.kernels.sides import room_on_side as sides_of
+from warpcontact.kernels.cells import LIST_ALIGNMENT, LIST_STRIDE, OVERLAP
+from warpcontact.kernels.sides import side_clearance as side_clearance_of
 from warpcontact.kernels.types import structs
 from warpcontact.kernels.unique import unique_kernel
 
 # Faces that may be nearest before it is looked at which of them another is always nearer than.
-CANDIDATES = 192
+MAX_CANDIDATES = 192
 # Those, the nearest to the middle, that others are held against.
-RIVALS = 4
+COMPARED_FACES = 4
 # Distance, in units of the size of the differences, from which on rounding leaves a direction as it is.
-STEADY = 0.05
+MIN_RELATIVE_DISTANCE = 0.05
 
 
 @functools.cache
@@ -33,16 +33,19 @@ def kernel(real: type) -> wp.Kernel:
     """
     t = structs(real)
     vec3, Model = t.vec3, t.Model
-    of_search = search.functions(real)
-    nearest_of_all, faces_about = of_search.nearest_of_all, of_search.faces_about
-    extent_of, unsure_of = of_search.extent_of, of_search.unsure_of
-    foot_on, inner = feet.functions(real).foot_on, feet.functions(real).inner
-    room_on_side = sides_of(real)
-    Rows = wp.types.vector(length=CANDIDATES, dtype=wp.int32)
-    Rivals = wp.types.vector(length=RIVALS, dtype=wp.int32)
-    Distances = wp.types.vector(length=RIVALS, dtype=real)
-    Corners = wp.types.vector(length=8 * RIVALS, dtype=real)
-    steady = wp.constant(real(STEADY))
+    search_functions = search.functions(real)
+    refine_closest, faces_within = search_functions.refine_closest, search_functions.faces_within
+    max_coordinate, query_error = search_functions.max_coordinate, search_functions.query_error
+    closest_on_face, is_inside = (
+        closest_points.functions(real).closest_on_face,
+        closest_points.functions(real).is_inside,
+    )
+    side_clearance = side_clearance_of(real)
+    Rows = wp.types.vector(length=MAX_CANDIDATES, dtype=wp.int32)
+    ComparedFaces = wp.types.vector(length=COMPARED_FACES, dtype=wp.int32)
+    Distances = wp.types.vector(length=COMPARED_FACES, dtype=real)
+    Corners = wp.types.vector(length=8 * COMPARED_FACES, dtype=real)
+    min_relative_distance = wp.constant(real(MIN_RELATIVE_DISTANCE))
 
     @wp.func
     def corner(c: vec3, half: real, number: int):
@@ -53,21 +56,29 @@ def kernel(real: type) -> wp.Kernel:
         return c + real(2.0) * half * (side - vec3(real(0.5)))
 
     @wp.func
-    def never_nearest(model: Model, row: int, c: vec3, half: real, rivals: Rivals, away: Corners, margin: real):
+    def is_never_nearest(
+        model: Model,
+        row: int,
+        c: vec3,
+        half: real,
+        compared_faces: ComparedFaces,
+        corner_distances: Corners,
+        margin: real,
+    ):
         """Whether one of the rivals is nearer than a face by more than a margin, wherever in the cell."""
         for at in range(9):
             # From the middle first.
             q = corner(c, half, 8 - at)
-            foot = foot_on(model, row, q)
-            if foot.distance > steady * foot.span:
-                u = foot.to_point / foot.distance
-                for rival in range(wp.static(RIVALS)):
-                    if rivals[rival] >= 0 and rivals[rival] != row:
-                        ahead = real(wp.inf)
+            closest = closest_on_face(model, row, q)
+            if closest.distance > min_relative_distance * closest.span:
+                u = closest.to_point / closest.distance
+                for compared in range(wp.static(COMPARED_FACES)):
+                    if compared_faces[compared] >= 0 and compared_faces[compared] != row:
+                        lead = real(wp.inf)
                         for k in range(8):
-                            least = foot.distance + wp.dot(u, corner(c, half, k) - q)
-                            ahead = wp.min(ahead, least - away[8 * rival + k])
-                        if ahead > margin:
+                            least = closest.distance + wp.dot(u, corner(c, half, k) - q)
+                            lead = wp.min(lead, least - corner_distances[8 * compared + k])
+                        if lead > margin:
                             return True
         return False
 
@@ -75,94 +86,96 @@ def kernel(real: type) -> wp.Kernel:
     @unique_kernel(unrolled=1)
     def fill_cells(
         model: Model,
-        patch: wp.int32,
+        query_mesh: wp.int32,
         reach: real,  # from the outer side, of points that are searched for [unit of the mesh]
         first: wp.int32,  # place of the first face that is listed
-        places: wp.int32,  # that there is room for; both are multiples of ``PLACED``
-        used: wp.array(dtype=wp.int32),
+        face_capacity: wp.int32,  # that there is room for; both are multiples of ``LIST_ALIGNMENT``
+        used_units: wp.array(dtype=wp.int32),
     ):
         number = wp.tid()
-        counts = model.patch_cells[patch]
-        size = model.patch_cells_size[patch]
+        counts = model.query_mesh_grid[query_mesh]
+        size = model.query_mesh_cell_size[query_mesh]
         half = real(wp.static(0.5 * OVERLAP)) * size
         radius = real(wp.static(3.0**0.5)) * half
         x = number % counts[0]
         y = (number // counts[0]) % counts[1]
         z = number // (counts[0] * counts[1])
         middle = vec3(real(x) + real(0.5), real(y) + real(0.5), real(z) + real(0.5))
-        c = model.patch_cells_origin[patch] + size * middle
+        c = model.query_mesh_grid_origin[query_mesh] + size * middle
         cell = counts[3] + number
-        model.cells[cell].free = real(0.0)
+        model.cells[cell].clearance = real(0.0)
         model.cells[cell].faces = -1
         c_32 = wp.vec3f(wp.float32(c[0]), wp.float32(c[1]), wp.float32(c[2]))
-        query = wp.mesh_query_point_no_sign(model.patch_mesh[patch], c_32, wp.float32(wp.inf))
+        query = wp.mesh_query_point_no_sign(model.query_mesh_id[query_mesh], c_32, wp.float32(wp.inf))
         if not query.result:
             return
-        start = model.patch_face_start[patch]
-        nearest = foot_on(model, start + query.face, c)
-        unsure = unsure_of(model, patch, extent_of(c), nearest.distance)
+        start = model.query_mesh_face_start[query_mesh]
+        nearest = closest_on_face(model, start + query.face, c)
+        error = query_error(model, query_mesh, max_coordinate(c), nearest.distance)
         # One that the query takes for as near may show the other side.
-        nearest = nearest_of_all(model, patch, c, nearest, unsure)
-        within = inner(model, nearest)
-        if not within:
-            room = room_on_side(model, patch, c)
-            model.cells[cell].free = wp.min(nearest.distance, room) - unsure - radius
-        skin = model.patch_skin[patch]
-        far = wp.where(within, skin, reach + skin + size) + radius
+        nearest = refine_closest(model, query_mesh, c, nearest, error)
+        inside = is_inside(model, nearest)
+        if not inside:
+            side_distance = side_clearance(model, query_mesh, c)
+            model.cells[cell].clearance = wp.min(nearest.distance, side_distance) - error - radius
+        skin = model.query_mesh_skin[query_mesh]
+        far = wp.where(inside, skin, reach + skin + size) + radius
         if nearest.distance > far:
             return
 
         largest = real(0.0)
         for k in range(8):
-            largest = wp.max(largest, foot_on(model, nearest.row, corner(c, half, k)).distance)
+            largest = wp.max(largest, closest_on_face(model, nearest.row, corner(c, half, k)).distance)
         # The nearest to the middle are the rivals.
         rows = Rows()
-        rivals = Rivals(-1)
+        compared_faces = ComparedFaces(-1)
         distances = Distances(real(wp.inf))
         count = wp.int32(0)
-        found = faces_about(model, patch, c, largest + radius + unsure)
+        found = faces_within(model, query_mesh, c, largest + radius + error)
         face = wp.int32(0)
         while wp.mesh_query_next(found, face):
-            foot = foot_on(model, start + face, c)
-            near = foot.distance - radius
-            if foot.distance > steady * foot.span:
-                u = foot.to_point / foot.distance
-                near = foot.distance - half * (wp.abs(u[0]) + wp.abs(u[1]) + wp.abs(u[2]))
-            if near - unsure <= largest:
-                if count < wp.static(CANDIDATES):
-                    rows[count] = foot.row
+            closest = closest_on_face(model, start + face, c)
+            lower_bound = closest.distance - radius
+            if closest.distance > min_relative_distance * closest.span:
+                u = closest.to_point / closest.distance
+                lower_bound = closest.distance - half * (wp.abs(u[0]) + wp.abs(u[1]) + wp.abs(u[2]))
+            if lower_bound - error <= largest:
+                if count < wp.static(MAX_CANDIDATES):
+                    rows[count] = closest.row
                 count += 1
-                distance = foot.distance
-                row = foot.row
-                for i in range(wp.static(RIVALS)):
+                distance = closest.distance
+                row = closest.row
+                for i in range(wp.static(COMPARED_FACES)):
                     if distance < distances[i]:
                         farther = distances[i]
-                        farther_row = rivals[i]
+                        farther_row = compared_faces[i]
                         distances[i] = distance
-                        rivals[i] = row
+                        compared_faces[i] = row
                         distance = farther
                         row = farther_row
-        if count > wp.static(CANDIDATES):
+        if count > wp.static(MAX_CANDIDATES):
             return
-        away = Corners()
-        for rival in range(wp.static(RIVALS)):
-            if rivals[rival] >= 0:
+        corner_distances = Corners()
+        for compared in range(wp.static(COMPARED_FACES)):
+            if compared_faces[compared] >= 0:
                 for k in range(8):
-                    away[8 * rival + k] = foot_on(model, rivals[rival], corner(c, half, k)).distance
-        left = wp.int32(0)
+                    corner_distances[8 * compared + k] = closest_on_face(
+                        model, compared_faces[compared], corner(c, half, k)
+                    ).distance
+        kept_count = wp.int32(0)
         for i in range(count):
-            if not never_nearest(model, rows[i], c, half, rivals, away, real(2.0) * unsure):
-                rows[left] = rows[i]
-                left += 1
-        if left == 0 or left >= wp.static(LISTED):
+            if not is_never_nearest(model, rows[i], c, half, compared_faces, corner_distances, real(2.0) * error):
+                rows[kept_count] = rows[i]
+                kept_count += 1
+        if kept_count == 0 or kept_count >= wp.static(LIST_STRIDE):
             return
-        taken = (left + wp.static(PLACED - 1)) // wp.static(PLACED)
-        place = wp.atomic_add(used, 0, taken)
-        if place + taken > places // wp.static(PLACED):
+        units = (kept_count + wp.static(LIST_ALIGNMENT - 1)) // wp.static(LIST_ALIGNMENT)
+        unit = wp.atomic_add(used_units, 0, units)
+        if unit + units > face_capacity // wp.static(LIST_ALIGNMENT):
             return
-        place += first // wp.static(PLACED)
-        for i in range(left):
-            model.listed_face[wp.static(PLACED) * place + i] = rows[i]
-        model.cells[cell].faces = wp.static(LISTED) * place + left
+        unit += first // wp.static(LIST_ALIGNMENT)
+        for i in range(kept_count):
+            model.cell_face[wp.static(LIST_ALIGNMENT) * unit + i] = rows[i]
+        model.cells[cell].faces = wp.static(LIST_STRIDE) * unit + kept_count
 
     return fill_cells

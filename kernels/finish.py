@@ -10,7 +10,7 @@ from warpcontact.kernels.types import (
     ENV_FROZEN,
     ENV_HALTED,
     ENV_STOPPED,
-    Work,
+    LaunchRange,
     first_env,
     structs,
     task_count,
@@ -19,7 +19,7 @@ from warpcontact.kernels.unique import unique_kernel
 
 
 @functools.cache
-def end_of_step(real: type) -> wp.Function:
+def accept_step(real: type) -> wp.Function:
     """Returns the device function that ends a step of an environment, with what it was of before.
 
     Clocks go on; failed and halted environments stay where they were: both state buffers then hold their last
@@ -29,7 +29,7 @@ def end_of_step(real: type) -> wp.Function:
     copy_body = frames.functions(real).copy_body
 
     @wp.func
-    def end_of_step(
+    def accept_step(
         status: wp.array(dtype=wp.int32),
         step: wp.array2d(dtype=wp.float64),
         time: wp.array(dtype=wp.float64),
@@ -37,27 +37,27 @@ def end_of_step(real: type) -> wp.Function:
         state_in: State,
         state_out: State,
         env: int,
-        before: int,
+        previous_status: int,
     ):
-        if before == ENV_ACTIVE:
+        if previous_status == ENV_ACTIVE:
             time[env] = time[env] + step[env, 0]
-        if before == ENV_FAILED or before == ENV_HALTED:  # noqa: SIM109
+        if previous_status == ENV_FAILED or previous_status == ENV_HALTED:  # noqa: SIM109
             for body in range(bodies):
                 copy_body(state_in, state_out, env, body)
-            status[env] = wp.where(before == ENV_FAILED, ENV_FROZEN, ENV_STOPPED)
+            status[env] = wp.where(previous_status == ENV_FAILED, ENV_FROZEN, ENV_STOPPED)
 
-    return end_of_step
+    return accept_step
 
 
 @functools.cache
 def kernel(real: type) -> wp.Kernel:
     """Returns the kernel that ends a step in all environments."""
     State = structs(real).State
-    end = end_of_step(real)
+    accept = accept_step(real)
 
     @unique_kernel()
-    def finish_step(
-        work: Work,
+    def accept_steps(
+        launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         step: wp.array2d(dtype=wp.float64),  # [env, 0] [s]
         time: wp.array(dtype=wp.float64),  # [env] [s]
@@ -65,8 +65,8 @@ def kernel(real: type) -> wp.Kernel:
         state_in: State,
         state_out: State,
     ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task
-            end(status, step, time, bodies, state_in, state_out, env, status[env])
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = first_env(launch) + task
+            accept(status, step, time, bodies, state_in, state_out, env, status[env])
 
-    return finish_step
+    return accept_steps

@@ -200,7 +200,7 @@ def unit_vectors(name: str, values: np.ndarray) -> np.ndarray:
     return scaled / np.linalg.norm(scaled, axis=-1, keepdims=True)
 
 
-def shape_in_words(shape: tuple[int, ...]) -> str:
+def describe_shape(shape: tuple[int, ...]) -> str:
     """Returns what a value of a parameter of ``shape`` is, in words."""
     if shape == ():
         return "one number"
@@ -372,7 +372,7 @@ class Formula:
         for name, value in given.items():
             limits = self.limits(name)
             shape = limits["shape"]
-            what = "a number" if shape == () else shape_in_words(shape)
+            what = "a number" if shape == () else describe_shape(shape)
             values = as_numbers(value)
             if values is None:
                 raise ValueError(f"{cls.__name__}.{name} must be {what}, got {value!r}")
@@ -384,7 +384,7 @@ class Formula:
                     else f"; values per environment are set on the model: model['{path}'] = values"
                 )
                 raise ValueError(
-                    f"{cls.__name__}.{name} must be {shape_in_words(shape)}, got shape {values.shape}{hint}"
+                    f"{cls.__name__}.{name} must be {describe_shape(shape)}, got shape {values.shape}{hint}"
                 )
             check_values(f"{cls.__name__}.{name}", values, limits)
             if limits["direction"]:

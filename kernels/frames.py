@@ -16,7 +16,7 @@ def functions(real: type) -> SimpleNamespace:
     matrix = rotations.functions(real).matrix
 
     @wp.func
-    def apart(model: Model, state: State, env: int, point: int, surface: int):
+    def offset_between(model: Model, state: State, env: int, point: int, surface: int):
         """From the origin of what carries ``surface`` to that of what carries ``point``, W.
 
         The origin of a body is its centre of mass; of what is fixed to the world, its anchor. Bodies that touch
@@ -37,14 +37,14 @@ def functions(real: type) -> SimpleNamespace:
         return difference + remainder
 
     @wp.func
-    def turned(state: State, env: int, body: int, v_B: vec3):
+    def rotate_to_world(state: State, env: int, body: int, v_B: vec3):
         """A vector given in the axes of ``body`` (WORLD: already in W), in W."""
         if body < 0:
             return v_B
         return wp.quat_rotate(state.body_orientation[env, body], v_B)
 
     @wp.func
-    def facing(model: Model, env: int, point: int, R_WB: mat33, n_W: vec3):
+    def facing_fraction(model: Model, env: int, point: int, R_WB: mat33, n_W: vec3):
         """Part of the area of ``point`` that faces a surface with the normal ``n_W``: a cosine, or nothing."""
         return wp.max(-wp.dot(R_WB * model.point_normal[env, point], n_W), real(0.0))
 
@@ -89,9 +89,9 @@ def functions(real: type) -> SimpleNamespace:
         return vec3(real(v[0]), real(v[1]), real(v[2]))
 
     return SimpleNamespace(
-        apart=apart,
-        turned=turned,
-        facing=facing,
+        offset_between=offset_between,
+        rotate_to_world=rotate_to_world,
+        facing_fraction=facing_fraction,
         orientation_to_world=orientation_to_world,
         rotation_to_world=rotation_to_world,
         velocity_at=velocity_at,

@@ -9,16 +9,16 @@ import functools
 
 import warp as wp
 from warpcontact.kernels import history, integrate, meet
-from warpcontact.kernels import wrenches as of_wrenches
-from warpcontact.kernels.strides import anew, telling
-from warpcontact.kernels.touch import Parts, group_structs
+from warpcontact.kernels import wrenches as wrench_functions
+from warpcontact.kernels.strides import assume_strides, hide_from_optimizer
+from warpcontact.kernels.touch import ContactModel, group_structs
 from warpcontact.kernels.types import (
     ENV_ACTIVE,
     ENV_FROZEN,
     NO_CAUSE,
-    Work,
+    LaunchRange,
+    assume_nonnegative,
     first_env,
-    natural,
     step_count,
     structs,
     task_count,
@@ -27,55 +27,76 @@ from warpcontact.kernels.unique import unique_kernel
 
 
 @functools.cache
-def kernel(parts: Parts, real: type, projected: bool, pushed: bool) -> wp.Kernel:
+def kernel(contact_model: ContactModel, real: type, projected: bool, has_external_forces: bool) -> wp.Kernel:
     """Returns the kernel of accepted semi-implicit Euler steps, as many as the slice says; items: one.
 
     Args:
-        parts: The classes of law and friction models, of all contacts.
+        contact_model: The classes of law and friction models, of all contacts.
         real: Type of a real number.
         projected: Whether contacts are weighed by the normals of their points.
-        pushed: Whether there are forces from outside.
+        has_external_forces: Whether there are forces from outside.
     """
     t = structs(real)
-    Model, State, History, Contacts, Near, Cache, Ends = (
-        t.Model, t.State, t.History, t.Contacts, t.Near, t.Cache, t.Ends,
-    )  # fmt: skip
-    Coefficients, Memory = group_structs(parts, real)
-    meet_set = meet.of_sets(parts, real, False, projected)
-    total = of_wrenches.functions(real, False, pushed).total
-    of_body = integrate.euler(real)
-    Guard, moved_by, put, failure_of = of_body.Guard, of_body.moved_by, of_body.put, of_body.failure_of
-    advance, remember = history.advance(real, False), history.remembering(parts, real)
-    remembers = any(part.memories for part in parts)
-    tell_model, tell_state, tell_history = telling(Model), telling(State), telling(History)
-    tell_cache, tell_contacts, tell_near = telling(Cache), telling(Contacts), telling(Near)
-    tell_coefficients = telling(Coefficients)
+    Model, State, History, Contacts, ActiveContacts, Cache, CouplingWrenches = (
+        t.Model,
+        t.State,
+        t.History,
+        t.Contacts,
+        t.ActiveContacts,
+        t.Cache,
+        t.CouplingWrenches,
+    )
+    Coefficients, MaterialHistory = group_structs(contact_model, real)
+    update_set = meet.set_function(contact_model, real, False, projected)
+    body_wrench = wrench_functions.functions(real, False, has_external_forces).body_wrench
+    body_functions = integrate.euler(real)
+    Guard, stepped_body, write_body, step_failure_cause = (
+        body_functions.Guard,
+        body_functions.stepped_body,
+        body_functions.write_body,
+        body_functions.step_failure_cause,
+    )
+    advance, store_history = history.advance(real, False), history.material_history_function(contact_model, real)
+    has_history = any(part.memories for part in contact_model)
+    assume_model_strides, assume_state_strides, assume_history_strides = (
+        assume_strides(Model),
+        assume_strides(State),
+        assume_strides(History),
+    )
+    assume_cache_strides, assume_contacts_strides, assume_active_strides = (
+        assume_strides(Cache),
+        assume_strides(Contacts),
+        assume_strides(ActiveContacts),
+    )
+    assume_coefficient_strides = assume_strides(Coefficients)
 
     @wp.func
-    def accept(
+    def accept_cluster(
         time: wp.array(dtype=wp.float64),
         step: wp.array2d(dtype=real),
         model: Model,
         history: History,
-        memory: Memory,
-        kept: Memory,
+        history_in: MaterialHistory,
+        history_out: MaterialHistory,
         contacts: Contacts,
-        near: Near,
+        active_contacts: ActiveContacts,
         cache: Cache,
-        which: int,
-        block: int,
+        env_index: int,
+        cluster: int,
     ):
         """Takes the contacts of a block into the history."""
-        env = anew(which)
-        advance(time, step, model, contacts, near, history, cache, env, block)
-        if wp.static(remembers):
-            start = natural(model.block_start[block])
-            for place in range(start, start + near.count[env, block]):
-                remember(memory, kept, env, natural(near.contact[env, place]))
+        env = hide_from_optimizer(env_index)
+        advance(time, step, model, contacts, active_contacts, history, cache, env, cluster)
+        if wp.static(has_history):
+            start = assume_nonnegative(model.cluster_start[cluster])
+            for index in range(start, start + active_contacts.count[env, cluster]):
+                store_history(
+                    history_in, history_out, env, assume_nonnegative(active_contacts.contact[env, index])
+                )
 
     @unique_kernel()
-    def step_in_place(
-        work: Work,
+    def fused_steps(
+        launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         step: wp.array2d(dtype=real),  # [env, 0] [s]
         clock_step: wp.array2d(dtype=wp.float64),  # [env, 0] [s]
@@ -83,53 +104,76 @@ def kernel(parts: Parts, real: type, projected: bool, pushed: bool) -> wp.Kernel
         model: Model,
         guard: Guard,
         history: History,
-        memory: Memory,
+        history_in: MaterialHistory,
         coefficients: Coefficients,
-        kept: Memory,
+        history_out: MaterialHistory,
         contacts: Contacts,
-        near: Near,
+        active_contacts: ActiveContacts,
         cache: Cache,
-        ends: Ends,
+        ends: CouplingWrenches,
         sets: wp.int32,
-        blocks: wp.int32,
+        clusters: wp.int32,
         state: State,
     ):
-        tell_model(model)
-        tell_state(state)
-        tell_history(history)
-        tell_coefficients(coefficients)
-        tell_cache(cache)
-        tell_contacts(contacts)
-        tell_near(near)
-        for task in range(wp.tid(), task_count(work), work.threads):
-            which = first_env(work) + task
-            left = step_count(work)
+        assume_model_strides(model)
+        assume_state_strides(state)
+        assume_history_strides(history)
+        assume_coefficient_strides(coefficients)
+        assume_cache_strides(cache)
+        assume_contacts_strides(contacts)
+        assume_active_strides(active_contacts)
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env_index = first_env(launch) + task
+            left = step_count(launch)
             while left > 0:
-                env = anew(which)
+                env = hide_from_optimizer(env_index)
                 if status[env] != ENV_ACTIVE:
                     break
                 left -= 1
-                number = natural(0)
-                while number < sets:
-                    meet_set(
-                        model, state, history, memory, step[env, 0], 0, coefficients, kept, cache, contacts, near,
-                        env, number,
-                    )  # fmt: skip
-                    number = natural(number + 1)
-                env = anew(which)
-                wrench = total(model, near, ends, env, 0)
-                moved = moved_by(model, state, env, 0, wrench.force, wrench.torque, step[env, 0])
-                cause = failure_of(guard, env, moved)
+                set_index = assume_nonnegative(0)
+                while set_index < sets:
+                    update_set(
+                        model,
+                        state,
+                        history,
+                        history_in,
+                        step[env, 0],
+                        0,
+                        coefficients,
+                        history_out,
+                        cache,
+                        contacts,
+                        active_contacts,
+                        env,
+                        set_index,
+                    )
+                    set_index = assume_nonnegative(set_index + 1)
+                env = hide_from_optimizer(env_index)
+                wrench = body_wrench(model, active_contacts, ends, env, 0)
+                body_step = stepped_body(model, state, env, 0, wrench.force, wrench.torque, step[env, 0])
+                cause = step_failure_cause(guard, env, body_step)
                 if cause != NO_CAUSE:
                     # It stays where it was.
                     status[env] = ENV_FROZEN
                     guard.cause[env] = cause
                     break
-                put(state, env, 0, moved)
+                write_body(state, env, 0, body_step)
                 time[env] = time[env] + clock_step[env, 0]
-                block = natural(0)
-                while block < blocks:
-                    accept(time, step, model, history, memory, kept, contacts, near, cache, which, block)
-                    block = natural(block + 1)
+                cluster = assume_nonnegative(0)
+                while cluster < clusters:
+                    accept_cluster(
+                        time,
+                        step,
+                        model,
+                        history,
+                        history_in,
+                        history_out,
+                        contacts,
+                        active_contacts,
+                        cache,
+                        env_index,
+                        cluster,
+                    )
+                    cluster = assume_nonnegative(cluster + 1)
 
-    return step_in_place
+    return fused_steps

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import warp as wp
 from warpcontact.kernels import frames
-from warpcontact.kernels.types import ENV_ACTIVE, Work, env_of, item_of, structs, task_count
+from warpcontact.kernels.types import ENV_ACTIVE, LaunchRange, structs, task_count, task_env, task_item
 from warpcontact.kernels.unique import unique_kernel
 
 
@@ -69,11 +69,11 @@ def positions(real: type) -> wp.Kernel:
 
     @unique_kernel()
     def measure_positions(
-        work: Work, status: wp.array(dtype=wp.int32), model: Model, state: State, measured: Positions
+        launch: LaunchRange, status: wp.array(dtype=wp.int32), model: Model, state: State, measured: Positions
     ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            body = item_of(work, task)
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            body = task_item(launch, task)
             if status[env] != ENV_ACTIVE:
                 continue
             measured.position[env, body] = position(state, env, body)
@@ -89,11 +89,11 @@ def energies(real: type) -> wp.Kernel:
 
     @unique_kernel()
     def measure_energies(
-        work: Work, status: wp.array(dtype=wp.int32), model: Model, state: State, measured: Energies
+        launch: LaunchRange, status: wp.array(dtype=wp.int32), model: Model, state: State, measured: Energies
     ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            body = item_of(work, task)
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            body = task_item(launch, task)
             if status[env] != ENV_ACTIVE:
                 continue
             mass = wp.float64(model.body_mass[env, body])
@@ -116,11 +116,11 @@ def momenta(real: type) -> wp.Kernel:
 
     @unique_kernel()
     def measure_momenta(
-        work: Work, status: wp.array(dtype=wp.int32), model: Model, state: State, measured: Momenta
+        launch: LaunchRange, status: wp.array(dtype=wp.int32), model: Model, state: State, measured: Momenta
     ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            body = item_of(work, task)
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            body = task_item(launch, task)
             if status[env] != ENV_ACTIVE:
                 continue
             mv_W = wp.float64(model.body_mass[env, body]) * wide(state.body_linear_velocity[env, body])
@@ -132,7 +132,11 @@ def momenta(real: type) -> wp.Kernel:
 
 
 #: What is measured of bodies, by the needs of sensors: for each what it is measured into, and the kernel.
-OF_BODIES = {"positions": (Positions, positions), "energies": (Energies, energies), "momenta": (Momenta, momenta)}
+BODY_MEASURES = {
+    "positions": (Positions, positions),
+    "energies": (Energies, energies),
+    "momenta": (Momenta, momenta),
+}
 
 
 @functools.cache
@@ -144,16 +148,16 @@ def points(real: type) -> wp.Kernel:
 
     @unique_kernel()
     def measure_points(
-        work: Work,
+        launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         model: Model,
         state: State,
         contacts: Contacts,
         measured: Points,
     ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            contact = item_of(work, task)
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            contact = task_item(launch, task)
             if status[env] != ENV_ACTIVE:
                 continue
             point = model.contact_point[contact]

@@ -1,7 +1,7 @@
 """Contacts looked at, and what they do computed at once, by one thread for a set of them.
 
-Nothing else is computed than by ``near`` and ``contact_force``, by the same functions; but what a look finds goes
-on to the force without a way through memory, and sensors are not told: they look for themselves.
+Uses the functions of ``near`` and ``contact_force``, without intermediate arrays. Contact sensors are not written;
+their evaluation runs contact detection again.
 """
 
 import functools
@@ -9,55 +9,57 @@ from types import SimpleNamespace
 
 import warp as wp
 from warpcontact.kernels import contact_force, frames, travel
-from warpcontact.kernels import near as nearness
-from warpcontact.kernels.closest_point import WHOLE
-from warpcontact.kernels.strides import anew, telling
-from warpcontact.kernels.touch import Parts, group_structs
+from warpcontact.kernels import near as contact_detection
+from warpcontact.kernels.closest_point import DETECT_ALL
+from warpcontact.kernels.strides import assume_strides, hide_from_optimizer
+from warpcontact.kernels.touch import ContactModel, group_structs
 from warpcontact.kernels.types import (
     CONTACT,
     ENV_ACTIVE,
-    Work,
-    env_of,
-    item_of,
-    natural,
+    LaunchRange,
+    assume_nonnegative,
     structs,
     task_count,
+    task_env,
+    task_item,
 )
 from warpcontact.kernels.unique import unique_kernel
 
 
 @functools.cache
-def functions(parts: Parts, real: type, moves: bool, projected: bool, part: str) -> SimpleNamespace:
+def functions(
+    contact_model: ContactModel, real: type, has_joints: bool, projected: bool, part: str
+) -> SimpleNamespace:
     """Returns the structs and device functions of a contact; ``part`` is that of ``closest_point``.
 
     The other arguments are those of ``contact_force.kernel``.
     """
     t = structs(real)
     vec3, quat, Model, State, History, Cache = t.vec3, t.quat, t.Model, t.State, t.History, t.Cache
-    Coefficients, Memory = group_structs(parts, real)
-    of_block = nearness.functions(real, False, part)
-    View, view_of, find = of_block.View, of_block.view_of, of_block.find
-    of_contact = contact_force.functions(parts, real, moves, projected)
-    push_of, forget = of_contact.push_of, of_contact.forget
+    Coefficients, MaterialHistory = group_structs(contact_model, real)
+    detection = contact_detection.functions(real, False, part)
+    SetFrames, frames_of_set, detect = detection.SetFrames, detection.frames_of_set, detection.detect
+    contact_functions = contact_force.functions(contact_model, real, has_joints, projected)
+    contact_wrench, clear_history = contact_functions.contact_wrench, contact_functions.clear_history
     frame = frames.functions(real)
-    apart, orientation_to_world = frame.apart, frame.orientation_to_world
-    oriented = parts.oriented
+    offset_between, orientation_to_world = frame.offset_between, frame.orientation_to_world
+    needs_surface_axes = contact_model.needs_surface_axes
 
     @wp.struct
-    class Pair:
+    class SetBodies:
         """The two bodies of a set of contacts."""
 
-        view: View
+        set_frames: SetFrames
         body_1: wp.int32
         body_2: wp.int32
-        apart_W: vec3  # from the centre of the surface's body to that of the points'
+        offset_W: vec3  # from the centre of the surface's body to that of the points'
         q_WS: quat  # if the formulas ask for it
 
     @wp.struct
-    class Met:
+    class ContactUpdate:
         """What a step finds of a contact."""
 
-        free: real  # how far its point can move and not touch [m]
+        clearance: real  # how far its point can move and not touch [m]
         status: wp.int32
         armed: wp.int32  # its latch
         approach_speed: real  # [m/s]
@@ -66,59 +68,83 @@ def functions(parts: Parts, real: type, moves: bool, projected: bool, part: str)
         torque_2: vec3  # on the surface's
 
     @wp.func
-    def pair_of(model: Model, state: State, env: int, number: int):
-        pair = Pair()
-        pair.view = view_of(model, state, env, number)
-        contact = natural(model.set_contact[number])
-        surface = natural(model.patch_surface[natural(model.contact_patch[contact])])
-        point = natural(model.contact_point[contact])
-        pair.body_1 = model.point_body[point]
-        pair.body_2 = model.surface_body[surface]
-        pair.apart_W = apart(model, state, env, point, surface)
-        if wp.static(oriented):
-            pair.q_WS = orientation_to_world(state, env, pair.body_2, model.surface_orientation[env, surface])
-        return pair
+    def set_bodies_of(model: Model, state: State, env: int, set_index: int):
+        set_bodies = SetBodies()
+        set_bodies.set_frames = frames_of_set(model, state, env, set_index)
+        contact = assume_nonnegative(model.set_contact[set_index])
+        surface = assume_nonnegative(
+            model.query_mesh_surface[assume_nonnegative(model.contact_query_mesh[contact])]
+        )
+        point = assume_nonnegative(model.contact_point[contact])
+        set_bodies.body_1 = model.point_body[point]
+        set_bodies.body_2 = model.surface_body[surface]
+        set_bodies.offset_W = offset_between(model, state, env, point, surface)
+        if wp.static(needs_surface_axes):
+            set_bodies.q_WS = orientation_to_world(
+                state, env, set_bodies.body_2, model.surface_orientation[env, surface]
+            )
+        return set_bodies
 
     @wp.func
-    def meet(
+    def detect_and_evaluate(
         model: Model,
         state: State,
-        pair: Pair,
+        set_bodies: SetBodies,
         history: History,
-        memory: Memory,
+        history_in: MaterialHistory,
         dt: real,
         coefficients: Coefficients,
-        kept: Memory,
+        history_out: MaterialHistory,
         cache: Cache,
         env: int,
         contact: int,
         member: int,
     ):
         """Looks at a contact, and computes its force if it touches."""
-        met = Met()
-        found = find(model, pair.view, history, True, cache, env, contact)
-        met.free = found.free
-        met.status = found.status
-        met.armed = found.armed
+        update = ContactUpdate()
+        detected = detect(model, set_bodies.set_frames, history, True, cache, env, contact)
+        update.clearance = detected.clearance
+        update.status = detected.status
+        update.armed = detected.armed
         # Returned early: of both sides of a branch Warp copies what they change.
-        if found.status != CONTACT:
-            return met
-        push = push_of(
-            model, state, memory, dt, coefficients, kept, env, contact, member, pair.body_1, pair.body_2,
-            pair.apart_W, pair.q_WS, pair.view.R_WB, found.arm, found.normal, found.penetration,
+        if detected.status != CONTACT:
+            return update
+        wrench = contact_wrench(
+            model,
+            state,
+            history_in,
+            dt,
+            coefficients,
+            history_out,
+            env,
+            contact,
+            member,
+            set_bodies.body_1,
+            set_bodies.body_2,
+            set_bodies.offset_W,
+            set_bodies.q_WS,
+            set_bodies.set_frames.R_WB,
+            detected.arm,
+            detected.normal,
+            detected.penetration,
             history.entry_speed[env, contact],
-        )  # fmt: skip
-        met.approach_speed = push.approach_speed
-        met.force = push.force
-        met.torque_1 = push.torque_1
-        met.torque_2 = push.torque_2
-        return met
+        )
+        update.approach_speed = wrench.approach_speed
+        update.force = wrench.force
+        update.torque_1 = wrench.torque_1
+        update.torque_2 = wrench.torque_2
+        return update
 
-    return SimpleNamespace(Pair=Pair, pair_of=pair_of, meet=meet, forget=forget)
+    return SimpleNamespace(
+        SetBodies=SetBodies,
+        set_bodies_of=set_bodies_of,
+        detect_and_evaluate=detect_and_evaluate,
+        clear_history=clear_history,
+    )
 
 
 @functools.cache
-def of_sets(parts: Parts, real: type, moves: bool, projected: bool) -> wp.Function:
+def set_function(contact_model: ContactModel, real: type, has_joints: bool, projected: bool) -> wp.Function:
     """Returns the device function that sees to a set of contacts on a CPU.
 
     It adds up its travel, looks at those that may touch, as ``near.kernel`` with ``cached``, and leaves what
@@ -128,170 +154,233 @@ def of_sets(parts: Parts, real: type, moves: bool, projected: bool) -> wp.Functi
     """
     t = structs(real)
     vec3, Model, State, History = t.vec3, t.Model, t.State, t.History
-    Contacts, Near, Cache = t.Contacts, t.Near, t.Cache
-    Coefficients, Memory = group_structs(parts, real)
-    of_contact = functions(parts, real, moves, projected, WHOLE)
-    Pair, pair_of, meet = of_contact.Pair, of_contact.pair_of, of_contact.meet
-    tell_nothing = contact_force.functions(parts, real, moves, projected).tell_nothing
-    of_block = nearness.functions(real, False, WHOLE)
-    around_of, free_around, longer_wake = of_block.around_of, of_block.free_around, of_block.longer_wake
-    settle, settle_block = of_block.settle, of_block.settle_block
-    add_travel, sleeps = travel.functions(real).add, travel.functions(real).sleeps
+    Contacts, ActiveContacts, Cache = t.Contacts, t.ActiveContacts, t.Cache
+    Coefficients, MaterialHistory = group_structs(contact_model, real)
+    contact_functions = functions(contact_model, real, has_joints, projected, DETECT_ALL)
+    SetBodies, set_bodies_of, detect_and_evaluate = (
+        contact_functions.SetBodies,
+        contact_functions.set_bodies_of,
+        contact_functions.detect_and_evaluate,
+    )
+    write_no_force = contact_force.functions(contact_model, real, has_joints, projected).write_no_force
+    detection = contact_detection.functions(real, False, DETECT_ALL)
+    probe_if_useful, cull_by_cluster, extend_safe_travel = (
+        detection.probe_if_useful,
+        detection.cull_by_cluster,
+        detection.extend_safe_travel,
+    )
+    store_result, store_cluster_result = detection.store_result, detection.store_cluster_result
+    accumulate_travel, is_culled = travel.functions(real).accumulate_travel, travel.functions(real).is_culled
 
     @wp.func
-    def meet_block(
+    def update_cluster(
         model: Model,
         state: State,
-        pair: Pair,
+        set_bodies: SetBodies,
         history: History,
-        memory: Memory,
+        history_in: MaterialHistory,
         dt: real,
         first_contact: int,
         coefficients: Coefficients,
-        kept: Memory,
+        history_out: MaterialHistory,
         cache: Cache,
         contacts: Contacts,
-        near: Near,
-        which: int,
-        block: int,
+        active_contacts: ActiveContacts,
+        env_index: int,
+        cluster: int,
         travel: real,
-        travelled: real,
+        max_travel: real,
     ):
-        env = anew(which)
-        start = natural(model.block_start[block])
-        stop = model.block_start[block + 1]
-        around = around_of(model, pair.view, cache, env, block, start, stop, travel, travelled)
-        of_use = wp.bool(False)
-        first_wake = real(wp.inf)
+        env = hide_from_optimizer(env_index)
+        start = assume_nonnegative(model.cluster_start[cluster])
+        stop = model.cluster_start[cluster + 1]
+        center_clearance = probe_if_useful(
+            model, set_bodies.set_frames, cache, env, cluster, start, stop, travel, max_travel
+        )
+        culled_any = wp.bool(False)
+        min_safe_travel = real(wp.inf)
         count = wp.int32(0)
         force = vec3()
         torque_1 = vec3()
         torque_2 = vec3()
-        place = wp.int32(start)
-        while place < stop:
-            env = anew(which)
-            contact = natural(model.block_contact[place])
-            place += 1
-            if travelled < cache.wake[env, contact]:
-                wake = longer_wake(model, history, cache, env, block, contact, travel, around)
-                first_wake = wp.min(first_wake, wake)
+        index = wp.int32(start)
+        while index < stop:
+            env = hide_from_optimizer(env_index)
+            contact = assume_nonnegative(model.cluster_contact[index])
+            index += 1
+            if max_travel < cache.safe_travel[env, contact]:
+                safe_travel = extend_safe_travel(
+                    model, history, cache, env, cluster, contact, travel, center_clearance
+                )
+                min_safe_travel = wp.min(min_safe_travel, safe_travel)
             else:
-                before = contacts.status[env, contact]
-                free = free_around(model, history, contacts, cache, env, block, contact, around)
-                if free >= real(0.0):
-                    of_use = True
+                previous_status = contacts.status[env, contact]
+                clearance = cull_by_cluster(
+                    model, history, contacts, cache, env, cluster, contact, center_clearance
+                )
+                if clearance >= real(0.0):
+                    culled_any = True
                 else:
-                    met = meet(
-                        model, state, pair, history, memory, dt, coefficients, kept, cache, env, contact,
+                    update = detect_and_evaluate(
+                        model,
+                        state,
+                        set_bodies,
+                        history,
+                        history_in,
+                        dt,
+                        coefficients,
+                        history_out,
+                        cache,
+                        env,
+                        contact,
                         contact - first_contact,
-                    )  # fmt: skip
-                    free = met.free
-                    contacts.status[env, contact] = met.status
-                    contacts.armed[env, contact] = met.armed
-                    if met.status == CONTACT:
-                        contacts.approach_speed[env, contact] = met.approach_speed
-                        force += met.force
-                        torque_1 += met.torque_1
-                        torque_2 += met.torque_2
-                wake = settle(history, contacts, cache, near, env, contact, travel, free, before)
-                first_wake = wp.min(first_wake, wake)
-            if near.news[env, contact] != 0:
-                near.contact[env, start + count] = contact
+                    )
+                    clearance = update.clearance
+                    contacts.status[env, contact] = update.status
+                    contacts.armed[env, contact] = update.armed
+                    if update.status == CONTACT:
+                        contacts.approach_speed[env, contact] = update.approach_speed
+                        force += update.force
+                        torque_1 += update.torque_1
+                        torque_2 += update.torque_2
+                safe_travel = store_result(
+                    history, contacts, cache, active_contacts, env, contact, travel, clearance, previous_status
+                )
+                min_safe_travel = wp.min(min_safe_travel, safe_travel)
+            if active_contacts.needs_history[env, contact] != 0:
+                active_contacts.contact[env, start + count] = contact
                 count += 1
                 if contacts.status[env, contact] != CONTACT:
                     contacts.penetration[env, contact] = real(0.0)
-                    tell_nothing(contacts, kept, env, contact, contact - first_contact, dt)
-        near.count[env, block] = count
-        settle_block(model, cache, env, block, start, stop, travel, around, of_use, count, first_wake)
-        near.force[env, block] = force
-        near.torque_1[env, block] = torque_1
-        near.torque_2[env, block] = torque_2
+                    write_no_force(contacts, history_out, env, contact, contact - first_contact, dt)
+        active_contacts.count[env, cluster] = count
+        store_cluster_result(
+            model, cache, env, cluster, start, stop, travel, center_clearance, culled_any, count, min_safe_travel
+        )
+        active_contacts.force[env, cluster] = force
+        active_contacts.torque_1[env, cluster] = torque_1
+        active_contacts.torque_2[env, cluster] = torque_2
 
     @wp.func
-    def meet_set(
+    def update_set(
         model: Model,
         state: State,
         history: History,
-        memory: Memory,
+        history_in: MaterialHistory,
         dt: real,
         first_contact: int,
         coefficients: Coefficients,
-        kept: Memory,
+        history_out: MaterialHistory,
         cache: Cache,
         contacts: Contacts,
-        near: Near,
+        active_contacts: ActiveContacts,
         env: int,
-        number: int,
+        set_index: int,
     ):
-        travelled = add_travel(model, state, cache, env, number)
-        block = natural(model.set_block_start[number])
-        stop = model.set_block_start[number + 1]
-        if sleeps(model, cache, env, number, travelled):
-            while block < stop:
-                near.count[env, block] = 0
-                block = natural(block + 1)
+        max_travel = accumulate_travel(model, state, cache, env, set_index)
+        cluster = assume_nonnegative(model.set_cluster_start[set_index])
+        stop = model.set_cluster_start[set_index + 1]
+        if is_culled(model, cache, env, set_index, max_travel):
+            while cluster < stop:
+                active_contacts.count[env, cluster] = 0
+                cluster = assume_nonnegative(cluster + 1)
             return
-        pair = pair_of(model, state, env, number)
-        while block < stop:
-            if travelled < cache.block_wake[env, block]:
-                near.count[env, block] = 0
+        set_bodies = set_bodies_of(model, state, env, set_index)
+        while cluster < stop:
+            if max_travel < cache.cluster_safe_travel[env, cluster]:
+                active_contacts.count[env, cluster] = 0
             else:
-                meet_block(
-                    model, state, pair, history, memory, dt, first_contact, coefficients, kept, cache, contacts,
-                    near, env, block, cache.set_travel[env, number], travelled,
-                )  # fmt: skip
-            block = natural(block + 1)
+                update_cluster(
+                    model,
+                    state,
+                    set_bodies,
+                    history,
+                    history_in,
+                    dt,
+                    first_contact,
+                    coefficients,
+                    history_out,
+                    cache,
+                    contacts,
+                    active_contacts,
+                    env,
+                    cluster,
+                    cache.set_travel[env, set_index],
+                    max_travel,
+                )
+            cluster = assume_nonnegative(cluster + 1)
 
-    return meet_set
+    return update_set
 
 
 @functools.cache
-def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = False) -> wp.Kernel:
+def kernel(
+    contact_model: ContactModel, real: type, has_joints: bool = False, projected: bool = False
+) -> wp.Kernel:
     """Returns the kernel that sees to sets of contacts on a CPU; items: sets of the group.
 
     Arguments: those of ``contact_force.kernel``.
     """
     t = structs(real)
     Model, State, History = t.Model, t.State, t.History
-    Contacts, Near, Cache = t.Contacts, t.Near, t.Cache
-    Coefficients, Memory = group_structs(parts, real)
-    meet_set = of_sets(parts, real, moves, projected)
-    tell_model, tell_state, tell_history = telling(Model), telling(State), telling(History)
-    tell_cache, tell_contacts, tell_near = telling(Cache), telling(Contacts), telling(Near)
-    tell_coefficients = telling(Coefficients)
+    Contacts, ActiveContacts, Cache = t.Contacts, t.ActiveContacts, t.Cache
+    Coefficients, MaterialHistory = group_structs(contact_model, real)
+    update_set = set_function(contact_model, real, has_joints, projected)
+    assume_model_strides, assume_state_strides, assume_history_strides = (
+        assume_strides(Model),
+        assume_strides(State),
+        assume_strides(History),
+    )
+    assume_cache_strides, assume_contacts_strides, assume_active_strides = (
+        assume_strides(Cache),
+        assume_strides(Contacts),
+        assume_strides(ActiveContacts),
+    )
+    assume_coefficient_strides = assume_strides(Coefficients)
 
     @unique_kernel()
-    def meet_sets(
-        work: Work,
+    def update_sets(
+        launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         model: Model,
         state: State,
         history: History,
-        memory: Memory,
+        history_in: MaterialHistory,
         step: wp.array2d(dtype=real),  # [env, 0] what the force acts over [s]
         first_set: wp.int32,
         first_contact: wp.int32,
         coefficients: Coefficients,
-        kept: Memory,
+        history_out: MaterialHistory,
         cache: Cache,
         contacts: Contacts,
-        near: Near,
+        active_contacts: ActiveContacts,
     ):
-        tell_model(model)
-        tell_state(state)
-        tell_history(history)
-        tell_coefficients(coefficients)
-        tell_cache(cache)
-        tell_contacts(contacts)
-        tell_near(near)
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            number = natural(first_set + item_of(work, task))
+        assume_model_strides(model)
+        assume_state_strides(state)
+        assume_history_strides(history)
+        assume_coefficient_strides(coefficients)
+        assume_cache_strides(cache)
+        assume_contacts_strides(contacts)
+        assume_active_strides(active_contacts)
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            set_index = assume_nonnegative(first_set + task_item(launch, task))
             if status[env] != ENV_ACTIVE:
                 continue
-            meet_set(
-                model, state, history, memory, step[env, 0], first_contact, coefficients, kept, cache, contacts,
-                near, env, number,
-            )  # fmt: skip
+            update_set(
+                model,
+                state,
+                history,
+                history_in,
+                step[env, 0],
+                first_contact,
+                coefficients,
+                history_out,
+                cache,
+                contacts,
+                active_contacts,
+                env,
+                set_index,
+            )
 
-    return meet_sets
+    return update_sets

@@ -8,19 +8,19 @@ import functools
 
 import warp as wp
 from warpcontact.kernels import contact_force, warps
-from warpcontact.kernels import meet as meeting
-from warpcontact.kernels import near as nearness
-from warpcontact.kernels.closest_point import AWAY, EITHER, LATER, QUERY
-from warpcontact.kernels.touch import Parts, group_structs
+from warpcontact.kernels import meet as fused_contact
+from warpcontact.kernels import near as contact_detection
+from warpcontact.kernels.closest_point import DEFERRED, DETECT_GRID_ANY, DETECT_GRID_FAR, DETECT_QUERY
+from warpcontact.kernels.touch import ContactModel, group_structs
 from warpcontact.kernels.types import (
     CONTACT,
     ENV_ACTIVE,
-    Work,
-    env_of,
-    item_of,
-    natural,
+    LaunchRange,
+    assume_nonnegative,
     structs,
     task_count,
+    task_env,
+    task_item,
 )
 from warpcontact.kernels.unique import unique_kernel
 
@@ -29,150 +29,197 @@ REGISTERS = 96
 
 
 @functools.cache
-def _take(parts: Parts, real: type, moves: bool, projected: bool, part: str) -> wp.Function:
+def _evaluate_cluster(
+    contact_model: ContactModel, real: type, has_joints: bool, projected: bool, part: str
+) -> wp.Function:
     """Returns the device function that meets a contact and takes what it does into its block."""
     t = structs(real)
     Model, State, History = t.Model, t.State, t.History
-    Contacts, Near, Cache, Wrenches = t.Contacts, t.Near, t.Cache, t.Wrenches
-    Coefficients, Memory = group_structs(parts, real)
-    of_contact = meeting.functions(parts, real, moves, projected, part)
-    pair_of, meet, forget = of_contact.pair_of, of_contact.meet, of_contact.forget
-    add_wrench = contact_force.functions(parts, real, moves, projected).add_wrench
-    news = nearness.functions(real, False, part).news
+    Contacts, ActiveContacts, Cache, Wrenches = t.Contacts, t.ActiveContacts, t.Cache, t.Wrenches
+    Coefficients, MaterialHistory = group_structs(contact_model, real)
+    contact_functions = fused_contact.functions(contact_model, real, has_joints, projected, part)
+    set_bodies_of, detect_and_evaluate, clear_history = (
+        contact_functions.set_bodies_of,
+        contact_functions.detect_and_evaluate,
+        contact_functions.clear_history,
+    )
+    add_wrench = contact_force.functions(contact_model, real, has_joints, projected).add_wrench
+    needs_history = contact_detection.functions(real, False, part).needs_history
 
     @wp.func
-    def take(
+    def evaluate_cluster(
         model: Model,
         state: State,
         history: History,
-        memory: Memory,
+        history_in: MaterialHistory,
         dt: real,
         coefficients: Coefficients,
-        kept: Memory,
+        history_out: MaterialHistory,
         cache: Cache,
         contacts: Contacts,
-        near: Near,
+        active_contacts: ActiveContacts,
         ordered: bool,
         wrenches: Wrenches,
         env: int,
-        block: int,
+        cluster: int,
     ):
         """Returns whether anything is known of the contact of a block: if not, it has to be searched for."""
-        place = natural(model.block_start[block])
-        contact = natural(model.block_contact[place])
-        pair = pair_of(model, state, env, natural(model.block_set[block]))
+        index = assume_nonnegative(model.cluster_start[cluster])
+        contact = assume_nonnegative(model.cluster_contact[index])
+        set_bodies = set_bodies_of(model, state, env, assume_nonnegative(model.cluster_set[cluster]))
         # Right before it is written, what this comes with would be long in coming.
-        before = contacts.status[env, contact]
-        met = meet(model, state, pair, history, memory, dt, coefficients, kept, cache, env, contact, contact)
-        if wp.static(part == AWAY):  # noqa: SIM102  Warp would evaluate both sides
-            if met.free == real(LATER):
+        previous_status = contacts.status[env, contact]
+        update = detect_and_evaluate(
+            model,
+            state,
+            set_bodies,
+            history,
+            history_in,
+            dt,
+            coefficients,
+            history_out,
+            cache,
+            env,
+            contact,
+            contact,
+        )
+        if wp.static(part == DETECT_GRID_FAR):
+            if update.clearance == real(DEFERRED):
                 return False
         # One that was quiet, and is, has nothing to tell. A look may have listed it.
-        if met.status != CONTACT and cache.block_quiet[env, block] != 0:  # noqa: SIM102
-            if met.armed == history.armed[env, contact]:
-                near.count[env, block] = 0
+        if update.status != CONTACT and cache.cluster_inactive[env, cluster] != 0:
+            if update.armed == history.armed[env, contact]:
+                active_contacts.count[env, cluster] = 0
                 return True
-        contacts.status[env, contact] = met.status
-        contacts.armed[env, contact] = met.armed
-        new = news(contacts, history, env, contact, before)
-        near.news[env, contact] = new
-        near.contact[env, place] = contact
-        near.count[env, block] = new
-        cache.block_quiet[env, block] = 1 - new
-        if met.status == CONTACT:
-            contacts.approach_speed[env, contact] = met.approach_speed
-        elif new != 0:
-            forget(kept, env, contact, met.armed, dt)
+        contacts.status[env, contact] = update.status
+        contacts.armed[env, contact] = update.armed
+        needed = needs_history(contacts, history, env, contact, previous_status)
+        active_contacts.needs_history[env, contact] = needed
+        active_contacts.contact[env, index] = contact
+        active_contacts.count[env, cluster] = needed
+        cache.cluster_inactive[env, cluster] = 1 - needed
+        if update.status == CONTACT:
+            contacts.approach_speed[env, contact] = update.approach_speed
+        elif needed != 0:
+            clear_history(history_out, env, contact, update.armed, dt)
         if ordered:
-            near.force[env, block] = met.force
-            near.torque_1[env, block] = met.torque_1
-            near.torque_2[env, block] = met.torque_2
-        elif met.status == CONTACT:
-            add_wrench(wrenches, env, pair.body_1, met.force, met.torque_1)
-            add_wrench(wrenches, env, pair.body_2, -met.force, met.torque_2)
+            active_contacts.force[env, cluster] = update.force
+            active_contacts.torque_1[env, cluster] = update.torque_1
+            active_contacts.torque_2[env, cluster] = update.torque_2
+        elif update.status == CONTACT:
+            add_wrench(wrenches, env, set_bodies.body_1, update.force, update.torque_1)
+            add_wrench(wrenches, env, set_bodies.body_2, -update.force, update.torque_2)
         return True
 
-    return take
+    return evaluate_cluster
 
 
 @functools.cache
-def kernel(parts: Parts, real: type, moves: bool, projected: bool, whole: bool) -> wp.Kernel:
+def kernel(
+    contact_model: ContactModel, real: type, has_joints: bool, projected: bool, search_now: bool
+) -> wp.Kernel:
     """Returns the kernel that sees to blocks of one contact; items: blocks.
 
-    With ``whole`` it searches at once for what cells do not tell, and does not leave it to ``rest``. The other
-    arguments are those of ``contact_force.kernel``.
+    With ``search_now``, contacts that the face grid does not decide are queried here, not in ``remaining``. The
+    other arguments are those of ``contact_force.kernel``.
     """
     t = structs(real)
     Model, State, History = t.Model, t.State, t.History
-    Contacts, Near, Cache, Wrenches = t.Contacts, t.Near, t.Cache, t.Wrenches
-    Coefficients, Memory = group_structs(parts, real)
-    take = _take(parts, real, moves, projected, EITHER if whole else AWAY)
+    Contacts, ActiveContacts, Cache, Wrenches = t.Contacts, t.ActiveContacts, t.Cache, t.Wrenches
+    Coefficients, MaterialHistory = group_structs(contact_model, real)
+    evaluate_cluster = _evaluate_cluster(
+        contact_model, real, has_joints, projected, DETECT_GRID_ANY if search_now else DETECT_GRID_FAR
+    )
     registers = REGISTERS if real is wp.float32 else None
 
     @unique_kernel(registers)
-    def meet_in_cells(
-        work: Work,
+    def fused_in_grid(
+        launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         model: Model,
         state: State,
         history: History,
-        memory: Memory,
+        history_in: MaterialHistory,
         step: wp.array2d(dtype=real),  # [env, 0] what the force acts over [s]
         coefficients: Coefficients,
-        kept: Memory,
+        history_out: MaterialHistory,
         cache: Cache,
         contacts: Contacts,
-        near: Near,
+        active_contacts: ActiveContacts,
         ordered: wp.bool,
         wrenches: Wrenches,
     ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            block = item_of(work, task)
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            cluster = task_item(launch, task)
             if status[env] != ENV_ACTIVE:
                 continue
-            known = take(
-                model, state, history, memory, step[env, 0], coefficients, kept, cache, contacts, near, ordered,
-                wrenches, env, block,
-            )  # fmt: skip
-            if not known:
-                cache.waiting_block[wp.atomic_add(cache.waiting, 0, 1)] = task
+            detected_now = evaluate_cluster(
+                model,
+                state,
+                history,
+                history_in,
+                step[env, 0],
+                coefficients,
+                history_out,
+                cache,
+                contacts,
+                active_contacts,
+                ordered,
+                wrenches,
+                env,
+                cluster,
+            )
+            if not detected_now:
+                cache.queue_clusters[wp.atomic_add(cache.queue_count, 0, 1)] = task
 
-    return meet_in_cells
+    return fused_in_grid
 
 
 @functools.cache
-def rest(parts: Parts, real: type, moves: bool, projected: bool) -> wp.Kernel:
+def remaining(contact_model: ContactModel, real: type, has_joints: bool, projected: bool) -> wp.Kernel:
     """Returns the kernel that searches for what ``kernel`` left; items: blocks."""
     t = structs(real)
     Model, State, History = t.Model, t.State, t.History
-    Contacts, Near, Cache, Wrenches = t.Contacts, t.Near, t.Cache, t.Wrenches
-    Coefficients, Memory = group_structs(parts, real)
-    take = _take(parts, real, moves, projected, QUERY)
+    Contacts, ActiveContacts, Cache, Wrenches = t.Contacts, t.ActiveContacts, t.Cache, t.Wrenches
+    Coefficients, MaterialHistory = group_structs(contact_model, real)
+    evaluate_cluster = _evaluate_cluster(contact_model, real, has_joints, projected, DETECT_QUERY)
 
     @unique_kernel()
-    def meet_the_rest(
-        work: Work,
+    def fused_remaining(
+        launch: LaunchRange,
         model: Model,
         state: State,
         history: History,
-        memory: Memory,
+        history_in: MaterialHistory,
         step: wp.array2d(dtype=real),  # [env, 0] what the force acts over [s]
         coefficients: Coefficients,
-        kept: Memory,
+        history_out: MaterialHistory,
         cache: Cache,
         contacts: Contacts,
-        near: Near,
+        active_contacts: ActiveContacts,
         ordered: wp.bool,
         wrenches: Wrenches,
     ):
-        for i in range(warps.spread(wp.tid(), work.threads), cache.waiting[0], work.threads):
-            task = cache.waiting_block[i]
-            env = env_of(work, task)
-            block = item_of(work, task)
-            take(
-                model, state, history, memory, step[env, 0], coefficients, kept, cache, contacts, near, ordered,
-                wrenches, env, block,
-            )  # fmt: skip
+        for i in range(warps.interleave_warps(wp.tid(), launch.threads), cache.queue_count[0], launch.threads):
+            task = cache.queue_clusters[i]
+            env = task_env(launch, task)
+            cluster = task_item(launch, task)
+            evaluate_cluster(
+                model,
+                state,
+                history,
+                history_in,
+                step[env, 0],
+                coefficients,
+                history_out,
+                cache,
+                contacts,
+                active_contacts,
+                ordered,
+                wrenches,
+                env,
+                cluster,
+            )
 
-    return meet_the_rest
+    return fused_remaining

@@ -1,4 +1,4 @@
-"""Memory of laws and friction models: what a formula declares by ``memory``, one struct per contact and environment.
+"""Memory of laws and friction models: what a formula declares by ``history_in``, one struct per contact and environment.
 
 The force stage never changes it. It recalls the memory of the last accepted step, lets the formula advance it to
 the present instant, answers with the force, and keeps the result in a second array; ``history.py`` takes that over
@@ -28,13 +28,13 @@ def memory_struct(formula: type[Formula], real: type) -> Any:
 class Functions(NamedTuple):
     """Device functions of one part of a contact."""
 
-    #: ``(memory, kept, env, member, p, x, at_most, dt, q_WS, n_W)``: the force, from the memory advanced by no
-    #: more than ``at_most`` [s], which is kept.
-    act: wp.Function
+    #: ``(memory, kept, env, member, p, x, max_elapsed, dt, q_WS, n_W)``: the force, from the memory advanced by no
+    #: more than ``max_elapsed`` [s], which is kept.
+    evaluate: wp.Function
     #: ``(p, x)``: the force of a contact that has just begun.
-    begin: wp.Function
+    start_force: wp.Function
     #: ``(kept, env, member, dt)``: keeps an empty memory.
-    forget: wp.Function
+    clear_history: wp.Function
 
 
 @functools.cache
@@ -56,7 +56,7 @@ def functions(formula: type[Formula], real: type, along_normal: bool = False) ->
     advance = formula.advance
 
     @wp.func
-    def of_length(v: vec3, size: real):
+    def with_length(v: vec3, size: real):
         """``v`` at length ``size``: a rounded quaternion scales what it rotates, and every step would again."""
         length = wp.length(v)
         if length == real(0.0):
@@ -64,18 +64,18 @@ def functions(formula: type[Formula], real: type, along_normal: bool = False) ->
         return (size / length) * v
 
     @wp.func
-    def followed(v: vec3, before: vec3, after: vec3):
+    def transport(v: vec3, before: vec3, after: vec3):
         """``v`` by the smallest rotation from unit vector ``before`` to ``after``."""
         axis = wp.cross(before, after)
         cosine = wp.dot(before, after)
         if cosine < real(-0.999):
             # Turned over: no direction is the right one, and no memory gives nothing back.
             return vec3()
-        turned = wp.cross(axis, v)
-        return v + turned + wp.cross(axis, turned) / (real(1.0) + cosine)
+        rotated = wp.cross(axis, v)
+        return v + rotated + wp.cross(axis, rotated) / (real(1.0) + cosine)
 
     @wp.func
-    def laid(v: vec3, n: vec3):
+    def project_tangent(v: vec3, n: vec3):
         """``v`` without the rounding that is not in the tangent plane, or not along the normal."""
         if wp.static(along_normal):
             return wp.dot(v, n) * n
@@ -84,52 +84,54 @@ def functions(formula: type[Formula], real: type, along_normal: bool = False) ->
     @wp.func
     def to_world(m: Struct, v_S: vec3, q_WS: quat, n_S: vec3):
         """Follows the normal and takes a vector to world axes."""
-        at_n_S = laid(followed(v_S, m._normal, n_S), n_S)
-        return of_length(wp.quat_rotate(q_WS, at_n_S), wp.min(wp.length(v_S), real(1.001) * wp.length(at_n_S)))
+        transported_S = project_tangent(transport(v_S, m._normal, n_S), n_S)
+        return with_length(
+            wp.quat_rotate(q_WS, transported_S), wp.min(wp.length(v_S), real(1.001) * wp.length(transported_S))
+        )
 
     @wp.func
     def to_surface(m: Struct, v_W: vec3, q_WS: quat, n_S: vec3):
-        return of_length(wp.quat_rotate_inv(q_WS, v_W), wp.length(v_W))
+        return with_length(wp.quat_rotate_inv(q_WS, v_W), wp.length(v_W))
 
     tangents = [name for name, field in formula.memories.items() if field.tangent]
     all_to_world = _for_each(tangents, Struct, to_world, quat, vec3)
     all_to_surface = _for_each(tangents, Struct, to_surface, quat, vec3)
 
     @wp.func
-    def act(
-        memory: Array,
-        kept: Array,
+    def evaluate(
+        history_in: Array,
+        history_out: Array,
         env: int,
         member: int,
         p: Any,
         x: Any,
-        at_most: real,
+        max_elapsed: real,
         dt: real,
         q_WS: quat,
         n_W: vec3,
     ):
         n_S = wp.quat_rotate_inv(q_WS, n_W)
-        m = all_to_world(memory[env, member], q_WS, n_S)
-        if at_most < m.elapsed:
-            m.elapsed = at_most
+        m = all_to_world(history_in[env, member], q_WS, n_S)
+        if max_elapsed < m.elapsed:
+            m.elapsed = max_elapsed
         advanced = advance(p, x, m)
-        answer = force(p, x, advanced)
+        value = force(p, x, advanced)
         advanced.elapsed = dt
         advanced._normal = n_S
-        kept[env, member] = all_to_surface(advanced, q_WS, n_S)
-        return answer
+        history_out[env, member] = all_to_surface(advanced, q_WS, n_S)
+        return value
 
     @wp.func
-    def begin(p: Any, x: Any):
+    def start_force(p: Any, x: Any):
         return force(p, x, advance(p, x, Struct()))
 
     @wp.func
-    def forget(kept: Array, env: int, member: int, dt: real):
+    def clear_history(history_out: Array, env: int, member: int, dt: real):
         m = Struct()
         m.elapsed = dt
-        kept[env, member] = m
+        history_out[env, member] = m
 
-    return Functions(act, begin, forget)
+    return Functions(evaluate, start_force, clear_history)
 
 
 def _without_memory(real: type, Array: Any, force: wp.Function) -> Functions:
@@ -138,14 +140,14 @@ def _without_memory(real: type, Array: Any, force: wp.Function) -> Functions:
     vec3, quat = t.vec3, t.quat
 
     @wp.func
-    def act(
-        memory: Array,
-        kept: Array,
+    def evaluate(
+        history_in: Array,
+        history_out: Array,
         env: int,
         member: int,
         p: Any,
         x: Any,
-        at_most: real,
+        max_elapsed: real,
         dt: real,
         q_WS: quat,
         n_W: vec3,
@@ -153,18 +155,18 @@ def _without_memory(real: type, Array: Any, force: wp.Function) -> Functions:
         return force(p, x)
 
     @wp.func
-    def begin(p: Any, x: Any):
+    def start_force(p: Any, x: Any):
         return force(p, x)
 
     @wp.func
-    def forget(kept: Array, env: int, member: int, dt: real):
+    def clear_history(history_out: Array, env: int, member: int, dt: real):
         pass
 
-    return Functions(act, begin, forget)
+    return Functions(evaluate, start_force, clear_history)
 
 
-def _for_each(fields: list[str], Struct: Any, turned: wp.Function, quat: Any, vec3: Any) -> wp.Function:
-    """Returns the device function ``(m, q_WS, n_S)`` that applies ``turned`` to all ``fields`` of a struct.
+def _for_each(fields: list[str], Struct: Any, rotated: wp.Function, quat: Any, vec3: Any) -> wp.Function:
+    """Returns the device function ``(m, q_WS, n_S)`` that applies ``rotated`` to all ``fields`` of a struct.
 
     Warp has no loop over the fields of a struct, so its lines are written here.
     """
@@ -174,6 +176,6 @@ def _for_each(fields: list[str], Struct: Any, turned: wp.Function, quat: Any, ve
     file = f"<memory of {Struct.key}>"
     # Where inspect, and with it Warp, looks for source that is in no file.
     linecache.cache[file] = (0, None, [f"{line}\n" for line in lines], file)
-    scope = {"Struct": Struct, "turned": turned, "quat": quat, "vec3": vec3}
+    scope = {"Struct": Struct, "turned": rotated, "quat": quat, "vec3": vec3}
     exec(compile("\n".join(lines), file, "exec"), scope)
     return wp.func(scope["all_turned"])

@@ -10,292 +10,322 @@ from types import SimpleNamespace
 
 import warp as wp
 from warpcontact.kernels import cells, search, tree
-from warpcontact.kernels import closest_point as closest
-from warpcontact.kernels import foot as feet
-from warpcontact.kernels.closest_point import AWAY, CELL, EITHER, FEW, FOLLOWS, WHOLE
-from warpcontact.kernels.sides import room_on_side as sides_of
+from warpcontact.kernels import closest_point as narrow_phase
+from warpcontact.kernels import foot as closest_points
+from warpcontact.kernels.closest_point import (
+    DETECT_ALL,
+    DETECT_GRID,
+    DETECT_GRID_ANY,
+    DETECT_GRID_FAR,
+    MIN_CLEARANCE_FRACTION,
+    TRACKED,
+)
+from warpcontact.kernels.sides import side_clearance as side_clearance_of
 from warpcontact.kernels.types import (
     CONTACT,
     ENV_ACTIVE,
     LATCHED,
-    Work,
-    env_of,
-    item_of,
-    natural,
+    LaunchRange,
+    assume_nonnegative,
     structs,
     task_count,
+    task_env,
+    task_item,
 )
 from warpcontact.kernels.unique import unique_kernel
 
 
 @functools.cache
-def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
-    """Returns the device functions for ``real``; ``follows`` and ``part`` are those of ``closest_point``."""
+def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
+    """Returns the device functions for ``real``; ``tracks`` and ``part`` are those of ``closest_point``."""
     t = structs(real)
-    Model, History, Contacts, Near, Cache = t.Model, t.History, t.Contacts, t.Near, t.Cache
-    contact_of = closest.functions(real, follows, part)
-    View, view_of = contact_of.View, contact_of.view_of
-    leave = contact_of.leave
-    of_search, of_tree = search.functions(real), tree.functions(real)
-    extent_of, unsure_of = of_search.extent_of, of_search.unsure_of
-    nearest_of_all = of_search.nearest_of_all
-    nearest, rounding_of = of_tree.nearest, of_tree.rounding_of
-    room_on_side, cell_at = sides_of(real), cells.functions(real).cell_at
-    foot_on, inner = feet.functions(real).foot_on, feet.functions(real).inner
+    Model, History, Contacts, ActiveContacts, Cache = t.Model, t.History, t.Contacts, t.ActiveContacts, t.Cache
+    narrow = narrow_phase.functions(real, tracks, part)
+    SetFrames, frames_of_set = narrow.SetFrames, narrow.frames_of_set
+    mark_far = narrow.mark_far
+    search_functions, bvh_functions = search.functions(real), tree.functions(real)
+    max_coordinate, query_error = search_functions.max_coordinate, search_functions.query_error
+    refine_closest = search_functions.refine_closest
+    closest_in_bvh, rounding_error = bvh_functions.closest_in_bvh, bvh_functions.rounding_error
+    side_clearance, cell_at = side_clearance_of(real), cells.functions(real).cell_at
+    closest_on_face, is_inside = (
+        closest_points.functions(real).closest_on_face,
+        closest_points.functions(real).is_inside,
+    )
     rounded_down = wp.constant(real(1.0 - 4.0 * t.epsilon))
     rounded_up = wp.constant(real(1.0 + 16.0 * t.epsilon))
 
     @wp.func
-    def probe(model: Model, view: View, cache: Cache, env: int, block: int):
+    def cluster_clearance(model: Model, set_frames: SetFrames, cache: Cache, env: int, cluster: int):
         """How far a point in the middle of a block is from coming to touch, or to be on the inner side [m].
 
         All that lies nearer to it than this is as free. Negative: nothing is known.
         """
-        patch = view.patch
-        c_W = view.apart_W + view.R_WB * model.block_center[env, block]
-        c_S = view.per_scale * (wp.transpose(view.R_WS) * c_W)
-        if wp.static(part in (CELL, AWAY, EITHER)):
+        query_mesh = set_frames.query_mesh
+        c_W = set_frames.offset_W + set_frames.R_WB * model.cluster_center[env, cluster]
+        c_S = set_frames.inverse_scale * (wp.transpose(set_frames.R_WS) * c_W)
+        if wp.static(part in (DETECT_GRID, DETECT_GRID_FAR, DETECT_GRID_ANY)):
             # Where that is little, each point looks into its own.
-            return view.scale * cell_at(model, patch, c_S).free
-        extent = extent_of(c_S)
-        if wp.static(part == WHOLE):
-            hint = cache.nearest[env, natural(model.block_contact[natural(model.block_start[block])])]
-            foot = nearest(model, patch, c_S, hint)
-            if not (foot.distance < real(wp.inf)):
+            return set_frames.scale * cell_at(model, query_mesh, c_S).clearance
+        extent = max_coordinate(c_S)
+        if wp.static(part == DETECT_ALL):
+            hint = cache.nearest[
+                env, assume_nonnegative(model.cluster_contact[assume_nonnegative(model.cluster_start[cluster])])
+            ]
+            closest = closest_in_bvh(model, query_mesh, c_S, hint)
+            if not (closest.distance < real(wp.inf)):
                 return real(-1.0)
-            unsure = rounding_of(extent, foot)
+            error = rounding_error(extent, closest)
         else:
             query = wp.mesh_query_point_no_sign(
-                model.patch_mesh[patch],
+                model.query_mesh_id[query_mesh],
                 wp.vec3f(wp.float32(c_S[0]), wp.float32(c_S[1]), wp.float32(c_S[2])),
                 wp.float32(wp.inf),
             )
             if not query.result:
                 return real(-1.0)
-            foot = foot_on(model, view.start + query.face, c_S)
-            unsure = unsure_of(model, patch, extent, foot.distance)
-            if wp.static(real is wp.float64) or model.patch_thin[patch] > real(0.0):
+            closest = closest_on_face(model, set_frames.start + query.face, c_S)
+            error = query_error(model, query_mesh, extent, closest.distance)
+            if wp.static(real is wp.float64) or model.query_mesh_thin_length[query_mesh] > real(0.0):
                 # One that the query takes for as near may show the other side.
-                foot = nearest_of_all(model, patch, c_S, foot, unsure)
-        if inner(model, foot):
+                closest = refine_closest(model, query_mesh, c_S, closest, error)
+        if is_inside(model, closest):
             return real(-1.0)
-        return view.scale * wp.min(foot.distance - unsure, room_on_side(model, patch, c_S))
+        return set_frames.scale * wp.min(closest.distance - error, side_clearance(model, query_mesh, c_S))
 
     @wp.func
-    def left_of(model: Model, env: int, block: int, contact: int, around: real):
-        """What is left of ``around``, which is for the middle of a block, for one of its contacts [m]."""
-        arm_B = model.point_position[env, natural(model.contact_point[contact])] - model.block_center[env, block]
+    def contact_clearance(model: Model, env: int, cluster: int, contact: int, center_clearance: real):
+        """Clearance of one contact, from the clearance at the center of its cluster [m]."""
+        arm_B = (
+            model.point_position[env, assume_nonnegative(model.contact_point[contact])]
+            - model.cluster_center[env, cluster]
+        )
         geometry = model.contact_geometry[env, contact]
-        return around - rounded_up * wp.length(arm_B) - (geometry.radius + geometry.closed)
+        return center_clearance - rounded_up * wp.length(arm_B) - (geometry.radius + geometry.closed)
 
     @wp.func
-    def way_to_use(model: Model, env: int, start: int, stop: int, block: int, around: real):
-        """How far the points of a block have to come until their middle, with ``around``, may tell of any [m]."""
-        least = real(wp.inf)
-        for place in range(start, stop):
-            least = wp.min(least, around - left_of(model, env, block, natural(model.block_contact[place]), around))
-        return wp.max(least / real(1.0 - FEW) - around, real(0.0))
+    def probe_distance(model: Model, env: int, start: int, stop: int, cluster: int, center_clearance: real):
+        """Displacement of a cluster after which the clearance at its center can cull a contact again [m]."""
+        smallest = real(wp.inf)
+        for index in range(start, stop):
+            smallest = wp.min(
+                smallest,
+                center_clearance
+                - contact_clearance(
+                    model, env, cluster, assume_nonnegative(model.cluster_contact[index]), center_clearance
+                ),
+            )
+        return wp.max(smallest / real(1.0 - MIN_CLEARANCE_FRACTION) - center_clearance, real(0.0))
 
     @wp.func
-    def to_be_armed(model: Model, history: History, env: int, contact: int):
+    def needs_arming(model: Model, history: History, env: int, contact: int):
         """Whether a latched contact is not armed yet: a look has to tell when it comes into sight."""
-        if wp.static(follows):
+        if wp.static(tracks):
             return (model.contact_options[contact] & LATCHED) != 0 and history.armed[env, contact] == 0
         return False
 
     @wp.func
-    def may_be_left(model: Model, history: History, env: int, contact: int):
+    def can_cull(model: Model, history: History, env: int, contact: int):
         """Whether a contact is of no concern if it is far away on the outer side, as its surroundings are.
 
         One that stays with the face that it touched is on the inner side of that, wherever it is; another may have
         to be armed.
         """
-        if wp.static(follows):
-            if (model.contact_options[contact] & FOLLOWS) != 0 and history.face[env, contact] >= 0:
+        if wp.static(tracks):
+            if (model.contact_options[contact] & TRACKED) != 0 and history.face[env, contact] >= 0:
                 return False
-            if to_be_armed(model, history, env, contact):
+            if needs_arming(model, history, env, contact):
                 return False
         return model.contact_geometry[env, contact].enabled != 0
 
     @wp.func
-    def free_around(
+    def cull_by_cluster(
         model: Model,
         history: History,
         contacts: Contacts,
         cache: Cache,
         env: int,
-        block: int,
+        cluster: int,
         contact: int,
-        around: real,
+        center_clearance: real,
     ):
         """Fills ``contacts`` for one that is far away on the outer side, as the middle of its block shows.
 
         Returns how far its point can move and not touch [m]; negative: nothing is known, and nothing was filled.
         """
-        if not (around > real(0.0)) or cache.faces[env, contact] != 0:
+        if not (center_clearance > real(0.0)) or cache.face_count[env, contact] != 0:
             return real(-1.0)
-        if not may_be_left(model, history, env, contact):
+        if not can_cull(model, history, env, contact):
             return real(-1.0)
-        free = left_of(model, env, block, contact, around)
-        if not (free > real(FEW) * around):
+        clearance = contact_clearance(model, env, cluster, contact, center_clearance)
+        if not (clearance > real(MIN_CLEARANCE_FRACTION) * center_clearance):
             return real(-1.0)
-        leave(contacts, env, contact)
-        return free
+        mark_far(contacts, env, contact)
+        return clearance
 
     @wp.func
-    def wake_of(travel: real, free: real):
-        """Travel up to which a contact that is ``free`` cannot touch [m]."""
-        if not (free > real(0.0)):
+    def safe_travel_for(travel: real, clearance: real):
+        """Travel up to which a contact that is ``clearance`` cannot touch [m]."""
+        if not (clearance > real(0.0)):
             return real(0.0)
-        return rounded_down * (travel + free)
+        return rounded_down * (travel + clearance)
 
     @wp.func
-    def longer_wake(
+    def extend_safe_travel(
         model: Model,
         history: History,
         cache: Cache,
         env: int,
-        block: int,
+        cluster: int,
         contact: int,
         travel: real,
-        around: real,
+        center_clearance: real,
     ):
         """Lets a contact that is asleep sleep longer if the middle of its block shows that it can."""
-        wake = cache.wake[env, contact]
-        if to_be_armed(model, history, env, contact):
-            return wake
-        if around > real(0.0):
-            longer = rounded_down * (travel + left_of(model, env, block, contact, around))
-            if longer > wake:
-                wake = longer
-                cache.wake[env, contact] = wake
-        return wake
+        safe_travel = cache.safe_travel[env, contact]
+        if needs_arming(model, history, env, contact):
+            return safe_travel
+        if center_clearance > real(0.0):
+            extended = rounded_down * (travel + contact_clearance(model, env, cluster, contact, center_clearance))
+            if extended > safe_travel:
+                safe_travel = extended
+                cache.safe_travel[env, contact] = safe_travel
+        return safe_travel
 
     @wp.func
-    def unknown(model: Model, cache: Cache, env: int, start: int, stop: int, travelled: real):
+    def has_uncached(model: Model, cache: Cache, env: int, start: int, stop: int, max_travel: real):
         """Whether some contact of a block is awake and no faces near it are known."""
-        for place in range(start, stop):
-            contact = natural(model.block_contact[place])
-            if cache.faces[env, contact] == 0 and not (travelled < cache.wake[env, contact]):
+        for index in range(start, stop):
+            contact = assume_nonnegative(model.cluster_contact[index])
+            if cache.face_count[env, contact] == 0 and not (max_travel < cache.safe_travel[env, contact]):
                 return True
         return False
 
     @wp.func
-    def news(contacts: Contacts, history: History, env: int, contact: int, before: int):
+    def needs_history(contacts: Contacts, history: History, env: int, contact: int, previous_status: int):
         """1 if the rest of the step has to do with a contact: it touches, or did, or its latch moved; or 0.
 
-        ``before`` is its status when it was looked at last, not necessarily in an accepted step.
+        ``previous_status`` is its status when it was looked at last, not necessarily in an accepted step.
         """
-        latch = contacts.armed[env, contact] != history.armed[env, contact]
-        touched = before == CONTACT or history.entry_speed[env, contact] >= real(0.0)
-        return wp.where(latch or touched or contacts.status[env, contact] == CONTACT, 1, 0)
+        latch_changed = contacts.armed[env, contact] != history.armed[env, contact]
+        was_touching = previous_status == CONTACT or history.entry_speed[env, contact] >= real(0.0)
+        return wp.where(latch_changed or was_touching or contacts.status[env, contact] == CONTACT, 1, 0)
 
     @wp.func
-    def around_of(
+    def probe_if_useful(
         model: Model,
-        view: View,
+        set_frames: SetFrames,
         cache: Cache,
         env: int,
-        block: int,
+        cluster: int,
         start: int,
         stop: int,
         travel: real,
-        travelled: real,
+        max_travel: real,
     ):
-        """What ``probe`` tells of a block, where that may do for some of its contacts; negative: nothing is known.
+        """Clearance at the center of a cluster, if that can cull some of its contacts; negative: unknown.
 
-        One search in the middle may do for all that are far from where they last touched.
+        One search at the center can cull all contacts that are far from the surface.
         """
-        if stop - start > 1 and travel >= cache.block_probe[env, block]:  # noqa: SIM102
+        if stop - start > 1 and travel >= cache.cluster_probe_travel[env, cluster]:
             # (Nested, as Warp computes both sides of an ``and``.)
-            if unknown(model, cache, env, start, stop, travelled):
-                return probe(model, view, cache, env, block)
+            if has_uncached(model, cache, env, start, stop, max_travel):
+                return cluster_clearance(model, set_frames, cache, env, cluster)
         return real(-1.0)
 
     @wp.func
-    def settle(
+    def store_result(
         history: History,
         contacts: Contacts,
         cache: Cache,
-        near: Near,
+        active_contacts: ActiveContacts,
         env: int,
         contact: int,
         travel: real,
-        free: real,
-        before: int,
+        clearance: real,
+        previous_status: int,
     ):
         """Remembers what was found of a contact; returns the travel up to which it may be left alone [m]."""
-        wake = wake_of(travel, free)
-        cache.wake[env, contact] = wake
-        near.news[env, contact] = news(contacts, history, env, contact, before)
-        return wake
+        safe_travel = safe_travel_for(travel, clearance)
+        cache.safe_travel[env, contact] = safe_travel
+        active_contacts.needs_history[env, contact] = needs_history(
+            contacts, history, env, contact, previous_status
+        )
+        return safe_travel
 
     @wp.func
-    def settle_block(
+    def store_cluster_result(
         model: Model,
         cache: Cache,
         env: int,
-        block: int,
+        cluster: int,
         start: int,
         stop: int,
         travel: real,
-        around: real,
-        of_use: bool,
-        new: int,
-        first_wake: real,
+        center_clearance: real,
+        culled_any: bool,
+        active_count: int,
+        min_safe_travel: real,
     ):
         """Remembers of a block when it has to be looked at again, and when in its middle."""
-        if around >= real(0.0) and not of_use:
-            cache.block_probe[env, block] = travel + way_to_use(model, env, start, stop, block, around)
+        if center_clearance >= real(0.0) and not culled_any:
+            cache.cluster_probe_travel[env, cluster] = travel + probe_distance(
+                model, env, start, stop, cluster, center_clearance
+            )
         # What is new is told until history has it; a step may be taken again.
-        cache.block_wake[env, block] = wp.where(new > 0, real(0.0), first_wake)
+        cache.cluster_safe_travel[env, cluster] = wp.where(active_count > 0, real(0.0), min_safe_travel)
 
     return SimpleNamespace(
-        View=View,
-        view_of=view_of,
-        Found=contact_of.Found,
-        find=contact_of.find,
-        tell=contact_of.tell,
-        look=contact_of.look,
-        leave=leave,
-        left_of=left_of,
-        may_be_left=may_be_left,
-        probe=probe,
-        way_to_use=way_to_use,
-        free_around=free_around,
-        wake_of=wake_of,
-        longer_wake=longer_wake,
-        unknown=unknown,
-        news=news,
-        around_of=around_of,
-        settle=settle,
-        settle_block=settle_block,
+        SetFrames=SetFrames,
+        frames_of_set=frames_of_set,
+        DetectedContact=narrow.DetectedContact,
+        detect=narrow.detect,
+        write_contact=narrow.write_contact,
+        update_contact=narrow.update_contact,
+        mark_far=mark_far,
+        contact_clearance=contact_clearance,
+        can_cull=can_cull,
+        cluster_clearance=cluster_clearance,
+        probe_distance=probe_distance,
+        cull_by_cluster=cull_by_cluster,
+        safe_travel_for=safe_travel_for,
+        extend_safe_travel=extend_safe_travel,
+        has_uncached=has_uncached,
+        needs_history=needs_history,
+        probe_if_useful=probe_if_useful,
+        store_result=store_result,
+        store_cluster_result=store_cluster_result,
     )
 
 
 @functools.cache
-def kernel(real: type, follows: bool) -> wp.Kernel:
-    """Returns the kernel that fills ``contacts`` and ``near`` from ``state``; items: blocks.
+def kernel(real: type, tracks: bool) -> wp.Kernel:
+    """Returns the kernel that fills ``contacts`` and ``active_contacts`` from ``state``; items: blocks.
 
-    With ``cached`` it looks only at points that may touch, and remembers what it finds: contacts that it leaves
-    out do not touch and did not in the last step, and ``near`` lists the others. Without, it looks at all, lists
-    all, and tells gap, normal and point of those that are far away as well. Of the others the outcome is the same.
+    With ``cached``, only contacts that can touch are evaluated, and their clearances are stored. Contacts that it
+    skips do not touch and did not in the last step; ``active_contacts`` lists the others. Without ``cached``,
+    all contacts are evaluated and listed, and gap, normal and contact point are written for distant ones too.
+    Results for the other contacts are identical.
 
     Args:
         real: Type of a real number.
-        follows: Whether any contact stays with the part of the surface that it touched.
+        tracks: Whether any contact stays with the part of the surface that it touched.
     """
     t = structs(real)
     Model, State, History = t.Model, t.State, t.History
-    Contacts, Near, Cache = t.Contacts, t.Near, t.Cache
-    block_of = functions(real, follows, WHOLE)
-    view_of, look, around_of = block_of.view_of, block_of.look, block_of.around_of
-    free_around, longer_wake = block_of.free_around, block_of.longer_wake
-    settle, settle_block = block_of.settle, block_of.settle_block
+    Contacts, ActiveContacts, Cache = t.Contacts, t.ActiveContacts, t.Cache
+    detection = functions(real, tracks, DETECT_ALL)
+    frames_of_set, update_contact, probe_if_useful = (
+        detection.frames_of_set,
+        detection.update_contact,
+        detection.probe_if_useful,
+    )
+    cull_by_cluster, extend_safe_travel = detection.cull_by_cluster, detection.extend_safe_travel
+    store_result, store_cluster_result = detection.store_result, detection.store_cluster_result
 
     @unique_kernel()
     def closest_point(
-        work: Work,
+        launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         model: Model,
         state: State,
@@ -303,64 +333,94 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
         cached: wp.bool,
         cache: Cache,
         contacts: Contacts,
-        near: Near,
+        active_contacts: ActiveContacts,
     ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            block = item_of(work, task)
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            cluster = task_item(launch, task)
             if status[env] != ENV_ACTIVE:
                 continue
             count = wp.int32(0)
-            new = wp.int32(0)
-            number = natural(model.block_set[block])
+            active_count = wp.int32(0)
+            set_index = assume_nonnegative(model.cluster_set[cluster])
             travel = real(0.0)
-            travelled = real(0.0)
+            max_travel = real(0.0)
             if cached:
-                travel = cache.set_travel[env, number]
-                travelled = travel + cache.set_margin[env, number]
-                if cache.set_asleep[env, number] != 0 or travelled < cache.block_wake[env, block]:
-                    near.count[env, block] = 0
+                travel = cache.set_travel[env, set_index]
+                max_travel = travel + cache.set_margin[env, set_index]
+                if cache.set_culled[env, set_index] != 0 or max_travel < cache.cluster_safe_travel[env, cluster]:
+                    active_contacts.count[env, cluster] = 0
                     continue
-            start = natural(model.block_start[block])
-            stop = model.block_start[block + 1]
-            view = view_of(model, state, env, number)
-            around = real(-1.0)
+            start = assume_nonnegative(model.cluster_start[cluster])
+            stop = model.cluster_start[cluster + 1]
+            set_frames = frames_of_set(model, state, env, set_index)
+            center_clearance = real(-1.0)
             if cached:
-                around = around_of(model, view, cache, env, block, start, stop, travel, travelled)
-            of_use = wp.bool(False)
-            first_wake = real(wp.inf)
-            for place in range(start, stop):
-                contact = natural(model.block_contact[place])
-                if cached and travelled < cache.wake[env, contact]:
-                    wake = longer_wake(model, history, cache, env, block, contact, travel, around)
-                    first_wake = wp.min(first_wake, wake)
+                center_clearance = probe_if_useful(
+                    model, set_frames, cache, env, cluster, start, stop, travel, max_travel
+                )
+            culled_any = wp.bool(False)
+            min_safe_travel = real(wp.inf)
+            for index in range(start, stop):
+                contact = assume_nonnegative(model.cluster_contact[index])
+                if cached and max_travel < cache.safe_travel[env, contact]:
+                    safe_travel = extend_safe_travel(
+                        model, history, cache, env, cluster, contact, travel, center_clearance
+                    )
+                    min_safe_travel = wp.min(min_safe_travel, safe_travel)
                 else:
-                    before = contacts.status[env, contact]
-                    free = real(-1.0)
+                    previous_status = contacts.status[env, contact]
+                    clearance = real(-1.0)
                     if cached:
-                        free = free_around(model, history, contacts, cache, env, block, contact, around)
-                    if free >= real(0.0):
-                        of_use = True
+                        clearance = cull_by_cluster(
+                            model, history, contacts, cache, env, cluster, contact, center_clearance
+                        )
+                    if clearance >= real(0.0):
+                        culled_any = True
                     else:
-                        free = look(model, view, history, contacts, cached, cache, env, contact)
+                        clearance = update_contact(
+                            model, set_frames, history, contacts, cached, cache, env, contact
+                        )
                     if cached:
-                        wake = settle(history, contacts, cache, near, env, contact, travel, free, before)
-                        first_wake = wp.min(first_wake, wake)
+                        safe_travel = store_result(
+                            history,
+                            contacts,
+                            cache,
+                            active_contacts,
+                            env,
+                            contact,
+                            travel,
+                            clearance,
+                            previous_status,
+                        )
+                        min_safe_travel = wp.min(min_safe_travel, safe_travel)
                     elif contacts.status[env, contact] == CONTACT:
                         # A later look with ``cached`` may not leave it out.
-                        cache.wake[env, contact] = real(0.0)
-                        new += 1
+                        cache.safe_travel[env, contact] = real(0.0)
+                        active_count += 1
                 if cached:
-                    new += near.news[env, contact]
-                if not cached or near.news[env, contact] != 0:
-                    near.contact[env, start + count] = contact
+                    active_count += active_contacts.needs_history[env, contact]
+                if not cached or active_contacts.needs_history[env, contact] != 0:
+                    active_contacts.contact[env, start + count] = contact
                     count += 1
-            near.count[env, block] = count
+            active_contacts.count[env, cluster] = count
             if cached:
-                settle_block(model, cache, env, block, start, stop, travel, around, of_use, new, first_wake)
-            elif new > 0:
-                cache.block_wake[env, block] = real(0.0)
-                cache.block_quiet[env, block] = 0
-                cache.set_wake[env, number] = real(0.0)
+                store_cluster_result(
+                    model,
+                    cache,
+                    env,
+                    cluster,
+                    start,
+                    stop,
+                    travel,
+                    center_clearance,
+                    culled_any,
+                    active_count,
+                    min_safe_travel,
+                )
+            elif active_count > 0:
+                cache.cluster_safe_travel[env, cluster] = real(0.0)
+                cache.cluster_inactive[env, cluster] = 0
+                cache.set_safe_travel[env, set_index] = real(0.0)
 
     return closest_point

@@ -8,208 +8,259 @@ import functools
 from types import SimpleNamespace
 
 import warp as wp
-from warpcontact.kernels import near as nearness
+from warpcontact.kernels import near as contact_detection
 from warpcontact.kernels import warps
-from warpcontact.kernels.closest_point import AWAY, EITHER, LATER, QUERY
-from warpcontact.kernels.types import ENV_ACTIVE, Work, env_of, item_of, natural, structs, task_count
+from warpcontact.kernels.closest_point import DEFERRED, DETECT_GRID_ANY, DETECT_GRID_FAR, DETECT_QUERY
+from warpcontact.kernels.types import (
+    ENV_ACTIVE,
+    LaunchRange,
+    assume_nonnegative,
+    structs,
+    task_count,
+    task_env,
+    task_item,
+)
 from warpcontact.kernels.unique import unique_kernel
 
-# What ``near.news`` says of a contact that is left to the second launch.
-TO_SEARCH = 2
+# What ``ActiveContacts.needs_history`` says of a contact that is left to the second launch.
+NEEDS_SEARCH = 2
 # Registers of a thread of a GPU in float32, so that many of them wait for memory at once; measured.
 REGISTERS = 80
 
 
 @functools.cache
-def _functions(real: type, follows: bool, part: str) -> SimpleNamespace:
+def _functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
     """Returns the device functions of ``near.functions``, and those of blocks."""
     t = structs(real)
-    Model, Near = t.Model, t.Near
-    of_block = nearness.functions(real, follows, part)
+    Model, ActiveContacts = t.Model, t.ActiveContacts
+    detection = contact_detection.functions(real, tracks, part)
 
     @wp.func
-    def gather(model: Model, near: Near, env: int, block: int):
+    def compact(model: Model, active_contacts: ActiveContacts, env: int, cluster: int):
         """Lists the contacts of a block with news, in their order."""
-        start = natural(model.block_start[block])
+        start = assume_nonnegative(model.cluster_start[cluster])
         count = wp.int32(0)
-        for place in range(start, model.block_start[block + 1]):
-            contact = natural(model.block_contact[place])
-            if near.news[env, contact] != 0:
-                near.contact[env, start + count] = contact
+        for index in range(start, model.cluster_start[cluster + 1]):
+            contact = assume_nonnegative(model.cluster_contact[index])
+            if active_contacts.needs_history[env, contact] != 0:
+                active_contacts.contact[env, start + count] = contact
                 count += 1
-        near.count[env, block] = count
+        active_contacts.count[env, cluster] = count
         return count
 
-    return SimpleNamespace(**vars(of_block), gather=gather)
+    return SimpleNamespace(**vars(detection), compact=compact)
 
 
 @functools.cache
-def kernel(real: type, follows: bool, width: int, whole: bool) -> wp.Kernel:
-    """Returns the kernel that fills ``contacts`` and ``near`` from ``state``; items: blocks.
+def kernel(real: type, tracks: bool, width: int, search_now: bool) -> wp.Kernel:
+    """Returns the kernel that fills ``contacts`` and ``active_contacts`` from ``state``; items: blocks.
 
     Args:
         real: Type of a real number.
-        follows: Whether any contact stays with the part of the surface that it touched.
+        tracks: Whether any contact stays with the part of the surface that it touched.
         width: Threads of a block on a GPU, a power of two, one for each of its contacts; 0: one thread for all.
-        whole: Whether to search at once for what cells do not tell, and not to leave it to ``rest``.
+        search_now: Whether to search at once for what cells do not tell, and not to leave it to ``remaining``.
     """
     t = structs(real)
     Model, State, History = t.Model, t.State, t.History
-    Contacts, Near, Cache = t.Contacts, t.Near, t.Cache
-    of_block = _functions(real, follows, EITHER if whole else AWAY)
-    view_of, probe, gather = of_block.view_of, of_block.probe, of_block.gather
-    find, tell, news = of_block.find, of_block.tell, of_block.news
-    left_of, may_be_left = of_block.left_of, of_block.may_be_left
-    View, Found, leave = of_block.View, of_block.Found, of_block.leave
-    registers = REGISTERS if width and not whole and real is wp.float32 else None
+    Contacts, ActiveContacts, Cache = t.Contacts, t.ActiveContacts, t.Cache
+    detection = _functions(real, tracks, DETECT_GRID_ANY if search_now else DETECT_GRID_FAR)
+    frames_of_set, cluster_clearance, compact = (
+        detection.frames_of_set,
+        detection.cluster_clearance,
+        detection.compact,
+    )
+    detect, write_contact, needs_history = detection.detect, detection.write_contact, detection.needs_history
+    contact_clearance, can_cull = detection.contact_clearance, detection.can_cull
+    SetFrames, DetectedContact, mark_far = detection.SetFrames, detection.DetectedContact, detection.mark_far
+    registers = REGISTERS if width and not search_now and real is wp.float32 else None
 
     @wp.func
-    def is_free(model: Model, history: History, env: int, block: int, contact: int, around: real):
+    def is_clear(model: Model, history: History, env: int, cluster: int, contact: int, center_clearance: real):
         """Whether the middle of its block shows that a contact is far away on the outer side."""
-        if not (around > real(0.0)) or not may_be_left(model, history, env, contact):
+        if not (center_clearance > real(0.0)) or not can_cull(model, history, env, contact):
             return False
-        return left_of(model, env, block, contact, around) > real(0.0)
+        return contact_clearance(model, env, cluster, contact, center_clearance) > real(0.0)
 
     @wp.func
-    def news_of(
+    def classify_contact(
         model: Model,
-        view: View,
+        set_frames: SetFrames,
         history: History,
         contacts: Contacts,
         cache: Cache,
-        near: Near,
+        active_contacts: ActiveContacts,
         env: int,
-        block: int,
+        cluster: int,
         contact: int,
-        around: real,
-        quiet: bool,
+        center_clearance: real,
+        was_inactive: bool,
     ):
-        """Looks at a contact; returns whether the rest of the step has to do with it, or ``TO_SEARCH``."""
-        result = wp.static(TO_SEARCH)
+        """Looks at a contact; returns whether the rest of the step has to do with it, or ``NEEDS_SEARCH``."""
+        result = wp.static(NEEDS_SEARCH)
         # Right before it is written, what this comes with would be long in coming.
-        before = contacts.status[env, contact]
-        free = is_free(model, history, env, block, contact, around)
-        found = Found()
-        if not free:
-            found = find(model, view, history, True, cache, env, contact)
-        if free or found.free != real(LATER):
+        previous_status = contacts.status[env, contact]
+        clearance = is_clear(model, history, env, cluster, contact, center_clearance)
+        detected = DetectedContact()
+        if not clearance:
+            detected = detect(model, set_frames, history, True, cache, env, contact)
+        if clearance or detected.clearance != real(DEFERRED):
             # One that was quiet, and is, has nothing to tell.
-            if quiet and not found.told and (free or found.armed == history.armed[env, contact]):
+            if (
+                was_inactive
+                and not detected.has_details
+                and (clearance or detected.armed == history.armed[env, contact])
+            ):
                 return 0
-            if free:
-                leave(contacts, env, contact)
+            if clearance:
+                mark_far(contacts, env, contact)
             else:
-                tell(found, contacts, env, contact)
-            result = news(contacts, history, env, contact, before)
-        near.news[env, contact] = result
+                write_contact(detected, contacts, env, contact)
+            result = needs_history(contacts, history, env, contact, previous_status)
+        active_contacts.needs_history[env, contact] = result
         return result
 
     @unique_kernel(registers)
-    def look_in_cells(
-        work: Work,
+    def detect_in_grid(
+        launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         model: Model,
         state: State,
         history: History,
         cache: Cache,
         contacts: Contacts,
-        near: Near,
+        active_contacts: ActiveContacts,
     ):
         if wp.static(width == 0):
-            for task in range(wp.tid(), task_count(work), work.threads):
-                env = env_of(work, task)
-                block = item_of(work, task)
+            for task in range(wp.tid(), task_count(launch), launch.threads):
+                env = task_env(launch, task)
+                cluster = task_item(launch, task)
                 if status[env] != ENV_ACTIVE:
                     continue
-                quiet = cache.block_quiet[env, block] != 0
-                view = view_of(model, state, env, natural(model.block_set[block]))
-                start = natural(model.block_start[block])
-                stop = model.block_start[block + 1]
-                around = real(-1.0)
+                was_inactive = cache.cluster_inactive[env, cluster] != 0
+                set_frames = frames_of_set(model, state, env, assume_nonnegative(model.cluster_set[cluster]))
+                start = assume_nonnegative(model.cluster_start[cluster])
+                stop = model.cluster_start[cluster + 1]
+                center_clearance = real(-1.0)
                 if stop - start > 1:
-                    around = probe(model, view, cache, env, block)
-                later = wp.bool(False)
-                for place in range(start, stop):
-                    contact = natural(model.block_contact[place])
-                    new = news_of(model, view, history, contacts, cache, near, env, block, contact, around, quiet)
-                    later = later or new == wp.static(TO_SEARCH)
-                if later:
-                    cache.waiting_block[wp.atomic_add(cache.waiting, 0, 1)] = task
+                    center_clearance = cluster_clearance(model, set_frames, cache, env, cluster)
+                deferred = wp.bool(False)
+                for index in range(start, stop):
+                    contact = assume_nonnegative(model.cluster_contact[index])
+                    outcome = classify_contact(
+                        model,
+                        set_frames,
+                        history,
+                        contacts,
+                        cache,
+                        active_contacts,
+                        env,
+                        cluster,
+                        contact,
+                        center_clearance,
+                        was_inactive,
+                    )
+                    deferred = deferred or outcome == wp.static(NEEDS_SEARCH)
+                if deferred:
+                    cache.queue_clusters[wp.atomic_add(cache.queue_count, 0, 1)] = task
                 else:
-                    cache.block_quiet[env, block] = wp.where(gather(model, near, env, block) == 0, 1, 0)
+                    cache.cluster_inactive[env, cluster] = wp.where(
+                        compact(model, active_contacts, env, cluster) == 0, 1, 0
+                    )
         else:
             # The threads of a warp have whole blocks, and all of them have to come by where they vote.
-            task = natural(wp.tid()) // wp.static(max(1, width))
-            lane = natural(wp.tid()) % wp.static(max(1, width))
-            there = task < task_count(work)
+            task = assume_nonnegative(wp.tid()) // wp.static(max(1, width))
+            lane = assume_nonnegative(wp.tid()) % wp.static(max(1, width))
+            has_task = task < task_count(launch)
             env = wp.int32(0)
-            block = wp.int32(0)
-            if there:
-                env = env_of(work, task)
-                block = item_of(work, task)
-                there = status[env] == ENV_ACTIVE
-            new = wp.int32(0)
+            cluster = wp.int32(0)
+            if has_task:
+                env = task_env(launch, task)
+                cluster = task_item(launch, task)
+                has_task = status[env] == ENV_ACTIVE
+            outcome = wp.int32(0)
             start = wp.int32(0)
             contact = wp.int32(0)
-            if there:
-                start = natural(model.block_start[block])
-                if start + lane < model.block_start[block + 1]:
-                    contact = natural(model.block_contact[start + lane])
-                    view = view_of(model, state, env, natural(model.block_set[block]))
-                    around = real(-1.0)
+            if has_task:
+                start = assume_nonnegative(model.cluster_start[cluster])
+                if start + lane < model.cluster_start[cluster + 1]:
+                    contact = assume_nonnegative(model.cluster_contact[start + lane])
+                    set_frames = frames_of_set(model, state, env, assume_nonnegative(model.cluster_set[cluster]))
+                    center_clearance = real(-1.0)
                     if wp.static(width > 1):
-                        around = probe(model, view, cache, env, block)
-                    quiet = cache.block_quiet[env, block] != 0
-                    new = news_of(model, view, history, contacts, cache, near, env, block, contact, around, quiet)
-            later = wp.bool(new == wp.static(TO_SEARCH))
-            those = wp.where(new == 1, 1, 0)
+                        center_clearance = cluster_clearance(model, set_frames, cache, env, cluster)
+                    was_inactive = cache.cluster_inactive[env, cluster] != 0
+                    outcome = classify_contact(
+                        model,
+                        set_frames,
+                        history,
+                        contacts,
+                        cache,
+                        active_contacts,
+                        env,
+                        cluster,
+                        contact,
+                        center_clearance,
+                        was_inactive,
+                    )
+            deferred = wp.bool(outcome == wp.static(NEEDS_SEARCH))
+            active_bits = wp.where(outcome == 1, 1, 0)
             if wp.static(width > 1):
                 first = warps.lane() - lane
-                later = warps.some(warps.lanes_with(later), first, wp.static(width)) != 0
-                those = warps.some(warps.lanes_with(new == 1), first, wp.static(width))
-            if there and not later:
-                if new == 1:
-                    near.contact[env, start + warps.count_of(warps.some(those, 0, lane))] = contact
+                deferred = warps.bit_range(warps.ballot(deferred), first, wp.static(width)) != 0
+                active_bits = warps.bit_range(warps.ballot(outcome == 1), first, wp.static(width))
+            if has_task and not deferred:
+                if outcome == 1:
+                    active_contacts.contact[env, start + warps.popcount(warps.bit_range(active_bits, 0, lane))] = (
+                        contact
+                    )
                 if lane == 0:
-                    near.count[env, block] = warps.count_of(those)
-                    cache.block_quiet[env, block] = wp.where(those == 0, 1, 0)
-            if there and later and lane == 0:
-                cache.waiting_block[wp.atomic_add(cache.waiting, 0, 1)] = task
+                    active_contacts.count[env, cluster] = warps.popcount(active_bits)
+                    cache.cluster_inactive[env, cluster] = wp.where(active_bits == 0, 1, 0)
+            if has_task and deferred and lane == 0:
+                cache.queue_clusters[wp.atomic_add(cache.queue_count, 0, 1)] = task
 
-    return look_in_cells
+    return detect_in_grid
 
 
 @functools.cache
-def rest(real: type, follows: bool) -> wp.Kernel:
+def remaining(real: type, tracks: bool) -> wp.Kernel:
     """Returns the kernel that searches for what ``kernel`` left, block by block; items: blocks."""
     t = structs(real)
     Model, State, History = t.Model, t.State, t.History
-    Contacts, Near, Cache = t.Contacts, t.Near, t.Cache
-    of_block = _functions(real, follows, QUERY)
-    view_of, look, news, gather = of_block.view_of, of_block.look, of_block.news, of_block.gather
+    Contacts, ActiveContacts, Cache = t.Contacts, t.ActiveContacts, t.Cache
+    detection = _functions(real, tracks, DETECT_QUERY)
+    frames_of_set, update_contact, needs_history, compact = (
+        detection.frames_of_set,
+        detection.update_contact,
+        detection.needs_history,
+        detection.compact,
+    )
 
     @unique_kernel()
-    def search_the_rest(
-        work: Work,
+    def detect_remaining(
+        launch: LaunchRange,
         model: Model,
         state: State,
         history: History,
         cache: Cache,
         contacts: Contacts,
-        near: Near,
+        active_contacts: ActiveContacts,
     ):
-        for i in range(warps.spread(wp.tid(), work.threads), cache.waiting[0], work.threads):
-            task = cache.waiting_block[i]
-            env = env_of(work, task)
-            block = item_of(work, task)
-            view = view_of(model, state, env, natural(model.block_set[block]))
-            for place in range(model.block_start[block], model.block_start[block + 1]):
-                contact = natural(model.block_contact[place])
-                if near.news[env, contact] == wp.static(TO_SEARCH):
-                    before = contacts.status[env, contact]
-                    look(model, view, history, contacts, True, cache, env, contact)
-                    near.news[env, contact] = news(contacts, history, env, contact, before)
-            gather(model, near, env, block)
-            cache.block_quiet[env, block] = 0
+        for i in range(warps.interleave_warps(wp.tid(), launch.threads), cache.queue_count[0], launch.threads):
+            task = cache.queue_clusters[i]
+            env = task_env(launch, task)
+            cluster = task_item(launch, task)
+            set_frames = frames_of_set(model, state, env, assume_nonnegative(model.cluster_set[cluster]))
+            for index in range(model.cluster_start[cluster], model.cluster_start[cluster + 1]):
+                contact = assume_nonnegative(model.cluster_contact[index])
+                if active_contacts.needs_history[env, contact] == wp.static(NEEDS_SEARCH):
+                    previous_status = contacts.status[env, contact]
+                    update_contact(model, set_frames, history, contacts, True, cache, env, contact)
+                    active_contacts.needs_history[env, contact] = needs_history(
+                        contacts, history, env, contact, previous_status
+                    )
+            compact(model, active_contacts, env, cluster)
+            cache.cluster_inactive[env, cluster] = 0
 
-    return search_the_rest
+    return detect_remaining

@@ -12,7 +12,7 @@ from typing import Any
 from warpcontact.kernels.names import suggestion
 
 
-def names_of(
+def lazy_names(
     module: str, homes: Mapping[str, str], catalogues: Mapping[str, Sequence[str]]
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
     """Returns the ``__getattr__`` of a module, and its ``__dir__``.

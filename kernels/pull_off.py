@@ -18,15 +18,15 @@ def function(law: type[Formula], real: type) -> Any:
     """Returns the device function ``(p, c)`` of the pull-off force of ``law`` [N], which may be below 0."""
     if law.pull_off is not None:
         return law.pull_off
-    Touch = structs(real).Touch
-    law_begins = memory.functions(law, real).begin
+    NormalState = structs(real).NormalState
+    law_start_force = memory.functions(law, real).start_force
 
     @wp.func
-    def pull_off(p: Any, c: Touch):
+    def pull_off(p: Any, c: NormalState):
         """Tension at first touch and at rest."""
         c.delta = c.delta * real(1.0e-6)
         c.delta_dot = real(0.0)
-        return -law_begins(p, c)
+        return -law_start_force(p, c)
 
     return pull_off
 
@@ -34,7 +34,7 @@ def function(law: type[Formula], real: type) -> Any:
 @functools.cache
 def kernel(law: type[Formula], real: type) -> wp.Kernel:
     """Returns the kernel that measures it at first touch. Launch with dim (env, contact of the group)."""
-    Touch = structs(real).Touch
+    NormalState = structs(real).NormalState
     Coefficients = coefficient_struct(law, real)
     pull_off = function(law, real)
 
@@ -46,13 +46,13 @@ def kernel(law: type[Formula], real: type) -> wp.Kernel:
         tension: wp.array2d(dtype=real),  # [env, contact] at least 0 [N]
     ):
         env, member = wp.tid()
-        touch = Touch()
-        touch.delta = real(DEPTH)
-        touch.mass = mass[env, member]
-        touch.inverse_mass = real(1.0) / touch.mass
+        normal_state = NormalState()
+        normal_state.delta = real(DEPTH)
+        normal_state.mass = mass[env, member]
+        normal_state.inverse_mass = real(1.0) / normal_state.mass
         if radius[env, member] > real(0.0):
-            touch.curvature_1 = real(1.0) / radius[env, member]
-            touch.curvature_2 = touch.curvature_1
-        tension[env, member] = wp.max(pull_off(coefficients[env, member], touch), real(0.0))
+            normal_state.curvature_1 = real(1.0) / radius[env, member]
+            normal_state.curvature_2 = normal_state.curvature_1
+        tension[env, member] = wp.max(pull_off(coefficients[env, member], normal_state), real(0.0))
 
     return pull_off_force

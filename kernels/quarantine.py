@@ -9,7 +9,7 @@ from warpcontact.kernels.types import NO_CAUSE, NON_FINITE, TOO_FAR, TOO_FAST, s
 
 @functools.cache
 def guard(real: type) -> SimpleNamespace:
-    """Returns the struct ``Guard`` and the device function ``cause_of`` for one precision."""
+    """Returns the struct ``Guard`` and the device function ``failure_cause`` for one precision."""
     vec3 = structs(real).vec3
 
     @wp.struct
@@ -28,7 +28,7 @@ def guard(real: type) -> SimpleNamespace:
         cause: wp.array(dtype=wp.int32)  # [env] NO_CAUSE, NON_FINITE, …
 
     @wp.func
-    def cause_of(position: vec3, velocity: vec3, spin: vec3, limits: Limits):
+    def failure_cause(position: vec3, velocity: vec3, spin: vec3, limits: Limits):
         """Why a body with such a proposed state has failed."""
         distance = wp.length_sq(position)
         speed = wp.length_sq(velocity)
@@ -41,4 +41,4 @@ def guard(real: type) -> SimpleNamespace:
             return TOO_FAR
         return NO_CAUSE
 
-    return SimpleNamespace(Guard=Guard, Limits=Limits, cause_of=cause_of)
+    return SimpleNamespace(Guard=Guard, Limits=Limits, failure_cause=failure_cause)

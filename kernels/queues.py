@@ -10,14 +10,29 @@ to do with.
 import functools
 
 import warp as wp
-from warpcontact.kernels import near as nearness
+from warpcontact.kernels import near as contact_detection
 from warpcontact.kernels import warps
-from warpcontact.kernels.closest_point import CELL, KNOWN, LATER, LISTED, QUERY, RECALLED, SEARCH
-from warpcontact.kernels.types import ENV_ACTIVE, Work, env_of, first_env, item_of, structs, task_count
+from warpcontact.kernels.closest_point import (
+    DEFERRED,
+    DETECT_BVH,
+    DETECT_CACHED,
+    DETECT_CANDIDATES,
+    DETECT_FACE_CACHE,
+    DETECT_GRID,
+    DETECT_QUERY,
+)
+from warpcontact.kernels.types import ENV_ACTIVE, LaunchRange, first_env, structs, task_count, task_env, task_item
 from warpcontact.kernels.unique import unique_kernel
 
 # Queues of contacts, by what they need; that of blocks to probe comes first.
-QUEUE_OF = {KNOWN: 1, RECALLED: 1, CELL: 1, LISTED: 2, SEARCH: 3, QUERY: 3}
+QUEUE_INDEX = {
+    DETECT_CACHED: 1,
+    DETECT_FACE_CACHE: 1,
+    DETECT_GRID: 1,
+    DETECT_CANDIDATES: 2,
+    DETECT_BVH: 3,
+    DETECT_QUERY: 3,
+}
 # Registers of a search in float32, which would take 200: with so few an H200 holds all its threads at once
 # (``schedule.SEARCHING``). They wait for memory most of the time.
 SEARCH_REGISTERS = 128
@@ -26,176 +41,216 @@ CELL_REGISTERS = 112
 
 
 @functools.cache
-def _put(real: type) -> wp.Function:
+def _push(real: type) -> wp.Function:
     Cache = structs(real).Cache
 
     @wp.func
-    def put(cache: Cache, queue: int, task: int):
-        cache.waiting_contact[queue, wp.atomic_add(cache.waiting, queue, 1)] = task
+    def push(cache: Cache, queue: int, task: int):
+        cache.queue_contacts[queue, wp.atomic_add(cache.queue_count, queue, 1)] = task
 
-    return put
+    return push
 
 
 @functools.cache
-def pick(real: type, follows: bool) -> wp.Kernel:
+def enqueue(real: type, tracks: bool) -> wp.Kernel:
     """Returns the kernel that puts contacts that may touch into the first queue; items: blocks."""
     t = structs(real)
     Model, Cache = t.Model, t.Cache
-    unknown = nearness.functions(real, follows, KNOWN).unknown
-    put = _put(real)
+    has_uncached = contact_detection.functions(real, tracks, DETECT_CACHED).has_uncached
+    push = _push(real)
 
     @unique_kernel()
-    def pick_contacts(
-        work: Work, contacts: wp.int32, status: wp.array(dtype=wp.int32), model: Model, cache: Cache
+    def enqueue_contacts(
+        launch: LaunchRange, contacts: wp.int32, status: wp.array(dtype=wp.int32), model: Model, cache: Cache
     ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            member = task // work.items
-            env = first_env(work) + member
-            block = item_of(work, task)
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            local_env = task // launch.items
+            env = first_env(launch) + local_env
+            cluster = task_item(launch, task)
             if status[env] != ENV_ACTIVE:
                 continue
-            number = model.block_set[block]
-            travelled = cache.set_travel[env, number] + cache.set_margin[env, number]
-            if cache.set_asleep[env, number] != 0 or travelled < cache.block_wake[env, block]:
+            set_index = model.cluster_set[cluster]
+            max_travel = cache.set_travel[env, set_index] + cache.set_margin[env, set_index]
+            if cache.set_culled[env, set_index] != 0 or max_travel < cache.cluster_safe_travel[env, cluster]:
                 continue
-            start = model.block_start[block]
-            stop = model.block_start[block + 1]
-            if stop - start > 1:  # noqa: SIM102 - Warp computes both sides of an ``and``
-                if unknown(model, cache, env, start, stop, travelled):
-                    cache.waiting_block[wp.atomic_add(cache.waiting, 0, 1)] = task
+            start = model.cluster_start[cluster]
+            stop = model.cluster_start[cluster + 1]
+            if stop - start > 1:
+                if has_uncached(model, cache, env, start, stop, max_travel):
+                    cache.queue_clusters[wp.atomic_add(cache.queue_count, 0, 1)] = task
                     continue
-            for place in range(start, stop):
-                contact = model.block_contact[place]
-                if not (travelled < cache.wake[env, contact]):
-                    put(cache, wp.static(QUEUE_OF[KNOWN]), member * contacts + contact)
+            for index in range(start, stop):
+                contact = model.cluster_contact[index]
+                if not (max_travel < cache.safe_travel[env, contact]):
+                    push(cache, wp.static(QUEUE_INDEX[DETECT_CACHED]), local_env * contacts + contact)
 
-    return pick_contacts
+    return enqueue_contacts
 
 
 @functools.cache
-def probe(real: type, follows: bool, celled: bool) -> wp.Kernel:
+def probe_clusters(real: type, tracks: bool, uses_grid: bool) -> wp.Kernel:
     """Returns the kernel that looks in the middle of blocks of which nothing is known; items: blocks.
 
-    ``celled``: whether all meshes have cells, which tell; else it searches.
+    ``uses_grid``: whether all meshes have cells, which tell; else it searches.
     """
     t = structs(real)
-    Model, State, History, Contacts, Near, Cache = t.Model, t.State, t.History, t.Contacts, t.Near, t.Cache
-    block_of = nearness.functions(real, follows, CELL if celled else KNOWN)
-    view_of, probe, wake_of, news = block_of.view_of, block_of.probe, block_of.wake_of, block_of.news
-    free_around, longer_wake = block_of.free_around, block_of.longer_wake
-    put = _put(real)
+    Model, State, History, Contacts, ActiveContacts, Cache = (
+        t.Model,
+        t.State,
+        t.History,
+        t.Contacts,
+        t.ActiveContacts,
+        t.Cache,
+    )
+    detection = contact_detection.functions(real, tracks, DETECT_GRID if uses_grid else DETECT_CACHED)
+    frames_of_set, cluster_clearance, safe_travel_for, needs_history = (
+        detection.frames_of_set,
+        detection.cluster_clearance,
+        detection.safe_travel_for,
+        detection.needs_history,
+    )
+    cull_by_cluster, extend_safe_travel = detection.cull_by_cluster, detection.extend_safe_travel
+    push = _push(real)
 
     @unique_kernel()
-    def probe_blocks(
-        work: Work,
+    def probe_cluster_centers(
+        launch: LaunchRange,
         items: wp.int32,
         model: Model,
         state: State,
         history: History,
         cache: Cache,
         contacts: Contacts,
-        near: Near,
+        active_contacts: ActiveContacts,
     ):
-        for i in range(warps.spread(wp.tid(), work.threads), cache.waiting[0], work.threads):
-            task = cache.waiting_block[i]
-            member = task // work.items
-            env = first_env(work) + member
-            block = item_of(work, task)
-            number = model.block_set[block]
-            travel = cache.set_travel[env, number]
-            travelled = travel + cache.set_margin[env, number]
-            around = probe(model, view_of(model, state, env, number), cache, env, block)
-            for place in range(model.block_start[block], model.block_start[block + 1]):
-                contact = model.block_contact[place]
-                if travelled < cache.wake[env, contact]:
-                    longer_wake(model, history, cache, env, block, contact, travel, around)
+        for i in range(warps.interleave_warps(wp.tid(), launch.threads), cache.queue_count[0], launch.threads):
+            task = cache.queue_clusters[i]
+            local_env = task // launch.items
+            env = first_env(launch) + local_env
+            cluster = task_item(launch, task)
+            set_index = model.cluster_set[cluster]
+            travel = cache.set_travel[env, set_index]
+            max_travel = travel + cache.set_margin[env, set_index]
+            center_clearance = cluster_clearance(
+                model, frames_of_set(model, state, env, set_index), cache, env, cluster
+            )
+            for index in range(model.cluster_start[cluster], model.cluster_start[cluster + 1]):
+                contact = model.cluster_contact[index]
+                if max_travel < cache.safe_travel[env, contact]:
+                    extend_safe_travel(model, history, cache, env, cluster, contact, travel, center_clearance)
                 else:
-                    before = contacts.status[env, contact]
-                    free = free_around(model, history, contacts, cache, env, block, contact, around)
-                    if free < real(0.0):
-                        put(cache, wp.static(QUEUE_OF[KNOWN]), member * items + contact)
+                    previous_status = contacts.status[env, contact]
+                    clearance = cull_by_cluster(
+                        model, history, contacts, cache, env, cluster, contact, center_clearance
+                    )
+                    if clearance < real(0.0):
+                        push(cache, wp.static(QUEUE_INDEX[DETECT_CACHED]), local_env * items + contact)
                     else:
-                        cache.wake[env, contact] = wake_of(travel, free)
-                        near.news[env, contact] = news(contacts, history, env, contact, before)
+                        cache.safe_travel[env, contact] = safe_travel_for(travel, clearance)
+                        active_contacts.needs_history[env, contact] = needs_history(
+                            contacts, history, env, contact, previous_status
+                        )
 
-    return probe_blocks
+    return probe_cluster_centers
 
 
 @functools.cache
-def work_off(real: type, follows: bool, part: str, next_part: str) -> wp.Kernel:
+def process(real: type, tracks: bool, part: str, next_part: str) -> wp.Kernel:
     """Returns the kernel that looks at the contacts in the queue of ``part`` or hands them on; items: contacts."""
     t = structs(real)
-    Model, State, History, Contacts, Near, Cache = t.Model, t.State, t.History, t.Contacts, t.Near, t.Cache
-    block_of = nearness.functions(real, follows, part)
-    view_of, look, wake_of, news = block_of.view_of, block_of.look, block_of.wake_of, block_of.news
-    put = _put(real)
-    queue, next_queue = QUEUE_OF[part], QUEUE_OF[next_part]
-    registers = {SEARCH: SEARCH_REGISTERS, QUERY: SEARCH_REGISTERS, CELL: CELL_REGISTERS}.get(part)
+    Model, State, History, Contacts, ActiveContacts, Cache = (
+        t.Model,
+        t.State,
+        t.History,
+        t.Contacts,
+        t.ActiveContacts,
+        t.Cache,
+    )
+    detection = contact_detection.functions(real, tracks, part)
+    frames_of_set, update_contact, safe_travel_for, needs_history = (
+        detection.frames_of_set,
+        detection.update_contact,
+        detection.safe_travel_for,
+        detection.needs_history,
+    )
+    push = _push(real)
+    queue, next_queue = QUEUE_INDEX[part], QUEUE_INDEX[next_part]
+    registers = {DETECT_BVH: SEARCH_REGISTERS, DETECT_QUERY: SEARCH_REGISTERS, DETECT_GRID: CELL_REGISTERS}.get(
+        part
+    )
     registers = registers if real is wp.float32 else None
 
     @unique_kernel(registers)
-    def look_at_contacts(
-        work: Work,
+    def process_contacts(
+        launch: LaunchRange,
         model: Model,
         state: State,
         history: History,
         cache: Cache,
         contacts: Contacts,
-        near: Near,
+        active_contacts: ActiveContacts,
     ):
         thread = wp.tid()
-        if wp.static(part in (SEARCH, QUERY)):
-            thread = warps.spread(thread, work.threads)
-        for i in range(thread, cache.waiting[queue], work.threads):
-            task = cache.waiting_contact[queue, i]
-            env = env_of(work, task)
-            contact = item_of(work, task)
-            number = model.contact_set[contact]
-            view = view_of(model, state, env, number)
-            before = contacts.status[env, contact]
-            free = look(model, view, history, contacts, True, cache, env, contact)
-            if wp.static(part not in (SEARCH, QUERY)) and free == real(LATER):
-                put(cache, next_queue, task)
+        if wp.static(part in (DETECT_BVH, DETECT_QUERY)):
+            thread = warps.interleave_warps(thread, launch.threads)
+        for i in range(thread, cache.queue_count[queue], launch.threads):
+            task = cache.queue_contacts[queue, i]
+            env = task_env(launch, task)
+            contact = task_item(launch, task)
+            set_index = model.contact_set[contact]
+            set_frames = frames_of_set(model, state, env, set_index)
+            previous_status = contacts.status[env, contact]
+            clearance = update_contact(model, set_frames, history, contacts, True, cache, env, contact)
+            if wp.static(part not in (DETECT_BVH, DETECT_QUERY)) and clearance == real(DEFERRED):
+                push(cache, next_queue, task)
             else:
-                cache.wake[env, contact] = wake_of(cache.set_travel[env, number], free)
-                near.news[env, contact] = news(contacts, history, env, contact, before)
-                if wp.static(part in (CELL, QUERY)):
+                cache.safe_travel[env, contact] = safe_travel_for(cache.set_travel[env, set_index], clearance)
+                active_contacts.needs_history[env, contact] = needs_history(
+                    contacts, history, env, contact, previous_status
+                )
+                if wp.static(part in (DETECT_GRID, DETECT_QUERY)):
                     # Of what is near a look in the middle of its block tells nothing.
-                    size = view.scale * model.patch_cells_size[view.patch]
-                    cache.faces[env, contact] = wp.where(free < size, 1, 0)
+                    size = set_frames.scale * model.query_mesh_cell_size[set_frames.query_mesh]
+                    cache.face_count[env, contact] = wp.where(clearance < size, 1, 0)
 
-    return look_at_contacts
+    return process_contacts
 
 
 @functools.cache
-def gather(real: type) -> wp.Kernel:
-    """Returns the kernel that lists in ``near`` what was found; items: blocks."""
+def compact(real: type) -> wp.Kernel:
+    """Returns the kernel that lists in ``active_contacts`` what was found; items: blocks."""
     t = structs(real)
-    Model, Near, Cache = t.Model, t.Near, t.Cache
+    Model, ActiveContacts, Cache = t.Model, t.ActiveContacts, t.Cache
 
     @unique_kernel()
-    def gather_contacts(work: Work, status: wp.array(dtype=wp.int32), model: Model, cache: Cache, near: Near):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            block = item_of(work, task)
+    def compact_contacts(
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        model: Model,
+        cache: Cache,
+        active_contacts: ActiveContacts,
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            cluster = task_item(launch, task)
             if status[env] != ENV_ACTIVE:
                 continue
-            number = model.block_set[block]
-            travelled = cache.set_travel[env, number] + cache.set_margin[env, number]
-            if cache.set_asleep[env, number] != 0 or travelled < cache.block_wake[env, block]:
-                near.count[env, block] = 0
+            set_index = model.cluster_set[cluster]
+            max_travel = cache.set_travel[env, set_index] + cache.set_margin[env, set_index]
+            if cache.set_culled[env, set_index] != 0 or max_travel < cache.cluster_safe_travel[env, cluster]:
+                active_contacts.count[env, cluster] = 0
                 continue
-            start = model.block_start[block]
+            start = model.cluster_start[cluster]
             count = wp.int32(0)
-            wake = real(wp.inf)
-            for place in range(start, model.block_start[block + 1]):
-                contact = model.block_contact[place]
-                wake = wp.min(wake, cache.wake[env, contact])
-                if near.news[env, contact] != 0:
-                    near.contact[env, start + count] = contact
+            safe_travel = real(wp.inf)
+            for index in range(start, model.cluster_start[cluster + 1]):
+                contact = model.cluster_contact[index]
+                safe_travel = wp.min(safe_travel, cache.safe_travel[env, contact])
+                if active_contacts.needs_history[env, contact] != 0:
+                    active_contacts.contact[env, start + count] = contact
                     count += 1
-            near.count[env, block] = count
+            active_contacts.count[env, cluster] = count
             # What is new is told until history has it; a step may be taken again.
-            cache.block_wake[env, block] = wp.where(count > 0, real(0.0), wake)
+            cache.cluster_safe_travel[env, cluster] = wp.where(count > 0, real(0.0), safe_travel)
 
-    return gather_contacts
+    return compact_contacts

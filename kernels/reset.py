@@ -14,7 +14,14 @@ from warpcontact.kernels.unique import unique_kernel
 def environments(real: type) -> wp.Kernel:
     """Returns the kernel that puts chosen environments back to the start. Launch with dim env."""
     t = structs(real)
-    vec3, State, History, Cache, Near, Wrenches = t.vec3, t.State, t.History, t.Cache, t.Near, t.Wrenches
+    vec3, State, History, Cache, ActiveContacts, Wrenches = (
+        t.vec3,
+        t.State,
+        t.History,
+        t.Cache,
+        t.ActiveContacts,
+        t.Wrenches,
+    )
     copy_body = frames.functions(real).copy_body
 
     @unique_kernel()
@@ -22,7 +29,7 @@ def environments(real: type) -> wp.Kernel:
         mask: wp.array(dtype=wp.bool),
         bodies: wp.int32,
         contacts: wp.int32,
-        blocks: wp.int32,
+        clusters: wp.int32,
         sets: wp.int32,
         initial: State,
         status: wp.array(dtype=wp.int32),
@@ -31,7 +38,7 @@ def environments(real: type) -> wp.Kernel:
         state: State,
         history: History,
         cache: Cache,
-        near: Near,
+        active_contacts: ActiveContacts,
         wrenches: Wrenches,
     ):
         env = wp.tid()
@@ -51,15 +58,15 @@ def environments(real: type) -> wp.Kernel:
             history.face[env, contact] = -1
             history.crossings[env, contact] = 0
             history.crossing_time[env, contact] = real(wp.nan)
-            cache.wake[env, contact] = real(0.0)
-            cache.faces[env, contact] = 0
-            near.news[env, contact] = 0
-        for block in range(blocks):
-            cache.block_wake[env, block] = real(0.0)
-            cache.block_probe[env, block] = real(0.0)
-            cache.block_quiet[env, block] = 0
+            cache.safe_travel[env, contact] = real(0.0)
+            cache.face_count[env, contact] = 0
+            active_contacts.needs_history[env, contact] = 0
+        for cluster in range(clusters):
+            cache.cluster_safe_travel[env, cluster] = real(0.0)
+            cache.cluster_probe_travel[env, cluster] = real(0.0)
+            cache.cluster_inactive[env, cluster] = 0
         for number in range(sets):
-            cache.set_wake[env, number] = real(0.0)
+            cache.set_safe_travel[env, number] = real(0.0)
             cache.set_travel[env, number] = real(0.0)
 
     return reset_environments

@@ -8,10 +8,10 @@ from numpy.typing import ArrayLike, NDArray
 Values = NDArray[np.float64]
 
 # As many halvings leave nothing of any interval.
-MOST = 2100
+MAX_ITERATIONS = 2100
 # Of float64: how well a root is found, as a part of it, and what counts as zero.
 PRECISION = 4.0 * float(np.finfo(np.float64).eps)
-LEAST = float(np.finfo(np.float64).smallest_normal)
+SMALLEST = float(np.finfo(np.float64).smallest_normal)
 
 
 def root_between(what: str, function: Callable[[Values], Values], lower: ArrayLike, upper: ArrayLike) -> Values:
@@ -43,11 +43,11 @@ def root_between(what: str, function: Callable[[Values], Values], lower: ArrayLi
     roots = np.full(x1.shape, np.nan)
     # Those that are found are carried along until all are, whatever comes of them.
     with np.errstate(all="ignore"):
-        for _ in range(MOST):
+        for _ in range(MAX_ITERATIONS):
             closer = np.abs(f1) < np.abs(f2)
             x, f = np.where(closer, x1, x2), np.where(closer, f1, f2)
-            width, tolerance = np.abs(x2 - x1), np.abs(x) * PRECISION + 4.0 * LEAST
-            found = (np.abs(f) <= LEAST) | (width < tolerance)
+            width, tolerance = np.abs(x2 - x1), np.abs(x) * PRECISION + 4.0 * SMALLEST
+            found = (np.abs(f) <= SMALLEST) | (width < tolerance)
             roots = np.where(np.isnan(roots) & found, x, roots)
             if not np.isnan(roots).any():
                 return roots

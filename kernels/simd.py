@@ -10,12 +10,12 @@ WIDTH = 8
 
 
 @functools.cache
-def as_near(real: type) -> wp.Function:
+def candidates_within(real: type) -> wp.Function:
     """Returns the device function that tells which of the next remembered faces may be as near as ``distance``.
 
     As bits; of those from place ``start`` on, of which ``count`` are there, and no more than ``WIDTH``; never the
     face ``first``. ``gone`` is the way from the place of the list to the point, ``slack`` the rounding of what is
-    remembered. See ``recall.least_listed`` for the bound; a GPU takes one after the other.
+    remembered. See ``recall.candidate_lower_bound`` for the bound; a GPU takes one after the other.
     """
     vec3 = structs(real).vec3
     Rows, Distances, Slopes = wp.array2d(dtype=wp.int32), wp.array2d(dtype=real), wp.array2d(dtype=vec3)
@@ -25,12 +25,12 @@ def as_near(real: type) -> wp.Function:
     @wp.func_native(
         f"""
         const {scalar}* distance_of = wp::address(distances, env, start);
-        const {scalar}* slope_of = reinterpret_cast<const {scalar}*>(wp::address(slopes, env, start));
+        const {scalar}* distance_gradient = reinterpret_cast<const {scalar}*>(wp::address(slopes, env, start));
         const int* row_of = wp::address(rows, env, start);
         #if defined(__CUDA_ARCH__)
         int those = 0;
         for (int k = 0; k < {WIDTH} && k < count; ++k) {{
-            const {scalar}* slope = slope_of + 3 * k;
+            const {scalar}* slope = distance_gradient + 3 * k;
             const {scalar} along = slope[0] * gone[0] + slope[1] * gone[1] + slope[2] * gone[2];
             if (distance_of[k] + along - slack <= distance && row_of[k] != first) those |= 1 << k;
         }}
@@ -41,9 +41,9 @@ def as_near(real: type) -> wp.Function:
         typedef bool Flags __attribute__((ext_vector_type({WIDTH})));
         Numbers a, b, c, least;
         Integers row;
-        memcpy(&a, slope_of, sizeof(a));
-        memcpy(&b, slope_of + {WIDTH}, sizeof(b));
-        memcpy(&c, slope_of + 2 * {WIDTH}, sizeof(c));
+        memcpy(&a, distance_gradient, sizeof(a));
+        memcpy(&b, distance_gradient + {WIDTH}, sizeof(b));
+        memcpy(&c, distance_gradient + 2 * {WIDTH}, sizeof(c));
         memcpy(&least, distance_of, sizeof(least));
         memcpy(&row, row_of, sizeof(row));
         Numbers x = __builtin_shufflevector(a, b, 0, 3, 6, 9, 12, 15, 0, 0);
@@ -61,7 +61,7 @@ def as_near(real: type) -> wp.Function:
         #endif
         """
     )
-    def as_near(
+    def candidates_within(
         distances: Distances,
         slopes: Slopes,
         rows: Rows,
@@ -74,4 +74,4 @@ def as_near(real: type) -> wp.Function:
         first: int,
     ) -> int: ...
 
-    return as_near
+    return candidates_within

@@ -17,31 +17,31 @@ SLOWEST, GROWTH, SPEEDS = 1.0e-9, 1.5, 64
 def kernel(formula: type[Formula], real: type) -> wp.Kernel:
     """Returns the kernel that measures the friction ``formula``. Launch with dim (env, contact of the group)."""
     t = structs(real)
-    vec3, Slip = t.vec3, t.Slip
+    vec3, TangentialState = t.vec3, t.TangentialState
     Coefficients = coefficient_struct(formula, real)
     Memory = memory.memory_struct(formula, real)
-    force = formula.force
+    model_force = formula.force
     if formula.memories:
         advance = formula.advance
 
         @wp.func
-        def answer(p: Coefficients, slip: Slip, speed: real, elapsed: real):
+        def force_at_speed(p: Coefficients, tangential_state: TangentialState, speed: real, elapsed: real):
             """Size of the force at ``speed``, after ``elapsed`` of it from rest."""
-            slip.velocity = speed * slip.axis
-            slip.speed = speed
+            tangential_state.velocity = speed * tangential_state.axis
+            tangential_state.speed = speed
             m = Memory()
             m.elapsed = elapsed
-            return wp.length(force(p, slip, advance(p, slip, m)))
+            return wp.length(model_force(p, tangential_state, advance(p, tangential_state, m)))
     else:
 
         @wp.func
-        def answer(p: Coefficients, slip: Slip, speed: real, elapsed: real):
-            slip.velocity = speed * slip.axis
-            slip.speed = speed
-            return wp.length(force(p, slip))
+        def force_at_speed(p: Coefficients, tangential_state: TangentialState, speed: real, elapsed: real):
+            tangential_state.velocity = speed * tangential_state.axis
+            tangential_state.speed = speed
+            return wp.length(model_force(p, tangential_state))
 
     @unique_kernel()
-    def steepness(
+    def friction_jacobian(
         coefficients: wp.array2d(dtype=Coefficients),
         load: wp.array2d(dtype=real),  # [env, contact] N [N]
         patch_radius: wp.array2d(dtype=real),  # [env, contact] [m]
@@ -50,24 +50,26 @@ def kernel(formula: type[Formula], real: type) -> wp.Kernel:
     ):
         env, member = wp.tid()
         p = coefficients[env, member]
-        slip = Slip()
-        slip.normal = vec3(real(0.0), real(0.0), real(1.0))
-        slip.axis = vec3(real(1.0), real(0.0), real(0.0))
-        slip.normal_force = load[env, member]
-        slip.patch_radius = patch_radius[env, member]
+        tangential_state = TangentialState()
+        tangential_state.normal = vec3(real(0.0), real(0.0), real(1.0))
+        tangential_state.axis = vec3(real(1.0), real(0.0), real(0.0))
+        tangential_state.normal_force = load[env, member]
+        tangential_state.patch_radius = patch_radius[env, member]
         zero = real(0.0)
         # Over one second at that many metres per second, less what the speed alone does.
-        at_once = answer(p, slip, real(DISPLACEMENT), zero)
-        spring[env, member] = (answer(p, slip, real(DISPLACEMENT), real(1.0)) - at_once) / real(DISPLACEMENT)
+        speed_part = force_at_speed(p, tangential_state, real(DISPLACEMENT), zero)
+        spring[env, member] = (
+            force_at_speed(p, tangential_state, real(DISPLACEMENT), real(1.0)) - speed_part
+        ) / real(DISPLACEMENT)
         steepest = real(0.0)
-        before, speed_before = real(0.0), real(0.0)
+        previous_force, speed_before = real(0.0), real(0.0)
         speed = real(SLOWEST)
         for _ in range(wp.static(SPEEDS)):
-            after = answer(p, slip, speed, zero)
-            steepest = wp.max(steepest, wp.abs(after - before) / (speed - speed_before))
-            before = after
+            force = force_at_speed(p, tangential_state, speed, zero)
+            steepest = wp.max(steepest, wp.abs(force - previous_force) / (speed - speed_before))
+            previous_force = force
             speed_before = speed
             speed = speed * real(GROWTH)
         dashpot[env, member] = steepest
 
-    return steepness
+    return friction_jacobian

@@ -19,10 +19,27 @@ RECORD = 32
 _IN_RECORDS: dict[str, tuple[tuple[str, ...], ...] | None] = {
     "History": None,
     "Contacts": None,
-    "Near": (("count", "crossed", "force", "torque_1", "torque_2"),),
+    "ActiveContacts": (("count", "crossed_count", "force", "torque_1", "torque_2"),),
     "Cache": (
-        ("nearest", "place", "beyond", "room", "room_place", "sure", "sure_place", "rivals"),
-        ("set_position", "set_orientation", "set_travel", "set_step", "set_margin", "set_wake", "set_asleep"),
+        (
+            "nearest",
+            "list_center",
+            "uncached_bound",
+            "clearance",
+            "clearance_center",
+            "valid_radius",
+            "valid_center",
+            "tied_count",
+        ),
+        (
+            "set_position",
+            "set_orientation",
+            "set_travel",
+            "set_step_travel",
+            "set_margin",
+            "set_safe_travel",
+            "set_culled",
+        ),
     ),
 }
 # By struct, which of its other arrays are equally wide.
@@ -36,8 +53,12 @@ _EQUALLY_WIDE: dict[str, tuple[tuple[str, ...], ...]] = {
             "body_angular_velocity",
         ),
     ),
-    "Near": (("news", "contact"),),
-    "Cache": (("block_wake", "block_probe", "block_quiet"), ("wake", "faces"), ("face", "distance", "direction")),
+    "ActiveContacts": (("needs_history", "contact"),),
+    "Cache": (
+        ("cluster_safe_travel", "cluster_probe_travel", "cluster_inactive"),
+        ("safe_travel", "face_count"),
+        ("face", "distance", "gradient"),
+    ),
 }
 # By struct, arrays of a fixed width.
 _FIXED: dict[str, dict[str, int]] = {
@@ -47,13 +68,13 @@ _FIXED: dict[str, dict[str, int]] = {
 _SHARED = ("Model", "Coefficients")
 
 
-def in_records(struct: Any) -> tuple[tuple[str, ...], ...]:
+def record_fields(struct: Any) -> tuple[tuple[str, ...], ...]:
     """Returns the names of the arrays of a struct that lie in records on a CPU, by kinds, in their order there."""
     kinds = _IN_RECORDS.get(struct.cls.__name__, ())
     return (tuple(struct.vars),) if kinds is None else kinds
 
 
-def record_of(dtypes: Mapping[str, Any]) -> tuple[dict[str, int], int]:
+def record_layout(dtypes: Mapping[str, Any]) -> tuple[dict[str, int], int]:
     """Returns where in a record of elements each begins, and how long the record is [bytes]."""
     offsets, end = {}, 0
     for name, dtype in dtypes.items():
@@ -65,44 +86,50 @@ def record_of(dtypes: Mapping[str, Any]) -> tuple[dict[str, int], int]:
 
 
 def _array_types(struct: Any) -> dict[str, Any]:
-    return {name: one.type for name, one in struct.vars.items() if isinstance(one.type, wp.array)}
+    return {
+        name: struct_copy.type
+        for name, struct_copy in struct.vars.items()
+        if isinstance(struct_copy.type, wp.array)
+    }
 
 
 @functools.cache
-def telling(struct: Any) -> wp.Function:
+def assume_strides(struct: Any) -> wp.Function:
     """Returns the device function that tells the compiler how the arrays of a struct lie.
 
     It writes what is there anyway, into the copy of the struct that a thread has. On a GPU it does nothing.
     """
     kind, types = struct.cls.__name__, _array_types(struct)
     lines = ["#if !defined(__CUDA_ARCH__)"]
-    for names in in_records(struct):
+    for names in record_fields(struct):
         first = names[0]
-        offsets, size = record_of({name: types[name].dtype for name in names})
+        offsets, size = record_layout({name: types[name].dtype for name in names})
         for name in names:
             lines.append(
-                f"one.{name}.data = reinterpret_cast<decltype(one.{name}.data)>("
-                f"reinterpret_cast<char*>(one.{first}.data) + {offsets[name]});"
+                f"struct_copy.{name}.data = reinterpret_cast<decltype(struct_copy.{name}.data)>("
+                f"reinterpret_cast<char*>(struct_copy.{first}.data) + {offsets[name]});"
             )
-            lines.append(f"one.{name}.strides[0] = one.{first}.shape[1] * {size};")
-            lines.append(f"one.{name}.strides[1] = {size};")
+            lines.append(f"struct_copy.{name}.strides[0] = struct_copy.{first}.shape[1] * {size};")
+            lines.append(f"struct_copy.{name}.strides[1] = {size};")
     widest = {name: names[0] for names in _EQUALLY_WIDE.get(kind, ()) for name in names}
     fixed = _FIXED.get(kind, {})
-    for name, own in types.items():
-        if any(name in names for names in in_records(struct)):
+    for name, array_type in types.items():
+        if any(name in names for names in record_fields(struct)):
             continue
-        size = f"(signed)sizeof(*one.{name}.data)"
-        lines.append(f"one.{name}.strides[{own.ndim - 1}] = {size};")
+        size = f"(signed)sizeof(*struct_copy.{name}.data)"
+        lines.append(f"struct_copy.{name}.strides[{array_type.ndim - 1}] = {size};")
         if name in fixed:
-            lines.append(f"one.{name}.strides[0] = {fixed[name]} * {size};")
-        elif own.ndim == 2 and kind not in _SHARED:
-            lines.append(f"one.{name}.strides[0] = one.{widest.get(name, name)}.shape[1] * {size};")
+            lines.append(f"struct_copy.{name}.strides[0] = {fixed[name]} * {size};")
+        elif array_type.ndim == 2 and kind not in _SHARED:
+            lines.append(
+                f"struct_copy.{name}.strides[0] = struct_copy.{widest.get(name, name)}.shape[1] * {size};"
+            )
     lines.append("#endif\n")
 
     @wp.func_native("\n".join(lines))
-    def tell(one: wp.ref[struct]): ...
+    def assume(struct_copy: wp.ref[struct]): ...
 
-    return tell
+    return assume
 
 
 @wp.func_native(
@@ -114,7 +141,7 @@ def telling(struct: Any) -> wp.Function:
     return number;
     """
 )
-def anew(number: int) -> int:
+def hide_from_optimizer(number: int) -> int:
     """The same number, not negative, of which the compiler does not know that: for loops of few turns.
 
     Else it computes what follows from the number before a loop, the addresses of all arrays in there, whatever is

@@ -5,7 +5,15 @@ from types import SimpleNamespace
 
 import warp as wp
 from warpcontact.kernels import frames
-from warpcontact.kernels.types import ENV_ACTIVE, Work, env_of, item_of, natural, structs, task_count
+from warpcontact.kernels.types import (
+    ENV_ACTIVE,
+    LaunchRange,
+    assume_nonnegative,
+    structs,
+    task_count,
+    task_env,
+    task_item,
+)
 from warpcontact.kernels.unique import unique_kernel
 
 # Rounding of a position, in units of epsilon times the size of what it is computed from.
@@ -18,12 +26,16 @@ def functions(real: type) -> SimpleNamespace:
     t = structs(real)
     vec3, quat, Model, State, Cache = t.vec3, t.quat, t.Model, t.State, t.Cache
     frame = frames.functions(real)
-    apart, turned, orientation_to_world = frame.apart, frame.turned, frame.orientation_to_world
+    offset_between, rotate_to_world, orientation_to_world = (
+        frame.offset_between,
+        frame.rotate_to_world,
+        frame.orientation_to_world,
+    )
     epsilon = wp.constant(real(t.epsilon))
     rounding = wp.constant(real(t.epsilon * ROUNDING))
 
     @wp.struct
-    class Seen:
+    class SetPose:
         """Where a set of points is, seen from its surface."""
 
         position: vec3  # its middle, S [m]
@@ -31,77 +43,84 @@ def functions(real: type) -> SimpleNamespace:
         margin: real  # rounding of a position [m]
 
     @wp.func
-    def size(v: vec3):
+    def one_norm(v: vec3):
         """The length of a vector, or up to √3 times that."""
         return wp.abs(v[0]) + wp.abs(v[1]) + wp.abs(v[2])
 
     @wp.func
-    def see(model: Model, state: State, env: int, number: int):
-        contact = natural(model.set_contact[number])
-        surface = natural(model.patch_surface[natural(model.contact_patch[contact])])
+    def set_pose(model: Model, state: State, env: int, set_index: int):
+        contact = assume_nonnegative(model.set_contact[set_index])
+        surface = assume_nonnegative(
+            model.query_mesh_surface[assume_nonnegative(model.contact_query_mesh[contact])]
+        )
         carrier = model.surface_body[surface]
         o_B = model.surface_position[env, surface]
         q_WS = orientation_to_world(state, env, carrier, model.surface_orientation[env, surface])
-        point = natural(model.contact_point[contact])
+        point = assume_nonnegative(model.contact_point[contact])
         body = model.point_body[point]
-        c_B = model.set_center[env, number]
-        between = apart(model, state, env, point, surface)
-        c_W = between + turned(state, env, body, c_B) - turned(state, env, carrier, o_B)
-        seen = Seen()
-        seen.position = wp.quat_rotate_inv(q_WS, c_W)
-        extent = model.set_extent[env, number]
+        c_B = model.set_center[env, set_index]
+        between = offset_between(model, state, env, point, surface)
+        c_W = between + rotate_to_world(state, env, body, c_B) - rotate_to_world(state, env, carrier, o_B)
+        pose = SetPose()
+        pose.position = wp.quat_rotate_inv(q_WS, c_W)
+        extent = model.set_extent[env, set_index]
         # A single point is where it is however it turns.
         if extent > real(0.0):
-            seen.orientation = wp.quat_inverse(q_WS)
+            pose.orientation = wp.quat_inverse(q_WS)
             if body >= 0:
-                seen.orientation = seen.orientation * state.body_orientation[env, body]
-        seen.margin = rounding * (size(between) + size(c_B) + size(o_B) + extent)
-        return seen
+                pose.orientation = pose.orientation * state.body_orientation[env, body]
+        pose.margin = rounding * (one_norm(between) + one_norm(c_B) + one_norm(o_B) + extent)
+        return pose
 
     @wp.func
-    def moved(model: Model, cache: Cache, env: int, number: int, seen: Seen):
+    def displacement_bound(model: Model, cache: Cache, env: int, set_index: int, pose: SetPose):
         """How far, at most, any point of the set is from where it was when its travel was last added up [m]."""
-        way = wp.length(seen.position - cache.set_position[env, number])
-        extent = model.set_extent[env, number]
+        displacement = wp.length(pose.position - cache.set_position[env, set_index])
+        extent = model.set_extent[env, set_index]
         if extent > real(0.0):
             # Two rotations, as unit quaternions, move a point at distance 1 from each other by 2 |q − q'| at most.
-            last = cache.set_orientation[env, number]
-            way += (
-                real(2.0) * extent * wp.min(wp.length(seen.orientation - last), wp.length(seen.orientation + last))
+            last = cache.set_orientation[env, set_index]
+            displacement += (
+                real(2.0) * extent * wp.min(wp.length(pose.orientation - last), wp.length(pose.orientation + last))
             )
-        return way * (real(1.0) + real(8.0) * epsilon)
+        return displacement * (real(1.0) + real(8.0) * epsilon)
 
     @wp.func
-    def add(model: Model, state: State, cache: Cache, env: int, number: int):
+    def accumulate_travel(model: Model, state: State, cache: Cache, env: int, set_index: int):
         """Adds up the travel of a set; returns it with the rounding of positions, as it is held against wakes."""
-        seen = see(model, state, env, number)
-        way = moved(model, cache, env, number, seen)
-        before = cache.set_travel[env, number]
-        travel = before + way + epsilon * before
-        cache.set_position[env, number] = seen.position
-        cache.set_orientation[env, number] = seen.orientation
-        cache.set_travel[env, number] = travel
-        cache.set_step[env, number] = way
-        cache.set_margin[env, number] = seen.margin
-        return travel + seen.margin
+        pose = set_pose(model, state, env, set_index)
+        displacement = displacement_bound(model, cache, env, set_index, pose)
+        previous_travel = cache.set_travel[env, set_index]
+        travel = previous_travel + displacement + epsilon * previous_travel
+        cache.set_position[env, set_index] = pose.position
+        cache.set_orientation[env, set_index] = pose.orientation
+        cache.set_travel[env, set_index] = travel
+        cache.set_step_travel[env, set_index] = displacement
+        cache.set_margin[env, set_index] = pose.margin
+        return travel + pose.margin
 
     @wp.func
-    def sleeps(model: Model, cache: Cache, env: int, number: int, travelled: real):
+    def is_culled(model: Model, cache: Cache, env: int, set_index: int, max_travel: real):
         """Whether no point of a set can touch yet."""
-        wake = cache.set_wake[env, number]
-        if travelled < wake:
+        safe_travel = cache.set_safe_travel[env, set_index]
+        if max_travel < safe_travel:
             return True
         # Its blocks may have learned more since.
-        wake = real(wp.inf)
-        block = natural(model.set_block_start[number])
-        stop = model.set_block_start[number + 1]
-        while block < stop:
-            wake = wp.min(wake, cache.block_wake[env, block])
-            block = natural(block + 1)
-        cache.set_wake[env, number] = wake
-        return travelled < wake
+        safe_travel = real(wp.inf)
+        cluster = assume_nonnegative(model.set_cluster_start[set_index])
+        stop = model.set_cluster_start[set_index + 1]
+        while cluster < stop:
+            safe_travel = wp.min(safe_travel, cache.cluster_safe_travel[env, cluster])
+            cluster = assume_nonnegative(cluster + 1)
+        cache.set_safe_travel[env, set_index] = safe_travel
+        return max_travel < safe_travel
 
-    return SimpleNamespace(see=see, moved=moved, add=add, sleeps=sleeps)
+    return SimpleNamespace(
+        set_pose=set_pose,
+        displacement_bound=displacement_bound,
+        accumulate_travel=accumulate_travel,
+        is_culled=is_culled,
+    )
 
 
 @functools.cache
@@ -112,17 +131,19 @@ def kernel(real: type) -> wp.Kernel:
     """
     t = structs(real)
     Model, State, Cache = t.Model, t.State, t.Cache
-    add, sleeps = functions(real).add, functions(real).sleeps
+    accumulate_travel, is_culled = functions(real).accumulate_travel, functions(real).is_culled
 
     @unique_kernel()
-    def add_travel(work: Work, status: wp.array(dtype=wp.int32), model: Model, state: State, cache: Cache):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            number = item_of(work, task)
+    def add_travel(
+        launch: LaunchRange, status: wp.array(dtype=wp.int32), model: Model, state: State, cache: Cache
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            set_index = task_item(launch, task)
             if status[env] != ENV_ACTIVE:
                 continue
-            travelled = add(model, state, cache, env, number)
-            asleep = sleeps(model, cache, env, number, travelled)
-            cache.set_asleep[env, number] = wp.where(asleep, 1, 0)
+            max_travel = accumulate_travel(model, state, cache, env, set_index)
+            culled = is_culled(model, cache, env, set_index, max_travel)
+            cache.set_culled[env, set_index] = wp.where(culled, 1, 0)
 
     return add_travel

@@ -11,11 +11,11 @@ from types import SimpleNamespace
 
 import warp as wp
 from warpcontact.kernels import branches, recall, search
-from warpcontact.kernels import foot as feet
-from warpcontact.kernels.types import natural, structs
+from warpcontact.kernels import foot as closest_points
+from warpcontact.kernels.types import assume_nonnegative, structs
 
 # Of the skin: how far a list is made ahead of a point, which serves for longer then. Less than one, for ties.
-AHEAD = 0.8
+AHEAD_FRACTION = 0.8
 
 
 @functools.cache
@@ -23,111 +23,133 @@ def functions(real: type) -> SimpleNamespace:
     """Returns the device functions for ``real``."""
     t = structs(real)
     vec3, Model, Cache = t.vec3, t.Model, t.Cache
-    near, of_list, of_tree = feet.functions(real), recall.functions(real), branches.functions(real)
-    of_search = search.functions(real)
-    Foot, foot_on, nearer, fallen = near.Foot, near.foot_on, near.nearer, near.fallen
-    extent_of, unsure_of = of_search.extent_of, of_search.unsure_of
-    nearest_of_all = of_search.nearest_of_all
-    slope_of, least_of = of_list.slope_of, of_list.least_of
-    room_of, list_faces = of_list.room_of, of_list.list_faces
-    Leader, way_from_root, next_place = of_tree.Leader, of_tree.way_from_root, of_tree.next_place
-    ahead_of = wp.constant(real(AHEAD))
+    face_functions, cache_functions, bvh_functions = (
+        closest_points.functions(real),
+        recall.functions(real),
+        branches.functions(real),
+    )
+    search_functions = search.functions(real)
+    ClosestPoint, closest_on_face, closer, lost_tie = (
+        face_functions.ClosestPoint,
+        face_functions.closest_on_face,
+        face_functions.closer,
+        face_functions.lost_tie,
+    )
+    max_coordinate, query_error = search_functions.max_coordinate, search_functions.query_error
+    refine_closest = search_functions.refine_closest
+    distance_gradient, distance_lower_bound = (
+        cache_functions.distance_gradient,
+        cache_functions.distance_lower_bound,
+    )
+    face_capacity, store_face_list = cache_functions.face_capacity, cache_functions.store_face_list
+    PruningReference, start_traversal, next_leaf = (
+        bvh_functions.PruningReference,
+        bvh_functions.start_traversal,
+        bvh_functions.next_leaf,
+    )
+    ahead_fraction = wp.constant(real(AHEAD_FRACTION))
     rounding = wp.constant(real(t.epsilon * recall.ROUNDING))
 
     @wp.func
-    def rounding_of(extent: real, foot: Foot):
-        """How much nearer than ``foot`` the nearest face may be of a point with coordinates up to ``extent``."""
-        return rounding * (extent + foot.span)
+    def rounding_error(extent: real, closest: ClosestPoint):
+        """Bound on the error of a distance, for coordinates up to ``extent``."""
+        return rounding * (extent + closest.span)
 
     @wp.func
-    def nearest(model: Model, patch: int, p: vec3, hint: int):
+    def closest_in_bvh(model: Model, query_mesh: int, p: vec3, hint: int):
         """Returns the nearest foot; ``hint`` is a face that may be near, or none."""
-        tree = model.patch_tree[patch]
-        start = model.patch_face_start[patch]
+        tree = model.query_mesh_bvh[query_mesh]
+        start = model.query_mesh_face_start[query_mesh]
         row = hint
-        if row < start or row >= model.patch_face_start[patch + 1]:
+        if row < start or row >= model.query_mesh_face_start[query_mesh + 1]:
             row = start
-        best = foot_on(model, row, p)
-        way = way_from_root()
-        place = next_place(way, model.tree_bound, tree, p, best.distance, Leader())
-        while place >= 0:
-            best = nearer(model, best, foot_on(model, start + model.tree_face[place], p))
-            place = next_place(way, model.tree_bound, tree, p, best.distance, Leader())
-        if fallen(best):
-            best = nearest_of_all(model, patch, p, best, unsure_of(model, patch, extent_of(p), best.distance))
+        best = closest_on_face(model, row, p)
+        traversal = start_traversal()
+        leaf = next_leaf(traversal, model.bvh_bound, tree, p, best.distance, PruningReference())
+        while leaf >= 0:
+            best = closer(model, best, closest_on_face(model, start + model.bvh_face[leaf], p))
+            leaf = next_leaf(traversal, model.bvh_bound, tree, p, best.distance, PruningReference())
+        if lost_tie(best):
+            best = refine_closest(
+                model, query_mesh, p, best, query_error(model, query_mesh, max_coordinate(p), best.distance)
+            )
         best.distance = wp.length(best.to_point)
         return best
 
     @wp.func
-    def leader_of(best: Foot, far: real):
+    def pruning_reference(best: ClosestPoint, far: real):
         """Returns a foot as what leads."""
-        leader = Leader()
-        leader.far = far
-        leader.distance = best.distance
+        reference = PruningReference()
+        reference.far = far
+        reference.distance = best.distance
         per_distance = real(1.0) / best.distance
-        leader.direction = per_distance * best.to_point
-        leader.rounding = rounding * best.span * per_distance
-        return leader
+        reference.direction = per_distance * best.to_point
+        reference.rounding = rounding * best.span * per_distance
+        return reference
 
     @wp.func
-    def way_ahead(model: Model, patch: int, cache: Cache, env: int, contact: int, p: vec3, distance: real):
+    def offset_ahead(model: Model, query_mesh: int, cache: Cache, env: int, contact: int, p: vec3, distance: real):
         """From a point to where its list is to be made, in the direction in which it left that of the last.
 
         As far as a part of what the last list reached beyond the nearest face: what there was room for.
         """
-        moved = p - cache.place[env, contact]
-        length = wp.length(moved)
-        reached = wp.min(cache.beyond[env, contact] - distance, model.patch_skin[patch])
+        offset = p - cache.list_center[env, contact]
+        length = wp.length(offset)
+        reserve = wp.min(cache.uncached_bound[env, contact] - distance, model.query_mesh_skin[query_mesh])
         # Not where it never was, nor after a jump, nor where a state was not finite.
-        if length > real(0.0) and length <= real(2.0) * reached:
-            return (ahead_of * reached / length) * moved
+        if length > real(0.0) and length <= real(2.0) * reserve:
+            return (ahead_fraction * reserve / length) * offset
         return vec3()
 
     @wp.func
-    def remember_about(model: Model, patch: int, p: vec3, foot: Foot, cache: Cache, env: int, contact: int):
-        """Lists the faces that may be nearest near a place ahead of ``p``, with its nearest ``foot``.
+    def cache_faces_near(
+        model: Model, query_mesh: int, p: vec3, closest: ClosestPoint, cache: Cache, env: int, contact: int
+    ):
+        """Lists the faces that may be nearest near a place ahead of ``p``, with its nearest ``closest``.
 
-        All others are farther from that place than is kept as ``beyond``, or no nearer than some other within the
+        All others are farther from that place than is kept as ``reach``, or no nearer than some other within the
         skin of it.
         """
-        at = p + way_ahead(model, patch, cache, env, contact, p, foot.distance)
-        skin = model.patch_skin[patch]
-        beyond = foot.distance + skin
-        tree = model.patch_tree[patch]
-        start = model.patch_face_start[patch]
-        best = foot_on(model, foot.row, at)
-        room = room_of(cache)
-        slot = natural(contact * room)
+        center = p + offset_ahead(model, query_mesh, cache, env, contact, p, closest.distance)
+        skin = model.query_mesh_skin[query_mesh]
+        reach = closest.distance + skin
+        tree = model.query_mesh_bvh[query_mesh]
+        start = model.query_mesh_face_start[query_mesh]
+        best = closest_on_face(model, closest.row, center)
+        capacity = face_capacity(cache)
+        slot = assume_nonnegative(contact * capacity)
         count = wp.int32(0)
-        way = way_from_root()
-        looking = wp.bool(True)
-        while looking:
-            found = next_place(way, model.tree_bound, tree, at, beyond, leader_of(best, skin))
-            looking = found >= 0
-            if looking:
-                row = start + model.tree_face[found]
-                other = foot_on(model, row, at)
-                direction = slope_of(other)
-                least = least_of(other, direction, vec3())
-                if least < beyond:
+        traversal = start_traversal()
+        searching = wp.bool(True)
+        while searching:
+            leaf_found = next_leaf(traversal, model.bvh_bound, tree, center, reach, pruning_reference(best, skin))
+            searching = leaf_found >= 0
+            if searching:
+                row = start + model.bvh_face[leaf_found]
+                other = closest_on_face(model, row, center)
+                direction = distance_gradient(other)
+                least = distance_lower_bound(other, direction, vec3())
+                if least < reach:
                     if other.distance < best.distance:
                         best = other
-                    place = slot + count
-                    if count == room:
+                    leaf = slot + count
+                    if count == capacity:
                         # The farthest makes room, and ends the reach of the list.
-                        beyond = least
-                        for k in range(room):
-                            i = natural(slot + k)
-                            if cache.distance[env, i] > beyond:
-                                beyond = cache.distance[env, i]
-                                place = i
+                        reach = least
+                        for k in range(capacity):
+                            i = assume_nonnegative(slot + k)
+                            if cache.distance[env, i] > reach:
+                                reach = cache.distance[env, i]
+                                leaf = i
                     else:
                         count += 1
-                    if place < slot + room:
-                        place = natural(place)
-                        cache.face[env, place] = row
-                        cache.distance[env, place] = least
-                        cache.direction[env, place] = direction
-        list_faces(cache, env, contact, count, at, beyond)
+                    if leaf < slot + capacity:
+                        leaf = assume_nonnegative(leaf)
+                        cache.face[env, leaf] = row
+                        cache.distance[env, leaf] = least
+                        cache.gradient[env, leaf] = direction
+        store_face_list(cache, env, contact, count, center, reach)
 
-    return SimpleNamespace(nearest=nearest, rounding_of=rounding_of, remember_about=remember_about)
+    return SimpleNamespace(
+        closest_in_bvh=closest_in_bvh, rounding_error=rounding_error, cache_faces_near=cache_faces_near
+    )

@@ -19,11 +19,11 @@ WORLD = -1
 ENV_ACTIVE = 0
 ENV_FAILED = 1  # turned non-finite in this step; its other bodies may be half way
 ENV_FROZEN = 2  # held at its last finite state
-ENV_CROSSED = 3  # a point crossed a surface in this step, which is to be taken again in parts
-ENV_WAITING = 4  # has taken this step, while others take it again
+ENV_SUBSTEP = 3  # a point crossed a surface in this step, which is to be taken again in parts
+ENV_PAUSED = 4  # has taken this step, while others take it again
 ENV_HALTED = 5  # a stop condition holds at the state that this step would begin from
 ENV_STOPPED = 6  # held at that state
-ENV_RESTING = 7  # this step would change nothing, and is left out
+ENV_SLEEPING = 7  # this step would change nothing, and is left out
 
 # Why an environment was frozen.
 NO_CAUSE = 0
@@ -48,9 +48,9 @@ MODE_SLIP = 2
 # Option bits of a contact.
 LATCHED = 1  # entry="latched"
 BOUNDARY_OUTER = 2  # boundary="outer"
-HERTZ_PATCH = 4  # the arm of torsion follows from the overlap
+HERTZ_TORSION = 4  # the arm of torsion follows from the overlap
 SWEPT = 8  # a point that crosses the surface within a step is caught
-AT_POINT = 16  # the force acts at the point itself, as in a contact coupling
+FORCE_AT_POINT = 16  # the force acts at the point itself, as in a contact coupling
 
 # Status of a spring-damper or bushing.
 COUPLING_ACTIVE = 0
@@ -88,16 +88,16 @@ FEATURE_ACTIVE = 1
 FEATURE_BOUNDARY = 2
 
 # Where a point that does not come through a surface stays on the side that it is on.
-SIDES_NOWHERE = 0
-SIDES_EVERYWHERE = 1
-SIDES_ABOVE = 2  # within the walls of the patch
+SIDE_KNOWN_NOWHERE = 0
+SIDE_KNOWN_EVERYWHERE = 1
+SIDE_KNOWN_INSIDE_WALLS = 2  # within the walls of the patch
 
 # Faces that are remembered per contact where many threads search side by side, with few registers each: more last
 # longer, but sorting them in costs more than that.
-REMEMBERED_IN_QUEUES = 8
+CACHED_FACES_GPU = 8
 
 # Queues of a GPU.
-QUEUES = 4
+QUEUE_COUNT = 4
 
 # How a body may move.
 FREE = 0
@@ -108,7 +108,7 @@ HINGE = 4
 SLIDER = 5
 BALL = 6
 PRESCRIBED = 7  # by the velocities in its state
-DRIVEN = 8  # by a function of time
+TIME_FUNCTION = 8  # by a function of time
 
 # What the geometry says about the latch of entry="latched".
 LATCH_KEEP = 0
@@ -117,7 +117,7 @@ LATCH_DISARM = 2
 
 
 @wp.struct
-class Work:
+class LaunchRange:
     """What a launch is to do: tasks, an item of an environment each, shared out among its threads.
 
     A thread on a GPU has one. On the CPU one thread has all: it looks at the arguments once, not for every task.
@@ -131,43 +131,43 @@ class Work:
 
 
 @wp.func_native("if (number < 0) __builtin_unreachable(); return number;")
-def natural(number: int) -> int:
+def assume_nonnegative(number: int) -> int:
     """The same number, which is not negative: an index that is costs some instructions at each array."""
     ...
 
 
 @wp.func
-def first_env(work: Work):
+def first_env(launch: LaunchRange):
     """First environment of a launch."""
-    if work.slice.shape[0] > 0:
-        return work.slice[0]
+    if launch.slice.shape[0] > 0:
+        return launch.slice[0]
     return 0
 
 
 @wp.func
-def task_count(work: Work):
+def task_count(launch: LaunchRange):
     """How many tasks a launch has."""
-    if work.slice.shape[0] > 0:
-        return work.slice[1] * work.items
-    return work.envs * work.items
+    if launch.slice.shape[0] > 0:
+        return launch.slice[1] * launch.items
+    return launch.envs * launch.items
 
 
 @wp.func
-def step_count(work: Work):
+def step_count(launch: LaunchRange):
     """How many steps a launch takes of each environment, if it takes any number."""
-    return work.slice[2]
+    return launch.slice[2]
 
 
 @wp.func
-def env_of(work: Work, task: int):
+def task_env(launch: LaunchRange, task: int):
     """Environment of a task."""
-    return natural(first_env(work) + natural(task) // natural(work.items))
+    return assume_nonnegative(first_env(launch) + assume_nonnegative(task) // assume_nonnegative(launch.items))
 
 
 @wp.func
-def item_of(work: Work, task: int):
+def task_item(launch: LaunchRange, task: int):
     """Item of its environment that a task is for."""
-    return natural(natural(task) % natural(work.items))
+    return assume_nonnegative(assume_nonnegative(task) % assume_nonnegative(launch.items))
 
 
 @wp.struct
@@ -204,14 +204,14 @@ def structs(real: type) -> SimpleNamespace:
         kappa: real  # contact point K = S + kappa (D − S) [-]
         max_depth: real  # deepest penetration that still counts as contact [m]
         search_radius: real  # surfaces farther from the point are not seen [m]
-        torsion_radius: real  # arm at which torsion acts [m]; unused with HERTZ_PATCH
+        torsion_radius: real  # arm at which torsion acts [m]; unused with HERTZ_TORSION
         force_scale: real  # factor on forces and couples [-]
         closed: real  # gap below which there is contact [m]: 0, or the tolerance of nonsmooth contact
         enabled: wp.int32  # 0 or 1
 
     @wp.struct
     class Cell:
-        free: real  # all its points are this far on the outer side [unit of the mesh]; <= 0: unknown
+        clearance: real  # all its points are this far on the outer side [unit of the mesh]; <= 0: unknown
         faces: wp.int32  # where the list of faces that may be nearest begins, and their number; −1: no list
 
     @wp.struct
@@ -221,7 +221,7 @@ def structs(real: type) -> SimpleNamespace:
         body_mass: wp.array2d(dtype=real)  # [kg]
         body_inertia: wp.array2d(dtype=mat33)  # B, about the centre of mass [kg·m²]
         body_inverse_inertia: wp.array2d(dtype=mat33)  # B [1/(kg·m²)]
-        body_round: wp.array2d(dtype=wp.bool)  # whether the inertia is the same about all axes
+        body_isotropic_inertia: wp.array2d(dtype=wp.bool)  # whether the inertia is the same about all axes
         body_external_force: wp.array2d(dtype=vec3)  # [env, body] at the centre of mass, W [N]
         body_external_torque: wp.array2d(dtype=vec3)  # [env, body] W [N·m]
         body_motion: wp.array2d(dtype=BodyMotion)  # empty if all bodies are free
@@ -239,27 +239,33 @@ def structs(real: type) -> SimpleNamespace:
         surface_mesh: wp.array2d(dtype=wp.int32)  # [env, surface] which of its meshes it has
         # Patches: a mesh to search, a whole surface or the active part of one, in units of the mesh from the
         # centre of the surface; those of the meshes of one surface lie side by side
-        patch_mesh: wp.array(dtype=wp.uint64)  # [patch] id of the wp.Mesh
-        patch_surface: wp.array(dtype=wp.int32)  # [patch]
-        patch_face_start: wp.array(dtype=wp.int32)  # [patch + 1] first row in the tables below
-        patch_slack: wp.array(dtype=real)  # [patch] how far a float32 query may be off, unit of the mesh
-        patch_thin: wp.array(dtype=real)  # [patch] longest edge of faces where that is not rounding; 0: none
-        patch_skin: wp.array(dtype=real)  # [patch] how much farther faces are remembered than the nearest
-        patch_sides: wp.array(dtype=wp.int32)  # [patch] SIDES_*: where a point keeps the side that it is on
-        patch_wall_start: wp.array(dtype=wp.int32)  # [patch + 1] first row of its walls
-        wall_normal: wp.array(dtype=vec3)  # [wall] unit, into the region of SIDES_ABOVE, S
+        query_mesh_id: wp.array(dtype=wp.uint64)  # [patch] id of the wp.Mesh
+        query_mesh_surface: wp.array(dtype=wp.int32)  # [patch]
+        query_mesh_face_start: wp.array(dtype=wp.int32)  # [patch + 1] first row in the tables below
+        query_mesh_error: wp.array(dtype=real)  # [patch] how far a float32 query may be off, unit of the mesh
+        query_mesh_thin_length: wp.array(
+            dtype=real
+        )  # [patch] longest edge of faces where that is not rounding; 0: none
+        query_mesh_skin: wp.array(dtype=real)  # [patch] how much farther faces are remembered than the nearest
+        query_mesh_side_region: wp.array(
+            dtype=wp.int32
+        )  # [patch] SIDE_KNOWN_*: where a point keeps the side that it is on
+        query_mesh_wall_start: wp.array(dtype=wp.int32)  # [patch + 1] first row of its walls
+        wall_normal: wp.array(dtype=vec3)  # [wall] unit, into the region of SIDE_KNOWN_INSIDE_WALLS, S
         wall_offset: wp.array(dtype=real)  # [wall] of its plane along the normal
         # Cells about a patch: ``cells.py``
-        patch_cells: wp.array(dtype=wp.vec4i)  # [patch] how many along x, y and z, and its first; −1: none
-        patch_cells_origin: wp.array(dtype=vec3)  # [patch] their lowest corner, S
-        patch_cells_size: wp.array(dtype=real)  # [patch] of a cell, unit of the mesh
-        patch_cells_margin: wp.array(dtype=real)  # [patch] from their boundary to the mesh, at least
+        query_mesh_grid: wp.array(dtype=wp.vec4i)  # [patch] how many along x, y and z, and its first; −1: none
+        query_mesh_grid_origin: wp.array(dtype=vec3)  # [patch] their lowest corner, S
+        query_mesh_cell_size: wp.array(dtype=real)  # [patch] of a cell, unit of the mesh
+        query_mesh_grid_margin: wp.array(dtype=real)  # [patch] from their boundary to the mesh, at least
         cells: wp.array(dtype=Cell)  # [cell]
-        listed_face: wp.array(dtype=wp.int32)  # rows of faces, by the cells that list them
+        cell_face: wp.array(dtype=wp.int32)  # rows of faces, by the cells that list them
         # Tree over the faces of a patch, on a CPU: ``tree.py``
-        patch_tree: wp.array(dtype=wp.vec4i)  # [patch] its first node, how many, branches of its root, first face
-        tree_bound: wp.array(dtype=wp.float32)  # by node, what bounds its branches: ``warpcontact/tree.py``
-        tree_face: wp.array(dtype=wp.int32)  # faces in the order of the branches, from the first of the patch
+        query_mesh_bvh: wp.array(
+            dtype=wp.vec4i
+        )  # [patch] its first node, how many, branches of its root, first face
+        bvh_bound: wp.array(dtype=wp.float32)  # by node, what bounds its branches: ``warpcontact/tree.py``
+        bvh_face: wp.array(dtype=wp.int32)  # faces in the order of the branches, from the first of the patch
         face_corner: wp.array2d(dtype=vec3)  # [face, 0 to 2] its corners, [face, 3] its unit normal; S
         face_frame: wp.array2d(
             dtype=vec3
@@ -270,7 +276,7 @@ def structs(real: type) -> SimpleNamespace:
         face_neighbor: wp.array2d(dtype=wp.int32)  # [face, edge] 3 × row + edge of the other side; −1: none
         # Contacts
         contact_point: wp.array(dtype=wp.int32)  # [contact] index of the point
-        contact_patch: wp.array(dtype=wp.int32)  # [contact] that of the surface's first mesh
+        contact_query_mesh: wp.array(dtype=wp.int32)  # [contact] that of the surface's first mesh
         contact_options: wp.array(dtype=wp.int32)  # [contact] option bits
         contact_set: wp.array(dtype=wp.int32)  # [contact]
         contact_geometry: wp.array2d(dtype=ContactGeometry)  # [env, contact]
@@ -278,13 +284,13 @@ def structs(real: type) -> SimpleNamespace:
         set_contact: wp.array(dtype=wp.int32)  # [set] its first contact
         set_center: wp.array2d(dtype=vec3)  # [env, set] in the middle of the points, as they are given [m]
         set_extent: wp.array2d(dtype=real)  # [env, set] farthest point from there [m]
-        set_block_start: wp.array(dtype=wp.int32)  # [set + 1] first block
-        block_set: wp.array(dtype=wp.int32)  # [block]
-        block_start: wp.array(dtype=wp.int32)  # [block + 1] first of its contacts in the list
-        block_contact: wp.array(dtype=wp.int32)  # contacts by block
-        block_center: wp.array2d(dtype=vec3)  # [env, block] in the middle of its points, as they are given [m]
-        body_block_start: wp.array(dtype=wp.int32)  # [body + 1] first of its blocks in the list
-        body_block: wp.array(dtype=wp.int32)  # 2 × block + 0 as the points' body, 1 as the surface's
+        set_cluster_start: wp.array(dtype=wp.int32)  # [set + 1] first block
+        cluster_set: wp.array(dtype=wp.int32)  # [block]
+        cluster_start: wp.array(dtype=wp.int32)  # [block + 1] first of its contacts in the list
+        cluster_contact: wp.array(dtype=wp.int32)  # contacts by block
+        cluster_center: wp.array2d(dtype=vec3)  # [env, block] in the middle of its points, as they are given [m]
+        body_cluster_start: wp.array(dtype=wp.int32)  # [body + 1] first of its blocks in the list
+        body_cluster: wp.array(dtype=wp.int32)  # 2 × block + 0 as the points' body, 1 as the surface's
         # Ends of couplings: 2 × coupling, 2 × coupling + 1
         end_point: wp.array(dtype=wp.int32)  # [end] index of its point
         body_end_start: wp.array(dtype=wp.int32)  # [body + 1] first of its ends in the list
@@ -323,7 +329,7 @@ def structs(real: type) -> SimpleNamespace:
         status: wp.array2d(dtype=wp.int32)  # [env, contact] OPEN, CONTACT, …
         armed: wp.array2d(dtype=wp.int32)  # [env, contact] the latch this geometry leads to
         crossed_face: wp.array2d(dtype=wp.int32)  # [env, contact] row of that crossed in this step; −1: none
-        crossed_at: wp.array2d(dtype=real)  # [env, contact] when in this step, 0 to 1
+        crossing_fraction: wp.array2d(dtype=real)  # [env, contact] when in this step, 0 to 1
         approach_speed: wp.array2d(dtype=real)  # [env, contact] dδ/dt at K, 0 unless CONTACT [m/s]
         normal_force: wp.array2d(dtype=real)  # [env, contact] 0 unless CONTACT [N]
         friction_force: wp.array2d(dtype=vec3)  # [env, contact] on the point's body, 0 unless CONTACT, W [N]
@@ -331,22 +337,22 @@ def structs(real: type) -> SimpleNamespace:
         torque: wp.array2d(dtype=vec3)  # [env, contact] of rolling and torsion on the point's body, W [N·m]
 
     @wp.struct
-    class Reached:
+    class CouplingExtremes:
         """How close contact couplings came; advances once per accepted step, in ``contact_coupling.py``."""
 
         effective_area: wp.array2d(dtype=real)  # [env, coupling] largest area in range so far [m²]
         minimum_distance: wp.array2d(dtype=real)  # [env, coupling] smallest in range so far [m]; NaN: none
 
     @wp.struct
-    class Near:
+    class ActiveContacts:
         """Which contacts a step has to do with, and what each block of them adds to its two bodies."""
 
-        news: wp.array2d(
+        needs_history: wp.array2d(
             dtype=wp.int32
         )  # [env, contact] 1: it touches, or history does not know yet that it ended
-        contact: wp.array2d(dtype=wp.int32)  # [env, place] contacts by block, from block_start on
+        contact: wp.array2d(dtype=wp.int32)  # [env, place] contacts by block, from cluster_start on
         count: wp.array2d(dtype=wp.int32)  # [env, block]
-        crossed: wp.array2d(dtype=wp.int32)  # [env, block] how many more crossed their surface in this step
+        crossed_count: wp.array2d(dtype=wp.int32)  # [env, block] how many more crossed their surface in this step
         force: wp.array2d(dtype=vec3)  # [env, block] on the points' body, W [N]
         torque_1: wp.array2d(dtype=vec3)  # [env, block] on it, about its centre of mass, W [N·m]
         torque_2: wp.array2d(dtype=vec3)  # [env, block] on the surface's body, about its own, W [N·m]
@@ -361,39 +367,42 @@ def structs(real: type) -> SimpleNamespace:
         set_position: wp.array2d(dtype=vec3)  # [env, set] its middle when last seen, from the surface, S [m]
         set_orientation: wp.array2d(dtype=quat)  # [env, set] B → S then, of a set with an extent
         set_travel: wp.array2d(dtype=real)  # [env, set] no point of it moved farther, over the surface [m]
-        set_step: wp.array2d(dtype=real)  # [env, set] how much of that in the last step [m]
+        set_step_travel: wp.array2d(dtype=real)  # [env, set] how much of that in the last step [m]
         set_margin: wp.array2d(dtype=real)  # [env, set] rounding of a position [m]
-        set_wake: wp.array2d(dtype=real)  # [env, set] travel up to which none of its points can touch [m]
-        set_asleep: wp.array2d(dtype=wp.int32)  # [env, set] whether it has not come so far
-        block_wake: wp.array2d(dtype=real)  # [env, block] likewise [m]
-        block_probe: wp.array2d(dtype=real)  # [env, block] travel up to which its middle tells nothing [m]; CPU
-        block_quiet: wp.array2d(dtype=wp.int32)  # [env, block] 1: the last step had nothing to do with it
-        wake: wp.array2d(dtype=real)  # [env, contact] likewise [m]
+        set_safe_travel: wp.array2d(dtype=real)  # [env, set] travel up to which none of its points can touch [m]
+        set_culled: wp.array2d(dtype=wp.int32)  # [env, set] whether it has not come so far
+        cluster_safe_travel: wp.array2d(dtype=real)  # [env, block] likewise [m]
+        cluster_probe_travel: wp.array2d(
+            dtype=real
+        )  # [env, block] travel up to which its middle tells nothing [m]; CPU
+        cluster_inactive: wp.array2d(dtype=wp.int32)  # [env, block] 1: the last step had nothing to do with it
+        safe_travel: wp.array2d(dtype=real)  # [env, contact] likewise [m]
         # On a GPU: what is still to be done, by kind, so that threads side by side do the same
-        waiting: wp.array(dtype=wp.int32)  # [kind] how many
-        waiting_block: wp.array(dtype=wp.int32)  # numbers of the blocks to probe, or in cells to search for
-        waiting_contact: wp.array2d(dtype=wp.int32)  # [kind, …] and of those to look at
-        # The nearest of the list below; in queues, while the point is within ``sure`` of ``sure_place``; in units
-        # of the mesh
-        sure: wp.array2d(dtype=real)  # [env, contact]
-        sure_place: wp.array2d(dtype=vec3)  # [env, contact] S
+        queue_count: wp.array(dtype=wp.int32)  # [kind] how many
+        queue_clusters: wp.array(dtype=wp.int32)  # numbers of the blocks to probe, or in cells to search for
+        queue_contacts: wp.array2d(dtype=wp.int32)  # [kind, …] and of those to look at
+        # Nearest face of the list below; in queues, valid within ``valid_radius`` of ``valid_center``
+        valid_radius: wp.array2d(dtype=real)  # [env, contact]
+        valid_center: wp.array2d(dtype=vec3)  # [env, contact] S
         nearest: wp.array2d(dtype=wp.int32)  # [env, contact] its row
-        rivals: wp.array2d(dtype=wp.int32)  # [env, contact] how many of the first in the list it may be as well
-        # On a CPU, and in cells: within ``room`` of ``room_place`` it does not touch; in units of the mesh
-        room: wp.array2d(dtype=real)  # [env, contact]
-        room_place: wp.array2d(dtype=vec3)  # [env, contact] S
+        tied_count: wp.array2d(
+            dtype=wp.int32
+        )  # [env, contact] how many of the first in the list it may be as well
+        # On a CPU, and in cells: within ``room`` of ``clearance_center`` it does not touch; in units of the mesh
+        clearance: wp.array2d(dtype=real)  # [env, contact]
+        clearance_center: wp.array2d(dtype=vec3)  # [env, contact] S
         # Faces nearest to a point, from where it was when they were looked for; in units of the mesh
-        place: wp.array2d(dtype=vec3)  # [env, contact] S
+        list_center: wp.array2d(dtype=vec3)  # [env, contact] S
         # [env, contact] all other faces are farther from there; or, on a CPU, than one listed wherever in the skin
-        beyond: wp.array2d(dtype=real)
+        uncached_bound: wp.array2d(dtype=real)
         # [env, contact] how many are remembered; in cells, where none are: 1 if the point was near the surface
-        faces: wp.array2d(dtype=wp.int32)
+        face_count: wp.array2d(dtype=wp.int32)
         face: wp.array2d(dtype=wp.int32)  # [env, contact × remembered] their rows, rivals first if any
         distance: wp.array2d(dtype=real)  # [env, contact × remembered] from there
-        direction: wp.array2d(dtype=vec3)  # [env, contact × remembered] its slope there, unit or zero, S
+        gradient: wp.array2d(dtype=vec3)  # [env, contact × remembered] its slope there, unit or zero, S
 
     @wp.struct
-    class Ends:
+    class CouplingWrenches:
         """What couplings do to the bodies at their ends; of an end on the world it is what the world holds."""
 
         force: wp.array2d(dtype=vec3)  # [env, end] on what the end is fixed to, W [N]
@@ -405,7 +414,7 @@ def structs(real: type) -> SimpleNamespace:
         torque: wp.array2d(dtype=vec3)  # [env, body] about the centre of mass, W [N·m]
 
     @wp.struct
-    class Touch:
+    class NormalState:
         """What a law sees of one contact at one instant."""
 
         delta: real  # penetration δ > 0 [m]
@@ -419,7 +428,7 @@ def structs(real: type) -> SimpleNamespace:
         dt: real  # step that the force acts over [s]; 0: the force of this instant
 
     @wp.struct
-    class Slip:
+    class TangentialState:
         """What a friction model sees of one contact at one instant."""
 
         velocity: vec3  # of the point's body relative to the surface: sliding, rolling or spinning, W [m/s]
@@ -437,11 +446,11 @@ def structs(real: type) -> SimpleNamespace:
         State=State,
         History=History,
         Contacts=Contacts,
-        Reached=Reached,
-        Near=Near,
+        CouplingExtremes=CouplingExtremes,
+        ActiveContacts=ActiveContacts,
         Cache=Cache,
-        Ends=Ends,
+        CouplingWrenches=CouplingWrenches,
         Wrenches=Wrenches,
-        Touch=Touch,
-        Slip=Slip,
+        NormalState=NormalState,
+        TangentialState=TangentialState,
     )

@@ -90,7 +90,7 @@ def shared_data(shared):
     return shared / "data"
 
 
-class Counted:
+class CountingAllocator:
     """An allocator that counts the bytes that are in use."""
 
     def __init__(self, allocator):
@@ -107,16 +107,16 @@ class Counted:
 
 
 @pytest.fixture
-def counted(device, monkeypatch):
+def counting_allocator(device, monkeypatch):
     """Counts what Warp arrays on the device take from now on."""
     where = wp.get_device(device)
     gc.collect()
     if where.is_cpu:
-        counter = Counted(where.default_allocator)
+        counter = CountingAllocator(where.default_allocator)
         monkeypatch.setattr(where, "default_allocator", counter)
         yield counter
     else:
-        counter = Counted(wp.get_device_allocator(where))
+        counter = CountingAllocator(wp.get_device_allocator(where))
         wp.set_device_allocator(where, counter)
         yield counter
         wp.set_device_allocator(where, None)
@@ -139,7 +139,7 @@ def whole_run(tmp_path_factory):
     import runs
 
     folder = tmp_path_factory.mktemp("whole")
-    code, _, err = runs.run(runs.study(folder), "--out", folder / "out", *runs.WORDS)
+    code, _, err = runs.run(runs.study(folder), "--out", folder / "out", *runs.OPTIONS)
     assert code == 0, err
     return folder / "out"
 
@@ -151,7 +151,7 @@ def part_run(tmp_path_factory):
 
     folder = tmp_path_factory.mktemp("part")
     study, out = runs.study(folder), folder / "out"
-    process = runs.begin(study, "--out", out, *runs.WORDS, first=runs.EAGER)
+    process = runs.start_run(study, "--out", out, *runs.OPTIONS, first=runs.COMMIT_OFTEN)
 
     def halfway():
         shards = runs.records(out)
@@ -178,11 +178,11 @@ def copied_run(tmp_path):
 def fused_kernels(request, monkeypatch):
     """Lets tests of launch shapes fuse stages if kernels are compiled for short compile times as well."""
     if request.node.get_closest_marker("launch_shapes"):
-        monkeypatch.setattr("warpcontact.schedule.FUSES", True)
+        monkeypatch.setattr("warpcontact.schedule.FUSE_STAGES", True)
 
 
 @pytest.fixture
-def steps_tell(monkeypatch):
+def write_step_outputs(monkeypatch):
     """Has steps tell of contacts what they computed, over the step, as if somebody watched."""
     monkeypatch.setattr("warpcontact.schedule.Span.watched", property(lambda _: True, lambda *_: None))
     monkeypatch.setattr("warpcontact.schedule.Span.alone", False)

@@ -6,30 +6,30 @@ import numpy as np
 import warp as wp
 from scipy.spatial.transform import Rotation
 from warpcontact.kernels.formula import coefficient_struct
-from warpcontact.kernels.smooth.base import Meeting, Seed
-from warpcontact.kernels.smooth.meet import meet
+from warpcontact.kernels.smooth.base import ShapeContactPoint, WarmStart
+from warpcontact.kernels.smooth.meet import pair_function
 
 # The solver by itself
 
 
 @functools.cache
 def _kernel(A, B):
-    solve = meet(A, B)
+    solve = pair_function(A, B)
     Of_a, Of_b = coefficient_struct(A, wp.float64), coefficient_struct(B, wp.float64)
 
     @wp.kernel(module="unique", enable_backward=False)
-    def meet_pairs(
+    def solve_pairs(
         p_a: wp.array(dtype=Of_a),
         p_b: wp.array(dtype=Of_b),
         x: wp.array(dtype=wp.vec3d),
         q: wp.array(dtype=wp.quatd),
-        seeds: wp.array(dtype=Seed),
-        found: wp.array(dtype=Meeting),
+        seeds: wp.array(dtype=WarmStart),
+        found: wp.array(dtype=ShapeContactPoint),
     ):
         i = wp.tid()
         found[i] = solve(p_a[i], p_b[i], x[i], q[i], seeds[i])
 
-    return meet_pairs
+    return solve_pairs
 
 
 def packed(shape, values, count, device="cpu"):
@@ -58,14 +58,14 @@ def solved(A, B, a, b, x, q, seeds=None, device="cpu"):
     count = len(x)
     q = np.broadcast_to(np.asarray(q, dtype=float), (count, 4))
     if seeds is None:
-        seeds = np.zeros(count, dtype=Seed.numpy_dtype())
-    found = wp.zeros(count, dtype=Meeting, device=device)
+        seeds = np.zeros(count, dtype=WarmStart.numpy_dtype())
+    found = wp.zeros(count, dtype=ShapeContactPoint, device=device)
     inputs = [
         packed(A, a, count, device),
         packed(B, b, count, device),
         wp.array(x, dtype=wp.vec3d, device=device),
         wp.array(q, dtype=wp.quatd, device=device),
-        wp.array(seeds, dtype=Seed, device=device),
+        wp.array(seeds, dtype=WarmStart, device=device),
     ]
     wp.launch(_kernel(A, B), dim=count, inputs=inputs, outputs=[found], device=device)
     return found.numpy()

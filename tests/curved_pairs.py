@@ -8,7 +8,7 @@ from convex_pairs import heights
 from scipy.ndimage import label
 from warpcontact.kernels.formula import coefficient_struct, parameter
 from warpcontact.kernels.smooth import curved, shapes
-from warpcontact.kernels.smooth.base import Meeting, Seed
+from warpcontact.kernels.smooth.base import ShapeContactPoint, WarmStart
 from warpcontact.kernels.smooth.patch import ParametricSurface
 from warpcontact.kernels.smooth.torus import Torus
 
@@ -24,19 +24,23 @@ def packed(made):
     return p
 
 
-def meetings(a, b, x, q, device, of_pair=None):
+def shape_contacts(a, b, x, q, device, of_pair=None):
     """Returns the meetings of shapes a and b, one for each position x (n, 3) and rotation q (n, 4), a → b."""
-    of_pair = of_pair or curved.meet(type(a), type(b))
+    of_pair = of_pair or curved.pair_function(type(a), type(b))
     P_a, P_b = (coefficient_struct(type(s), wp.float64) for s in (a, b))
 
     @wp.kernel(module="unique", enable_backward=False)
     def each(
-        p_a: P_a, p_b: P_b, x: wp.array(dtype=wp.vec3d), q: wp.array(dtype=wp.quatd), out: wp.array(dtype=Meeting)
+        p_a: P_a,
+        p_b: P_b,
+        x: wp.array(dtype=wp.vec3d),
+        q: wp.array(dtype=wp.quatd),
+        out: wp.array(dtype=ShapeContactPoint),
     ):
         i = wp.tid()
-        out[i] = of_pair(p_a, p_b, x[i], q[i], Seed())
+        out[i] = of_pair(p_a, p_b, x[i], q[i], WarmStart())
 
-    out = wp.zeros(len(x), dtype=Meeting, device=device)
+    out = wp.zeros(len(x), dtype=ShapeContactPoint, device=device)
     given = [wp.array(x, dtype=wp.vec3d, device=device), wp.array(q, dtype=wp.quatd, device=device)]
     wp.launch(each, len(x), inputs=[packed(a), packed(b), *given, out], device=device)
     return out.numpy()
@@ -55,7 +59,7 @@ def rotated(q, v):
     return v + w * turned + np.cross(axis, turned)
 
 
-def backward(q):
+def inverse_rotation(q):
     """Returns the inverse rotations."""
     return q * np.array([-1.0, -1.0, -1.0, 1.0])
 
@@ -120,7 +124,7 @@ def signed_distance(shape: Any, p):
     raise TypeError(shape)
 
 
-def widest_way(ring, other, x, q, columns=96, rows=48):
+def largest_separation(ring, other, x, q, columns=96, rows=48):
     """The gap of a torus and a convex body that its core pierces, by a grid of directions, of support functions.
 
     The larger of two: that of the hull, the largest over all directions, and that of the ring around the body. Of

@@ -37,7 +37,7 @@ def wavy(seed, count=6, half=1.0):
     return wc.Mesh(np.stack([x, y, z], -1).reshape(-1, 3), faces, name=f"wavy <{seed}>", groups=groups)
 
 
-def touching(gravity=(0.1, -0.2, -9.7)):
+def contact_scene(gravity=(0.1, -0.2, -9.7)):
     """Spheres, surfaces, springs and lines, all of which move."""
     odd = np.random.default_rng(7)  # numbers without a short decimal form
     scene = wc.Scene(gravity=gravity, max_speed=123.4, max_distance=55.5)
@@ -101,7 +101,7 @@ def touching(gravity=(0.1, -0.2, -9.7)):
     return scene
 
 
-def shaped():
+def shape_scene():
     """Shapes, smooth and particle contacts, sets of bodies and every motion that a table or a joint describes."""
     odd = np.random.default_rng(8)
     scene = wc.Scene()
@@ -149,7 +149,7 @@ def shaped():
     return scene
 
 
-def own():
+def custom_law_scene():
     """A ball on a law of one's own."""
     scene = wc.Scene()
     ground = scene.add_surface(wavy(4))

@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 
 from warpcontact.rendering.camera import Camera, direction
-from warpcontact.rendering.items import of_figure
+from warpcontact.rendering.items import place_figure
 from warpcontact.rendering.painter import Painter
 from warpcontact.rendering.stage import Stage
 from warpcontact.replay.drawing import Drawing, Figure, Shape
@@ -42,9 +42,9 @@ def balls(color, positions, radii):
     return figure(ball(), color, positions, radii, name="balls")
 
 
-def drawing(figures, curves=(), touches=(), size=1.0):
+def drawing(figures, curves=(), contact_forces=(), size=1.0):
     """A drawing of one record of environment 0."""
-    return Drawing(np.zeros(1), [0], list(figures), list(curves), list(touches), size, 1.0)
+    return Drawing(np.zeros(1), [0], list(figures), list(curves), list(contact_forces), size, 1.0)
 
 
 def camera(azimuth=0.0, elevation=0.0, *, distance=10.0, angle=20.0, target=(0.0, 0.0, 0.0)):
@@ -53,10 +53,10 @@ def camera(azimuth=0.0, elevation=0.0, *, distance=10.0, angle=20.0, target=(0.0
     return Camera(np.array(target, dtype=float), backward, distance, math.radians(angle))
 
 
-def paint(figures, eye, size=(128, 128), samples=1, background=WHITE, device="cpu", threads=1, ruled=()):
-    """The picture of figures; those in ``ruled`` have lines on them."""
+def paint(figures, eye, size=(128, 128), samples=1, background=WHITE, device="cpu", threads=1, has_grid=()):
+    """The picture of figures; those in ``has_grid`` have lines on them."""
     stage = Stage(drawing(figures), wp.get_device(device))
-    items = [of_figure(one, 0, 0, ruled=one in ruled) for one in figures]
+    items = [place_figure(one, 0, 0, has_grid=one in has_grid) for one in figures]
     return Painter(stage, background, threads).paint(items, [], eye, size, samples)
 
 

@@ -100,7 +100,7 @@ FILES = ("fandisk.obj", "Duck.glb", "20mm-xyz-cube.stl")
 CUTS_ITSELF = ("Duck.glb",)
 
 
-def hard_points(surface, count, seed=1):
+def difficult_points(surface, count, seed=1):
     """Returns about ``count`` points (n, 3) by kind.
 
     Args:

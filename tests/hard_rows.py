@@ -4,10 +4,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import warp as wp
-from warpcontact.kernels.types import WORLD, Work
+from warpcontact.kernels.types import WORLD, LaunchRange
 from warpcontact.kernels.unilateral import accelerated, gauss_seidel
-from warpcontact.kernels.unilateral.impulses import change_struct
-from warpcontact.kernels.unilateral.rows import moving_struct, row_structs
+from warpcontact.kernels.unilateral.impulses import velocity_change_struct
+from warpcontact.kernels.unilateral.rows import body_response_struct, row_structs
 
 SOLVERS = {"gauss_seidel": gauss_seidel, "accelerated": accelerated}
 #: Where they run.
@@ -51,7 +51,7 @@ class Row:
     arm_2: np.ndarray
     normal: np.ndarray
     mu: float = 0.0
-    bounce: float = 0.0
+    restitution_speed: float = 0.0
     rolling: float = 0.0
     spinning: float = 0.0
     impulse: np.ndarray = field(default_factory=lambda: np.zeros(3))
@@ -101,14 +101,14 @@ class Step:
         for i, inverse in enumerate(self.inverse):
             M[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] = inverse
         q = H @ self.velocity.ravel()
-        q[::3] -= [row.bounce for row in self.rows]
+        q[::3] -= [row.restitution_speed for row in self.rows]
         return H @ M @ H.T, q
 
     def residual(self, impulses, velocity):
         """Natural-map residual of impulses in W and the velocities (body, 6) that go with them."""
         W, q = self.dense()
         w = self.jacobian() @ velocity.ravel()
-        w[::3] -= [row.bounce for row in self.rows]
+        w[::3] -= [row.restitution_speed for row in self.rows]
         worst, speed = 0.0, self.speeds(q)
         for i, row in enumerate(self.rows):
             own = slice(3 * i, 3 * i + 3)
@@ -153,7 +153,7 @@ class Step:
         arrays = self.arrays(wp.float64, len(status))
         change = None
         for solver, most in zip(solvers, iterations, strict=True):
-            options = {"before": True} if change is None else {"after": True}
+            options = {"has_fallback": True} if change is None else {"is_fallback": True}
             change = launch(
                 solver, arrays, wp.float64, self.moves, self.rolls, tolerance, most, status, change, **options
             )
@@ -161,7 +161,7 @@ class Step:
 
     def arrays(self, real, envs):
         r = row_structs(real)
-        outcome = r.Outcome()
+        outcome = r.SolveResult()
 
         def records(struct, values):
             """The same records, by name, in every environment."""
@@ -187,12 +187,12 @@ class Step:
             "linear": self.velocity[:, :3],
             "angular": self.velocity[:, 3:],
             "inverse_mass": self.inverse[:, 0, 0],
-            "by_force": self.inverse[:, :3, :3],
-            "across": self.inverse[:, :3, 3:],
-            "by_torque": self.inverse[:, 3:, 3:],
-            "still": [self.still] * len(self.inverse),
+            "inverse_mass_matrix": self.inverse[:, :3, :3],
+            "inverse_mass_coupling": self.inverse[:, :3, 3:],
+            "inverse_inertia": self.inverse[:, 3:, 3:],
+            "at_rest": [self.still] * len(self.inverse),
         }
-        moving = records(moving_struct(real, self.moves), values)
+        moving = records(body_response_struct(real, self.moves), values)
         outcome.count = wp.full(envs, len(self.rows), dtype=wp.int32, device=DEVICE)
         outcome.slack = wp.zeros(envs, dtype=real, device=DEVICE)
         outcome.residual = wp.full(envs, -1.0, dtype=real, device=DEVICE)
@@ -221,14 +221,14 @@ def launch(solver, arrays, real, moves, rolls, tolerance, iterations, status, ch
     module = SOLVERS[solver]
     scratch = wp.zeros(rows.shape, dtype=module.scratch(real, rolls), device=DEVICE)
     if change is None:
-        change = wp.zeros(moving.shape, dtype=change_struct(real), device=DEVICE)
+        change = wp.zeros(moving.shape, dtype=velocity_change_struct(real), device=DEVICE)
     kernel = module.kernel(real, moves, rolls, **options)
-    work = Work()
-    work.envs, work.items = len(status), 1
-    work.threads = work.envs if wp.get_device(DEVICE).is_cuda else 1
+    launch = LaunchRange()
+    launch.envs, launch.items = len(status), 1
+    launch.threads = launch.envs if wp.get_device(DEVICE).is_cuda else 1
     states = wp.array(np.asarray(status, np.int32), device=DEVICE)
-    inputs = [work, states, rows, moving, outcome, real(tolerance), iterations, scratch, change]
-    wp.launch(kernel, work.threads, inputs, device=DEVICE)
+    inputs = [launch, states, rows, moving, outcome, real(tolerance), iterations, scratch, change]
+    wp.launch(kernel, launch.threads, inputs, device=DEVICE)
     return change
 
 

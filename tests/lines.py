@@ -5,7 +5,7 @@ import functools
 import numpy as np
 import warp as wp
 from warpcontact.kernels.couplings.elastic_line import solve, span
-from warpcontact.kernels.couplings.grounded_line import lift, solve_grounded
+from warpcontact.kernels.couplings.grounded_line import solve_grounded, suspended_weight
 
 
 @functools.cache
@@ -41,8 +41,8 @@ def _kernels():
         line = lines[i]
         height = heights[i]
         h, evaluations, solved = solve_grounded(warm[i], line[0], height[0], height[1], line[2], line[3])
-        low = lift(h, height[0], line[2], line[3])
-        high = lift(h, height[1], line[2], line[3])
+        low = suspended_weight(h, height[0], line[2], line[3])
+        high = suspended_weight(h, height[1], line[2], line[3])
         found[i] = wp.vec3d(h, low[0], high[0])
         used[i] = evaluations
         met[i] = solved
@@ -54,7 +54,7 @@ def _arrays(count, *dtypes):
     return [wp.zeros(count, dtype=dtype, device="cpu") for dtype in dtypes]
 
 
-def free(lines, warm=None):
+def solve_suspended(lines, warm=None):
     """Solves lines (x, y, weight, give): (h, v), how far off the span is, evaluations, whether it is met."""
     count = len(lines)
     start = np.zeros((count, 2)) if warm is None else warm
@@ -64,7 +64,7 @@ def free(lines, warm=None):
     return [output.numpy() for output in outputs]
 
 
-def grounded(lines, heights, warm=None):
+def solve_with_seabed(lines, heights, warm=None):
     """Solves lines on a floor: (h, V of the lower end, V of the upper), evaluations, whether it is met."""
     count = len(lines)
     inputs = [
@@ -77,7 +77,7 @@ def grounded(lines, heights, warm=None):
     return [output.numpy() for output in outputs]
 
 
-def with_units(x, y, stiffness_over_weight):
+def in_elastic_units(x, y, stiffness_over_weight):
     """Returns lines (x, y, weight, give) in the unit of force of ``elastic_line.scale``."""
     weight = 1.0 / (1.0 + stiffness_over_weight * np.maximum(np.hypot(x, y) - 1.0, 0.0))
     return np.stack([x, y, weight, 1.0 / (weight * stiffness_over_weight)], axis=1)
@@ -93,4 +93,4 @@ def random_lines(count, seed=0):
         rng.random(count) < 0.5, 10.0 ** rng.uniform(-9.0, 0.0, count), rng.uniform(0.0, np.pi / 2, count)
     )
     stiffness_over_weight = 10.0 ** rng.uniform(np.log10(2.0), 8.0, count)
-    return with_units(chord * np.sin(from_upright), chord * np.cos(from_upright), stiffness_over_weight)
+    return in_elastic_units(chord * np.sin(from_upright), chord * np.cos(from_upright), stiffness_over_weight)

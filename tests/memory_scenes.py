@@ -115,14 +115,14 @@ SCENES = {
     "ball": ball_scene,
     "busy": busy_scene,
     "set": set_scene,
-    "nothing to touch": free_scene,
+    "no contacts": free_scene,
     "coupled": coupled_scene,
     "pile": pile_scene,
     "smooth": smooth_scene,
 }
 
 
-def of_arrays(memory, model):
+def array_bytes(memory, model):
     """Returns the part of a footprint that Warp arrays take [bytes]."""
     fields = {
         id(parameter.field): parameter.field.values.nbytes
@@ -132,10 +132,10 @@ def of_arrays(memory, model):
     # Of the meshes to search, boxes and tree are no arrays.
     faces = [(len(mesh.indices) // 3, part.device) for part in model.parts for mesh in part._meshes]
     trees = sum(_mesh_bytes(count, where) - 48 * count for count, where in faces)
-    return memory.device_bytes + memory.host_bytes - memory.of("launches") - sum(fields.values()) - trees
+    return memory.device_bytes + memory.host_bytes - memory.bytes_for("launches") - sum(fields.values()) - trees
 
 
-def with_room(monkeypatch, size):
+def set_available_memory(monkeypatch, size):
     """Lets a machine have ``size`` bytes available, in every place."""
     monkeypatch.setattr(available, "_host", lambda: size)
     monkeypatch.setattr(available, "_device", lambda name: size)

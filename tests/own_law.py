@@ -93,8 +93,8 @@ class TwoBristles(wc.Friction):
     def advance(p: Any, s: Any, m: Any):
         half = type(s.speed)(0.5)
         m.age = m.age + m.elapsed
-        m.first = at_most(m.first + m.elapsed * s.velocity, p.mu * s.normal_force / p.stiffness)
-        m.second = at_most(m.second + m.elapsed * s.velocity, p.mu * s.normal_force / (half * p.stiffness))
+        m.first = clamp_length(m.first + m.elapsed * s.velocity, p.mu * s.normal_force / p.stiffness)
+        m.second = clamp_length(m.second + m.elapsed * s.velocity, p.mu * s.normal_force / (half * p.stiffness))
         return m
 
     @wp.func
@@ -103,7 +103,7 @@ class TwoBristles(wc.Friction):
 
 
 @wp.func
-def at_most(v: Any, length: Any):
+def clamp_length(v: Any, length: Any):
     if wp.length(v) > length:
         return (length / wp.length(v)) * v
     return v

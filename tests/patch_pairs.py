@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 from convex_pairs import directions, heights, random_rotations, random_shapes
-from curved_pairs import Quadric, backward, rotated
+from curved_pairs import Quadric, inverse_rotation, rotated
 from patch_reference import GRID, Reference
 from warpcontact.kernels.formula import parameter
 from warpcontact.kernels.smooth import shapes as S
@@ -97,7 +97,7 @@ def support(A, a, n):
     return heights(A, a, n)
 
 
-def place_on(P, b, u, v):
+def evaluate_surface(P, b, u, v):
     """Returns points of patches and their normals."""
     if P in (Tube, Bore):
         sign = 1.0 if P is Tube else -1.0
@@ -123,7 +123,7 @@ def random_pairs(A, P, count, seed):
     a, (b, bend) = random_bodies(A, count, random), random_patches(P, count, random)
     q = random_rotations(count, random)
     u = random.uniform(0.0, 2.0 * np.pi, count) if P.u_periodic else random.uniform(-0.8, 0.8, count)
-    foot, n = place_on(P, b, u, random.uniform(-0.8, 0.8, count))
+    foot, n = evaluate_surface(P, b, u, random.uniform(-0.8, 0.8, count))
     if A is S.Plane:
         # Half-spaces that face the patch, turned by up to some 30°.
         z = -n + 0.15 * random.normal(size=(count, 3))
@@ -135,11 +135,11 @@ def random_pairs(A, P, count, seed):
     gap = np.where(random.random(count) < 0.5, random.uniform(-0.6, 2.0, count), random.uniform(-0.6, 0.2, count))
     beside = random.normal(size=(count, 3)) * (0.2 * size * random.random(count))[:, None]
     beside -= np.sum(beside * n, axis=1, keepdims=True) * n
-    out = gap * size + support(A, a, rotated(backward(q), -n)[:, None])[:, 0]
+    out = gap * size + support(A, a, rotated(inverse_rotation(q), -n)[:, None])[:, 0]
     return a, b, foot + out[:, None] * n + beside, q, bend
 
 
-def at_edge(P, place):
+def is_at_boundary(P, place):
     """Whether a place that was found lies on the edge of a patch."""
     across = np.abs(place["v"]) > 1.0 - BESIDE
     return across if P.u_periodic else across | (np.abs(place["u"]) > 1.0 - BESIDE)
@@ -147,10 +147,10 @@ def at_edge(P, place):
 
 def facing(P, place):
     """Whether normals of shape and patch are opposite at a place that was found."""
-    return (place["tilt"] < LEVEL) & (place["along"] < -0.999) & ~at_edge(P, place)
+    return (place["tilt"] < LEVEL) & (place["along"] < -0.999) & ~is_at_boundary(P, place)
 
 
-def judged(A, P, pairs, met, device="cpu"):
+def classify_contacts(A, P, pairs, met, device="cpu"):
     """Returns masks of contacts by what they are, or what is wrong with them.
 
     A contact is the place where the patch is deepest in the shape, or nearest to it, if its normal is that of the
@@ -183,10 +183,12 @@ def judged(A, P, pairs, met, device="cpu"):
     # Beyond the edge is what is nearest to it, and what is in front of the patch from behind, or wholly behind.
     decides = as_it_is | faces | (least["gap"] >= 0.0)
     place = np.where(decides, least, below)
-    inside = outside & ~at_edge(P, place) & ~((least["gap"] >= 0.0) & (least["along"] > 0.0))
+    inside = outside & ~is_at_boundary(P, place) & ~((least["gap"] >= 0.0) & (least["along"] > 0.0))
     if A is not S.Plane:
-        foot, n = place_on(P, b, place["u"], place["v"])
-        inside &= np.sum((x - foot) * n, axis=1) + support(A, a, rotated(backward(q), n)[:, None])[:, 0] >= 0.0
+        foot, n = evaluate_surface(P, b, place["u"], place["v"])
+        inside &= (
+            np.sum((x - foot) * n, axis=1) + support(A, a, rotated(inverse_rotation(q), n)[:, None])[:, 0] >= 0.0
+        )
     sane = bend * np.maximum(0.0, -gap) <= DEEP
     return {
         "met": good & sane,
@@ -210,7 +212,7 @@ def check_points(A, P, pairs, met):
     b = pairs[1]
     good = met["status"] == MET
     u, n, gap = met["seed"]["u"][good], met["normal"][good], met["gap"][good]
-    foot, normal = place_on(P, {name: value[good] for name, value in b.items()}, u[:, 0], u[:, 1])
+    foot, normal = evaluate_surface(P, {name: value[good] for name, value in b.items()}, u[:, 0], u[:, 1])
     np.testing.assert_allclose(met["point_b"][good], foot, atol=1e-13)
     # That of differences is known to 1e-10.
     np.testing.assert_allclose(n, normal, atol=1e-13 if hasattr(P, "derivatives") else 1e-10)

@@ -11,7 +11,7 @@ import functools
 import numpy as np
 import warp as wp
 from convex_pairs import packed
-from superellipsoid_distance import at_least
+from superellipsoid_distance import distance_lower_bound
 from warpcontact.kernels.formula import coefficient_struct
 from warpcontact.kernels.smooth import shapes as S
 from warpcontact.kernels.smooth.torus import Torus
@@ -97,7 +97,7 @@ def to_ellipsoid(axes: wp.vec3d, x: wp.vec3d):
 @wp.func
 def to_superellipsoid(s: vec5d, x: wp.vec3d, enough: wp.float64, known: wp.vec3d):
     """The signed distance, or a bound of it that is enough, and its slope; tried first is ``known``."""
-    return at_least(wp.vec3d(s[0], s[1], s[2]), wp.vec2d(s[3], s[4]), known, x, enough)
+    return distance_lower_bound(wp.vec3d(s[0], s[1], s[2]), wp.vec2d(s[3], s[4]), known, x, enough)
 
 
 @wp.func
@@ -159,7 +159,7 @@ def slope(kind: wp.int32, s: vec5d, x: wp.vec3d):
 
 
 @wp.struct
-class Least:
+class LowestPoint:
     """The lowest place of a patch that was found."""
 
     gap: wp.float64  # its distance; nothing was found below the bound if it is that [m]
@@ -209,7 +209,7 @@ def _kernels(P, grid):
         du: wp.float64, dv: wp.float64, by: wp.float64, known: wp.vec3d,
     ):  # fmt: skip
         """The minimum that a search with ever shorter steps comes to."""
-        best = Least()
+        best = LowestPoint()
         best.u = u
         best.v = v
         least, n = at(kind, s, p, x, q, u, v, by, wp.float64(wp.inf), known)
@@ -252,12 +252,12 @@ def _kernels(P, grid):
         outer: wp.array(dtype=wp.float64),
         by: wp.array(dtype=wp.float64),
         bound: wp.array(dtype=wp.float64),
-        found: wp.array(dtype=Least),
+        found: wp.array(dtype=LowestPoint),
     ):
         i = wp.tid()
         du = (u_1 - u_0) / cells
         dv = (v_1 - v_0) / cells
-        best = Least()
+        best = LowestPoint()
         best.gap = bound[i]
         known = NOWHERE
         if outer[i] < wp.float64(wp.inf):
@@ -367,7 +367,7 @@ class Reference:
 
     def least(self, lowered, bound):
         """Returns the lowest places below bounds, of patches lowered along their normals."""
-        found = wp.zeros(self.count, dtype=Least, device=self.device)
+        found = wp.zeros(self.count, dtype=LowestPoint, device=self.device)
         inputs = [*self.given, self.outer, self._array(lowered), self._array(bound), found]
         wp.launch(self.kernels[0], self.count, inputs=inputs, device=self.device)
         return found.numpy()

@@ -85,7 +85,7 @@ TAGS = """
 """
 
 
-class Parsed(HTMLParser):
+class ParsedPage(HTMLParser):
     """The elements of a page, and its texts without those of scripts and styles.
 
     Attributes:
@@ -139,7 +139,7 @@ class Parsed(HTMLParser):
 
 def check_harmless(text):
     """Checks that a page loads nothing and runs nothing but its own script; returns it parsed."""
-    page = Parsed(text)
+    page = ParsedPage(text)
     policy = page.policy()
 
     def hashed(content):

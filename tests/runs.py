@@ -52,7 +52,7 @@ sensors = ["touch.gap", "touch.normal_force", "touch.status"]
 # A frame of a shard of 4 takes some 200 bytes: blocks of about 20 frames.
 BLOCK = 4096
 #: Three shards on the CPU, with a checkpoint wherever one may be.
-WORDS = ("--shard", 4, "--device", "cpu", "--checkpoint", 0)
+OPTIONS = ("--shard", 4, "--device", "cpu", "--checkpoint", 0)
 
 # The command, with blocks that are as small as a test wants them.
 _COMMAND = """\
@@ -76,7 +76,7 @@ def study(folder, **replaced):
     return path
 
 
-def crowded(folder):
+def overflowing_study(folder):
     """Writes an experiment whose lists of partners are too short in environments 2 and 3; returns its path."""
     places = [[0.25 * i, 0.0, 0.0] for i in range(40)]
     path = folder / "crowded.toml"
@@ -114,7 +114,7 @@ max_neighbors = 1
     return path
 
 
-def begin(*words, first="", block=BLOCK, **options):
+def start_run(*words, first="", block=BLOCK, **options):
     """Starts ``warpcontact run`` in a process; ``first`` is run before."""
     code = _COMMAND.format(first=first)
     command = [sys.executable, "-c", code, str(block), "run", *map(str, words)]
@@ -122,7 +122,7 @@ def begin(*words, first="", block=BLOCK, **options):
     return subprocess.Popen(command, **options)
 
 
-def ended(process, timeout=300):
+def wait_for_end(process, timeout=300):
     """Waits for a process; returns its exit code, and what it printed and complained of."""
     try:
         out, err = process.communicate(timeout=timeout)
@@ -134,7 +134,7 @@ def ended(process, timeout=300):
 
 def run(*words, **options):
     """Runs ``warpcontact run``; returns what ``ended`` does."""
-    return ended(begin(*words, **options))
+    return wait_for_end(start_run(*words, **options))
 
 
 def wait_until(holds, process, timeout=300):
@@ -149,7 +149,7 @@ def wait_until(holds, process, timeout=300):
     raise TimeoutError
 
 
-def gone(pids, timeout=60):
+def have_ended(pids, timeout=60):
     """Returns whether the processes end in time: who was told to end may do so after the process that told it."""
     deadline = time.monotonic() + timeout
     while any(Path(f"/proc/{pid}").exists() for pid in pids):
@@ -188,7 +188,7 @@ def kill(process):
     process.communicate()
 
 
-def check_what_readers_see(folder, reference):
+def check_committed_results(folder, reference):
     """Checks that an unfinished run shows what is committed, with the values of the whole run."""
     seen = wc.open_run(folder, verify=True)
     str(seen)
@@ -212,12 +212,12 @@ def check_what_readers_see(folder, reference):
 
 
 #: Lets a shard be committed after each piece of steps, however long that takes.
-EAGER = "import warpcontact.experiment.shards as shards; shards.CHECKPOINT_SHARE = 1e9"
+COMMIT_OFTEN = "import warpcontact.experiment.shards as shards; shards.CHECKPOINT_SHARE = 1e9"
 
 
-def ending_after(commits, where="after"):
+def kill_at_commit(commits, where="after"):
     """Returns what lets a process kill itself at a commit: ``before`` its record, ``between`` or ``after`` all."""
-    return f"""{EAGER}
+    return f"""{COMMIT_OFTEN}
 import os, signal
 from warpcontact.experiment import store
 left = [{commits}]
@@ -243,22 +243,22 @@ store.Ledger.commit, store.Ledger._publish, store.write_json = committing, publi
 """
 
 
-def asking_at(number, steps):
+def send_signal_at_step(number, steps):
     """Returns what lets a process send itself the signal ``number`` once a shard did so many steps, or more."""
     return f"""
 import os
 from warpcontact.experiment import shards
-tell, asked = shards.Beacon.tell, []
+tell, asked = shards.ProgressFile.write, []
 def telling(self, steps):
     if steps >= {steps} and not asked:
         asked.append(steps)
         os.kill(os.getpid(), {int(number)})
     return tell(self, steps)
-shards.Beacon.tell = telling
+shards.ProgressFile.write = telling
 """
 
 
-def asking_when(number, stage):
+def send_signal_at_stage(number, stage):
     """Returns what lets a process be sent the signal ``number`` once it says that ``stage`` begins."""
     return f"""
 import os

@@ -24,7 +24,7 @@ def norm(x: wp.float64, y: wp.float64, exponent: wp.float64):
 
 
 @wp.func
-def beyond(axes: wp.vec3d, exponents: wp.vec2d, n: wp.vec3d, y: wp.vec3d):
+def separation(axes: wp.vec3d, exponents: wp.vec2d, n: wp.vec3d, y: wp.vec3d):
     """How far y is beyond the plane across n that touches a superellipsoid: its support is the dual norm."""
     two = wp.float64(2.0)
     flat = norm(wp.abs(axes[0] * n[0]), wp.abs(axes[1] * n[1]), two / (two - exponents[1]))
@@ -32,7 +32,7 @@ def beyond(axes: wp.vec3d, exponents: wp.vec2d, n: wp.vec3d, y: wp.vec3d):
 
 
 @wp.func
-def climbed(
+def ascend(
     axes: wp.vec3d, exponents: wp.vec2d, start: wp.vec3d, y: wp.vec3d, longest: wp.float64, shortest: wp.float64,
     enough: wp.float64,
 ):  # fmt: skip
@@ -41,7 +41,7 @@ def climbed(
     Coordinates of y are not negative, nor are those of the direction.
     """
     n = start
-    value = beyond(axes, exponents, n, y)
+    value = separation(axes, exponents, n, y)
     size = longest
     turn = wp.float64(0.0)
     while size > shortest and value < enough:
@@ -56,7 +56,7 @@ def climbed(
         for _i in range(8):
             angle += wp.float64(wp.pi / 4.0)
             m = wp.normalize(n + size * (wp.cos(angle) * e_1 + wp.sin(angle) * e_2))
-            now = beyond(axes, exponents, m, y)
+            now = separation(axes, exponents, m, y)
             if now > value:
                 value = now
                 best = m
@@ -73,7 +73,7 @@ def climbed(
                     m = n - level
                 if wp.length(m) > wp.float64(0.5):
                     m = wp.normalize(m)
-                    now = beyond(axes, exponents, m, y)
+                    now = separation(axes, exponents, m, y)
                     if now > value:
                         value = now
                         best = m
@@ -84,7 +84,7 @@ def climbed(
         # On and on, as long as that leads up.
         while wp.length(step) > wp.float64(0.0):
             m = wp.normalize(n + step)
-            now = beyond(axes, exponents, m, y)
+            now = separation(axes, exponents, m, y)
             if now > value:
                 value = now
                 step = wp.float64(1.5) * (m - n)
@@ -93,7 +93,7 @@ def climbed(
                 step = wp.vec3d()
         # Beyond a plane of symmetry there may be a summit, lower than its image.
         m = wp.vec3d(wp.abs(n[0]), wp.abs(n[1]), wp.abs(n[2]))
-        now = beyond(axes, exponents, m, y)
+        now = separation(axes, exponents, m, y)
         if now > value:
             value = now
             n = m
@@ -108,7 +108,7 @@ def octant(i: wp.int32, k: wp.int32):
 
 
 @wp.func
-def at_least(axes: wp.vec3d, exponents: wp.vec2d, known: wp.vec3d, y: wp.vec3d, enough: wp.float64):
+def distance_lower_bound(axes: wp.vec3d, exponents: wp.vec2d, known: wp.vec3d, y: wp.vec3d, enough: wp.float64):
     """The signed distance of y, or a bound from below that is enough, and a direction that tells it.
 
     Bodies are the same in all octants: that of y has the best direction.
@@ -123,24 +123,24 @@ def at_least(axes: wp.vec3d, exponents: wp.vec2d, known: wp.vec3d, y: wp.vec3d, 
     side = wp.vec3d(wp.sign(y[0]), wp.sign(y[1]), wp.sign(y[2]))
     z = wp.cw_mul(side, y)
     n = wp.vec3d(wp.abs(known[0]), wp.abs(known[1]), wp.abs(known[2]))
-    value = beyond(axes, exponents, n, z)
+    value = separation(axes, exponents, n, z)
     if value < enough:
         # From outside there is but one way, from within several: the best of the starts lead to the best of all.
         top = wp.float64(-wp.inf)
         values = mat77d()
         for i in range(STARTS):
             for k in range(STARTS):
-                values[i, k] = beyond(axes, exponents, octant(i, k), z)
+                values[i, k] = separation(axes, exponents, octant(i, k), z)
                 top = wp.max(top, values[i, k])
         top -= SPARE * wp.length(axes)
         for i in range(STARTS):
             for k in range(STARTS):
                 # All of the last are the pole.
                 if values[i, k] > top and value < enough and (i < STARTS - 1 or k == 0):
-                    now, m = climbed(axes, exponents, octant(i, k), z, wp.float64(0.1), wp.float64(3e-4), enough)
+                    now, m = ascend(axes, exponents, octant(i, k), z, wp.float64(0.1), wp.float64(3e-4), enough)
                     if now > value:
                         value = now
                         n = m
         if value < enough:
-            value, n = climbed(axes, exponents, n, z, wp.float64(1e-2), wp.float64(1e-9), enough)
+            value, n = ascend(axes, exponents, n, z, wp.float64(1e-2), wp.float64(1e-9), enough)
     return value, wp.cw_mul(side, n)

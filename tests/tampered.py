@@ -82,7 +82,7 @@ def remove(rng, arrays, name):
     del arrays[name]
 
 
-WAYS = (pattern, pattern, word, word, word, word, flip, flip, other_shape, other_type, swap, remove)
+TAMPERINGS = (pattern, pattern, word, word, word, word, flip, flip, other_shape, other_type, swap, remove)
 
 
 def tampered(number, arrays, path):
@@ -92,8 +92,8 @@ def tampered(number, arrays, path):
     # Parameters are many, and all checked alike.
     names = [name for name in arrays if ("/values/" in name) == (number % 5 == 0)]
     name = rng.choice(names)
-    way = WAYS[number % len(WAYS)]
-    way(rng, arrays, name)
+    tampering = TAMPERINGS[number % len(TAMPERINGS)]
+    tampering(rng, arrays, name)
     save = np.savez_compressed if number % 41 == 0 else np.savez
     save(path, **arrays)
     if number % 11 == 0:
@@ -101,7 +101,7 @@ def tampered(number, arrays, path):
         for place in rng.integers(0, len(content), 4):
             content[place] ^= 1 << rng.integers(8)
         path.write_bytes(content[: len(content) - int(rng.integers(0, 2) * rng.integers(0, 300))])
-    return f"{way.__name__} {name}"
+    return f"{tampering.__name__} {name}"
 
 
 def check(sim, path):
@@ -117,7 +117,7 @@ def check(sim, path):
         if "partners" not in str(error):  # a list that was too short, which is part of the state
             raise
         return "raised"
-    if sim.watch.outcomes:
+    if sim.monitor_settings.outcomes:
         sim.outcomes()
         sim.events()
     sim.save(path)

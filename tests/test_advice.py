@@ -11,7 +11,7 @@ from scenes import dropped_sphere, square
 import warpcontact as wc
 
 
-def test_a_step_too_long_for_the_contact_is_named(device):
+def test_too_long_step_warns_with_contact_duration(device):
     model = dropped_sphere(wc.laws.HuntCrossley(stiffness=1e6, restitution=0.5), height=0.1, envs=3, device=device)
     model["ball.mass"] = [1.0, 0.01, 1.0]
     # The lightest ball: 3.218 (m²/(K² v))^(1/5) = 2.0 ms.
@@ -21,7 +21,7 @@ def test_a_step_too_long_for_the_contact_is_named(device):
         wc.Simulation(model, dt=1e-3).step()
 
 
-def test_a_start_in_deep_overlap_is_named(device):
+def test_deep_initial_overlap_warns_with_ejection_speed(device):
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), velocity=(0, 0, 0), envs=4, device=device)
     position = model["ball.position"].copy()
     position[2, 2] = -0.4
@@ -33,7 +33,7 @@ def test_a_start_in_deep_overlap_is_named(device):
         wc.Simulation(model, dt=1e-4).step()
 
 
-def test_a_sound_scene_is_silent_and_warnings_come_once(device):
+def test_valid_scene_raises_no_warning_and_warnings_are_issued_once(device):
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), height=-1e-3, envs=4, device=device)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -57,14 +57,14 @@ def test_a_sound_scene_is_silent_and_warnings_come_once(device):
     ],
     ids=["step", "run", "step_with_callback"],
 )
-def test_a_warning_points_to_who_steps(step, device):
+def test_contact_warning_location_is_the_caller_of_step(step, device):
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), height=-1e-3, device=device)
     with pytest.warns(wc.ContactWarning) as caught:
         step(wc.Simulation(model, dt=0.01))
     assert [warning.filename for warning in caught] == [__file__]
 
 
-def told(sim, match):
+def warnings_of_first_step(sim, match):
     """Returns what the first step of a simulation warns about, as far as it matches."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -73,7 +73,7 @@ def told(sim, match):
 
 
 @pytest.mark.parametrize("scale", [1.0, pytest.param(2.0, marks=pytest.mark.slow)])
-def test_points_that_touch_together_share_the_mass(scale, device):
+def test_contact_duration_estimate_shares_mass_among_simultaneous_points(scale, device):
     """A box that falls flat on the points of its largest side: as long as a bed of their areas takes."""
     scene = wc.Scene(gravity=(0, 0, 0))
     ground = scene.add_surface(square(5.0), name="ground")
@@ -83,7 +83,9 @@ def test_points_that_touch_together_share_the_mass(scale, device):
     scene.add_surface_contact(hull, ground, bed, samples=400, name="touch")
     model = scene.build(device=device, precision="float64")
     exact = np.pi * np.sqrt(2.0 / (1e6 * 0.12 * scale**2))
-    (found,) = told(wc.Simulation(model, dt=exact / 19), r"touch: dt = .* a contact takes (\S+) s")
+    (found,) = warnings_of_first_step(
+        wc.Simulation(model, dt=exact / 19), r"touch: dt = .* a contact takes (\S+) s"
+    )
     # Points of the sides come on top, down to the 8 mm or 4 mm that it sinks.
     assert 0.8 * exact < float(found.group(1)) < 1.01 * exact
     model.reset()
@@ -92,7 +94,7 @@ def test_points_that_touch_together_share_the_mass(scale, device):
     assert float(found.group(1)) == pytest.approx(float(touching), rel=0.15)
 
 
-def test_points_beside_what_they_touch_do_not_count(device):
+def test_contact_duration_estimate_ignores_points_outside_the_contact_area(device):
     """A ball on the points of a floor a hundred times as wide: of them, as many as it is wide."""
     scene = wc.Scene(gravity=(0, 0, 0))
     ground = scene.add_surface(wc.meshes.grid((10.0, 10.0)), name="ground")
@@ -101,12 +103,12 @@ def test_points_beside_what_they_touch_do_not_count(device):
     bed = wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=1e8))
     scene.add_contact(scene.add_points(ground, wc.sample_surface(ground.mesh, 2000)), skin, bed, name="touch")
     model = scene.build(device=device)
-    (found,) = told(wc.Simulation(model, dt=1e-2), r"a contact takes (\S+) s")
+    (found,) = warnings_of_first_step(wc.Simulation(model, dt=1e-2), r"a contact takes (\S+) s")
     # One point stands for 500 cm²; the ball covers at most 0.1 m × 0.1 m or as much as that.
     assert float(found.group(1)) > 0.9 * np.pi * np.sqrt(1.0 / (1e8 * 0.1))
 
 
-def test_energies_of_all_points_throw_a_body_out(device):
+def test_ejection_speed_estimate_sums_energy_of_all_points(device):
     scene = wc.Scene(gravity=(0, 0, 0))
     ground = scene.add_surface(square(), name="ground")
     body = scene.add_body(1.0, [1.0] * 3, (0, 0, 0), name="body")
@@ -117,7 +119,7 @@ def test_energies_of_all_points_throw_a_body_out(device):
 
 
 @pytest.mark.parametrize("radius", [0.0, 0.05])
-def test_a_swept_contact_that_lets_through_what_crosses_is_named(radius, device):
+def test_swept_contact_warns_if_max_depth_is_smaller_than_distance_per_step(radius, device):
     scene = wc.Scene(gravity=(0, 0, 0))
     ground = scene.add_surface(square(), name="ground")
     ball = scene.add_body(1.0, [1e-3] * 3, (0, 0, 0.055), name="ball")
@@ -128,19 +130,19 @@ def test_a_swept_contact_that_lets_through_what_crosses_is_named(radius, device)
     model["ball.linear_velocity"] = [(0, 0, -1), (0, 0, -10)]
     match = r"touch: swept, .* max_depth = 0\.02 m is less than the 0\.1 m of a step at 10 m/s in environment 1;"
     sim = wc.Simulation(model, dt=1e-2)
-    assert told(sim, match)
+    assert warnings_of_first_step(sim, match)
     sim.step(30)
     # And so it is.
     assert model.sensor("ball.linear_velocity")[1, 2] < 0
     model["touch.max_depth"] = 0.5
     model.reset()
     sim = wc.Simulation(model, dt=1e-2)
-    assert not told(sim, "let through")
+    assert not warnings_of_first_step(sim, "let through")
     sim.step(30)
     assert model.sensor("ball.linear_velocity")[1, 2] > 0
 
 
-def test_every_law_with_a_known_elastic_part_tells_it():
+def test_elastic_part_is_defined_for_every_law_with_closed_form():
     silent = {"HertzElastic", "JohnsonCylinder"}
     for law in wc.laws.CATALOGUE:
         values = {name: np.ones((1, 1)) * 2.0 for name in law.__dataclass_fields__}
@@ -149,7 +151,7 @@ def test_every_law_with_a_known_elastic_part_tells_it():
         assert (law.elastic(values) is None) == (law.__name__ in silent), law.__name__
 
 
-def test_impact_estimates_match_their_closed_forms():
+def test_impact_estimates_match_closed_forms():
     laws = wc.laws
     # FORCE_LAWS G2 and G3: steel ball on steel, and a linear spring.
     steel = (15384615384.615385, 1.5, 0.03288200310757317, 1.0)
@@ -184,7 +186,7 @@ LONG_STEPS = [
 
 
 @pytest.mark.parametrize(("parts", "limit"), LONG_STEPS)
-def test_a_step_in_which_a_friction_overshoots_is_told(parts, limit, device):
+def test_step_above_friction_limit_warns_with_time_step_limit(parts, limit, device):
     """Limits of a solid sphere of 1 kg and 0.1 m under its weight: m_t = 2/7 m in slip, 2/5 m in rolling."""
     part, friction = next(iter(parts.items()))
     scene = wc.Scene()
@@ -196,8 +198,8 @@ def test_a_step_in_which_a_friction_overshoots_is_told(parts, limit, device):
     model = scene.build(envs=3, device=device, precision="float64")
     with pytest.warns(wc.ContactWarning, match=f"too long for its {part}, {type(friction).__name__}") as caught:
         wc.Simulation(model, dt=1.1 * limit).step()
-    told = float(re.search(r"more than (\S+) s", str(caught[0].message)).group(1))
-    np.testing.assert_allclose(told, limit, rtol=0.05)
+    warnings_of_first_step = float(re.search(r"more than (\S+) s", str(caught[0].message)).group(1))
+    np.testing.assert_allclose(warnings_of_first_step, limit, rtol=0.05)
     model.reset()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -215,13 +217,13 @@ def two_balls(gap, device):
     return scene.build(2, device)
 
 
-def test_steps_too_long_for_a_pile_and_its_deep_starts_are_named(device):
+def test_particle_contact_warns_of_too_long_step_and_deep_initial_overlap(device):
     """Of the two lightest bodies, 0.75 kg: π √(m/k) is 27.2 ms; ½ k δ² = ½ m v² with δ = 0.1 m is 11.5 m/s."""
     text = r"pile: dt = 0.003 s is too long: .* 0.027 s in environment 0, 9.1 steps; take dt ≤ 0.0027 s for 10"
-    assert len(told(wc.Simulation(two_balls(0.01, device), dt=3e-3), text)) == 1
-    assert told(wc.Simulation(two_balls(0.01, device), dt=2.7e-3), ".*") == []
-    said = told(wc.Simulation(two_balls(-0.1, device), dt=1e-3), ".*")
-    assert [found[0] for found in said] == [
+    assert len(warnings_of_first_step(wc.Simulation(two_balls(0.01, device), dt=3e-3), text)) == 1
+    assert warnings_of_first_step(wc.Simulation(two_balls(0.01, device), dt=2.7e-3), ".*") == []
+    messages = warnings_of_first_step(wc.Simulation(two_balls(-0.1, device), dt=1e-3), ".*")
+    assert [found[0] for found in messages] == [
         "pile: starts 0.1 m deep in the surface in environment 0 and will be thrown out at about 11.5 m/s; start "
         "outside, or set max_depth"
     ]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import warp as wp
 from case_marks import slow_except
-from like_a_gpu import cells_everywhere, with_queues
+from like_a_gpu import build_all_face_grids, use_work_queues
 
 import warpcontact as wc
 from warpcontact import schedule
@@ -58,12 +58,12 @@ def carries_the_surface(scene):
     scene.add_contact(points, shell, STUCK, radius=0.02, name="touch")
 
 
-ALONE = {
+SINGLE_BODY_SCENES = {
     "a sphere": box(1, radius=0.09),
     "a few points": box(6),
-    "points in blocks": box(60),
-    "with memory": box(20, STUCK),
-    "a sphere with memory": box(1, STUCK, radius=0.09),
+    "points in clusters": box(60),
+    "with history": box(20, STUCK),
+    "a sphere with history": box(1, STUCK, radius=0.09),
     "a pushed box": box(12, external_force=(1.0, 0.0, 0.5), external_torque=(0.0, 0.02, 0.0)),
     "a box with areas": weighed,
     "a body that carries the surface": carries_the_surface,
@@ -93,21 +93,21 @@ def assert_same(left, right):
 
 
 @pytest.fixture
-def one_launch(monkeypatch, device):
+def fused_launches(monkeypatch, device):
     """Has a CPU take steps as a GPU does; holds the kernels of the steps that were prepared."""
     kernels = []
     prepare = SemiImplicitEuler.step_stages
 
-    def told(*args, **options):
+    def outcome_name(*args, **options):
         launches = prepare(*args, **options)
         if all(isinstance(launch, wp.Launch) for launch in launches):
             kernels.append([launch.kernel.key.split("__")[-1] for launch in launches])
         return launches
 
     if device == "cpu":
-        cells_everywhere(monkeypatch)
-        with_queues(monkeypatch)
-    monkeypatch.setattr(SemiImplicitEuler, "step_stages", told)
+        build_all_face_grids(monkeypatch)
+        use_work_queues(monkeypatch)
+    monkeypatch.setattr(SemiImplicitEuler, "step_stages", outcome_name)
     return kernels
 
 
@@ -116,37 +116,44 @@ def one_launch(monkeypatch, device):
 @pytest.mark.parametrize(
     ("name", "precision"),
     slow_except(
-        [*((name, "float32") for name in ALONE), ("a sphere", "float64"), ("points in blocks", "float64")],
-        lambda case: case in [(name, "float32") for name in ("a sphere", "points in blocks", "with memory")],
+        [
+            *((name, "float32") for name in SINGLE_BODY_SCENES),
+            ("a sphere", "float64"),
+            ("points in clusters", "float64"),
+        ],
+        lambda case: case in [(name, "float32") for name in ("a sphere", "points in clusters", "with history")],
     ),
 )
-def test_one_launch_computes_what_many_do(name, precision, device, one_launch, monkeypatch):
+def test_fused_step_equals_staged_step(name, precision, device, fused_launches, monkeypatch):
     # Of a GPU, warps of 22 environments, and one that has the last.
-    monkeypatch.setattr(schedule, "WARPS", 2)
-    model = built(ALONE[name], device, precision)
+    monkeypatch.setattr(schedule, "FULL_WARPS", 2)
+    model = built(SINGLE_BODY_SCENES[name], device, precision)
     sim = wc.Simulation(model, dt=1e-3)
-    afresh = wc.Simulation(other := built(ALONE[name], device, precision), dt=1e-3, distance_cache=False)
+    uncached = wc.Simulation(
+        other := built(SINGLE_BODY_SCENES[name], device, precision), dt=1e-3, distance_cache=False
+    )
     touched = np.zeros(ENVS, dtype=bool)
     for _ in range(6):
         sim.step(100)
-        afresh.step(100)
+        uncached.step(100)
         assert_same(states(model), states(other))
         touched |= (model.sensor("touch.normal_force") > 0).any(axis=1)
         np.testing.assert_array_equal(model.sensor("touch.gap"), other.sensor("touch.gap"))
         np.testing.assert_array_equal(model.sensor("touch.friction_force"), other.sensor("touch.friction_force"))
     assert touched.sum() >= 8
-    assert ["step_alone"] in one_launch
+    assert ["fused_step"] in fused_launches
 
 
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
-@pytest.mark.parametrize("few", [True, False], ids=["", "as of many"])
+@pytest.mark.parametrize("few", [True, False], ids=["small", "large"])
 @pytest.mark.parametrize(
-    "name", slow_except(["a sphere", "points in blocks", "with memory"], lambda name: name == "points in blocks")
+    "name",
+    slow_except(["a sphere", "points in clusters", "with history"], lambda name: name == "points in clusters"),
 )
-def test_steps_that_are_watched_and_others_go_on_from_each_other(name, few, device, one_launch, monkeypatch):
+def test_fused_and_monitored_steps_can_alternate(name, few, device, fused_launches, monkeypatch):
     """What each knows of distances and contacts is right for the other, and nothing old is watched."""
     if not few:
-        monkeypatch.setattr(schedule, "FEW", 0)
+        monkeypatch.setattr(schedule, "SMALL_LAUNCH", 0)
     outcomes = {
         "most": wc.outcomes.Max("touch.normal_force"),
         "least": wc.outcomes.Min("touch.approach_speed"),
@@ -158,25 +165,25 @@ def test_steps_that_are_watched_and_others_go_on_from_each_other(name, few, devi
             key: wc.Simulation(model, dt=1e-3, outcomes=key and outcomes, **options) for key in (None, "watched")
         }
 
-    ways = both(model := built(ALONE[name], device))
-    afresh = both(other := built(ALONE[name], device), distance_cache=False)
+    simulations = both(model := built(SINGLE_BODY_SCENES[name], device))
+    uncached = both(other := built(SINGLE_BODY_SCENES[name], device), distance_cache=False)
     rng = np.random.default_rng(2)
     for piece in range(40):
         key = "watched" if piece % 2 else None
         count = int(rng.integers(1, 30))
-        for own in (ways, afresh):
+        for own in (simulations, uncached):
             own[key].step(count)
         if piece % 3 == 0:
             assert_same(states(model), states(other))
         if key:
-            for told in outcomes:
-                found, due = (own[key].outcomes()[told].values for own in (ways, afresh))
-                np.testing.assert_array_equal(found, due, err_msg=f"{told} of piece {piece}")
-    assert {len(kernels) > 1 for kernels in one_launch} == {True, False}
+            for outcome_name in outcomes:
+                found, due = (own[key].outcomes()[outcome_name].values for own in (simulations, uncached))
+                np.testing.assert_array_equal(found, due, err_msg=f"{outcome_name} of piece {piece}")
+    assert {len(kernels) > 1 for kernels in fused_launches} == {True, False}
 
 
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
-def test_what_is_changed_between_steps_is_seen(device, one_launch):
+def test_fused_step_uses_changes_made_between_steps(device, fused_launches):
     def raised(model):
         model["body.position"] = model.sensor("body.position") + np.array([0.0, 0.0, 0.02])
 
@@ -193,25 +200,27 @@ def test_what_is_changed_between_steps_is_seen(device, one_launch):
         model["touch.force_scale"] = 0.5
 
     changes = [raised, left_out, let_in, larger, shared, lambda model: model.reset(np.arange(ENVS) % 3 == 0)]
-    ways = [
-        wc.Simulation(built(ALONE["with memory"], device), dt=1e-3, **options)
+    simulations = [
+        wc.Simulation(built(SINGLE_BODY_SCENES["with history"], device), dt=1e-3, **options)
         for options in ({}, {"distance_cache": False})
     ]
     for change in changes:
-        for sim in ways:
+        for sim in simulations:
             sim.step(150)
             change(sim.model)
             sim.step(50)
-        assert_same(states(ways[0].model), states(ways[1].model))
-    assert ["step_alone"] in one_launch
+        assert_same(states(simulations[0].model), states(simulations[1].model))
+    assert ["fused_step"] in fused_launches
 
 
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
-def test_a_step_that_fails_is_not_taken(device, one_launch):
-    model = built(ALONE["with memory"], device)
+def test_failed_fused_step_keeps_last_valid_state(device, fused_launches):
+    model = built(SINGLE_BODY_SCENES["with history"], device)
     sim = wc.Simulation(model, dt=1e-3)
-    afresh = wc.Simulation(other := built(ALONE["with memory"], device), dt=1e-3, distance_cache=False)
-    for one in (sim, afresh):
+    uncached = wc.Simulation(
+        other := built(SINGLE_BODY_SCENES["with history"], device), dt=1e-3, distance_cache=False
+    )
+    for one in (sim, uncached):
         one.step(400)
         touching = int((one.model.sensor("touch.normal_force") > 0).any(axis=1).argmax())
         force = np.zeros((ENVS, 3))
@@ -227,7 +236,7 @@ def test_a_step_that_fails_is_not_taken(device, one_launch):
 
 
 def two_bodies(scene):
-    ALONE["a few points"](scene)
+    SINGLE_BODY_SCENES["a few points"](scene)
     scene.add_body(1.0, (1e-3, 1e-3, 1e-3), name="other")
 
 
@@ -236,14 +245,14 @@ def on_a_hinge(scene):
 
 
 def on_a_spring(scene):
-    ALONE["a few points"](scene)
+    SINGLE_BODY_SCENES["a few points"](scene)
     body = scene.bodies[0]
     ends = (scene.add_point(body, (0, 0, 0)), scene.add_point(None, (0, 0, 2)))
     scene.add_spring_damper(*ends, stiffness=10.0, damping=1.0, rest_length=1.0, name="spring")
 
 
 def on_two_surfaces(scene):
-    ALONE["a few points"](scene)
+    SINGLE_BODY_SCENES["a few points"](scene)
     wall = scene.add_surface(wc.meshes.grid((4, 4), (3, 3)), position=(0, 0, -1), name="wall")
     scene.add_contact(scene.points[0], wall, MATERIAL, name="second")
 
@@ -261,9 +270,9 @@ def with_a_latch(scene):
         [two_bodies, on_a_hinge, on_a_spring, on_two_surfaces, with_a_latch], lambda make: make is on_a_spring
     ),
 )
-def test_others_are_stepped_in_several(make, device, one_launch):
+def test_scenes_without_fused_step_use_several_launches(make, device, fused_launches):
     scene = wc.Scene()
     make(scene)
     wc.Simulation(scene.build(envs=2, device=device), dt=1e-3).step(2)
-    assert one_launch
-    assert all("step_alone" not in kernels for kernels in one_launch)
+    assert fused_launches
+    assert all("fused_step" not in kernels for kernels in fused_launches)

@@ -50,7 +50,7 @@ def ishigami(n):
     return settings, np.sin(x[:, 0]) + 7 * np.sin(x[:, 1]) ** 2 + 0.1 * x[:, 2] ** 4 * np.sin(x[:, 0])
 
 
-def test_indices_of_ishigami_are_within_their_confidence():
+def test_sobol_indices_of_ishigami_function_are_within_confidence_interval():
     indices = wc.sensitivity(with_outcome(*ishigami(2**13)), "peak", confidence=0.99)
     # The closed form of its variance and its parts.
     a, b = 7.0, 0.1
@@ -71,7 +71,7 @@ def test_indices_of_ishigami_are_within_their_confidence():
     assert (indices.attrs["rows"], indices.attrs["dropped"]) == (8192, 0)
 
 
-def test_estimates_are_those_of_scipy():
+def test_sobol_indices_match_scipy():
     n = 256
     settings, values = ishigami(n)
     a, b, *ab = values.reshape(5, n)
@@ -81,7 +81,7 @@ def test_estimates_are_those_of_scipy():
     np.testing.assert_allclose(indices["total_order"], expected.total_order, rtol=1e-10, atol=1e-12)
 
 
-def test_of_a_sum_the_indices_are_the_shares_of_the_variance():
+def test_sobol_indices_of_a_sum_equal_its_variance_shares():
     """Of several numbers at once: a sum with the weights of each."""
     settings, x = study(4 * 4096, ball_mass={"normal": [20, 1]}, touch_radius={"uniform": [1, 2]})
     weights = np.array([[1, 1], [0, 3], [2, 0.5]])
@@ -95,7 +95,7 @@ def test_of_a_sum_the_indices_are_the_shares_of_the_variance():
     np.testing.assert_allclose(indices["total_order"], shares, atol=0.02)
 
 
-def test_intervals_hold_as_often_as_they_say():
+def test_confidence_intervals_of_indices_have_stated_coverage():
     settings, _ = study(4 * 128, ball_mass={"normal": [20, 1]}, touch_radius={"uniform": [1, 2]})
     share = 1 / (1 + 9 / 12)
     held = 0
@@ -108,13 +108,13 @@ def test_intervals_hold_as_often_as_they_say():
     assert held >= 80
 
 
-def test_what_does_not_vary_has_no_indices():
+def test_sobol_indices_are_nan_for_constant_outcome():
     settings, x = study(4 * 8, ball_mass={"uniform": [1, 2]}, touch_radius={"uniform": [1, 2]})
     indices = wc.sensitivity(with_outcome(settings, np.full(len(x), 3.0)), "peak")
     assert all(np.isnan(indices[key]).all() for key in indices)
 
 
-def test_the_same_seed_gives_the_same_intervals():
+def test_confidence_intervals_are_repeatable_with_equal_seed():
     run = with_outcome(*ishigami(64))
     first, again, other = (wc.sensitivity(run, "peak", seed=seed, resamples=100) for seed in (0, 0, 1))
     assert first.identical(again)
@@ -123,7 +123,7 @@ def test_the_same_seed_gives_the_same_intervals():
 
 
 @pytest.mark.parametrize("how", ["nan", "frozen"])
-def test_missing_environments_are_named_or_their_rows_dropped(how):
+def test_sensitivity_raises_for_missing_environments_or_drops_their_rows(how):
     n = 64
     settings, values = ishigami(n)
     bad = [3, n + 3, 2 * n + 7]
@@ -134,9 +134,9 @@ def test_missing_environments_are_named_or_their_rows_dropped(how):
         status[bad] = 1
         status[5] = 2  # stopped: it has its outcome
     run = with_outcome(settings, values, status=("env", status, STATUS))
-    told = "not finite" if how == "nan" else "frozen"
+    reason = "not finite" if how == "nan" else "frozen"
     with pytest.raises(
-        ValueError, match=rf"'peak' cannot be used in 3 of 320 environments: 3 \({told}\), 67 .*drop"
+        ValueError, match=rf"'peak' cannot be used in 3 of 320 environments: 3 \({reason}\), 67 .*drop"
     ):
         wc.sensitivity(run, "peak")
     indices = wc.sensitivity(run, "peak", missing="drop", resamples=10)
@@ -163,7 +163,7 @@ def waves(envs, times=50, extra=()):
 
 @pytest.mark.parametrize("extra", [(), (3,), (3, 2)])
 @pytest.mark.parametrize("block", [1, 10_000, 2**26])
-def test_fan_has_the_quantiles_at_each_time(extra, block, monkeypatch):
+def test_quantile_fan_matches_quantiles_at_each_time(extra, block, monkeypatch):
     monkeypatch.setattr(fan_module, "BLOCK", block)
     run, values = waves(101, extra=extra)
     fan = wc.quantile_fan(run, "ball.height", (0.0, 0.1, 0.5, 1.0))
@@ -176,7 +176,7 @@ def test_fan_has_the_quantiles_at_each_time(extra, block, monkeypatch):
         np.testing.assert_allclose(fan.sel(quantile=level), ordered[:, rank], rtol=1e-12)
 
 
-def test_fan_of_a_store_is_read_piece_by_piece(tmp_path, monkeypatch):
+def test_quantile_fan_reads_store_in_blocks(tmp_path, monkeypatch):
     run, _ = waves(20)
     run.series.to_zarr(tmp_path / "series", encoding={"ball.height": {"chunks": (8, 5)}}, consolidated=False)
     stored = xr.open_zarr(tmp_path / "series", consolidated=False, chunks=None)
@@ -190,7 +190,7 @@ def test_fan_of_a_store_is_read_piece_by_piece(tmp_path, monkeypatch):
     assert fan.equals(wc.quantile_fan(run, "ball.height"))
 
 
-def test_fan_leaves_out_what_is_missing_if_asked():
+def test_quantile_fan_drops_missing_values_on_request():
     run, values = waves(10, times=4)
     run.series["ball.height"][2, 4] = np.nan
     run.outcome = xr.Dataset({"status": ("env", np.eye(10, dtype=int)[7], STATUS)}, coords={"env": np.arange(10)})
@@ -206,7 +206,7 @@ def test_fan_leaves_out_what_is_missing_if_asked():
     assert np.isnan(wc.quantile_fan(run, "ball.height", missing="drop")[:, 1]).all()
 
 
-def test_fan_of_some_environments_knows_which_are_frozen():
+def test_quantile_fan_of_selected_environments_identifies_frozen_ones():
     run, values = waves(10, times=4)
     run.outcome = xr.Dataset({"status": ("env", np.eye(10, dtype=int)[7], STATUS)}, coords={"env": np.arange(10)})
     run.series = run.series.isel(env=[1, 7, 9])
@@ -214,7 +214,7 @@ def test_fan_of_some_environments_knows_which_are_frozen():
     np.testing.assert_allclose(fan.sel(quantile=1.0), values[:, [1, 9]].max(axis=1))
 
 
-def test_fan_is_drawn(tmp_path):
+def test_quantile_fan_is_written_as_png_and_svg(tmp_path):
     run, _ = waves(20, extra=(3,))
     fan = wc.quantile_fan(run, "ball.height")
     wc.write_fan(tmp_path / "fan.png", fan.isel(axis=2))
@@ -236,7 +236,7 @@ def sampled(values, method="random", dims=("env",), **changes):
     return with_outcome(settings, values, dims)
 
 
-def test_means_have_the_interval_of_students_t():
+def test_mean_interval_matches_student_t():
     values = np.random.default_rng(0).normal(3.0, 2.0, (500, 2))
     found = wc.convergence(sampled(values, dims=("env", "axis")), "peak", points=9, confidence=0.9)
     assert found["estimate"].dims == ("n", "axis")
@@ -251,7 +251,7 @@ def test_means_have_the_interval_of_students_t():
         np.testing.assert_allclose([found["low"][i], found["high"][i]], expected, rtol=1e-10)
 
 
-def test_a_mean_far_from_zero_keeps_its_digits():
+def test_mean_interval_keeps_precision_far_from_zero():
     values = 1e9 + np.random.default_rng(0).normal(size=4096)
     found = wc.convergence(sampled(values), "peak", points=1)
     half = float(found["high"][0] - found["estimate"][0])
@@ -259,7 +259,7 @@ def test_a_mean_far_from_zero_keeps_its_digits():
 
 
 @pytest.mark.parametrize("q", [0.5, 0.9])
-def test_intervals_of_quantiles_hold_at_least_as_often_as_they_say(q):
+def test_quantile_intervals_have_at_least_stated_coverage(q):
     rng = np.random.default_rng(1)
     # 400 outcomes at once, each a sample of 200 of the exponential distribution.
     found = wc.convergence(
@@ -274,7 +274,7 @@ def test_intervals_of_quantiles_hold_at_least_as_often_as_they_say(q):
     assert float(last["estimate"].mean()) == pytest.approx(exact, rel=0.05)
 
 
-def test_ranks_are_those_of_the_tables():
+def test_quantile_interval_ranks_match_binomial_tables():
     # Of the median of 10 values the second and the ninth: a confidence of 1 − 2·11/1024 = 0.979.
     found = wc.convergence(sampled(np.arange(1.0, 11.0)), "peak", "quantile", points=1)
     assert (float(found["low"][0]), float(found["estimate"][0]), float(found["high"][0])) == (2.0, 5.5, 9.0)
@@ -283,7 +283,7 @@ def test_ranks_are_those_of_the_tables():
 # --- mistakes
 
 
-def test_mistakes_are_named():
+def test_analysis_raises_for_invalid_arguments():
     run = sampled(np.arange(4.0))
     saltelli = with_outcome(*ishigami(2))
     fan, _ = waves(4)

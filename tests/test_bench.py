@@ -28,7 +28,7 @@ def report(device):
 
 
 @pytest.mark.slow
-def test_the_report_has_figures_of_every_work(report, device):
+def test_bench_report_has_figures_of_every_benchmark_scene(report, device):
     assert [figures.work for figures in report.works] == list(WORKS)
     assert report.envs == 3
     assert report.facts["cores"] >= 1
@@ -42,7 +42,7 @@ def test_the_report_has_figures_of_every_work(report, device):
             assert 0.0 < getattr(figures, name) < np.inf
 
 
-def test_the_report_is_a_table_and_goes_through_json(report):
+def test_bench_report_prints_a_table_and_round_trips_through_json(report):
     again = json.loads(json.dumps(report.to_dict()))
     assert again["works"][2]["work"] == "box of 64 points"
     text = str(report)
@@ -54,19 +54,19 @@ def test_the_report_is_a_table_and_goes_through_json(report):
     assert "non-finite" not in text
 
 
-def test_works_take_turns_until_each_has_its_time():
+def test_bench_alternates_scenes_until_each_used_its_time():
     entries = [short_form._Entry(name, None, None, 0.0) for name in "ab"]
     order = []
-    for entry in short_form._turns(entries, seconds=2.0):
+    for entry in short_form._round_robin(entries, seconds=2.0):
         order.append(entry.title)
         entry.times.append({"a": 1.0, "b": 0.5}[entry.title])
     assert "".join(order) == "ababbb"
 
 
 @pytest.mark.parametrize("title", WORKS)
-def test_bodies_come_to_rest_on_the_terrain(title, device):
+def test_benchmark_bodies_come_to_rest_on_the_terrain(title, device):
     work = WORKS[title]
-    with short_form._few_words():
+    with short_form._without_step_warnings():
         sim = simulation(work, 16, device)
         assert run_seconds(sim, STEPS) > 0.0
     assert sim.steps == STEPS
@@ -76,9 +76,9 @@ def test_bodies_come_to_rest_on_the_terrain(title, device):
     assert (sim.model.sensor("touch.status") == wc.ContactStatus.CONTACT).any()
 
 
-def test_limits_are_of_the_points_where_they_are(device):
+def test_lower_bounds_query_the_current_point_positions(device):
     work = WORKS["box of 8 points"]
-    with short_form._few_words():
+    with short_form._without_step_warnings():
         sim = simulation(work, 5, device)
         sim.step(800)
     turned = Rotation.from_quat(sim.model.sensor("body.orientation")).as_matrix() @ work.points.T
@@ -89,7 +89,7 @@ def test_limits_are_of_the_points_where_they_are(device):
         assert min(limits.limits(sim.model, work, threads)) > 0.0
 
 
-def test_the_command_prints_the_table_and_writes_the_figures(device, tmp_path, capsys):
+def test_bench_command_prints_table_and_writes_json(device, tmp_path, capsys):
     file = tmp_path / "figures.json"
     words = ["bench", "--device", device, "--envs", "2", "--seconds", "1e-6", "--precision", "float64"]
     assert main([*words, "--json", str(file)]) == 0
@@ -113,7 +113,9 @@ def test_the_command_prints_the_table_and_writes_the_figures(device, tmp_path, c
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else None,
 )
-def test_wrong_options_are_one_message_and_exit_code_2(words, message, tmp_path, capsys, monkeypatch):
+def test_bench_command_with_invalid_option_prints_one_message_and_exits_with_2(
+    words, message, tmp_path, capsys, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     assert main(["bench", *words]) == 2
     out, err = capsys.readouterr()
@@ -125,7 +127,7 @@ def test_wrong_options_are_one_message_and_exit_code_2(words, message, tmp_path,
 
 
 @pytest.mark.slow
-def test_ctrl_c_ends_it_with_a_word():
+def test_bench_command_exits_with_130_on_interrupt():
     process = subprocess.Popen(
         [sys.executable, "-m", "warpcontact", "bench", "--device", "cpu", "--seconds", "600"],
         stdout=subprocess.PIPE,

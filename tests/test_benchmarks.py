@@ -29,7 +29,7 @@ def works():
     return load("works").WORKS
 
 
-def test_the_terrain_is_the_one_of_the_library(works):
+def test_benchmark_terrain_equals_library_terrain(works):
     terrain = wc.meshes.sinusoidal_terrain((10, 10), (100, 100), amplitude=0.2, wavelength=2.5)
     assert len(terrain.faces) == 20_000
     for name in ("W1", "W2p8", "W2p64"):
@@ -37,7 +37,7 @@ def test_the_terrain_is_the_one_of_the_library(works):
         np.testing.assert_array_equal(works[name].surface.faces, terrain.faces)
 
 
-def test_the_bowl_has_1280_triangles_that_look_up(works):
+def test_benchmark_bowl_has_1280_upward_facing_triangles(works):
     surface = works["W3"].surface
     assert len(surface.faces) == 1280
     a, b, c = np.moveaxis(surface.vertices[surface.faces], 1, 0)
@@ -45,14 +45,14 @@ def test_the_bowl_has_1280_triangles_that_look_up(works):
     np.testing.assert_allclose(surface.vertices[:, 2], np.sum(surface.vertices[:, :2] ** 2, axis=1) / 3.2)
 
 
-def test_heights_are_those_of_the_triangles(works):
+def test_benchmark_surface_height_matches_triangles(works):
     surface = works["W1"].surface
     weights = np.random.default_rng(0).dirichlet((1, 1, 1), len(surface.faces))
     points = np.einsum("fk,fki->fi", weights, surface.vertices[surface.faces])
     np.testing.assert_allclose(surface.height(points), points[:, 2], atol=1e-12)
 
 
-def test_bodies_have_the_density_of_water(works):
+def test_benchmark_bodies_have_density_of_water(works):
     assert works["W1"].mass == pytest.approx(4.18879, rel=1e-6)
     assert works["W1"].inertia == pytest.approx(0.4 * 4.18879 * 0.01, rel=1e-6)
     assert works["W2p8"].mass == works["W2p64"].mass == pytest.approx(8.0)
@@ -60,7 +60,7 @@ def test_bodies_have_the_density_of_water(works):
 
 
 @pytest.mark.parametrize(("name", "count", "on_a_face"), [("W2p8", 8, {4}), ("W2p64", 64, {16, 20})])
-def test_points_of_a_box_are_apart_on_its_surface(works, name, count, on_a_face):
+def test_benchmark_box_points_are_spaced_apart_on_its_surface(works, name, count, on_a_face):
     points = works[name].points
     assert points.shape == (count, 3)
     np.testing.assert_allclose(np.max(np.abs(points), axis=1), 0.1)
@@ -71,14 +71,14 @@ def test_points_of_a_box_are_apart_on_its_surface(works, name, count, on_a_face)
     } == on_a_face
 
 
-def test_spheres_for_points_reach_as_far_as_the_box(works):
+def test_benchmark_point_spheres_touch_the_box_faces(works):
     for name in ("W2p8", "W2p64"):
         for (centre, radius), point in zip(works[name].spheres(), works[name].points, strict=True):
             assert np.max(np.abs(centre)) + radius == pytest.approx(0.1)
             assert np.linalg.norm(centre - point) <= radius * 3**0.5 + 1e-12
 
 
-def test_bodies_start_above_the_surface_and_apart(works):
+def test_benchmark_bodies_start_above_the_surface_and_apart(works):
     for work in works.values():
         start = work.start(500)
         assert start.shape == (500, work.bodies, 3)
@@ -89,7 +89,7 @@ def test_bodies_start_above_the_surface_and_apart(works):
     assert apart.min() > 0.2
 
 
-def test_ten_spheres_come_to_rest_in_the_bowl(works, device):
+def test_benchmark_spheres_come_to_rest_in_the_bowl(works, device):
     work = works["W3"]
     sim = simulation(work, 4, device)
     sim.step(1500)
@@ -102,7 +102,7 @@ def test_ten_spheres_come_to_rest_in_the_bowl(works, device):
     assert sim.model.sensor("pile.max_penetration").max() < 2e-3
 
 
-def test_a_row_is_the_best_number_of_environments_against_the_best_peer():
+def test_table_row_has_best_environment_count_and_ratio_to_best_peer():
     table = load("table")
 
     def entry(engine, envs, *rates, **sanity):

@@ -128,7 +128,7 @@ def assert_same(models, n=N):
 
 
 @pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
-def test_a_set_does_what_the_same_bodies_do_one_by_one(precision, device):
+def test_body_set_matches_individual_bodies(precision, device):
     models = both_models(device, precision)
     assert_same(models)
     simulations = [wc.Simulation(model, dt=2e-4, deterministic=True) for model in models]
@@ -145,7 +145,7 @@ def test_a_set_does_what_the_same_bodies_do_one_by_one(precision, device):
     assert_same(models)
 
 
-def test_a_set_of_one_body_keeps_its_axis(device):
+def test_body_set_of_one_body_keeps_item_axis(device):
     models = both_models(device, "float32", 1)
     for model in models:
         wc.Simulation(model, dt=2e-4, deterministic=True).step(1500)
@@ -159,7 +159,7 @@ def model(device):
     return rolling_scene(True).build(ENVS, device)
 
 
-def test_a_set_is_one_element(model):
+def test_body_set_is_one_element(model):
     grains = model.scene.bodies[1]
     assert (grains.name, grains.index, grains.count, grains.single) == ("grains", 1, N, False)
     assert [body.index for body in model.scene.bodies] == [0, 1, N + 1]
@@ -168,7 +168,7 @@ def test_a_set_is_one_element(model):
     assert repr(model).startswith(f"<Model of {ENVS} environments: {N + 2} bodies, {2 * N + 5} contacts")
 
 
-def test_parameters_have_an_axis_for_the_bodies(device):
+def test_body_set_parameters_have_item_axis(device):
     model = rolling_scene(True).build(ENVS, device)
     shapes = {"mass": (), "inertia": (3, 3), "position": (3,), "orientation": (4,), "external_force": (3,)}
     for key, tail in shapes.items():
@@ -188,7 +188,7 @@ def test_parameters_have_an_axis_for_the_bodies(device):
         model["grains.inertia"] = np.where(np.arange(N)[:, None] == 4, (1.0, 1.0, 3.0), (1.0, 1.0, 1.0))[None]
 
 
-def test_forces_from_outside_may_be_written_between_steps(device):
+def test_body_set_external_force_can_change_between_steps(device):
     scene = wc.Scene(gravity=(0, 0, 0))
     scene.add_bodies(np.zeros((4, 3)), mass=[1, 2, 3, 4], inertia=(1, 1, 1), name="grains")
     model = scene.build(2, device)
@@ -197,7 +197,7 @@ def test_forces_from_outside_may_be_written_between_steps(device):
     np.testing.assert_allclose(model.sensor("grains.linear_velocity")[1, :, 2], [6, 3, 2, 1.5], rtol=1e-6)
 
 
-def test_a_recording_names_what_is_measured(model):
+def test_body_set_recording_has_named_dimensions(model):
     sim = wc.Simulation(model, dt=1e-4)
     recording = sim.run(3e-4, record=["grains.kinetic_energy", "grains.angular_velocity", "stand.gap"])
     assert recording["grains.kinetic_energy"].dims == ("time", "env", "grains.item")
@@ -221,7 +221,7 @@ MOTIONS = [
 
 
 @pytest.mark.parametrize("motion", MOTIONS, ids=[type(motion).__name__ for motion in MOTIONS])
-def test_all_bodies_of_a_set_may_move_in_the_same_way(motion, device):
+def test_joint_of_body_set_applies_to_all_bodies(motion, device):
     models = []
     for together in (True, False):
         scene = wc.Scene()
@@ -243,7 +243,7 @@ def test_all_bodies_of_a_set_may_move_in_the_same_way(motion, device):
         assert models[0][f"grains.motion.{key}"].shape == (2, N, 3)
 
 
-def test_environments_split_over_devices_are_the_same(device, model):
+def test_body_set_split_over_devices_matches_one_device(device, model):
     split = rolling_scene(True).build(ENVS, [device, device])
     whole = rolling_scene(True).build(ENVS, device)
     for one in (split, whole):
@@ -253,7 +253,7 @@ def test_environments_split_over_devices_are_the_same(device, model):
         np.testing.assert_array_equal(split.sensor(name), whole.sensor(name))
 
 
-def test_many_bodies_are_built_as_arrays(device):
+def test_body_set_of_many_bodies_is_built_from_arrays(device):
     n = 20_000
     side = np.arange(n)
     at = np.stack([side % 200 * 0.1, side // 200 * 0.1, np.full(n, 0.5)], axis=1)
@@ -267,11 +267,11 @@ def test_many_bodies_are_built_as_arrays(device):
     assert [len(part) for part in (scene.bodies, scene.points, scene.contacts)] == [1, 1, 1]
     model = scene.build(1, device)
     tables = model.arrays.model
-    for name in ("point_body", "contact_set", "set_contact", "block_set", "block_contact", "contact_point"):
+    for name in ("point_body", "contact_set", "set_contact", "cluster_set", "cluster_contact", "contact_point"):
         np.testing.assert_array_equal(getattr(tables, name).numpy(), np.arange(n), err_msg=name)
-    for name in ("set_block_start", "block_start", "body_block_start"):
+    for name in ("set_cluster_start", "cluster_start", "body_cluster_start"):
         np.testing.assert_array_equal(getattr(tables, name).numpy(), np.arange(n + 1), err_msg=name)
-    np.testing.assert_array_equal(tables.body_block.numpy(), 2 * np.arange(n))
+    np.testing.assert_array_equal(tables.body_cluster.numpy(), 2 * np.arange(n))
     # Their points are where they turn about: a set of them would be as large as the heap.
     assert not tables.set_extent.numpy().any()
     np.testing.assert_allclose(model.sensor("touch.gap")[0], 0.5 - radii, atol=1e-6)
@@ -279,7 +279,7 @@ def test_many_bodies_are_built_as_arrays(device):
     np.testing.assert_allclose(model.sensor("grains.linear_velocity")[0, :, 2], -9.81 * 3e-3, rtol=1e-5)
 
 
-def test_a_stage_shows_a_set(model, tmp_path):
+def test_usd_export_draws_body_set_as_instances(model, tmp_path):
     recording = wc.Simulation(model, dt=1e-4).run(3e-4, record=["touch.gap", "grains.kinetic_energy"])
     stage = Usd.Stage.Open(str(wc.export_usd(recording, tmp_path / "set.usda")))
     assert [error.GetErrorAsString() for error in findings(stage)] == []
@@ -302,7 +302,7 @@ def test_a_stage_shows_a_set(model, tmp_path):
     assert len(again.GetPositionsAttr().Get(0)) == N
 
 
-def test_a_set_without_contacts_is_shown_by_its_centres(device, tmp_path):
+def test_usd_export_draws_body_set_without_contacts_at_its_centers(device, tmp_path):
     scene = wc.Scene()
     scene.add_bodies(POSITIONS, mass=1.0, inertia=(1, 1, 1), name="grains")
     recording = wc.Simulation(scene.build(1, device, "float64"), dt=1e-3).run(2e-3)
@@ -313,7 +313,7 @@ def test_a_set_without_contacts_is_shown_by_its_centres(device, tmp_path):
         np.testing.assert_allclose(shown, recording["grains.position"].values[frame, 0], rtol=1e-6)
 
 
-def test_a_step_too_long_for_one_body_of_a_set_is_told(device):
+def test_too_long_step_for_one_body_of_a_set_warns(device):
     scene = wc.Scene()
     ground = scene.add_surface(square(5.0), name="ground")
     grains = scene.add_bodies(
@@ -407,6 +407,6 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("call", "message"), REFUSED, ids=[message[:40] for _, message in REFUSED])
-def test_what_a_set_cannot_be_is_said(call, message):
+def test_body_set_raises_for_invalid_arguments(call, message):
     with pytest.raises(ValueError, match=message):
         call()

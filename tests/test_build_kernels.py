@@ -115,7 +115,7 @@ def key(sources, *files):
     return cache_key.cache_key("cpu", files, **sources)
 
 
-def test_key_is_one_line_and_repeats(sources, capsys):
+def test_kernel_cache_key_is_one_line_and_repeatable(sources, capsys):
     first = key(sources)
     assert first == key(sources)
     name, machine, source = first.split("-")
@@ -126,7 +126,7 @@ def test_key_is_one_line_and_repeats(sources, capsys):
 
 
 @pytest.mark.parametrize("name", ["schedule.py", "kernels/near.py", "kernels/laws/hooke.py", "kernels/new.py"])
-def test_key_differs_if_a_source_differs(name, sources):
+def test_kernel_cache_key_differs_if_a_source_differs(name, sources):
     before = key(sources)
     with (sources["host"] / name).open("a") as file:
         file.write("more = 1\n")
@@ -136,13 +136,13 @@ def test_key_differs_if_a_source_differs(name, sources):
     assert after.rpartition("-")[0] == before.rpartition("-")[0]
 
 
-def test_key_equals_if_an_unrelated_host_module_differs(sources):
+def test_kernel_cache_key_is_equal_if_an_unrelated_host_module_differs(sources):
     before = key(sources)
     (sources["host"] / "report.py").write_text("import scipy\n")
     assert key(sources) == before
 
 
-def test_key_differs_with_experiments_and_the_files_that_they_name(sources, tmp_path):
+def test_kernel_cache_key_differs_with_experiments_and_their_files(sources, tmp_path):
     study, laws = tmp_path / "study.toml", tmp_path / "laws.py"
     study.write_text('law = { type = "laws.py:Cubic" }\n')
     laws.write_text("cubic = 3\n")
@@ -154,7 +154,7 @@ def test_key_differs_with_experiments_and_the_files_that_they_name(sources, tmp_
     assert len(keys) == 4
 
 
-def test_key_differs_with_compiler_options_and_versions(sources, monkeypatch):
+def test_kernel_cache_key_differs_with_compiler_options_and_versions(sources, monkeypatch):
     keys = {key(sources)}
     monkeypatch.setitem(cache_key.unique.OPTIONS, "cpu_compiler_flags", "-O0")
     keys.add(key(sources))
@@ -175,7 +175,7 @@ def test_key_differs_with_compiler_options_and_versions(sources, monkeypatch):
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else None,
 )
-def test_error_is_one_message_and_exit_code_2(words, message, tmp_path, capsys, monkeypatch):
+def test_build_kernels_error_is_one_message_and_exit_code_2(words, message, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["build-kernels", *words]) == 2
     out, err = capsys.readouterr()
@@ -184,7 +184,7 @@ def test_error_is_one_message_and_exit_code_2(words, message, tmp_path, capsys, 
 
 
 @pytest.mark.parametrize("words", [[], ["--key"]])
-def test_unwritable_cache_is_an_error_with_the_folder_and_the_remedy(words, tmp_path, capsys, monkeypatch):
+def test_unwritable_kernel_cache_is_reported_with_folder_and_remedy(words, tmp_path, capsys, monkeypatch):
     (tmp_path / "file").touch()
     folder = tmp_path / "file" / "cache"
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(folder))

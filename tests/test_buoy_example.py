@@ -28,7 +28,7 @@ def line(height, run):
     return parts(brentq(lambda h: reach(h) - run, 1.0, 1e6, xtol=1e-9, rtol=1e-14))
 
 
-def test_buoy_comes_to_rest_in_the_middle(device, tmp_path):
+def test_buoy_example_comes_to_rest_at_the_center(device, tmp_path):
     run = wc.Experiment.from_toml(EXAMPLE).run(tmp_path / "buoy", device=device)
     recording = run.recording
     last = recording.isel(time=-1)

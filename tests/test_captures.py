@@ -6,7 +6,7 @@ import pytest
 from scenes import dropped_sphere
 
 import warpcontact as wc
-from warpcontact.captures import beside_captures, capturing
+from warpcontact.captures import exclusive_capture_lock, shared_capture_lock
 
 # Long enough for anything here that does not wait [s].
 LONG = 0.5
@@ -40,8 +40,8 @@ def aside(work):
     ],
     ids=["steps", "resets", "sensors", "recordings", "parameters", "builds", "simulations"],
 )
-def test_what_uses_warp_waits_for_a_capture(work, sim):
-    with capturing():
+def test_stepping_thread_waits_for_graph_capture(work, sim):
+    with exclusive_capture_lock():
         thread = aside(lambda: work(sim))
         thread.join(LONG)
         waits = thread.is_alive()
@@ -49,9 +49,9 @@ def test_what_uses_warp_waits_for_a_capture(work, sim):
     assert waits
 
 
-def test_a_capture_waits_for_what_uses_warp(sim):
+def test_graph_capture_waits_for_stepping_thread(sim):
     captured = wc.Simulation(sim.model, dt=1e-3)
-    with beside_captures():
+    with shared_capture_lock():
         thread = aside(captured.step)
         thread.join(LONG)
         waits = thread.is_alive()
@@ -59,13 +59,13 @@ def test_a_capture_waits_for_what_uses_warp(sim):
     assert waits
 
 
-def test_replays_wait_for_nobody(sim):
+def test_graph_replay_does_not_wait_for_capture(sim):
     captured = wc.Simulation(sim.model, dt=1e-3)
     captured.step(8)
-    with capturing():
+    with exclusive_capture_lock():
         thread = aside(lambda: captured.step(16))
         thread.join(60.0)
         assert not thread.is_alive()
-    with beside_captures():
+    with shared_capture_lock():
         captured.step(8)
     assert captured.steps >= 32

@@ -40,7 +40,7 @@ def up_and_along(gravity):
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 @pytest.mark.parametrize("direction", [(0.0, 0.0, -1.0), (0.48, -0.6, 0.64)])
-def test_lines_of_the_specification(oracle, precision, direction, device):
+def test_catenary_matches_specification_cases(oracle, precision, direction, device):
     """Also with gravity along some other axis, and with the ends exchanged."""
     cases = list(oracle.values())
     gravity = 9.81 * np.array(direction)
@@ -77,7 +77,7 @@ def test_lines_of_the_specification(oracle, precision, direction, device):
     assert [wc.CatenaryStatus(code).name for code in status] == ["HANGING", "TAUT", "HANGING", "FOLDED", "TAUT"]
 
 
-def test_random_lines_have_the_forces_of_float64_in_float32(device):
+def test_catenary_forces_in_float32_match_float64_for_random_cables(device):
     """Places have a remainder in float32, so that not even the tension of a line within 1e-8 of taut is lost."""
     lines = random_lines(100_000)
     x, y, weight, give = lines.T
@@ -106,14 +106,14 @@ def scattered(device):
     return hung(places, len(places), device), places
 
 
-def test_both_ends_carry_the_weight(scattered):
+def test_catenary_end_forces_sum_to_its_weight(scattered):
     model, _ = scattered
     total = model.sensor("line.force_a") + model.sensor("line.force_b")
     np.testing.assert_allclose(total, [[0.0, 0.0, -20.0 * 9.81 * 100.0]] * model.envs, atol=1e-7)
     np.testing.assert_array_equal(model.sensor("body.force"), model.sensor("line.force_b"))
 
 
-def test_shape_ends_where_the_line_does_and_is_as_long_as_it_says(scattered):
+def test_catenary_shape_ends_at_its_end_points_and_has_its_length(scattered):
     model, places = scattered
     shape = model.catenary_shape("line", 4001)
     np.testing.assert_allclose(shape[:, 0], 0.0, atol=1e-7)
@@ -138,7 +138,7 @@ def _differences(model, places, step):
     return np.stack(columns, axis=-1)
 
 
-def test_stiffness_is_the_derivative_of_the_force(scattered):
+def test_catenary_stiffness_is_the_derivative_of_force(scattered):
     model, places = scattered
     expected = _differences(model, places, 1e-4)
     stiffness = model.catenary_stiffness("line")
@@ -149,7 +149,7 @@ def test_stiffness_is_the_derivative_of_the_force(scattered):
     assert (np.linalg.eigvalsh(stiffness) < 0.0).all()
 
 
-def test_stiffness_of_upright_lines_is_the_limit(device):
+def test_catenary_stiffness_of_vertical_cable_is_the_limit(device):
     places = np.array([[0, 0, z] for z in (-120.0, -103.0, 50.0, 103.0, 120.0)], dtype=float)
     model = hung(places, len(places), device)
     upright = model.catenary_stiffness("line")
@@ -161,7 +161,7 @@ def test_stiffness_of_upright_lines_is_the_limit(device):
     np.testing.assert_array_equal(upright[2, :2], 0.0)
 
 
-def test_gravity_may_differ_between_environments_and_vanish(device):
+def test_catenary_gravity_can_vary_by_environment_and_vanish(device):
     model = hung((50.0, 0.0, 0.0), 4, device)
     model["body.position"] = [(60.0, 0, 80.0 * 1.05), (30.0, 40.0, 0), (0, 0, 0), (0.0, 0.0, -110.0)]
     model["scene.gravity"] = (0.0, 0.0, 0.0)
@@ -181,7 +181,7 @@ def test_gravity_may_differ_between_environments_and_vanish(device):
     np.testing.assert_allclose(model.sensor("line.force_a")[2], (0, -2000.0, 0), rtol=1e-12)
 
 
-def test_far_from_the_origin_the_line_is_the_same(device):
+def test_catenary_is_invariant_far_from_the_origin(device):
     """In float32 places are told to a millimetre there, but differences of places of bodies are not lost."""
     scene = wc.Scene()
     for k, far in enumerate((0.0, 1e5)):
@@ -199,7 +199,7 @@ def test_far_from_the_origin_the_line_is_the_same(device):
     np.testing.assert_allclose(far, near, rtol=1e-6, atol=1e-4)
 
 
-def test_a_line_rests_on_the_floor_and_is_lifted(device):
+def test_catenary_force_is_continuous_at_liftoff_from_seabed(device):
     """As its upper end goes away, forces and shape pass without a jump from resting to hanging."""
     x = np.linspace(0.0, 100.0, 401)
     places = np.stack([x, np.zeros_like(x), np.full_like(x, 30.0)], axis=1)
@@ -230,7 +230,7 @@ def test_a_line_rests_on_the_floor_and_is_lifted(device):
     np.testing.assert_allclose(weight, 20.0 * 9.81 * (100.0 - lies), rtol=1e-9)
 
 
-def test_stiffness_of_a_line_on_the_floor_is_the_derivative(device):
+def test_grounded_catenary_stiffness_is_the_derivative_of_force(device):
     rng = np.random.default_rng(1)
     places = np.stack([*rng.uniform(-60.0, 60.0, (2, 100)), rng.uniform(-1.0, 30.0, 100)], axis=1)
     model = hung(places, 100, device, floor=-2.0)
@@ -243,23 +243,23 @@ def test_stiffness_of_a_line_on_the_floor_is_the_derivative(device):
     np.testing.assert_allclose(stiffness / size, expected / size, atol=1e-4)
 
 
-def test_an_end_below_the_floor_is_flagged_and_held_as_on_it(device):
+def test_catenary_end_below_seabed_is_flagged_and_computed_at_seabed(device):
     model = hung([(90.0, 0, 0.0), (90.0, 0, -0.5), (101.0, 0, -0.5)], 3, device, floor=0.0)
     names = [wc.CatenaryStatus(code).name for code in model.sensor("line.status")]
     assert names == ["GROUNDED", "SUNK", "SUNK"]
     np.testing.assert_allclose(model.sensor("line.force_a"), [(0, 0, 0), (0, 0, 0), (1e4, 0, 0)], atol=1e-8)
 
 
-def test_an_end_far_below_the_floor_is_told(device):
+def test_catenary_end_far_below_seabed_warns(device):
     """A depth given as a height: both ends are below. An anchor may be buried by a hundredth of the length."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         wc.Simulation(hung((90.0, 0, 49.0), 2, device, floor=0.5), dt=1e-3).step()
     model = hung((90.0, 0, 49.0), 2, device, floor=0.5)
     model["line.floor"] = [0.5, 52.0]
-    with pytest.warns(wc.ContactWarning) as told:
+    with pytest.warns(wc.ContactWarning) as caught:
         wc.Simulation(model, dt=1e-3).step()
-    assert [str(one.message).partition(" in environment 1, and is")[0] for one in told] == [
+    assert [str(one.message).partition(" in environment 1, and is")[0] for one in caught] == [
         "line: its point_a 'anchor' lies 52 m below its floor",
         "line: its point_b 'point' lies 3 m below its floor",
     ]
@@ -284,7 +284,7 @@ def _line_energy(shape, line):
     )
 
 
-def test_a_body_swings_on_a_line_without_gain_or_loss(device):
+def test_body_swinging_on_catenary_conserves_energy(device):
     line = {"length": 10.0, "mass_per_length": 1.0, "axial_stiffness": 1e5}
     spread = []
     for dt in (1e-3, 5e-4):
@@ -301,7 +301,7 @@ def test_a_body_swings_on_a_line_without_gain_or_loss(device):
     assert spread[1] < 0.55 * spread[0]
 
 
-def test_a_search_from_the_last_solution_leads_where_one_from_nothing_does(device):
+def test_catenary_warm_start_converges_to_cold_start_solution(device):
     model = pendulum(device)
     sim = wc.Simulation(model, dt=1e-3)
     sim.step(700)
@@ -317,7 +317,7 @@ def test_a_search_from_the_last_solution_leads_where_one_from_nothing_does(devic
     np.testing.assert_array_equal(cold[1], cold[2])
 
 
-def test_a_run_repeats_after_reset(device):
+def test_catenary_run_is_repeated_after_reset(device):
     model = pendulum(device, "float32")
     sim = wc.Simulation(model, dt=1e-3)
     runs = []
@@ -331,7 +331,7 @@ def test_a_run_repeats_after_reset(device):
     assert (runs[0]["line.tension_b"].values == runs[0]["line.tension_b"].values[:, :1]).all()
 
 
-def test_a_line_that_is_not_enabled_does_nothing(device):
+def test_disabled_catenary_has_no_force(device):
     model = hung((50.0, 0, 0), 2, device)
     model["line.enabled"] = [0, 1]
     assert (model.sensor("line.force_a")[0] == 0.0).all()
@@ -350,7 +350,7 @@ def _no_iterations(monkeypatch):
 
 
 @pytest.mark.usefixtures("_no_iterations")
-def test_a_search_that_fails_is_told(device):
+def test_failed_catenary_solution_warns_and_is_counted(device):
     model = hung([(50.0, 0, 0), (0, 0, 50.0)], 2, device)
     assert model.sensor("line.status").tolist() == [wc.CatenaryStatus.FAILED, wc.CatenaryStatus.FOLDED]
     sim = wc.Simulation(model, dt=1e-4)
@@ -370,12 +370,12 @@ def test_a_search_that_fails_is_told(device):
         ({"floor": np.nan}, r"line.floor"),
     ],
 )
-def test_values_that_are_not_allowed_are_refused(options, message):
+def test_catenary_raises_for_invalid_values(options, message):
     with pytest.raises(ValueError, match=message):
         hung((1.0, 0, 0), **options)
 
 
-def test_shapes_of_what_is_not_there_are_refused(scattered):
+def test_catenary_shape_raises_for_unknown_name_and_count(scattered):
     model, _ = scattered
     with pytest.raises(KeyError, match="no catenary 'lime'; did you mean 'line'"):
         model.catenary_shape("lime")
@@ -383,7 +383,7 @@ def test_shapes_of_what_is_not_there_are_refused(scattered):
         model.catenary_shape("line", 1)
 
 
-def test_mistakes_in_an_experiment_file_are_told_with_their_keys(tmp_path):
+def test_experiment_file_errors_name_the_catenary_key(tmp_path):
     file = tmp_path / "moored.toml"
     file.write_text("""
         duration = 1.0
@@ -410,7 +410,7 @@ def test_mistakes_in_an_experiment_file_are_told_with_their_keys(tmp_path):
         assert f"catenary[0] ('line'){part}" in str(error.value)
 
 
-def test_a_step_too_long_for_a_taut_line_is_told(device):
+def test_too_long_step_for_taut_catenary_warns(device):
     """A kilogram on EA/L = 10 kN/m: a period of 63 ms, stable to 20 ms."""
     sim = wc.Simulation(hung((50.0, 0, 0), device=device), dt=0.0199)
     with warnings.catch_warnings():
@@ -423,7 +423,7 @@ def test_a_step_too_long_for_a_taut_line_is_told(device):
         sim.step()
 
 
-def test_an_environment_that_is_frozen_leaves_the_others_alone(device):
+def test_frozen_environment_does_not_change_catenaries_of_others(device):
     runs = []
     for broken in (False, True):
         model = pendulum(device)
@@ -439,7 +439,7 @@ def test_an_environment_that_is_frozen_leaves_the_others_alone(device):
     np.testing.assert_array_equal(runs[0][1][[0, 2]], runs[1][1][[0, 2]])
 
 
-def test_parts_on_several_devices_are_gathered_in_order():
+def test_catenary_results_of_several_devices_are_gathered_in_order():
     places = np.random.default_rng(2).normal(size=(5, 3)) * 50.0
     whole, split = hung(places, 5, "cpu"), hung(places, 5, ["cpu", "cpu"])
     np.testing.assert_array_equal(split.catenary_shape("line", 5), whole.catenary_shape("line", 5))

@@ -11,7 +11,7 @@ SCRIPT = Path(__file__).resolve().parents[1] / "benchmarks" / "catenary.py"
 
 
 @pytest.mark.skipif(not SCRIPT.is_file(), reason="benchmarks are in a checkout, not in an installed package")
-def test_the_benchmark_of_catenaries_runs(device, tmp_path):
+def test_catenary_benchmark_runs(device, tmp_path):
     out = tmp_path / "catenary.json"
     words = ["--device", device, "--envs", "3", "--moves", "2", "--rounds", "1", "--precision", "float64"]
     done = subprocess.run(

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import warp as wp
 from brute_force import Surface, nearest_on_triangles
-from like_a_gpu import cells_everywhere, with_queues
+from like_a_gpu import build_all_face_grids, use_work_queues
 from warpcontact.kernels import cells as device_cells
 from warpcontact.kernels.types import structs
 
 import warpcontact as wc
 from warpcontact import cells
-from warpcontact.patches import make_patches
+from warpcontact.patches import make_query_meshes
 
 LAW = wc.laws.Hooke(stiffness=1e4)
 POINTS = 3000
@@ -31,7 +31,7 @@ def with_slivers(sheet):
 CASES = {
     "terrain": (wc.meshes.sinusoidal_terrain((4, 4), (40, 40), 0.2, 2.5), 0.1, False),
     "terrain, by points": (wc.meshes.sinusoidal_terrain((4, 4), (40, 40), 0.2, 2.5), 0.0, False),
-    "sheet with a rim": (wc.meshes.grid((1.0, 0.6), (10, 7)), 0.02, False),
+    "sheet with boundary": (wc.meshes.grid((1.0, 0.6), (10, 7)), 0.02, False),
     "ball": (wc.meshes.icosphere(0.4, 3), 0.05, True),
     "sheet with slivers": (with_slivers(wc.meshes.grid((1.0, 0.6), (10, 7))), 0.02, False),
     "box": (wc.meshes.box((0.4, 0.5, 0.3)), 0.05, True),
@@ -41,7 +41,7 @@ EXPENSIVE = ("terrain", "ball")
 
 @pytest.fixture(autouse=True)
 def on_any_device(monkeypatch):
-    cells_everywhere(monkeypatch)
+    build_all_face_grids(monkeypatch)
 
 
 def scene_of(mesh, radius, *, count=1, scale=1.0):
@@ -55,7 +55,7 @@ def scene_of(mesh, radius, *, count=1, scale=1.0):
 
 def grids_of(scene):
     """The grids that a model of the scene has."""
-    return cells.grids_about(make_patches(scene.contacts), SimpleNamespace(is_cuda=True), structs(wp.float32))
+    return cells.make_grids(make_query_meshes(scene.contacts), SimpleNamespace(is_cuda=True), structs(wp.float32))
 
 
 @pytest.fixture(
@@ -63,8 +63,12 @@ def grids_of(scene):
     params=[
         *((name, "float32") for name in CASES if name not in EXPENSIVE),
         *(pytest.param((name, "float32"), marks=pytest.mark.slow) for name in EXPENSIVE),
-        ("sheet with a rim", "float64"),
-        *(pytest.param((name, "float64"), marks=pytest.mark.slow) for name in CASES if name != "sheet with a rim"),
+        ("sheet with boundary", "float64"),
+        *(
+            pytest.param((name, "float64"), marks=pytest.mark.slow)
+            for name in CASES
+            if name != "sheet with boundary"
+        ),
     ],
     ids="-".join,
 )
@@ -73,11 +77,11 @@ def celled(request, device):
     name, precision = request.param
     mesh, radius, closed = CASES[name]
     with pytest.MonkeyPatch.context() as patched:
-        cells_everywhere(patched, cells.FINEST)
+        build_all_face_grids(patched, cells.FINEST)
         model = scene_of(mesh, radius).build(device=device, precision=precision)
     own = model.parts[0].arrays.model
-    counts = own.patch_cells.numpy()[0]
-    origin, size = own.patch_cells_origin.numpy()[0], own.patch_cells_size.numpy()[0]
+    counts = own.query_mesh_grid.numpy()[0]
+    origin, size = own.query_mesh_grid_origin.numpy()[0], own.query_mesh_cell_size.numpy()[0]
     assert counts[3] == 0
     assert own.cells.size == np.prod(counts[:3])
     random = np.random.default_rng(3)
@@ -109,24 +113,24 @@ def distances(corners, points):
 
 def distance_and_side(corners, points):
     """Distance of points from the nearest face, and how far they are on its outer side, times its area."""
-    distance, foot, face = Surface(corners).nearest(points)
+    distance, closest_point, face = Surface(corners).nearest(points)
     normal = np.cross(corners[face, 1] - corners[face, 0], corners[face, 2] - corners[face, 0])
-    return distance, np.einsum("nx,nx->n", points - foot, normal)
+    return distance, np.einsum("nx,nx->n", points - closest_point, normal)
 
 
-def lists_of(own, cell):
+def cell_face_lists(own, cell):
     """The faces that are listed for cells; none where there is no list."""
     faces = own.cells.numpy()["faces"][cell]
-    start, count = np.divmod(faces, device_cells.LISTED)
-    start *= device_cells.PLACED
-    listed = own.listed_face.numpy()
+    start, count = np.divmod(faces, device_cells.LIST_STRIDE)
+    start *= device_cells.LIST_ALIGNMENT
+    listed = own.cell_face.numpy()
     return [listed[s : s + n] if f >= 0 else None for f, s, n in zip(faces, start, count, strict=True)]
 
 
-def test_the_nearest_faces_are_in_the_list_of_the_cell(celled):
+def test_face_grid_cell_lists_contain_the_nearest_faces(celled):
     """All that are about as near, and few others."""
     corners, own, points, cell, *_ = celled
-    lists = lists_of(own, cell)
+    lists = cell_face_lists(own, cell)
     listed = np.flatnonzero([faces is not None for faces in lists])
     assert len(listed) > 0.2 * len(points)
     counts = []
@@ -140,41 +144,41 @@ def test_the_nearest_faces_are_in_the_list_of_the_cell(celled):
     assert np.mean(counts) < 8.0
 
 
-def test_every_point_that_may_touch_has_a_list(celled):
+def test_face_grid_has_a_list_for_every_point_in_contact(celled):
     corners, own, points, cell, model, _ = celled
     distance, side = distance_and_side(corners, points)
-    reach = model.scene.contacts[0].radius.max() + own.patch_skin.numpy()[0]
+    reach = model.scene.contacts[0].radius.max() + own.query_mesh_skin.numpy()[0]
     touching = (side > 0.0) & (distance < reach)
     assert touching.sum() > 100
     # But for a few beside a rim, where the middle of a cell may be on the inner side.
     assert (own.cells.numpy()["faces"][cell[touching]] >= 0).mean() > 0.995
 
 
-def test_what_is_free_is_that_far_on_the_outer_side(celled):
+def test_face_grid_clearance_is_a_lower_bound_on_the_outer_side(celled):
     corners, own, points, cell, _, closed = celled
     free = own.cells.numpy()["free"][cell]
-    known = free > 0.0
-    assert known.mean() > 0.1
-    distance, side = distance_and_side(corners, points[known])
-    assert (distance > free[known]).all()
+    has_clearance = free > 0.0
+    assert has_clearance.mean() > 0.1
+    distance, side = distance_and_side(corners, points[has_clearance])
+    assert (distance > free[has_clearance]).all()
     if closed:
-        assert np.abs(Surface(corners).winding(points[known])).max() < 0.5
+        assert np.abs(Surface(corners).winding(points[has_clearance])).max() < 0.5
         # It is less than the distance by no more than a cell is wide, and rounding.
-        size = own.patch_cells_size.numpy()[0]
-        assert (distance - free[known] < 1.75 * size + 1e-4).all()
+        size = own.query_mesh_cell_size.numpy()[0]
+        assert (distance - free[has_clearance] < 1.75 * size + 1e-4).all()
     else:
         assert (side > 0.0).all()
 
 
 @functools.cache
-def asking(real):
+def query_kernel(real):
     """The kernel that asks what is known of points, and for the nearest of listed faces."""
     t = structs(real)
     of_cells, Model, vec3 = device_cells.functions(real), t.Model, t.vec3
-    cell_at, nearest_listed = of_cells.cell_at, of_cells.nearest_listed
+    cell_at, closest_in_cell = of_cells.cell_at, of_cells.closest_in_cell
 
     @wp.kernel(module="unique", enable_backward=False)
-    def ask(
+    def query(
         model: Model,
         points: wp.array(dtype=vec3),
         free: wp.array(dtype=real),
@@ -183,28 +187,28 @@ def asking(real):
     ):
         i = wp.tid()
         cell = cell_at(model, 0, points[i])
-        free[i] = cell.free
+        free[i] = cell.clearance
         row[i] = -1
         if cell.faces >= 0:
-            foot = nearest_listed(model, cell.faces, points[i], model.patch_slack[0])
-            row[i] = foot.row
-            distance[i] = foot.distance
+            closest_point = closest_in_cell(model, cell.faces, points[i], model.query_mesh_error[0])
+            row[i] = closest_point.row
+            distance[i] = closest_point.distance
 
-    return ask
+    return query
 
 
-def ask(model, points):
+def query(model, points):
     own, real = model.parts[0].arrays.model, model.parts[0].types.real
     given = wp.array(points, dtype=structs(real).vec3, device=model.devices[0])
     free, distance = (wp.zeros(len(points), dtype=real, device=model.devices[0]) for _ in range(2))
     row = wp.zeros(len(points), dtype=wp.int32, device=model.devices[0])
-    wp.launch(asking(real), len(points), [own, given, free, row, distance], device=model.devices[0])
+    wp.launch(query_kernel(real), len(points), [own, given, free, row, distance], device=model.devices[0])
     return free.numpy(), row.numpy(), distance.numpy()
 
 
-def test_the_nearest_point_of_a_list_is_that_of_the_surface(celled):
+def test_closest_point_from_cell_list_matches_whole_surface(celled):
     corners, _, points, _, model, _ = celled
-    _, row, distance = ask(model, points)
+    _, row, distance = query(model, points)
     listed = row >= 0
     assert listed.mean() > 0.2
     own = points[listed].astype(float)
@@ -215,10 +219,10 @@ def test_the_nearest_point_of_a_list_is_that_of_the_surface(celled):
     np.testing.assert_allclose(away, least, atol=error)
 
 
-def test_outside_of_the_grid_points_are_on_the_side_of_its_border(celled):
+def test_points_outside_the_face_grid_have_clearance_and_side_of_its_boundary(celled):
     corners, own, _, _, model, closed = celled
-    counts, origin = own.patch_cells.numpy()[0][:3], own.patch_cells_origin.numpy()[0]
-    extent = counts * own.patch_cells_size.numpy()[0]
+    counts, origin = own.query_mesh_grid.numpy()[0][:3], own.query_mesh_grid_origin.numpy()[0]
+    extent = counts * own.query_mesh_cell_size.numpy()[0]
     random = np.random.default_rng(5)
     points = random.uniform(-1.0, 2.0, (POINTS, 3))
     # Many of them straight above.
@@ -226,21 +230,21 @@ def test_outside_of_the_grid_points_are_on_the_side_of_its_border(celled):
     points = origin + extent * points
     inside = ((points > origin) & (points < origin + extent)).all(axis=1)
     points = points[~inside].astype(origin.dtype)
-    free, row, _ = ask(model, points)
+    free, row, _ = query(model, points)
     assert (row < 0).all()
     distance, side = distance_and_side(corners, points)
-    known = free > 0.0
-    assert (distance[known] > free[known]).all()
+    has_clearance = free > 0.0
+    assert (distance[has_clearance] > free[has_clearance]).all()
     if closed:
-        assert known.all()
+        assert has_clearance.all()
         # Less by no more than the margin of the corner of a box is longer than that of a side.
         assert (distance - free < 2.0 * extent.max()).all()
     else:
-        assert known.mean() > 0.1
-        assert (side[known] > 0.0).all()
+        assert has_clearance.mean() > 0.1
+        assert (side[has_clearance] > 0.0).all()
 
 
-def test_scaled_surfaces_have_the_cells_of_what_touches_them_in_their_unit():
+def test_face_grid_of_scaled_surface_has_scaled_reach():
     mesh, radius, _ = CASES["ball"]
     (as_it_is,) = grids_of(scene_of(mesh, radius))
     (larger,) = grids_of(scene_of(mesh, 10.0 * radius, scale=10.0))
@@ -249,15 +253,15 @@ def test_scaled_surfaces_have_the_cells_of_what_touches_them_in_their_unit():
 
 
 @pytest.mark.parametrize("radius", [5.0, 30.0])
-def test_a_ball_that_sees_too_many_faces_gets_none(radius):
+def test_face_grid_is_not_built_for_spheres_that_reach_too_many_faces(radius):
     assert grids_of(scene_of(wc.meshes.sinusoidal_terrain((4, 4), (40, 40), 0.2, 2.5), radius)) is None
 
 
-def test_all_meshes_have_cells_or_none(monkeypatch):
+def test_face_grids_are_built_for_all_meshes_or_none(monkeypatch):
     mesh, radius, _ = CASES["ball"]
     (one,) = grids_of(scene_of(mesh, radius))
     assert len(grids_of(scene_of(mesh, radius, count=4))) == 4
-    monkeypatch.setattr(cells, "MOST_BYTES", 2.5 * one.bytes)
+    monkeypatch.setattr(cells, "MAX_BYTES", 2.5 * one.bytes)
     assert len(grids_of(scene_of(mesh, radius, count=2))) == 2
     assert grids_of(scene_of(mesh, radius, count=4)) is None
     for name in ("CELL_BYTES", "LIST_BYTES"):
@@ -266,7 +270,7 @@ def test_all_meshes_have_cells_or_none(monkeypatch):
             assert grids_of(scene_of(mesh, radius)) is None
 
 
-def test_swept_points_and_sheets_without_sides_have_none():
+def test_face_grid_is_not_built_for_swept_contacts_and_stacked_sheets():
     mesh, radius, _ = CASES["ball"]
     scene = scene_of(mesh, radius)
     scene.add_contact(scene.points[0], scene.surfaces[0], wc.ContactMaterial(law=LAW), radius=radius, swept=True)
@@ -282,22 +286,22 @@ def test_swept_points_and_sheets_without_sides_have_none():
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_the_plan_counts_them(precision, device):
+def test_memory_estimate_includes_face_grid(precision, device):
     mesh, radius, _ = CASES["ball"]
     model = scene_of(mesh, radius).build(device=device, precision=precision)
     own = model.parts[0].arrays.model
-    taken = sum(array.capacity for array in (own.cells, own.listed_face))
+    taken = sum(array.capacity for array in (own.cells, own.cell_face))
     without = sum(
         array.capacity
         for name, array in ((name, getattr(own, name)) for name in own._cls.vars)
         if name.startswith(("patch_", "wall_", "face_", "surface_"))
     )
     assert taken > 100_000
-    planned = model.footprint().of("surfaces")
+    planned = model.memory_estimate().of("surfaces")
     assert taken < planned < taken + without + 1_000_000
 
 
-def told(scene, steps, *, change=lambda model: None, **options):
+def contact_counts(scene, steps, *, change=lambda model: None, **options):
     """Status and number of contacts of a block after each 20 steps, with a change in the middle."""
     model = scene.build(device="cpu")
     sim = wc.Simulation(model, dt=1e-3, **options)
@@ -305,7 +309,7 @@ def told(scene, steps, *, change=lambda model: None, **options):
     for done in range(20, steps + 1, 20):
         sim.step(20)
         arrays = model.arrays
-        seen.append((arrays.contacts.status.numpy().tolist(), arrays.near.count.numpy().tolist()))
+        seen.append((arrays.contacts.status.numpy().tolist(), arrays.active_contacts.count.numpy().tolist()))
         if done == steps // 2:
             change(model)
     return seen
@@ -320,8 +324,8 @@ def falling_points(places, mesh, height, **options):
 
 
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
-@pytest.mark.parametrize("forget", [False, True], ids=["", "and what is known is forgotten"])
-def test_points_that_were_pushed_through_a_plate_are_not_left_behind_it(forget, monkeypatch):
+@pytest.mark.parametrize("forget", [False, True], ids=["cached", "cache_cleared"])
+def test_points_pushed_through_a_plate_are_not_culled_by_the_face_grid(forget, monkeypatch):
     """The middle of their block is far away on the outer side there."""
 
     def change(model):
@@ -330,19 +334,19 @@ def test_points_that_were_pushed_through_a_plate_are_not_left_behind_it(forget, 
 
     corners = [(x, y, 0.0) for x in (-4e-3, 4e-3) for y in (-4e-3, 4e-3)]
     scene = falling_points(corners, wc.meshes.box((1, 1, 0.02)), 0.03, entry="latched")
-    in_cells = told(scene, 160, change=change)
+    in_cells = contact_counts(scene, 160, change=change)
     assert in_cells[-1] == ([[wc.ContactStatus.CONTACT] * 4], [[4]])
     monkeypatch.undo()
-    assert told(scene, 160, change=change) == in_cells
+    assert contact_counts(scene, 160, change=change) == in_cells
 
 
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
 @pytest.mark.parametrize("beside", [1.5, 2.0, 2.1])
-def test_points_beside_a_rim_hold_up_no_others(beside):
+def test_points_outside_the_boundary_do_not_delay_culling_of_others(beside):
     """However far away they are: one is 2 m beside."""
     plane = wc.Mesh([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], [(0, 1, 2), (0, 2, 3)])
     scene = falling_points([(0, 0, 0), (1.0 + beside, 0, 0.5)], plane, 0.05)
-    seen = told(scene, 100)
+    seen = contact_counts(scene, 100)
     assert seen[-1] == ([[wc.ContactStatus.CONTACT, wc.ContactStatus.OPEN]], [[1]])
 
 
@@ -365,7 +369,7 @@ def block_with_a_gap(gap, cells=10, half=0.25, height=0.0137):
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_a_narrow_gap_within_a_body_frees_nothing(precision, device):
+def test_face_grid_clearance_is_zero_around_a_narrow_gap_inside_a_body(precision, device):
     """Of its two sides, as near as a query can tell, one shows the gap and the other the body."""
     near = block_with_a_gap(2e-6)
     faces = near.faces
@@ -378,8 +382,8 @@ def test_a_narrow_gap_within_a_body_frees_nothing(precision, device):
     model = scene.build(device=device, precision=precision)
     own = model.parts[0].arrays.model
     for patch, middle in enumerate((0.0 * far, far)):
-        *counts, first = own.patch_cells.numpy()[patch]
-        origin, size = own.patch_cells_origin.numpy()[patch], own.patch_cells_size.numpy()[patch]
+        *counts, first = own.query_mesh_grid.numpy()[patch]
+        origin, size = own.query_mesh_grid_origin.numpy()[patch], own.query_mesh_cell_size.numpy()[patch]
         free = own.cells.numpy()["free"][first : first + np.prod(counts)]
         at = np.indices(counts[::-1]).reshape(3, -1)[::-1].T
         away = np.abs(origin.astype(float) + size * (at + 0.5) - surface_centre(surface, middle))
@@ -393,28 +397,28 @@ def surface_centre(surface, middle):
     return middle - surface.centre
 
 
-def test_where_lists_run_out_cells_have_none(device, monkeypatch):
+def test_face_grid_cells_without_list_capacity_have_no_list(device, monkeypatch):
     mesh, radius, _ = CASES["ball"]
     usual = scene_of(mesh, radius).build(device=device).parts[0].arrays.model.cells.numpy()
-    forced = cells.grid_about
+    forced = cells.make_grid
 
     def with_ten(*arguments):
         grid = forced(*arguments)
         return replace(grid, places=12, bytes=grid.bytes - 4 * (grid.places - 12))
 
-    monkeypatch.setattr(cells, "grid_about", with_ten)
+    monkeypatch.setattr(cells, "make_grid", with_ten)
     few = scene_of(mesh, radius).build(device=device).parts[0].arrays.model.cells.numpy()
-    start, count = np.divmod(few["faces"][few["faces"] >= 0], device_cells.LISTED)
+    start, count = np.divmod(few["faces"][few["faces"] >= 0], device_cells.LIST_STRIDE)
     assert 0 < len(count) < 4
-    assert (device_cells.PLACED * start + count <= 12).all()
+    assert (device_cells.LIST_ALIGNMENT * start + count <= 12).all()
     np.testing.assert_array_equal(few["free"], usual["free"])
 
 
-def test_a_reading_of_a_state_that_is_no_number_finds_nothing_in_cells(monkeypatch):
+def test_face_grid_query_of_non_finite_state_finds_no_face(monkeypatch):
     """Points near the surface are marked as if a face were remembered, and none is."""
-    cells_everywhere(monkeypatch)
-    with_queues(monkeypatch)
-    monkeypatch.setattr("warpcontact.schedule.FEW", 0)
+    build_all_face_grids(monkeypatch)
+    use_work_queues(monkeypatch)
+    monkeypatch.setattr("warpcontact.schedule.SMALL_LAUNCH", 0)
     scene = wc.Scene()
     ground = scene.add_surface(wc.meshes.sinusoidal_terrain((4, 4), (20, 20), 0.2, 2.5))
     rng = np.random.default_rng(3)
@@ -426,8 +430,8 @@ def test_a_reading_of_a_state_that_is_no_number_finds_nothing_in_cells(monkeypat
     model = scene.build(envs=4, device="cpu")
     wc.Simulation(model, dt=1e-3).step(400)
     own = model.parts[0].arrays
-    assert own.celled
-    assert own.cache.faces.numpy().max() == 1
+    assert own.uses_face_grid
+    assert own.cache.face_count.numpy().max() == 1
     assert own.cache.face.size == 0
     assert np.isfinite(model.sensor("touch.gap")).any()
     own.state.body_position.fill_(np.nan)

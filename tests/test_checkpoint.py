@@ -85,7 +85,7 @@ def sensors(sim):
 
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("devices", ["one", "two"])
-def test_what_was_saved_goes_on_to_the_bit(case, devices, device, tmp_path):
+def test_simulation_loaded_from_checkpoint_continues_bitwise_identically(case, devices, device, tmp_path):
     where = device if devices == "one" else [device, device]
     sim = simulation(case, where)
     sim.step(37)
@@ -106,7 +106,7 @@ def test_what_was_saved_goes_on_to_the_bit(case, devices, device, tmp_path):
     assert bits(sim) == before
 
 
-def test_parameters_come_back(device, tmp_path):
+def test_checkpoint_restores_parameters(device, tmp_path):
     sim = simulation("forces", device)
     sim.model["ball.mass"] = [1.0, 2.0, 3.0]
     sim.model["touch.law.stiffness"] = 2e5
@@ -123,7 +123,7 @@ def test_parameters_come_back(device, tmp_path):
     assert bits(other) == bits(sim)
 
 
-def test_a_model_that_was_not_stepped_still_follows_its_parameters(device, tmp_path):
+def test_unstepped_model_loaded_from_checkpoint_still_follows_its_parameters(device, tmp_path):
     sim = simulation("impulses", device)
     sim.save(tmp_path / "start.npz")
     other = simulation("impulses", device)
@@ -141,7 +141,7 @@ def test_a_model_that_was_not_stepped_still_follows_its_parameters(device, tmp_p
         ({"envs": 4}, r"envs: \[3\] there, \[4\] here"),
     ],
 )
-def test_another_simulation_is_refused_and_stays_as_it_is(changes, message, device, tmp_path):
+def test_checkpoint_of_another_simulation_is_refused_without_changes(changes, message, device, tmp_path):
     sim = simulation("forces", device)
     sim.step(3)
     sim.save(tmp_path / "state.npz")
@@ -152,7 +152,7 @@ def test_another_simulation_is_refused_and_stays_as_it_is(changes, message, devi
     assert bits(other) == before
 
 
-def test_another_scene_is_refused_by_what_differs(device, tmp_path):
+def test_checkpoint_of_another_scene_is_refused_with_the_difference(device, tmp_path):
     sim = simulation("forces", device)
     sim.save(tmp_path / "state.npz")
     with pytest.raises(wc.CheckpointError, match=r"another simulation: .*integrator|dt"):
@@ -162,7 +162,7 @@ def test_another_scene_is_refused_by_what_differs(device, tmp_path):
         other.load(tmp_path / "state.npz")
 
 
-def test_a_damaged_file_is_refused(device, tmp_path):
+def test_damaged_checkpoint_is_refused(device, tmp_path):
     sim = simulation("impulses", device)
     path = tmp_path / "state.npz"
     sim.save(path)
@@ -196,13 +196,13 @@ def test_a_damaged_file_is_refused(device, tmp_path):
         sim.load(tmp_path / "none.npz")
 
 
-def test_a_file_of_a_later_version_is_refused(device, tmp_path):
+def test_checkpoint_of_later_schema_is_refused(device, tmp_path):
     checkpoint.write(tmp_path / "state.npz", {}, {"schema": 99})
     with pytest.raises(wc.CheckpointError, match=r"schema 99, .*this version reads schema 5"):
         simulation("impulses", device).load(tmp_path / "state.npz")
 
 
-def test_a_file_is_replaced_as_a_whole(device, tmp_path, monkeypatch):
+def test_checkpoint_write_is_atomic(device, tmp_path, monkeypatch):
     sim = simulation("impulses", device)
     path = tmp_path / "state.npz"
     sim.save(path)
@@ -228,7 +228,7 @@ def test_a_file_is_replaced_as_a_whole(device, tmp_path, monkeypatch):
         {"quarantine": "reset"},
     ],
 )
-def test_what_watches_something_else_is_refused(watched, device, tmp_path):
+def test_checkpoint_with_other_monitors_is_refused(watched, device, tmp_path):
     given = {"outcomes": {"far": wc.outcomes.Max("box.position", component="z")}}
     sim = simulation("impulses", device, **given)
     sim.step(5)

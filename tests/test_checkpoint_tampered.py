@@ -18,7 +18,7 @@ PATIENCE = 300
 
 
 @pytest.mark.parametrize("case", ["forces", "impulses"])
-def test_tampered_checkpoints_neither_crash_nor_hang(case, times, tmp_path):
+def test_tampered_checkpoint_neither_crashes_nor_hangs(case, times, tmp_path):
     ends = collections.Counter()
     for first in range(0, 50 * times, 50):
         command = [sys.executable, HERE / "tampered.py", case, str(first), "50", tmp_path]
@@ -53,12 +53,14 @@ def changed(values, place, new):
     return content
 
 
-def test_files_hold_no_caches(saved):
+def test_checkpoint_stores_no_caches(saved):
     _, _, arrays = saved
     kinds = {name.rpartition(":")[0].rpartition(":")[2] for name in arrays if ":" in name}
-    assert kinds == {"state", "contacts", "couplings", "shape contacts", "piles"}
+    assert kinds == {"state", "contacts", "couplings", "shape contacts", "particles"}
     names = {name.rpartition(":")[2] for name in arrays}
-    assert names.isdisjoint({"wake", "nearest", "place", "gap", "penetration", "key", "head", "wrenches"})
+    assert names.isdisjoint(
+        {"safe_travel", "nearest", "list_center", "gap", "penetration", "key", "head", "wrenches"}
+    )
     assert {"body_position", "entry_speed", "armed", "face", "partner", "slot", "status", "time"} <= names
 
 
@@ -80,7 +82,7 @@ def test_files_hold_no_caches(saved):
         ("couplings:grounded", np.int32([-1]), r"grounded\[0, 0\] must be from 0 to 1, got -1"),
     ],
 )
-def test_values_out_of_range_are_named_and_nothing_is_changed(end, new, message, saved, tmp_path):
+def test_out_of_range_checkpoint_value_is_refused_without_changes(end, new, message, saved, tmp_path):
     sim, _, arrays = saved
     name = named(arrays, end)
     np.savez(tmp_path / "bad.npz", **(arrays | {name: changed(arrays[name], 0, new)}))
@@ -90,7 +92,7 @@ def test_values_out_of_range_are_named_and_nothing_is_changed(end, new, message,
     assert bits(sim) == before
 
 
-def test_parameters_and_forces_that_a_user_could_not_set_are_refused(saved, tmp_path):
+def test_invalid_parameter_or_force_in_checkpoint_is_refused(saved, tmp_path):
     sim, _, arrays = saved
     before = {name: sim.model[name].copy() for name in sim.model}
     count = sum("/values/" in name for name in arrays)
@@ -105,10 +107,10 @@ def test_parameters_and_forces_that_a_user_could_not_set_are_refused(saved, tmp_
         sim.load(tmp_path / "bad.npz")
     for name, values in before.items():
         np.testing.assert_array_equal(sim.model[name], values, err_msg=name)
-    assert not sim.model.handed_out
+    assert not sim.model.external_exposed
 
 
-def test_a_share_of_zero_is_refused_where_contacts_are_nonsmooth(tmp_path):
+def test_zero_force_scale_in_nonsmooth_checkpoint_is_refused(tmp_path):
     sim, path = simulation("impulses", "cpu", envs=2), tmp_path / "state.npz"
     sim.model["feet.force_scale"] = 0.75
     sim.save(path)
@@ -127,14 +129,14 @@ def test_a_share_of_zero_is_refused_where_contacts_are_nonsmooth(tmp_path):
 
 
 @pytest.mark.parametrize("value", [np.array(["a"]), np.array([np.nan]), np.array([-1.0]), np.zeros(2)], ids=str)
-def test_clocks_that_are_none_are_refused(value, saved, tmp_path):
+def test_invalid_clock_in_checkpoint_is_refused(value, saved, tmp_path):
     sim, _, arrays = saved
     np.savez(tmp_path / "bad.npz", **(arrays | {"elapsed": value}))
     with pytest.raises(wc.CheckpointError, match="elapsed"):
         sim.load(tmp_path / "bad.npz")
 
 
-def test_a_frozen_environment_keeps_its_state_also_where_it_is_not_finite(tmp_path):
+def test_frozen_environment_with_non_finite_state_is_restored(tmp_path):
     """It was written by the user: no step leads there."""
     sim = simulation("impulses", "cpu", envs=2)
     sim.step(3)
@@ -156,14 +158,14 @@ def test_a_frozen_environment_keeps_its_state_also_where_it_is_not_finite(tmp_pa
     assert other.model.health().frozen.tolist() == [1]
 
 
-def test_small_files_that_take_much_memory_are_refused(saved, tmp_path):
+def test_compressed_checkpoint_is_refused(saved, tmp_path):
     sim, _, arrays = saved
     np.savez_compressed(tmp_path / "bomb.npz", **(arrays | {"elapsed": np.zeros(10**8)}))
     with pytest.raises(wc.CheckpointError, match="its arrays are compressed"):
         sim.load(tmp_path / "bomb.npz")
 
 
-def test_files_of_an_earlier_schema_are_named(saved, tmp_path):
+def test_checkpoint_of_earlier_schema_is_refused_with_its_version(saved, tmp_path):
     sim, _, _ = saved
     checkpoint.write(tmp_path / "old.npz", {}, {"schema": 3, "program": "warpcontact 0.0.1"})
     with pytest.raises(
@@ -173,7 +175,7 @@ def test_files_of_an_earlier_schema_are_named(saved, tmp_path):
 
 
 @pytest.mark.parametrize("identity", [None, 3, {}, {"parameters": 3}, {"envs": "\x1b[31m"}], ids=str)
-def test_headers_of_any_content_are_refused_as_text(identity, saved, tmp_path):
+def test_invalid_checkpoint_header_is_refused_with_printable_message(identity, saved, tmp_path):
     sim, _, arrays = saved
     arrays = {name: values for name, values in arrays.items() if name != "header"}
     checkpoint.write(tmp_path / "bad.npz", arrays, {"identity": identity})

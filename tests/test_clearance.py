@@ -6,11 +6,11 @@ import sys
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from warpcontact.advice import to_search
 
 import warpcontact as wc
 from warpcontact import ContactStatus
-from warpcontact.clearance import is_clear
+from warpcontact.advice import contacts_to_evaluate
+from warpcontact.clearance import starts_clear
 
 LAW = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4))
 TERRAIN = wc.meshes.sinusoidal_terrain(size=(2.0, 2.0), cells=(12, 12), amplitude=0.2, wavelength=1.0)
@@ -62,7 +62,7 @@ KINDS = ["terrain", "turned terrain", "solid", "top of a box", "container", "pla
 
 @pytest.mark.parametrize("form", ["sphere", "points", "hull", "set of bodies"])
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_is_clear_touches_nothing(kind, form, device):
+def test_initially_clear_contact_set_has_no_contacts(kind, form, device):
     scene = wc.Scene(gravity=(0, 0, 0))
     surface, options = surfaces(scene, kind)
     points, radius = points_of(scene, form)
@@ -98,18 +98,18 @@ def test_what_is_clear_touches_nothing(kind, form, device):
                 model["hull.scale"] = rng.uniform(0.6, 0.8, size=envs)
         touching = model.sensor("touch.status") == ContactStatus.CONTACT
         apart += not touching.any()
-        if is_clear(model, contact, envs):
+        if starts_clear(model, contact, envs):
             clear += 1
             assert not touching.any()
             gap = model.sensor("touch.gap")
             assert (gap[~np.isnan(gap)] > 0.0).all()
-        assert is_clear(model, contact, envs) == (to_search(model, None) is None)
+        assert starts_clear(model, contact, envs) == (contacts_to_evaluate(model, None) is None)
     assert apart > 0
     # What is seen from inside has no outer side beyond its bounds.
     assert (clear > 0) == (kind != "container")
 
 
-def test_far_from_the_origin_what_is_near_is_not_clear():
+def test_initial_clearance_far_from_the_origin_includes_rounding():
     """Of coordinates of kilometres float32 has tenths of millimetres."""
     tilted = turn(0.7, (1, 0.3, 0.2))
     corners = Rotation.from_quat(tilted).apply(np.array(wc.meshes.grid((1e4, 1e4)).vertices))
@@ -125,36 +125,36 @@ def test_far_from_the_origin_what_is_near_is_not_clear():
     ]
     contacts = [scene.add_contact(arm, plane, LAW, radius=0.1) for arm in arms]
     model = scene.build(envs=2, device="cpu")
-    assert [is_clear(model, contact, 2) for contact in contacts] == [False, False, True]
+    assert [starts_clear(model, contact, 2) for contact in contacts] == [False, False, True]
 
 
 @pytest.mark.parametrize(("height", "expected"), [(0.1001, True), (0.0999, False), (-0.5, False), (np.nan, False)])
-def test_a_sphere_is_clear_above_the_highest_place(height, expected):
+def test_sphere_above_the_highest_vertex_is_initially_clear(height, expected):
     scene = wc.Scene()
     ground = scene.add_surface(wc.meshes.grid((4.0, 4.0), (4, 4)))
     balls = scene.add_bodies([(0, 0, 1), (1, 0, 1)], 1.0, (1, 1, 1), name="balls")
     contact = scene.add_contact(scene.add_points(balls, np.zeros((2, 3))), ground, LAW, radius=0.1)
     model = scene.build(envs=3, device="cpu")
-    assert is_clear(model, contact, model.envs)
+    assert starts_clear(model, contact, model.envs)
     # As it is now, whoever wrote that.
     model.state.body_position.numpy()[1, 1, 2] = height
-    assert is_clear(model, contact, model.envs) == expected
+    assert starts_clear(model, contact, model.envs) == expected
 
 
-def test_who_is_beyond_a_rim_is_looked_for():
+def test_sphere_beyond_the_boundary_is_not_initially_clear():
     scene = wc.Scene()
     ground = scene.add_surface(wc.meshes.grid((4.0, 4.0), (4, 4)))
     ball = scene.add_body(1.0, (1, 1, 1), (1.8, 0, 1), name="ball")
     contact = scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, LAW, radius=0.1)
     model = scene.build(envs=2, device="cpu")
-    assert is_clear(model, contact, model.envs)
+    assert starts_clear(model, contact, model.envs)
     model["ball.position"] = [(0, 0, 1), (1.95, 0, 1)]
-    assert not is_clear(model, contact, model.envs)
+    assert not starts_clear(model, contact, model.envs)
 
 
 @pytest.mark.slow
 @pytest.mark.launch_shapes
-def test_a_first_step_of_a_clear_start_needs_no_kernel_of_readings():
+def test_first_step_of_initially_clear_scene_compiles_no_sensor_kernel():
     """Nor the force alone, whose law is of the library."""
     code = """
 import sys, warpcontact as wc
@@ -174,7 +174,7 @@ print(*(name for name, module in context.user_modules.items() if module.execs))
         ended = subprocess.run([sys.executable, "-c", code, height], capture_output=True, text=True, check=True)
         return ended.stdout.split()
 
-    steps, sensors = "step_in_place", ("closest_point", "contact_force")
+    steps, sensors = "fused_steps", ("closest_point", "contact_force")
     names = loaded("0.2")
     assert any(steps in name for name in names)
     assert not any(sensor in name for name in names for sensor in sensors)
@@ -182,7 +182,7 @@ print(*(name for name, module in context.user_modules.items() if module.execs))
     assert all(any(part in name for name in names) for part in (steps, *sensors))
 
 
-def test_what_nobody_asks_for_is_not_searched():
+def test_initial_search_covers_only_requested_contacts():
     def search(height, *, piled=False, integrator=None):
         scene = wc.Scene()
         ground = scene.add_surface(wc.meshes.grid((4.0, 4.0)))
@@ -191,7 +191,7 @@ def test_what_nobody_asks_for_is_not_searched():
         if piled:
             scene.add_particle_contact(scene.add_shape(balls, wc.shapes.Sphere(0.1)), LAW)
         sim = wc.Simulation(scene.build(device="cpu"), 1e-3, integrator)
-        found = to_search(sim.model, sim._buffers[0].hard)
+        found = contacts_to_evaluate(sim.model, sim._buffers[0].nonsmooth)
         return None if found is None else [contact.name for contact in found]
 
     assert search(0.05) == ["touch"]

@@ -24,7 +24,7 @@ def python(*words):
 
 
 @pytest.mark.smoke
-def test_help_and_version_answer_without_anything_heavy():
+def test_help_and_version_import_no_slow_package():
     code = (
         "import sys\nfrom warpcontact.cli import main\ntry: main(sys.argv[1:])\nexcept SystemExit: pass\n"
         f"print('imported', sorted(set({HEAVY}) & set(sys.modules)))"
@@ -36,7 +36,7 @@ def test_help_and_version_answer_without_anything_heavy():
 
 
 @pytest.mark.smoke
-def test_example_runs_and_says_where_the_results_are(device, tmp_path, capsys, monkeypatch):
+def test_example_run_prints_result_paths(device, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     words = ["run", str(EXAMPLE), "--envs", "4", "--duration", "0.1", "--device", device]
     assert main(words) == 0
@@ -58,7 +58,7 @@ def test_example_runs_and_says_where_the_results_are(device, tmp_path, capsys, m
     assert Path("another/run.json").exists()
 
 
-def test_frozen_environments_are_said_without_a_warning(tmp_path, capsys):
+def test_frozen_environments_are_reported_without_warning(tmp_path, capsys):
     path = tmp_path / "study.toml"
     path.write_text(
         "duration = 0.01\ndt = 1e-3\nenvs = 2\n"
@@ -99,7 +99,7 @@ def test_frozen_environments_are_said_without_a_warning(tmp_path, capsys):
     ],
     ids=lambda value: " ".join(value)[-40:] if isinstance(value, list) else None,
 )
-def test_errors_are_one_message_and_exit_code_2(words, message, tmp_path, capsys, monkeypatch):
+def test_cli_error_is_one_message_and_exit_code_2(words, message, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("bad.toml").write_text("dt = = 1")
     Path("wrong.toml").write_text('dt = 0\nduration = 1\n[[body]]\nname = "b"\nmass = -1\ninertia = [1, 1, 1]\n')
@@ -113,7 +113,7 @@ def test_errors_are_one_message_and_exit_code_2(words, message, tmp_path, capsys
 
 
 @pytest.mark.parametrize("words", [[], ["dance"], ["run"], ["run", "x.toml", "--envs", "many"]])
-def test_wrong_words_show_the_usage(words, capsys):
+def test_invalid_arguments_print_usage(words, capsys):
     with pytest.raises(SystemExit) as caught:
         main(words)
     assert caught.value.code == 2
@@ -121,7 +121,7 @@ def test_wrong_words_show_the_usage(words, capsys):
 
 
 @pytest.mark.smoke
-def test_interrupt_is_no_traceback(monkeypatch, capsys, tmp_path):
+def test_interrupt_prints_no_traceback(monkeypatch, capsys, tmp_path):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
@@ -130,7 +130,7 @@ def test_interrupt_is_no_traceback(monkeypatch, capsys, tmp_path):
     assert "interrupted" in capsys.readouterr().err
 
 
-def test_the_folder_is_looked_at_before_the_experiment(tmp_path, capsys, monkeypatch):
+def test_run_command_checks_results_folder_before_the_experiment(tmp_path, capsys, monkeypatch):
     """Which takes long if kernels have to be compiled, or with very many environments."""
 
     def checked(*_, **__):
@@ -156,7 +156,7 @@ def test_the_folder_is_looked_at_before_the_experiment(tmp_path, capsys, monkeyp
         assert "warpcontact: nowhere: holds no run that could go on" in capsys.readouterr().err
 
 
-def test_interrupted_run_says_how_to_go_on(tmp_path, capsys, monkeypatch):
+def test_interrupted_run_prints_resume_command(tmp_path, capsys, monkeypatch):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
@@ -177,7 +177,7 @@ def test_interrupted_run_says_how_to_go_on(tmp_path, capsys, monkeypatch):
     assert wc.open_run(out).finished
 
 
-def test_warnings_are_printed_once_and_kept(tmp_path, capsys):
+def test_run_warnings_are_printed_once_and_stored(tmp_path, capsys):
     far = "v 0 0 0\nv 1000 0 0\nv 0 1000 0\nf 1 2 3\n"
     (tmp_path / "ground.obj").write_text(far)
     path = tmp_path / "study.toml"
@@ -195,7 +195,7 @@ def test_warnings_are_printed_once_and_kept(tmp_path, capsys):
 
 
 @pytest.mark.smoke
-def test_inspect_prints_the_report_and_says_whether_it_is_usable(tmp_path, capsys):
+def test_inspect_command_prints_report_and_exits_with_1_if_unusable(tmp_path, capsys):
     mesh = tmp_path / "mesh.obj"
     mesh.write_text(TRIANGLE)
     assert main(["inspect", str(mesh), "--scale", "0.001"]) == 0
@@ -213,7 +213,7 @@ def test_inspect_prints_the_report_and_says_whether_it_is_usable(tmp_path, capsy
     assert err.startswith(f"warpcontact: {broken}: ")
 
 
-def test_output_may_be_cut_off():
+def test_closed_output_pipe_prints_no_error():
     command = f"{sys.executable} -m warpcontact laws | head -n 1"
     result = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
     assert result.stdout.startswith("N: normal force")

@@ -14,9 +14,9 @@ import runs
 import warpcontact as wc
 from warpcontact.available import HOST
 from warpcontact.cli import main
-from warpcontact.experiment.cluster import Place, connect, place_of
+from warpcontact.experiment.cluster import ClusterResources, cluster_resources, connect
 from warpcontact.experiment.plan import Plan
-from warpcontact.footprint import USABLE, Footprint, Need
+from warpcontact.footprint import USABLE_FRACTION, MemoryEstimate, MemoryItem
 
 WORDS = ("--shard", 4, "--device", "cpu")
 
@@ -45,7 +45,7 @@ def workers(folder):
     return found
 
 
-def test_without_ray_there_is_one_clear_message(tmp_path):
+def test_run_without_ray_installed_prints_one_message(tmp_path):
     blocked = "import sys; sys.modules['ray'] = None"
     code, printed, err = runs.run(runs.study(tmp_path), "--out", tmp_path / "out", "--ray", first=blocked)
     assert code == 2
@@ -57,7 +57,7 @@ def test_without_ray_there_is_one_clear_message(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.ray
-def test_an_address_without_a_cluster_is_one_clear_message(place, tmp_path):
+def test_unreachable_ray_cluster_prints_one_message(place, tmp_path):
     code, _, err = runs.run(place / "study.toml", "--out", tmp_path / "out", "--ray", "127.0.0.1:1")
     assert code == 2, err
     assert "--ray 127.0.0.1:1: no cluster of Ray can be reached" in err
@@ -67,7 +67,7 @@ def test_an_address_without_a_cluster_is_one_clear_message(place, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.ray
-def test_ray_leaves_the_same_bytes(place, tmp_path):
+def test_ray_run_writes_bitwise_identical_results(place, tmp_path):
     out = tmp_path / "out"
     code, printed, err = runs.run(place / "study.toml", "--out", out, "--ray", *WORDS)
     assert code == 0, err
@@ -79,11 +79,11 @@ def test_ray_leaves_the_same_bytes(place, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.ray
-def test_of_a_killed_worker_exactly_its_shard_is_run_again(tmp_path):
+def test_shard_of_killed_worker_is_run_again(tmp_path):
     study, out = runs.study(tmp_path, envs=12, duration=300.0, every=0.5), tmp_path / "out"
     code, _, err = runs.run(study, "--out", tmp_path / "whole", *WORDS)
     assert code == 0, err
-    process = runs.begin(study, "--out", out, "--ray", *WORDS, "--checkpoint", 0.2)
+    process = runs.start_run(study, "--out", out, "--ray", *WORDS, "--checkpoint", 0.2)
 
     done, on_their_way = {}, {}
 
@@ -102,7 +102,7 @@ def test_of_a_killed_worker_exactly_its_shard_is_run_again(tmp_path):
     assert name.startswith("ray::")
     others = {number: record for number, record in done.items() if record["finished"]}
     os.kill(pid, signal.SIGKILL)
-    code, _, err = runs.ended(process)
+    code, _, err = runs.wait_for_end(process)
     assert code == 0, err
     again = [line for line in warnings_of(out) if "is tried again" in line]
     assert len(again) == 1, again
@@ -118,8 +118,8 @@ def test_of_a_killed_worker_exactly_its_shard_is_run_again(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.ray
-def test_a_shard_that_fails_three_times_on_a_cluster_is_reported_and_the_others_finish(place, tmp_path):
-    path, out = runs.crowded(tmp_path), tmp_path / "out"
+def test_shard_failing_three_times_on_cluster_is_reported_and_others_finish(place, tmp_path):
+    path, out = runs.overflowing_study(tmp_path), tmp_path / "out"
     code, printed, err = runs.run(path, "--out", out, "--ray", "--shard", 2)
     assert code == 3, err
     assert "shard_000001 failed: RuntimeError: pile: a shape had" in printed
@@ -131,19 +131,19 @@ def test_a_shard_that_fails_three_times_on_a_cluster_is_reported_and_the_others_
 @pytest.mark.slow
 @pytest.mark.ray
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_who_asks_a_cluster_to_stop_can_go_on_without_it(number, tmp_path):
+def test_stopped_cluster_run_resumes_without_cluster(number, tmp_path):
     study, out = runs.study(tmp_path, envs=12, duration=300.0, every=0.5), tmp_path / "out"
     code, _, err = runs.run(study, "--out", tmp_path / "whole", *WORDS)
     assert code == 0, err
-    process = runs.begin(study, "--out", out, "--ray", *WORDS)
+    process = runs.start_run(study, "--out", out, "--ray", *WORDS)
     assert runs.wait_until(lambda: workers(out), process)
     pids = list(workers(out).values())
     process.send_signal(number)
-    code, _, err = runs.ended(process)
+    code, _, err = runs.wait_for_end(process)
     assert code == 130, err
     assert f"warpcontact run --resume --out {out}" in err
-    assert runs.gone(pids)
-    committed = runs.check_what_readers_see(out, wc.open_run(tmp_path / "whole"))
+    assert runs.have_ended(pids)
+    committed = runs.check_committed_results(out, wc.open_run(tmp_path / "whole"))
     assert any(record["steps"] for record in committed.values())
     code, _, err = runs.run("--resume", "--out", out, "--device", "cpu")
     assert code == 0, err
@@ -152,16 +152,16 @@ def test_who_asks_a_cluster_to_stop_can_go_on_without_it(number, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.ray
-def test_who_asks_to_stop_once_ray_runs_and_no_shard_does_is_told_that_nothing_is_kept(place, tmp_path):
+def test_stop_request_before_first_cluster_shard_reports_nothing_stored(place, tmp_path):
     out = tmp_path / "out"
-    first = runs.asking_when(signal.SIGTERM, "building")
+    first = runs.send_signal_at_stage(signal.SIGTERM, "building")
     code, _, err = runs.run(place / "study.toml", "--out", out, "--ray", *WORDS, first=first)
     assert code == 130, err
     assert err.endswith("\nwarpcontact: interrupted before anything was kept\n")
     assert not out.exists()
 
 
-def test_who_asks_to_stop_while_ray_starts_is_heard(monkeypatch):
+def test_stop_request_while_ray_starts_is_handled(monkeypatch):
     ray = types.SimpleNamespace(is_initialized=lambda: False, init=lambda **_: sys.exit(1))
     monkeypatch.setitem(sys.modules, "ray", ray)
     with pytest.raises(KeyboardInterrupt):
@@ -170,9 +170,9 @@ def test_who_asks_to_stop_while_ray_starts_is_heard(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.ray
-def test_a_run_begun_in_one_process_goes_on_with_ray(place, tmp_path):
+def test_run_started_in_one_process_resumes_with_ray(place, tmp_path):
     out = tmp_path / "out"
-    kill = runs.ending_after(25)
+    kill = runs.kill_at_commit(25)
     code, _, err = runs.run(place / "study.toml", "--out", out, *WORDS, "--checkpoint", 0, first=kill)
     assert code == -signal.SIGKILL, err
     code, _, err = runs.run("--resume", "--out", out, "--device", "cpu", "--ray")
@@ -196,7 +196,7 @@ class Cluster:
 
 
 @pytest.mark.parametrize(
-    ("machines", "gpus", "places", "there", "said"),
+    ("machines", "gpus", "places", "there", "message_count"),
     [
         ([(8, 0, 100)], 0, 4, 4, 0),
         ([(8, 0, 35)], 0, 4, 3, 1),
@@ -206,29 +206,33 @@ class Cluster:
     ],
     ids=["enough", "less", "several machines", "GPUs", "cores left over"],
 )
-def test_no_more_shards_run_at_once_than_memory_holds(machines, gpus, places, there, said, monkeypatch):
-    monkeypatch.setattr("warpcontact.experiment.cluster.WORKER", 2)
+def test_concurrent_shards_are_limited_by_memory(machines, gpus, places, there, message_count, monkeypatch):
+    monkeypatch.setattr("warpcontact.experiment.cluster.WORKER_MEMORY", 2)
     # What the process that plans has of memory does not count.
-    plan = Plan(100, 5, 1, Footprint(5, "cpu", (Need("state", HOST, 6),)), 0, (), process=50)
-    told = []
-    place = Place(Cluster(*machines), cores=2, gpus=gpus, places=places).for_shards_of(plan, told.append)
+    plan = Plan(100, 5, 1, MemoryEstimate(5, "cpu", (MemoryItem("state", HOST, 6),)), 0, (), process=50)
+    messages = []
+    place = ClusterResources(Cluster(*machines), cores=2, gpus=gpus, slots=places).limit_by_memory(
+        plan, messages.append
+    )
     # With what is kept in reserve.
-    assert (place.places, place.memory) == (there, int(8 / USABLE))
-    assert len(told) == said
-    if said:
-        assert f"running {there} at once, and not {places}, for want of memory: a shard of 5 environm" in told[0]
+    assert (place.slots, place.memory) == (there, int(8 / USABLE_FRACTION))
+    assert len(messages) == message_count
+    if message_count:
+        assert (
+            f"running {there} at once, and not {places}, for want of memory: a shard of 5 environm" in messages[0]
+        )
 
 
-def test_a_shard_that_no_machine_holds_is_refused():
-    plan = Plan(100, 5, 1, Footprint(5, "cpu", (Need("state", HOST, 6 * 2**30),)), 0, ())
-    place = Place(Cluster((8, 0, 2**30), (1, 0, 2**40)), cores=2, gpus=0, places=4)
+def test_shard_too_large_for_every_node_is_refused():
+    plan = Plan(100, 5, 1, MemoryEstimate(5, "cpu", (MemoryItem("state", HOST, 6 * 2**30),)), 0, ())
+    place = ClusterResources(Cluster((8, 0, 2**30), (1, 0, 2**40)), cores=2, gpus=0, slots=4)
     message = "takes 7.58 GiB of a machine, and Ray has 1 GiB at most; take a smaller shard"
     with pytest.raises(MemoryError, match=message):
-        place.for_shards_of(plan, print)
+        place.limit_by_memory(plan, print)
 
 
 @pytest.mark.parametrize("device", ["cuda:0,cuda:1", "cuda:1", "cpu,cpu"])
-def test_shards_on_a_cluster_are_given_no_list_of_devices(device, tmp_path, capsys):
+def test_device_list_is_refused_with_ray(device, tmp_path, capsys):
     study = runs.study(tmp_path)
     assert main(["run", str(study), "--out", str(tmp_path / "out"), "--ray", "--device", device]) == 2
     assert f"--device {device}: device must be one of 'auto', 'cpu', 'cuda', 'cuda:0' with Ray" in (
@@ -241,20 +245,20 @@ def test_shards_on_a_cluster_are_given_no_list_of_devices(device, tmp_path, caps
     ("device", "gpus", "expected"),
     [("auto", 4, (4, 1, 4)), ("cuda:0", 4, (4, 1, 4)), ("cpu", 4, (4, 0, 8)), ("auto", 0, (4, 0, 8))],
 )
-def test_places_are_those_of_the_device_that_was_asked_for(device, gpus, expected):
-    place = place_of(Cluster((16, gpus // 2, 100), (16, gpus // 2, 100)), device, "study.toml")
-    assert (place.cores, place.gpus, place.places) == expected
+def test_cluster_resources_match_requested_device(device, gpus, expected):
+    place = cluster_resources(Cluster((16, gpus // 2, 100), (16, gpus // 2, 100)), device, "study.toml")
+    assert (place.cores, place.gpus, place.slots) == expected
 
 
-def test_a_gpu_that_a_cluster_does_not_have_is_refused():
+def test_requested_gpu_missing_from_cluster_is_refused():
     with pytest.raises(wc.ExperimentError) as caught:
-        place_of(Cluster((16, 0, 100)), "cuda:0", "study.toml")
+        cluster_resources(Cluster((16, 0, 100)), "cuda:0", "study.toml")
     assert str(caught.value) == "study.toml: device must be 'auto' or 'cpu' with Ray here: the cluster has no GPU"
 
 
 @pytest.mark.slow
 @pytest.mark.ray
-def test_on_the_cpu_of_a_cluster_with_gpus_its_cores_run_shards(place, tmp_path):
+def test_cpu_shards_use_cores_of_cluster_with_gpus(place, tmp_path):
     gpu = "import ray; ray.init(address='local', num_cpus=4, num_gpus=1, object_store_memory=10**8)"
     out = tmp_path / "out"
     code, _, err = runs.run(place / "study.toml", "--out", out, "--ray", "--device", "cpu", first=gpu)
@@ -266,7 +270,7 @@ def test_on_the_cpu_of_a_cluster_with_gpus_its_cores_run_shards(place, tmp_path)
 
 @pytest.mark.slow
 @pytest.mark.ray
-def test_with_memory_for_one_shard_a_cluster_runs_one_after_another(place, tmp_path):
+def test_cluster_with_memory_for_one_shard_runs_shards_sequentially(place, tmp_path):
     little = "import ray; ray.init(address='local', num_cpus=2, _memory=0.9e9, object_store_memory=10**8)"
     out = tmp_path / "out"
     code, _, err = runs.run(place / "study.toml", "--out", out, "--ray", *WORDS, first=little)

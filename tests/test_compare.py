@@ -55,7 +55,7 @@ def every(device):
     return compare.impacts(L.CATALOGUE, [0.3, 0.7, 1.0], device=device)
 
 
-def test_effective_restitution_is_that_of_the_table(some, shared):
+def test_effective_restitution_matches_reference_table(some, shared):
     table = np.genfromtxt(shared / "laws" / "restitution_table.csv", delimiter=",", names=True, deletechars="")
     rows = {round(float(e), 2): k for k, e in enumerate(table["e_prescribed"])}
     order = [rows[round(float(e), 2)] for e in some["restitution"].values]
@@ -66,7 +66,7 @@ def test_effective_restitution_is_that_of_the_table(some, shared):
 
 
 @pytest.mark.slow
-def test_loops_close_and_enclose_the_energy_that_is_lost(every):
+def test_hysteresis_loops_close_and_enclose_lost_energy(every):
     force, depth = every["normal_force"], every["penetration"]
     for end in (0, -1):
         assert (force.isel(time=end) == 0).all()
@@ -78,7 +78,7 @@ def test_loops_close_and_enclose_the_energy_that_is_lost(every):
 
 
 @pytest.mark.slow
-def test_every_law_is_in_the_same_impact(every):
+def test_all_laws_are_compared_in_the_same_impact(every):
     """Undamped, every law is as deep; those with a damping return what is asked for; elastic ones everything."""
     undamped = every.sel(restitution=1.0)
     np.testing.assert_allclose(undamped["greatest_penetration"], 1e-3, rtol=1e-3)
@@ -96,7 +96,7 @@ def test_every_law_is_in_the_same_impact(every):
             assert every["parameter"].sel(law=law).values[-1] == 0.0
 
 
-def test_greatest_force_and_contact_time_follow_their_closed_forms(device):
+def test_peak_force_and_contact_time_match_closed_forms(device):
     data = compare.impacts([L.Hertz, L.Hooke], 1.0, mass=2.0, speed=3.0, depth=5e-4, device=device)
     for law, exponent in (("Hertz", 1.5), ("Hooke", 1.0)):
         case = data.sel(law=law).isel(restitution=0)
@@ -106,7 +106,7 @@ def test_greatest_force_and_contact_time_follow_their_closed_forms(device):
         np.testing.assert_allclose(case["contact_time"], time, rtol=3e-3)
 
 
-def test_restitution_over_speed_shows_what_depends_on_it(device):
+def test_restitution_over_speed_differs_between_laws(device):
     slow_to_fast = [0.2, 1.0, 5.0]
     data = compare.rebounds([L.HuntCrossley, L.HertzDashpot, L.KuwabaraKono], 0.6, slow_to_fast, device=device)
     over_speed = data["effective_restitution"].isel(restitution=0)
@@ -120,7 +120,7 @@ def test_restitution_over_speed_shows_what_depends_on_it(device):
     np.testing.assert_allclose(over_speed.sel(law="KuwabaraKono", speed=[0.2, 5.0]), expected, atol=2e-3)
 
 
-def test_a_law_of_ones_own_is_compared_like_any_other(device, tmp_path):
+def test_custom_law_is_compared_like_library_laws(device, tmp_path):
     mine = Pad(pressure=3e9)
     data = compare.impacts({"pad": mine, "harder": Pad(pressure=6e9)}, [0.5, 1.0], device=device)
     assert data["law"].values.tolist() == ["pad", "harder"]
@@ -135,7 +135,7 @@ def test_a_law_of_ones_own_is_compared_like_any_other(device, tmp_path):
     assert (tmp_path / "own.svg").stat().st_size > 10_000
 
 
-def test_steady_slip_shows_the_curve_of_the_friction(device):
+def test_steady_slip_matches_friction_curve(device):
     speeds = np.array([0.002, 0.01, 0.05])
     chosen = {"default": F.Tanh, "mine": F.Tanh(mu=0.7, velocity_scale=0.02), "oil": Lubricated(drag=0.5)}
     data = compare.slips(chosen, speeds, load=25.0, device=device)
@@ -146,7 +146,7 @@ def test_steady_slip_shows_the_curve_of_the_friction(device):
     assert data["settings"].values[2] == "drag 0.5 s²/m²"
 
 
-def test_swings_move_as_prescribed_and_lose_energy(device):
+def test_oscillating_slip_follows_prescription_and_dissipates_energy(device):
     data = compare.swings(F.RegularizedCoulomb(mu=0.4), [1e-3, 1e-2], speed=0.5, device=device)
     assert (data["coefficient"].isel(time=0) == 0).all()
     for k, amplitude in enumerate((1e-3, 1e-2)):
@@ -160,7 +160,7 @@ def test_swings_move_as_prescribed_and_lose_energy(device):
 
 
 @pytest.mark.slow
-def test_frictions_that_remember_settle_in_steady_slip(device):
+def test_friction_with_history_reaches_steady_slip(device):
     speeds = np.array([1e-4, 5e-3, 0.2])
     bristles = F.LuGre(mu_static=0.5, mu_dynamic=0.3, stribeck_speed=0.01, stiffness=1e5)
     data = compare.slips([bristles, F.CundallStrack], speeds, device=device)
@@ -169,7 +169,7 @@ def test_frictions_that_remember_settle_in_steady_slip(device):
     np.testing.assert_allclose(data["coefficient"].sel(friction="CundallStrack"), 0.4, rtol=1e-6)
 
 
-def test_a_stick_spring_swings_along_its_stiffness(device):
+def test_stick_spring_oscillates_along_its_stiffness(device):
     spring = F.CundallStrack(mu_static=0.5, mu_dynamic=0.3, stiffness=2e4)
     data = compare.swings(spring, [1e-4, 1e-3], load=10.0, device=device).isel(friction=0)
     # 0.1 mm up and down stretches the spring to 0.2 mm and 4 N, less than the 5 N that hold: nothing is lost.
@@ -183,7 +183,7 @@ def test_a_stick_spring_swings_along_its_stiffness(device):
     np.testing.assert_allclose(last["coefficient"][[0, -1]], -0.3, rtol=1e-6)
 
 
-def test_slip_has_a_direction_where_friction_has_one(device):
+def test_slip_direction_selects_coefficient_of_anisotropic_friction(device):
     skate = F.Elliptic(mu_1=0.1, mu_2=0.4)
     for direction, expected in ((0.0, 0.1), (np.pi / 2, 0.4)):
         data = compare.slips(skate, [1.0], direction=direction, device=device)
@@ -192,7 +192,7 @@ def test_slip_has_a_direction_where_friction_has_one(device):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["laws", "friction"])
-def test_the_catalogue_can_be_drawn(kind, times, device, tmp_path):
+def test_every_catalogue_entry_can_be_plotted(kind, times, device, tmp_path):
     """Every fifth of it, each of which compiles kernels of its own; all of it with --thorough."""
     catalogue, draw = (
         (L.CATALOGUE, compare.plot_laws) if kind == "laws" else (F.CATALOGUE, compare.plot_friction_models)
@@ -207,7 +207,7 @@ def test_the_catalogue_can_be_drawn(kind, times, device, tmp_path):
         assert "</svg>" in (tmp_path / f"one{k}.svg").read_text()
 
 
-def test_the_same_picture_is_the_same_file(device, tmp_path):
+def test_repeated_plot_is_bitwise_identical(device, tmp_path):
     for name in ("one.svg", "two.svg"):
         compare.plot_laws(L.Hooke, tmp_path / name, device=device)
     assert (tmp_path / "one.svg").read_bytes() == (tmp_path / "two.svg").read_bytes()
@@ -241,6 +241,6 @@ def test_the_same_picture_is_the_same_file(device, tmp_path):
         (lambda: compare.plot_laws(L.CATALOGUE), "a picture shows at most 8 laws, got 28: Hooke, "),
     ],
 )
-def test_wrong_calls_say_what_is_wrong(call, message):
+def test_compare_raises_for_invalid_arguments(call, message):
     with pytest.raises((ValueError, TypeError), match=message):
         call()

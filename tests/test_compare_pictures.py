@@ -11,7 +11,7 @@ from warpcontact.kernels.clamped_dashpot import restitution_of_damping_ratio
 
 import warpcontact as wc
 from warpcontact import compare
-from warpcontact.compare.slip import breakaways
+from warpcontact.compare.slip import breakaway_coefficients
 
 L, F = wc.laws, wc.friction
 PLASTIC = own_law.Plastic(loading=1e6, unloading=4e6)
@@ -22,7 +22,7 @@ def texts(figure):
     return [text.get_text() for text in figure.findobj(Text) if text.get_text()]
 
 
-def foot(figure):
+def footnotes(figure):
     return figure.get_supxlabel().split("\n")
 
 
@@ -33,17 +33,17 @@ def panels(figure):
 
 
 @pytest.mark.slow
-def test_all_frictions_slide_with_the_same_unless_told_otherwise(device):
+def test_friction_models_slide_with_equal_coefficient_by_default(device):
     classes = [friction for friction in F.CATALOGUE if friction not in (F.Frictionless, F.Viscous)]
     steady = compare.slips(classes, [1.0], device=device)["coefficient"].isel(speed=0)
     # Threlfall never reaches μ, by 5 %; Stribeck and others have as good as arrived.
     expected = np.where(steady["friction"] == "Threlfall", 0.95 * 0.4, 0.4)
     np.testing.assert_allclose(steady, expected, rtol=2e-3)
-    told = compare.slips([functools.partial(F.Tanh, mu=0.7), F.Dahl], [1.0], device=device)["coefficient"]
-    np.testing.assert_allclose(told[:, 0], [0.7, 0.4], rtol=1e-6)
+    given = compare.slips([functools.partial(F.Tanh, mu=0.7), F.Dahl], [1.0], device=device)["coefficient"]
+    np.testing.assert_allclose(given[:, 0], [0.7, 0.4], rtol=1e-6)
 
 
-def test_a_class_beside_an_instance_goes_as_deep_as_that(device):
+def test_class_next_to_instance_reaches_the_depth_of_the_instance(device):
     soft = L.HuntCrossley(stiffness=1.5e6, restitution=0.5)
     # ½ m v² = K δ^2.5/2.5
     own = (0.5 * 2.5 / 1.5e6) ** 0.4
@@ -55,19 +55,19 @@ def test_a_class_beside_an_instance_goes_as_deep_as_that(device):
     # One that a class was given counts like that of an instance.
     data = compare.impacts([L.Hooke, functools.partial(L.Hertz, stiffness=1.5e6)], 1.0, device=device)
     np.testing.assert_allclose(data["greatest_penetration"], own, rtol=1e-3)
-    asked = compare.impacts({"class": L.Hooke, "soft": soft}, 1.0, depth=2e-3, device=device)
-    np.testing.assert_allclose(asked["greatest_penetration"][:, 0], [2e-3, own], rtol=1e-3)
-    assert (asked.attrs["depth"], asked.attrs["depth_of"]) == (2e-3, "")
+    deeper = compare.impacts({"class": L.Hooke, "soft": soft}, 1.0, depth=2e-3, device=device)
+    np.testing.assert_allclose(deeper["greatest_penetration"][:, 0], [2e-3, own], rtol=1e-3)
+    assert (deeper.attrs["depth"], deeper.attrs["depth_of"]) == (2e-3, "")
     assert compare.impacts(L.Hooke, 1.0, device=device).attrs["depth"] == 1e-3
 
 
-def test_laws_far_apart_are_in_one_scene(device):
+def test_laws_of_very_different_stiffness_share_one_scene(device):
     """The sphere is large enough for the softest, not for a depth that nobody asked for."""
     data = compare.impacts({"soft": L.Hooke(stiffness=1e2), "hard": L.Hooke(stiffness=1e4)}, 1.0, device=device)
     np.testing.assert_allclose(data["greatest_penetration"][:, 0], [0.1, 0.01], rtol=1e-3)
 
 
-def test_what_a_class_was_given_is_kept_and_not_varied(device):
+def test_given_class_arguments_are_not_varied(device):
     damped = functools.partial(L.KelvinVoigt, damping=200.0)
     data = compare.impacts(
         {"damped": damped, "half": functools.partial(L.HuntCrossley, restitution=0.5)}, [0.2, 0.8], device=device
@@ -80,7 +80,7 @@ def test_what_a_class_was_given_is_kept_and_not_varied(device):
     np.testing.assert_allclose(data["effective_restitution"][0], expected, atol=1e-3)
 
 
-def test_a_restitution_of_its_own_is_drawn_and_said(device):
+def test_law_with_fixed_restitution_is_plotted_and_labeled(device):
     figure = compare.plot_laws({"plastic": PLASTIC, "hc": L.HuntCrossley}, device=device)
     drawn = panels(figure)
     assert "plastic, e = 0.5" in drawn
@@ -99,9 +99,9 @@ def test_a_restitution_of_its_own_is_drawn_and_said(device):
     np.testing.assert_allclose(over_speed.lines[0].get_ydata(), 0.5, atol=2e-3)
 
 
-def test_dampings_that_were_found_are_named(device):
+def test_fitted_damping_is_labeled(device):
     figure = compare.plot_laws([L.Impact, L.KuwabaraKono, L.Flores], restitution=[0.5, 1.0], device=device)
-    impact, kono, flores = foot(figure)[1:]
+    impact, kono, flores = footnotes(figure)[1:]
     assert re.search(r"; damping [\d.]+, 0 N·s/m for e = 0\.5, 1$", impact)
     assert re.search(r"; viscosity [\d.e-]+, 0 s for e = 0\.5, 1$", kono)
     assert " for e = " not in flores
@@ -110,15 +110,15 @@ def test_dampings_that_were_found_are_named(device):
 
 
 @pytest.mark.slow
-def test_labels_keep_the_class_and_the_depth_its_source(device):
+def test_plot_labels_include_class_and_source_of_depth(device):
     soft = L.HuntCrossley(stiffness=1.5e6, restitution=0.5)
     figure = compare.plot_laws({"soft": soft, "Hertz": L.Hertz}, device=device)
-    note, first, second = foot(figure)
+    note, first, second = footnotes(figure)
     assert note == "sphere of 1 kg on a plate at 1 m/s, 0.003701 m deep if nothing is lost, as on soft"
     assert first.startswith("soft (HuntCrossley): stiffness 1.5e+06")
     assert second.startswith("Hertz: stiffness 1.5e+06")
     other = compare.plot_laws({"soft": soft, "Hertz": L.Hertz}, depth=2e-3, device=device)
-    assert foot(other)[0].endswith(
+    assert footnotes(other)[0].endswith(
         "0.002 m deep if nothing is lost; on soft as deep as the given stiffness has it"
     )
     assert compare.plot_laws({"soft": soft}, device=device).get_suptitle().startswith("soft\xa0(HuntCrossley):")
@@ -126,7 +126,7 @@ def test_labels_keep_the_class_and_the_depth_its_source(device):
     assert skate.get_suptitle().startswith("skate\xa0(Elliptic):")
 
 
-def test_a_picture_has_one_unit_for_each_quantity(device):
+def test_plot_uses_one_unit_per_quantity(device):
     # At e = 0.1 the force is beyond 500 N, at 0.6 it is not.
     figure = compare.plot_laws([L.Impact, L.KelvinVoigt], restitution=[0.1, 0.6, 1.0], mass=0.3, device=device)
     labels = {text for text in texts(figure) if re.match(r"(normal force|penetration|time)", text)}
@@ -135,8 +135,8 @@ def test_a_picture_has_one_unit_for_each_quantity(device):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", [F.CundallStrack, F.Mindlin])
-def test_what_holds_at_rest_is_marked_where_steady_slip_hides_it(kind, device):
-    held = breakaways(
+def test_static_friction_is_marked_if_steady_slip_does_not_show_it(kind, device):
+    held = breakaway_coefficients(
         {"given": functools.partial(kind, mu_static=0.6), "Tanh": F.Tanh, "Dahl": F.Dahl}, 10.0, device
     )
     # Steps grow by 0.5 %, so the last before it slides may be that much below.
@@ -148,24 +148,24 @@ def test_what_holds_at_rest_is_marked_where_steady_slip_hides_it(kind, device):
         (mark,) = [line for line in panels(figure)[title].lines if line.get_linestyle() == "-."]
         np.testing.assert_allclose(mark.get_ydata(), 0.5, rtol=5e-3)
         assert panels(figure)[title].get_ylim()[1] > 0.5
-    assert "dash-dotted: greatest force on a slow way from rest to steady slip" in foot(figure)
+    assert "dash-dotted: greatest force on a slow way from rest to steady slip" in footnotes(figure)
     assert "on the way from rest: 0.5" in texts(compare.plot_friction_models(kind, device=device))
 
 
 @pytest.mark.slow
-def test_a_picture_says_that_slip_has_a_direction_and_what_was_chosen(device):
+def test_plot_labels_include_slip_direction_and_chosen_values(device):
     figure = compare.plot_friction_models([F.Elliptic, F.Tanh], load=20.0, device=device)
-    note, along = foot(figure)[:2]
+    note, along = footnotes(figure)[:2]
     assert note == "pressed on a plate with 20 N; where nothing else was given: mu = mu_1 = 0.4, mu_2 = 0.2"
     assert along == "slip is along the x axis of the surface; for Elliptic other directions differ"
     assert {"steady slip along x", "steady slip along x, logarithmic", "slip to and fro along x"} <= set(
         panels(figure)
     )
     plain = compare.plot_friction_models([F.Tanh(mu=0.2), functools.partial(F.Dahl, mu=0.3)], device=device)
-    assert foot(plain)[0] == "pressed on a plate with 10 N"
+    assert footnotes(plain)[0] == "pressed on a plate with 10 N"
 
 
-def test_a_partial_of_something_else_is_refused():
+def test_invalid_partial_is_refused():
     with pytest.raises(TypeError, match=r"a law must be a class or an instance of wc\.Law"):
         compare.impacts(functools.partial(dict, stiffness=1.0))
     with pytest.raises(TypeError, match="unexpected keyword argument 'stifness'"):
@@ -174,12 +174,12 @@ def test_a_partial_of_something_else_is_refused():
         compare.impacts(functools.partial(L.Hertz, stiffness=-1.0))
 
 
-def test_signatures_are_short():
+def test_compare_signatures_are_short():
     for function in (compare.impacts, compare.rebounds, compare.slips, compare.swings, compare.plot_laws):
         assert "numpy" not in str(function.__annotations__)
 
 
-def test_an_existing_file_survives_a_picture_that_fails(tmp_path):
+def test_failed_plot_keeps_existing_file(tmp_path):
     path = tmp_path / "a.svg"
     path.write_text("mine")
     with pytest.raises(ValueError, match="greater than 0"):

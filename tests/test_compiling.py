@@ -18,7 +18,7 @@ from warpcontact.kernels import integrate
 
 import warpcontact as wc
 from warpcontact import drives, groups, simulation
-from warpcontact.compiling import load_all, round_each_product
+from warpcontact.compiling import disable_fma, load_all
 from warpcontact.couplings import springs
 from warpcontact.smooth import contact_sets
 
@@ -26,14 +26,14 @@ CPU = SimpleNamespace(is_cuda=False)
 
 
 @pytest.mark.parametrize("threads", [1, 64, 256])
-def test_a_gpu_rounds_every_product_and_a_cpu_does_not(threads):
+def test_fma_is_disabled_on_gpu_only(threads):
     module = integrate.semi_implicit_euler(wp.float32).module
     gpu, cpu = (SimpleNamespace(is_cuda=is_cuda) for is_cuda in (True, False))
     of_cpu = module.get_module_hash(threads)
-    round_each_product(SimpleNamespace(module=module), gpu)
+    disable_fma(SimpleNamespace(module=module), gpu)
     assert not module.resolve_options(wp.config, threads)["fuse_fp"]
     of_gpu = module.get_module_hash(threads)
-    round_each_product(SimpleNamespace(module=module), cpu)
+    disable_fma(SimpleNamespace(module=module), cpu)
     assert of_gpu != of_cpu == module.get_module_hash(threads)
 
 
@@ -44,12 +44,12 @@ class Kernel:
         self.module = SimpleNamespace(options={"fuse_fp": True}, load=lambda *_, **__: load())
 
 
-def test_kernels_are_compiled_side_by_side():
+def test_kernels_are_compiled_in_parallel():
     all_at_once = threading.Barrier(3)
     load_all([Kernel(lambda: all_at_once.wait(timeout=60)) for _ in range(3)], CPU, 3)
 
 
-def test_each_is_compiled_once_and_by_one_thread_if_there_is_no_other():
+def test_each_kernel_is_compiled_once_and_in_one_thread_if_single_threaded():
     loaded = []
 
     def load(number):
@@ -65,7 +65,7 @@ def test_each_is_compiled_once_and_by_one_thread_if_there_is_no_other():
 
 
 @pytest.mark.parametrize("place", [0, 1], ids=["in this thread", "in another"])
-def test_a_kernel_that_does_not_compile_is_told_and_no_other_is_begun(place):
+def test_compilation_error_is_raised_and_stops_further_compilation(place):
     begun, failed, more = threading.Event(), threading.Event(), []
 
     def fails():
@@ -84,7 +84,7 @@ def test_a_kernel_that_does_not_compile_is_told_and_no_other_is_begun(place):
     assert not more
 
 
-def test_a_step_can_be_the_last_thing_that_a_process_does():
+def test_process_can_end_with_a_step():
     # No thread can be made any more then.
     code = """
 import threading, time, warpcontact as wc
@@ -126,7 +126,7 @@ def hard():
 
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
 @pytest.mark.parametrize("make", [heap, crossing, bodies, hard])
-def test_nothing_that_steps_and_frames_launch_is_left_to_be_compiled_alone(make, monkeypatch):
+def test_all_step_and_frame_kernels_are_precompiled(make, monkeypatch):
     compiled = set()
 
     def load_them(kernels, device, threads):
@@ -140,11 +140,11 @@ def test_nothing_that_steps_and_frames_launch_is_left_to_be_compiled_alone(make,
     recording = sim.run(0.02, record=[sensor], every=5e-3)
     assert np.isfinite(recording[sensor]).all()
     (stepper, *_) = sim._prepared[1]._steppers
-    launches = [*stepper.launches(), *stepper._looks.values(), stepper._after_look]
+    launches = [*stepper.launches(), *stepper._evaluations.values(), stepper._step_after_evaluation]
     launched = {launch.kernel for some in launches for launch in some}
     assert len(launched) > 3
     # What copies a frame is compiled in no time.
-    assert {kernel.key for kernel in launched - compiled} <= {"take__locals__take_frame"}
+    assert {kernel.key for kernel in launched - compiled} <= {"record_frame__locals__take_frame"}
 
 
 class OwnLaw(wc.Law):
@@ -174,7 +174,7 @@ def all_kinds(law):
 
 
 @pytest.mark.parametrize(("law", "compiled"), [(wc.laws.Hooke, 0), (OwnLaw, 3)])
-def test_building_compiles_what_is_a_users_alone(law, compiled, monkeypatch):
+def test_build_compiles_kernels_of_custom_classes(law, compiled, monkeypatch):
     loaded = []
     for module in (groups, drives, contact_sets, springs):
         monkeypatch.setattr(module, "load", lambda kernel, device: loaded.append(kernel))

@@ -10,16 +10,16 @@ from coupling_scenes import AREA, CLOSEST, MASS, OTHER_MASS, RANGE, SPEED, expec
 
 import warpcontact as wc
 
-WAY = RANGE - CLOSEST
-TAU = 0.5 * math.pi * WAY / SPEED
+STOPPING_PENETRATION = RANGE - CLOSEST
+TAU = 0.5 * math.pi * STOPPING_PENETRATION / SPEED
 RATIOS = (0.0, 0.05, 0.2, 0.7)
 
 
 def stop_of(ratio):
     """Distance and time of the stop, and the rebound as a part of the speed, with the force cut at zero."""
-    frequency, root = SPEED / WAY, math.sqrt(1.0 - ratio**2)
+    frequency, root = SPEED / STOPPING_PENETRATION, math.sqrt(1.0 - ratio**2)
     angle = math.acos(ratio)
-    depth = WAY * math.exp(-ratio / root * angle)
+    depth = STOPPING_PENETRATION * math.exp(-ratio / root * angle)
     leaves = math.pi - math.atan2(2.0 * ratio * root, 1.0 - 2.0 * ratio**2)
     return RANGE - depth, angle / (frequency * root), math.exp(-ratio / root * leaves)
 
@@ -32,7 +32,7 @@ def settled(model, steps_per_tau, duration):
 
 
 @pytest.mark.parametrize(("other", "k1"), [(None, 2.5e7), (OTHER_MASS, 7.142857142857144e6)])
-def test_coefficients_follow_from_the_impact(other, k1):
+def test_contact_range_coefficients_match_impact_formulas(other, k1):
     made = expected(other)
     assert made.k1 == pytest.approx(k1, rel=1e-14)
     assert made.time_scale(MASS, AREA, other) == pytest.approx(0.015707963267948967, rel=1e-14)
@@ -59,7 +59,7 @@ def models(device):
 
 
 @pytest.mark.parametrize(("other", "sort"), [(None, "free"), (OTHER_MASS, "free"), (OTHER_MASS, "reduced")])
-def test_an_impact_stops_and_rebounds_as_its_closed_form_says(models, other, sort):
+def test_coupled_impact_matches_closed_form(models, other, sort):
     """Body and environment, two free bodies, and one of the reduced mass in their place."""
     model, coupling = models[None if sort == "reduced" else other]
     k1 = expected(other).k1
@@ -82,7 +82,9 @@ def test_an_impact_stops_and_rebounds_as_its_closed_form_says(models, other, sor
         before, after = speed[turn - 1, env], speed[turn, env]
         stopped = (turn - 1 - before / (after - before) - 0.5) * TAU / steps
         # Of first order in dt with damping: a step of τ/1000 is a part of 1.6e-3 of 1/ω.
-        assert height[:, env].min() == pytest.approx(distance, abs=2e-3 * ratio * WAY + 1e-5 * WAY)
+        assert height[:, env].min() == pytest.approx(
+            distance, abs=2e-3 * ratio * STOPPING_PENETRATION + 1e-5 * STOPPING_PENETRATION
+        )
         assert stopped == pytest.approx(time, rel=2e-3 * ratio + 1e-4)
         assert speed[-1, env] == pytest.approx(rebound * SPEED, rel=3e-3 * ratio + 1e-5)
         assert report.minimum_distance[env] == pytest.approx(height[:, env].min(), abs=1e-15)
@@ -91,14 +93,14 @@ def test_an_impact_stops_and_rebounds_as_its_closed_form_says(models, other, sor
     model.reset()
 
 
-def test_the_closed_forms_are_those_of_the_oracle(shared):
+def test_contact_range_formulas_match_reference(shared):
     oracle = json.loads((shared / "spec" / "oracle_contact_coupling.json").read_text())["impact"]
     for pairing, other in (("body_env", None), ("body_body", OTHER_MASS)):
-        known = oracle[pairing]
-        assert expected(other).k1 == pytest.approx(known["k1"], rel=1e-14)
-        assert pytest.approx(known["tau"], rel=1e-14) == TAU
+        reference = oracle[pairing]
+        assert expected(other).k1 == pytest.approx(reference["k1"], rel=1e-14)
+        assert pytest.approx(reference["tau"], rel=1e-14) == TAU
         for ratio in RATIOS[1:]:
-            given = known[f"zeta{ratio:g}"]
+            given = reference[f"zeta{ratio:g}"]
             assert expected(other, ratio).k2 == pytest.approx(given["k2"], rel=1e-14)
             distance, time, rebound = stop_of(ratio)
             assert distance == pytest.approx(given["d_stop_formula"], rel=1e-12)
@@ -107,7 +109,7 @@ def test_the_closed_forms_are_those_of_the_oracle(shared):
             assert rebound == pytest.approx(given["e_out_clamped"], rel=1e-9)
 
 
-def test_steps_of_a_twentieth_stop_within_a_hundredth_in_both_pairings(models):
+def test_steps_of_one_twentieth_stop_within_one_percent(models):
     for other, (model, coupling) in models.items():
         model.reset()
         model["keep.k2"] = 0.0
@@ -119,13 +121,13 @@ def test_steps_of_a_twentieth_stop_within_a_hundredth_in_both_pairings(models):
             total = MASS * speeds[0] + OTHER_MASS * speeds[1]
             # That of the common centre never changes: the reaction is exact.
             np.testing.assert_allclose(total / (MASS + OTHER_MASS), -1.5 * 50.0 / 70.0, rtol=1e-13)
-        np.testing.assert_allclose(height.min(axis=0), CLOSEST, atol=0.01 * WAY)
+        np.testing.assert_allclose(height.min(axis=0), CLOSEST, atol=0.01 * STOPPING_PENETRATION)
         np.testing.assert_allclose(np.argmin(height, axis=0) / 20.0, 1.0, atol=0.05)
         assert coupling.report(model).touched.sum() == 0
         model.reset()
 
 
-def test_the_error_of_steps_is_that_of_the_table(device, shared):
+def test_time_step_error_matches_reference_table(device, shared):
     """SPEC 5, Time step: in which phase of a step the range is entered makes the difference."""
     table = json.loads((shared / "spec" / "oracle_contact_coupling.json").read_text())["impact"]
     scene, coupling = impact_scene()
@@ -143,30 +145,32 @@ def test_the_error_of_steps_is_that_of_the_table(device, shared):
             wc.Simulation(model, dt=dt).step(4 * steps)
         assert len(caught) == (steps < 20)
         closest = coupling.report(model).minimum_distance
-        known = table["timestep_tau_over_n"][str(steps)]
+        reference = table["timestep_tau_over_n"][str(steps)]
         # Where a contact begins, a millionth of the force is not that of the table.
-        assert closest.min() == pytest.approx(known["d_stop_min"], abs=1e-6 * WAY)
-        assert closest.max() == pytest.approx(known["d_stop_max"], abs=1e-6 * WAY)
+        assert closest.min() == pytest.approx(reference["d_stop_min"], abs=1e-6 * STOPPING_PENETRATION)
+        assert closest.max() == pytest.approx(reference["d_stop_max"], abs=1e-6 * STOPPING_PENETRATION)
         speeds = model.sensor("block.linear_velocity")[:, 2] / SPEED
-        assert [speeds.min(), speeds.max()] == pytest.approx(known["v_exit_over_v"], abs=1e-6)
-        assert np.abs(closest - CLOSEST).max() < rule.get(steps, 1.0) * WAY
+        assert [speeds.min(), speeds.max()] == pytest.approx(reference["v_exit_over_v"], abs=1e-6)
+        assert np.abs(closest - CLOSEST).max() < rule.get(steps, 1.0) * STOPPING_PENETRATION
 
 
-def test_gravity_takes_the_body_closer_and_lets_it_hover(device):
+def test_gravity_reduces_stopping_distance_and_body_hovers(device):
     scene, coupling = impact_scene()
     model = scene.build(envs=2, device=device, precision="float64")
     model["scene.gravity"] = (0.0, 0.0, -9.81)
     with pytest.warns(wc.ContactWarning, match=r"keep: gravity presses .* stops at 0.00399 m instead of 0.005 m"):
         wc.Simulation(model, dt=TAU / 1000.0).step(1500)
     # Velocities are half a step early: by g dt/2 too much at the start, which is a depth of 5.1e-5 of the way.
-    np.testing.assert_allclose(coupling.report(model).minimum_distance, 0.003986955528272279, atol=6e-5 * WAY)
+    np.testing.assert_allclose(
+        coupling.report(model).minimum_distance, 0.003986955528272279, atol=6e-5 * STOPPING_PENETRATION
+    )
     assert coupling.report(model).passed.all()
     model["block.position"] = (0.0, 0.0, 0.019019)
     model.reset()
     assert model.sensor("keep.force")[0] == pytest.approx([0.0, 0.0, MASS * 9.81], rel=1e-10)
 
 
-def test_the_damping_sets_in_over_its_ramp(device):
+def test_coupling_damping_increases_over_its_ramp(device):
     k2, ramp = 2.0e5, 0.004
     made = wc.ContactRange(k1=2.5e7, k2=k2, effective_range=RANGE)
     scene, _ = impact_scene(contact_range=made, damping_ramp=ramp)

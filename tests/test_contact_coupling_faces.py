@@ -35,7 +35,7 @@ def oracle(shared):
 
 
 @pytest.mark.parametrize("name", ["flat", "flat_spin", "tilt"])
-def test_all_faces_in_range_push_as_printed_at_every_level_of_the_mesh(oracle, name, device):
+def test_coupling_force_of_all_facing_faces_matches_reference_at_each_mesh_level(oracle, name, device):
     case = oracle[name]
     for level in case["levels"]:
         model = box_over_plane(divided_box(level["n"]), case, device, facing="all")
@@ -49,7 +49,7 @@ def test_all_faces_in_range_push_as_printed_at_every_level_of_the_mesh(oracle, n
 
 
 @pytest.mark.parametrize("name", ["flat", "flat_spin", "tilt"])
-def test_float32_says_the_same(oracle, name, device):
+def test_coupling_force_in_float32_matches_reference(oracle, name, device):
     case = oracle[name]
     for level in case["levels"]:
         model = box_over_plane(divided_box(level["n"]), case, device, "float32", facing="all")
@@ -59,7 +59,7 @@ def test_float32_says_the_same(oracle, name, device):
         np.testing.assert_allclose(model.sensor("keep.torque")[0], level["moment"], rtol=0, atol=2e-6 * scale)
 
 
-def test_float32_says_the_same_far_from_the_origin(device):
+def test_coupling_force_in_float32_is_invariant_far_from_the_origin(device):
     forces = []
     for origin in (np.zeros(3), np.array([1e6, -2e5, 3e5])):
         scene = wc.Scene(gravity=(0, 0, 0))
@@ -75,7 +75,7 @@ def test_float32_says_the_same_far_from_the_origin(device):
     np.testing.assert_allclose(forces[1], forces[0], rtol=1e-6)
 
 
-def test_walls_of_a_flat_box_do_not_push_when_areas_are_projected(oracle, device):
+def test_side_walls_do_not_contribute_with_projected_areas(oracle, device):
     for n in (1, 16):
         model = box_over_plane(divided_box(n), oracle["flat"], device)
         np.testing.assert_allclose(model.sensor("keep.force")[0], [-1476.0, 0.0, 4920.0], rtol=1e-12, atol=1e-9)
@@ -102,7 +102,7 @@ def sunk_volume(size, degrees, height):
     return 0.5 * abs((px * np.roll(pz, -1) - pz * np.roll(px, -1)).sum()) * size[1]
 
 
-def test_projected_faces_converge_to_the_volume_in_range_faster_with_more_points(device):
+def test_projected_force_converges_to_volume_in_range_faster_with_more_points(device):
     """Like buoyancy: each face carries the column of the range above its shadow."""
     case = {"R_deg": 2.0, "rb": [0, 0, 0.115], "vb": [0, 0, 0], "wb": [0, 0, 0]}
     limit = K1 * sunk_volume((0.4, 0.3, THICK), 2.0, 0.115)
@@ -122,7 +122,7 @@ def test_projected_faces_converge_to_the_volume_in_range_faster_with_more_points
 
 
 @pytest.mark.parametrize("points", [1, 3, 6, 7])
-def test_rules_are_exact_to_their_order(points):
+def test_quadrature_rules_are_exact_to_their_order(points):
     from warpcontact.meshes.quadrature import ORDERS, face_points
 
     corner = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
@@ -141,7 +141,7 @@ def test_rules_are_exact_to_their_order(points):
 
 
 @pytest.mark.parametrize("sides", ["first", "average"])
-def test_two_bodies_keep_their_momentum(sides, device):
+def test_coupling_between_two_bodies_conserves_momentum(sides, device):
     scene = wc.Scene(gravity=(0, 0, 0))
     turn = np.array([0.1, 0.2, 0.05, 1.0])
     bodies = [
@@ -177,7 +177,7 @@ def test_two_bodies_keep_their_momentum(sides, device):
     assert model.sensor("keep.minimum_distance")[0] < RANGE
 
 
-def test_sides_share_one_set_of_parameters(device):
+def test_both_sides_share_one_set_of_parameters(device):
     scene = wc.Scene(gravity=(0, 0, 0))
     plate = scene.add_surface(wc.meshes.grid((0.2, 0.1)), name="plate")
     block = scene.add_body(1.0, [1.0] * 3, (0, 0, 0.06), name="block")
@@ -203,7 +203,7 @@ def test_sides_share_one_set_of_parameters(device):
     np.testing.assert_allclose(first, [0.5 * whole, 0.5 * 1.21 * 4.0 * whole], rtol=1e-12)
 
 
-def test_faces_look_where_their_surface_is_turned(device):
+def test_facing_test_uses_surface_orientation(device):
     """A wall that its surface lays flat faces the plane; inactive faces never do."""
     scene = wc.Scene(gravity=(0, 0, 0))
     plane = scene.add_surface(wc.meshes.grid((2.0, 2.0)), name="plane")
@@ -226,7 +226,7 @@ def test_faces_look_where_their_surface_is_turned(device):
     assert forces[2] == 0.0
 
 
-def test_couplings_and_contacts_side_by_side_say_what_each_says_alone(device):
+def test_couplings_and_contacts_in_one_scene_match_separate_scenes(device):
     """Three couplings of two codes, and an ordinary contact that shares the code of one of them."""
     kinds = {
         "slick": {"facing": "all"},

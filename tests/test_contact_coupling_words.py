@@ -25,7 +25,7 @@ def impact(device):
     return scene.build(envs=3, device=device, precision="float64"), coupling
 
 
-def test_a_step_longer_than_a_twentieth_of_the_stop_is_named(impact):
+def test_step_above_one_twentieth_of_stopping_time_warns(impact):
     model, _ = impact
     model.reset()
     assert warned(model, TAU / 20.0) == []
@@ -51,7 +51,7 @@ def test_a_step_longer_than_a_twentieth_of_the_stop_is_named(impact):
     model["keep.k2"] = 0.0
 
 
-def test_a_friction_too_steep_for_the_peak_of_the_impact_is_named(impact):
+def test_friction_too_steep_at_peak_impact_force_warns(impact):
     model, _ = impact
     # 2m/(μ N k_t) with N = ω m v = 7500 N.
     limit = 2.0 * 50.0 / (0.3 * 7500.0 * 1.0 / 1e-3)
@@ -79,7 +79,7 @@ def test_a_friction_too_steep_for_the_peak_of_the_impact_is_named(impact):
         (0.05 * 0.995, None),
     ],
 )
-def test_less_area_than_estimated_is_told_and_passes_the_closest_distance(half_y, words, device):
+def test_smaller_contact_area_than_estimated_warns_and_exceeds_closest_distance(half_y, words, device):
     scene = wc.Scene(gravity=(0, 0, 0))
     plate = scene.add_surface(wc.meshes.grid((1.0, 1.0)), name="plate")
     block = scene.add_body(50.0, [1.0] * 3, (0, 0, RANGE), linear_velocity=(0, 0, -SPEED), name="block")
@@ -102,7 +102,7 @@ def test_less_area_than_estimated_is_told_and_passes_the_closest_distance(half_y
     assert report.touched[0] == (stop < 0.0) == ("the surfaces met: in environment 0" in str(report))
 
 
-def test_a_small_plate_limits_the_area_too(device):
+def test_small_plate_limits_the_estimated_area(device):
     scene = wc.Scene(gravity=(0, 0, 0))
     plate = scene.add_surface(wc.meshes.grid((0.1, 0.1)), name="plate")
     block = scene.add_body(50.0, [1.0] * 3, (0, 0, 2 * RANGE), name="block")
@@ -112,7 +112,7 @@ def test_a_small_plate_limits_the_area_too(device):
     assert "no more than 0.01 m²" in message
 
 
-def test_gravity_along_the_wall_or_between_two_bodies_presses_nothing(device):
+def test_gravity_parallel_to_wall_or_between_two_bodies_does_not_warn(device):
     scene, _ = impact_scene()
     model = scene.build(envs=2, device=device, precision="float64")
     model["scene.gravity"] = [(9.81, 0, 0), (0, 0, 9.81)]
@@ -125,7 +125,7 @@ def test_gravity_along_the_wall_or_between_two_bodies_presses_nothing(device):
     assert warned(model, TAU / 1000.0) == []
 
 
-def test_a_start_deep_within_the_range_is_named(impact):
+def test_start_deep_within_range_warns(impact):
     model, _ = impact
     velocity = model["block.linear_velocity"].copy()
     model["block.linear_velocity"] = np.zeros((3, 3))
@@ -141,7 +141,7 @@ def test_a_start_deep_within_the_range_is_named(impact):
     model.reset()
 
 
-def test_the_report_tells_where_it_came_too_close(impact):
+def test_coupling_report_lists_environments_below_closest_distance(impact):
     model, coupling = impact
     place = model["block.linear_velocity"].copy()
     model["block.linear_velocity"] = [[0, 0, -0.75], [0, 0, -1.8], [0, 0, 1.0]]
@@ -170,7 +170,7 @@ def test_the_report_tells_where_it_came_too_close(impact):
     model.reset()
 
 
-def test_what_is_kept_is_recorded_and_split_over_devices(impact, device):
+def test_coupling_extremes_are_recorded_and_split_over_devices(impact, device):
     model, _ = impact
     scene = model.scene
     split = scene.build(envs=3, device=[device, device], precision="float64")
@@ -198,7 +198,7 @@ IMPACT = {"mass": 1.0, "area": 0.1, "speed": 1.0, "effective_range": 0.02, "clos
         ({"effective_range": [1, 2]}, "ContactRange.effective_range must be a number"),
     ],
 )
-def test_bad_ranges_are_refused(changes, message):
+def test_invalid_contact_range_raises(changes, message):
     with pytest.raises(ValueError, match=re.escape(message)):
         wc.ContactRange(**GOOD | changes)
 
@@ -215,7 +215,7 @@ def test_bad_ranges_are_refused(changes, message):
         ({"damping_ratio": float("nan")}, "ContactRange.from_impact: damping_ratio must be at least 0, got nan"),
     ],
 )
-def test_bad_impacts_are_refused(changes, message):
+def test_invalid_impact_raises(changes, message):
     with pytest.raises(ValueError, match=re.escape(message)):
         wc.ContactRange.from_impact(**IMPACT | changes)
 
@@ -245,7 +245,7 @@ def test_bad_impacts_are_refused(changes, message):
         ({"name": "hull"}, "name 'hull' of a coupling is taken"),
     ],
 )
-def test_bad_couplings_are_refused_and_leave_the_scene_as_it_was(changes, message):
+def test_invalid_coupling_raises_and_leaves_scene_unchanged(changes, message):
     scene = wc.Scene()
     block = scene.add_body(1.0, [1.0] * 3, name="block")
     meshes = {"plate": wc.meshes.grid(), "hull": wc.meshes.box(), "deck": wc.meshes.grid()}
@@ -265,7 +265,7 @@ def test_bad_couplings_are_refused_and_leave_the_scene_as_it_was(changes, messag
     assert scene.contact_couplings == []
 
 
-def test_other_types_are_refused():
+def test_invalid_types_raise():
     scene = wc.Scene()
     block = scene.add_body(1.0, [1.0] * 3)
     hull, plate = scene.add_surface(wc.meshes.box(), block), scene.add_surface(wc.meshes.grid())

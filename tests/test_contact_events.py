@@ -41,7 +41,7 @@ def changes(recording, env, names):
     return found
 
 
-def test_events_are_the_changes_of_a_recording(device):
+def test_contact_events_match_changes_in_recording(device):
     names = ["feet", "touch"]
     steps = 3000
     record = [f"{name}.penetration" for name in names]
@@ -66,7 +66,7 @@ def test_events_are_the_changes_of_a_recording(device):
     np.testing.assert_array_equal(sim.outcomes()["events_missed"], 0)
 
 
-def test_the_last_events_are_kept_and_the_others_counted():
+def test_latest_events_are_stored_and_older_ones_counted():
     steps = 3000
     all_of_them, few = (
         wc.Simulation(box(), DT, events=wc.ContactEvents(["touch", "feet"], most=most)) for most in (300, 7)
@@ -82,7 +82,7 @@ def test_the_last_events_are_kept_and_the_others_counted():
             np.testing.assert_array_equal(last[key][env], whole[key][env, count - 7 : count])
 
 
-def test_a_contact_at_the_start_is_made_at_the_start():
+def test_contact_at_the_start_begins_at_time_zero():
     model = box(1)
     model["ball.position"] = (0.5, 0.0, 0.099)
     sim = wc.Simulation(model, DT, events=wc.ContactEvents(["touch"]))
@@ -102,13 +102,13 @@ def test_a_contact_at_the_start_is_made_at_the_start():
         (lambda: wc.ContactEvents(["ball"]), "events: 'ball' is not a contact"),
     ],
 )
-def test_what_has_no_events_is_refused(make, problem):
+def test_events_raise_for_elements_without_events(make, problem):
     model = box(1)
     with pytest.raises((TypeError, ValueError), match=problem):
         wc.Simulation(model, DT, events=make())
 
 
-def test_mutual_contacts_have_no_events():
+def test_particle_contact_has_no_events():
     scene = wc.Scene()
     grains = scene.add_bodies([(0, 0, 0), (0, 0, 1)], mass=1.0, inertia=(0.1,) * 3, name="grains")
     material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4))
@@ -125,6 +125,6 @@ def test_mutual_contacts_have_no_events():
     np.testing.assert_array_equal(sim.outcomes()["n"], 0.0)
 
 
-def test_a_simulation_without_events_says_how_to_have_them():
+def test_events_of_simulation_without_events_raise_with_remedy():
     with pytest.raises(ValueError, match=r"no events are watched: give the simulation events=wc\.Events"):
         wc.Simulation(box(1), DT).events()

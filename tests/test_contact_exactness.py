@@ -19,7 +19,7 @@ PRECISIONS = pytest.mark.parametrize(("precision", "exact"), [("float32", 5e-7),
 
 
 @PRECISIONS
-def test_a_face_keeps_its_own_normal_up_to_its_edge(precision, exact, device):
+def test_contact_normal_is_face_normal_up_to_the_edge(precision, exact, device):
     cube = wc.meshes.box((1.0, 1.0, 1.0))
     # Towards the edge, over the face: the edge is as near to first order, and must not be taken.
     x = 0.5 - np.geomspace(1e-6, 0.1, 200)
@@ -36,7 +36,7 @@ def test_a_face_keeps_its_own_normal_up_to_its_edge(precision, exact, device):
 
 
 @PRECISIONS
-def test_a_flat_floor_is_flat_at_its_diagonals(precision, exact, device):
+def test_flat_floor_has_no_gap_error_at_its_diagonals(precision, exact, device):
     floor = wc.meshes.grid((1.0, 1.0), (1, 1))
     rng = np.random.default_rng(1)
     along = rng.uniform(-0.45, 0.45, 2000)
@@ -50,7 +50,7 @@ def test_a_flat_floor_is_flat_at_its_diagonals(precision, exact, device):
 
 @PRECISIONS
 @pytest.mark.parametrize("strips", [10, 100, 1000])
-def test_thin_triangles_keep_their_digits(strips, precision, exact, device):
+def test_thin_triangles_keep_gap_precision(strips, precision, exact, device):
     floor = wc.meshes.grid((1.0, 1.0), (1, strips))
     rng = np.random.default_rng(strips)
     depth = np.geomspace(1e-6, 1e-2, 3000)
@@ -65,7 +65,7 @@ def test_thin_triangles_keep_their_digits(strips, precision, exact, device):
 
 @PRECISIONS
 @pytest.mark.parametrize("thickness", [1e-2, 1e-3])
-def test_a_blade_has_two_sides(thickness, precision, exact, device):
+def test_thin_blade_distinguishes_both_sides(thickness, precision, exact, device):
     size = (1.0, 1.0, thickness)
     blade = wc.meshes.box(size)
     rng = np.random.default_rng(4)
@@ -80,7 +80,7 @@ def test_a_blade_has_two_sides(thickness, precision, exact, device):
         np.testing.assert_allclose(sensors["gap"] + radius, expected, atol=exact)
 
 
-def test_signs_that_rounding_once_turned(device):
+def test_gap_sign_is_correct_for_rounding_sensitive_points(device):
     tetrahedron = wc.Mesh(
         [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]
     )
@@ -93,7 +93,7 @@ def test_signs_that_rounding_once_turned(device):
     assert far["gap"][0] > 9000
 
 
-def test_a_contact_is_not_missed_where_the_query_names_a_wrong_face(device):
+def test_contact_is_detected_if_float32_query_returns_wrong_face(device):
     """A cylinder of 2000 sides: its facets are so thin that the float32 query confuses them."""
     sides = 2000
     angle = 2 * np.pi * np.arange(sides) / sides
@@ -119,7 +119,7 @@ def test_a_contact_is_not_missed_where_the_query_names_a_wrong_face(device):
     np.testing.assert_allclose(sensors["penetration"], depth, atol=1e-6)
 
 
-def test_on_an_edge_the_active_face_counts(device):
+def test_active_face_determines_status_on_shared_edge(device):
     square = wc.Mesh([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], [[0, 1, 2], [0, 2, 3]])
     rng = np.random.default_rng(7)
     along = rng.uniform(-0.9, 0.9, 500)

@@ -51,7 +51,7 @@ PLANE_CASES = {
 # and every force is proportional to it.
 @pytest.mark.parametrize(("precision", "rtol"), [("float32", 4e-5), ("float64", 1e-9)])
 @pytest.mark.parametrize("case", PLANE_CASES)
-def test_worked_numbers_on_a_plane(case, precision, rtol, shared, device):
+def test_point_on_plane_matches_reference(case, precision, rtol, shared, device):
     oracle = json.loads((shared / "spec" / "oracle_contactps2.json").read_text())[case]
     point, options = PLANE_CASES[case]
     model = oracle_model(square(), point, precision, device, **options)
@@ -89,7 +89,7 @@ def power_of_pair(model):
     return total
 
 
-def test_worked_numbers_on_a_sphere_appear_as_its_mesh_is_refined(shared, device):
+def test_point_on_meshed_sphere_converges_to_reference(shared, device):
     oracle = json.loads((shared / "spec" / "oracle_contactps2.json").read_text())["point_sphere"]
     # A facet of the fine icosphere (edge 0.02) lies up to h²/8 = 5e-5 inside; δ = 4e-3, so 1.5 % of the force.
     direction = np.array([1.0, 2.0, 2.0]) / 3.0
@@ -100,7 +100,7 @@ def test_worked_numbers_on_a_sphere_appear_as_its_mesh_is_refined(shared, device
     np.testing.assert_allclose(model.sensor("one.force")[0], oracle["F1"], rtol=0.03)
 
 
-def test_wrenches_of_a_pair_cancel_about_any_point(device):
+def test_contact_wrenches_cancel_about_any_point(device):
     model = oracle_model(square(), (0.2, 0.1, -0.003), "float32", device)
     f1, f2 = model.sensor("one.force")[0], model.sensor("two.force")[0]
     np.testing.assert_array_equal(f1, -f2)
@@ -116,7 +116,7 @@ def test_wrenches_of_a_pair_cancel_about_any_point(device):
 # The sensor table, row by row
 
 
-def test_open_contact_and_zero_gap(device):
+def test_open_contact_has_no_force_and_zero_gap_is_open(device):
     sensors = probe(square(), [(0.1, 0.2, 0.3), (0.1, 0.2, 0.05)], radius=0.05, device=device)
     np.testing.assert_allclose(sensors["gap"], [0.25, 0.0], atol=LENGTH)
     assert sensors["penetration"].tolist() == [0.0, 0.0]
@@ -124,7 +124,7 @@ def test_open_contact_and_zero_gap(device):
     assert sensors["status"][0] == ContactStatus.OPEN
 
 
-def test_a_point_exactly_on_the_surface_does_not_touch(device):
+def test_point_exactly_on_the_surface_is_open(device):
     sensors = probe(square(), [(0.1, 0.2, 0.0)], device=device)
     assert sensors["gap"][0] == 0.0
     assert sensors["penetration"][0] == 0.0
@@ -132,7 +132,7 @@ def test_a_point_exactly_on_the_surface_does_not_touch(device):
     np.testing.assert_allclose(sensors["normal"][0], (0, 0, 1))
 
 
-def test_contact_reports_depth_and_normal(device):
+def test_penetrating_point_has_expected_gap_and_normal(device):
     sensors = probe(square(), [(0.1, 0.2, -0.01)], device=device)
     assert sensors["status"][0] == ContactStatus.CONTACT
     np.testing.assert_allclose(sensors["gap"], -0.01, atol=LENGTH)
@@ -140,7 +140,7 @@ def test_contact_reports_depth_and_normal(device):
     np.testing.assert_allclose(sensors["normal"][0], (0, 0, 1), atol=LENGTH)
 
 
-def test_hidden_faces_carry_no_force_and_report_a_distance(device):
+def test_inactive_faces_have_distance_but_no_force(device):
     # The upper left triangle is hidden; the whole surface is searched, so the point above it finds it hidden.
     positions = [(-0.5, 0.5, -0.01), (-0.5, 0.5, 0.3), (0.5, -0.5, -0.01)]
     sensors = probe(square(), positions, active_faces=[0], device=device)
@@ -152,13 +152,13 @@ def test_hidden_faces_carry_no_force_and_report_a_distance(device):
     assert sphere["normal_force"].tolist() == [0.0, 0.0]
 
 
-def test_an_edge_shared_with_an_active_face_is_active(device):
+def test_edge_shared_with_an_active_face_is_active(device):
     # The diagonal belongs to both triangles.
     sensors = probe(square(), [(0.25, 0.25, -0.01)], active_faces=[0], device=device)
     assert sensors["status"][0] == ContactStatus.CONTACT
 
 
-def test_searching_the_active_part_only_finds_its_nearest_point(device):
+def test_search_active_returns_nearest_point_of_the_active_part(device):
     # Over the hidden triangle, 0.1 beside the diagonal: the nearest active point is on the diagonal, a boundary.
     beside = (-0.1 / np.sqrt(2), 0.1 / np.sqrt(2), 0.05)
     for boundary, status in (("off", ContactStatus.OPEN), ("outer", ContactStatus.CONTACT)):
@@ -174,13 +174,13 @@ def test_searching_the_active_part_only_finds_its_nearest_point(device):
     np.testing.assert_allclose(point["gap"], np.hypot(0.1, 0.05), atol=LENGTH)
 
 
-def test_far_surfaces_are_not_seen(device):
+def test_surface_beyond_search_radius_has_status_far(device):
     sensors = probe(square(), [(0, 0, 0.5), (0, 0, 0.2)], radius=0.05, search_radius=0.3, device=device)
     assert sensors["status"].tolist() == [ContactStatus.FAR, ContactStatus.OPEN]
     np.testing.assert_allclose(sensors["gap"], [0.25, 0.15], atol=LENGTH)
 
 
-def test_too_deep_is_the_wrong_side(device):
+def test_point_deeper_than_max_depth_has_status_wrong_side(device):
     sensors = probe(square(), [(0, 0, -0.01), (0, 0, -0.2)], max_depth=0.05, device=device)
     assert sensors["status"].tolist() == [ContactStatus.CONTACT, ContactStatus.WRONG_SIDE]
     np.testing.assert_allclose(sensors["gap"], [-0.01, -0.2], atol=LENGTH)
@@ -188,7 +188,7 @@ def test_too_deep_is_the_wrong_side(device):
     assert sensors["normal_force"][1] == 0.0
 
 
-def test_a_disabled_contact_is_skipped(device):
+def test_disabled_contact_has_no_gap_and_no_force(device):
     sensors = probe(square(), [(0, 0, -0.01)], enabled=False, device=device)
     assert sensors["status"][0] == ContactStatus.DISABLED
     assert np.isnan(sensors["gap"][0])
@@ -198,7 +198,7 @@ def test_a_disabled_contact_is_skipped(device):
 # Edges, vertices, boundaries, far field
 
 
-def test_directions_over_edges_and_corners_of_a_cube(device):
+def test_contact_normals_at_cube_edges_and_vertices_match_directions(device):
     cube = wc.meshes.box((1.0, 1.0, 1.0))
     h = np.sqrt(0.5)
     positions = [(0.7, 0.0, 0.7), (0.7, 0.7, 0.7), (0.7, 0.0, 0.0)]
@@ -209,7 +209,7 @@ def test_directions_over_edges_and_corners_of_a_cube(device):
     np.testing.assert_allclose(sensors["normal"], directions, atol=4 * LENGTH)
 
 
-def test_the_sign_is_right_all_around_a_cube_inside_and_out(device):
+def test_gap_sign_is_correct_inside_and_outside_a_cube(device):
     cube = wc.meshes.box((1.0, 1.0, 1.0))
     rng = np.random.default_rng(1)
     positions = rng.uniform(-1.0, 1.0, (4000, 3))
@@ -219,7 +219,7 @@ def test_the_sign_is_right_all_around_a_cube_inside_and_out(device):
     np.testing.assert_allclose(sensors["gap"], exact, atol=2 * LENGTH)
 
 
-def test_the_sign_is_right_far_from_a_tetrahedron(device):
+def test_gap_sign_is_correct_far_from_a_tetrahedron(device):
     """Where Warp's own sign_normal fails."""
     rng = np.random.default_rng(2)
     directions = rng.normal(size=(20000, 3))
@@ -229,7 +229,7 @@ def test_the_sign_is_right_far_from_a_tetrahedron(device):
     assert (sensors["status"] == ContactStatus.OPEN).all()
 
 
-def test_inside_a_tetrahedron_the_gap_is_negative(device):
+def test_gap_is_negative_inside_a_tetrahedron(device):
     rng = np.random.default_rng(3)
     inside = rng.dirichlet(np.ones(4), 2000)[:, 1:]
     sensors = probe(tetrahedron(), inside, device=device)
@@ -237,7 +237,7 @@ def test_inside_a_tetrahedron_the_gap_is_negative(device):
     np.testing.assert_allclose(sensors["gap"], exact, atol=LENGTH)
 
 
-def test_a_concave_edge_pushes_out_of_the_material(device):
+def test_normal_at_concave_edge_points_out_of_the_material(device):
     # A ridge seen from below is a valley: the nearest feature of a point under it is the concave edge.
     roof = wc.Mesh(
         [[-1, -1, 1], [0, -1, 0], [0, 1, 0], [-1, 1, 1], [1, -1, 1], [1, 1, 1]],
@@ -249,7 +249,7 @@ def test_a_concave_edge_pushes_out_of_the_material(device):
     np.testing.assert_allclose(sensors["gap"][0], -np.hypot(0.02, 0.1), atol=LENGTH)
 
 
-def test_nothing_touches_beyond_an_open_border(device):
+def test_point_beyond_the_boundary_is_open(device):
     positions = [(1.1, 0.0, -0.01), (1.0 + 1e-5, 0.0, -0.01), (0.999, 0.0, -0.01), (1.1, 1.1, -0.01)]
     sensors = probe(square(), positions, device=device)
     # 1e-5 beside a boundary of length 2 is within the tolerance of 1e-4 of the edge.
@@ -264,7 +264,7 @@ def test_nothing_touches_beyond_an_open_border(device):
 
 
 @pytest.mark.parametrize(("boundary", "touching"), [("off", ContactStatus.OPEN), ("outer", ContactStatus.CONTACT)])
-def test_a_sphere_touches_the_rim_only_when_asked(boundary, touching, device):
+def test_sphere_contacts_boundary_only_with_boundary_outer(boundary, touching, device):
     positions = [(1.06, 0.0, 0.08), (1.06, 0.0, -0.08)]
     sensors = probe(square(), positions, radius=0.2, boundary=boundary, device=device)
     assert sensors["status"].tolist() == [touching, ContactStatus.OPEN]
@@ -273,14 +273,14 @@ def test_a_sphere_touches_the_rim_only_when_asked(boundary, touching, device):
         np.testing.assert_allclose(sensors["normal"][0], (0.6, 0, 0.8), atol=4 * LENGTH)
 
 
-def test_the_nearest_face_of_a_plate_flips_at_half_its_thickness(device):
+def test_nearest_face_of_plate_changes_at_half_its_thickness(device):
     plate = wc.meshes.box((1.0, 1.0, 0.02))
     sensors = probe(plate, [(0.1, 0.2, 0.0001), (0.1, 0.2, -0.0001)], device=device)
     np.testing.assert_allclose(sensors["normal"][:, 2], [1, -1], atol=LENGTH)
     np.testing.assert_allclose(sensors["gap"], -0.0099, atol=LENGTH)
 
 
-def test_at_a_tie_the_lowest_face_wins(device):
+def test_tie_is_broken_by_the_lowest_face_index(device):
     cube = wc.meshes.box((1.0, 1.0, 1.0))
     for order in (np.arange(12), np.arange(12)[::-1]):
         mesh = wc.Mesh(cube.vertices, cube.faces[order])
@@ -290,13 +290,13 @@ def test_at_a_tie_the_lowest_face_wins(device):
         np.testing.assert_allclose(sensors["normal"][0], normal / np.linalg.norm(normal), atol=LENGTH)
 
 
-def test_flip_turns_the_outer_side_over(device):
+def test_flip_reverses_the_outer_side(device):
     sensors = probe(square(), [(0.1, 0.0, 0.01)], flip=True, device=device)
     assert sensors["status"][0] == ContactStatus.CONTACT
     np.testing.assert_allclose(sensors["normal"][0], (0, 0, -1), atol=LENGTH)
 
 
-def test_the_direction_is_continuous_while_a_sphere_rolls_over_an_edge(device):
+def test_contact_normal_is_continuous_while_sphere_rolls_over_an_edge(device):
     cube = wc.meshes.box((1.0, 1.0, 1.0))
     angle = np.linspace(-0.3, np.pi / 2 + 0.3, 400)
     # The offset surface of the cube at 0.05: along the top, around the edge, down the side.
@@ -316,7 +316,7 @@ def test_the_direction_is_continuous_while_a_sphere_rolls_over_an_edge(device):
 # Surfaces on bodies
 
 
-def test_a_surface_moves_with_its_body(device):
+def test_surface_moves_with_its_body(device):
     scene = wc.Scene(gravity=(0, 0, 0))
     turned = np.sin(np.pi / 4)
     plate = scene.add_body(1.0, (1, 1, 1), position=(5, 0, 0), orientation=(0, turned, 0, turned), name="plate")
@@ -331,7 +331,7 @@ def test_a_surface_moves_with_its_body(device):
     np.testing.assert_allclose(model.sensor("plate.force")[0], (-100, 0, 0), atol=0.05)
 
 
-def test_surface_pose_may_differ_between_environments(device):
+def test_surface_pose_can_differ_between_environments(device):
     scene = wc.Scene(gravity=(0, 0, 0))
     surface = scene.add_surface(square(), name="surface")
     body = scene.add_body(1.0, (1, 1, 1), position=(0, 0, 1.0), name="body")
@@ -356,13 +356,13 @@ def latched(entry, z0, velocity, device, steps=200, **options):
     return sim
 
 
-def test_literal_entry_pushes_a_point_from_the_inner_side_through(device):
+def test_literal_entry_pushes_point_from_the_inner_side_through(device):
     sim = latched("literal", -0.1, (0, 0, 0), device)
     # D √(k/m): the undamped speed of SPEC 1.3, at first order in dt.
     np.testing.assert_allclose(sim.model.sensor("body.linear_velocity")[0, 2], 0.1 * 100.0, rtol=0.01)
 
 
-def test_latched_entry_lets_a_point_from_the_inner_side_pass(device):
+def test_latched_entry_lets_point_from_the_inner_side_pass(device):
     sim = latched("latched", -0.1, (0, 0, 1.0), device, steps=50)
     assert sim.model.sensor("touch.status")[0] == ContactStatus.WRONG_SIDE
     np.testing.assert_allclose(sim.model.sensor("touch.gap")[0], -0.05, atol=1e-5)
@@ -370,13 +370,13 @@ def test_latched_entry_lets_a_point_from_the_inner_side_pass(device):
     np.testing.assert_allclose(sim.model.sensor("body.linear_velocity")[0], (0, 0, 1.0))
 
 
-def test_latched_entry_holds_a_point_from_the_outer_side(device):
+def test_latched_entry_stops_point_from_the_outer_side(device):
     sim = latched("latched", 0.05, (0, 0, -1.0), device)
     # Back out with the speed it came with, up to where in a step the contact ends: (ω dt)²/8 = 1.3e-3.
     np.testing.assert_allclose(sim.model.sensor("body.linear_velocity")[0, 2], 1.0, rtol=2e-3)
 
 
-def test_the_latch_opens_below_the_greatest_depth_and_closes_outside(device):
+def test_latch_opens_below_max_depth_and_closes_outside(device):
     # Too fast to be stopped within 20 mm: passes, and is not pushed out of the other side again.
     sim = latched("latched", 0.05, (0, 0, -5.0), device, max_depth=0.02, steps=100)
     assert sim.model.sensor("touch.status")[0] == ContactStatus.WRONG_SIDE
@@ -386,7 +386,7 @@ def test_the_latch_opens_below_the_greatest_depth_and_closes_outside(device):
     assert sim.model.sensor("body.linear_velocity")[0, 2] == speed
 
 
-def test_reset_disarms_the_latch_with_its_environment(device):
+def test_reset_disarms_the_latch_of_its_environment(device):
     sim = latched("latched", -0.01, (0, 0, 1.0), device, steps=100)
     assert sim.model.sensor("touch.gap")[0] > 0
     sim.reset()

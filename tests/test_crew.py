@@ -25,10 +25,10 @@ class Stepper:
     def __init__(self, name, captured, log, meeting=None):
         self.device, self.captured, self.log, self.meeting = Listed(name), captured, log, meeting
 
-    def go_to(self, own):
+    def select(self, own):
         pass
 
-    def go_to_frame(self, number):
+    def set_frame(self, number):
         pass
 
     def capture(self, ways):
@@ -43,41 +43,41 @@ class Stepper:
 def shares(names, *args, members=1):
     """A share of a slice for each device, with a stepper for each of its threads."""
     return [
-        crew.Share([slice(0, 10**6)], [Stepper(name, *args) for _ in range(members if name == "cpu" else 1)])
+        crew.DeviceShare([slice(0, 10**6)], [Stepper(name, *args) for _ in range(members if name == "cpu" else 1)])
         for name in names
     ]
 
 
-def test_gpus_that_the_host_decides_about_do_not_wait_for_each_other():
+def test_gpus_with_host_decisions_are_launched_concurrently():
     log, meeting = [], threading.Barrier(3)
     parts = shares(("cuda:0", "cuda:1", "cpu"), False, log, meeting)
-    assert list(crew.Crew(parts).step(8)) == [8]
+    assert list(crew.WorkerPool(parts).step(8)) == [8]
     assert sorted(name for name, _ in log) == ["cpu", "cuda:0", "cuda:1"]
 
 
-def test_of_one_gpu_only_one_slice_is_launched_at_a_time():
+def test_slices_of_one_gpu_are_launched_sequentially():
     log = []
-    made = crew.Crew(shares(("cuda:0", "cuda:1", "cuda:0"), False, log))
+    made = crew.WorkerPool(shares(("cuda:0", "cuda:1", "cuda:0"), False, log))
     list(made.step(8))
     assert made._threads == 2
     assert sorted(name for name, _ in log) == ["cuda:0", "cuda:0", "cuda:1"]
 
 
-def test_graphs_are_given_to_gpus_in_turn_before_the_cpu_begins():
+def test_graphs_are_launched_on_gpus_before_cpu_slices_start():
     log = []
     parts = shares(("cpu", "cuda:0", "cpu", "cuda:1"), True, log, members=2)
-    list(crew.Crew(parts).step(32))
+    list(crew.WorkerPool(parts).step(32))
     assert log[:2] == [("cuda:0", True), ("cuda:1", True)]
     assert [name for name, _ in log[2:]] == ["cpu", "cpu"]
     assert not any(alone for _, alone in log[2:])
 
 
-def turns_of(slices, monkeypatch):
+def chunks_of(slices, monkeypatch):
     """The steps of each turn, by slice, that two threads take in 1000 steps of some slices."""
     begun, taken, lock = {}, {}, threading.Lock()
 
     class OnSlices(Stepper):
-        def go_to(self, own):
+        def select(self, own):
             self.own = own.start
 
         def step(self, ways):
@@ -89,39 +89,39 @@ def turns_of(slices, monkeypatch):
                 begun[self.own] = False
                 taken.setdefault(self.own, []).append(sum(way.steps for way in ways))
 
-    made = crew.Crew(
-        [crew.Share([slice(k, k + 1) for k in range(slices)], [OnSlices("cpu", True, []) for _ in range(2)])]
+    made = crew.WorkerPool(
+        [crew.DeviceShare([slice(k, k + 1) for k in range(slices)], [OnSlices("cpu", True, []) for _ in range(2)])]
     )
-    monkeypatch.setattr(crew, "ALONE", 0)
+    monkeypatch.setattr(crew, "SERIAL_ENV_STEPS", 0)
     assert list(made.step(8))[-1] == 8
     taken.clear()
-    made._pace.steps = 1000
+    made._chunk_sizer.steps = 1000
     assert list(made.step(1000)) == [1000]
     assert {own: sum(counts) for own, counts in taken.items()} == dict.fromkeys(range(slices), 1000)
     return taken
 
 
-def test_few_slices_are_stepped_in_turns_by_one_thread_at_a_time(monkeypatch):
+def test_few_slices_are_split_into_chunks_of_decreasing_length(monkeypatch):
     """A thread that is slow leaves the next turn of its slice to others; the last turns are short."""
-    for counts in turns_of(3, monkeypatch).values():
+    for counts in chunks_of(3, monkeypatch).values():
         assert counts[0] > 500
         assert counts == sorted(counts, reverse=True)
         # Two threads with three slices do 1500 steps each.
-        assert counts[-1] <= crew._LAST_TURN * 1500
-        assert all(count % crew._FEWEST == 0 for count in counts)
+        assert counts[-1] <= crew._LAST_ITEM_FRACTION * 1500
+        assert all(count % crew._MIN_STEPS == 0 for count in counts)
 
 
-def test_of_many_slices_only_the_last_are_taken_in_turns(monkeypatch):
+def test_only_the_last_of_many_slices_are_split_into_chunks(monkeypatch):
     """A slice that is left is fetched once more: most are not."""
-    taken = turns_of(14, monkeypatch)
+    taken = chunks_of(14, monkeypatch)
     assert [len(taken[own]) for own in range(6)] == [1] * 6
     assert all(len(taken[own]) > 2 for own in range(6, 14))
 
 
-def test_steps_that_take_no_time_are_not_taken_all_at_once(monkeypatch):
+def test_steps_without_duration_are_split_into_several_chunks(monkeypatch):
     """Of environments that are held: once they are reset, as many steps at a time would not be interrupted."""
-    monkeypatch.setattr(crew, "_MOST", 2**15)
-    made = crew.Crew([crew.Share([slice(0, 64)], [Stepper("cpu", True, []) for _ in range(2)])])
+    monkeypatch.setattr(crew, "_MAX_ENV_STEPS", 2**15)
+    made = crew.WorkerPool([crew.DeviceShare([slice(0, 64)], [Stepper("cpu", True, []) for _ in range(2)])])
     done = [0, *made.step(10**5)]
     assert done[-1] == 10**5
     # Two threads share 64; what is left at the end may be half as many more.

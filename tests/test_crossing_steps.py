@@ -3,7 +3,7 @@
 import hard_cases
 import numpy as np
 import pytest
-from test_swept import PRECISIONS, SPRING, fan_of_shots, shots
+from test_swept import PRECISIONS, SPRING, fan_of_shots, shoot_balls
 
 import warpcontact as wc
 
@@ -11,14 +11,14 @@ STATE = ("ball.position", "ball.orientation", "ball.linear_velocity", "ball.angu
 
 
 @PRECISIONS
-def test_the_step_of_a_crossing_is_resolved_in_parts(precision, device):
+def test_crossing_step_is_resolved_in_substeps(precision, device):
     """At its end depth and speed are those of the closed form, to first order in the part."""
     start = np.column_stack([np.zeros((64, 2)), np.linspace(0.02, 0.095, 64)])
     velocity = np.tile([0.0, 0.0, -10.0], (64, 1))
     omega, dt, parts = 100.0, 1e-2, np.array([1, 2, 4, 8, 16])
     errors = []
     for count in parts.tolist():
-        sim = shots(
+        sim = shoot_balls(
             hard_cases.plate(), start, velocity, dt=dt, precision=precision, device=device, crossing_substeps=count,
             law=wc.laws.Hooke(stiffness=omega**2),
         )  # fmt: skip
@@ -46,12 +46,12 @@ def test_the_step_of_a_crossing_is_resolved_in_parts(precision, device):
 
 @PRECISIONS
 @pytest.mark.parametrize("whole", [0.1, 0.3])
-def test_a_bounce_in_parts_gains_no_energy_to_speak_of(whole, precision, device):
+def test_bounce_with_substeps_gains_negligible_energy(whole, precision, device):
     """ω dt = ``whole``: to the square of it where the contact ends, to that of a part where it begins."""
     start = np.column_stack([np.zeros((64, 2)), np.linspace(0.02, 0.12, 64)])
     velocity = np.tile([0.0, 0.0, -10.0], (64, 1))
     for parts in (1, 4, 16):
-        sim = shots(
+        sim = shoot_balls(
             hard_cases.plate(), start, velocity, dt=1e-2, precision=precision, device=device, crossing_substeps=parts,
             law=wc.laws.Hooke(stiffness=(whole / 1e-2) ** 2),
         )  # fmt: skip
@@ -63,7 +63,7 @@ def test_a_bounce_in_parts_gains_no_energy_to_speak_of(whole, precision, device)
 
 
 @PRECISIONS
-def test_a_corner_that_turns_its_body_gains_no_energy_either(precision, device):
+def test_rotating_bounce_at_vertex_with_substeps_gains_negligible_energy(precision, device):
     """Half a step of torque is taken back as well, about all axes."""
     mass, inertia, corner = 2.0, np.diag([0.02, 0.05, 0.04]), np.array([0.2, 0.1, -0.1])
     scene = wc.Scene(gravity=(0, 0, 0))
@@ -92,14 +92,14 @@ def test_a_corner_that_turns_its_body_gains_no_energy_either(precision, device):
 
 @PRECISIONS
 @pytest.mark.parametrize("parts", [2, 3, 16])
-def test_environments_without_a_crossing_do_not_notice_the_others(parts, precision, device):
+def test_substeps_do_not_affect_environments_without_crossing(parts, precision, device):
     start, velocity, _ = fan_of_shots(60, 1.0)
     slow = np.arange(60) % 3 == 0
     velocity[slow] *= 1e-3  # these reach nothing
     spin = np.random.default_rng(2).normal(size=(60, 3))
 
     def run(rows, count=12):
-        sim = shots(
+        sim = shoot_balls(
             hard_cases.plate(), start[rows], velocity[rows], dt=1e-2, precision=precision, device=device,
             crossing_substeps=parts,
         )  # fmt: skip
@@ -119,12 +119,12 @@ def test_environments_without_a_crossing_do_not_notice_the_others(parts, precisi
 
 @PRECISIONS
 @pytest.mark.parametrize("parts", [3, 16])
-def test_where_nothing_crosses_the_steps_are_the_same_bits(parts, precision, device):
+def test_substeps_without_crossing_are_bitwise_identical(parts, precision, device):
     start = np.array([[0.1, 0.2, 0.05], [0.3, -0.2, 0.02]])
     velocity = np.array([[0.0, 0.1, -0.25], [0.3, 0.0, -0.1]])
     results = []
     for options in ({"swept": False}, {"swept": True}, {"swept": True, "crossing_substeps": parts}):
-        sim = shots(
+        sim = shoot_balls(
             hard_cases.plate(),
             start,
             velocity,
@@ -143,9 +143,9 @@ def test_where_nothing_crosses_the_steps_are_the_same_bits(parts, precision, dev
 
 
 @PRECISIONS
-def test_frozen_environments_stay_as_they_are(precision, device):
+def test_frozen_environments_are_unchanged_by_substeps(precision, device):
     start, velocity, _ = fan_of_shots(12, 1.0)
-    sim = shots(
+    sim = shoot_balls(
         hard_cases.plate(), start, velocity, dt=1e-2, precision=precision, device=device, crossing_substeps=4
     )
     # A body that turns non-finite while others cross.
@@ -165,9 +165,9 @@ def test_frozen_environments_stay_as_they_are(precision, device):
 
 
 @PRECISIONS
-def test_two_simulations_of_one_model_take_turns(precision, device):
+def test_two_simulations_of_one_model_can_alternate_with_substeps(precision, device):
     start, velocity, _ = fan_of_shots(12, 1.0)
-    one = shots(
+    one = shoot_balls(
         hard_cases.plate(), start, velocity, dt=1e-2, precision=precision, device=device, crossing_substeps=3
     )
     whole = [one.model.sensor(name) for _ in [one.step(16)] for name in STATE]
@@ -180,8 +180,8 @@ def test_two_simulations_of_one_model_take_turns(precision, device):
 
 
 @pytest.mark.parametrize("wrong", [0, -1, 1.5, True, "4"])
-def test_wrong_numbers_of_parts_are_refused_by_name(wrong, device):
-    model = shots(
+def test_invalid_number_of_substeps_is_refused(wrong, device):
+    model = shoot_balls(
         hard_cases.plate(), [[0, 0, 1.0]], [[0, 0, 0]], dt=1e-3, precision="float32", device=device, law=SPRING
     ).model
     with pytest.raises(ValueError, match=r"crossing_substeps must be a whole number of at least 1"):

@@ -22,7 +22,7 @@ def noisy(size, seed, gaps=0.0):
 
 @pytest.mark.parametrize("size", [5, 200, 201, 1000, 4999])
 @pytest.mark.parametrize("gaps", [0.0, 0.02, 0.5])
-def test_decimation_keeps_extremes_of_every_bucket_ends_and_gaps(size, gaps):
+def test_decimation_keeps_bucket_extremes_ends_and_gaps(size, gaps):
     for seed in range(20):
         values = noisy(size, seed, gaps)
         kept = kept_samples(values, 200)
@@ -45,7 +45,7 @@ def test_decimation_keeps_extremes_of_every_bucket_ends_and_gaps(size, gaps):
         assert all(whole[a : b + 1].all() for a, b in pairs)
 
 
-def test_loops_keep_extremes_of_both_coordinates():
+def test_decimation_of_loops_keeps_extremes_of_both_coordinates():
     angle = np.linspace(0.0, 40.0 * np.pi, 10_001)
     loop = np.stack([np.cos(angle), np.sin(angle + 0.3) * np.exp(-0.01 * angle)], axis=1)
     loop[5000] = 7.0, -9.0
@@ -56,7 +56,7 @@ def test_loops_keep_extremes_of_both_coordinates():
     assert 5000 in kept
 
 
-def test_buckets_may_be_equally_long_in_another_coordinate():
+def test_decimation_buckets_can_have_equal_length_in_another_coordinate():
     values, along = np.zeros(1000), np.append(np.arange(100.0), np.full(900, 99.0))
     values[:100] = np.random.default_rng(0).normal(size=100)
     values[950] = 5.0
@@ -70,12 +70,12 @@ def test_buckets_may_be_equally_long_in_another_coordinate():
     assert kept_samples(values, 42, np.zeros(1000)).tolist() == sorted({0, values.argmin(), 950, 999})
 
 
-def test_curves_without_finite_samples_stay_empty():
+def test_decimation_of_curve_without_finite_samples_is_empty():
     assert not np.isfinite(np.full(500, np.nan)[kept_samples(np.full(500, np.nan), 100)]).any()
     assert kept_samples(np.zeros(0), 100).size == 0
 
 
-def test_evenly_spaced_indices_have_both_ends():
+def test_evenly_spaced_indices_include_both_ends():
     assert evenly(3, 10).tolist() == [0, 1, 2]
     assert evenly(1000, 4).tolist() == [0, 333, 666, 999]
 
@@ -91,10 +91,10 @@ def stored():
     return xr.DataArray(values, coords, ("time", "env", "item"), "feet.normal_force", {"units": "N"})
 
 
-@pytest.mark.parametrize("searched", [curves.SEARCHED, 0])
-def test_curves_of_sets_and_their_extremes_are_read_block_by_block(stored, searched, monkeypatch):
+@pytest.mark.parametrize("searched", [curves.MAX_SEARCHED, 0])
+def test_curves_of_sets_are_read_in_blocks_with_extremes(stored, searched, monkeypatch):
     monkeypatch.setattr(curves, "BLOCK", 100)
-    monkeypatch.setattr(curves, "SEARCHED", searched)
+    monkeypatch.setattr(curves, "MAX_SEARCHED", searched)
     rows = np.array([1, 3])
     found = read_curves(stored, rows, stored["env"].values == 12)
     np.testing.assert_allclose(found.values, stored.values[:, rows].sum(axis=2))
@@ -105,7 +105,7 @@ def test_curves_of_sets_and_their_extremes_are_read_block_by_block(stored, searc
     assert found.searched == counted.shape[1]
 
 
-def test_items_of_a_gap_are_reduced_to_the_smallest_known(stored):
+def test_gap_curve_of_a_set_is_the_smallest_finite_item(stored):
     gap = stored.copy(data=np.where(stored == 100.0, np.nan, -stored)).rename("feet.gap")
     found = read_curves(gap, np.arange(5))
     assert np.isnan(found.values[20, 3])
@@ -113,7 +113,7 @@ def test_items_of_a_gap_are_reduced_to_the_smallest_known(stored):
     assert read_curves(gap, np.arange(5)).values[20, 3] == -0.5
 
 
-def test_vectors_are_reduced_to_components_lengths_and_distances(stored, monkeypatch):
+def test_vector_curves_reduce_to_component_magnitude_or_distance(stored, monkeypatch):
     monkeypatch.setattr(curves, "BLOCK", 100)
     position = xr.DataArray(
         stored.values, {**stored.coords, "axis": ["x", "y", "z"]}, ("time", "env", "axis"), "ball.position"
@@ -137,6 +137,6 @@ def test_vectors_are_reduced_to_components_lengths_and_distances(stored, monkeyp
         (10**6, 100, 10**4, 1),
     ],
 )
-def test_the_number_of_curves_falls_with_the_number_of_records(records, envs, items, size):
+def test_number_of_curves_decreases_with_number_of_records(records, envs, items, size):
     array = xr.DataArray(np.broadcast_to(np.zeros(()), (records, envs, items)), dims=("time", "env", "item"))
     assert min(sample_size(array), envs) == size

@@ -19,42 +19,42 @@ def written(path):
     return DirectFile((RunPath(path.parent) / path.name).create)
 
 
-def content_of(size, seed=0):
+def read_content(size, seed=0):
     return np.random.default_rng(seed).bytes(size)
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_a_file_holds_what_was_written(size, tmp_path):
-    content = content_of(size)
+def test_direct_file_contains_written_bytes(size, tmp_path):
+    content = read_content(size)
     with written(tmp_path / "file") as file:
         file.write(content)
     assert (tmp_path / "file").read_bytes() == content
 
 
-def test_parts_follow_each_other(tmp_path):
-    parts = [content_of(size, size) for size in SIZES]
+def test_direct_file_appends_successive_writes(tmp_path):
+    parts = [read_content(size, size) for size in SIZES]
     with written(tmp_path / "file") as file:
         for part in parts:
             file.write(part)
     assert (tmp_path / "file").read_bytes() == b"".join(parts)
 
 
-def test_a_longer_file_is_replaced(tmp_path):
-    (tmp_path / "file").write_bytes(content_of(3 * PIECE))
+def test_direct_file_replaces_a_longer_file(tmp_path):
+    (tmp_path / "file").write_bytes(read_content(3 * PIECE))
     with written(tmp_path / "file") as file:
         file.write(b"short")
     assert (tmp_path / "file").read_bytes() == b"short"
 
 
-def test_its_rights_are_those_of_other_files(tmp_path):
+def test_direct_file_has_default_permissions(tmp_path):
     (tmp_path / "other").write_bytes(b"")
     with written(tmp_path / "file"):
         pass
     assert (tmp_path / "file").stat().st_mode == (tmp_path / "other").stat().st_mode
 
 
-def test_threads_write_their_own_files(tmp_path):
-    contents = [content_of(2 * PIECE + number, number) for number in range(4)]
+def test_direct_files_can_be_written_by_several_threads(tmp_path):
+    contents = [read_content(2 * PIECE + number, number) for number in range(4)]
     begun = threading.Barrier(len(contents))
 
     def write(number):
@@ -73,8 +73,8 @@ def test_threads_write_their_own_files(tmp_path):
 
 @pytest.mark.skipif(not hasattr(os, "O_DIRECT"), reason="this system has one way to write a file")
 @pytest.mark.parametrize("number", [errno.EINVAL, errno.EOPNOTSUPP])
-def test_files_that_cannot_be_opened_to_be_written_directly_are_written(number, tmp_path, monkeypatch):
-    content = content_of(PIECE + BLOCK + 3)
+def test_direct_file_is_written_without_direct_io_support(number, tmp_path, monkeypatch):
+    content = read_content(PIECE + BLOCK + 3)
     usual = os.open
 
     def refusing(path, flags, *rest, **options):
@@ -89,8 +89,8 @@ def test_files_that_cannot_be_opened_to_be_written_directly_are_written(number, 
 
 
 @pytest.mark.parametrize("size", [3, BLOCK, PIECE + BLOCK + 3])
-def test_what_is_refused_when_it_is_written_goes_the_way_of_other_files(size, tmp_path):
-    content = content_of(size)
+def test_direct_file_falls_back_if_a_direct_write_is_refused(size, tmp_path):
+    content = read_content(size)
     with written(tmp_path / "file") as file:
         # Memory that begins elsewhere is what a disk refuses.
         file._piece = np.zeros(PIECE + BLOCK, dtype=np.uint8)[1 : PIECE + 1]
@@ -99,21 +99,21 @@ def test_what_is_refused_when_it_is_written_goes_the_way_of_other_files(size, tm
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
-def test_what_does_not_fit_is_an_error():
+def test_direct_file_raises_if_the_disk_is_full():
     def create(flags):
         return os.open("/dev/full", os.O_WRONLY | flags)
 
     with pytest.raises(OSError, match="No space left"), DirectFile(create) as file:
-        file.write(content_of(2 * BLOCK + 1))
+        file.write(read_content(2 * BLOCK + 1))
 
 
-def test_a_folder_is_no_file(tmp_path):
+def test_direct_file_raises_for_a_folder(tmp_path):
     (tmp_path / "folder").mkdir()
     with pytest.raises(IsADirectoryError):
         written(tmp_path / "folder")
 
 
-def test_who_fails_while_writing_is_told_so(tmp_path):
+def test_exception_while_writing_direct_file_is_propagated(tmp_path):
     def write():
         with written(tmp_path / "file") as file:
             file.write(b"begun")

@@ -17,47 +17,47 @@ KIB = 1024
 @pytest.fixture
 def free(monkeypatch):
     """Sets what is free on every disk; returns the folders that were asked for."""
-    asked = []
+    queried_folders = []
 
-    def put(size):
+    def set_free(size):
         def usage(path):
-            asked.append(path)
+            queried_folders.append(path)
             return SimpleNamespace(free=size)
 
         monkeypatch.setattr(shutil, "disk_usage", usage)
-        return asked
+        return queried_folders
 
-    return put
+    return set_free
 
 
-def test_a_plan_tells_what_is_free_where_the_results_go(tmp_path, free, capsys, monkeypatch):
+def test_plan_command_prints_free_disk_space(tmp_path, free, capsys, monkeypatch):
     study = runs.study(tmp_path)
     monkeypatch.chdir(tmp_path)
     words = ["plan", str(study), "--device", "cpu", "--no-probe"]
-    asked = free(200 * KIB)
+    queried_folders = free(200 * KIB)
     assert main(words) == 0
-    assert asked == [tmp_path]  # there is no folder results yet
-    told = "on disk: up to 103 KiB, before compression; 200 KiB is free on the disk of results/study"
-    assert f"{told}\n" in capsys.readouterr().out
+    assert queried_folders == [tmp_path]  # there is no folder results yet
+    output = "on disk: up to 103 KiB, before compression; 200 KiB is free on the disk of results/study"
+    assert f"{output}\n" in capsys.readouterr().out
     (tmp_path / "other").mkdir()
     free(100 * KIB)
     assert main([*words, "--out", "other/out"]) == 0
-    assert asked[-1] == tmp_path / "other"
-    told = "on disk: up to 103 KiB, before compression; 100 KiB is free on the disk of other/out, which is less"
-    assert f"{told}\n" in capsys.readouterr().out
+    assert queried_folders[-1] == tmp_path / "other"
+    output = "on disk: up to 103 KiB, before compression; 100 KiB is free on the disk of other/out, which is less"
+    assert f"{output}\n" in capsys.readouterr().out
     assert not (tmp_path / "other" / "out").exists()
 
 
 @pytest.mark.filterwarnings("always:the results")
-def test_a_run_warns_of_a_disk_that_its_results_may_fill(tmp_path, free):
+def test_run_warns_if_results_may_fill_the_disk(tmp_path, free):
     experiment = wc.Experiment.from_toml(runs.study(tmp_path))
 
     def warnings(size, out, **options):
         free(size)
-        heard, stages = [], []
+        messages, stages = [], []
         options |= {"device": "cpu", "shard": 5, "on_stage": stages.append}
-        experiment.run(out, on_warning=lambda text: heard.append((text, *stages[-1:])), **options)
-        return heard
+        experiment.run(out, on_warning=lambda text: messages.append((text, *stages[-1:])), **options)
+        return messages
 
     assert warnings(104 * KIB, tmp_path / "enough") == []
     ((text, stage),) = warnings(102 * KIB, tmp_path / "little")
@@ -73,7 +73,7 @@ def test_a_run_warns_of_a_disk_that_its_results_may_fill(tmp_path, free):
 
 @pytest.mark.filterwarnings("always:the results")
 @pytest.mark.parametrize("begun", [False, True])
-def test_a_disk_that_is_full_tells_what_a_shard_takes_and_what_is_kept(begun, tmp_path, free, capsys, monkeypatch):
+def test_full_disk_error_states_shard_size_and_stored_shards(begun, tmp_path, free, capsys, monkeypatch):
     free(3 * KIB)
     commit = store.Ledger.commit
 
@@ -86,14 +86,14 @@ def test_a_disk_that_is_full_tells_what_a_shard_takes_and_what_is_kept(begun, tm
     out = tmp_path / "out"
     words = ["run", str(runs.study(tmp_path)), "--device", "cpu", "--shard", "5", "--out", str(out)]
     assert main(words) == 2
-    told = capsys.readouterr().err
+    output = capsys.readouterr().err
     kept = "" if begun else "nothing is committed yet; "
-    assert f"warpcontact: [Errno 28] No space left on device: '{out}'\n" in told
+    assert f"warpcontact: [Errno 28] No space left on device: '{out}'\n" in output
     assert (
         f"warpcontact: {kept}a shard of 5 environments takes up to 51.6 KiB of results before compression, and "
         f"room for its checkpoints; 3 KiB is free on the disk of {out}\n"
-    ) in told
+    ) in output
     kept = "what was committed is kept" if begun else "nothing is kept yet"
-    assert f"{kept} in {out}; go on with:\n    warpcontact run --resume --out {out}\n" in told
+    assert f"{kept} in {out}; go on with:\n    warpcontact run --resume --out {out}\n" in output
     monkeypatch.setattr(store.Ledger, "commit", commit)
     assert main(["run", "--resume", "--device", "cpu", "--out", str(out)]) == 0

@@ -29,7 +29,7 @@ RUN = "import runpy, sys\nfor page in sys.argv[1:]: runpy.run_path(page, run_nam
 
 @pytest.mark.skipif(not PAGES, reason="the pages are in a checkout, not in an installed package")
 @pytest.mark.parametrize("pages", GROUPS, ids=lambda pages: " ".join(page.stem for page in pages))
-def test_samples_of_pages_run_in_order(pages, tmp_path):
+def test_documentation_samples_run_in_page_order(pages, tmp_path):
     scripts = []
     for page in pages:
         script = tmp_path / f"{page.stem}.py"  # Warp reads the source of kernels from a file

@@ -34,7 +34,7 @@ def corners(figure, frame, row, item=0):
     return turn.apply(figure.scales[row, item] * figure.shape.vertices) + figure.positions[time, row, item]
 
 
-def test_spheres_are_where_their_bodies_are(recording, drawing):
+def test_drawn_spheres_follow_their_bodies(recording, drawing):
     (ball,) = figures(drawing, "touch")
     assert ball.kind == "sphere"
     np.testing.assert_allclose(ball.scales[:, 0], np.repeat(np.array(RADII)[:, None], 3, axis=1))
@@ -47,7 +47,7 @@ def test_spheres_are_where_their_bodies_are(recording, drawing):
         np.testing.assert_allclose(distance, RADII[row], rtol=1e-6)
 
 
-def test_points_of_a_set_are_small_spheres_on_their_body(recording, drawing):
+def test_drawn_points_of_a_set_are_small_spheres_on_their_body(recording, drawing):
     (points,) = figures(drawing, "cube-floor")
     assert (points.kind, points.positions.shape[2]) == ("point", len(CORNERS))
     body = recording["cube.position"].values[11, 2]
@@ -56,7 +56,7 @@ def test_points_of_a_set_are_small_spheres_on_their_body(recording, drawing):
     assert 0.0 < points.scales.max() < 0.1 * np.ptp(CORNERS, axis=0).max()
 
 
-def test_a_fixed_surface_is_one_record_and_dims_what_nothing_can_touch(recording, drawing):
+def test_fixed_surface_is_drawn_once_with_inactive_faces_dimmed(recording, drawing):
     (floor,) = figures(drawing, "floor")
     assert (floor.kind, floor.positions.shape[0]) == ("surface", 1)
     expected = np.array([0.1, 0.2, -0.02]) + recording.scene.surfaces[0].mesh.vertices
@@ -64,16 +64,16 @@ def test_a_fixed_surface_is_one_record_and_dims_what_nothing_can_touch(recording
     np.testing.assert_allclose(floor.shape.colors, [[0.8, 0.6, 0.4], [0.32, 0.24, 0.16]])
 
 
-def test_forces_act_where_they_were_recorded(recording, drawing):
-    (touch,) = (one for one in drawing.touches if one.name == "touch")
+def test_drawn_forces_act_at_recorded_points(recording, drawing):
+    (touch,) = (one for one in drawing.contact_forces if one.name == "touch")
     normal = recording["touch.normal_force"].values[..., None] * recording["touch.normal"].values
     expected = normal + recording["touch.friction_force"].values if "touch.friction_force" in recording else normal
     np.testing.assert_allclose(touch.forces[:, :, 0], expected, rtol=1e-6)
-    peak = max(np.linalg.norm(one.forces, axis=-1).max() for one in drawing.touches)
+    peak = max(np.linalg.norm(one.forces, axis=-1).max() for one in drawing.contact_forces)
     assert peak * drawing.force_scale == pytest.approx(1.5 * drawing.size)
 
 
-def test_what_is_not_visible_is_left_out(device):
+def test_invisible_elements_are_not_drawn(device):
     scene = wc.Scene()
     ground = scene.add_surface(wc.meshes.grid((2, 2)), name="ground", visible=False)
     ball = scene.add_body(mass=1.0, inertia=(1, 1, 1), position=(0, 0, 1), name="ball")
@@ -84,7 +84,11 @@ def test_what_is_not_visible_is_left_out(device):
     scene.add_shape(ball, wc.shapes.Sphere(0.1), name="hidden", visible=False)
     recording = wc.Simulation(scene.build(device=device), dt=1e-3).run(0.003, poses=True)
     drawing = Drawing.of(recording)
-    assert (drawing.figures, drawing.touches, [curve.name for curve in drawing.curves]) == ([], [], ["spring"])
+    assert (drawing.figures, drawing.contact_forces, [curve.name for curve in drawing.curves]) == (
+        [],
+        [],
+        ["spring"],
+    )
 
 
 @pytest.mark.parametrize(
@@ -102,7 +106,7 @@ def test_what_is_not_visible_is_left_out(device):
     ids=lambda form: type(form).__name__,
 )
 @pytest.mark.parametrize("count", [None, 3])
-def test_shapes_are_triangles_with_normals_that_point_out(form, count, device):
+def test_drawn_shapes_have_outward_normals(form, count, device):
     scene = wc.Scene(gravity=(0, 0, 0))
     if count is None:
         body = scene.add_body(mass=1.0, inertia=(1, 1, 1), position=(1, 2, 3), orientation=TURNED, name="body")
@@ -111,8 +115,8 @@ def test_shapes_are_triangles_with_normals_that_point_out(form, count, device):
     scene.add_shape(body, form, name="form", color=(1, 0, 0))
     recording = wc.Simulation(scene.build(envs=2, device=device), dt=1e-3).run(0.002, poses=True)
     (figure,) = figures(Drawing.of(recording), "form")
-    assert figure.there.shape == (2, count or 1)
-    assert figure.there.all()
+    assert figure.present.shape == (2, count or 1)
+    assert figure.present.all()
     np.testing.assert_allclose(figure.positions[2, 1, -1], [count or 1, 2, 3])
     if count is None:
         np.testing.assert_allclose(figure.orientations[2, 1, 0], TURNED, atol=1e-7)
@@ -129,7 +133,7 @@ def test_shapes_are_triangles_with_normals_that_point_out(form, count, device):
     assert leaning.sum() > 0.99 * area.sum()
 
 
-def test_shapes_of_several_sizes_are_each_drawn_once(device):
+def test_shapes_of_several_sizes_are_drawn_once_each(device):
     scene = wc.Scene(gravity=(0, 0, 0))
     rods = scene.add_bodies(np.array([[0, 0, 1], [1, 0, 1], [2, 0, 1.0]]), 1.0, (1, 1, 1), name="rods")
     scene.add_shape(rods, wc.shapes.Capsule(0.1, 0.2), name="hulls")
@@ -138,11 +142,11 @@ def test_shapes_of_several_sizes_are_each_drawn_once(device):
     recording = wc.Simulation(model, dt=1e-3).run(0.002, poses=True)
     short, long = sorted(figures(Drawing.of(recording), "hulls"), key=lambda one: np.ptp(one.shape.vertices))
     assert np.ptp(long.shape.vertices) == pytest.approx(0.8, rel=1e-3)
-    np.testing.assert_array_equal(short.there, [[True, False, True]] * 2)
-    np.testing.assert_array_equal(long.there, ~short.there)
+    np.testing.assert_array_equal(short.present, [[True, False, True]] * 2)
+    np.testing.assert_array_equal(long.present, ~short.present)
 
 
-def test_a_body_that_carries_nothing_is_seen_and_a_set_with_shapes_only_once(device):
+def test_body_without_elements_is_drawn_and_shape_set_is_drawn_once(device):
     scene = wc.Scene(gravity=(0, 0, 0))
     scene.add_body(mass=1.0, inertia=(1, 1, 1), position=(1, 2, 3), linear_velocity=(1, 0, 0), name="bare")
     grains = scene.add_bodies(np.array([[0, 0, 1], [1, 0, 1.0]]), 1.0, (1, 1, 1), name="grains")

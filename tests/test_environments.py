@@ -40,7 +40,7 @@ def assert_same_bits(one, other):
         np.testing.assert_array_equal(one[name].values, other[name].values, err_msg=name)
 
 
-def test_an_environment_is_the_same_alone_and_among_4096(device):
+def test_environment_alone_is_bitwise_identical_to_same_environment_among_4096(device):
     envs, chosen = 4096, 1234
     many = trace(terrain_model(envs, device), 0.35)
     alone = trace(terrain_model(1, device, spread=np.linspace(0, 1, envs)[chosen]), 0.35)
@@ -48,11 +48,11 @@ def test_an_environment_is_the_same_alone_and_among_4096(device):
     assert_same_bits(many.isel(env=[chosen]), alone)
 
 
-def test_a_run_repeats_to_the_bit(device):
+def test_run_is_repeated_bitwise(device):
     assert_same_bits(trace(terrain_model(32, device)), trace(terrain_model(32, device)))
 
 
-def test_a_nan_stays_in_its_environment(device):
+def test_nan_does_not_spread_to_other_environments(device):
     clean = trace(terrain_model(64, device))
     model = terrain_model(64, device)
     sim = wc.Simulation(model, dt=5e-4)
@@ -67,7 +67,7 @@ def test_a_nan_stays_in_its_environment(device):
     assert spoiled.attrs["frozen_environments"] == [17]
 
 
-def test_an_environment_that_diverges_is_held_at_its_last_finite_state(device):
+def test_diverged_environment_keeps_its_last_finite_state(device):
     law = wc.laws.Hooke(stiffness=1e4)
     model = dropped_sphere(law, gravity=(0, 0, -9.81), height=-0.01, velocity=(0, 0, 0), envs=8, device=device)
     stiffness = np.full(8, 1e4)
@@ -89,7 +89,7 @@ def test_an_environment_that_diverges_is_held_at_its_last_finite_state(device):
     assert not np.array_equal(model.sensor("ball.position")[3], held[-1])
 
 
-def test_every_body_of_a_failed_environment_is_held(device):
+def test_all_bodies_of_failed_environment_keep_their_state(device):
     scene = wc.Scene()
     for name in ("first", "second", "third"):
         scene.add_body(1.0, (1, 1, 1), name=name)
@@ -106,7 +106,7 @@ def test_every_body_of_a_failed_environment_is_held(device):
     assert (sim.state.body_position.numpy()[[0, 1, 3], :, 2] < before[[0, 1, 3], :, 2]).all()
 
 
-def test_reset_touches_only_the_masked_environments(device):
+def test_reset_changes_masked_environments_only(device):
     model = terrain_model(16, device)
     sim = wc.Simulation(model, dt=5e-4)
     start = sim.state.body_position.numpy().copy()
@@ -121,7 +121,7 @@ def test_reset_touches_only_the_masked_environments(device):
     np.testing.assert_array_equal(model.arrays.history.entry_speed.numpy()[~mask], entry[~mask])
 
 
-def test_a_reset_run_repeats_the_first(device):
+def test_run_is_repeated_after_reset(device):
     model = terrain_model(8, device)
     sim = wc.Simulation(model, dt=5e-4)
     first = sim.run(0.5, RECORD, every=0.01)
@@ -129,7 +129,7 @@ def test_a_reset_run_repeats_the_first(device):
     assert_same_bits(first, sim.run(0.5, RECORD, every=0.01))
 
 
-def test_steps_in_any_portions_give_the_same_bits(device):
+def test_number_of_steps_per_call_does_not_change_results(device):
     one, other = (wc.Simulation(terrain_model(8, device), dt=5e-4) for _ in range(2))
     one.step(500)
     for count in (1, 2, 3, 94, 200, 200):
@@ -137,7 +137,7 @@ def test_steps_in_any_portions_give_the_same_bits(device):
     np.testing.assert_array_equal(one.state.body_position.numpy(), other.state.body_position.numpy())
 
 
-def test_a_reading_stays_what_it_was(device):
+def test_sensor_array_is_unchanged_by_later_steps(device):
     sim = wc.Simulation(terrain_model(2, device), dt=5e-4)
     height, energy = (sim.model.sensor(name) for name in ("ball.position", "scene.kinetic_energy"))
     kept = height.copy(), energy.copy()
@@ -147,7 +147,7 @@ def test_a_reading_stays_what_it_was(device):
     np.testing.assert_array_equal(energy, kept[1])
 
 
-def test_readings_do_not_disturb_the_motion(device):
+def test_sensor_evaluation_does_not_change_the_motion(device):
     one, other = (wc.Simulation(terrain_model(8, device), dt=5e-4) for _ in range(2))
     one.step(600)
     for _ in range(600):
@@ -156,7 +156,7 @@ def test_readings_do_not_disturb_the_motion(device):
     np.testing.assert_array_equal(one.state.body_position.numpy(), other.state.body_position.numpy())
 
 
-def test_shared_and_repeated_parameters_give_the_same_bits(device):
+def test_broadcast_and_repeated_parameters_give_bitwise_identical_results(device):
     """Stride 0 and a full array are two ways to say the same."""
     friction = wc.friction.Tanh(mu=0.4)
     one, other = (
@@ -173,7 +173,7 @@ def test_shared_and_repeated_parameters_give_the_same_bits(device):
     assert_same_bits(trace(one), trace(other))
 
 
-def test_parameters_may_change_between_steps(device):
+def test_parameters_can_change_between_steps(device):
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), envs=3, device=device)
     sim = wc.Simulation(model, dt=1e-3)
     sim.step(3)
@@ -185,7 +185,7 @@ def test_parameters_may_change_between_steps(device):
     np.testing.assert_allclose(gained, np.diag([1, 2, 3]) * 0.01, atol=1e-6)
 
 
-def test_new_parameter_values_compile_nothing(device):
+def test_new_parameter_values_compile_no_kernel(device):
     from warpcontact.kernels import contact_force
 
     model = terrain_model(4, device)
@@ -199,7 +199,7 @@ def test_new_parameter_values_compile_nothing(device):
     assert contact_force.kernel.cache_info().misses == compiled
 
 
-def test_the_state_is_shared_with_numpy_and_torch_without_a_copy():
+def test_state_is_shared_with_numpy_and_torch_without_copy():
     model = terrain_model(8, "cpu")
     sim = wc.Simulation(model, dt=5e-4)
     view = sim.state.body_position.numpy()

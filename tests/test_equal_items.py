@@ -6,7 +6,7 @@ import xarray as xr
 
 from warpcontact import equal_items
 from warpcontact.equal_items import merged_items
-from warpcontact.replay.colors import number_of_each
+from warpcontact.replay.colors import per_environment_number
 from warpcontact.viewer.values import rows_of_parameters
 
 ENVS, ITEMS = 6, 40
@@ -37,7 +37,7 @@ def test_equal_items_are_merged(item, axes, block, monkeypatch):
     assert merged_items(array.isel(env=slice(0, -1))).dims == ("env", *axes)
 
 
-def test_other_dimensions_are_not_merged():
+def test_dimensions_other_than_item_are_not_merged():
     array = xr.DataArray(np.zeros((ENVS, 3)), dims=("env", "axis"))
     assert merged_items(array) is array
 
@@ -51,7 +51,7 @@ def test_items_of_one_environment_are_merged():
     assert dict(rows_of_parameters(xr.Dataset({"mu": array}).sel(env=3))) == {"mu": "3 m"}
 
 
-def test_comparison_stops_at_the_first_difference(monkeypatch):
+def test_item_comparison_stops_at_the_first_difference(monkeypatch):
     monkeypatch.setattr(equal_items, "BLOCK", 1)
     array, blocks, isel = parameter(), [], xr.DataArray.isel
     array[2, 3] = 0.5
@@ -60,9 +60,9 @@ def test_comparison_stops_at_the_first_difference(monkeypatch):
     assert [block[0]["env"].start for block in blocks] == [0, 1, 2]
 
 
-def test_numbers_that_color_environments_may_be_of_any_set():
+def test_number_per_environment_is_found_for_any_item_dimension():
     array = parameter(item="feet.item", dtype=np.int32)
-    np.testing.assert_array_equal(number_of_each(array), np.arange(ENVS))
-    assert number_of_each(parameter(axes=("axis",))) is None
+    np.testing.assert_array_equal(per_environment_number(array), np.arange(ENVS))
+    assert per_environment_number(parameter(axes=("axis",))) is None
     over_time = array.expand_dims(time=2)
-    assert number_of_each(over_time) is None
+    assert per_environment_number(over_time) is None

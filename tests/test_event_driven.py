@@ -20,7 +20,7 @@ def body_of(run, name, quantity="position"):
     return run[f"{name}.{quantity}"].values
 
 
-def test_a_ball_bounces_at_the_times_of_its_closed_form_and_comes_to_rest_at_its_zeno_point():
+def test_event_driven_ball_bounces_at_closed_form_times_until_its_zeno_point():
     run = EventDriven(ball(height=1.0, restitution=0.8)).run(5.0)
     impacts = run.events_of("IMPACT")
     t1, e = math.sqrt(2.0 / G), 0.8
@@ -40,7 +40,7 @@ def test_a_ball_bounces_at_the_times_of_its_closed_form_and_comes_to_rest_at_its
     assert body_of(run, "ball")[:, 2].min() > 0.1 - 1e-15
 
 
-def test_worked_numbers_of_a_ball_and_of_sliding(shared):
+def test_event_driven_ball_and_sliding_match_reference(shared):
     oracle = json.loads((shared / "spec" / "oracle_signorini.json").read_text())
     given = oracle["ball"]
     run = EventDriven(ball(height=given["h"], restitution=given["e"])).run(2.7)
@@ -63,7 +63,7 @@ def test_worked_numbers_of_a_ball_and_of_sliding(shared):
     assert wc.unilateral.equilibrium(block(mu=limit * (1.0 + 1e-9), slope=slope)).holds
 
 
-def test_an_impact_at_the_start_is_told():
+def test_event_driven_reports_an_impact_at_the_start():
     for every in (None, 0.01):
         run = EventDriven(ball(height=0.0, restitution=0.8, velocity=(0.0, 0.0, -1.0))).run(0.05, every)
         (hit,) = run.events
@@ -78,7 +78,7 @@ def test_an_impact_at_the_start_is_told():
     assert not EventDriven(ball(height=0.0, mu=0.3)).run(0.1).events
 
 
-def test_a_run_goes_on_where_it_stopped_and_leaves_the_model_as_it_was():
+def test_event_driven_run_continues_and_leaves_the_model_unchanged():
     model = ball(height=1.0, restitution=0.8)
     engine = EventDriven(model)
     parts = [engine.run(0.7, every=0.1), engine.run(0.8, every=0.1)]
@@ -91,7 +91,7 @@ def test_a_run_goes_on_where_it_stopped_and_leaves_the_model_as_it_was():
     assert "2 IMPACT" in str(whole)
 
 
-def test_a_sliding_block_stops_when_and_where_friction_stops_it():
+def test_event_driven_sliding_block_stops_at_closed_form_time_and_position():
     mu, v = 0.3, 2.0
     run = EventDriven(block(mu=mu, velocity=v)).run(1.0)
     stop = run.events_of(EventKind.STICK, "feet")
@@ -102,13 +102,13 @@ def test_a_sliding_block_stops_when_and_where_friction_stops_it():
     assert np.abs(body_of(run, "box", "linear_velocity")[-1]).max() < 1e-14
 
 
-def test_a_block_slides_down_a_slope_or_sticks():
+def test_event_driven_block_on_slope_slides_or_sticks():
     slope = math.radians(20.0)
     run = EventDriven(block(mu=0.3, slope=slope)).run(0.5)
     along = (math.cos(slope), 0.0, -math.sin(slope))
-    way = body_of(run, "box")[-1] - body_of(run, "box")[0]
+    displacement = body_of(run, "box")[-1] - body_of(run, "box")[0]
     acceleration = G * (math.sin(slope) - 0.3 * math.cos(slope))
-    np.testing.assert_allclose(way, 0.125 * acceleration * np.array(along), atol=EXACT)
+    np.testing.assert_allclose(displacement, 0.125 * acceleration * np.array(along), atol=EXACT)
     sticks = EventDriven(block(mu=0.4, slope=slope)).run(0.5)
     assert not sticks.events
     np.testing.assert_allclose(body_of(sticks, "box")[-1], body_of(sticks, "box")[0], atol=1e-14)
@@ -117,11 +117,11 @@ def test_a_block_slides_down_a_slope_or_sticks():
     turn = 1.0 / (G * (math.sin(slope) + 0.3 * math.cos(slope)))
     back = up.events_of("SLIP")
     np.testing.assert_allclose([one.time for one in back], turn, atol=EXACT)
-    way = (body_of(up, "box")[-1] - body_of(up, "box")[0]) @ along
-    assert way == pytest.approx(-0.5 * turn + 0.5 * acceleration * (0.5 - turn) ** 2, abs=EXACT)
+    displacement = (body_of(up, "box")[-1] - body_of(up, "box")[0]) @ along
+    assert displacement == pytest.approx(-0.5 * turn + 0.5 * acceleration * (0.5 - turn) ** 2, abs=EXACT)
 
 
-def test_a_sliding_ball_rolls_with_five_sevenths_of_its_speed():
+def test_event_driven_sliding_ball_rolls_at_five_sevenths_of_its_speed():
     run = EventDriven(ball(height=0.0, mu=0.3, velocity=(2.0, 0.0, 0.0))).run(0.5)
     (rolls,) = run.events
     assert rolls.kind is EventKind.STICK
@@ -132,7 +132,7 @@ def test_a_sliding_ball_rolls_with_five_sevenths_of_its_speed():
     )
 
 
-def test_backspin_turns_a_ball_round():
+def test_event_driven_backspin_reverses_a_ball():
     # v − ω R = 2 + 5: with v₀ = 2, ω R = −5 the ball ends at (5 · 2 − 2 · 5)/7 = 0, and with −6 it comes back.
     run = EventDriven(ball(height=0.0, mu=0.2, velocity=(2.0, 0.0, 0.0), spin=(0.0, -60.0, 0.0))).run(1.2)
     np.testing.assert_allclose(
@@ -141,7 +141,7 @@ def test_backspin_turns_a_ball_round():
     assert run.events_of("STICK")[0].time == pytest.approx(2.0 * 8.0 / (7.0 * 0.2 * G), abs=EXACT)
 
 
-def test_a_block_tips_about_its_edge():
+def test_event_driven_block_tips_about_its_edge():
     push, height, end = 40.0, 1.8, 0.3
     run = EventDriven(block(push, height, mu=0.9)).run(end)
     inertia = box_inertia(10.0, (1.0, 1.0, 2.0))[1]
@@ -161,7 +161,7 @@ def test_a_block_tips_about_its_edge():
 
 
 @pytest.mark.slow
-def test_a_bead_leaves_a_sphere_where_it_presses_no_more():
+def test_event_driven_bead_leaves_sphere_at_zero_normal_force():
     start = 0.3
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     dome = scene.add_shape(None, wc.shapes.Sphere(1.0), name="dome")
@@ -201,7 +201,7 @@ def pendulum(restitution):
 
 
 @pytest.mark.slow
-def test_a_pendulum_strikes_a_stop_and_swings_back():
+def test_event_driven_pendulum_rebounds_from_a_stop():
     model, start = pendulum(restitution=0.5)
     run = EventDriven(model).run(1.6, every=0.01)
     inertia = box_inertia(2.0, (0.02, 0.02, 1.0))[1] + 2.0 * 0.25
@@ -226,7 +226,7 @@ def test_a_pendulum_strikes_a_stop_and_swings_back():
     np.testing.assert_allclose(np.linalg.norm(body_of(run, "bar"), axis=1), 0.5, atol=1e-15)
 
 
-def test_a_block_leaves_a_shaken_table_when_that_falls_faster():
+def test_event_driven_block_leaves_shaken_table_at_closed_form_time():
     amplitude, frequency = 0.1, 2.0
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     motion = wc.motions.Harmonic(direction=(0, 0, 1), amplitude=amplitude, frequency=frequency)
@@ -244,7 +244,7 @@ def test_a_block_leaves_a_shaken_table_when_that_falls_faster():
     assert run.events_of("LIFT_OFF")[0].time == pytest.approx(leaves, abs=1e-6)
 
 
-def test_a_brick_on_a_table_that_is_shaken_sideways_slides_to_and_fro():
+def test_event_driven_brick_slides_on_horizontally_shaken_table():
     amplitude, rate, mu = 0.1, 2.0 * math.pi, 0.2
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     motion = wc.motions.Harmonic(direction=(1, 0, 0), amplitude=amplitude, frequency=1.0)
@@ -258,13 +258,13 @@ def test_a_brick_on_a_table_that_is_shaken_sideways_slides_to_and_fro():
     # The table starts with a ω; friction drives the brick with μ g until both are as fast, and then brakes it.
     turns = brentq(lambda t: mu * G * t - amplitude * rate * math.cos(rate * t), 0.0, 0.25)
     speed = mu * G * (2.0 * turns - 0.3)
-    way = 0.5 * mu * G * turns**2 + mu * G * turns * (0.3 - turns) - 0.5 * mu * G * (0.3 - turns) ** 2
+    displacement = 0.5 * mu * G * turns**2 + mu * G * turns * (0.3 - turns) - 0.5 * mu * G * (0.3 - turns) ** 2
     # Its accelerations are differences in time, of 1e-6.
     assert body_of(run, "brick", "linear_velocity")[-1, 0] == pytest.approx(speed, abs=1e-6)
-    assert body_of(run, "brick")[-1, 0] == pytest.approx(way, abs=1e-6)
+    assert body_of(run, "brick")[-1, 0] == pytest.approx(displacement, abs=1e-6)
 
 
-def test_fast_balls_that_meet_within_a_step_are_not_missed():
+def test_event_driven_detects_collision_of_fast_balls_within_a_step():
     scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
     shapes = []
     for name, x, y, v in (("left", -1.0, 0.0, 50.0), ("right", 1.0, 0.06, -50.0)):
@@ -302,19 +302,19 @@ def rod(mu, angle, speed):
     return scene.build(device="cpu", precision="float64")
 
 
-def test_the_paradox_of_painleve_is_told_and_not_passed():
+def test_event_driven_raises_paradox_error_for_painleve_rod():
     angle = math.radians(45.0)
     # 1/m + (cos² − μ sin cos)/I < 0 for a thin rod: μ > (1 + 3 cos²)/(3 sin cos) = 5/3 at 45°.
-    with pytest.raises(ParadoxError, match=r"t = 0 s: sliding, tip would press itself on.*Painlevé") as told:
+    with pytest.raises(ParadoxError, match=r"t = 0 s: sliding, tip would press itself on.*Painlevé") as caught:
         EventDriven(rod(5.0 / 3.0 + 0.01, angle, 1.0)).run(0.1)
-    assert str(told.value.run) == "event-driven run from 0 s to 0 s: no events"
+    assert str(caught.value.run) == "event-driven run from 0 s to 0 s: no events"
     run = EventDriven(rod(5.0 / 3.0 - 0.2, angle, 1.0)).run(0.02)
     assert not run.events_of("LIFT_OFF")
     # Sliding the other way friction lifts, and there is none.
     EventDriven(rod(5.0 / 3.0 + 0.01, angle, -1.0)).run(0.02)
 
 
-def test_energy_never_grows_in_a_tumble():
+def test_event_driven_tumbling_block_never_gains_energy():
     model = block(mu=0.4, lift=0.3, restitution=0.5)
     model["box.orientation"] = np.array([0.1, 0.3, 0.05, 0.9]) / np.linalg.norm([0.1, 0.3, 0.05, 0.9])
     model["box.position"] = (0.0, 0.0, 1.6)
@@ -334,7 +334,7 @@ def test_energy_never_grows_in_a_tumble():
 
 
 @pytest.mark.slow
-def test_a_rocking_block_loses_what_housner_says_and_comes_to_rest():
+def test_event_driven_rocking_block_loses_energy_as_housner_and_comes_to_rest():
     model = block(mu=0.9)
     tilt = 2e-3
     # About the edge at x = 0.5, which stays where it is.
@@ -364,7 +364,7 @@ def test_a_rocking_block_loses_what_housner_says_and_comes_to_rest():
     assert np.abs(rate[after]).max() < 1e-12
 
 
-def test_newton_with_friction_brings_no_energy():
+def test_event_driven_newton_restitution_with_friction_adds_no_energy():
     # A rod that hits the ground while its end slides (Kane and Levinson): restitution of 0.9 and strong friction.
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     ground = scene.add_surface(wc.meshes.grid((40.0, 40.0), (1, 1)), name="ground")
@@ -392,7 +392,7 @@ def test_newton_with_friction_brings_no_energy():
     assert gained > 0
 
 
-def test_a_body_that_is_driven_into_the_world_is_told_of():
+def test_event_driven_raises_for_contact_of_two_prescribed_bodies():
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     ground = scene.add_shape(None, wc.shapes.Plane(), name="ground")
     motion = wc.motions.Harmonic(direction=(0, 0, 1), amplitude=-0.2, frequency=1.0)
@@ -404,7 +404,7 @@ def test_a_body_that_is_driven_into_the_world_is_told_of():
 
 
 @pytest.mark.slow
-def test_a_ball_that_runs_into_the_inner_edge_of_one_mesh_is_told_of():
+def test_event_driven_raises_for_ball_at_concave_edge_of_a_mesh():
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     corners = [(-4, -5, 0), (2, -5, 0), (2, 5, 0), (-4, 5, 0), (2, -5, 5), (2, 5, 5)]
     faces = [(0, 1, 2), (0, 2, 3), (1, 4, 5), (1, 5, 2)]
@@ -419,7 +419,7 @@ def test_a_ball_that_runs_into_the_inner_edge_of_one_mesh_is_told_of():
         EventDriven(scene.build(device="cpu", precision="float64")).run(0.1)
 
 
-def test_what_it_cannot_take_is_named():
+def test_event_driven_raises_for_unsupported_input():
     deep = block(lift=-1e-3)
     with pytest.raises(ValueError, match=r"feet\[0\] begins in overlap, 0.001 m deep"):
         EventDriven(deep).run(0.1)

@@ -9,7 +9,7 @@ import warpcontact as wc
 pytestmark = pytest.mark.installed
 
 
-def test_own_law_rebounds_as_its_closed_form_says(device, capsys):
+def test_custom_law_example_rebounds_as_closed_form(device, capsys):
     height_error, speed_error = load("own_law").main(["--envs", "5", "--device", device])
     assert "largest error of rebound height" in capsys.readouterr().out
     # The closed form leaves the weight out. Over an impact 0.45 mm deep it is worth as much rebound height, of
@@ -20,7 +20,7 @@ def test_own_law_rebounds_as_its_closed_form_says(device, capsys):
     assert speed_error < 0.002
 
 
-def test_moving_surface_conserves_momentum(device, capsys):
+def test_moving_surface_example_conserves_momentum(device, capsys):
     result = load("moving_surface").main(["--envs", "3", "--device", device])
     assert "drift of momentum" in capsys.readouterr().out
     # 6000 steps in float64, each with a few rounding errors of 1e-16 that may have the same sign.
@@ -30,12 +30,12 @@ def test_moving_surface_conserves_momentum(device, capsys):
     assert result["restitution"] < 0.003
 
 
-def test_moving_surface_conserves_linear_momentum_in_float32(device):
+def test_moving_surface_example_conserves_linear_momentum_in_float32(device):
     result = load("moving_surface").main(["--envs", "1", "--device", device, "--precision", "float32"])
     assert result["scene.linear_momentum"] < 1.0e-5
 
 
-def test_berthing_stops_and_rebounds_as_its_closed_form_says(device, tmp_path, capsys):
+def test_berthing_example_stops_and_rebounds_as_closed_form(device, tmp_path, capsys):
     animation = tmp_path / "berth.usdc"
     result = load("berthing").main(["--envs", "4", "--device", device, "--usd", str(animation)])
     assert "passed the closest distance of 0.1 m: in environment 3" in capsys.readouterr().out
@@ -46,7 +46,7 @@ def test_berthing_stops_and_rebounds_as_its_closed_form_says(device, tmp_path, c
     assert result["passed"] == 1
 
 
-def test_cube_tosses_of_a_few_and_their_plot(device, shared_data, tmp_path, capsys):
+def test_cube_tosses_example_runs_with_few_tosses_and_plots(device, shared_data, tmp_path, capsys):
     data, figure = shared_data / "cube_tosses.npz", tmp_path / "tosses.png"
     result = load("cube_tosses").main(
         ["--data", str(data), "--tosses", "20", "--start", "ballistic", "--plot", str(figure), "--device", device]
@@ -58,7 +58,7 @@ def test_cube_tosses_of_a_few_and_their_plot(device, shared_data, tmp_path, caps
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("start", "position", "rotation"), [("raw", 13.5, 17.0), ("ballistic", 12.5, 16.0)])
-def test_cube_tosses_follow_the_measurement(device, shared_data, capsys, start, position, rotation):
+def test_cube_tosses_example_matches_measurement(device, shared_data, capsys, start, position, rotation):
     data = shared_data / "cube_tosses.npz"
     result = load("cube_tosses").main(["--data", str(data), "--start", start, "--device", device])
     with capsys.disabled():
@@ -70,7 +70,7 @@ def test_cube_tosses_follow_the_measurement(device, shared_data, capsys, start, 
     assert result["landed right"] > 80.0
 
 
-def test_cube_tosses_says_what_is_wrong_with_the_file(tmp_path, capsys):
+def test_cube_tosses_example_reports_invalid_file(tmp_path, capsys):
     example = load("cube_tosses")
     incomplete = tmp_path / "incomplete.npz"
     np.savez(incomplete, offset=[0, 1])
@@ -80,7 +80,7 @@ def test_cube_tosses_says_what_is_wrong_with_the_file(tmp_path, capsys):
         assert message in capsys.readouterr().err
 
 
-def test_surface_on_surface_converges_to_its_closed_forms(device, capsys):
+def test_surface_on_surface_example_converges_to_closed_forms(device, capsys):
     errors = load("surface_on_surface").main(["--device", device])
     assert "2513.3" in capsys.readouterr().out
     for values in errors.values():
@@ -89,7 +89,7 @@ def test_surface_on_surface_converges_to_its_closed_forms(device, capsys):
         assert values[-1] < 0.005
 
 
-def test_the_pendulum_rebounds_from_the_outer_side_of_a_wall_only(device, tmp_path):
+def test_pendulum_example_rebounds_from_the_outer_side_only(device, tmp_path):
     experiment = wc.Experiment.from_toml(FOLDER / "pendulum.toml")
     with pytest.warns(wc.ContactWarning, match=r"literal_touch: starts 0.342 m deep .* 108 m/s"):
         data = experiment.run(tmp_path / "out", device=device).recording
@@ -110,13 +110,13 @@ def test_the_pendulum_rebounds_from_the_outer_side_of_a_wall_only(device, tmp_pa
     assert (force > 0.0).any(axis=0).all()
 
 
-def test_an_ellipsoid_in_a_bowl_keeps_its_energy():
+def test_ellipsoid_in_bowl_example_conserves_energy():
     # At an instant the energy of symplectic steps is off by the first order of dt: 5e-3 at 220 steps of a contact.
     assert load("ellipsoid_in_bowl").energy_kept(duration=0.5) < 8.0e-3
 
 
 @pytest.mark.parametrize("name", ["one_dof_contact", "chain_against_walls"])
-def test_static_contact_is_its_closed_form_by_all_methods(name, tmp_path, capsys):
+def test_static_contact_example_matches_closed_form_with_all_methods(name, tmp_path, capsys):
     picture = tmp_path / "picture.png"
     # A residual of 1e-13 or less, over what a chain of five softens.
     assert load(name).main(["--picture", str(picture)]) < 1.0e-10
@@ -124,7 +124,7 @@ def test_static_contact_is_its_closed_form_by_all_methods(name, tmp_path, capsys
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_bouncing_ball_passes_its_zeno_point(device, tmp_path, capsys):
+def test_bouncing_ball_example_passes_its_zeno_point(device, tmp_path, capsys):
     picture = tmp_path / "ball.png"
     result = load("bouncing_ball").main(["--device", device, "--picture", str(picture)])
     assert "at rest from 4.063712768" in capsys.readouterr().out
@@ -139,7 +139,7 @@ def test_a_bouncing_ball_passes_its_zeno_point(device, tmp_path, capsys):
 
 
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
-def test_a_rattleback_turns_back_from_one_spin_only(tmp_path, device):
+def test_rattleback_example_reverses_one_spin_direction_only(tmp_path, device):
     run = wc.Experiment.from_toml(FOLDER / "rattleback.toml").run(tmp_path / "out", device=device)
     wrong, right = run.recording["celt.angular_velocity"].values[-1, :, 2]
     # Both began with 5 rad/s. Kane and Levinson have the wrong spin turned into one of about half that speed.
@@ -147,7 +147,7 @@ def test_a_rattleback_turns_back_from_one_spin_only(tmp_path, device):
     assert right > 4.5
 
 
-def test_pushed_blocks_stick_slide_and_tip_as_statics_say(device, tmp_path, capsys):
+def test_pushed_block_example_agrees_with_statics(device, tmp_path, capsys):
     picture = tmp_path / "pushed_block.png"
     options = ["--side", "16", "--steps", "300", "--device", device, "--picture", str(picture)]
     result = load("pushed_block").main(options)
@@ -159,7 +159,7 @@ def test_pushed_blocks_stick_slide_and_tip_as_statics_say(device, tmp_path, caps
     assert result["limit"] < 98.1 / 300 + 1e-9
 
 
-def test_a_ball_breaks_through_a_wall_of_boxes(device, tmp_path, capsys):
+def test_wall_of_boxes_example_breaks_and_gains_no_energy(device, tmp_path, capsys):
     picture, animation = tmp_path / "wall.png", tmp_path / "wall.usdc"
     options = ["--columns", "3", "--rows", "2", "--duration", "0.5", "--device", device]
     example = load("wall_of_boxes")
@@ -183,15 +183,15 @@ def test_a_ball_breaks_through_a_wall_of_boxes(device, tmp_path, capsys):
     assert len([prim for prim in ball.GetParent().GetChildren() if prim.GetName().startswith("box")]) == 7
 
 
-def test_falling_boxes_come_to_rest_with_all_their_energy_accounted_for(device, tmp_path):
+def test_falling_boxes_example_comes_to_rest_with_balanced_energy(device, tmp_path):
     run = wc.Experiment.from_toml(FOLDER / "falling_boxes.toml").run(tmp_path / "out", device=device)
-    told = run.recording
-    assert told["scene.solve_failures"].max() == 0
+    recorded_data = run.recording
+    assert recorded_data["scene.solve_failures"].max() == 0
     # Bodies that fall less than a metre are slower than 5 m/s; corners of tumbling ones a little faster.
     for pair in ("lower_feet", "upper_feet", "upper_on_lower", "lower_on_upper"):
-        assert told[f"{pair}.penetration"].max() < 8e-3
-    assert np.median(told["scene.kinetic_energy"][-1]) < 1e-3
-    energy = told["scene.kinetic_energy"] + told["scene.potential_energy"]
-    energy += told["scene.friction_dissipation"] + told["scene.impact_dissipation"]
+        assert recorded_data[f"{pair}.penetration"].max() < 8e-3
+    assert np.median(recorded_data["scene.kinetic_energy"][-1]) < 1e-3
+    energy = recorded_data["scene.kinetic_energy"] + recorded_data["scene.potential_energy"]
+    energy += recorded_data["scene.friction_dissipation"] + recorded_data["scene.impact_dissipation"]
     # To second order in the step, of bodies that turn at some rad/s; there were 129 J.
     assert np.abs(energy - energy[0]).max() < 1e-3

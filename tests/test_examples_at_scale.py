@@ -16,13 +16,13 @@ import warpcontact as wc
         ("stopping_distance", ["--envs", "32"], "picture.png"),
     ],
 )
-def test_ensemble_example_ends_with_its_results(name, options, written, device, tmp_path):
+def test_ensemble_example_writes_its_results(name, options, written, device, tmp_path):
     assert load(name).main([*options, "--device", device, "--out", str(tmp_path / "out")])
     assert (tmp_path / "out" / written).read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.slow
-def test_five_laws_have_their_restitutions_at_all_masses_and_speeds(device, tmp_path, capsys):
+def test_restitution_map_example_matches_restitution_at_all_masses_and_speeds(device, tmp_path, capsys):
     errors = load("restitution_map").main(["--side", "12", "--device", device, "--out", str(tmp_path / "out")])
     assert "largest deviation of all" in capsys.readouterr().out
     assert (tmp_path / "out" / "restitution_map.png").read_bytes().startswith(b"\x89PNG")
@@ -31,7 +31,7 @@ def test_five_laws_have_their_restitutions_at_all_masses_and_speeds(device, tmp_
     assert max(errors.values()) < 1.6e-3
 
 
-def test_longest_impacts_of_the_restitution_map_end_in_time():
+def test_restitution_map_duration_exceeds_the_longest_impact():
     example = load("restitution_map")
     mass, speed = example.MASSES[1], example.SPEEDS[0]
     hertz, linear = (
@@ -43,10 +43,10 @@ def test_longest_impacts_of_the_restitution_map_end_in_time():
 
 
 @pytest.mark.slow
-def test_landings_have_the_loads_that_their_energy_asks_for(device, tmp_path, capsys):
+def test_lander_example_loads_match_impact_energy(device, tmp_path, capsys):
     result = load("lander").main(["--envs", "96", "--device", device, "--out", str(tmp_path / "out")])
-    told = capsys.readouterr().out
-    assert "of 96 tipped over" in told
+    printed = capsys.readouterr().out
+    assert "of 96 tipped over" in printed
     for name in ("picture.png", "peak_load.png", "load_over_time.png"):
         assert (tmp_path / "out" / name).read_bytes().startswith(b"\x89PNG")
     assert result["load 0.5"] < result["load 0.95"] < result["load 0.99"]
@@ -66,7 +66,7 @@ def test_landings_have_the_loads_that_their_energy_asks_for(device, tmp_path, ca
     assert height.max() < 2.0
 
 
-def test_a_lander_that_starts_upright_above_the_ground_touches_nothing():
+def test_lander_example_starts_without_contact():
     model = wc.Experiment.from_toml(FOLDER / "lander.toml").model(envs=512, device="cpu")
     for contact in ("legs", "roof"):
         assert model.sensor(f"{contact}.gap").min() > 0.1

@@ -42,7 +42,7 @@ def small_example():
 
 
 @pytest.mark.parametrize("flip", [False, True])
-def test_what_an_experiment_is_checked_with_serves_its_first_model(flip, monkeypatch):
+def test_experiment_check_reuses_loaded_meshes_for_the_first_model(flip, monkeypatch):
     made = []
     for name in ("make_patch", "make_tree"):
         function = getattr(patches, name)
@@ -67,7 +67,7 @@ def test_what_an_experiment_is_checked_with_serves_its_first_model(flip, monkeyp
 
 
 @pytest.mark.smoke
-def test_example_leaves_complete_results(device, tmp_path):
+def test_example_writes_complete_results(device, tmp_path):
     run = small_example().run(tmp_path / "out", device=device)
     assert {path.name for path in run.files.values()} == {path.name for path in run.folder.iterdir()}
     assert run.health.good
@@ -88,7 +88,7 @@ def test_example_leaves_complete_results(device, tmp_path):
     assert all(str(path) in str(run) for path in run.files.values())
 
 
-def test_example_animation_shows_the_first_environments(device, tmp_path):
+def test_example_animation_has_the_requested_environments(device, tmp_path):
     from pxr import Usd
 
     run = wc.Experiment(content(output={"usd_envs": 2})).run(tmp_path / "out", device=device)
@@ -108,7 +108,7 @@ def test_written_experiment_repeats_the_run(device, tmp_path):
     assert first.recording.identical(second.recording)
 
 
-def test_spheres_of_the_example_gain_no_energy_and_stay_above_the_ground(device, tmp_path):
+def test_example_spheres_gain_no_energy_and_stay_above_the_ground(device, tmp_path):
     data = wc.Experiment.from_toml(EXAMPLE).run(tmp_path, envs=64, device=device).recording
     assert np.abs(data["ball.position"].values[..., :2]).max() < 8.0  # the terrain ends there
     assert (data["touch.gap"] > -0.6 * data["touch.radius"]).all()
@@ -121,7 +121,7 @@ def test_spheres_of_the_example_gain_no_energy_and_stay_above_the_ground(device,
     assert np.median(energy[-1]) < 0.2 * np.median(energy[0])
 
 
-def test_experiment_is_what_the_same_script_does(device, tmp_path):
+def test_experiment_equals_equivalent_script_bitwise(device, tmp_path):
     varied = {"ball.linear_velocity": {"uniform": [[0, 0, -2], [0, 0, -1]]}}
     friction = {"type": "Tanh", "mu": 0.3}
     raw = content(variation=varied, material=[{**content()["material"][0], "friction": friction}])
@@ -141,13 +141,13 @@ def test_experiment_is_what_the_same_script_does(device, tmp_path):
     np.testing.assert_array_equal(recorded["touch.gap"].values, expected["touch.gap"].values)
 
 
-def test_experiments_and_models_say_what_they_are(device):
+def test_repr_of_experiment_and_model_summarizes_them(device):
     experiment = wc.Experiment.from_toml(EXAMPLE).changed(envs=1, duration=0.06)
     assert repr(experiment) == "<Experiment terrain drop: 1 environment × 0.06 s, dt = 0.0002 s>"
     assert repr(experiment.model(device=device)).startswith("<Model of 1 environment: ")
 
 
-def test_defaults_are_those_of_the_python_api():
+def test_experiment_defaults_equal_python_api():
     for settings, function in (
         (SurfaceSettings, wc.Scene.add_surface),
         (BodySettings, wc.Scene.add_body),
@@ -172,7 +172,7 @@ def within(limits):
 
 
 @pytest.mark.parametrize("kind", [*wc.laws.CATALOGUE, *wc.friction.CATALOGUE], ids=lambda kind: kind.__name__)
-def test_every_law_and_friction_can_be_used(kind):
+def test_every_law_and_friction_can_be_used_in_an_experiment(kind):
     optional = set(kind.exactly_one_of[1:])
     values = {
         field.name: within(kind.limits(field.name))
@@ -186,12 +186,12 @@ def test_every_law_and_friction_can_be_used(kind):
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_every_generated_mesh_can_be_used(shape):
+def test_every_generated_mesh_can_be_used_in_an_experiment(shape):
     scene = wc.Experiment(content(surface=[{"name": "ground", "mesh": {"shape": shape}}])).scene()
     np.testing.assert_array_equal(scene.surfaces[0].mesh.vertices, SHAPES[shape]().vertices)
 
 
-def test_mesh_files_are_relative_to_the_experiment_and_to_its_copy(tmp_path):
+def test_mesh_paths_are_relative_to_the_experiment_file_and_its_copy(tmp_path):
     triangle = "v 0 0 0\nv 1000 0 0\nv 0 1000 0\nf 1 2 3\n"
     (tmp_path / "meshes").mkdir()
     (tmp_path / "meshes" / "corner.obj").write_text(triangle)
@@ -208,7 +208,7 @@ def test_mesh_files_are_relative_to_the_experiment_and_to_its_copy(tmp_path):
     assert wc.Experiment.from_toml(run.files["experiment"]).scene().surfaces[0].mesh.report.face_count == 1
 
 
-def test_all_that_a_file_may_say_reads_back_as_it_was_written(tmp_path):
+def test_every_experiment_key_round_trips(tmp_path):
     raw = content(
         name='a "quoted" \\ name with ü',
         precision="float64",
@@ -254,11 +254,11 @@ def test_all_that_a_file_may_say_reads_back_as_it_was_written(tmp_path):
     assert run.recording["ball.inertia"].dims == ("env", "row", "column")
 
 
-def test_readings_and_interval_have_defaults():
+def test_record_sensors_and_interval_have_defaults():
     experiment = wc.Experiment(content(duration=3.0, record={}))
     assert experiment.settings.record.every == 0.03
-    told = ("touch.penetration", "touch.normal_force", "scene.kinetic_energy")
-    assert experiment.settings.record.sensors == told
+    expected_sensors = ("touch.penetration", "touch.normal_force", "scene.kinetic_energy")
+    assert experiment.settings.record.sensors == expected_sensors
     # A written experiment has them written out, and follows another duration all the same.
     written = wc.Experiment(experiment.settings.model_dump(exclude_none=True))
     assert written.settings.record.every == 0.03
@@ -267,7 +267,7 @@ def test_readings_and_interval_have_defaults():
     assert default_sensors(experiment.model(device="cpu")) == list(experiment.settings.record.sensors)
 
 
-def test_readings_of_couplings_are_recorded_by_default():
+def test_coupling_sensors_are_recorded_by_default():
     ends = [{"name": "hook", "position": [0, 0, 3]}, {"name": "centre", "body": "ball", "position": [0, 0, 0]}]
     between = {"point_a": "hook", "point_b": "centre"}
     experiment = wc.Experiment(
@@ -284,7 +284,7 @@ def test_readings_of_couplings_are_recorded_by_default():
     assert experiment.settings.record.sensors == (*names, "scene.kinetic_energy")
 
 
-def test_box_slides_down_the_slope_as_fast_as_the_closed_form_says(device, tmp_path):
+def test_box_on_slope_example_slides_as_closed_form(device, tmp_path):
     experiment = wc.Experiment.from_toml(EXAMPLE.parent / "box_on_slope.toml")
     assert experiment.settings.envs == 11
     changed = experiment.settings.model_dump(exclude_none=True)
@@ -299,7 +299,7 @@ def test_box_slides_down_the_slope_as_fast_as_the_closed_form_says(device, tmp_p
     assert slid[3] < 2.0e-3
 
 
-def test_rolling_and_torsion_are_parts_of_a_template(device, tmp_path):
+def test_rolling_and_torsion_are_parts_of_a_contact_material(device, tmp_path):
     stick = {"type": "CundallStrack", "mu_static": 0.5, "mu_dynamic": 0.4, "stiffness": 1.0e4}
     material = {
         "name": "felt",
@@ -326,7 +326,7 @@ def test_rolling_and_torsion_are_parts_of_a_template(device, tmp_path):
     assert again.settings == study.settings
 
 
-def test_an_experiment_that_names_no_readings_records_one_of_each_element(device):
+def test_default_sensors_include_one_of_each_element(device):
     experiment = wc.Experiment.from_dict(
         {
             "duration": 0.1,
@@ -357,5 +357,5 @@ def test_an_experiment_that_names_no_readings_records_one_of_each_element(device
             ],
         }
     )
-    told = ["spring.length", "spring.force", "line.tension_a", "line.tension_b", "arm.angle"]
-    assert default_sensors(experiment.model(device=device)) == [*told, "scene.kinetic_energy"]
+    expected_sensors = ["spring.length", "spring.force", "line.tension_a", "line.tension_b", "arm.angle"]
+    assert default_sensors(experiment.model(device=device)) == [*expected_sensors, "scene.kinetic_energy"]

@@ -41,7 +41,7 @@ def folder(tmp_path):
     return tmp_path
 
 
-def test_lists_and_files_say_the_same(folder, device):
+def test_body_set_from_lists_equals_body_set_from_files(folder, device):
     run = wc.Experiment.from_dict(STUDY, folder).run(folder / "lists", device=device)
     data = run.recording
     np.testing.assert_allclose(data["touch.gap"].values[0, 1], np.array(POSITIONS)[:, 2] - RADII, atol=1e-7)
@@ -64,7 +64,7 @@ def test_lists_and_files_say_the_same(folder, device):
             np.testing.assert_array_equal(other.recording[name].values, data[name].values)
 
 
-def test_shards_of_sets_are_the_same(folder, device):
+def test_body_set_results_do_not_depend_on_shards(folder, device):
     experiment = wc.Experiment.from_dict(STUDY, folder)
     whole = experiment.run(folder / "whole", device=device).recording
     shards = experiment.run(folder / "shards", device=device, shard=2).recording
@@ -72,7 +72,7 @@ def test_shards_of_sets_are_the_same(folder, device):
         np.testing.assert_array_equal(shards[name].values, whole[name].values)
 
 
-def test_inertia_follows_from_mass_and_radius_of_each_body(folder, device):
+def test_body_set_inertia_follows_from_mass_and_radius_of_each_body(folder, device):
     study = copy.deepcopy(STUDY)
     study["variation"] |= {
         "touch.radius": {"linspace": [0.1, 0.2]},
@@ -83,7 +83,7 @@ def test_inertia_follows_from_mass_and_radius_of_each_body(folder, device):
     np.testing.assert_allclose(model["grains.inertia"], expected[..., None, None] * np.eye(3), rtol=1e-12)
 
 
-def test_nothing_is_recorded_of_each_body_unless_asked_for():
+def test_body_set_sensors_are_not_recorded_by_default():
     scene = wc.Scene()
     slider = wc.motions.Slider(axis=(0, 0, 1))
     scene.add_bodies(POSITIONS, mass=1, inertia=(1, 1, 1), motion=slider, name="grains")
@@ -91,7 +91,7 @@ def test_nothing_is_recorded_of_each_body_unless_asked_for():
     assert default_sensors(scene.build(1, "cpu")) == ["piston.displacement", "scene.kinetic_energy"]
 
 
-def test_an_experiment_may_have_nothing_but_a_set(device):
+def test_experiment_can_have_only_a_body_set(device):
     study = {"duration": 1e-3, "dt": 1e-3, "bodies": [GRAINS]}
     assert wc.Experiment.from_dict(study).model(device=device).body_count == 4
 
@@ -118,7 +118,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("change", "message"), BAD, ids=[str(change)[:40] for change, _ in BAD])
-def test_what_is_wrong_with_a_set_is_said_with_its_key(change, message, folder):
+def test_invalid_body_set_is_reported_with_its_key(change, message, folder):
     (folder / "words.csv").write_text("one,two\n", encoding="utf-8")
     study = copy.deepcopy(STUDY)
     study["bodies"][0] |= change
@@ -129,7 +129,7 @@ def test_what_is_wrong_with_a_set_is_said_with_its_key(change, message, folder):
     assert message in problem
 
 
-def test_a_list_of_positions_in_the_section_of_one_body_is_told_where_it_belongs():
+def test_positions_list_of_a_single_body_is_reported_with_the_right_section():
     study = {
         "duration": 1,
         "dt": 1e-3,
@@ -139,7 +139,7 @@ def test_a_list_of_positions_in_the_section_of_one_body_is_told_where_it_belongs
         wc.Experiment.from_dict(study)
 
 
-def test_a_radius_for_each_fits_the_points(folder):
+def test_list_of_radii_must_match_number_of_points(folder):
     study = copy.deepcopy(STUDY)
     study["contact"][0]["radius"] = [0.1, 0.1]
     with pytest.raises(wc.ExperimentError, match=r"contact\[0\] \('touch'\)\.radius must be 4 numbers"):

@@ -49,7 +49,7 @@ def file(tmp_path):
         ),
     ],
 )
-def test_a_change_is_what_the_file_could_say(change, old, new, file, tmp_path):
+def test_set_option_equals_edited_file(change, old, new, file, tmp_path):
     def outcome(path, *changes):
         try:
             return wc.Experiment.from_toml(path, changes=changes).settings
@@ -64,7 +64,7 @@ def test_a_change_is_what_the_file_could_say(change, old, new, file, tmp_path):
     assert outcome(file, change) != outcome(file)
 
 
-def test_the_last_of_several_counts_and_the_run_keeps_it(file, tmp_path):
+def test_last_set_option_wins_and_is_stored_with_the_run(file, tmp_path):
     words = ["--set", "body.ball.mass=5.0", "--set", "gravity=[0, 0, -1.6]", "--set", "body[0].mass=7.0"]
     words += ["--set", "seed=3", "--envs", "2", "--device", "cpu"]
     assert main(["run", str(file), "--out", str(tmp_path / "run"), *words]) == 0
@@ -100,19 +100,19 @@ def test_the_last_of_several_counts_and_the_run_keeps_it(file, tmp_path):
     ],
 )
 @pytest.mark.parametrize("command", ["run", "plan"])
-def test_wrong_changes_are_named(command, change, message, file, tmp_path, capsys):
+def test_invalid_set_option_is_reported(command, change, message, file, tmp_path, capsys):
     words = ["--out", str(tmp_path / "run")] if command == "run" else []
     assert main([command, str(file), "--set", change, *words]) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
 
 
-def test_one_change_is_no_list(file):
+def test_changes_argument_raises_for_a_string(file):
     with pytest.raises(TypeError, match="changes must be a list of texts PATH=VALUE, got the string 'dt=2e-3'"):
         wc.Experiment.from_toml(file, changes="dt=2e-3")
 
 
-def test_a_resumed_run_may_not_be_changed(file, tmp_path, capsys):
+def test_set_option_is_refused_for_a_resumed_run(file, tmp_path, capsys):
     folder = str(tmp_path / "run")
     assert main(["run", str(file), "--out", folder, "--device", "cpu"]) == 0
     assert (

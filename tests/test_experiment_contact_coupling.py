@@ -6,7 +6,7 @@ from test_experiment_errors import problems_of
 from usd_stages import arrows
 
 import warpcontact as wc
-from warpcontact.experiment.sensor_panels import panels_of
+from warpcontact.experiment.sensor_panels import make_panels
 
 IMPACT = {"mass": 50, "area": 0.06, "speed": 1.5, "effective_range": 0.02, "closest": 0.005, "damping_ratio": 0.05}
 COUPLING = {
@@ -42,7 +42,7 @@ def content(**changes):
     return given | changes
 
 
-def test_a_coupling_is_that_of_the_python_interface(tmp_path):
+def test_contact_coupling_in_experiment_equals_python_api(tmp_path):
     experiment = wc.Experiment(content())
     scene = wc.Scene(gravity=(0, 0, 0))
     quay = scene.add_surface(wc.meshes.grid((0.3, 0.2)), name="quay")
@@ -63,14 +63,14 @@ def test_a_coupling_is_that_of_the_python_interface(tmp_path):
     # The picture shows its force, of which no sensor is one number.
     without = run.recording.drop_vars(LINES)
     without.scene = run.recording.scene
-    panel = panels_of(without, np.zeros(0, dtype=int), 2)[0]
+    panel = make_panels(without, np.zeros(0, dtype=int), 2)[0]
     assert (panel.heading, panel.curves.unit) == ("magnitude of keep.force", "N")
     np.testing.assert_allclose(panel.curves.values, np.linalg.norm(recording["keep.force"], axis=-1))
     # The written experiment says the same.
     assert wc.Experiment.from_toml(run.files["experiment"]).settings == experiment.settings
 
 
-def test_an_animation_has_the_forces_at_the_faces(tmp_path):
+def test_animation_has_coupling_forces_at_faces(tmp_path):
     from pxr import Usd, UsdGeom
     from scipy.spatial.transform import Rotation
 
@@ -100,7 +100,7 @@ def test_an_animation_has_the_forces_at_the_faces(tmp_path):
     assert not any(prim.IsA(UsdGeom.Sphere) for prim in stage.Traverse())
 
 
-def test_a_friction_of_ones_own_works_and_is_copied_along(tmp_path):
+def test_custom_friction_of_coupling_is_used_and_copied(tmp_path):
     (tmp_path / "own.py").write_text(
         "from typing import Any\nimport warp as wp\nimport warpcontact as wc\n\n\n"
         "class Felt(wc.Friction):\n    drag: float = wc.parameter('s/m', 'drag')\n\n"
@@ -161,18 +161,18 @@ def test_a_friction_of_ones_own_works_and_is_copied_along(tmp_path):
         ({"material": "wood"}, "contact_coupling[0].material is not known"),
     ],
 )
-def test_problems_name_the_key(changes, problem):
+def test_invalid_contact_coupling_is_reported_with_its_key(changes, problem):
     given = content(contact_coupling=[COUPLING | changes], variation={}, record={})
     (found,) = problems_of(given)
     assert found.startswith(problem)
 
 
-def test_a_wrong_coupling_does_not_make_its_names_unknown():
+def test_invalid_contact_coupling_causes_no_unknown_name_problem():
     (problem,) = problems_of(content(contact_coupling=[COUPLING | {"facing": "some"}]))
     assert problem.startswith("contact_coupling[0].facing")
 
 
-def test_a_run_reports_its_couplings_whatever_the_shards(tmp_path):
+def test_coupling_report_does_not_depend_on_shards(tmp_path):
     changes = {
         "envs": 3,
         "variation": {"block.linear_velocity": {"values": [[0, 0, -0.5], [0, 0, 1.0], [0, 0, -2.5]]}},
@@ -182,9 +182,9 @@ def test_a_run_reports_its_couplings_whatever_the_shards(tmp_path):
         for shard in (None, 2)
     ]
     for run in runs:
-        told = str(run)
-        assert "keep: 2 of 3 environments came into range" in told
-        assert "passed the closest distance of 0.005 m: in environment 2" in told
+        run_text = str(run)
+        assert "keep: 2 of 3 environments came into range" in run_text
+        assert "passed the closest distance of 0.005 m: in environment 2" in run_text
         assert run.summary["contact_couplings"]["keep"][0] == "keep: 2 of 3 environments came into range"
         (report,) = run.reports
         assert report.in_range.tolist() == [True, False, True]

@@ -54,7 +54,7 @@ MIXTURES = [
 
 
 @pytest.mark.parametrize(("method", "variation", "envs", "correlation"), MIXTURES)
-def test_rows_alone_are_those_of_all_to_the_bit(method, variation, envs, correlation):
+def test_design_rows_are_bitwise_identical_to_rows_of_whole_design(method, variation, envs, correlation):
     whole = design(variation, envs, method, correlation=correlation)
     rows = whole.rows(0, envs)
     assert list(rows) == list(variation)
@@ -68,7 +68,7 @@ def test_rows_alone_are_those_of_all_to_the_bit(method, variation, envs, correla
 
 
 @pytest.mark.parametrize(("method", "variation", "envs", "correlation"), MIXTURES[1:5])
-def test_a_design_can_be_sent_to_another_process(method, variation, envs, correlation):
+def test_design_can_be_pickled(method, variation, envs, correlation):
     whole = design(variation, envs, method, correlation=correlation)
     sent = pickle.loads(pickle.dumps(whole))
     for name, values in whole.rows(0, 40).items():
@@ -76,14 +76,14 @@ def test_a_design_can_be_sent_to_another_process(method, variation, envs, correl
 
 
 @pytest.mark.parametrize("method", ["random", "sobol"])
-def test_environments_have_the_same_values_however_many_follow(method):
+def test_design_values_do_not_depend_on_number_of_environments(method):
     variation = RANDOM | {"touch.force_scale": {"grid": [0.1, 0.2, 0.3]}}
     few, many = (values_of(variation, envs, method, correlation=TOGETHER) for envs in (10, 3000))
     for name, values in few.items():
         assert values.tobytes() == many[name][:10].tobytes(), name
 
 
-def test_environments_that_do_not_exist_are_refused():
+def test_design_rows_out_of_range_raise():
     some = design(RANDOM, 10)
     for first, stop in ((0, 11), (-1, 3), (4, 3)):
         with pytest.raises(IndexError, match=rf"from 0 to 10, got {first} to {stop}"):
@@ -91,7 +91,7 @@ def test_environments_that_do_not_exist_are_refused():
 
 
 @pytest.mark.parametrize("method", ["random", "latin_hypercube", "sobol"])
-def test_the_plan_of_very_many_environments_draws_none_of_them(method, monkeypatch):
+def test_plan_of_very_large_design_draws_no_samples(method, monkeypatch):
     variation = {
         name: RANDOM[name] for name in ("ball.mass", "touch.radius", "ball.linear_velocity", "touch.kappa")
     }
@@ -110,7 +110,7 @@ def test_the_plan_of_very_many_environments_draws_none_of_them(method, monkeypat
         experiment.plan(envs=2**31, device="cpu")
 
 
-def test_what_may_be_drawn_wrong_is_still_drawn_to_be_checked():
+def test_unbounded_distributions_are_checked_by_drawing_all_values():
     """Of a normal mass, and of correlated normal numbers, ends tell nothing."""
     with pytest.raises(wc.ExperimentError, match=r'variation."ball.mass".*\[\d+'):
         design({"ball.mass": {"normal": [1.0, 0.5]}}, 1000)
@@ -118,11 +118,11 @@ def test_what_may_be_drawn_wrong_is_still_drawn_to_be_checked():
     lowest = 1.0 / 8.0
     variation = {"ball.mass": {"normal": [1.0, lowest]}, "touch.force_scale": {"normal": [0.5, 0.01]}}
     together = [{"names": ["ball.mass", "touch.force_scale"], "matrix": [[1, 0.5], [0.5, 1]]}]
-    assert design(variation, 100, correlation=together).ends("ball.mass") is None
-    assert design(variation, 100).ends("ball.mass") is not None
+    assert design(variation, 100, correlation=together).value_range("ball.mass") is None
+    assert design(variation, 100).value_range("ball.mass") is not None
 
 
-def test_more_combinations_than_there_can_be_environments_are_refused():
+def test_grid_with_too_many_combinations_is_refused():
     names = ["ball.mass", "touch.radius", "touch.kappa", "touch.force_scale"]
     raw = content(variation={name: {"grid": np.linspace(0.1, 0.9, 216).tolist()} for name in names})
     raw.pop("envs")
@@ -131,13 +131,13 @@ def test_more_combinations_than_there_can_be_environments_are_refused():
         wc.Experiment.from_dict(raw)
 
 
-def test_another_entry_changes_no_random_value():
+def test_additional_parameter_does_not_change_random_values_of_others():
     together = values_of(RANDOM, 20)
     for name in set(RANDOM) - {"ball.inertia"}:
         np.testing.assert_array_equal(values_of({name: RANDOM[name]}, 20)[name], together[name])
 
 
-def test_values_of_a_set_say_which_axis_is_that_of_the_environments():
+def test_varied_values_of_a_set_have_unambiguous_environment_axis():
     """Whatever the number of environments is: as many as there are points, too."""
     points = [{"name": "corners", "body": "ball", "positions": np.eye(3).tolist()}]
     contact = [content()["contact"][0] | {"points": "corners"}]
@@ -163,7 +163,7 @@ def test_values_of_a_set_say_which_axis_is_that_of_the_environments():
 
 
 @pytest.mark.parametrize("method", ["random", "latin_hypercube", "sobol"])
-def test_values_follow_their_distribution(method):
+def test_sampled_values_follow_their_distribution(method):
     rows = values_of(RANDOM, 4096, method)
     expected = {
         "ball.mass": stats.uniform(0.2, 1.8),
@@ -193,7 +193,7 @@ def test_values_follow_their_distribution(method):
     ],
     ids=lambda law: law["name"],
 )
-def test_distributions_of_scipy_are_drawn_by_their_quantiles(law):
+def test_scipy_distributions_are_sampled_by_quantiles(law):
     mass = values_of({"ball.mass": {"distribution": law}}, 50)["ball.mass"]
     units = values_of({"ball.mass": {"uniform": [1, 2]}}, 50)["ball.mass"] - 1.0
     parameters = {key: value for key, value in law.items() if key != "name"}
@@ -201,7 +201,7 @@ def test_distributions_of_scipy_are_drawn_by_their_quantiles(law):
     np.testing.assert_allclose(mass, getattr(stats, law["name"]).ppf(units, **parameters), rtol=1e-12)
 
 
-def test_discrete_distributions_choose_meshes():
+def test_discrete_distribution_selects_meshes():
     meshes = [{"shape": "grid", "size": [2, 2]}, {"shape": "grid"}, {"shape": "box"}]
     surface = [{"name": "ground", "mesh": meshes}]
     law = {"name": "binom", "n": 2, "p": 0.25}
@@ -211,10 +211,10 @@ def test_discrete_distributions_choose_meshes():
     np.testing.assert_allclose(counts, 4000 * stats.binom(2, 0.25).pmf(range(3)), atol=4 * np.sqrt(4000) / 2)
 
 
-def test_no_number_is_drawn_at_the_infinite_ends():
-    from warpcontact.experiment.distributions import LARGEST, SMALLEST, inside, marginal_of
+def test_quantiles_at_zero_and_one_are_finite():
+    from warpcontact.experiment.distributions import LARGEST, SMALLEST, clip_to_open_interval, make_marginal
 
-    ends = inside(np.array([0.0, 1.0]))
+    ends = clip_to_open_interval(np.array([0.0, 1.0]))
     assert ends.tolist() == [SMALLEST, LARGEST]
     for kind, given in (
         ("normal", (0.0, 1.0)),
@@ -222,10 +222,10 @@ def test_no_number_is_drawn_at_the_infinite_ends():
         ("distribution", {"name": "norm"}),
         ("distribution", {"name": "weibull_min", "c": 1.5}),
     ):
-        values = marginal_of(kind, given, False).of_units(ends)
+        values = make_marginal(kind, given, False).from_uniform(ends)
         assert np.isfinite(values).all()
         assert values[0] < values[1]
-    assert marginal_of("uniform", (0, 2), True).of_units(ends).tolist() == [0, 2]
+    assert make_marginal("uniform", (0, 2), True).from_uniform(ends).tolist() == [0, 2]
 
 
 # --- designs
@@ -241,7 +241,7 @@ def test_latin_hypercube_has_one_value_in_each_interval():
     assert not np.array_equal(rows["ball.mass"], again["ball.mass"])
 
 
-def test_sobol_points_are_those_of_scipy():
+def test_sobol_points_match_scipy():
     varied = {"ball.mass": {"uniform": [1, 2]}, "ball.linear_velocity": {"uniform": [[0] * 3, [1] * 3]}}
     rows = values_of(varied, 2048, "sobol", seed=3)
     points = _sobol_engine(3, 4).random(2048) + 0.5**33  # in the middle of intervals of 32 bits
@@ -256,8 +256,8 @@ def test_sobol_points_are_those_of_scipy():
     assert all(sorted(column) == list(range(2048)) for column in halves.T)
 
 
-@pytest.mark.parametrize(("envs", "told"), [(6, ["next to it: 4 and 8"]), (8, [])])
-def test_sobol_points_that_are_no_power_of_two_are_remarked(envs, told, tmp_path):
+@pytest.mark.parametrize(("envs", "messages"), [(6, ["next to it: 4 and 8"]), (8, [])])
+def test_sobol_with_number_not_a_power_of_two_warns(envs, messages, tmp_path):
     raw = content(
         envs=envs,
         variation={"ball.mass": {"uniform": [1, 2]}},
@@ -265,10 +265,10 @@ def test_sobol_points_that_are_no_power_of_two_are_remarked(envs, told, tmp_path
         output={"usd_envs": 0},
         record={"series": False},
     )
-    heard = []
-    run = wc.Experiment.from_dict(raw).run(tmp_path / "run", device="cpu", on_warning=heard.append)
-    assert [text.rpartition("; ")[2] for text in heard] == told
-    assert run.summary["warnings"] == heard
+    warnings_heard = []
+    run = wc.Experiment.from_dict(raw).run(tmp_path / "run", device="cpu", on_warning=warnings_heard.append)
+    assert [text.rpartition("; ")[2] for text in warnings_heard] == messages
+    assert run.summary["warnings"] == warnings_heard
 
 
 def test_saltelli_rows_are_a_b_and_a_with_columns_of_b():
@@ -285,7 +285,7 @@ def test_saltelli_rows_are_a_b_and_a_with_columns_of_b():
 
 
 @pytest.mark.parametrize("method", ["random", "latin_hypercube", "sobol", "saltelli"])
-def test_numbers_that_do_not_differ_take_no_column_of_a_design(method):
+def test_constant_components_use_no_column_of_the_design(method):
     speed = {"uniform": [[0, -2, 1], [0, -1, 1]]}
     varied = {
         "ball.linear_velocity": speed,
@@ -303,7 +303,7 @@ def test_numbers_that_do_not_differ_take_no_column_of_a_design(method):
         np.testing.assert_array_equal(rows["ball.mass"], 1.0 + units[:64, 1])
 
 
-def test_grid_has_all_combinations_of_which_the_first_varies_slowest():
+def test_grid_has_all_combinations_with_the_first_varying_slowest():
     varied = {
         "ball.mass": {"grid": [1, 2]},
         "ball.linear_velocity": {"grid": [[0, 0, 0], [1, 0, 0], [2, 0, 0]], "group": "speed"},
@@ -330,7 +330,7 @@ def test_grid_has_all_combinations_of_which_the_first_varies_slowest():
 # --- correlations
 
 
-def test_correlated_normals_have_their_correlation():
+def test_correlated_normals_have_prescribed_correlation():
     varied = {
         "ball.mass": {"normal": [10, 1]},
         "touch.radius": {"lognormal": [-3, 0.1]},
@@ -363,7 +363,7 @@ def test_correlated_normals_have_their_correlation():
 # --- files
 
 
-def test_values_come_from_files(tmp_path):
+def test_parameter_values_are_read_from_files(tmp_path):
     np.save(tmp_path / "velocities.npy", np.arange(15.0).reshape(5, 3))
     (tmp_path / "masses.csv").write_text("# kg\n1\n2\n3\n4\n5\n")
     varied = {"ball.mass": {"values": "masses.csv"}, "ball.linear_velocity": {"values": "velocities.npy"}}
@@ -375,7 +375,7 @@ def test_values_come_from_files(tmp_path):
     assert experiment.model(envs=2, device="cpu")["ball.mass"].tolist() == [1, 2]
 
 
-def test_written_experiment_draws_the_same(device, tmp_path):
+def test_written_experiment_draws_the_same_values(device, tmp_path):
     (tmp_path / "masses.csv").write_text("1\n2\n3\n4\n5\n")
     varied = {
         "ball.mass": {"values": "masses.csv"},
@@ -394,7 +394,7 @@ def test_written_experiment_draws_the_same(device, tmp_path):
 
 
 @pytest.mark.parametrize("method", ["latin_hypercube", "sobol"])
-def test_what_does_not_differ_stays_beside_what_is_correlated(method):
+def test_constant_parameters_are_allowed_with_correlation(method):
     variation = {
         "ball.position": {"uniform": [[0, 0, 1], [0, 0, 1]]},  # which takes no column
         "ball.mass": {"lognormal": [0.0, 0.2]},

@@ -7,7 +7,7 @@ import pytest
 
 import warpcontact as wc
 
-RIGHT = {
+VALID_STUDY = {
     "envs": 3,
     "duration": 0.1,
     "dt": 1.0e-3,
@@ -21,23 +21,23 @@ RIGHT = {
     "record": {"every": 0.01, "sensors": ["touch.gap"]},
     "output": {"usd_envs": 2},
 }
-LEFT_OUT = object()
+REMOVED = object()
 VARIED = ("variation", "ball.mass")
 LAW = ("material", 0, "law")
 GROUND = ("surface", 0)
 NAMES = ", ".join(law.__name__ for law in (*wc.laws.CATALOGUE, *wc.laws.RIGID)) + ", or FILE.py:CLASS"
-RUBBING = (*wc.friction.CATALOGUE, *wc.friction.RIGID)
-FRICTIONS = ", ".join(friction.__name__ for friction in RUBBING) + ", or FILE.py:CLASS"
+MATERIAL_WITH_FRICTION = (*wc.friction.CATALOGUE, *wc.friction.RIGID)
+FRICTIONS = ", ".join(friction.__name__ for friction in MATERIAL_WITH_FRICTION) + ", or FILE.py:CLASS"
 
 
-def wrong(*changes):
+def invalid_study(*changes):
     """``RIGHT`` with other values: pairs of a place, as a tuple of keys, and what is to be there."""
-    content = copy.deepcopy(RIGHT)
+    content = copy.deepcopy(VALID_STUDY)
     for place, value in changes:
         target = content
         for key in place[:-1]:
             target = target[key]
-        if value is LEFT_OUT:
+        if value is REMOVED:
             del target[place[-1]]
         elif isinstance(target, list):
             target[place[-1] :] = [value]
@@ -67,14 +67,14 @@ BAD = [
     (("output", "usd_env"), 1, "output.usd_env is not known; did you mean 'usd_envs'?"),
     ((*VARIED, "unifrom"), [1, 2], "variation.\"ball.mass\".unifrom is not known; did you mean 'uniform'?"),
     # What is missing.
-    (("dt",), LEFT_OUT, "dt is missing: time step [s]"),
-    (("duration",), LEFT_OUT, "duration is missing: simulated time [s]"),
-    (("body",), LEFT_OUT, "body is missing: an experiment needs a [[body]]"),
-    (("body", 0, "mass"), LEFT_OUT, "body[0].mass is missing: mass [kg]"),
-    (("body", 0, "name"), LEFT_OUT, "body[0].name is missing"),
-    ((*LAW, "stiffness"), LEFT_OUT, "material[0].law.stiffness is missing: stiffness K [N/mⁿ]"),
-    ((*LAW, "type"), LEFT_OUT, f"material[0].law.type is missing: one of {NAMES}"),
-    ((*GROUND, "mesh", "shape"), LEFT_OUT, "surface[0].mesh.shape is missing: one of grid, "),
+    (("dt",), REMOVED, "dt is missing: time step [s]"),
+    (("duration",), REMOVED, "duration is missing: simulated time [s]"),
+    (("body",), REMOVED, "body is missing: an experiment needs a [[body]]"),
+    (("body", 0, "mass"), REMOVED, "body[0].mass is missing: mass [kg]"),
+    (("body", 0, "name"), REMOVED, "body[0].name is missing"),
+    ((*LAW, "stiffness"), REMOVED, "material[0].law.stiffness is missing: stiffness K [N/mⁿ]"),
+    ((*LAW, "type"), REMOVED, f"material[0].law.type is missing: one of {NAMES}"),
+    ((*GROUND, "mesh", "shape"), REMOVED, "surface[0].mesh.shape is missing: one of grid, "),
     # Types: a text is no number, true is not 1.
     (("dt",), "1e-3", "dt must be a number [s], got '1e-3'"),
     (("envs",), 8.0, "envs must be a whole number, got 8.0"),
@@ -184,7 +184,7 @@ BAD = [
     (("contact", 0, "material"), "ruber", "contact[0].material must be the name of a material, got 'ruber'; did"),
     ((*GROUND, "body"), "ball", "contact[0]: points and surface are both fixed to body 'ball'; one must move"),
     (("point", 1), {"name": "ball", "position": [0, 0, 0]}, "point[1]: name 'ball' of a point is taken"),
-    (("material", 1), RIGHT["material"][0], "material[1]: name 'rubber' of a material is taken"),
+    (("material", 1), VALID_STUDY["material"][0], "material[1]: name 'rubber' of a material is taken"),
     (
         ("record", "sensors"),
         ["touch.gpa"],
@@ -260,24 +260,26 @@ BAD = [
 
 
 @pytest.mark.parametrize(("place", "value", "message"), BAD, ids=[message[:50] for _, _, message in BAD])
-def test_mistake_is_named_by_its_key(place, value, message):
-    problems = problems_of(wrong((place, value)))
+def test_experiment_error_names_the_key(place, value, message):
+    problems = problems_of(invalid_study((place, value)))
     assert any(message in problem for problem in problems), problems
     # And it is the only one: a mistake does not make others appear.
     assert len(problems) == 1, problems
 
 
-def test_what_is_looked_up_in_the_scene_is_told_once_there_is_one():
+def test_unknown_names_are_reported_if_the_scene_can_be_built():
     """As ``docs/experiments.md`` says."""
     unknown = [(("record", "sensors"), ["foo"]), (("variation", "xyz.mass"), {"uniform": [1, 2]})]
     variation, sensor = 'variation."xyz.mass" is not the name', "record.sensors[0] must be the name of a sensor"
 
-    def told(*changes):
+    def problems_with(*changes):
         return [
-            line[: len(start)] for line in problems_of(wrong(*unknown, *changes)) for start in (variation, sensor)
+            line[: len(start)]
+            for line in problems_of(invalid_study(*unknown, *changes))
+            for start in (variation, sensor)
         ]
 
-    assert set(told()) & {variation, sensor} == {variation, sensor}
-    assert set(told((("contact", 0, "surface"), "x"))) & {variation, sensor} == {variation, sensor}
-    assert set(told((("dt",), LEFT_OUT))) & {variation, sensor} == {variation}
-    assert set(told((("body", 0, "mass"), -1))) & {variation, sensor} == set()
+    assert set(problems_with()) & {variation, sensor} == {variation, sensor}
+    assert set(problems_with((("contact", 0, "surface"), "x"))) & {variation, sensor} == {variation, sensor}
+    assert set(problems_with((("dt",), REMOVED))) & {variation, sensor} == {variation}
+    assert set(problems_with((("body", 0, "mass"), -1))) & {variation, sensor} == set()

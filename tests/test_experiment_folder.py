@@ -13,12 +13,12 @@ from test_experiment import content
 
 import warpcontact as wc
 from warpcontact.decimation import evenly
-from warpcontact.experiment.status import status_of
+from warpcontact.experiment.status import run_status
 
 pytestmark = pytest.mark.installed
 
 
-def test_folder_of_something_else_is_left_alone(tmp_path):
+def test_unrelated_folder_is_not_overwritten(tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work")
     for overwrite in (False, True):
         with pytest.raises(wc.ExperimentError, match="not empty"):
@@ -45,13 +45,13 @@ def test_earlier_run_is_replaced_on_request_only(tmp_path):
     assert run.summary["state"] == "finished"
 
 
-def test_what_a_run_left_that_was_killed_at_its_first_file_is_no_obstacle(tmp_path):
+def test_partial_summary_of_killed_run_does_not_block_a_new_run(tmp_path):
     (tmp_path / "run.json.partial").write_text('{"program": "warpc')
     assert wc.Experiment(content()).run(tmp_path, device="cpu").finished
     assert not (tmp_path / "run.json.partial").exists()
 
 
-def test_folder_of_an_unfinished_run_may_be_used_again(tmp_path):
+def test_folder_of_unfinished_run_can_be_reused(tmp_path):
     def interrupt(stage):
         if stage == "running":
             raise KeyboardInterrupt
@@ -80,39 +80,41 @@ with writing(pathlib.Path(sys.argv[1])):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="other systems have no locks on folders")
-@pytest.mark.parametrize("way", [{"overwrite": True}, {"resume": True}], ids=str)
-def test_folder_of_a_run_in_progress_is_left_alone(tmp_path, way):
+@pytest.mark.parametrize("options", [{"overwrite": True}, {"resume": True}], ids=str)
+def test_folder_of_run_in_progress_is_refused(tmp_path, options):
     experiment = wc.Experiment(content())
     before = experiment.run(tmp_path, device="cpu").digest()
     summary = tmp_path / "run.json"
     summary.write_text(json.dumps(json.loads(summary.read_text()) | {"state": "unfinished"}))
     with subprocess.Popen([sys.executable, "-c", WRITER, tmp_path], stdin=-1, stdout=-1) as writer:
         assert writer.stdout.readline() == b"writing\n"
-        assert status_of(tmp_path).state == "running"
+        assert run_status(tmp_path).state == "running"
         with pytest.raises(wc.ExperimentError, match="is running and writes there"):
-            experiment.run(tmp_path, device="cpu", **way)
+            experiment.run(tmp_path, device="cpu", **options)
         writer.kill()  # however it ends
         writer.wait()
-    assert status_of(tmp_path).state == "stopped"
-    assert experiment.run(tmp_path, device="cpu", **way).digest() == before
+    assert run_status(tmp_path).state == "stopped"
+    assert experiment.run(tmp_path, device="cpu", **options).digest() == before
 
 
-def test_warnings_of_python_are_kept_and_take_their_way(tmp_path):
+def test_python_warnings_are_stored_and_issued(tmp_path):
     def warn(stage):
         warnings.warn("a bad omen", UserWarning, stacklevel=1)
 
     with pytest.warns(UserWarning, match="a bad omen"):
         run = wc.Experiment(content()).run(tmp_path, device="cpu", on_stage=warn)
     assert run.summary["warnings"].count("caution: a bad omen") == 1
-    told = []
+    messages = []
     with warnings.catch_warnings(record=True) as shown:
         warnings.simplefilter("always")
-        wc.Experiment(content()).run(tmp_path, device="cpu", overwrite=True, on_stage=warn, on_warning=told.append)
-    assert "caution: a bad omen" in told
+        wc.Experiment(content()).run(
+            tmp_path, device="cpu", overwrite=True, on_stage=warn, on_warning=messages.append
+        )
+    assert "caution: a bad omen" in messages
     assert not shown
 
 
-def test_frozen_environments_are_reported(tmp_path):
+def test_frozen_environments_are_reported_in_summary(tmp_path):
     # A force beyond float32 in the last environment only.
     stiffness = {"values": [1e4, 1e4, 1e4, 1e38]}
     body = content()["body"][0] | {"position": [0, 0, 0.05]}
@@ -132,9 +134,9 @@ def test_frozen_environments_are_reported(tmp_path):
         {"record": {"sensors": ["touch.normal_force"]}, "variation": {"ball.mass": {"loguniform": [0.01, 10]}}},
         {"surface": [{"name": "ground", "mesh": {"shape": "box"}, "position": [0, 0, -0.5]}]},
     ],
-    ids=["one", "nothing to touch", "logarithmic colours", "closed mesh"],
+    ids=["one", "no_surface", "logarithmic colours", "closed mesh"],
 )
-def test_picture_is_made_of_whatever_there_is(changes, tmp_path):
+def test_picture_is_drawn_for_any_recorded_content(changes, tmp_path):
     run = wc.Experiment(content(**changes)).run(tmp_path, device="cpu")
     assert run.files["picture"].stat().st_size > 10_000
 
@@ -147,7 +149,7 @@ def tracks_of(recording):
     return [picture._tracks(recording, body, chosen) for body in recording.scene.bodies]
 
 
-def test_picture_shows_what_differs_from_the_side_that_tells(tmp_path):
+def test_picture_colors_by_varied_parameter_and_selects_view_plane(tmp_path):
     from warpcontact.experiment import picture
 
     body = content()["body"][0] | {"position": [0.0, 0.0, 0.3], "linear_velocity": [1.0, 0.0, 0.0]}
@@ -166,7 +168,7 @@ def test_picture_shows_what_differs_from_the_side_that_tells(tmp_path):
     assert picture._color_values(recording, list(varied))[1] == "environment"
 
 
-def test_picture_shows_some_of_a_line_on_what_does_not_move(tmp_path):
+def test_picture_crops_long_catenary_of_fixed_body(tmp_path):
     from warpcontact.experiment import picture
 
     buoy = content()["body"][0] | {"motion": {"type": "Fixed"}}
@@ -188,14 +190,14 @@ def test_picture_shows_some_of_a_line_on_what_does_not_move(tmp_path):
 
 
 @pytest.mark.parametrize("shape", ["grid", "sinusoidal_terrain", "icosphere"])
-def test_section_lies_on_the_surface(shape):
+def test_ground_section_lies_on_the_surface(shape):
     from matplotlib.figure import Figure
 
-    from warpcontact.experiment.ground import Ground, draw_section
+    from warpcontact.experiment.ground import GroundSurface, draw_section
 
     scene = wc.Experiment(content(surface=[{"name": "ground", "mesh": {"shape": shape}}])).scene()
     axes = Figure().add_subplot()
-    draw_section(axes, Ground.of(xr.Dataset(), scene.surfaces[0]), 0.0)
+    draw_section(axes, GroundSurface.of(xr.Dataset(), scene.surfaces[0]), 0.0)
     points = np.concatenate(axes.collections[0].get_segments())
     if shape == "icosphere":
         np.testing.assert_allclose(np.linalg.norm(points, axis=1), 1.0, atol=0.01)
@@ -219,11 +221,11 @@ def drawn(folder, monkeypatch, body=(), **changes):
     return run.recording, figures[0]
 
 
-def said(figure):
+def figure_texts(figure):
     return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
 
 
-def test_picture_tells_inactive_faces_from_active_ones(tmp_path, monkeypatch):
+def test_picture_distinguishes_inactive_faces(tmp_path, monkeypatch):
     surface = {"name": "ground", "mesh": LEFT, "active_faces": [2, 3]}
     varied = {"ball.position": {"linspace": [[-1, -1, 0.2], [1, 1, 0.2]]}}
     _, figure = drawn(tmp_path, monkeypatch, surface=[surface], variation=varied)
@@ -234,13 +236,13 @@ def test_picture_tells_inactive_faces_from_active_ones(tmp_path, monkeypatch):
     assert (np.ptp(colors[x > 0], axis=1) == 0).all()
     # No track has the hue: red is the least of the three.
     assert (colors[x < 0, 1:].min(axis=1) > colors[x < 0, 0] + 0.1).all()
-    assert said(figure) == ["active faces", "inactive faces, which cannot touch"]
+    assert figure_texts(figure) == ["active faces", "inactive faces, which cannot touch"]
     patches = [handle.get_facecolor()[:3] for handle in figure.legends[0].get_patches()]
     ratio = colors[x < 0] / colors[x > 0][0]
     np.testing.assert_allclose(ratio, np.broadcast_to(np.divide(patches[1], patches[0]), (2, 3)), rtol=1e-6)
 
 
-def test_section_tells_inactive_faces_from_active_ones(tmp_path, monkeypatch):
+def test_ground_section_distinguishes_inactive_faces(tmp_path, monkeypatch):
     surface = {"name": "ground", "mesh": LEFT, "active_faces": [2, 3]}
     moving = {"position": [0, 0, 0.5], "linear_velocity": [3, 0, 0]}
     _, figure = drawn(tmp_path, monkeypatch, moving, surface=[surface])
@@ -254,20 +256,20 @@ def test_section_tells_inactive_faces_from_active_ones(tmp_path, monkeypatch):
     np.testing.assert_array_equal(colors[x < 0], np.broadcast_to(handles[1], (2, 3)))
 
 
-def test_picture_says_nothing_of_active_faces_where_all_are(tmp_path, monkeypatch):
+def test_picture_has_no_face_legend_if_all_faces_are_active(tmp_path, monkeypatch):
     hidden = {"name": "roof", "mesh": LEFT, "active_faces": [0], "visible": False}
     surfaces = [content()["surface"][0] | {"active_faces": [0, 1]}, hidden]
     _, figure = drawn(tmp_path, monkeypatch, surface=surfaces)
-    assert said(figure) == []
+    assert figure_texts(figure) == []
     assert "surfaces as in" not in figure.axes[0].get_title("left")
 
 
 @pytest.mark.parametrize(
     ("variation", "differ"), [({"values": [1, 0, 0, 1]}, True), ({"value": 1}, False)], ids=["each", "one"]
 )
-def test_picture_shows_the_mesh_that_the_first_environment_has(variation, differ, tmp_path, monkeypatch):
+def test_picture_shows_the_mesh_of_the_first_environment(variation, differ, tmp_path, monkeypatch):
     from warpcontact.experiment import picture
-    from warpcontact.experiment.ground import Ground
+    from warpcontact.experiment.ground import GroundSurface
 
     surface = {"name": "ground", "mesh": [LEFT, STEP], "active_faces": [[0], True]}
     varied = {
@@ -277,13 +279,13 @@ def test_picture_shows_the_mesh_that_the_first_environment_has(variation, differ
         "ball.position": {"linspace": [[-1, -1, 0.5], [1, 1, 0.5]]},
     }
     recording, figure = drawn(tmp_path, monkeypatch, surface=[surface], variation=varied)
-    ground = Ground.of(recording, recording.scene.surfaces[0])
+    ground = GroundSurface.of(recording, recording.scene.surfaces[0])
     assert ground.shared is not differ
     np.testing.assert_allclose(ground.corners.max(axis=(0, 1)), [4, 4, 0.2])
     assert ground.active.all()
     # Faces of the box are as wide as it is, those of the grid half as much.
     assert all(np.ptp(path.vertices[:, 0]) == 8.0 for path in figure.axes[0].collections[0].get_paths())
-    assert said(figure) == []
+    assert figure_texts(figure) == []
     assert ("surfaces as in environment 0" in figure.axes[0].get_title("left")) is differ
     # What is the same everywhere is no colour of tracks.
     expected = (

@@ -37,7 +37,7 @@ STUDY = {
 }
 
 
-def test_two_balls_and_a_wall(tmp_path, device):
+def test_nonsmooth_particles_and_wall_match_closed_form_in_experiment(tmp_path, device):
     run = wc.Experiment.from_dict(STUDY, tmp_path).run(tmp_path / "out", device=device)
     data = run.recording
     # The first gives the second (1 + e)/2 of its speed, and that is turned round by the wall.
@@ -51,7 +51,7 @@ def test_two_balls_and_a_wall(tmp_path, device):
     assert loss[0] >= 0.25 * 0.75 - 1e-12
 
 
-def test_a_compliant_contact_needs_a_force(tmp_path):
+def test_compliant_contact_with_rigid_law_is_refused(tmp_path):
     study = {**STUDY, "integrator": {"type": "MoreauJean", "compliant": ["touch"]}}
     with pytest.raises(ValueError, match=r"touch\.law is Rigid, which has no force of its own"):
         wc.Experiment.from_dict(study, tmp_path).run(tmp_path / "out")
@@ -78,10 +78,10 @@ def test_a_compliant_contact_needs_a_force(tmp_path):
         ({"theta": 0.5}, ["theta needs type = 'MoreauJean'"]),
     ],
 )
-def test_a_mistake_in_the_integrator_is_one_problem(tmp_path, integrator, problems):
+def test_invalid_integrator_is_one_problem(tmp_path, integrator, problems):
     with pytest.raises(wc.ExperimentError) as caught:
         wc.Experiment.from_dict({**STUDY, "integrator": integrator}, tmp_path)
-    told = caught.value.problems
-    assert len(told) == len(problems)
-    for message, line in zip(problems, told, strict=True):
+    found_problems = caught.value.problems
+    assert len(found_problems) == len(problems)
+    for message, line in zip(problems, found_problems, strict=True):
         assert message in line

@@ -57,7 +57,7 @@ CHOSEN = [0, 1, 2, 2, 1, 0]
 ACTIVE = [True, ["left"], [0]]
 
 
-def test_it_does_what_the_same_script_does(device, folder, tmp_path):
+def test_experiment_with_several_meshes_equals_script(device, folder, tmp_path):
     experiment = wc.Experiment(content(choice={"values": CHOSEN}, active_faces=ACTIVE), folder)
     recorded = experiment.run(tmp_path / "out", device=device).recording
 
@@ -84,7 +84,7 @@ def test_it_does_what_the_same_script_does(device, folder, tmp_path):
     assert status[CHOSEN.index(0)] == wc.ContactStatus.OPEN
 
 
-def test_a_choice_is_a_value_a_list_or_drawn(folder):
+def test_mesh_index_can_be_a_value_a_list_or_sampled(folder):
     def chosen(choice, **changes):
         return wc.Experiment(content(choice=choice, **changes), folder).model(device="cpu")["ground.mesh"]
 
@@ -105,12 +105,12 @@ def test_a_choice_is_a_value_a_list_or_drawn(folder):
     assert set(chosen({"uniform": [1, 1]})) == {1.0}
 
 
-def test_results_carry_meshes_and_choice(folder):
+def test_results_store_meshes_and_mesh_index(folder):
     experiment = wc.Experiment(content(choice={"uniform": [0, 2]}, active_faces=ACTIVE, seed=3), folder)
-    heard = []
-    run = experiment.run(folder / "deep" / "out", device="cpu", on_warning=heard.append)
-    assert any(text.startswith("note: mesh file 'meshes/halves.obj': duplicate: 1 face") for text in heard)
-    assert json.loads(run.files["summary"].read_text())["warnings"] == heard
+    messages = []
+    run = experiment.run(folder / "deep" / "out", device="cpu", on_warning=messages.append)
+    assert any(text.startswith("note: mesh file 'meshes/halves.obj': duplicate: 1 face") for text in messages)
+    assert json.loads(run.files["summary"].read_text())["warnings"] == messages
     stored = run.recording
     chosen = stored["ground.mesh"].values
     assert stored["ground.mesh"].dims == ("env",)
@@ -144,7 +144,7 @@ def test_results_carry_meshes_and_choice(folder):
             np.testing.assert_allclose(mesh.GetPointsAttr().Get(), surface.meshes[which].vertices, atol=1e-6)
 
 
-def test_a_fixed_choice_is_kept_as_well(folder):
+def test_constant_mesh_index_is_stored(folder):
     run = wc.Experiment(content(choice={"value": 1}), folder).run(folder / "out", device="cpu")
     assert run.recording["ground.mesh"].values.tolist() == [1] * ENVS
     stage = Usd.Stage.Open(str(run.files["animation"]))
@@ -152,7 +152,7 @@ def test_a_fixed_choice_is_kept_as_well(folder):
     assert len(mesh.GetFaceVertexCountsAttr().Get()) == 4
 
 
-def test_the_same_mesh_twice_is_one_mesh(folder):
+def test_repeated_mesh_is_loaded_once(folder):
     mesh = [MESHES[0], {"file": "meshes/flat.obj"}, MESHES[0]]
     experiment = wc.Experiment(content(mesh, active_faces=[[0], True, [1]]), folder)
     first, other, same = experiment.scene().surfaces[0].meshes
@@ -163,7 +163,7 @@ def test_the_same_mesh_twice_is_one_mesh(folder):
     ]  # fmt: skip
 
 
-def test_a_list_of_one_is_one_mesh(folder):
+def test_list_of_one_mesh_is_one_mesh(folder):
     experiment = wc.Experiment(content(MESHES[:1], active_faces=[[1]]), folder)
     assert experiment.scene().surfaces[0].active_faces.tolist() == [False, True]
     run = experiment.run(folder / "out", device="cpu")
@@ -226,13 +226,13 @@ BAD = [
 
 
 @pytest.mark.parametrize(("changes", "message"), BAD, ids=[message[:60] for _, message in BAD])
-def test_mistake_is_named_by_its_key(changes, message, folder):
+def test_invalid_mesh_list_is_reported_with_its_key(changes, message, folder):
     problems = problems_of(content(**changes), folder)
     assert any(problem.startswith(message) for problem in problems), problems
     assert len(problems) == 1, problems
 
 
-def test_mistakes_in_several_meshes_are_found_at_once(folder):
+def test_invalid_meshes_are_all_reported(folder):
     mesh = [{"file": "a.stl"}, GRID, {"file": "meshes/halves.obj"}]
     first, second = problems_of(content(mesh), folder)
     assert first.startswith("surface[0].mesh[0].file: mesh file")

@@ -64,7 +64,7 @@ def folder(tmp_path_factory):
     return path
 
 
-def test_motions_of_an_experiment_are_varied_recorded_and_kept_with_its_results(folder, device):
+def test_joints_of_an_experiment_are_varied_recorded_and_stored(folder, device):
     run = wc.Experiment.from_dict(STUDY, folder).run(folder / "out", device=device)
     data = run.recording
     # At rest, horizontal: a reaction of m g (1 − m l²/I) with I = 1 + l².
@@ -110,7 +110,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("motion", "message"), BAD, ids=[message[:40] for _, message in BAD])
-def test_what_is_wrong_with_a_motion_is_said_with_its_key(motion, message, folder):
+def test_invalid_joint_is_reported_with_its_key(motion, message, folder):
     study = copy.deepcopy(STUDY)
     study["body"] = [study["body"][0] | {"motion": motion}]
     study["variation"], study["record"] = {}, {}
@@ -121,7 +121,7 @@ def test_what_is_wrong_with_a_motion_is_said_with_its_key(motion, message, folde
     assert message in problem
 
 
-def test_a_velocity_that_a_motion_does_not_allow_is_said_with_its_key(folder):
+def test_velocity_not_allowed_by_joint_is_reported_with_its_key(folder):
     study = copy.deepcopy(STUDY)
     study["body"][0]["linear_velocity"] = [1, 0, 0]
     with pytest.raises(wc.ExperimentError, match="linear_velocity must be left out or") as caught:

@@ -83,7 +83,7 @@ def imported(path, name):
 
 
 @pytest.mark.smoke
-def test_the_command_runs_laws_of_the_user_like_the_same_script(device, folder, capsys):
+def test_run_command_with_custom_laws_equals_script(device, folder, capsys):
     (folder / "study.toml").write_text(TEXT)
     out = folder.parent / "out"
     assert main(["run", str(folder / "study.toml"), "--out", str(out), "--device", device]) == 0
@@ -111,7 +111,7 @@ def test_the_command_runs_laws_of_the_user_like_the_same_script(device, folder, 
     np.testing.assert_allclose(friction, -np.array([0.0, 0.1, 0.2]) * force, rtol=1e-4)
 
 
-def test_a_run_is_repeated_from_its_results_alone(device, folder):
+def test_run_with_custom_laws_is_repeated_from_its_results(device, folder):
     first = wc.Experiment.from_dict(study(friction={"type": "my_laws.py:Lubricated", "drag": 0.3}), folder).run(
         folder.parent / "first", device=device
     )
@@ -131,7 +131,7 @@ def test_a_run_is_repeated_from_its_results_alone(device, folder):
 
 
 @pytest.mark.slow
-def test_copies_of_files_of_one_name_are_told_apart(folder):
+def test_custom_law_files_of_equal_name_are_copied_separately(folder):
     for sub, factor in (("soft", "1.0"), ("hard", "3.0")):
         (folder / sub).mkdir()
         text = LAWS.replace("return p.stiffness *", f"return type(c.delta)({factor}) * p.stiffness *")
@@ -158,7 +158,7 @@ def test_copies_of_files_of_one_name_are_told_apart(folder):
 
 
 @pytest.mark.slow
-def test_overwriting_replaces_copies_and_nothing_of_the_user(folder):
+def test_overwrite_replaces_copied_law_files_only(folder):
     out = folder.parent / "out"
     wc.Experiment.from_dict(study(), folder).run(out, device="cpu")
     (out / "notes.py").write_text("mine")
@@ -180,7 +180,7 @@ def test_overwriting_replaces_copies_and_nothing_of_the_user(folder):
     assert (folder / "kept.py").exists()
 
 
-def test_an_interrupted_run_goes_on_with_its_copies(folder):
+def test_interrupted_run_resumes_with_copied_law_files(folder):
     def interrupt(stage):
         if stage == "running":
             raise KeyboardInterrupt
@@ -202,7 +202,7 @@ def force_of(experiment, device="cpu"):
     return experiment.model(envs=1, device=device).sensor("touch.normal_force")[0]
 
 
-def test_experiments_of_an_unchanged_file_share_its_classes_and_an_edited_one_has_its_own(folder, device):
+def test_unchanged_law_file_shares_classes_and_edited_file_gets_new_ones(folder, device):
     before = wc.Experiment.from_dict(study(), folder)
     assert type(law_of(wc.Experiment.from_dict(study(), folder))) is type(law_of(before))
     np.testing.assert_allclose(force_of(before, device), 8.0, rtol=1e-4)
@@ -215,13 +215,13 @@ def test_experiments_of_an_unchanged_file_share_its_classes_and_an_edited_one_ha
     assert run.files["my_laws.py"].read_text(encoding="utf-8") == LAWS
 
 
-def test_a_class_that_an_edit_left_alone_still_runs(folder, device):
+def test_class_unchanged_by_an_edit_still_runs(folder, device):
     force_of(wc.Experiment.from_dict(study(), folder), device)
     (folder / "my_laws.py").write_text(f"# A remark.\n{LAWS}", encoding="utf-8")
     np.testing.assert_allclose(force_of(wc.Experiment.from_dict(study(), folder), device), 8.0, rtol=1e-4)
 
 
-def test_a_class_that_only_inherits_its_force_follows_an_edit(folder, device):
+def test_class_with_inherited_force_is_updated_by_an_edit(folder, device):
     text = """
 import warpcontact as wc
 
@@ -242,7 +242,7 @@ class Doubled(wc.laws.Hooke):
     np.testing.assert_allclose(force_of(hooke, device), 2.0, rtol=1e-4)
 
 
-def test_an_edit_of_equal_length_within_a_tick_of_the_clock_is_seen(folder):
+def test_edit_of_equal_length_and_time_stamp_is_detected(folder):
     path = folder / "my_laws.py"
     force_of(wc.Experiment.from_dict(study(), folder))
     times = path.stat()
@@ -251,18 +251,18 @@ def test_an_edit_of_equal_length_within_a_tick_of_the_clock_is_seen(folder):
     np.testing.assert_allclose(force_of(wc.Experiment.from_dict(study(), folder)), 1e9, rtol=1e-4)
 
 
-def test_a_file_is_loaded_once_whatever_names_it(folder):
+def test_law_file_is_loaded_once_for_all_references(folder):
     (folder / "my_laws.py").write_text(
         f"{LAWS}\nfrom pathlib import Path\nwith Path(__file__).with_name('log').open('a') as log:\n"
         "    log.write(__name__ + '\\n')\n",
         encoding="utf-8",
     )
     modules = set(sys.modules)
-    said = []
+    messages = []
     raw = study(friction={"type": "./my_laws.py:Lubricated", "drag": 0.1})
-    experiment = wc.Experiment(raw, folder, on_stage=said.append)
+    experiment = wc.Experiment(raw, folder, on_stage=messages.append)
     experiment.changed(envs=2).run(folder.parent / "out", device="cpu")
-    assert said == [f"loading {folder / 'my_laws.py'}"]
+    assert messages == [f"loading {folder / 'my_laws.py'}"]
     wc.Experiment(raw, folder)
     (name,) = (folder / "log").read_text().split()
     assert name != "__main__"
@@ -271,7 +271,7 @@ def test_a_file_is_loaded_once_whatever_names_it(folder):
     assert name.startswith("_warpcontact_own_")
 
 
-def test_parameters_of_the_user_are_varied_and_may_be_left_out(folder, device):
+def test_custom_law_parameters_can_vary_and_have_defaults(folder, device):
     pad = {"type": "my_laws.py:Pad", "depth": 1e-3, "damping": 0}
     varied = {"touch.law.depth": {"values": [1e-3, 2e-3, 4e-3, 8e-3]}}
     experiment = wc.Experiment.from_dict(study(law=pad, variation=varied), folder)
@@ -285,12 +285,12 @@ def test_parameters_of_the_user_are_varied_and_may_be_left_out(folder, device):
     assert written == {"type": "my_laws.py:Pad", "stiffness": 1e3, "damping": 0.5}
 
 
-def test_annotations_as_texts_are_understood(folder):
+def test_string_annotations_of_custom_laws_are_supported(folder):
     (folder / "my_laws.py").write_text(f"from __future__ import annotations\n{LAWS}", encoding="utf-8")
     np.testing.assert_allclose(force_of(wc.Experiment.from_dict(study(), folder)), 8.0, rtol=1e-4)
 
 
-def test_the_example_rebounds_as_its_closed_form_says(device, tmp_path):
+def test_custom_law_example_file_rebounds_as_closed_form(device, tmp_path):
     words = ["run", str(EXAMPLES / "own_law.toml"), "--out", str(tmp_path / "out"), "--device", device]
     assert main(words) == 0
     recording = wc.open_run(tmp_path / "out").recording
@@ -305,7 +305,7 @@ def test_the_example_rebounds_as_its_closed_form_says(device, tmp_path):
     np.testing.assert_allclose(speeds, expected_speeds, rtol=0.002)
 
 
-def test_own_frictions_that_remember_serve_every_part(folder, device, tmp_path):
+def test_custom_friction_with_history_can_be_used_for_rolling_and_torsion(folder, device, tmp_path):
     spring = {"type": "my_laws.py:StickSpring", "mu": 0.4, "stiffness": 1e5}
     material = {"name": "rubber", "law": CUBIC, "friction": spring, "rolling": spring, "torsion": spring}
     experiment = wc.Experiment(study(material=[material]), folder=folder)

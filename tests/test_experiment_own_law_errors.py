@@ -18,7 +18,7 @@ def problems_of(raw, folder):
     return caught.value.problems
 
 
-def own(name, **parameters):
+def custom_type(name, **parameters):
     return {"type": f"my_laws.py:{name}", **parameters}
 
 
@@ -30,27 +30,30 @@ def line(text):
 OUTSIDE = ".type must name a file inside of the folder of the experiment, got "
 BAD = [
     # Parameters, as for those of the catalogue.
-    (own("Cubic", stiffness=-1), ".stiffness must be greater than 0, got -1 N/m³"),
-    (own("Cubic", stiffness="1"), ".stiffness must be a number [N/m³], got '1'"),
-    (own("Cubic", stiffness=1, stifness=1), ".stifness is not known; did you mean 'stiffness'?"),
-    (own("Cubic"), ".stiffness is missing: stiffness k [N/m³]"),
-    (own("Pad", stiffness=1, depth=1), ": Pad takes exactly one of stiffness and depth, got stiffness and depth"),
-    (own("Pad"), ": Pad takes exactly one of stiffness and depth, got none"),
-    (own("Pad", stiffness=1, damping=-1), ".damping must be at least 0, got -1 s/m"),
-    (own("Reserved"), ".type: Reserved has a parameter 'type', which no table can have"),
+    (custom_type("Cubic", stiffness=-1), ".stiffness must be greater than 0, got -1 N/m³"),
+    (custom_type("Cubic", stiffness="1"), ".stiffness must be a number [N/m³], got '1'"),
+    (custom_type("Cubic", stiffness=1, stifness=1), ".stifness is not known; did you mean 'stiffness'?"),
+    (custom_type("Cubic"), ".stiffness is missing: stiffness k [N/m³]"),
+    (
+        custom_type("Pad", stiffness=1, depth=1),
+        ": Pad takes exactly one of stiffness and depth, got stiffness and depth",
+    ),
+    (custom_type("Pad"), ": Pad takes exactly one of stiffness and depth, got none"),
+    (custom_type("Pad", stiffness=1, damping=-1), ".damping must be at least 0, got -1 s/m"),
+    (custom_type("Reserved"), ".type: Reserved has a parameter 'type', which no table can have"),
     # Classes.
-    (own("Cubik"), ".type: my_laws.py has no law 'Cubik'; did you mean 'Cubic'?"),
-    (own("Xyz"), ".type: my_laws.py has no law 'Xyz'; there are: Cubic, Pad, Fading, Careless"),
-    (own(""), ".type: my_laws.py has no law ''; there are: Cubic"),
-    (own("Lubricated", drag=1), ".type: 'Lubricated' in my_laws.py is a friction and no law"),
-    (own("helper"), ".type: 'helper' in my_laws.py is no class derived from wc.Law"),
-    (own("wc"), ".type: 'wc' in my_laws.py is no class derived from wc.Law"),
-    (own("Powerless", stiffness=1), ".type: Powerless.force in my_laws.py must be a wp.func of"),
+    (custom_type("Cubik"), ".type: my_laws.py has no law 'Cubik'; did you mean 'Cubic'?"),
+    (custom_type("Xyz"), ".type: my_laws.py has no law 'Xyz'; there are: Cubic, Pad, Fading, Careless"),
+    (custom_type(""), ".type: my_laws.py has no law ''; there are: Cubic"),
+    (custom_type("Lubricated", drag=1), ".type: 'Lubricated' in my_laws.py is a friction and no law"),
+    (custom_type("helper"), ".type: 'helper' in my_laws.py is no class derived from wc.Law"),
+    (custom_type("wc"), ".type: 'wc' in my_laws.py is no class derived from wc.Law"),
+    (custom_type("Powerless", stiffness=1), ".type: Powerless.force in my_laws.py must be a wp.func of"),
     # What only running them tells.
-    (own("Picky", stiffness=99), f": my_laws.py, line {line('too stiff')}: LookupError: too stiff"),
-    (own("Fading", stiffness=1e7), f": my_laws.py, line {line('no table')}: LookupError: no table"),
-    (own("Unnamed", stiffness=1), ": Unnamed.coefficients must return stiffness, chi, got no chi"),
-    (own("Misspelt", stiffness=1), ": law Misspelt "),
+    (custom_type("Picky", stiffness=99), f": my_laws.py, line {line('too stiff')}: LookupError: too stiff"),
+    (custom_type("Fading", stiffness=1e7), f": my_laws.py, line {line('no table')}: LookupError: no table"),
+    (custom_type("Unnamed", stiffness=1), ": Unnamed.coefficients must return stiffness, chi, got no chi"),
+    (custom_type("Misspelt", stiffness=1), ": law Misspelt "),
     # Files.
     ({"type": "my_laws.py"}, ".type must be one of Hooke, "),
     ({"type": "my_laws:Cubic"}, ", or FILE.py:CLASS, got 'my_laws:Cubic'"),
@@ -67,7 +70,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("law", "message"), BAD, ids=[message[:50] for _, message in BAD])
-def test_mistake_with_a_law_of_the_user_is_named_by_its_key(law, message, folder):
+def test_invalid_custom_law_is_reported_with_its_key(law, message, folder):
     (folder / "folder.py").mkdir()
     (problem,) = problems_of(study(law=law), folder)
     assert problem.startswith("material[0].law")
@@ -92,7 +95,7 @@ BROKEN = [
 
 
 @pytest.mark.parametrize(("text", "message"), BROKEN, ids=[message for _, message in BROKEN])
-def test_error_in_the_file_of_the_user_is_told_with_its_line(text, message, folder):
+def test_error_in_custom_law_file_is_reported_with_its_line(text, message, folder):
     (folder / "my_laws.py").write_text(text, encoding="utf-8")
     modules = set(sys.modules)
     (problem,) = problems_of(study(), folder)
@@ -104,15 +107,15 @@ def test_error_in_the_file_of_the_user_is_told_with_its_line(text, message, fold
     assert wc.Experiment.from_dict(study(), folder)
 
 
-def test_the_bases_are_no_laws(folder):
+def test_base_classes_are_not_accepted_as_laws(folder):
     (folder / "my_laws.py").write_text("from warpcontact import Law\n")
-    (problem,) = problems_of(study(law=own("Law")), folder)
+    (problem,) = problems_of(study(law=custom_type("Law")), folder)
     assert problem == "material[0].law.type: Law.force in my_laws.py must be a wp.func of (coefficients, state)"
-    (problem,) = problems_of(study(law=own("Cubic")), folder)
+    (problem,) = problems_of(study(law=custom_type("Cubic")), folder)
     assert problem == "material[0].law.type: my_laws.py has no law 'Cubic'; there are: none"
 
 
-def test_a_link_out_of_the_folder_is_refused_and_one_within_is_followed(folder):
+def test_link_out_of_the_folder_is_refused_and_link_inside_is_followed(folder):
     (folder.parent / "outside.py").write_text(LAWS, encoding="utf-8")
     try:
         (folder / "linked.py").symlink_to(folder.parent / "outside.py")
@@ -132,7 +135,7 @@ def test_a_link_out_of_the_folder_is_refused_and_one_within_is_followed(folder):
     assert "my_laws.py" in run.files
 
 
-def test_all_problems_are_found_together_with_those_of_the_file(folder):
+def test_law_problems_are_reported_together_with_file_problems(folder):
     material = {"name": "rubber", "law": {"type": "my_laws.py:Misspelt", "stiffness": 1}}
     unused = {
         "name": "unused",
@@ -158,7 +161,7 @@ def test_all_problems_are_found_together_with_those_of_the_file(folder):
         assert any(problem.startswith(begin) for problem in problems), (begin, problems)
 
 
-UNSOUND = """
+LAWS_WITH_TYPE_ERRORS = """
 @wp.func
 def squared(x: Any):
     return x.y * x
@@ -211,31 +214,35 @@ UNSOUND_LINES = [
 
 
 @pytest.mark.parametrize(("part", "name", "wrong", "text"), UNSOUND_LINES, ids=[row[1] for row in UNSOUND_LINES])
-def test_a_mistake_in_a_function_is_told_with_file_and_line_and_no_kernels(part, name, wrong, text, folder):
-    laws = LAWS + UNSOUND
+def test_compile_error_is_reported_with_file_and_line_without_kernels(part, name, wrong, text, folder):
+    laws = LAWS + LAWS_WITH_TYPE_ERRORS
     (folder / "my_laws.py").write_text(laws, encoding="utf-8")
     number = laws[: laws.index(text)].count("\n") + 1
-    (problem,) = problems_of(study(law=own(name, stiffness=1)), folder)
+    (problem,) = problems_of(study(law=custom_type(name, stiffness=1)), folder)
     place = f"{folder / 'my_laws.py'}, line {number}: {wrong}\n        return {text}\n    {HELP}"
     assert problem == f"material[0].law: law {name} does not compile in float32: {place}"
 
 
-def test_results_of_the_wrong_type_are_told_without_kernels(folder):
-    (folder / "my_laws.py").write_text(LAWS + UNSOUND, encoding="utf-8")
-    (problem,) = problems_of(study(law=own("Twofold", stiffness=1)), folder)
+def test_wrong_return_type_is_reported_without_kernels(folder):
+    (folder / "my_laws.py").write_text(LAWS + LAWS_WITH_TYPE_ERRORS, encoding="utf-8")
+    (problem,) = problems_of(study(law=custom_type("Twofold", stiffness=1)), folder)
     results = (
         "The force of a law is a number of the precision of the simulation, such as type(c.delta)(0.0), that of a "
         "friction a vector."
     )
-    told = f"law Twofold does not compile in float32: Twofold.force returns vec2f\n    {HELP}\n    {results}"
-    assert problem == f"material[0].law: {told}"
-    (problem,) = problems_of(study(friction=own("Straight")), folder)
-    told = "friction Straight does not compile in float32: Straight.force returns float32\n    In the friction, "
-    assert problem.startswith(f"material[0].friction: {told}")
+    expected_problem = (
+        f"law Twofold does not compile in float32: Twofold.force returns vec2f\n    {HELP}\n    {results}"
+    )
+    assert problem == f"material[0].law: {expected_problem}"
+    (problem,) = problems_of(study(friction=custom_type("Straight")), folder)
+    expected_problem = (
+        "friction Straight does not compile in float32: Straight.force returns float32\n    In the friction, "
+    )
+    assert problem.startswith(f"material[0].friction: {expected_problem}")
     assert problem.endswith(results)
 
 
-def test_an_error_in_host_code_on_varied_values_is_told_with_its_line(folder, capsys):
+def test_error_in_host_code_for_varied_values_is_reported_with_its_line(folder, capsys):
     law = '{ type = "my_laws.py:Fading", stiffness = 1e4 }'
     text = TEXT.replace('{ type = "my_laws.py:Cubic", stiffness = 1e9 }', law)
     (folder / "study.toml").write_text(text)

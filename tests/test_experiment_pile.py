@@ -40,7 +40,7 @@ STUDY = {
 }
 
 
-def test_a_pile_of_an_experiment_is_varied_recorded_and_kept(tmp_path, device):
+def test_particle_contact_of_an_experiment_is_varied_recorded_and_stored(tmp_path, device):
     run = wc.Experiment.from_dict(STUDY, tmp_path).run(tmp_path / "out", device=device)
     data = run.recording
     assert data["pile.contacts"].values[0].tolist() == [1, 0]
@@ -49,7 +49,7 @@ def test_a_pile_of_an_experiment_is_varied_recorded_and_kept(tmp_path, device):
     np.testing.assert_array_equal(again.recording["pile.contacts"].values, data["pile.contacts"].values)
 
 
-def test_all_problems_of_a_pile_are_told_at_once(tmp_path):
+def test_particle_contact_problems_are_all_reported(tmp_path):
     study = copy.deepcopy(STUDY)
     study["particle_contact"][0] |= {
         "shapes": ["first", "secnd"],

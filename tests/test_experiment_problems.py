@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from test_experiment_errors import GROUND, LAW, RIGHT, problems_of, wrong
+from test_experiment_errors import GROUND, LAW, VALID_STUDY, invalid_study, problems_of
 
 import warpcontact as wc
 
 
-def test_all_mistakes_are_found_at_once():
-    content = wrong(
+def test_experiment_problems_are_all_reported():
+    content = invalid_study(
         (("dt",), "fast"),
         (("body", 0, "mass"), -1),
         (("body", 0, "positon"), [0, 0, 0]),
@@ -43,7 +43,7 @@ def test_all_mistakes_are_found_at_once():
 
 
 def test_references_of_an_entry_with_other_problems_are_reported():
-    content = wrong(
+    content = invalid_study(
         (("contact", 0, "radius"), -1),
         (("contact", 0, "raduis"), 1),
         (("contact", 0, "points"), "center"),
@@ -73,16 +73,18 @@ def test_references_of_an_entry_with_other_problems_are_reported():
     assert len(found) == len(begins) + 1, found
 
 
-def test_what_may_refer_to_an_entry_without_a_name_is_no_problem():
-    content = wrong((("body", 1), {"mass": 1, "inertia": [1, 1, 1]}), (("record", "sensors"), ["box.position"]))
+def test_reference_to_an_unnamed_entry_is_no_additional_problem():
+    content = invalid_study(
+        (("body", 1), {"mass": 1, "inertia": [1, 1, 1]}), (("record", "sensors"), ["box.position"])
+    )
     content["variation"]["box.mass"] = {"solid_sphere": {"mass": "box.mass", "radius": 1}}
     content["surface"][0]["body"] = "box"
     assert problems_of(content) == ("body[1].name is missing",)
 
 
-def test_message_lists_the_problems_under_the_source():
+def test_error_message_lists_problems_under_the_source():
     with pytest.raises(wc.ExperimentError) as caught:
-        wc.Experiment.from_dict(wrong((("dt",), 0), (("body", 0, "mass"), 0)))
+        wc.Experiment.from_dict(invalid_study((("dt",), 0), (("body", 0, "mass"), 0)))
     assert str(caught.value).splitlines() == [
         "experiment has 2 problems:",
         "  - dt must be greater than 0, got 0 s",
@@ -91,39 +93,39 @@ def test_message_lists_the_problems_under_the_source():
     assert caught.value.source == "experiment"
 
 
-def test_hundreds_of_problems_are_cut():
+def test_error_message_is_limited_to_40_problems():
     bodies = [{"name": f"b{i}", "mass": -1, "inertia": [1, 1, 1]} for i in range(200)]
     with pytest.raises(wc.ExperimentError) as caught:
-        wc.Experiment.from_dict(wrong((("body",), [*RIGHT["body"], *bodies])))
+        wc.Experiment.from_dict(invalid_study((("body",), [*VALID_STUDY["body"], *bodies])))
     assert len(caught.value.problems) == 200
     assert str(caught.value).splitlines()[-1] == "  … and 160 more"
 
 
-def test_defects_of_a_mesh_file_are_reported_with_its_key(tmp_path):
+def test_mesh_file_defects_are_reported_with_the_key(tmp_path):
     (tmp_path / "bad.obj").write_text("v 0 0 0\nv 1 0 0\nv 2 0 0\nv 0 1 0\nf 1 2 3\nf 1 2 9\n")
-    (problem,) = problems_of(wrong(((*GROUND, "mesh"), {"file": "bad.obj"})), tmp_path)
+    (problem,) = problems_of(invalid_study(((*GROUND, "mesh"), {"file": "bad.obj"})), tmp_path)
     assert problem.startswith("surface[0].mesh.file: mesh file ")
     assert "degenerate" in problem
     assert "out of index range" in problem
 
 
-def test_face_that_vanishes_in_float32_is_reported_with_its_surface(tmp_path):
+def test_face_without_area_in_float32_is_reported_with_its_surface(tmp_path):
     corners = ((999999, 0), (999999.001, 0), (999999, 0.001), (0, 0), (1, 0), (0, 1))
     far = "".join(f"v {x} {y} 0\n" for x, y in corners)
     (tmp_path / "far.obj").write_text(far + "f 1 2 3\nf 4 5 6\n")
-    (problem,) = problems_of(wrong(((*GROUND, "mesh"), {"file": "far.obj"})), tmp_path)
+    (problem,) = problems_of(invalid_study(((*GROUND, "mesh"), {"file": "far.obj"})), tmp_path)
     assert problem.startswith("surface[0]: face 0 ")
 
 
-def test_values_of_numpy_are_values():
-    content = wrong((("body", 0, "mass"), np.float32(2.0)), (("body", 0, "position"), np.arange(3)))
+def test_numpy_values_are_accepted():
+    content = invalid_study((("body", 0, "mass"), np.float32(2.0)), (("body", 0, "position"), np.arange(3)))
     body = wc.Experiment.from_dict(content).scene().bodies[0]
     assert body.mass == 2.0
     assert body.position.tolist() == [0.0, 1.0, 2.0]
 
 
-def test_overrides_are_checked_like_the_file(tmp_path):
-    experiment = wc.Experiment.from_dict(RIGHT)
+def test_overrides_are_checked_like_file_values(tmp_path):
+    experiment = wc.Experiment.from_dict(VALID_STUDY)
     for options, message in (
         ({"envs": 0}, "envs must be at least 1, got 0"),
         ({"envs": 2.5}, "envs must be a whole number, got 2.5"),
@@ -147,7 +149,7 @@ def test_overrides_are_checked_like_the_file(tmp_path):
         ("a = " + "[" * 100_000, "too deeply"),
     ],
 )
-def test_line_of_a_syntax_error_is_named(tmp_path, text, message):
+def test_syntax_error_is_reported_with_its_line(tmp_path, text, message):
     path = tmp_path / "study.toml"
     path.write_text(text)
     with pytest.raises(wc.ExperimentError) as caught:
@@ -156,7 +158,7 @@ def test_line_of_a_syntax_error_is_named(tmp_path, text, message):
     assert message in str(caught.value)
 
 
-def test_file_that_cannot_be_read_is_named(tmp_path):
+def test_unreadable_experiment_file_is_reported(tmp_path):
     with pytest.raises(wc.ExperimentError, match=r"none\.toml: there is no such file"):
         wc.Experiment.from_toml(tmp_path / "none.toml")
     with pytest.raises(wc.ExperimentError, match="cannot be read"):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import warpcontact as wc
-from warpcontact.experiment.sensor_panels import panels_of
+from warpcontact.experiment.sensor_panels import make_panels
 
 BOWL = '''
 from typing import Any
@@ -61,7 +61,7 @@ def folder(tmp_path_factory):
     return path
 
 
-def test_shapes_of_an_experiment_are_varied_recorded_and_kept_with_its_results(folder, device):
+def test_shapes_of_an_experiment_are_varied_recorded_and_stored(folder, device):
     run = wc.Experiment.from_dict(STUDY, folder).run(folder / "out", device=device)
     data = run.recording
     np.testing.assert_allclose(data["in_bowl.gap"].values[0], [0.15, 0.1, 0.05], rtol=1e-6)
@@ -88,7 +88,7 @@ BAD_FORMS = [
 
 
 @pytest.mark.parametrize(("form", "message"), BAD_FORMS)
-def test_forms_are_refused_with_their_key(folder, form, message):
+def test_invalid_shape_is_reported_with_its_key(folder, form, message):
     study = STUDY | {"shape": [*STUDY["shape"], {"name": "other", "form": form}]}
     with pytest.raises(wc.ExperimentError) as error:
         wc.Experiment.from_dict(study, folder)
@@ -96,7 +96,7 @@ def test_forms_are_refused_with_their_key(folder, form, message):
     assert message in str(error.value)
 
 
-def test_errors_of_shapes_and_contacts_are_told_at_once(folder):
+def test_shape_and_contact_problems_are_all_reported(folder):
     study = STUDY | {
         "shape": [*STUDY["shape"], {"name": "x", "body": "bal", "form": {"type": "Plane"}, "group": -1}],
         "shape_contact": [
@@ -113,7 +113,7 @@ def test_errors_of_shapes_and_contacts_are_told_at_once(folder):
     assert "shape_contact[3] ('z'): both shapes are fixed to the world" in text
 
 
-def test_the_picture_shows_what_shapes_stand_on_and_how_they_touch(tmp_path, device):
+def test_picture_shows_fixed_shapes_gaps_and_forces(tmp_path, device):
     """Planes fill the window and lie below what is higher; exponents are no sizes; gaps and forces are drawn."""
     from warpcontact.experiment import ground, picture
 
@@ -135,8 +135,8 @@ def test_the_picture_shows_what_shapes_stand_on_and_how_they_touch(tmp_path, dev
     plane, lower, upper = picture._extent([recording["ball.position"].values])
     low, high = picture._window(recording.scene, [], [], lower, upper, plane)
     assert (high - low).max() == pytest.approx(10.0 * 0.1)
-    floor, ring = ground.grounds_of(recording, 2.0)
+    floor, ring = ground.ground_surfaces(recording, 2.0)
     assert floor.corners[..., 2].max() == -1.0 < ring.corners[..., 2].min()
     assert floor.corners[..., 0].min() <= -2.0
-    headings = [panel.heading for panel in panels_of(recording, np.zeros(0, dtype=int), 2)]
+    headings = [panel.heading for panel in make_panels(recording, np.zeros(0, dtype=int), 2)]
     assert headings == ["touch.normal_force", "touch.gap"]

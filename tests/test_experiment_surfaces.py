@@ -46,7 +46,7 @@ def content(**changes):
     return given | changes
 
 
-def test_a_surface_contact_is_that_of_the_python_interface(tmp_path):
+def test_surface_contact_in_experiment_equals_python_api(tmp_path):
     experiment = wc.Experiment(content())
     scene = wc.Scene(gravity=(0, 0, 0))
     ball = scene.add_body(1, [1e-3] * 3, (0, 0, 0.046), name="ball")
@@ -70,7 +70,7 @@ def test_a_surface_contact_is_that_of_the_python_interface(tmp_path):
     assert wc.Experiment.from_toml(run.files["experiment"]).settings == experiment.settings
 
 
-def test_points_of_surfaces_are_those_of_sample_surface():
+def test_surface_points_in_experiment_equal_sample_surface():
     scene = wc.Experiment(content()).scene()
     found = {points.name: points for points in scene.points}
     mesh = scene.surfaces[1].mesh
@@ -156,13 +156,13 @@ BAD = [
 
 
 @pytest.mark.parametrize(("changes", "message"), BAD, ids=[message[:50] for _, message in BAD])
-def test_mistake_is_named_by_its_key(changes, message):
+def test_invalid_surface_contact_is_reported_with_its_key(changes, message):
     base = {} if "surface_contact" in changes or "contact" in changes else {"contact": [], "record": {}}
     problems = problems_of(content(**base | {"variation": {}, "record": {"sensors": []}} | changes))
     assert any(problem.startswith(message) for problem in problems), problems
     assert len(problems) == 1, problems
 
 
-def test_what_a_wrong_contact_would_have_made_is_no_second_problem():
+def test_elements_of_an_invalid_contact_cause_no_second_problem():
     problems = problems_of(content(surface_contact=[PRESS | {"sides": "both"}]))
     assert len(problems) == 1, problems

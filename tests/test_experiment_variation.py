@@ -19,7 +19,7 @@ def drawn(names=VARIED, *, envs=50, seed=0):
     return {name: model[name] for name in VARIED}
 
 
-def test_draws_follow_their_distribution():
+def test_random_values_follow_their_distribution():
     values = drawn(envs=4000)
     mass, radius, velocity = (values[name] for name in VARIED)
     assert 0.2 <= mass.min() < 0.21
@@ -32,7 +32,7 @@ def test_draws_follow_their_distribution():
     assert abs(np.corrcoef(mass, radius)[0, 1]) < 4 / np.sqrt(4000)
 
 
-def test_draws_depend_on_the_seed_and_nothing_else():
+def test_random_values_depend_on_the_seed_only():
     for name, values in drawn().items():
         np.testing.assert_array_equal(values, drawn()[name])
         assert not np.array_equal(values, drawn(seed=1)[name])
@@ -41,7 +41,7 @@ def test_draws_depend_on_the_seed_and_nothing_else():
         np.testing.assert_array_equal(values, drawn(envs=200)[name][:50])
 
 
-def test_drawn_values_are_the_same_in_every_version():
+def test_random_values_are_equal_in_every_version():
     # The same file means the same run for good. These are the numbers of version 0.1.0, of normal those after it.
     values = drawn(envs=1)
     np.testing.assert_allclose(values["ball.mass"], [1.8575271503517654], rtol=1e-12)
@@ -50,7 +50,7 @@ def test_drawn_values_are_the_same_in_every_version():
     np.testing.assert_allclose(values["ball.linear_velocity"], expected, rtol=1e-12)
 
 
-def test_listed_and_spaced_values_are_taken_as_they_are():
+def test_listed_and_linspace_values_are_unchanged():
     raw = content(
         variation={
             "ball.mass": {"values": [1, 2, 3, 4]},
@@ -68,7 +68,7 @@ def test_listed_and_spaced_values_are_taken_as_they_are():
         wc.Experiment(raw).model(envs=5, device="cpu")
 
 
-def test_one_value_holds_for_all_environments():
+def test_single_value_is_used_for_all_environments():
     raw = content(
         points=[{"name": "corners", "body": "ball", "positions": [[0, 0, 0.1], [0.1, 0, 0]]}],
         variation={
@@ -89,7 +89,7 @@ def test_one_value_holds_for_all_environments():
 
 
 @pytest.mark.parametrize("order", [("ball.inertia", "ball.mass"), ("ball.mass", "ball.inertia")])
-def test_inertia_of_a_solid_sphere_follows_mass_and_radius(order):
+def test_solid_sphere_inertia_follows_mass_and_radius(order):
     varied = {
         "ball.mass": {"uniform": [0.2, 2.0]},
         "ball.inertia": {"solid_sphere": {"mass": "ball.mass", "radius": "touch.radius"}},
@@ -99,7 +99,7 @@ def test_inertia_of_a_solid_sphere_follows_mass_and_radius(order):
     np.testing.assert_allclose(model["ball.inertia"], expected[:, None, None] * np.eye(3))
 
 
-def test_principal_moments_of_three_environments_are_no_tensor():
+def test_three_principal_moments_for_three_environments_are_not_a_tensor():
     moments = [[1, 1, 1], [1, 2, 2], [1, 1, 1.5]]
     model = wc.Experiment(content(envs=3, variation={"ball.inertia": {"values": moments}})).model(device="cpu")
     assert model["ball.inertia"].tolist() == [np.diag(row).tolist() for row in moments]

@@ -228,7 +228,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("changes", "message"), BAD, ids=[message[-60:] for _, message in BAD])
-def test_mistake_is_named_by_its_key(changes, message, tmp_path, monkeypatch):
+def test_invalid_variation_is_reported_with_its_key(changes, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     problems = problems_of(content(**changes))
     assert any(message in problem for problem in problems), problems
@@ -236,7 +236,7 @@ def test_mistake_is_named_by_its_key(changes, message, tmp_path, monkeypatch):
     assert len(problems) == 1, problems
 
 
-def test_whole_numbers_are_drawn_from_discrete_distributions_only():
+def test_integer_parameters_require_discrete_distributions():
     surface = [{"name": "ground", "mesh": [{"shape": "grid"}, {"shape": "box"}]}]
     for entry, message in (
         (
@@ -272,7 +272,7 @@ def test_whole_numbers_are_drawn_from_discrete_distributions_only():
         ("1,1\n2,2\n3,3\n4,4\n", 'variation."ball.mass" must have shape () or (4,), got (4, 2)'),
     ],
 )
-def test_files_of_values_are_checked(text, message, tmp_path):
+def test_invalid_value_files_are_reported(text, message, tmp_path):
     (tmp_path / "masses.csv").write_text(text, encoding="utf-8", errors="surrogateescape")
     (problem,) = problems_of(content(variation={MASS: {"values": "masses.csv"}}), tmp_path)
     assert message in problem
@@ -291,7 +291,7 @@ def test_files_of_values_are_checked(text, message, tmp_path):
         (b"", "it must be what numpy.save writes of an array of numbers, and as a whole"),
     ],
 )
-def test_arrays_of_values_are_checked(saved, message, tmp_path):
+def test_invalid_npy_files_are_reported(saved, message, tmp_path):
     path = tmp_path / "masses.npy"
     if isinstance(saved, bytes):
         path.write_bytes(saved)
@@ -304,13 +304,13 @@ def test_arrays_of_values_are_checked(saved, message, tmp_path):
     assert problem.endswith(f"masses.npy' holds no table of numbers: {message}")
 
 
-def test_files_with_pickles_are_not_opened(tmp_path):
+def test_pickled_arrays_are_refused(tmp_path):
     np.save(tmp_path / "masses.npy", np.array([1, "2", None, 4], dtype=object), allow_pickle=True)
     (problem,) = problems_of(content(variation={MASS: {"values": "masses.npy"}}), tmp_path)
     assert problem.endswith("it must be what numpy.save writes of an array of numbers, and as a whole")
 
 
-def test_numbers_of_environments_are_named_in_whichever_block_they_are():
+def test_invalid_values_are_reported_with_environment_number_in_any_block():
     envs = 70_000
     masses = np.ones(envs)
     masses[69_999] = -1.0
@@ -318,7 +318,7 @@ def test_numbers_of_environments_are_named_in_whichever_block_they_are():
     assert problem == 'variation."ball.mass"[69999] must be greater than 0, got -1 kg'
 
 
-def test_overrides_that_no_longer_fit_are_refused():
+def test_overrides_inconsistent_with_the_design_are_refused():
     experiment = wc.Experiment.from_dict(content(**sampled("saltelli", PAIR, envs=16)))
     with pytest.raises(wc.ExperimentError, match=r"envs must be 4 n.* got 10; next to it: 8 and 16"):
         experiment.changed(envs=10)
@@ -326,7 +326,7 @@ def test_overrides_that_no_longer_fit_are_refused():
 
 
 @pytest.mark.parametrize("method", ["random", "sobol", "saltelli"])
-def test_a_mistake_in_an_entry_is_the_only_one(method):
+def test_invalid_entry_is_the_only_problem(method):
     for entry in ({"uniform": [2, 1]}, {"uniform": [-1, 1]}, {"uniform": [[1, 1], [2, 2]]}, {"unifrom": [1, 2]}):
         correlation = [] if method == "saltelli" else [{"names": list(PAIR), "matrix": HALF}]
         inertia = {"solid_sphere": {"mass": MASS, "radius": "touch.radius"}}

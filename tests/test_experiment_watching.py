@@ -5,10 +5,10 @@ import tomllib
 import warnings
 
 import pytest
-from test_experiment_errors import RIGHT
+from test_experiment_errors import VALID_STUDY
 
 import warpcontact as wc
-from warpcontact.experiment.observation import watching
+from warpcontact.experiment.observation import monitor_arguments
 from warpcontact.experiment.toml import to_toml
 
 PEAK = {"type": "Max", "of": "touch.normal_force"}
@@ -48,7 +48,7 @@ class Wrong(Cube):
 
 
 def content(**sections):
-    return copy.deepcopy(RIGHT) | sections
+    return copy.deepcopy(VALID_STUDY) | sections
 
 
 def outcome(**changes):
@@ -119,14 +119,14 @@ BAD = [
 
 
 @pytest.mark.parametrize(("sections", "expected"), BAD, ids=[line[:60] for _, line in BAD])
-def test_a_mistake_is_named_with_its_key_its_value_and_what_is_allowed(sections, expected):
+def test_invalid_monitor_is_reported_with_key_value_and_allowed_values(sections, expected):
     with pytest.raises(wc.ExperimentError) as caught:
         wc.Experiment.from_dict(content(**sections))
     assert [line for line in caught.value.problems if line.startswith(expected)], caught.value.problems
     assert len(caught.value.problems) == 1
 
 
-def test_mistakes_of_what_is_watched_are_found_together():
+def test_invalid_monitors_are_all_reported():
     sections = outcome(of="touch.gp") | stop(of="ball.x") | events(contacts=["ball"])
     with pytest.raises(wc.ExperimentError) as caught:
         wc.Experiment.from_dict(content(**sections))
@@ -137,7 +137,7 @@ def test_mistakes_of_what_is_watched_are_found_together():
     ]
 
 
-def test_what_is_watched_is_written_out_and_read_back():
+def test_monitor_settings_round_trip():
     quarantine = {"policy": "reset", "max_speed": 1e4, "max_distance": 1e6}
     fall = {"type": "FirstTime", "of": "ball.position", "component": "z", "below": 0.5}
     sections = outcome() | stop() | events() | {"quarantine": quarantine}
@@ -148,17 +148,17 @@ def test_what_is_watched_is_written_out_and_read_back():
     model = again.model()
     assert set(model["scene.max_speed"]) == {1e4}
     assert set(model["scene.max_distance"]) == {1e6}
-    watched = watching(again.settings)
+    watched = monitor_arguments(again.settings)
     assert watched["quarantine"] == "reset"
     assert repr(watched["outcomes"]["fall"]) == "<FirstTime ball.position z below 0.5>"
     assert repr(watched["stop"]["landed"]) == "<Stop where ball.position z is below 0.1>"
     assert watched["events"].most == 4
     more, less = (wc.Experiment.from_dict(content(**own)).plan(device="cpu") for own in (sections, {}))
-    assert "outcomes" in {need.purpose for need in more.footprint.needs}
-    assert "outcomes" not in {need.purpose for need in less.footprint.needs}
+    assert "outcomes" in {need.purpose for need in more.footprint.items}
+    assert "outcomes" not in {need.purpose for need in less.footprint.items}
 
 
-def test_an_outcome_of_a_file_is_found_copied_and_runs(tmp_path):
+def test_custom_outcome_of_a_file_is_copied_and_runs(tmp_path):
     (tmp_path / "mine.py").write_text(OWN)
     own = {"outcome": {"cube": {"type": "mine.py:Cube", "of": "touch.gap"}}}
     experiment = wc.Experiment.from_dict(content(duration=0.02, **own), tmp_path)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 import warp as wp
-from like_a_gpu import cells_everywhere
+from like_a_gpu import build_all_face_grids
 from scipy.spatial.transform import Rotation
 from warpcontact.kernels import cells, recall, search, tree
-from warpcontact.kernels import foot as feet
+from warpcontact.kernels import foot as closest_points
 from warpcontact.kernels.simd import WIDTH
 from warpcontact.kernels.types import structs
 
@@ -22,9 +22,9 @@ def lister(real, room):
     """
     t = structs(real)
     model_type, cache_type, vec3 = t.Model, t.Cache, t.vec3
-    foot_on = feet.functions(real).foot_on
+    closest_on_face = closest_points.functions(real).closest_on_face
     if room is None:
-        nearest, remember_about = tree.functions(real).nearest, tree.functions(real).remember_about
+        nearest, cache_faces_near = tree.functions(real).closest_in_bvh, tree.functions(real).cache_faces_near
 
         @wp.kernel(module="unique", enable_backward=False)
         def list_by_tree(
@@ -32,13 +32,13 @@ def lister(real, room):
         ):
             contact = wp.tid()
             p = places[contact]
-            foot = nearest(model, 0, p, contact % model.face_corner.shape[0])
-            remember_about(model, 0, p, foot, cache, 0, contact)
-            best[contact] = foot.row
+            closest = nearest(model, 0, p, contact % model.face_corner.shape[0])
+            cache_faces_near(model, 0, p, closest, cache, 0, contact)
+            best[contact] = closest.row
 
         return list_by_tree
 
-    to_list = search.nearest_to_remember(real, room)
+    to_list = search.closest_and_cache(real, room)
 
     @wp.kernel(module="unique", enable_backward=False)
     def list_aside(
@@ -47,10 +47,10 @@ def lister(real, room):
         contact = wp.tid()
         p = places[contact]
         place = wp.vec3f(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
-        query = wp.mesh_query_point_no_sign(model.patch_mesh[0], place, wp.float32(10.0))
-        first = foot_on(model, model.patch_face_start[0] + query.face, p)
-        foot = to_list(model, 0, p, first, real(1e-6), cache, 0, contact)
-        best[contact] = foot.row
+        query = wp.mesh_query_point_no_sign(model.query_mesh_id[0], place, wp.float32(10.0))
+        first = closest_on_face(model, model.query_mesh_face_start[0] + query.face, p)
+        closest = to_list(model, 0, p, first, real(1e-6), cache, 0, contact)
+        best[contact] = closest.row
 
     return list_aside
 
@@ -70,10 +70,10 @@ def over_terrain(real, points, device):
 def room_in(model):
     """Returns how many faces are remembered per contact."""
     cache = model.parts[0].arrays.cache
-    return cache.face.shape[1] // cache.faces.shape[1]
+    return cache.face.shape[1] // cache.face_count.shape[1]
 
 
-def nearest_listed(real, room, model, points, device):
+def closest_in_cell(real, room, model, points, device):
     """Makes the lists of all points; returns the rows of their nearest faces."""
     arrays = model.parts[0].arrays
     places = wp.array(points, dtype=structs(real).vec3, device=device)
@@ -84,14 +84,14 @@ def nearest_listed(real, room, model, points, device):
 
 
 @pytest.mark.parametrize("real", [wp.float32, wp.float64])
-def test_lists_in_registers_hold_the_nearest_of_all_faces(real, device):
+def test_face_cache_in_registers_contains_the_nearest_faces(real, device):
     points = np.random.default_rng(5).uniform([-1.9, -1.9, -0.1], [1.9, 1.9, 0.6], (POINTS, 3))
     model = over_terrain(real, points, device)
     room = room_in(model)
-    best = nearest_listed(real, room, model, points, device)
+    best = closest_in_cell(real, room, model, points, device)
     cache, apart = model.parts[0].arrays.cache, distances(real, model, points, device)
-    skin = float(model.parts[0].arrays.model.patch_skin.numpy()[0])
-    count, reach = cache.faces.numpy()[0], cache.beyond.numpy()[0]
+    skin = float(model.parts[0].arrays.model.query_mesh_skin.numpy()[0])
+    count, reach = cache.face_count.numpy()[0], cache.uncached_bound.numpy()[0]
     # Some have room left, and of others the farthest had to go.
     assert ((count > 0) & (count < room)).sum() > 50
     assert (count == room).sum() > 50
@@ -111,12 +111,12 @@ def test_lists_in_registers_hold_the_nearest_of_all_faces(real, device):
 def distances(real, model, points, device):
     """Returns the distance of each face from each point (point, face)."""
     t = structs(real)
-    model_type, vec3, foot_on = t.Model, t.vec3, feet.functions(real).foot_on
+    model_type, vec3, closest_on_face = t.Model, t.vec3, closest_points.functions(real).closest_on_face
 
     @wp.kernel(module="unique", enable_backward=False)
     def measure(model: model_type, places: wp.array(dtype=vec3), found: wp.array2d(dtype=real)):
         point, face = wp.tid()
-        found[point, face] = foot_on(model, face, places[point]).distance
+        found[point, face] = closest_on_face(model, face, places[point]).distance
 
     own = model.parts[0].arrays.model
     found = wp.zeros((len(points), own.face_corner.shape[0]), dtype=real, device=device)
@@ -126,38 +126,44 @@ def distances(real, model, points, device):
 
 
 @pytest.mark.parametrize("real", [wp.float32, wp.float64])
-def test_a_list_made_ahead_holds_all_faces_about_there_and_the_nearest_here(real):
+def test_face_cache_built_ahead_contains_faces_around_the_predicted_point(real):
     rng = np.random.default_rng(6)
     points = rng.uniform([-1.8, -1.8, -0.1], [1.8, 1.8, 0.4], (400, 3))
     model = over_terrain(real, points, "cpu")
     cache = model.parts[0].arrays.cache
-    nearest_listed(real, None, model, points, "cpu")
-    np.testing.assert_array_equal(cache.place.numpy()[0], points.astype(cache.place.numpy().dtype))  # no way yet
-    reached = cache.beyond.numpy()[0] - distances(real, model, points, "cpu").min(axis=1)
-    way = rng.normal(size=points.shape)
+    closest_in_cell(real, None, model, points, "cpu")
+    np.testing.assert_array_equal(
+        cache.list_center.numpy()[0], points.astype(cache.list_center.numpy().dtype)
+    )  # no way yet
+    reached = cache.uncached_bound.numpy()[0] - distances(real, model, points, "cpu").min(axis=1)
+    displacement = rng.normal(size=points.shape)
     # They leave their lists, but for those that jump, and one whose last place is not known.
     length = 1.01 * reached
-    length[::8] = 3.0 * model.parts[0].arrays.model.patch_skin.numpy()[0]
-    way *= (length / np.linalg.norm(way, axis=1))[:, None]
-    here = points + way
-    last = cache.place.numpy()
+    length[::8] = 3.0 * model.parts[0].arrays.model.query_mesh_skin.numpy()[0]
+    displacement *= (length / np.linalg.norm(displacement, axis=1))[:, None]
+    here = points + displacement
+    last = cache.list_center.numpy()
     last[0, 5] = np.nan
-    cache.place.assign(last)
-    nearest = nearest_listed(real, None, model, here, "cpu")
+    cache.list_center.assign(last)
+    nearest = closest_in_cell(real, None, model, here, "cpu")
 
-    place, beyond, count = cache.place.numpy()[0], cache.beyond.numpy()[0], cache.faces.numpy()[0]
+    place, beyond, count = (
+        cache.list_center.numpy()[0],
+        cache.uncached_bound.numpy()[0],
+        cache.face_count.numpy()[0],
+    )
     ahead = np.linalg.norm(place - here, axis=1)
     stay = np.zeros(len(points), dtype=bool)
     stay[::8] = stay[5] = True
     assert np.isfinite(place).all()
     assert ahead[stay].max() < 1e-6
     # Each goes ahead by what the last list reached, except where the surface came nearer or fell away by much.
-    forward = np.einsum("pk,pk->p", place - here, way) / np.linalg.norm(way, axis=1)
+    forward = np.einsum("pk,pk->p", place - here, displacement) / np.linalg.norm(displacement, axis=1)
     assert (forward[~stay] > 0.4 * reached[~stay]).mean() > 0.7
     assert forward[~stay].min() > -1e-6
     # Places within the skin of those of the lists, most of them almost as far as that.
     about = rng.normal(size=points.shape)
-    skin = float(model.parts[0].arrays.model.patch_skin.numpy()[0])
+    skin = float(model.parts[0].arrays.model.query_mesh_skin.numpy()[0])
     gone = 0.99 * skin * rng.random(len(points)) ** 0.2
     about = place + about * (gone / np.linalg.norm(about, axis=1))[:, None]
     from_here, from_there, from_about = (distances(real, model, where, "cpu") for where in (here, place, about))
@@ -182,7 +188,7 @@ def test_a_list_made_ahead_holds_all_faces_about_there_and_the_nearest_here(real
     ("radius", "scale", "least", "most"),
     [(0.0, 1.0, 16, 16), (0.09, 1.0, 24, 32), (0.9, 10.0, 24, 32), (0.9, 1.0, 48, 48)],
 )
-def test_more_faces_are_remembered_of_larger_spheres(radius, scale, least, most):
+def test_face_cache_is_larger_for_larger_spheres(radius, scale, least, most):
     """By their edges, in the unit of the mesh; the surface and the sphere with the most tell for all."""
     scene = wc.Scene()
     coarse, fine = (wc.meshes.sinusoidal_terrain((3, 3), (n, n), 0.1, 1.0) for n in (10, 100))
@@ -208,9 +214,9 @@ def two_sheets(apart):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("way_to_recall", ["recall_listed", "recall_at_once"])
+@pytest.mark.parametrize("way_to_recall", ["nearest_candidate", "nearest_candidate_simd"])
 @pytest.mark.parametrize(("real", "epsilon"), [(wp.float32, 2.0**-23), (wp.float64, 2.0**-52)])
-def test_slopes_that_were_taken_behind_the_place_of_a_list_hide_no_face_there(real, epsilon, way_to_recall):
+def test_face_cache_gradients_behind_its_center_hide_no_face(real, epsilon, way_to_recall):
     """Beside an edge a slope turns with rounding, and the way ahead, times that, is more than a tie of two faces.
 
     A list is made ahead along the edge of one of two sheets, and asked at its place, where both are as near but
@@ -218,8 +224,8 @@ def test_slopes_that_were_taken_behind_the_place_of_a_list_hide_no_face_there(re
     """
     t = structs(real)
     model_type, cache_type, vec3 = t.Model, t.Cache, t.vec3
-    remember_about, of_feet = tree.functions(real).remember_about, feet.functions(real)
-    foot_on, nearer = of_feet.foot_on, of_feet.nearer
+    cache_faces_near, point_functions = tree.functions(real).cache_faces_near, closest_points.functions(real)
+    closest_on_face, nearer = point_functions.closest_on_face, point_functions.closer
     recall_it = getattr(recall.functions(real), way_to_recall)
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -233,14 +239,14 @@ def test_slopes_that_were_taken_behind_the_place_of_a_list_hide_no_face_there(re
     ):
         contact = wp.tid()
         p = places[contact]
-        remember_about(model, 0, p, foot_on(model, edge, p), cache, 0, contact)
-        q = cache.place[0, contact]
+        cache_faces_near(model, 0, p, closest_on_face(model, edge, p), cache, 0, contact)
+        q = cache.list_center[0, contact]
         cache.nearest[0, contact] = 1 - edge
         answer = recall_it(model, 0, cache, 0, contact, q, real(0.0))
-        found[contact] = answer.foot.row
-        if not answer.known:
+        found[contact] = answer.closest.row
+        if not answer.valid:
             found[contact] = -1
-        right[contact] = nearer(model, foot_on(model, edge, q), foot_on(model, 1 - edge, q)).row
+        right[contact] = nearer(model, closest_on_face(model, edge, q), closest_on_face(model, 1 - edge, q)).row
 
     rng = np.random.default_rng(8)
     count, apart = 20000, 0.0036
@@ -256,13 +262,15 @@ def test_slopes_that_were_taken_behind_the_place_of_a_list_hide_no_face_there(re
     own = model.parts[0].arrays
     cache = own.cache
     # They come along the edge, and left a list that reached far.
-    cache.place.assign((points - 0.1 * ASKEW[:, 0])[None].astype(cache.place.numpy().dtype))
-    cache.beyond.fill_(10.0)
+    cache.list_center.assign((points - 0.1 * ASKEW[:, 0])[None].astype(cache.list_center.numpy().dtype))
+    cache.uncached_bound.fill_(10.0)
     places = wp.array(points, dtype=vec3, device="cpu")
     found, right = (wp.zeros(count, dtype=wp.int32, device="cpu") for _ in range(2))
     wp.launch(list_and_recall, count, [own.model, cache, places, 0, found, right], device="cpu")
-    ahead = cache.place.numpy()[0] - points
-    np.testing.assert_allclose(ahead, [0.8 * own.model.patch_skin.numpy()[0] * ASKEW[:, 0]] * count, atol=1e-6)
+    ahead = cache.list_center.numpy()[0] - points
+    np.testing.assert_allclose(
+        ahead, [0.8 * own.model.query_mesh_skin.numpy()[0] * ASKEW[:, 0]] * count, atol=1e-6
+    )
     right = right.numpy()
     assert (right == 0).mean() > 0.5
     np.testing.assert_array_equal(found.numpy(), right)
@@ -271,23 +279,26 @@ def test_slopes_that_were_taken_behind_the_place_of_a_list_hide_no_face_there(re
 def pit(sides):
     """A pit with as many flat sides, all alike, about the axis of z, turned askew."""
     angle = 2.0 * np.pi * np.arange(sides) / sides
-    rim = np.stack([np.cos(angle), np.sin(angle), np.full(sides, 0.5)], axis=1)
-    vertices = np.concatenate([[(0.0, 0.0, 0.0)], rim]) @ ASKEW.T
+    boundary_points = np.stack([np.cos(angle), np.sin(angle), np.full(sides, 0.5)], axis=1)
+    vertices = np.concatenate([[(0.0, 0.0, 0.0)], boundary_points]) @ ASKEW.T
     first = 1 + np.arange(sides)
     return wc.Mesh(vertices, np.stack([np.zeros(sides, dtype=int), first, np.roll(first, -1)], axis=1))
 
 
 @pytest.mark.parametrize(("real", "epsilon"), [(wp.float32, 2.0**-23), (wp.float64, 2.0**-52)])
-def test_which_of_nearly_tied_faces_is_taken_does_not_hang_on_where_one_begins(real, epsilon, device, monkeypatch):
+def test_tie_between_faces_does_not_depend_on_the_search_order(real, epsilon, device, monkeypatch):
     """Two are tied with a third that is between them, and not with each other: one of them is not tied with all.
 
     The axis of a pit is as far from all of its sides, and points beside it by some rounding.
     """
     t, sides, count = structs(real), 7, 20000
     model_type, vec3 = t.Model, t.vec3
-    nearest_of_all, foot_on = search.functions(real).nearest_of_all, feet.functions(real).foot_on
+    refine_closest, closest_on_face = (
+        search.functions(real).refine_closest,
+        closest_points.functions(real).closest_on_face,
+    )
     of_cells = cells.functions(real)
-    cell_at, nearest_listed = of_cells.cell_at, of_cells.nearest_listed
+    cell_at, closest_in_cell = of_cells.cell_at, of_cells.closest_in_cell
 
     @wp.kernel(module="unique", enable_backward=False)
     def look_into_cells(
@@ -295,7 +306,7 @@ def test_which_of_nearly_tied_faces_is_taken_does_not_hang_on_where_one_begins(r
     ):
         point = wp.tid()
         p = places[point]
-        row[point] = nearest_listed(model, cell_at(model, 0, p).faces, p, margin).row
+        row[point] = closest_in_cell(model, cell_at(model, 0, p).faces, p, margin).row
 
     @wp.kernel(module="unique", enable_backward=False)
     def begin_with(
@@ -303,7 +314,7 @@ def test_which_of_nearly_tied_faces_is_taken_does_not_hang_on_where_one_begins(r
     ):
         point, first = wp.tid()
         p = places[point]
-        found[point, first] = nearest_of_all(model, 0, p, foot_on(model, first, p), margin).row
+        found[point, first] = refine_closest(model, 0, p, closest_on_face(model, first, p), margin).row
 
     rng = np.random.default_rng(4)
     points = np.stack([*rng.normal(size=(2, count)) * 6.0 * epsilon, rng.uniform(0.2, 0.3, count)], axis=1)
@@ -312,7 +323,7 @@ def test_which_of_nearly_tied_faces_is_taken_does_not_hang_on_where_one_begins(r
     body = scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0))
     law = wc.laws.Hooke(stiffness=1e4)
     scene.add_contact(scene.add_point(body, (0, 0, 0)), ground, wc.ContactMaterial(law=law), radius=0.3)
-    cells_everywhere(monkeypatch)
+    build_all_face_grids(monkeypatch)
     model = scene.build(device=device, precision="float32" if real is wp.float32 else "float64")
     places = wp.array(points @ ASKEW.T, dtype=vec3, device=device)
     found = wp.zeros((count, sides), dtype=wp.int32, device=device)
@@ -329,13 +340,13 @@ def test_which_of_nearly_tied_faces_is_taken_does_not_hang_on_where_one_begins(r
 @pytest.mark.parametrize(
     "ways_to_recall",
     [
-        pytest.param(("recall_listed", "recall_sure"), id="threads"),
-        pytest.param(("recall_at_once", "recall_at_once"), id="core", marks=pytest.mark.slow),
+        pytest.param(("nearest_candidate", "cached_nearest"), id="threads"),
+        pytest.param(("nearest_candidate_simd", "nearest_candidate_simd"), id="core", marks=pytest.mark.slow),
     ],
 )
 @pytest.mark.parametrize("real", [wp.float32, pytest.param(wp.float64, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
-    ("mesh", "axes", "low", "high", "way", "rivals"),
+    ("mesh", "axes", "low", "high", "displacement", "rivals"),
     [
         (
             wc.meshes.sinusoidal_terrain((2, 2), (20, 20), 0.1, 1.0),
@@ -350,17 +361,19 @@ def test_which_of_nearly_tied_faces_is_taken_does_not_hang_on_where_one_begins(r
     ],
     ids=["terrain", "sheets"],
 )
-def test_what_a_list_is_sure_of_is_the_nearest(mesh, axes, low, high, way, rivals, real, ways_to_recall):
+def test_certified_face_of_the_cache_is_the_nearest(
+    mesh, axes, low, high, displacement, rivals, real, ways_to_recall
+):
     """Points go two ways: to where their list is gone through, and farther, to where one face is to do, or few.
 
     Or to where all bounds are held against the distance of one, both times.
     """
     t, count = structs(real), 30000
     model_type, cache_type, vec3 = t.Model, t.Cache, t.vec3
-    of_search, of_feet = search.functions(real), feet.functions(real)
-    foot_on, nearest_of_all = of_feet.foot_on, of_search.nearest_of_all
-    remember_about = tree.functions(real).remember_about
-    by_tree, to_list = "recall_at_once" in ways_to_recall, search.nearest_to_remember(real, 16)
+    of_search, point_functions = search.functions(real), closest_points.functions(real)
+    closest_on_face, refine_closest = point_functions.closest_on_face, of_search.refine_closest
+    cache_faces_near = tree.functions(real).cache_faces_near
+    by_tree, to_list = "nearest_candidate_simd" in ways_to_recall, search.closest_and_cache(real, 16)
     recall_first, recall_again = (getattr(recall.functions(real), name) for name in ways_to_recall)
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -376,25 +389,27 @@ def test_what_a_list_is_sure_of_is_the_nearest(mesh, axes, low, high, way, rival
     ):
         contact = wp.tid()
         margin = real(1e-4)
-        first = nearest_of_all(model, 0, begin[contact], foot_on(model, 0, begin[contact]), margin)
+        first = refine_closest(model, 0, begin[contact], closest_on_face(model, 0, begin[contact]), margin)
         if wp.static(by_tree):
-            remember_about(model, 0, begin[contact], first, cache, 0, contact)
+            cache_faces_near(model, 0, begin[contact], first, cache, 0, contact)
         else:
             to_list(model, 0, begin[contact], first, margin, cache, 0, contact)
         cache.nearest[0, contact] = first.row
         answer = recall_first(model, 0, cache, 0, contact, through[contact], step)
         found[contact] = -1
-        if answer.known:
-            cache.nearest[0, contact] = answer.foot.row
+        if answer.valid:
+            cache.nearest[0, contact] = answer.closest.row
             answer = recall_again(model, 0, cache, 0, contact, end[contact], step)
-            if answer.known:
-                found[contact] = answer.foot.row
-        right[contact] = nearest_of_all(model, 0, end[contact], foot_on(model, 0, end[contact]), margin).row
+            if answer.valid:
+                found[contact] = answer.closest.row
+        right[contact] = refine_closest(
+            model, 0, end[contact], closest_on_face(model, 0, end[contact]), margin
+        ).row
 
     rng = np.random.default_rng(11)
     begin = rng.uniform(low, high, (count, 3)) @ axes.T
-    through = begin + way * rng.normal(size=(count, 3))
-    end = through + way * rng.exponential(2.0, (count, 1)) * rng.normal(size=(count, 3))
+    through = begin + displacement * rng.normal(size=(count, 3))
+    end = through + displacement * rng.exponential(2.0, (count, 1)) * rng.normal(size=(count, 3))
     scene = wc.Scene()
     ground = scene.add_surface(mesh)
     body = scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0))
@@ -405,10 +420,10 @@ def test_what_a_list_is_sure_of_is_the_nearest(mesh, axes, low, high, way, rival
     own = model.parts[0].arrays
     places = [wp.array(points, dtype=vec3, device="cpu") for points in (begin, through, end)]
     found, right = (wp.zeros(count, dtype=wp.int32, device="cpu") for _ in range(2))
-    wp.launch(look_three_times, count, [own.model, own.cache, *places, way, found, right], device="cpu")
+    wp.launch(look_three_times, count, [own.model, own.cache, *places, displacement, found, right], device="cpu")
     found, right = found.numpy(), right.numpy()
     known = found >= 0
     np.testing.assert_array_equal(found[known], right[known])
     assert 0.1 < known.mean() < 0.95
-    if "recall_sure" in ways_to_recall:
-        assert own.cache.rivals.numpy()[0][known].max() == rivals
+    if "cached_nearest" in ways_to_recall:
+        assert own.cache.tied_count.numpy()[0][known].max() == rivals

@@ -19,7 +19,7 @@ CONVEX = {
 # Half an epsilon on each coordinate of order one, on both ends of a step.
 @pytest.mark.parametrize(("precision", "exact"), [("float32", 1e-6), ("float64", 2e-15)])
 @pytest.mark.parametrize("body", CONVEX)
-def test_gap_and_force_are_continuous_while_a_sphere_rolls_over_edges_and_corners(body, precision, exact, device):
+def test_gap_and_force_are_continuous_while_sphere_rolls_over_edges_and_vertices(body, precision, exact, device):
     mesh, radius = CONVEX[body](), 0.3
     rng = np.random.default_rng(8)
     # Ways through the layer about the body in which a sphere touches with its centre outside: along edges, across
@@ -28,8 +28,8 @@ def test_gap_and_force_are_continuous_while_a_sphere_rolls_over_edges_and_corner
     away = corners - mesh.vertices.mean(axis=0)
     ends = corners + away * rng.uniform(0.1, 0.5, (30, 2, 1)) + rng.normal(size=(30, 2, 3)) * 0.1
     steps = np.linspace(0.0, 1.0, 1001)[None, :, None]
-    ways = ends[:, :1] + steps * (ends[:, 1:] - ends[:, :1])
-    points = ways.reshape(-1, 3).astype(precision).astype(np.float64)
+    paths = ends[:, :1] + steps * (ends[:, 1:] - ends[:, :1])
+    points = paths.reshape(-1, 3).astype(precision).astype(np.float64)
     spring = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=STIFFNESS))
     sensors = probe(mesh, points, radius=radius, material=spring, precision=precision, device=device)
     gap, force = (sensors[name].astype(np.float64).reshape(30, 1001) for name in ("gap", "normal_force"))
@@ -59,7 +59,7 @@ def orders(errors):
     return np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
 
 
-def test_gap_and_force_on_a_faceted_ball_are_of_second_order(device):
+def test_gap_and_force_on_faceted_sphere_converge_at_second_order(device):
     """A sphere of 0.2 on one of 1.0, 20 mm deep: the force is that of two spheres."""
     radius, depth = 0.2, 0.02
     points = (1.0 + radius - depth) * directions(2000)
@@ -78,7 +78,7 @@ def test_gap_and_force_on_a_faceted_ball_are_of_second_order(device):
     assert (orders(forces)[2:] > 1.9).all()
 
 
-def test_a_bounce_on_a_faceted_ball_is_of_second_order(device):
+def test_bounce_on_faceted_sphere_converges_at_second_order(device):
     """Duration, rebound and speed of a central impact, against the same impact on a plane: gap is gap."""
     radius, speed, dt, steps = 0.2, 1.0, 2e-4, 400
     law = wc.laws.HuntCrossley(stiffness=1e5, exponent=1.5, restitution=0.7)

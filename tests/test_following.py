@@ -43,7 +43,7 @@ def line(*corners, count=20):
 
 @PRECISIONS
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_a_point_deeper_than_half_a_plate_is_pushed_back_where_it_came_from(side, precision, device):
+def test_latched_point_deeper_than_half_a_plate_is_pushed_back(side, precision, device):
     path = line((0.1, 0.2, side * 0.02), (0.13, 0.24, -side * 0.05))
     _, seen = pushed(hard_cases.plate(thickness=0.02), path, precision=precision, device=device)
     inside = side * path[:-1, 2] < 0.01
@@ -58,7 +58,7 @@ def test_a_point_deeper_than_half_a_plate_is_pushed_back_where_it_came_from(side
 
 
 @PRECISIONS
-def test_a_point_from_the_wrong_side_is_not_caught(precision, device):
+def test_point_from_the_inner_side_is_not_latched(precision, device):
     path = line((0.1, 0.2, 0.003), (0.1, 0.2, 0.03), (0.12, 0.2, 0.004))
     _, seen = pushed(hard_cases.plate(thickness=0.02), path, precision=precision, device=device)
     inner = path[:-1, 2] < 0.01
@@ -69,7 +69,7 @@ def test_a_point_from_the_wrong_side_is_not_caught(precision, device):
 
 
 @PRECISIONS
-def test_an_unarmed_point_is_not_caught_by_a_sweep_either(precision, device):
+def test_point_from_the_inner_side_is_not_latched_by_swept_test(precision, device):
     path = line((0.1, 0.2, 0.003), (0.1, 0.2, -0.03), count=3)
     model, seen = pushed(hard_cases.plate(thickness=0.02), path, precision=precision, device=device, swept=True)
     assert (seen["normal_force"] == 0).all()
@@ -77,7 +77,7 @@ def test_an_unarmed_point_is_not_caught_by_a_sweep_either(precision, device):
 
 
 @PRECISIONS
-def test_it_follows_over_convex_edges_and_into_valleys(precision, device):
+def test_latched_point_follows_over_convex_edges_and_into_valleys(precision, device):
     """A faceted ball from within and from without: it is held by the facet under it, all the way round."""
     for mesh, depth in ((wc.meshes.icosphere(1.0, 2), 0.6), (wc.meshes.icosphere(1.0, 2).flipped(), -0.6)):
         turn = np.linspace(0, 2 * np.pi, 200)
@@ -94,7 +94,7 @@ def test_it_follows_over_convex_edges_and_into_valleys(precision, device):
 
 
 @PRECISIONS
-def test_a_ball_in_a_valley_touches_the_nearer_slope(precision, device):
+def test_latched_sphere_in_a_valley_contacts_the_nearer_slope(precision, device):
     flat = wc.meshes.grid((2.0, 2.0), (8, 8))
     valley = wc.Mesh(np.column_stack([flat.vertices[:, :2], np.abs(flat.vertices[:, 0])]), flat.faces)
     # No place on it has both slopes equally near.
@@ -107,7 +107,7 @@ def test_a_ball_in_a_valley_touches_the_nearer_slope(precision, device):
 
 
 @PRECISIONS
-def test_it_leaves_over_an_edge_freely(precision, device):
+def test_latched_point_leaves_over_an_edge_without_force(precision, device):
     path = line((0.9, 0.1, 0.02), (0.9, 0.1, 0.006), (1.1, 0.1, 0.006), (1.3, 0.1, -0.1))
     _, seen = pushed(hard_cases.plate(thickness=0.02), path, precision=precision, device=device)
     over = path[:-1, 0] > 1.0 + 1e-6
@@ -117,7 +117,7 @@ def test_it_leaves_over_an_edge_freely(precision, device):
 
 
 @PRECISIONS
-def test_in_an_open_box_it_is_held_by_floor_and_walls(precision, device):
+def test_latched_point_in_a_box_contacts_floor_and_walls(precision, device):
     """A box turned inside out: from within, each wall is touched where it is pushed into."""
     room = wc.meshes.box((2.0, 2.0, 2.0)).flipped()
     path = line((0, 0, 0), (0, 0, -1.1), (0.9, 0, -1.1), (1.2, 0.1, -0.8), (0.5, 0, 0), (0.5, 1.3, 0))
@@ -130,7 +130,7 @@ def test_in_an_open_box_it_is_held_by_floor_and_walls(precision, device):
 
 
 @PRECISIONS
-def test_another_mesh_does_not_inherit_the_face_that_was_touched(precision, device):
+def test_latched_face_is_cleared_after_a_change_of_mesh(precision, device):
     """The same box with its faces in another order: what was a face of the top is one of the bottom."""
     box = wc.meshes.box((2.0, 2.0, 1.0))
     turned = wc.Mesh(box.vertices, box.faces[::-1])
@@ -145,7 +145,7 @@ def test_another_mesh_does_not_inherit_the_face_that_was_touched(precision, devi
 
 
 @PRECISIONS
-def test_what_is_disabled_or_lost_forgets_its_face(precision, device):
+def test_latched_face_is_cleared_if_contact_is_disabled_or_lost(precision, device):
     path = line((0.1, 0.2, 0.02), (0.1, 0.2, -0.005), count=4)
     model, _ = pushed(hard_cases.plate(thickness=0.02), path, precision=precision, device=device)
     assert model.sensor("touch.normal")[0, 2] > 0.9
@@ -162,7 +162,7 @@ def test_what_is_disabled_or_lost_forgets_its_face(precision, device):
 
 
 @PRECISIONS
-def test_a_state_written_from_outside_is_followed_as_far_as_the_surface_goes(precision, device):
+def test_latched_point_follows_a_written_state_along_the_surface(precision, device):
     """From one end of a finely divided plate to the other, and out of it."""
     mesh = hard_cases.plate((2.0, 0.2), thickness=0.02, cells=(400, 20))
     path = line((-0.9, 0.0, 0.02), (-0.9, 0.0, -0.005), count=4)

@@ -124,19 +124,19 @@ MISTAKES = [
 
 
 @pytest.mark.parametrize(
-    ("kind", "precision", "told"), MISTAKES, ids=[f"{k.__name__}-{p}" for k, p, _ in MISTAKES]
+    ("kind", "precision", "expected_advice"), MISTAKES, ids=[f"{k.__name__}-{p}" for k, p, _ in MISTAKES]
 )
-def test_message_about_a_mistake_has_the_line_and_its_correction(kind, precision, told, device):
+def test_compile_error_states_the_line_and_its_correction(kind, precision, expected_advice, device):
     is_law = issubclass(kind, wc.Law)
     law, friction = (kind(), None) if is_law else (wc.laws.Hooke(stiffness=1e4), kind())
     with pytest.raises(TypeError) as caught:
         dropped_sphere(law, friction=friction, device=device, precision=precision)
     text = str(caught.value)
     assert f"{'law' if is_law else 'friction'} {kind.__name__}" in text
-    assert told in text
+    assert expected_advice in text
     if kind is not Whole:
         assert f"{__file__}, line {kind.force.func.__code__.co_firstlineno + 2 + 2 * (kind is Returns)}: " in text
-        assert "type(c.delta)(1.5) in a law" in text or "did you mean" in told
+        assert "type(c.delta)(1.5) in a law" in text or "did you mean" in expected_advice
 
 
 def test_square_roots_of_python_numpy_and_warp_compile_alike(device):
@@ -149,7 +149,7 @@ def test_square_roots_of_python_numpy_and_warp_compile_alike(device):
     np.testing.assert_allclose(model.sensor("touch.normal_force"), 1e4 * 0.2, rtol=1e-5)
 
 
-def test_function_that_can_end_without_a_return_is_refused():
+def test_function_without_return_on_every_path_is_refused():
     def partial(p: Any, c: Any):  # noqa: RET503
         if c.delta > p.stiffness:
             return p.stiffness * c.delta
@@ -181,12 +181,12 @@ LINES = [
 ]
 
 
-@pytest.mark.parametrize(("line", "told"), LINES, ids=[line for line, _ in LINES])
-def test_constants_of_a_line_are_replaced_by_those_of_the_precision(line, told):
-    assert advice(MIXED, line, {}, {"s.velocity"}, "c.delta") == told
+@pytest.mark.parametrize(("line", "expected_advice"), LINES, ids=[line for line, _ in LINES])
+def test_suggested_line_uses_constants_of_the_precision(line, expected_advice):
+    assert advice(MIXED, line, {}, {"s.velocity"}, "c.delta") == expected_advice
 
 
-def test_messages_about_other_mistakes_are_unchanged():
+def test_messages_of_other_errors_are_unchanged():
     assert advice("Only constants are allowed here", "return 2 * x", {}) == ""
     assert advice("Input types must be the same, got ['vec3f', 'int32']", "return s.velocity**2", {}) == ""
     assert advice("Referencing undefined symbol: gain", "first * gain", {"p": ["stiffness"]}) == ""

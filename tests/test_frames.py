@@ -11,15 +11,15 @@ from test_schedule import ENVS, SCENES, STATE, start
 
 import warpcontact as wc
 from warpcontact import crew, looks, schedule, slices, stepping
-from warpcontact.captures import capturing
-from warpcontact.looks import in_parts, known_needs
-from warpcontact.model import WITHOUT_CONTACT
+from warpcontact.captures import exclusive_capture_lock
+from warpcontact.looks import can_evaluate_by_slice, check_needs
+from warpcontact.model import ZERO_WITHOUT_CONTACT
 from warpcontact.recorder import Recorder
-from warpcontact.schedule import Span, force_stages
-from warpcontact.slices import Way
+from warpcontact.schedule import ExecutionPlan, force_stages
+from warpcontact.slices import StepChunk
 
-CONTACT = (*WITHOUT_CONTACT, "gap", "normal", "status")
-NEUTRAL = [key for key in CONTACT if key in WITHOUT_CONTACT]
+CONTACT = (*ZERO_WITHOUT_CONTACT, "gap", "normal", "status")
+NEUTRAL = [key for key in CONTACT if key in ZERO_WITHOUT_CONTACT]
 pytestmark = pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
 
 
@@ -34,14 +34,14 @@ def simulation(name, device, precision="float32", **options):
     return wc.Simulation(model, dt=1e-3, **options)
 
 
-def afresh(model):
+def evaluate_uncached(model):
     """Computes contacts as if nothing were remembered; it is afterwards."""
     cache = model.arrays.cache
-    kept = [(known, wp.clone(known)) for known in (cache.faces, cache.nearest)]
-    cache.faces.zero_()
+    kept = [(known, wp.clone(known)) for known in (cache.face_count, cache.nearest)]
+    cache.face_count.zero_()
     cache.nearest.fill_(-1)
-    span = Span(model, model.envs, cached=False, ordered=True)
-    for launch in force_stages(span, model.arrays.state, model.no_step, model.all_active):
+    plan = ExecutionPlan(model, model.envs, uses_cache=False, ordered_sum=True)
+    for launch in force_stages(plan, model.arrays.state, model.zero_step, model.active_status):
         launch.launch()
     for known, before in kept:
         wp.copy(known, before)
@@ -49,35 +49,35 @@ def afresh(model):
 
 def assert_equal(model, names, seen):
     for name, values in zip(names, seen, strict=True):
-        np.testing.assert_array_equal(values, model.measured(name), err_msg=name)
+        np.testing.assert_array_equal(values, model.last_value(name), err_msg=name)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 @pytest.mark.parametrize("name", SCENES)
-def test_what_is_remembered_changes_no_reading(name, precision, device):
+def test_cached_data_does_not_change_sensors(name, precision, device):
     sim = simulation(name, device, precision)
     model = sim.model
     names = names_of(model, CONTACT)
     for _ in range(25):
         sim.step(20)
         model.evaluate()
-        seen = [model.measured(name) for name in names]
-        afresh(model)
+        seen = [model.last_value(name) for name in names]
+        evaluate_uncached(model)
         assert_equal(model, names, seen)
 
 
-@pytest.mark.parametrize("name", ["box of points on terrain", "latched on a ball", "with memory", "two bodies"])
-def test_forces_alone_are_those_of_a_look_at_everything(name, device):
+@pytest.mark.parametrize("name", ["box of points on terrain", "latched on a ball", "with history", "two bodies"])
+def test_contact_force_evaluation_equals_full_evaluation(name, device):
     """Where contacts are left out as well: after steps, resets, and moves by hand without a step."""
     sim = simulation(name, device)
     model = sim.model
     names = names_of(model, NEUTRAL)
 
     def check():
-        model.prepare({"wrenches"})
-        seen = [model.measured(name) for name in names]
-        afresh(model)
+        model.evaluate_needs({"wrenches"})
+        seen = [model.last_value(name) for name in names]
+        evaluate_uncached(model)
         assert_equal(model, names, seen)
         return any(np.asarray(values).any() for values in seen)
 
@@ -99,9 +99,9 @@ def test_forces_alone_are_those_of_a_look_at_everything(name, device):
 
 
 @pytest.mark.parametrize(("threads", "size", "graphs"), [(1, 128, True), (3, 2, True), (2, 3, False)])
-@pytest.mark.parametrize("name", ["box of points on terrain", "two bodies", "with memory"])
-@pytest.mark.parametrize("keys", [CONTACT, NEUTRAL], ids=["of all", "of what touches"])
-def test_frames_are_what_one_sees_by_stopping(keys, name, threads, size, graphs, device, monkeypatch):
+@pytest.mark.parametrize("name", ["box of points on terrain", "two bodies", "with history"])
+@pytest.mark.parametrize("keys", [CONTACT, NEUTRAL], ids=["all_contacts", "active_contacts"])
+def test_recorded_frames_equal_sensors_at_the_same_steps(keys, name, threads, size, graphs, device, monkeypatch):
     plain = simulation(name, device)
     names = [*names_of(plain.model, keys), "body.position", "body.orientation", "body.kinetic_energy"]
     stopped = simulation(name, device)
@@ -110,12 +110,12 @@ def test_frames_are_what_one_sees_by_stopping(keys, name, threads, size, graphs,
         stopped.step(7)
         expected.append([stopped.model.sensor(key) for key in names])
 
-    monkeypatch.setattr(stepping, "LARGEST_SLICE", size)
-    monkeypatch.setattr(crew, "ALONE", 0)
+    monkeypatch.setattr(stepping, "MAX_SLICE", size)
+    monkeypatch.setattr(crew, "SERIAL_ENV_STEPS", 0)
     sim = simulation(name, device, threads=threads, capture_graphs=graphs)
     model = sim.model
     needs = {need for key in names for need in model.find_sensor(key).needs}
-    model.make_measures(needs)
+    model.ensure_sensor_arrays(needs)
     sources = [model.sensors[key].array(model.arrays) for key in names]
     results = [np.zeros_like(np.stack([of[k] for of in expected])) for k in range(len(names))]
     taken = np.zeros(model.envs, dtype=int)
@@ -145,7 +145,7 @@ def test_frames_are_what_one_sees_by_stopping(keys, name, threads, size, graphs,
 
 @pytest.mark.parametrize("every", [1, pytest.param(2, marks=pytest.mark.slow), 5])
 @pytest.mark.parametrize("name", SCENES)
-def test_steps_after_frames_are_those_without(name, every, device):
+def test_steps_are_unchanged_by_recorded_frames(name, every, device):
     """What a frame tells of contacts the next step does not look for again."""
     plain, sim = simulation(name, device), simulation(name, device)
     model = sim.model
@@ -165,7 +165,7 @@ def release_graphs(monkeypatch):
 
 
 @pytest.mark.usefixtures("release_graphs")
-def test_steps_after_looks_are_captured_where_there_are_some(device):
+def test_steps_after_frames_are_captured_as_graphs(device):
     sim = simulation("two bodies", device)
     needs = sim.model.find_sensor("lower.normal_force").needs
 
@@ -175,18 +175,24 @@ def test_steps_after_looks_are_captured_where_there_are_some(device):
 
     # On a GPU a frame is looked at when it is there, and eight steps are four times two.
     on_cpu = sim.model.device.is_cpu
-    first = {Way(8), Way(0, looks=True)} if on_cpu else {Way(2)}
+    first = {StepChunk(8), StepChunk(0, evaluates=True)} if on_cpu else {StepChunk(2)}
     sim.step_with_callback(1, 8, needs, lambda part, own, number: None)
     assert captured() == first
     sim.step_with_callback(2, 4, needs, lambda part, own, number: None)
-    assert captured() == first | {Way(2)} | ({Way(4, known=True, looks=True)} if on_cpu else set())
+    assert captured() == first | {StepChunk(2)} | (
+        {StepChunk(4, after_evaluation=True, evaluates=True)} if on_cpu else set()
+    )
     sim.step_with_callback(2, 20, needs, lambda part, own, number: None)
     # So many steps have no graph of their own: the first of them are as many as leave eight and eight.
-    known = {Way(4, known=True, looks=True), Way(4, known=True)} if on_cpu else set()
-    assert captured() == first | {Way(2)} | known
+    known = (
+        {StepChunk(4, after_evaluation=True, evaluates=True), StepChunk(4, after_evaluation=True)}
+        if on_cpu
+        else set()
+    )
+    assert captured() == first | {StepChunk(2)} | known
 
 
-def test_recordings_after_each_other_have_their_own_frames(device):
+def test_successive_recordings_have_their_own_frames(device):
     """Looks of a recording are part of the graphs that follow them, and those of another are not replayed."""
     sim, plain = (simulation("two bodies", device) for _ in range(2))
     names = ["lower.normal_force", "scene.kinetic_energy", "scene.linear_momentum"]
@@ -211,14 +217,14 @@ def test_recordings_after_each_other_have_their_own_frames(device):
         plain.step(17)
 
 
-def test_needs_that_are_known_are_those_of_all_readings(device):
+def test_evaluation_needs_cover_all_sensors(device):
     models = [make().build(device=device) for make in memory_scenes.SCENES.values()]
     needs = {need for model in models for sensor in model.parts[0].sensors.values() for need in sensor.needs}
-    assert known_needs(needs) == needs == looks.KNOWN
+    assert check_needs(needs) == needs == looks.ALL_NEEDS
 
 
 @pytest.mark.parametrize("name", ["two bodies", "hard", "heap"])
-def test_looks_at_contacts_add_nothing_to_wrenches(name, device):
+def test_contact_evaluation_does_not_accumulate_wrenches(name, device):
     """Where a sensor of them is left out, they are left alone or computed anew: never added to again."""
     model = (heap if name == "heap" else SCENES["two bodies"])().build(envs=ENVS, device=device)
     if name != "heap":
@@ -226,11 +232,11 @@ def test_looks_at_contacts_add_nothing_to_wrenches(name, device):
     integrator = wc.integrators.MoreauJean() if name == "hard" else None
     wc.Simulation(model, dt=1e-3, integrator=integrator).step(300)
     wrenches = model.parts[0].arrays.wrenches
-    model.prepare({"wrenches"})
+    model.evaluate_needs({"wrenches"})
     before = [wrenches.force.numpy().copy(), wrenches.torque.numpy().copy()]
     assert np.abs(before[0]).max() > 1.0
     for _ in range(3):
-        model.prepare({"contacts"})
+        model.evaluate_needs({"contacts"})
     np.testing.assert_array_equal(wrenches.force.numpy(), before[0])
     np.testing.assert_array_equal(wrenches.torque.numpy(), before[1])
 
@@ -249,7 +255,7 @@ def test_looks_at_contacts_add_nothing_to_wrenches(name, device):
         ),
     ],
 )
-def test_wrong_frames_are_refused_by_name(frames, every, needs, message, device):
+def test_invalid_frames_are_refused(frames, every, needs, message, device):
     sim = simulation("two bodies", device)
     with pytest.raises(ValueError, match=message):
         sim.step_with_callback(frames, every, set(needs), lambda part, own, number: None)
@@ -261,7 +267,7 @@ def _graphs_of(sim):
 
 
 @pytest.mark.usefixtures("release_graphs")
-def test_recorders_of_the_same_needs_capture_once(device):
+def test_recorders_with_equal_needs_share_one_capture(device):
     sim = simulation("two bodies", device)
     sim.step(100)
     replayed = [_graphs_of(sim)]
@@ -275,57 +281,59 @@ def test_recorders_of_the_same_needs_capture_once(device):
     # And those without frames stay.
     assert replayed[0].items() <= replayed[1].items()
     if sim.model.device.is_cpu:
-        frame, eight = Way(10, known=True, looks=True), Way(8)
+        frame, eight = StepChunk(10, after_evaluation=True, evaluates=True), StepChunk(8)
         assert {(frame, frozenset(recorder.needs)), (eight, frozenset())} <= replayed[1].keys()
         stepper = sim._prepared[1]._steppers[0]
         # The first of ten steps does not look for what is near again.
         for way, looks in ((frame, 9), (eight, 8)):
             kernels = [launch.kernel.key for launch in stepper.graph(way)]
-            looking, launches = ("meet_sets", len(sim.model.groups)) if schedule.FUSES else ("closest_point", 1)
+            looking, launches = (
+                ("update_sets", len(sim.model.groups)) if schedule.FUSE_STAGES else ("closest_point", 1)
+            )
             # With staged kernels the evaluation of the frame has the kernel of a step.
-            evaluations = 0 if schedule.FUSES else int(way.looks)
+            evaluations = 0 if schedule.FUSE_STAGES else int(way.evaluates)
             assert sum(looking in name for name in kernels) == looks * launches + evaluations
 
 
-def test_looks_are_not_prepared_while_another_thread_captures(device):
+def test_evaluation_launches_wait_for_capture_in_another_thread(device):
     sim = simulation("two bodies", device)
     sim.step(8)
     stepper = sim._prepared[1]._steppers[0]
     needs = frozenset(("contacts",))
-    works = [lambda: sim.model.parts[0].look(needs)]
+    works = [lambda: sim.model.parts[0].evaluation_launches(needs)]
     if sim.model.device.is_cpu:
         # On a GPU no step knows from a look what is near.
-        works.append(lambda: stepper.ready_after_look(needs))
+        works.append(lambda: stepper.prepare_step_after_evaluation(needs))
     for prepare in works:
         ended = threading.Event()
         waiting = threading.Thread(target=lambda work=prepare, end=ended: (work(), end.set()))
-        with capturing():
+        with exclusive_capture_lock():
             waiting.start()
             assert not ended.wait(0.2)
         waiting.join(10.0)
         assert ended.is_set()
 
 
-def test_frames_of_what_needs_all_environments_at_once(device):
+def test_frames_of_nonsmooth_contact_contain_all_environments(device):
     """Nonsmooth contacts show their last step in one launch: such frames wait for all slices."""
     scene = SCENES["two bodies"]()
     model = scene.build(envs=ENVS, device=device)
     start(model)
     sim = wc.Simulation(model, dt=1e-3, integrator=wc.integrators.MoreauJean(), threads=2)
     needs = {*model.find_sensor("lower.normal_force").needs}
-    assert not in_parts(model.device, model.hard, needs)
+    assert not can_evaluate_by_slice(model.device, model.nonsmooth, needs)
     frames = []
 
     def take(part, own, number):
         assert (own.start, own.stop, number) == (0, ENVS, len(frames))
-        frames.append(part.measured("lower.normal_force"))
+        frames.append(part.last_value("lower.normal_force"))
 
     sim.step_with_callback(4, 100, needs, take)
     np.testing.assert_array_equal(frames[-1], model.sensor("lower.normal_force"))
     assert np.max(frames) > 0.0
 
 
-def test_contacts_that_were_hard_show_no_force_when_they_are_not(device):
+def test_contact_force_is_zero_after_change_from_nonsmooth_to_compliant(device):
     scene = wc.Scene()
     ground = scene.add_surface(wc.meshes.grid((2, 2), (2, 2)), name="ground")
     ball = scene.add_body(1.0, (0.1, 0.1, 0.1), position=(0, 0, 0.1), name="ball")
@@ -340,7 +348,7 @@ def test_contacts_that_were_hard_show_no_force_when_they_are_not(device):
     np.testing.assert_array_equal(model.sensor("touch.normal_force"), 0.0)
 
 
-def test_forces_are_none_after_steps_that_remember_nothing_took_a_contact_away(device):
+def test_contact_force_is_zero_after_lost_contact_without_history(device):
     scene = wc.Scene(gravity=(0, 0, 0))
     ground = scene.add_surface(wc.meshes.grid((2, 2), (2, 2)), name="ground")
     ball = scene.add_body(1.0, (0.1, 0.1, 0.1), position=(0, 0, 0.2), name="ball")

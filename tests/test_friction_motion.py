@@ -24,20 +24,20 @@ def resting_block(
     block = made.add_body(
         1.0, (1e6, 1e6, 1e6), position=(0, 0, gravity[2] / LOAD), linear_velocity=(speed, 0, 0), name="block"
     )
-    foot = made.add_point(block, (0, 0, 0))
+    point = made.add_point(block, (0, 0, 0))
     law = wc.laws.Hooke(stiffness=LOAD)
-    made.add_contact(foot, plate, wc.ContactMaterial(law=law, friction=friction), name="touch")
+    made.add_contact(point, plate, wc.ContactMaterial(law=law, friction=friction), name="touch")
     if "springs" in scene:
         spring = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=scene["springs"]))
         # A wall on either side of x = 0, yielding like a spring.
         for turn in (-np.sqrt(0.5), np.sqrt(0.5)):
             wall = made.add_surface(square(50.0), orientation=(0, turn, 0, np.sqrt(0.5)))
-            made.add_contact(foot, wall, spring)
+            made.add_contact(point, wall, spring)
     if "wall" in scene:
         stiffness, wall_speed = scene["wall"]
         carrier = made.add_body(1e9, (1e9, 1e9, 1e9), linear_velocity=(wall_speed, 0, 0), name="wall")
         wall = made.add_surface(square(500.0), carrier, orientation=(0, -np.sqrt(0.5), 0, np.sqrt(0.5)))
-        made.add_contact(foot, wall, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=stiffness)))
+        made.add_contact(point, wall, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=stiffness)))
     return made.build(envs=envs, device=device, precision=precision)
 
 
@@ -58,7 +58,7 @@ def name_of(friction):
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 # Bristles near their limit take long to settle.
 @pytest.mark.parametrize(("friction", "steepest"), list(zip(STICKING, (16.65, 15.0), strict=True)))
-def test_a_block_sticks_below_the_friction_angle_and_slides_above(friction, steepest, precision, device):
+def test_block_sticks_below_friction_angle_and_slides_above(friction, steepest, precision, device):
     # FORCE_LAWS G8: stick limit arctan 0.3 = 16.69924°.
     angles = np.radians([5.0, steepest, 16.75, 30.0])
     model = resting_block(friction, envs=4, device=device, precision=precision)
@@ -83,7 +83,7 @@ def test_a_block_sticks_below_the_friction_angle_and_slides_above(friction, stee
 
 
 @pytest.mark.parametrize("friction", STICKING, ids=name_of)
-def test_a_sliding_block_stops_and_stays(friction, device):
+def test_sliding_block_stops_and_remains_at_rest(friction, device):
     # FORCE_LAWS G8: from 2 m/s on the flat after 0.6795786612 s and as many metres.
     model = resting_block(friction, speed=2.0, device=device)
     sim = wc.Simulation(model, dt=1e-4)
@@ -99,7 +99,7 @@ def test_a_sliding_block_stops_and_stays(friction, device):
     np.testing.assert_allclose(place(model), rest, rtol=1e-7)
 
 
-def test_a_block_thrown_up_a_slope_comes_back_slower(device):
+def test_block_thrown_up_a_slope_returns_slower(device):
     # FORCE_LAWS G8: 3 m/s up 30°: 0.6037259743 m, back at 1.686743494 m/s.
     slope = np.radians(30.0)
     model = resting_block(
@@ -113,7 +113,7 @@ def test_a_block_thrown_up_a_slope_comes_back_slower(device):
     np.testing.assert_allclose(-speed[back], 1.686743494, rtol=5e-4)
 
 
-def test_the_stick_spring_swings_until_it_slides(device):
+def test_stick_spring_oscillates_until_it_slides(device):
     # FORCE_LAWS G23: m = 1, μ = 0.5, k_t = 1e5: 50.3292121 Hz, slides at 4.905e-5 m, from 0.01551097192 m/s on.
     speeds = 0.01551097192 * np.array([0.5, 0.999, 1.001, 1.2])
     friction = F.CundallStrack(mu_static=0.5, mu_dynamic=0.5, stiffness=1e5)
@@ -136,7 +136,7 @@ def test_the_stick_spring_swings_until_it_slides(device):
 
 
 @pytest.mark.parametrize("friction", STICKING, ids=name_of)
-def test_a_spring_with_dry_friction_has_its_turning_points(friction, device):
+def test_oscillator_with_dry_friction_matches_closed_form_turning_points(friction, device):
     # FORCE_LAWS G20 with a μ N of 0.981 N: the amplitude falls by 2 μ N/k every half period.
     friction = {F.CundallStrack: F.CundallStrack(mu_static=0.1, mu_dynamic=0.1, stiffness=1e5, damping=100.0)}.get(
         type(friction), F.LuGre(mu_static=0.1, mu_dynamic=0.1, stribeck_speed=0.01, stiffness=1e5, damping=50.0)
@@ -151,7 +151,7 @@ def test_a_spring_with_dry_friction_has_its_turning_points(friction, device):
     np.testing.assert_allclose(path[-1], -0.0019, atol=5e-5)
 
 
-def test_stick_slip_on_a_belt_has_its_closed_form(device):
+def test_stick_slip_on_belt_matches_closed_form(device):
     # FORCE_LAWS G19: m = 1, k = 100, belt 0.1 m/s, F_s = 5, F_k = 3. Seen from the belt: the spring's end moves.
     friction = F.CundallStrack(mu_static=5 / G, mu_dynamic=3 / G, stiffness=1e6, damping=1500.0)
     model = resting_block(friction, device=device, wall=(100.0, -0.1))
@@ -175,7 +175,7 @@ def belt_of(friction, device, duration, dt):
     return recording.time.values, recording["block.position"].sel(axis="x", env=0).values
 
 
-def test_stick_slip_with_lugre_follows_the_equations(device):
+def test_stick_slip_with_lugre_matches_integrated_equations(device):
     s0, s1, vs, ms, md = 5e3, 8.0, 0.02, 0.5, 0.3
     friction = F.LuGre(mu_static=ms, mu_dynamic=md, stribeck_speed=vs, stiffness=s0, damping=s1, viscosity=0.4)
 
@@ -194,7 +194,7 @@ def test_stick_slip_with_lugre_follows_the_equations(device):
     np.testing.assert_allclose(np.abs(path - exact).max() / np.abs(coarse - exact).max(), 0.5, atol=0.05)
 
 
-def test_stick_slip_with_stribeck_follows_the_equations(device):
+def test_stick_slip_with_stribeck_matches_integrated_equations(device):
     ms, md, vs, scale = 0.5, 0.3, 0.05, 0.002
     friction = F.Stribeck(mu_static=ms, mu_dynamic=md, stribeck_speed=vs, velocity_scale=scale)
 
@@ -211,7 +211,7 @@ def test_stick_slip_with_stribeck_follows_the_equations(device):
     np.testing.assert_allclose(np.abs(path - exact).max() / np.abs(coarse - exact).max(), 0.5, atol=0.05)
 
 
-def test_tanh_friction_slows_a_block_as_in_closed_form(device):
+def test_block_slowed_by_tanh_friction_matches_closed_form(device):
     # SPEC 5: v(t) = asinh(sinh(k_t v₀) e^(−μ g k_t t))/k_t; μ = 0.4, k_t = 200 s/m, v₀ = 0.5 m/s.
     friction = F.Tanh(mu=0.4, velocity_scale=1 / 200)
     model = resting_block(friction, speed=0.5, device=device)
@@ -222,7 +222,7 @@ def test_tanh_friction_slows_a_block_as_in_closed_form(device):
     np.testing.assert_allclose(speed.sel(time=0.12, method="nearest"), 0.029120044, atol=5e-5)
 
 
-def test_tanh_friction_creeps_at_the_speed_of_its_closed_form(device):
+def test_creep_speed_with_tanh_friction_matches_closed_form(device):
     # SPEC 5: μ = 0.4, k_t = 200 s/m, 15°: artanh(tan θ/μ)/k_t = 0.004052563 m/s.
     slope = np.radians(15.0)
     gravity = (G * np.sin(slope), 0, -G * np.cos(slope))
@@ -231,7 +231,7 @@ def test_tanh_friction_creeps_at_the_speed_of_its_closed_form(device):
     np.testing.assert_allclose(model.sensor("block.linear_velocity")[0, 0], 0.004052563, rtol=1e-6)
 
 
-def test_elliptic_friction_keeps_its_invariant(device):
+def test_elliptic_friction_conserves_its_invariant(device):
     # FORCE_LAWS G26: μ = (0.4, 0.2), v = (1, 1): v₁ = 0.0625 when v₂ = 0.5, at 0.3615177588 s. The surface is
     # turned by 30°, axis 1 by 20° more against it.
     turn, extra = np.radians(30.0), np.radians(20.0)

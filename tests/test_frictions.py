@@ -88,7 +88,7 @@ def test_samples_cover_the_catalogue():
 
 
 @pytest.mark.parametrize("sample", SAMPLES, ids=name_of)
-def test_friction_follows_its_formula_within_its_cone_against_slip(sample, device):
+def test_friction_follows_its_formula_within_its_cone_and_opposes_slip(sample, device):
     friction, largest, coefficient = sample
     rng = np.random.default_rng(5)
     velocity = rng.normal(size=(200, 2)) * np.logspace(-6, 1, 200)[:, None]
@@ -104,7 +104,7 @@ def test_friction_follows_its_formula_within_its_cone_against_slip(sample, devic
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sample", SAMPLES, ids=name_of)
-def test_friction_in_float32_is_that_of_float64(sample, device):
+def test_friction_in_float32_matches_float64(sample, device):
     velocity = np.column_stack([np.logspace(-5, 1, 50) * 1.01, np.zeros(50)])
     one, normal = sliding(sample[0], velocity, device)
     other, _ = sliding(sample[0], velocity, device, "float64")
@@ -113,7 +113,7 @@ def test_friction_in_float32_is_that_of_float64(sample, device):
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.7])
-def test_elliptic_friction_lies_on_its_ellipse_and_dissipates_most(turn, device):
+def test_elliptic_friction_lies_on_its_ellipse_and_maximizes_dissipation(turn, device):
     rng = np.random.default_rng(6)
     velocity = rng.normal(size=(100, 2))
     force, normal = sliding(
@@ -137,7 +137,7 @@ CREEP = [
 
 
 @pytest.mark.parametrize(("friction", "speed"), CREEP, ids=lambda value: type(value).__name__)
-def test_regularised_friction_creeps_at_its_known_speed(friction, speed, device):
+def test_regularized_friction_creeps_at_closed_form_speed(friction, speed, device):
     # A block on a slope of 10° with μ = 0.3.
     slope = np.radians(10.0)
     scene = wc.Scene(gravity=(9.81 * np.sin(slope), 0, -9.81 * np.cos(slope)))
@@ -153,7 +153,7 @@ def test_regularised_friction_creeps_at_its_known_speed(friction, speed, device)
 
 
 @pytest.mark.parametrize("friction", F.CATALOGUE, ids=lambda friction: friction.__name__)
-def test_every_friction_documents_itself(friction):
+def test_every_friction_model_is_documented(friction):
     assert friction.__doc__
     assert friction.formula
     assert friction.reference

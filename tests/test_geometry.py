@@ -19,7 +19,7 @@ SIDE = {"float32": 1e-6, "float64": 2e-15}
 # that of the feature: P − S and gap n, both that short, then need not agree.
 ON_SURFACE = {"float32": 16 * 1.2e-7 * 1.8, "float64": 16 * 2.2e-16 * 1.8}
 # Beside a boundary is what is farther sideways than this part of the boundary edge.
-BORDER = 1e-4
+BOUNDARY_DISTANCE = 1e-4
 
 PRECISIONS = ("float32", "float64")
 
@@ -33,7 +33,7 @@ def placed(name):
 
 def measured(mesh, position, surface, count, precision, device, seed=1):
     """Returns points as the precision holds them, their true distance, and the sensors of them."""
-    kinds = hard_cases.hard_points(surface, count, seed)
+    kinds = hard_cases.difficult_points(surface, count, seed)
     points = np.concatenate(list(kinds.values())).astype(precision).astype(np.float64)
     sensors = probe(mesh, points, position=position, kappa=0.0, precision=precision, device=device)
     return points, surface.nearest(points)[0], sensors
@@ -45,10 +45,10 @@ def assert_nearest(points, distance, sensors, surface, precision):
     Returns how far the normal is off the direction to the point, either way round and as the gap's sign has it.
     """
     scale = np.maximum(surface.size, distance)
-    foot = sensors["point"].astype(np.float64)
-    to_point = points - foot
+    closest_point = sensors["point"].astype(np.float64)
+    to_point = points - closest_point
     assert (np.abs(np.linalg.norm(to_point, axis=1) - distance) / scale).max() < LENGTH[precision]
-    assert (surface.nearest(foot)[0] / scale).max() < LENGTH[precision]
+    assert (surface.nearest(closest_point)[0] / scale).max() < LENGTH[precision]
     normal, gap = sensors["normal"].astype(np.float64), sensors["gap"].astype(np.float64)[:, None]
     np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0, rtol=0, atol=LENGTH[precision])
     # Beside a boundary the gap has no sign.
@@ -74,20 +74,20 @@ def assert_exact_on_closed(mesh, position, surface, count, precision, device, *,
 
 @pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize("name", hard_cases.CLOSED)
-def test_closed_meshes_are_exact_where_it_is_hard(name, precision, device):
+def test_closed_mesh_gap_is_exact_at_difficult_points(name, precision, device):
     assert_exact_on_closed(*placed(name), 1500, precision, device)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize("name", hard_cases.CLOSED)
-def test_closed_meshes_are_exact_at_very_many_points(name, precision, times, device):
+def test_closed_mesh_gap_is_exact_at_very_many_points(name, precision, times, device):
     assert_exact_on_closed(*placed(name), 20_000 * times, precision, device)
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize("name", hard_cases.FILES)
-def test_meshes_from_files_are_exact_where_it_is_hard(name, precision, shared_data, device):
+def test_mesh_file_gap_is_exact_at_difficult_points(name, precision, shared_data, device):
     mesh = wc.load_mesh(shared_data / "meshes" / name)
     surface = Surface(mesh.vertices[mesh.faces])
     # A mesh that cuts itself has no inside where it does.
@@ -98,15 +98,15 @@ def test_meshes_from_files_are_exact_where_it_is_hard(name, precision, shared_da
 
 @pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize("name", hard_cases.OPEN)
-def test_open_meshes_are_exact_over_their_faces_and_beside_their_borders(name, precision, device):
+def test_open_mesh_gap_is_exact_over_faces_and_beyond_the_boundary(name, precision, device):
     mesh, position, surface = placed(name)
     points, distance, sensors = measured(mesh, position, surface, 3000, precision, device)
     scale = np.maximum(surface.size, distance)
     away, _ = assert_nearest(points, distance, sensors, surface, precision)
-    gap, foot = sensors["gap"].astype(np.float64), sensors["point"].astype(np.float64)
+    gap, closest_point = sensors["gap"].astype(np.float64), sensors["point"].astype(np.float64)
     edges = np.linalg.norm(np.diff(surface.corners, axis=1, append=surface.corners[:, :1]), axis=2)
     # Where the nearest point is on the rectangle's boundary, P may be a little beside it and count as over it.
-    inset = np.minimum(foot - surface.low, surface.high - foot)[:, :2].min(axis=1)
+    inset = np.minimum(closest_point - surface.low, surface.high - closest_point)[:, :2].min(axis=1)
     boundary = inset < LENGTH[precision] * scale
     over = ~boundary
     assert over.sum() > 1000
@@ -117,7 +117,7 @@ def test_open_meshes_are_exact_over_their_faces_and_beside_their_borders(name, p
     sideways = np.sqrt(np.maximum(distance**2 - gap**2, 0))
     # To the gap's rounding the root of a difference of squares is far from exact.
     rounding = np.sqrt(2 * distance * LENGTH[precision] * scale)
-    assert (sideways - rounding)[boundary].max() <= BORDER * edges.max()
+    assert (sideways - rounding)[boundary].max() <= BOUNDARY_DISTANCE * edges.max()
     # A height field: inside is what lies below.
     bottom = np.column_stack([points[:, :2], np.full(len(points), surface.low[2] - surface.size)])
     height = surface.first_hit(bottom, np.tile([0.0, 0.0, 1.0], (len(points), 1)))
@@ -128,7 +128,7 @@ def test_open_meshes_are_exact_over_their_faces_and_beside_their_borders(name, p
 
 @pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize("name", hard_cases.CLOSED)
-def test_on_the_surface_the_normal_is_that_of_a_feature_there(name, precision, device):
+def test_normal_on_the_surface_is_that_of_a_feature_at_the_point(name, precision, device):
     mesh, position, surface = placed(name)
     corners = surface.corners[:: len(surface.corners) // 300 + 1]
     points = np.concatenate([corners[:, 0], 0.5 * (corners[:, 0] + corners[:, 1]), corners.mean(axis=1)])
@@ -141,7 +141,7 @@ def test_on_the_surface_the_normal_is_that_of_a_feature_there(name, precision, d
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
-def test_a_turned_and_moved_surface_is_as_exact_as_one_in_place(precision, device):
+def test_gap_to_rotated_and_translated_surface_is_equally_exact(precision, device):
     mesh = hard_cases.angle_bracket()
     turn = np.array([0.3, -0.5, 0.2, 0.8])
     turn /= np.linalg.norm(turn)
@@ -149,7 +149,7 @@ def test_a_turned_and_moved_surface_is_as_exact_as_one_in_place(precision, devic
     rotated = mesh.vertices + 2 * np.cross(axis, np.cross(axis, mesh.vertices) + w * mesh.vertices)
     position = np.array([0.25, -0.5, 0.125])
     surface = Surface((rotated + position)[mesh.faces])
-    points = np.concatenate(list(hard_cases.hard_points(surface, 1500).values()))
+    points = np.concatenate(list(hard_cases.difficult_points(surface, 1500).values()))
     points = points.astype(precision).astype(np.float64)
     sensors = probe(mesh, points, position=position, orientation=turn, precision=precision, device=device)
     distance, turns = surface.nearest(points)[0], surface.winding(points)
@@ -160,14 +160,14 @@ def test_a_turned_and_moved_surface_is_as_exact_as_one_in_place(precision, devic
 
 
 @pytest.mark.parametrize("thickness", [1e-2, 1e-3])
-def test_thin_triangles_are_exact_in_float32_away_from_contact_too(thickness, device):
+def test_gap_to_thin_triangles_is_exact_in_float32(thickness, device):
     """Where the float32 query may name a wrong face, its choice is looked at again at any distance."""
     mesh = wc.meshes.box((1.0, 0.7, thickness))
     assert_exact_on_closed(mesh, np.zeros(3), Surface(mesh.vertices[mesh.faces]), 20_000, "float32", device)
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
-def test_a_search_radius_loses_nothing_that_it_reaches(precision, device):
+def test_search_radius_excludes_no_point_within_it(precision, device):
     """Beside the rim of a thin box, whose long triangles a float32 query sees farther away than they are."""
     count, reach = 2000, 1e-4
     rng = np.random.default_rng(5)

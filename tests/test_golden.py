@@ -183,7 +183,7 @@ def test_scenes_declare_checks_and_different_environments(golden):
         assert plan.envs > 1 or plan.scene is None or plan.still, f"{name} has one environment"
 
 
-def test_a_scene_without_contact_fails_its_check(golden):
+def test_scene_without_contact_fails_its_check(golden):
     plan = golden.plan.Plan(touches=["touch.normal_force"])
     trial = golden.plan.Trial(None, plan, "cpu", Path())
     trial.arrays = {"recording/touch.normal_force": np.array([[0.0, 1.0], [0.0, 0.0]])}

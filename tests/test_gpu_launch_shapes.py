@@ -14,14 +14,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from warpcontact.kernels.piles.base import TOUCHED
+from warpcontact.kernels.piles.base import WAS_IN_CONTACT
 
 import warpcontact as wc
 from warpcontact import schedule
 from warpcontact.benchmark.simulation import simulation
 from warpcontact.benchmark.works import DT
-from warpcontact.piles.pile import Pile
-from warpcontact.schedule import Span
+from warpcontact.piles.pile import ParticleContactSet
+from warpcontact.schedule import ExecutionPlan
 
 BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
 pytestmark = [
@@ -44,14 +44,14 @@ PARTICLE_SENSORS = ("contacts", "coordination", "normal_force", "max_penetration
 #: Kernels of the launch shapes that are selected for many threads only.
 GPU_KERNELS = frozenset(
     {
-        "step_alone", "meet_in_cells", "meet_the_rest", "look_in_cells", "search_the_rest", "pick_contacts",
-        "probe_blocks", "look_at_contacts", "gather_contacts",
+        "fused_step", "fused_in_grid", "fused_remaining", "detect_in_grid", "detect_remaining", "enqueue_contacts",
+        "probe_cluster_centers", "process_contacts", "compact_contacts",
     }
 )  # fmt: skip
-FUSED_STEP = frozenset({"step_alone"})
-FUSED_CONTACT = frozenset({"meet_in_cells"})
-GRID = frozenset({"look_in_cells"})
-QUEUES = frozenset({"pick_contacts", "probe_blocks", "look_at_contacts", "gather_contacts"})
+FUSED_STEP = frozenset({"fused_step"})
+FUSED_CONTACT = frozenset({"fused_in_grid"})
+GRID = frozenset({"detect_in_grid"})
+QUEUES = frozenset({"enqueue_contacts", "probe_cluster_centers", "process_contacts", "compact_contacts"})
 
 HILLS = wc.meshes.sinusoidal_terrain((4, 4), (30, 30), amplitude=0.15, wavelength=1.3)
 SMOOTH = wc.ContactMaterial(
@@ -72,7 +72,7 @@ def cuda(device):
     """The CUDA device under test."""
     if not device.startswith("cuda"):
         pytest.skip("needs --device cuda:N: these launch shapes are selected on a CUDA device only")
-    if not schedule.FUSES:
+    if not schedule.FUSE_STAGES:
         pytest.fail("needs --kernels=release: with quick kernels all steps are staged")
     return device
 
@@ -211,8 +211,8 @@ class Case:
     Attributes:
         make: Returns the simulation for a device and options of ``Simulation``.
         kernels: Kernels of the step among ``GPU_KERNELS``.
-        few: Value of ``schedule.FEW``; with 0 every number of contacts counts as many. Default: the constant.
-        warps: Value of ``schedule.WARPS``. Default: the constant.
+        few: Value of ``schedule.SMALL_LAUNCH``; with 0 every number of contacts counts as many. Default: the constant.
+        warps: Value of ``schedule.FULL_WARPS``. Default: the constant.
         queues: Number of launches that process a work queue.
         accepts: Whether the integration kernel also accepts the step.
         threads: Threads of the first launch. Default: not checked.
@@ -220,8 +220,8 @@ class Case:
 
     make: Callable[..., wc.Simulation]
     kernels: frozenset[str]
-    few: int = schedule.FEW
-    warps: int = schedule.WARPS
+    few: int = schedule.SMALL_LAUNCH
+    warps: int = schedule.FULL_WARPS
     queues: int = 0
     accepts: bool = False
     threads: int | None = None
@@ -245,16 +245,16 @@ FUSED_STEPS = {
 # the closest points that the face grid does not contain, if there are many contacts.
 FUSED_CONTACTS = {
     "fused contact, particles": Case(benchmark("W3"), FUSED_CONTACT),
-    "fused contact, many particles": Case(benchmark("W3"), FUSED_CONTACT | {"meet_the_rest"}, few=0),
+    "fused contact, many particles": Case(benchmark("W3"), FUSED_CONTACT | {"fused_remaining"}, few=0),
     "fused contact, many particles with friction history": Case(
-        small(sticking_particles), FUSED_CONTACT | {"meet_the_rest"}, few=0
+        small(sticking_particles), FUSED_CONTACT | {"fused_remaining"}, few=0
     ),
 }
 # Broad and narrow phase in the face grid, with a second launch as above.
 FACE_GRIDS = {
     "face grid, several bodies": Case(small(several_bodies, spread=0.1), GRID),
     "face grid, latched sphere": Case(small(latched_sphere, spread=0.2), GRID),
-    "face grid, many latched spheres": Case(small(latched_sphere, spread=0.2), GRID | {"search_the_rest"}, few=0),
+    "face grid, many latched spheres": Case(small(latched_sphere, spread=0.2), GRID | {"detect_remaining"}, few=0),
     "face grid, two materials, float64": Case(small(box_of_two_materials, "float64"), GRID),
     "face grid, nonsmooth contact": Case(small(box(8), integrator=wc.integrators.MoreauJean()), GRID),
     # The integration kernel also accepts the step of a single body with one cluster of contacts.
@@ -272,8 +272,8 @@ CASES = FUSED_STEPS | FUSED_CONTACTS | FACE_GRIDS | WORK_QUEUES
 
 def step_launches(sim):
     """Returns the launches of a step."""
-    (stepper,) = sim.crew()._steppers
-    return stepper._steps[0].whole
+    (stepper,) = sim.worker_pool()._steppers
+    return stepper._steps[0].full
 
 
 def step_kernels(sim):
@@ -293,16 +293,16 @@ def start(case, device, monkeypatch, *, staged, **options):
     """
     with monkeypatch.context() as patch:
         if staged:
-            for name in ("alone", "meets", "ends_by_body", "sums_by_body"):
-                patch.setattr(Span, name, False)
-            patch.setattr(Pile, "sums_by_body", False)
+            for name in ("alone", "meets", "accepts_in_integrator", "sums_by_body"):
+                patch.setattr(ExecutionPlan, name, False)
+            patch.setattr(ParticleContactSet, "sums_by_body", False)
             options |= {"distance_cache": False, "deterministic": True, "capture_graphs": False}
         else:
-            patch.setattr(schedule, "FEW", case.few)
-            patch.setattr(schedule, "WARPS", case.warps)
+            patch.setattr(schedule, "SMALL_LAUNCH", case.few)
+            patch.setattr(schedule, "FULL_WARPS", case.warps)
         sim = case.make(device, **options)
         # The warnings of the first step would compile kernels for another block size.
-        sim.advised = True
+        sim.warned_at_start = True
         sim.step(1)
     return sim
 
@@ -312,7 +312,7 @@ def start_both(case, device, monkeypatch):
     sim = start(case, device, monkeypatch, staged=False)
     kernels = step_kernels(sim)
     assert set(kernels) & GPU_KERNELS == case.kernels, kernels
-    assert kernels.count("look_at_contacts") == case.queues, kernels
+    assert kernels.count("process_contacts") == case.queues, kernels
     accepts = "semi_implicit_euler" in kernels and "advance_history" not in kernels
     assert accepts == case.accepts, kernels
     if case.threads is not None:
@@ -334,18 +334,18 @@ def history_of(sim):
     model = sim.model
     history = model.arrays.history
     found = {"entry_speed": history.entry_speed.numpy()}
-    if model.follows:
+    if model.has_latched_contacts:
         found |= {name: getattr(history, name).numpy() for name in ("armed", "face", "crossings")}
     for number, group in enumerate(model.groups):
         for part, formula in group.parts._asdict().items():
             if not formula.memories:
                 continue
-            values = getattr(group.memory, part).numpy()
+            values = getattr(group.history_in, part).numpy()
             found |= {f"history of {part} {number}: {field}": values[field] for field in values.dtype.names}
-    for pile in model.piles:
-        closed = (pile.touches.bits.numpy() & TOUCHED) != 0
+    for pile in model.particle_contact_sets:
+        closed = (pile.pair_records.flags.numpy() & WAS_IN_CONTACT) != 0
         found[f"{pile.contact.name} closed"] = closed
-        found[f"{pile.contact.name} entry_speed"] = np.where(closed, pile.touches.entry_speed.numpy(), -1.0)
+        found[f"{pile.contact.name} entry_speed"] = np.where(closed, pile.pair_records.entry_speed.numpy(), -1.0)
     return {name: array.copy() for name, array in found.items()}
 
 
@@ -426,7 +426,7 @@ def test_launch_shape_equals_staged_steps_after_changes(name, cuda, monkeypatch)
     "fused contact, many particles",
     "queues and face cache, many swept boxes",
 ])  # fmt: skip
-def test_run_is_repeated_bitwise(name, cuda, monkeypatch):
+def test_gpu_run_is_repeated_bitwise(name, cuda, monkeypatch):
     first, second = (start(CASES[name], cuda, monkeypatch, staged=False) for _ in range(2))
     for sim in (first, second):
         assert "clear_wrenches" not in step_kernels(sim)  # no atomic sums
@@ -434,7 +434,7 @@ def test_run_is_repeated_bitwise(name, cuda, monkeypatch):
     assert_equal(first, second)
 
 
-def test_deterministic_run_of_many_clusters_is_repeated_bitwise(cuda, monkeypatch):
+def test_deterministic_gpu_run_of_many_clusters_is_repeated_bitwise(cuda, monkeypatch):
     """Wrenches of more than 16 clusters are summed with atomics, except in deterministic runs."""
     case = Case(small(box(300)), GRID)
     atomic = start(case, cuda, monkeypatch, staged=False)
@@ -442,7 +442,7 @@ def test_deterministic_run_of_many_clusters_is_repeated_bitwise(cuda, monkeypatc
     first, second = (start(case, cuda, monkeypatch, staged=False, deterministic=True) for _ in range(2))
     staged = start(case, cuda, monkeypatch, staged=True)
     for sim in (first, second, staged):
-        assert "add_up_blocks" in step_kernels(sim)
+        assert "sum_wrenches" in step_kernels(sim)
         sim.step(STEPS)
     assert_equal(first, second)
     assert_equal(first, staged)
@@ -452,7 +452,7 @@ def test_deterministic_run_of_many_clusters_is_repeated_bitwise(cuda, monkeypatc
     ("name", "envs", "kernels", "threads"),
     [
         ("W2p8", 262_144, FUSED_STEP, 262_144),
-        ("W3", 16_384, FUSED_CONTACT | {"meet_the_rest"}, None),
+        ("W3", 16_384, FUSED_CONTACT | {"fused_remaining"}, None),
     ],
 )
 def test_launch_shape_of_real_size_equals_staged_steps(name, envs, kernels, threads, cuda, monkeypatch):
@@ -462,7 +462,7 @@ def test_launch_shape_of_real_size_equals_staged_steps(name, envs, kernels, thre
     alone = benchmark(name, 1)(cuda)
     alone.model["body.position"] = sim.model["body.position"][chosen : chosen + 1]
     alone.reset()
-    alone.advised = True
+    alone.warned_at_start = True
     for one in (sim, staged, alone):
         one.step(STEPS - one.steps)
     assert_equal(sim, staged)

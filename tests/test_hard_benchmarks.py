@@ -16,7 +16,7 @@ import warpcontact as wc
 
 
 @pytest.mark.parametrize("direction", [(0.0, 1.0, 0.0), (np.sqrt(0.5), np.sqrt(0.5), 0.0)], ids=["y", "xy"])
-def test_simbenchmark_rolling(device, direction):
+def test_nonsmooth_rolling_matches_simbenchmark(device, direction):
     """A box of 10 kg, 20 × 20 × 1 m, on the ground; on it 25 balls of 1 kg and 0.5 m; 150 N on the box.
 
     μ is 0.4 below the box, which slides, and 0.8 at the balls, which roll. With f₁ = μ (M + n m) g below the box,
@@ -25,12 +25,17 @@ def test_simbenchmark_rolling(device, direction):
     the mean over time of the sum of their squared errors; pyramids for cones keep the box at rest along xy.)
     """
     n, m, M, F, dt, deep = 25, 1.0, 10.0, 150.0, 1e-3, 5e-6
-    way = np.array(direction)
+    direction_of_motion = np.array(direction)
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     ground = scene.add_surface(square(100.0), name="ground")
     size = (20.0, 20.0, 1.0)
     feet = [(x, y, -0.5) for x in (-10.0, 10.0) for y in (-10.0, 10.0)]
-    options = {"mass": M, "feet": feet, "position": (0.0, 0.0, 0.5 - deep), "external_force": F * way}
+    options = {
+        "mass": M,
+        "feet": feet,
+        "position": (0.0, 0.0, 0.5 - deep),
+        "external_force": F * direction_of_motion,
+    }
     box = add_box(scene, size, ground, rigid(mu=0.4), **options)
     top = scene.add_surface(wc.meshes.box(size), box, name="top")
     grid = 2.0 * np.arange(5.0) - 4.0
@@ -45,8 +50,8 @@ def test_simbenchmark_rolling(device, direction):
     f1 = 0.4 * (M + n * m) * G
     f2 = (F - f1) / M / (3.5 / m + n / M)
     time = data["time"].values[:, None]
-    box_error = data["box.linear_velocity"].values[:, 0] - (F - f1 - n * f2) / M * time * way
-    ball_error = data["balls.linear_velocity"].values[:, 0] - (f2 / m * time * way)[:, None]
+    box_error = data["box.linear_velocity"].values[:, 0] - (F - f1 - n * f2) / M * time * direction_of_motion
+    ball_error = data["balls.linear_velocity"].values[:, 0] - (f2 / m * time * direction_of_motion)[:, None]
     mean_square = (np.square(box_error) + np.square(ball_error[:, 0])).sum(axis=1).mean()
     # A thousand steps, each solved to 1e-8 of impulses of 0.3 N·s on 10 kg. Published errors begin at 1e-12.
     assert mean_square < 1e-14
@@ -56,7 +61,7 @@ def test_simbenchmark_rolling(device, direction):
         assert data[f"{name}.penetration"].values.max() < start + 1e-6
 
 
-def test_simbenchmark_bouncing(device):
+def test_nonsmooth_bouncing_conserves_energy_in_simbenchmark(device):
     """49 balls of 10 kg and 0.1 m fall from 5 m with e = 1, in steps of 10 ms for 20 s, and keep their energy."""
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     ground = scene.add_surface(square(50.0), name="ground")
@@ -90,7 +95,7 @@ def turned(time, first, drive, friction):
     return speed * np.array([np.cos(angle), np.sin(angle)])
 
 
-def test_sliding_with_a_change_of_direction(device):
+def test_nonsmooth_sliding_block_matches_closed_form_after_change_of_direction(device):
     """A force of constant size drives a block that does not turn over rough ground, and turns by 90° half-way."""
     mu, force, half = 0.3, 6.0, 0.4
     drive, friction = force, mu * G
@@ -122,7 +127,7 @@ def sledge(mu, device):
     return scene.build(device=device, precision="float64")
 
 
-def test_rolling_with_a_change_of_direction(device):
+def test_nonsmooth_rolling_ball_matches_closed_form_after_change_of_direction(device):
     """A force on a ball that turns by 90° half-way: the ball rolls, with 5/7 F/m along the force of each half."""
     model = rolling_ball(device)
     simulation = wc.Simulation(model, 2e-3, wc.integrators.MoreauJean())
@@ -174,7 +179,7 @@ def leaning():
 
 
 @pytest.mark.parametrize("solver", ["gauss_seidel", "accelerated"])
-def test_below_the_critical_friction_painleves_rod_slides(device, solver):
+def test_painleve_rod_slides_below_critical_friction(device, solver):
     simulation = painleve(1.0, 1e-5, solver, device)
     simulation.step(2)
     model = simulation.model
@@ -186,7 +191,7 @@ def test_below_the_critical_friction_painleves_rod_slides(device, solver):
 
 @pytest.mark.parametrize("solver", ["gauss_seidel", "accelerated"])
 @pytest.mark.parametrize("dt", [1e-3, 1e-5])
-def test_above_it_painleves_rod_jams_in_an_impact_without_collision(device, dt, solver):
+def test_painleve_rod_stops_by_impulse_above_critical_friction(device, dt, solver):
     """At μ = 2 no finite force lets it slide on: it is stopped at once by an impulse that no step makes smaller.
 
     That impulse is W⁻¹ times the velocity of the end, and is in the cone: 1.2 N·s along the ground on 0.9 N·s.

@@ -23,7 +23,7 @@ def impact_times(model, dt, until):
 
 
 @pytest.mark.parametrize("dt", ["0.01", "0.001", "0.0001"])
-def test_a_ball_bounces_as_in_the_oracle(oracle, device, dt):
+def test_nonsmooth_bouncing_ball_matches_reference(oracle, device, dt):
     model = ball(0.8, radius=0.0, device=device)
     duration = 5.0 if dt != "0.0001" else 2.7
     times, data = impact_times(model, float(dt), duration)
@@ -37,7 +37,7 @@ def test_a_ball_bounces_as_in_the_oracle(oracle, device, dt):
         assert abs(data["touch.gap"].values[-1, 0]) < 1e-4
 
 
-def test_impact_times_converge_at_first_order(oracle, device):
+def test_nonsmooth_impact_times_converge_at_first_order(oracle, device):
     model = ball(0.8, radius=0.0, device=device)
     errors = []
     for dt in (4e-3, 4e-4):
@@ -48,7 +48,7 @@ def test_impact_times_converge_at_first_order(oracle, device):
     assert 5.0 < errors[0] / errors[1] < 20.0
 
 
-def test_restitution_and_friction_of_the_template_are_those_of_each_environment(device):
+def test_nonsmooth_restitution_and_friction_can_vary_by_environment(device):
     model = ball(0.5, 0.1, height=0.01, velocity=(2.0, 0.0, -3.0), envs=3, gravity=0.0, device=device)
     model["touch.law.restitution"] = [0.0, 0.4, 1.0]
     model["touch.friction.mu"] = [0.0, 0.1, 2.0]
@@ -64,7 +64,7 @@ def test_restitution_and_friction_of_the_template_are_those_of_each_environment(
     assert model.sensor("ball.linear_velocity")[:, 2] == pytest.approx(0.75, abs=1e-12)
 
 
-def test_a_compliant_template_lends_its_restitution_and_friction(device):
+def test_nonsmooth_contact_uses_restitution_and_friction_of_compliant_material(device):
     material = wc.ContactMaterial(
         law=wc.laws.HuntCrossley(stiffness=1e5, exponent=1.5, restitution=0.7),
         friction=wc.friction.Tanh(mu=0.1, velocity_scale=1e-2),
@@ -74,7 +74,7 @@ def test_a_compliant_template_lends_its_restitution_and_friction(device):
     assert model.sensor("ball.linear_velocity")[0] == pytest.approx([2.0 - 0.1 * 5.1, 0.0, 2.1], abs=1e-12)
 
 
-def test_a_sliding_block_stops_where_coulomb_says(oracle, device):
+def test_nonsmooth_sliding_block_stops_as_coulomb(oracle, device):
     slide = oracle["slide"]
     model = block(slide["mu"], velocity=(slide["v0"], 0.0, 0.0), device=device)
     data = wc.Simulation(model, 1e-3, HARD).run(
@@ -95,7 +95,7 @@ def test_a_sliding_block_stops_where_coulomb_says(oracle, device):
     assert (modes[stopped + 1 :] == wc.ContactMode.STICK).any(axis=1).all()
 
 
-def test_an_incline_holds_what_is_below_the_angle_of_friction(oracle, device):
+def test_nonsmooth_block_on_incline_sticks_below_friction_angle(oracle, device):
     limit = oracle["slide"]["stick_if_mu_ge"]
     model = block(0.3, slope=np.deg2rad(20.0), envs=3, device=device)
     model["block_feet.friction.mu"] = [0.3, limit - 1e-4, limit + 1e-4]
@@ -114,7 +114,7 @@ def test_an_incline_holds_what_is_below_the_angle_of_friction(oracle, device):
     [(20.0, 1.0, 0.5, 0.0, False), (60.0, 0.5, 0.5, 1.095, False), (40.0, 1.8, 0.9, None, True)],
     ids=["sticks", "slides", "tips"],
 )
-def test_a_pushed_block_sticks_slides_or_tips(device, push, height, mu, acceleration, tips):
+def test_nonsmooth_pushed_block_sticks_slides_or_tips(device, push, height, mu, acceleration, tips):
     model = block(mu, external_force=(push, 0.0, 0.0), device=device)
     model["block.external_torque"] = (0.0, push * (height - 1.0), 0.0)
     simulation = wc.Simulation(model, 1e-4, HARD)
@@ -141,7 +141,7 @@ def test_a_pushed_block_sticks_slides_or_tips(device, push, height, mu, accelera
         assert friction[0] == pytest.approx({20.0: -20.0, 60.0: -49.05}[push], rel=1e-6)
 
 
-def test_a_ball_that_slides_ends_up_rolling(device):
+def test_nonsmooth_sliding_ball_ends_up_rolling(device):
     mu, v0, dt = 0.2, 3.0, 1e-3
     model = ball(mu=mu, height=0.0, velocity=(v0, 0.0, 0.0), device=device)
     data = wc.Simulation(model, dt, HARD).run(3.0, ["ball.linear_velocity", "ball.angular_velocity", "touch.mode"])
@@ -154,7 +154,7 @@ def test_a_ball_that_slides_ends_up_rolling(device):
     assert data["time"].values[first] == pytest.approx(rolls, abs=2.0 * dt)
 
 
-def test_rolling_and_spinning_friction_stop_a_ball_evenly(device):
+def test_nonsmooth_rolling_and_torsional_friction_decelerate_ball_uniformly(device):
     resistance = wc.friction.Coulomb(mu=0.02)
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     ground = scene.add_surface(square(50.0), name="ground")
@@ -197,7 +197,7 @@ def test_rolling_and_spinning_friction_stop_a_ball_evenly(device):
         assert np.abs(model.sensor(f"{name}.linear_velocity")).max() < 2e-8 * G * 1e-3
 
 
-def test_losses_and_energy_of_round_bodies_add_up(device):
+def test_nonsmooth_energy_and_dissipation_of_sphere_balance(device):
     """θ = ½: what forces do and what contacts take is the change of the energy, to rounding."""
     model = ball(0.6, 0.3, velocity=(2.0, 1.0, 0.0), spin=(5.0, -3.0, 8.0), device=device)
     data = wc.Simulation(model, 2e-3, HARD).run(4.0, [*ENERGY, *LOSSES])
@@ -209,7 +209,7 @@ def test_losses_and_energy_of_round_bodies_add_up(device):
     assert data["scene.friction_dissipation"].values[-1, 0] > 0.5
 
 
-def test_boxes_thrown_onto_each_other_never_gain_energy(device):
+def test_nonsmooth_tumbling_boxes_never_gain_energy(device):
     rng = np.random.default_rng(3)
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     below = scene.add_surface(square(20.0), name="ground")
@@ -246,7 +246,7 @@ def test_boxes_thrown_onto_each_other_never_gain_energy(device):
     assert (energy(data)[-1] < energy(data)[0]).all()
 
 
-def test_compliant_contact_comes_to_hard_contact_as_it_stiffens(device):
+def test_compliant_contact_converges_to_nonsmooth_contact_with_stiffness(device):
     hard = ball(height=0.05, mu=0.3, velocity=(1.0, 0.0, 0.0), device=device)
     expected = (
         wc.Simulation(hard, 1e-4, HARD).run(0.5, ["ball.position"], every=1e-2)["ball.position"].values[:, 0]
@@ -277,7 +277,7 @@ def tower(boxes, *, inset=0.9, **options):
     return scene.build(precision="float64", **options)
 
 
-def test_a_stack_of_ten_boxes_stays_for_a_hundred_seconds(device):
+def test_nonsmooth_stack_of_ten_boxes_is_stable_for_100_seconds(device):
     model = tower(10, device=device)
     names = [f"box{number}.position" for number in range(10)]
     simulation = wc.Simulation(model, 5e-3, HARD)

@@ -10,7 +10,7 @@ import warpcontact as wc
 WALL = {"orientation": (0.0, np.sin(np.pi / 4), 0.0, np.cos(np.pi / 4))}  # its outer side looks along +x
 
 
-def test_a_pendulum_bounces_off_a_wall(device):
+def test_nonsmooth_pendulum_bounces_off_a_wall(device):
     """A compound pendulum with its end on the wall when it hangs down: ω⁺ = −e ω⁻ at every impact."""
     mass, inertia, length, reach, e = 2.0, 0.05, 0.5, 0.8, 0.6
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
@@ -43,7 +43,7 @@ def test_a_pendulum_bounces_off_a_wall(device):
     assert np.linalg.norm(place, axis=1) == pytest.approx(length, rel=1e-14)
 
 
-def test_a_slider_and_a_plane_keep_to_their_freedoms(device):
+def test_nonsmooth_prismatic_and_planar_joints_hold_their_constraints(device):
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     ground = scene.add_surface(square(10.0), name="ground")
     motions = {
@@ -78,7 +78,7 @@ def test_a_slider_and_a_plane_keep_to_their_freedoms(device):
     assert v[hit] - v[hit - 1] + [0.0, 0.0, G * 1e-3] == pytest.approx(p[hit], abs=1e-14)
 
 
-def test_a_ball_joint_swings_against_a_floor_and_keeps_its_length(device):
+def test_nonsmooth_spherical_joint_hits_floor_and_keeps_its_length(device):
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     floor = scene.add_surface(square(10.0, -0.45), name="floor")
     body = scene.add_body(
@@ -107,7 +107,7 @@ def test_a_ball_joint_swings_against_a_floor_and_keeps_its_length(device):
     assert np.diff(total).max() < 1e-4 * np.ptp(total)
 
 
-def test_a_block_rides_on_a_plate_that_moves(device):
+def test_nonsmooth_block_on_shaken_plate_sticks_or_slips(device):
     """A plate shakes along x: the block goes with it below μ g, and slips above it."""
     rate = 10.0
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
@@ -130,7 +130,7 @@ def test_a_block_rides_on_a_plate_that_moves(device):
 
 
 @pytest.mark.parametrize("restitution", [0.0, 0.5])
-def test_what_rides_on_a_plate_that_shakes_up_and_down_presses_as_its_acceleration_says(device, restitution):
+def test_nonsmooth_force_on_vertically_shaken_plate_matches_its_acceleration(device, restitution):
     rate, amplitude = 25.0, 0.01
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     shaking = wc.motions.Harmonic(

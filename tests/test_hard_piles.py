@@ -26,7 +26,7 @@ def spheres(positions, material, *, velocities=(0.0, 0.0, 0.0), gravity=G, floor
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_two_balls_exchange_momentum_as_newton_says(precision, device):
+def test_nonsmooth_particles_exchange_momentum_as_newton(precision, device):
     positions = [[0.0, 0.0, 0.0], [2.5 * RADIUS, 0.0, 0.0]]
     scene = spheres(positions, rigid(0.7), velocities=[[2.0, 0, 0], [-0.5, 0, 0]], gravity=0.0)
     model = scene.build(envs=3, device=device, precision=precision)
@@ -52,7 +52,7 @@ RESISTANCE = {"rolling": wc.friction.Coulomb(mu=0.05), "torsion": wc.friction.Co
     ],
     ids=["spheres", "capsules"],
 )
-def test_a_pair_is_that_of_a_smooth_contact(forms, material, options, device):
+def test_nonsmooth_particle_pair_matches_shape_contact(forms, material, options, device):
     """The same rows by two ways: an oblique impact with friction."""
     starts = [
         {"name": "one", "linear_velocity": (0.0, 0.0, 0.5), "angular_velocity": (1.0, 5.0, 2.0)},
@@ -84,7 +84,7 @@ def test_a_pair_is_that_of_a_smooth_contact(forms, material, options, device):
     assert np.abs(ends[0][1] - [1.0, 5.0, 2.0]).max() > 0.1
 
 
-def test_a_ball_bounces_off_one_that_is_fixed(device):
+def test_nonsmooth_particle_bounces_off_a_fixed_one(device):
     scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
     post = scene.add_body(MASS, INERTIA, motion=wc.motions.Fixed(), name="post")
     ball = scene.add_body(MASS, INERTIA, position=(0.1, 0, 0.3), linear_velocity=(0, 0, -1.0), name="ball")
@@ -119,7 +119,7 @@ def pyramid(mu, device, **options):
     return scene.build(device=device, precision="float64", **options)
 
 
-def test_a_pyramid_rests_with_the_forces_of_its_closed_form(device):
+def test_nonsmooth_pyramid_forces_match_closed_form(device):
     """N = m g/3 and T = N tan(θ/2) where the top presses at θ from the vertical, and the floor as much more."""
     model = pyramid(0.5, device)
     simulation = wc.Simulation(model, 1e-3, HARD)
@@ -153,7 +153,7 @@ def test_a_pyramid_rests_with_the_forces_of_its_closed_form(device):
     assert model.sensor("scene.kinetic_energy")[0] < 1e-12
 
 
-def test_a_pyramid_slides_apart_with_too_little_friction(device):
+def test_nonsmooth_pyramid_slides_apart_below_critical_friction(device):
     """tan(θ/2) is what it takes: 0.327 here."""
     model = pyramid(0.0, device, envs=2)
     needed = np.tan(0.5 * np.arcsin(APART / np.sqrt(3.0)))
@@ -221,9 +221,9 @@ def fallen(device):
     return model, data, half_way
 
 
-def test_a_heap_falls_without_overlap_and_never_gains_energy(fallen):
+def test_nonsmooth_heap_has_bounded_overlap_and_never_gains_energy(fallen):
     model, data, _ = fallen
-    assert (model.piles[0].grid.made.numpy() > 10).all()
+    assert (model.particle_contact_sets[0].grid.build_count.numpy() > 10).all()
     speed = np.linalg.norm(data["ball.linear_velocity"], axis=-1).max(axis=2)
     fastest = speed.max()
     # A contact is found at half a step; two balls meet with twice the speed of one.
@@ -240,7 +240,7 @@ def test_a_heap_falls_without_overlap_and_never_gains_energy(fallen):
     assert (data["pile.contacts"][-1] > 60).all()
 
 
-def test_a_heap_presses_on_the_floor_with_its_weight(fallen):
+def test_nonsmooth_heap_presses_on_the_floor_with_its_weight(fallen):
     model = fallen[0]
     momentum = model.sensor("scene.linear_momentum")
     wc.Simulation(model, STEP, INTEGRATOR).step(1)
@@ -261,14 +261,14 @@ def test_a_heap_presses_on_the_floor_with_its_weight(fallen):
 
 
 @pytest.mark.parametrize("skin", [0.05 * RADIUS, 0.9 * RADIUS])
-def test_impulses_stay_with_their_pairs_whenever_lists_are_made(fallen, skin, device):
+def test_nonsmooth_results_do_not_depend_on_neighbor_list_rebuilds(fallen, skin, device):
     """As many iterations, and the same bits: a solve that began elsewhere would end elsewhere."""
     model = start(skin, device)
     wc.Simulation(model, STEP, INTEGRATOR).step(FALL // 2)
     np.testing.assert_array_equal(bits(model), fallen[2])
 
 
-def test_a_solve_begins_with_the_impulses_of_the_last(device):
+def test_nonsmooth_solve_is_warm_started(device):
     """At rest all but nothing is left to do; without them, everything."""
     model = pyramid(0.5, device)
     wc.Simulation(model, STEP, HARD).step(300)
@@ -278,7 +278,7 @@ def test_a_solve_begins_with_the_impulses_of_the_last(device):
     assert model.sensor("scene.solve_iterations")[0] > 5 * warm
 
 
-def test_parts_on_several_devices_give_the_same_bits(fallen, device):
+def test_nonsmooth_particles_on_several_devices_are_bitwise_identical(fallen, device):
     scene, places, shifts = heap(skin=0.3 * RADIUS)
     model = scene.build(envs=2, device=[device, device], precision="float64")
     model["ball.position"] = places + shifts
@@ -287,9 +287,11 @@ def test_parts_on_several_devices_give_the_same_bits(fallen, device):
 
 
 @pytest.mark.parametrize("options", [{"threads": 2}, {"threads": 1, "capture_graphs": False}], ids=str)
-def test_slices_threads_and_graphs_give_the_same_bits(fallen, options, device, monkeypatch):
-    monkeypatch.setattr(stepping, "LARGEST_SLICE", 1)
-    monkeypatch.setattr(crew, "ALONE", 0)
+def test_nonsmooth_particles_are_bitwise_identical_for_any_slices_threads_and_graphs(
+    fallen, options, device, monkeypatch
+):
+    monkeypatch.setattr(stepping, "MAX_SLICE", 1)
+    monkeypatch.setattr(crew, "SERIAL_ENV_STEPS", 0)
     model = start(0.3 * RADIUS, device)
     simulation = wc.Simulation(model, STEP, INTEGRATOR, **options)
     simulation.step(40)
@@ -301,7 +303,7 @@ def test_slices_threads_and_graphs_give_the_same_bits(fallen, options, device, m
     np.testing.assert_array_equal(bits(model), fallen[2])
 
 
-def test_a_look_between_steps_changes_nothing(fallen, device):
+def test_nonsmooth_particles_are_unchanged_by_sensor_evaluation(fallen, device):
     model = start(0.3 * RADIUS, device)
     simulation = wc.Simulation(model, STEP, INTEGRATOR)
     for _ in range(FALL // 40):
@@ -310,7 +312,7 @@ def test_a_look_between_steps_changes_nothing(fallen, device):
     np.testing.assert_array_equal(bits(model), fallen[2])
 
 
-def test_compliant_piles_live_beside_hard_contacts(device):
+def test_compliant_particles_and_nonsmooth_contacts_can_share_a_scene(device):
     """Each by its own way: two that are springs, two that are hard, and one on a mesh."""
     scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
     head_on = {"linear_velocities": [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]}
@@ -343,7 +345,7 @@ def test_compliant_piles_live_beside_hard_contacts(device):
         wc.Simulation(model, STEP, wc.integrators.MoreauJean(compliant=["pile"]))
 
 
-def test_radii_of_each_environment_roll_with_their_own(device):
+def test_nonsmooth_particle_rolling_uses_radii_of_each_environment(device):
     """A couple of μ R N opposes what turns across the line of centres, 1/R = 1/R₁ + 1/R₂, and μ r_t N about it."""
     resistance = wc.friction.Coulomb(mu=0.1)
     material = rigid(0.0, 0.0, rolling=resistance, torsion=resistance)
@@ -362,7 +364,7 @@ def test_radii_of_each_environment_roll_with_their_own(device):
 
 
 @pytest.mark.parametrize("restitution", [0.0, 1.0])
-def test_six_by_six_by_six_balls_of_ten_kilograms_fall_on_a_plane(restitution, device):
+def test_nonsmooth_666_particles_have_bounded_overlap_and_energy(restitution, device):
     """Overlap and energy of smooth balls: "666" of leggedrobotics.github.io/SimBenchmark."""
     radius, mass, dt = 0.5, 10.0, 4e-3
     grid = np.stack(np.meshgrid(*[np.arange(6)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -42,7 +42,7 @@ def all_sensors(sim):
 
 
 @pytest.mark.parametrize("precision", EPSILON)
-def test_what_came_to_rest_does_not_creep(precision, device):
+def test_sleeping_body_does_not_creep(precision, device):
     sim = sliding(precision, device)
     sim.step(300)
     speed = np.linalg.norm(sim.model.sensor("box1.linear_velocity"), axis=-1)
@@ -65,7 +65,7 @@ def test_what_came_to_rest_does_not_creep(precision, device):
 
 @pytest.mark.parametrize("precision", EPSILON)
 @pytest.mark.parametrize("stack", [False, True])
-def test_steps_that_are_left_out_would_change_nothing(precision, stack, device):
+def test_skipped_steps_of_sleeping_bodies_would_change_nothing(precision, stack, device):
     """A call of one step leaves none out."""
     together, alone = (
         sliding(precision, device, stack=stack, threads=2),
@@ -75,11 +75,11 @@ def test_steps_that_are_left_out_would_change_nothing(precision, stack, device):
     together.step(80)
     for _ in range(401):
         alone.step(1)
-    calm = together.model.hard.account.calm.numpy() == 2
+    calm = together.model.nonsmooth.statistics.unchanged_steps.numpy() == 2
     moves = [together.model.sensor(f"box{number}.linear_velocity").any(axis=-1) for number in range(1 + stack)]
     np.testing.assert_array_equal(calm, ~np.any(moves, axis=0))
     assert np.count_nonzero(~calm) <= FEW[precision]
-    assert not (alone.model.hard.account.calm.numpy() == 2).any()
+    assert not (alone.model.nonsmooth.statistics.unchanged_steps.numpy() == 2).any()
     expected = all_sensors(alone)
     for name, values in all_sensors(together).items():
         np.testing.assert_array_equal(values, expected[name], err_msg=name)
@@ -88,7 +88,7 @@ def test_steps_that_are_left_out_would_change_nothing(precision, stack, device):
 
 @pytest.mark.parametrize("precision", EPSILON)
 @pytest.mark.parametrize("every", [1, 3, 4])
-def test_what_stops_for_a_moment_in_the_air_falls(precision, every, device):
+def test_body_with_zero_velocity_in_the_air_does_not_sleep(precision, every, device):
     """All sums are exact here: on top there is no velocity, no contact, and nothing to solve."""
     scene = wc.Scene(gravity=(0.0, 0.0, -8.0))
     ground = scene.add_surface(square(20.0))
@@ -101,7 +101,7 @@ def test_what_stops_for_a_moment_in_the_air_falls(precision, every, device):
     np.testing.assert_array_equal(model.sensor("ball.position"), [[0.0, 0.0, 1.0]])
 
 
-def test_what_rests_wakes_where_something_is_changed(device):
+def test_sleeping_body_wakes_after_a_parameter_change(device):
     sim = sliding("float64", device, stack=False)
     sim.step(400)
     position = sim.model.sensor("box0.position")
@@ -115,7 +115,7 @@ def test_what_rests_wakes_where_something_is_changed(device):
     assert not np.delete(moved, 3).any()
 
 
-def test_what_is_put_elsewhere_while_it_rests_falls(device):
+def test_sleeping_body_falls_after_its_position_is_set(device):
     sim = sliding("float64", device, stack=False)
     sim.step(400)
     state = sim.state.body_position.numpy()
@@ -127,7 +127,7 @@ def test_what_is_put_elsewhere_while_it_rests_falls(device):
     assert not np.delete(speed, 2).any()
 
 
-def test_watched_steps_are_all_taken(device):
+def test_monitored_steps_are_not_skipped(device):
     watched = sliding(
         "float64", device, stack=False, outcomes={"held": wc.outcomes.Integral("feet0.normal_force")}
     )
@@ -138,7 +138,7 @@ def test_watched_steps_are_all_taken(device):
 
 
 @pytest.mark.parametrize("precision", EPSILON)
-def test_what_stands_on_its_centre_of_mass_turns_by_a_torque(precision, device):
+def test_body_standing_on_its_center_of_mass_is_rotated_by_a_torque(precision, device):
     """However little a contact there sees of the turning."""
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     ground = scene.add_surface(square(20.0))
@@ -155,7 +155,7 @@ def test_what_stands_on_its_centre_of_mass_turns_by_a_torque(precision, device):
 
 
 @pytest.mark.parametrize("load", [0.999, 1.001])
-def test_what_nearly_slides_stands_and_what_nearly_stands_slides(load):
+def test_block_at_the_friction_limit_stands_below_and_slides_above(load):
     """On the edge of the cone, where standing would take a little more friction than there is."""
     slope = np.arctan(0.5 * load)
     model = block(0.5, slope=slope, height=-1e-3)
@@ -166,7 +166,7 @@ def test_what_nearly_slides_stands_and_what_nearly_stands_slides(load):
     assert speed == pytest.approx(expected, rel=0.01, abs=1e-9)
 
 
-def test_a_tower_is_stopped_at_once_from_a_fair_guess():
+def test_tower_is_stopped_in_one_iteration_from_a_fair_guess():
     step = tower([1.0, 3.0, 0.5])
     step.guess([[0.0, 0.0, G * DT * weight / 4.1] for weight in (4.5, 3.5, 0.5) for _ in range(4)])
     result = step.solve("gauss_seidel", tolerance=1e-8)
@@ -176,7 +176,7 @@ def test_a_tower_is_stopped_at_once_from_a_fair_guess():
     assert step.residual(result.impulse, step.momentum_after(result.impulse)) < 1e-14
 
 
-def test_what_carries_nothing_holds_nothing_where_others_stop_a_body():
+def test_contact_without_normal_impulse_has_no_friction_impulse():
     step = tower([1.0], push=0.03, mu=0.5)
     step.rows.append(Row(0, WORLD, np.array([0.0, 0.0, -HALF]), np.zeros(3), UP, 0.5))
     step.guess([[0.0, 0.0, G * DT / 4]] * 4 + [[0.0, 0.0, 0.0]])
@@ -188,7 +188,7 @@ def test_what_carries_nothing_holds_nothing_where_others_stop_a_body():
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_a_push_that_friction_cannot_hold_is_not_stopped(solver):
+def test_push_beyond_friction_is_not_stopped(solver):
     step = tower([1.0, 1.0], push=0.5, mu=0.2)
     step.guess([[0.0, 0.0, G * DT * weight / 4] for weight in (2.0, 1.0) for _ in range(4)])
     result = step.solve(solver, tolerance=1e-10)
@@ -196,7 +196,7 @@ def test_a_push_that_friction_cannot_hold_is_not_stopped(solver):
     assert result.velocity[1, 0] > 0.4
 
 
-def test_what_weighs_little_is_stopped_by_what_carries_it():
+def test_rest_impulses_of_light_body_do_not_underflow():
     """Products of small masses and short arms are smaller than the least float32."""
     arms = [np.array([x, y, 0.0]) for x in (-1e-4, 1e-4) for y in (-1e-4, 1e-4)]
     mass = 1e-6

@@ -8,7 +8,7 @@ from scenes import square
 import warpcontact as wc
 
 
-def test_a_ball_beside_one_of_another_mass_moves_as_it_does_alone(device):
+def test_light_ball_next_to_heavy_one_moves_as_alone(device):
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     ground = scene.add_surface(square(50.0), name="ground")
     for name, mass, radius, x in (("light", 1e-3, 0.05, 0.0), ("heavy", 1e5, 1.0, 4.0)):
@@ -24,7 +24,7 @@ def test_a_ball_beside_one_of_another_mass_moves_as_it_does_alone(device):
 
 
 @pytest.mark.parametrize("solver", ["gauss_seidel", "accelerated"])
-def test_restitution_of_what_brings_no_energy_is_not_lowered(device, solver):
+def test_restitution_that_adds_no_energy_is_not_limited(device, solver):
     # A box falls on four feet at once, without friction: how they share the impulse is open, the work is not.
     scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
     ground = scene.add_surface(square(50.0), name="ground")
@@ -41,7 +41,7 @@ def test_restitution_of_what_brings_no_energy_is_not_lowered(device, solver):
     assert model.sensor("scene.restitution_limited").sum() == 0
 
 
-def test_nothing_is_restrained_where_nothing_bounces(device):
+def test_restitution_is_not_limited_without_bounces(device):
     model = ball(0.0, height=1e-4, device=device)
     simulation = wc.Simulation(model, 1e-3, HARD)
     simulation.step(50)
@@ -54,7 +54,7 @@ def test_nothing_is_restrained_where_nothing_bounces(device):
     assert model.sensor("scene.restitution_limited")[0] == before
 
 
-def test_overlap_is_taken_back_in_the_time_that_is_asked(device):
+def test_overlap_recovers_within_recovery_time(device):
     model = ball(0.0, height=-0.01, device=device)
     simulation = wc.Simulation(model, 1e-3, wc.integrators.MoreauJean(recovery_time=0.05))
     simulation.step(50)
@@ -65,7 +65,7 @@ def test_overlap_is_taken_back_in_the_time_that_is_asked(device):
     assert model.sensor("touch.normal_force")[0] == pytest.approx(G, rel=1e-3)
 
 
-def test_a_capsule_that_rocks_on_its_ends_sinks_unless_overlap_is_taken_back(device):
+def test_rocking_capsule_sinks_without_overlap_recovery(device):
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     body = scene.add_body(1.0, (0.008, 0.008, 0.0012), position=(0, 0, 0.0499), name="log")
     lying = (0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5))
@@ -85,7 +85,7 @@ def test_a_capsule_that_rocks_on_its_ends_sinks_unless_overlap_is_taken_back(dev
     assert deep[None] > 10.0 * deep[0.02]
 
 
-def test_what_slips_says_so_and_has_its_dynamic_friction(device):
+def test_slipping_contact_has_slip_mode_and_dynamic_friction(device):
     material = wc.ContactMaterial(
         law=wc.laws.Rigid(),
         friction=wc.friction.Stribeck(mu_static=0.3, mu_dynamic=0.05, stribeck_speed=0.1),
@@ -104,7 +104,7 @@ def test_what_slips_says_so_and_has_its_dynamic_friction(device):
     assert data["block.linear_velocity"].values[-1, 0, 0] == pytest.approx(speed - first, abs=first)
 
 
-def test_a_turning_body_keeps_its_angular_momentum_in_float32(device):
+def test_rotating_body_conserves_angular_momentum_in_float32(device):
     scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
     body = scene.add_body(1.0, (1.0, 2.0, 2.5), angular_velocity=(0.1, 0.2, 1.0))
     ground = scene.add_surface(square(), position=(0, 0, -9.0))
@@ -116,7 +116,7 @@ def test_a_turning_body_keeps_its_angular_momentum_in_float32(device):
     np.testing.assert_allclose(model.sensor("scene.angular_momentum"), before, atol=3e-4)
 
 
-def test_boxes_rest_on_each_other_with_recovery_as_without(device):
+def test_stacked_boxes_come_to_rest_with_overlap_recovery(device):
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     below = scene.add_surface(square(20.0), name="ground")
     feet = [(x, y, -0.25) for x in (-0.2, 0.2) for y in (-0.2, 0.2)]
@@ -139,13 +139,13 @@ def test_boxes_rest_on_each_other_with_recovery_as_without(device):
     assert -4.0 * G * 1e-6 < model.sensor("box0_feet.gap").min() < 0.0
 
 
-def test_recovery_within_a_step_is_refused(device):
+def test_recovery_time_below_time_step_is_refused(device):
     with pytest.raises(ValueError, match=r"recovery_time must be at least the step, 0\.001 s, got 0\.0005 s"):
         wc.Simulation(ball(device=device), 1e-3, wc.integrators.MoreauJean(recovery_time=5e-4))
 
 
 @pytest.mark.parametrize("solver", ["auto", "accelerated"])
-def test_what_does_not_move_connects_nothing(device, solver):
+def test_contacts_of_one_fixed_body_are_not_coupled(device, solver):
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     table = scene.add_body(1.0, (1.0,) * 3, motion=wc.motions.Fixed(), name="table")
     top = scene.add_surface(square(5000.0), table, name="top")

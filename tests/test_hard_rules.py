@@ -69,13 +69,13 @@ def reference(device):
     ],
     ids=str,
 )
-def test_however_it_is_scheduled_the_result_is_the_same_to_the_bit(device, reference, options):
+def test_nonsmooth_results_are_bitwise_identical_for_any_schedule(device, reference, options):
     result = state_after(thrown(device=device), **options)
     for name, values in reference.items():
         assert np.array_equal(result[name], values), name
 
 
-def test_an_environment_alone_is_the_same_as_among_others(device, reference):
+def test_nonsmooth_environment_alone_equals_same_environment_among_others(device, reference):
     model = thrown(device=device)
     alone = thrown(envs=1, device=device)
     for name in ("one.angular_velocity", "two.linear_velocity"):
@@ -85,13 +85,13 @@ def test_an_environment_alone_is_the_same_as_among_others(device, reference):
         assert np.array_equal(result[name][0], values[4]), name
 
 
-def test_environments_on_two_devices_are_those_on_one(device, reference):
+def test_nonsmooth_results_on_two_devices_equal_one_device(device, reference):
     result = state_after(thrown(device=[device, device]))
     for name, values in reference.items():
         assert np.array_equal(result[name], values), name
 
 
-def test_a_reset_forgets_impulses_losses_and_failures_of_its_environments(device):
+def test_reset_clears_impulses_dissipation_and_failures_of_its_environments(device):
     model = ball(0.5, 0.3, height=0.1, velocity=(1.0, 0.0, 0.0), envs=2, device=device)
     simulation = wc.Simulation(model, 1e-3, HARD)
     simulation.step(500)
@@ -111,7 +111,7 @@ def test_a_reset_forgets_impulses_losses_and_failures_of_its_environments(device
     assert np.array_equal(model.sensor("ball.position"), first)
 
 
-def test_forces_are_the_mean_over_the_last_step_and_bodies_feel_them(device):
+def test_nonsmooth_forces_are_the_mean_over_the_last_step(device):
     model = ball(mu=0.3, height=0.0, velocity=(1.0, 0.0, 0.0), device=device)
     simulation = wc.Simulation(model, 2e-3, HARD)
     simulation.step(20)
@@ -125,7 +125,7 @@ def test_forces_are_the_mean_over_the_last_step_and_bodies_feel_them(device):
     assert model.sensor("scene.solve_converged")[0] == 1
 
 
-def test_a_contact_in_the_air_has_no_impulse_and_is_open(device):
+def test_separated_nonsmooth_contact_is_open_without_impulse(device):
     model = ball(0.9, height=0.05, device=device)
     data = wc.Simulation(model, 1e-3, HARD).run(0.3, ["touch.impulse", "touch.mode", "touch.normal_force"])
     impulse, mode = data["touch.impulse"].values[:, 0, 2], data["touch.mode"].values[:, 0]
@@ -134,7 +134,7 @@ def test_a_contact_in_the_air_has_no_impulse_and_is_open(device):
     assert ((data["touch.normal_force"].values[:, 0] == 0.0) == (impulse == 0.0)).all()
 
 
-def test_compliant_and_hard_contacts_live_in_one_scene(device):
+def test_compliant_and_nonsmooth_contacts_can_share_a_scene(device):
     """A block on four springy feet and one on rigid ones, a springy ball on top of the second."""
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     ground = scene.add_surface(square(20.0), name="ground")
@@ -159,7 +159,7 @@ def test_compliant_and_hard_contacts_live_in_one_scene(device):
     assert model.sensor("scene.closed_contacts")[0] == 4
 
 
-def test_one_model_can_be_stepped_either_way(device):
+def test_one_model_can_be_stepped_compliant_or_nonsmooth(device):
     material = wc.ContactMaterial(
         law=wc.laws.Hooke(stiffness=1e4), friction=wc.friction.Tanh(mu=0.3, velocity_scale=0.01)
     )
@@ -176,7 +176,7 @@ def test_one_model_can_be_stepped_either_way(device):
     assert np.array_equal(soft.run(0.2, ["ball.position"])["ball.position"].values, expected)
 
 
-def test_a_solve_that_ends_early_is_counted_and_said(device):
+def test_incomplete_nonsmooth_solve_is_counted_and_warns(device):
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     below = scene.add_surface(square(10.0), name="ground")
     feet = [(x, y, -0.25) for x in (-0.2, 0.2) for y in (-0.2, 0.2)]
@@ -205,7 +205,7 @@ def test_a_solve_that_ends_early_is_counted_and_said(device):
     assert not model.largest_residuals().any()
 
 
-def test_what_hard_contact_cannot_do_is_said(device):
+def test_nonsmooth_contact_raises_for_unsupported_features(device):
     cases = [
         (lambda: wc.integrators.MoreauJean(theta=0.4), "theta must be at least 0.5"),
         (lambda: wc.integrators.MoreauJean(solver="magic"), "solver must be one of 'auto', 'gauss_seidel'"),
@@ -243,7 +243,7 @@ def test_what_hard_contact_cannot_do_is_said(device):
         wc.Simulation(scene.build(device=device), 1e-3, HARD)
 
 
-def test_a_start_in_overlap_is_said_to_stay(device):
+def test_nonsmooth_initial_overlap_warns(device):
     model = ball(0.5, height=-0.02, envs=2, device=device)
     model["ball.position"] = [(0.0, 0.0, 0.1999), (0.0, 0.0, 0.18 - 0.1)]
     simulation = wc.Simulation(model, 1e-3, HARD)
@@ -252,14 +252,14 @@ def test_a_start_in_overlap_is_said_to_stay(device):
     assert model.sensor("touch.gap")[1] == pytest.approx(-0.02, abs=1e-4)
 
 
-def test_memory_of_hard_contacts_is_part_of_the_estimate(device):
+def test_memory_estimate_includes_nonsmooth_contacts(device):
     model = ball(0.5, 0.2, envs=100, device=device, precision="float32")
     simulation = wc.Simulation(model, 1e-3, HARD)
-    needs = [need for need in simulation.memory().needs if need.purpose == "nonsmooth contacts"]
+    needs = [need for need in simulation.memory().items if need.purpose == "nonsmooth contacts"]
     assert needs
     shared = sum(need.size for need in needs)
     model["touch.friction.mu"] = np.linspace(0.1, 0.2, 100)
-    own = sum(need.size for need in simulation.memory().needs if need.purpose == "nonsmooth contacts")
+    own = sum(need.size for need in simulation.memory().items if need.purpose == "nonsmooth contacts")
     # Five numbers for the only contact, in each environment.
     assert own - shared == 99 * 20
     assert "nonsmooth contacts" not in [
@@ -268,26 +268,26 @@ def test_memory_of_hard_contacts_is_part_of_the_estimate(device):
             ball(material=wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4)), device=device), 1e-3
         )
         .memory()
-        .needs
+        .items
     ]
 
 
-def test_simulations_of_one_model_each_follow_its_parameters_and_leave_nothing_behind(device):
+def test_simulations_of_one_model_follow_its_parameters_and_leave_no_uploads(device):
     model = ball(0.5, height=0.01, velocity=(0.0, 0.0, -1.0), gravity=0.0, device=device)
     parameter = model.find_parameter("touch.law.restitution")
-    before = len(parameter.uploads)
+    before = len(parameter.device_fields)
     simulations = [wc.Simulation(model, 1e-3, HARD) for _ in range(3)]
-    assert len(parameter.uploads) == before + 1
+    assert len(parameter.device_fields) == before + 1
     for simulation, restitution in zip(simulations, (0.2, 0.4, 0.6), strict=True):
         model["touch.law.restitution"] = restitution
         simulation.reset()
         simulation.step(20)
         assert model.sensor("ball.linear_velocity")[0, 2] == pytest.approx(restitution, rel=1e-12)
     wc.Simulation(ball(material=wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4)), device=device), 1e-3)
-    assert len(parameter.uploads) == before + 1
+    assert len(parameter.device_fields) == before + 1
 
 
-def test_a_recording_is_of_the_simulation_that_runs(device):
+def test_recording_uses_the_running_simulation(device):
     model = ball(0.5, height=0.01, velocity=(0.0, 0.0, -1.0), device=device)
     own = wc.Simulation(model, 1e-3, HARD)
     own.step(30)
@@ -301,7 +301,7 @@ def test_a_recording_is_of_the_simulation_that_runs(device):
     assert data["scene.impact_dissipation"].values[-1, 0] > lost
 
 
-def test_contact_couplings_stay_forces(device):
+def test_contact_couplings_remain_forces_with_nonsmooth_integrator(device):
     scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
     plate = scene.add_surface(wc.meshes.grid((4.0, 4.0)), name="plate")
     body = scene.add_body(1.0, (0.1,) * 3, position=(0, 0, 0.1), name="box")
@@ -322,7 +322,7 @@ def test_contact_couplings_stay_forces(device):
         wc.Simulation(model, 1e-3, wc.integrators.MoreauJean(compliant=["fender_first"]))
 
 
-def test_laws_begin_anew_after_hard_contact(device):
+def test_contact_history_is_reset_after_nonsmooth_steps(device):
     material = wc.ContactMaterial(law=wc.laws.HuntCrossley(stiffness=1e6, exponent=1.5, restitution=0.5))
     model = ball(material=material, height=1e-3, velocity=(0.0, 0.0, -2.0), device=device)
     wc.Simulation(model, 1e-4).step(15)

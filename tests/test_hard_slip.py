@@ -12,7 +12,7 @@ def by_equation(monkeypatch):
     """Solves a step without looking for directions."""
 
     def solve(step, **options):
-        monkeypatch.setattr(gauss_seidel, "TURNS", 0)
+        monkeypatch.setattr(gauss_seidel, "MAX_SLIP_ITERATIONS", 0)
         gauss_seidel.kernel.cache_clear()
         result = step.solve("gauss_seidel", **options)
         monkeypatch.undo()
@@ -44,7 +44,7 @@ def slipping(rng, bodies, moves, mu):
 @pytest.mark.parametrize("mu", [0.0, 0.3, 2.0])
 @pytest.mark.parametrize("moves", [False, True])
 @pytest.mark.parametrize("bodies", [1, 2])
-def test_a_fast_slip_is_what_its_equation_says(bodies, moves, mu, by_equation):
+def test_single_slip_solve_matches_its_equation(bodies, moves, mu, by_equation):
     rng = np.random.default_rng(5)
     for _ in range(3):
         step = slipping(rng, bodies, moves, mu)
@@ -57,7 +57,7 @@ def test_a_fast_slip_is_what_its_equation_says(bodies, moves, mu, by_equation):
 
 
 @pytest.mark.parametrize("number", range(8))
-def test_what_nothing_moves_apart_is_not_pushed_without_end(number):
+def test_impulse_is_bounded_for_immobile_contact_direction(number):
     """A slider along the ground: the normal cannot move, but by what rounding leaves of its direction."""
     turn = 0.1 + 0.37 * number
     axis = np.array([np.cos(turn), np.sin(turn), 0.0])
@@ -65,7 +65,7 @@ def test_what_nothing_moves_apart_is_not_pushed_without_end(number):
     inverse = np.zeros((6, 6))
     inverse[:3, :3] = np.outer(tilt @ axis, tilt @ axis)
     step = Step([inverse], [(tilt @ axis, np.zeros(3))], [])
-    step.rows = [Row(0, WORLD, np.zeros(3), np.zeros(3), tilt @ UP, 0.0, bounce=0.01)]
+    step.rows = [Row(0, WORLD, np.zeros(3), np.zeros(3), tilt @ UP, 0.0, restitution_speed=0.01)]
     result = step.solve("gauss_seidel", iterations=1)
     # The softened block: a hundredth of the mass, three times.
     assert np.abs(result.impulse).max() < 5.0

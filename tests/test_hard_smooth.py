@@ -26,7 +26,7 @@ def sphere(material, *, smooth=True, start=THROWN, gravity=G, contact=None, **bu
     return scene.build(**{"precision": "float64", **built})
 
 
-def test_a_sphere_on_a_plane_is_that_on_a_flat_mesh(device):
+def test_nonsmooth_sphere_on_plane_matches_flat_mesh(device):
     material = rigid(0.6, 0.1, rolling=wc.friction.Coulomb(mu=0.05), torsion=wc.friction.Coulomb(mu=0.2))
     names = ["ball.position", "ball.angular_velocity", "touch.gap", *LOSSES]
     names += [f"touch.{key}" for key in ("impulse", "mode", "normal_force", "friction_force", "torque")]
@@ -44,7 +44,7 @@ def test_a_sphere_on_a_plane_is_that_on_a_flat_mesh(device):
     assert (np.abs(runs[0]["touch.torque"].values[-1, 0]) > 1e-6).any()
 
 
-def test_a_ball_that_slides_ends_up_rolling(device):
+def test_nonsmooth_sliding_sphere_shape_ends_up_rolling(device):
     speed = 3.0
     start = {"position": (0.0, 0.0, RADIUS), "linear_velocity": (speed, 0.0, 0.0)}
     # At the surface of the ball, so that the arm is its radius.
@@ -57,7 +57,7 @@ def test_a_ball_that_slides_ends_up_rolling(device):
     assert model.sensor("touch.normal_force")[0] == pytest.approx(G, rel=1e-9)
 
 
-def test_restitution_and_friction_are_those_of_each_environment(device):
+def test_nonsmooth_shape_restitution_and_friction_can_vary_by_environment(device):
     start = {"position": (0.0, 0.0, RADIUS + 0.01), "linear_velocity": (2.0, 0.0, -3.0)}
     model = sphere(rigid(0.5, 0.1), start=start, gravity=0.0, envs=3, device=device)
     model["touch.law.restitution"] = [0.0, 0.4, 1.0]
@@ -76,7 +76,7 @@ def test_restitution_and_friction_are_those_of_each_environment(device):
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_a_ball_bounces_off_an_ellipsoid_along_its_normal(precision, device):
+def test_nonsmooth_sphere_bounces_off_ellipsoid_along_its_normal(precision, device):
     scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
     body = scene.add_body(1.0, INERTIA, position=(0.3, 0.1, 0.9), linear_velocity=(0.0, 0.0, -2.0), name="ball")
     hill = scene.add_shape(None, wc.shapes.Ellipsoid((1.0, 0.6, 0.4)), name="hill")
@@ -96,7 +96,7 @@ def test_a_ball_bounces_off_an_ellipsoid_along_its_normal(precision, device):
     assert -data["touch.gap"].values.min() <= 2.0 * 1e-3
 
 
-def test_two_spheres_exchange_momentum_as_newton_says(device):
+def test_nonsmooth_spheres_exchange_momentum_as_newton(device):
     scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
     shapes = []
     for name, place, velocity in (("one", 0.0, 2.0), ("two", 0.25, -0.5)):
@@ -140,7 +140,7 @@ def state(model):
     return np.concatenate([model.sensor(name).ravel() for name in names])
 
 
-def test_compliant_and_hard_contacts_of_the_same_code_live_in_one_scene(three):
+def test_compliant_and_nonsmooth_shape_contacts_can_share_a_scene(three):
     model, integrator = three
     simulation = wc.Simulation(model, 2e-4, integrator)
     simulation.reset()
@@ -166,7 +166,7 @@ def test_compliant_and_hard_contacts_of_the_same_code_live_in_one_scene(three):
     assert "middle_touch.impulse" in model.sensor_names
 
 
-def test_graphs_threads_and_resets_give_the_same_bits(three):
+def test_nonsmooth_shapes_are_bitwise_identical_with_graphs_threads_and_resets(three):
     model, integrator = three
     results = []
     for options in ({}, {"capture_graphs": False, "threads": 1}):
@@ -184,21 +184,21 @@ def test_graphs_threads_and_resets_give_the_same_bits(three):
     np.testing.assert_array_equal(results[0], results[2])
 
 
-def test_a_look_between_steps_changes_nothing(three):
+def test_nonsmooth_shapes_are_unchanged_by_sensor_evaluation(three):
     model, integrator = three
     simulation = wc.Simulation(model, 1e-3, integrator)
     results = []
-    for look in (False, True):
+    for evaluate in (False, True):
         simulation.reset()
         for _ in range(30):
             simulation.step(5)
-            if look:
+            if evaluate:
                 model.sensor("middle_touch.approach_speed")
         results.append(state(model))
     np.testing.assert_array_equal(*results)
 
 
-def test_another_simulation_takes_its_own_contacts(three):
+def test_simulations_with_different_integrators_use_their_own_contacts(three):
     """The forces of the law come back with an integrator that asks for them, and go again."""
     model, integrator = three
     hard = wc.Simulation(model, 2e-4, integrator)

@@ -29,7 +29,7 @@ def device_stiffness(curvature_1, curvature_2, real, device):
 
 # Of 5 steps of Newton's method, and a few roundings of the mean; float32 has 6e-8 and logarithms of 1e6 in it.
 @pytest.mark.parametrize(("real", "tolerance"), [(wp.float64, 1e-12), (wp.float32, 2e-6)])
-def test_the_stiffness_is_the_closed_form_for_all_ellipses(real, tolerance, device):
+def test_elliptic_hertz_stiffness_matches_closed_form(real, tolerance, device):
     quotient = np.concatenate([[1.0, 1.0 + 1e-12, 1.0 + 1e-7], np.geomspace(1.0 + 1e-6, 0.999e6, 150)])
     first, second, stiffness = device_stiffness(np.full(len(quotient), 3.0), 3.0 * quotient, real, device)
     # E* = 1 of a body with E = 1 and ν = 0 on a rigid one.
@@ -37,7 +37,7 @@ def test_the_stiffness_is_the_closed_form_for_all_ellipses(real, tolerance, devi
     np.testing.assert_allclose(stiffness, exact, rtol=tolerance)
 
 
-def test_lines_saddles_edges_and_faces(device):
+def test_elliptic_hertz_stiffness_has_correct_limits(device):
     inf = np.inf
     first = np.array([0.0, -2.0, 5e-6, 0.0, 1.0, -1.0, np.nan])
     second = np.array([5.0, 5.0, 5.0, 0.0, inf, -1.0, 1.0])
@@ -48,7 +48,7 @@ def test_lines_saddles_edges_and_faces(device):
     assert np.isnan(stiffness[3:]).all()
 
 
-def test_the_published_case_of_crossed_cylinders(device):
+def test_elliptic_hertz_stiffness_matches_published_crossed_cylinders(device):
     """Crossed at right angles, cylinders of equal radius touch like a sphere of that radius on a plane."""
     _, _, stiffness = device_stiffness(np.array([20.0]), np.array([20.0]), wp.float64, device)
     np.testing.assert_allclose(
@@ -57,7 +57,7 @@ def test_the_published_case_of_crossed_cylinders(device):
 
 
 @pytest.mark.parametrize(("precision", "tolerance"), [("float64", 1e-12), ("float32", 1e-6)])
-def test_a_sphere_on_a_mesh_has_its_own_radius(precision, tolerance, device):
+def test_elliptic_hertz_sphere_on_mesh_uses_its_radius(precision, tolerance, device):
     depth = 2.0**-10  # exact in both precisions
     model = dropped_sphere(STEEL, radius=0.125, height=-depth, envs=2, precision=precision, device=device)
     # The radius of every environment counts; the centre stays where it is.
@@ -70,7 +70,7 @@ def test_a_sphere_on_a_mesh_has_its_own_radius(precision, tolerance, device):
     np.testing.assert_allclose(model.sensor("touch.normal_force"), expected, rtol=tolerance)
 
 
-def test_losses_are_those_of_hunt_crossley(device):
+def test_elliptic_hertz_damping_equals_hunt_crossley(device):
     law = wc.laws.HertzElastic(modulus=1e9, restitution=0.5, damping=0.1)
     model = dropped_sphere(law, radius=0.1, height=-1e-3, precision="float64", device=device)
     factor = 1.0 + damping_factor_of_restitution(0.5) + 0.1  # at δ̇ = v₀ = 1 m/s
@@ -78,7 +78,7 @@ def test_losses_are_those_of_hunt_crossley(device):
     np.testing.assert_allclose(model.sensor("touch.normal_force"), factor * elastic, rtol=1e-9)
 
 
-def test_a_point_has_no_curvature():
+def test_elliptic_hertz_law_is_refused_for_a_point():
     scene = wc.Scene()
     ground = scene.add_surface(wc.meshes.grid((1.0, 1.0)))
     ball = scene.add_body(1.0, (1.0, 1.0, 1.0), position=(0, 0, 1))

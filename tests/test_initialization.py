@@ -39,7 +39,7 @@ def test_missing_gpu_is_not_mentioned():
 
 @without_driver
 @pytest.mark.parametrize("device", ["cuda", "cuda:0", ["cpu", "cuda:0"]])
-def test_missing_gpu_is_explained_on_request(device):
+def test_missing_gpu_is_reported_on_request(device):
     with pytest.raises(
         ValueError, match=r"no CUDA device was found: the NVIDIA driver cannot be loaded \(.*libcuda"
     ):
@@ -66,7 +66,7 @@ def test_output_of_native_code_is_written_after_an_error(capfd):
     assert capfd.readouterr().err == "before\n"
 
 
-def test_cache_that_cannot_be_created_is_named(tmp_path):
+def test_unwritable_kernel_cache_is_reported(tmp_path):
     file = tmp_path / "file"
     file.touch()
     ended = python(DEVICES, WARP_CACHE_PATH=file / "cache")
@@ -90,7 +90,7 @@ def test_cache_that_cannot_be_created_is_named(tmp_path):
         ),
     ],
 )
-def test_error_of_a_folder_names_the_remedy(error, match, monkeypatch):
+def test_kernel_cache_error_states_the_remedy(error, match, monkeypatch):
     folder = str(Path("cache").resolve())
     monkeypatch.setattr(wp.config, "kernel_cache_dir", folder)
     if error.filename:
@@ -99,7 +99,7 @@ def test_error_of_a_folder_names_the_remedy(error, match, monkeypatch):
         raise error
 
 
-def test_full_disk_is_noticed_before_the_compiler_is_called(monkeypatch, tmp_path):
+def test_full_disk_is_detected_before_the_compiler_is_called(monkeypatch, tmp_path):
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
     (tmp_path / "wp_compiled").mkdir()
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=initialization.ROOM - 1))
@@ -110,6 +110,6 @@ def test_full_disk_is_noticed_before_the_compiler_is_called(monkeypatch, tmp_pat
     initialization.require_room(lambda: "wp_other")
 
 
-def test_other_errors_are_unchanged():
+def test_other_initialization_errors_are_unchanged():
     error = OSError(errno.EACCES, "Permission denied", "/elsewhere")
     assert initialization.explained(error) is error

@@ -11,7 +11,7 @@ import pytest
 import warp as wp
 import warpcontact.kernels
 from warpcontact.kernels import contact_force
-from warpcontact.kernels.touch import Parts
+from warpcontact.kernels.touch import ContactModel
 
 import warpcontact as wc
 
@@ -43,7 +43,7 @@ def test_kernels_do_not_import_the_host():
     assert not found
 
 
-def test_device_functions_do_no_arithmetic_on_literals():
+def test_device_functions_have_no_arithmetic_on_literals():
     """Warp computes 1/3 of two literals in single precision for any result type; ``wp.static`` does not."""
 
     def is_number(node):
@@ -73,7 +73,7 @@ def test_device_functions_do_no_arithmetic_on_literals():
     assert not found
 
 
-def test_variables_of_kernels_are_not_initialized_by_a_cast_constant():
+def test_kernel_variables_are_not_initialized_by_a_cast_constant():
     """After ``x = real(C)`` of a constant of that type Warp lets loops change C with x; ``x = C`` is a copy."""
     cast = ("real", "wp.float64")
     found = []
@@ -95,7 +95,7 @@ def test_variables_of_kernels_are_not_initialized_by_a_cast_constant():
     assert not found
 
 
-def test_files_stay_short():
+def test_source_files_are_short():
     host = Path(warpcontact.__file__).parent
     long = {
         str(file): count
@@ -142,6 +142,6 @@ def test_every_kernel_compiles(real, device):
 @pytest.mark.parametrize("real", [wp.float32, wp.float64], ids=["float32", "float64"])
 def test_every_law_and_friction_model_compiles(real, device):
     for law in wc.laws.CATALOGUE:
-        contact_force.kernel(Parts(law), real).module.load(device)
+        contact_force.kernel(ContactModel(law), real).module.load(device)
     for friction in wc.friction.CATALOGUE:
-        contact_force.kernel(Parts(wc.laws.Hooke, friction), real).module.load(device)
+        contact_force.kernel(ContactModel(wc.laws.Hooke, friction), real).module.load(device)

@@ -82,8 +82,8 @@ def test_unknown_keyword_of_every_public_callable_is_explained():
             text = message(function, *[None] * of_object, there_is_no_such_keyword=1)
         except Exception as error:
             text = repr(error)
-        told = f"{name.rpartition('.')[2]}() got an unexpected keyword argument 'there_is_no"
-        if told not in text or not text.endswith(f" takes {known}"):
+        expected_start = f"{name.rpartition('.')[2]}() got an unexpected keyword argument 'there_is_no"
+        if expected_start not in text or not text.endswith(f" takes {known}"):
             wrong[name] = text
     assert not wrong
 
@@ -137,7 +137,7 @@ PROPOSALS = [
 
 
 @pytest.mark.parametrize(("call", "called", "meant"), PROPOSALS, ids=[f"{c}-{m}" for _, c, m in PROPOSALS])
-def test_unknown_keyword_gets_the_name_of_this_library(call, called, meant):
+def test_unknown_keyword_suggests_the_name_of_this_library(call, called, meant):
     text = message(call)
     assert text.startswith(f"{called}() got ")
     assert f"; did you mean '{meant}'? It takes " in text
@@ -164,7 +164,7 @@ def test_decorated_functions_keep_signature_name_and_documentation():
     assert list(parameters)[:2] == ["stiffness", "exponent"]
 
 
-def test_surface_contact_takes_the_options_of_a_contact():
+def test_surface_contact_accepts_the_options_of_a_contact():
     own = {"points", "surface", "material", "name"}
     assert set(ContactOptions.__annotations__) == set(keywords_of(wc.Scene.add_contact)) - own
 
@@ -189,14 +189,14 @@ def test_wrong_number_of_arguments_names_the_called_class(call, expected):
     assert str(caught.value).startswith(expected)
 
 
-def test_a_type_error_inside_of_a_function_is_unchanged():
+def test_type_error_inside_a_function_is_unchanged():
     scene = wc.Scene()
     point = scene.add_point(scene.add_body(1.0, (1.0, 1.0, 1.0)), (0, 0, 0))
     with pytest.raises(TypeError, match=r"^material of 'contact' must be a wc\.ContactMaterial, got None$"):
         scene.add_contact(point, scene.add_surface(wc.meshes.grid()), material=None)
 
 
-def test_unknown_names_of_units_and_modules_get_a_suggestion():
+def test_unknown_units_and_modules_get_a_suggestion():
     with pytest.raises(ValueError, match=r"unit must be one of m, .*, got 'inch'; did you mean 'in'\?"):
         wc.load_mesh("part.stl", unit="inch")
     with pytest.raises(
@@ -227,7 +227,7 @@ WORDS = [
 
 
 @pytest.mark.parametrize(("word", "known", "meant"), WORDS, ids=[word for word, _, _ in WORDS])
-def test_closest_name_is_a_likeness_or_the_word_for_the_same_quantity(word, known, meant):
+def test_closest_name_is_similar_or_a_synonym(word, known, meant):
     assert closest(word, known) == meant
 
 

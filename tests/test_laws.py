@@ -40,13 +40,13 @@ TOLERANCE = 1e-3
 
 
 @pytest.mark.parametrize("mass", [1.0, 0.05])
-def test_hunt_crossley_returns_the_restitution_asked_for(mass, device):
+def test_hunt_crossley_has_prescribed_restitution(mass, device):
     law = wc.laws.HuntCrossley(stiffness=1e6, exponent=1.5, restitution=0.5)
     measured = bounce(law, RESTITUTION, mass=mass, speed=2.0, exponent=1.5, device=device)
     np.testing.assert_allclose(measured, np.broadcast_to(RESTITUTION[:, None], measured.shape), atol=TOLERANCE)
 
 
-def test_kelvin_voigt_returns_the_restitution_asked_for(device):
+def test_kelvin_voigt_has_prescribed_restitution(device):
     law = wc.laws.KelvinVoigt(stiffness=1e5, restitution=0.5)
     measured = bounce(law, RESTITUTION, device=device)
     np.testing.assert_allclose(measured, np.broadcast_to(RESTITUTION[:, None], measured.shape), atol=TOLERANCE)
@@ -57,11 +57,11 @@ def test_kelvin_voigt_returns_the_restitution_asked_for(device):
     [(wc.laws.Hooke(stiffness=1e5), 1.0), (wc.laws.Hertz(stiffness=1e6), 1.5)],
     ids=["Hooke", "Hertz"],
 )
-def test_elastic_laws_give_everything_back(law, exponent, device):
+def test_elastic_laws_have_restitution_one(law, exponent, device):
     np.testing.assert_allclose(bounce(law, exponent=exponent, device=device), 1.0, atol=TOLERANCE)
 
 
-def test_constant_damping_follows_its_closed_form(device):
+def test_constant_damping_matches_closed_form_restitution(device):
     # Hunt–Crossley with constant χ: d = χ v₀ in the boxed equation of FORCE_LAWS B2.
     law = wc.laws.HuntCrossley(stiffness=1e6, damping=0.4)
     expected = hunt_crossley.restitution_of_damping_factor(0.4)
@@ -71,7 +71,7 @@ def test_constant_damping_follows_its_closed_form(device):
     np.testing.assert_allclose(bounce(law, device=device), 0.5717400276, atol=TOLERANCE)
 
 
-def test_the_effective_mass_is_that_of_both_bodies_at_the_point(device):
+def test_effective_mass_includes_both_bodies_at_the_contact_point(device):
     """Kelvin–Voigt keeps its restitution where the mass that matters is neither body's own."""
     scene = wc.Scene(gravity=(0, 0, 0))
     inertia = (0.02, 0.03, 0.04)
@@ -102,7 +102,7 @@ def test_the_effective_mass_is_that_of_both_bodies_at_the_point(device):
     np.testing.assert_allclose(-approach() / before, RESTITUTION, atol=0.01)
 
 
-def test_greatest_penetration_and_force_of_hertz_impact(shared, device):
+def test_peak_penetration_and_force_match_hertz_impact(shared, device):
     oracle = json.loads((shared / "spec" / "oracle_contactps2.json").read_text())["laws"]["hertz"]
     model = dropped_sphere(wc.laws.Hertz(stiffness=1e6), height=1e-4, device=device)
     sim = wc.Simulation(model, dt=1e-5)
@@ -114,7 +114,7 @@ def test_greatest_penetration_and_force_of_hertz_impact(shared, device):
     np.testing.assert_allclose(float(recording["touch.normal_force"].max()), oracle["Fmax_closed"], rtol=1e-3)
 
 
-def test_published_damping_factors_give_their_measured_restitution(shared, device):
+def test_published_damping_factors_match_measured_restitution(shared, device):
     """Every impact of the oracle in one batch: with v₀ = 1 m/s a published factor d is a constant χ = d/v₀."""
     oracle = json.loads((shared / "spec" / "oracle_contactps2.json").read_text())["laws"]
     published = {
@@ -135,7 +135,7 @@ def test_published_damping_factors_give_their_measured_restitution(shared, devic
     np.testing.assert_allclose(model.sensor("ball.linear_velocity")[:, 2], expected["e_out"], rtol=1e-3)
 
 
-def test_hertz_from_materials():
+def test_hertz_from_materials_matches_reference():
     # FORCE_LAWS G2: a steel ball of 10 mm on a steel half-space.
     law = wc.laws.Hertz.from_materials(E=210e9, nu=0.3, R=0.01, E2=210e9, nu2=0.3)
     np.testing.assert_allclose(law.stiffness, 1.538461538e10, rtol=1e-9)
@@ -164,14 +164,14 @@ def test_damping_conversions_are_inverses():
     np.testing.assert_allclose(restitution_of_damping_ratio(ratio), e, atol=1e-14)
 
 
-def test_restitution_of_published_hunt_crossley_numbers():
+def test_restitution_matches_published_hunt_crossley_values():
     # FORCE_LAWS G5.
     np.testing.assert_allclose(hunt_crossley.damping_factor_of_restitution(0.5), 1.432750533, rtol=1e-9)
     np.testing.assert_allclose(hunt_crossley.restitution_of_damping_factor(1.6), 0.4704447793, rtol=1e-8)
 
 
 @pytest.mark.parametrize("law", wc.laws.CATALOGUE, ids=lambda law: law.__name__)
-def test_every_law_documents_itself(law):
+def test_every_law_is_documented(law):
     assert law.__doc__
     assert law.formula
     assert law.reference
@@ -227,7 +227,7 @@ def test_samples_cover_the_catalogue():
 
 
 @pytest.mark.parametrize("law", sample_laws(), ids=repr)
-def test_no_law_pulls_unless_it_says_so(law, device):
+def test_laws_without_adhesion_never_pull(law, device):
     envs = 64
     rng = np.random.default_rng(4)
     model = dropped_sphere(law, envs=envs, device=device)
@@ -285,7 +285,7 @@ def test_no_law_pulls_unless_it_says_so(law, device):
         ),
     ],
 )
-def test_bad_laws_are_refused(make, message):
+def test_invalid_laws_are_refused(make, message):
     with pytest.raises((ValueError, TypeError), match=message):
         make()
 
@@ -299,7 +299,7 @@ def test_bad_laws_are_refused(make, message):
     ),
     ids=repr,
 )
-def test_no_law_gives_energy_along_a_closed_path(law, device):
+def test_no_law_adds_energy_along_a_closed_path(law, device):
     """Random smooth paths δ(t) from touch to touch, with reloading: the work on the contact is never negative.
 
     Elastic laws give all of it back. History advances by steps too short to move anything.

@@ -13,12 +13,12 @@ from warpcontact.cli import main
 
 pytestmark = pytest.mark.installed
 
-OWN = Path(__file__).with_name("user_laws.py")
-TOO_STIFF = OWN.read_text().partition("too stiff")[0].count("\n") + 1
+CUSTOM_LAWS = Path(__file__).with_name("user_laws.py")
+TOO_STIFF = CUSTOM_LAWS.read_text().partition("too stiff")[0].count("\n") + 1
 
 
 @pytest.mark.smoke
-def test_laws_lists_the_whole_catalogue(capsys):
+def test_laws_command_lists_the_whole_catalogue(capsys):
     assert main(["laws"]) == 0
     out = capsys.readouterr().out
     words = " ".join(out.split())
@@ -37,7 +37,7 @@ def test_laws_lists_the_whole_catalogue(capsys):
     assert max(map(len, out.splitlines())) <= 100
 
 
-def test_laws_say_in_words_how_sure_a_formula_is(capsys):
+def test_laws_command_states_provenance_of_each_formula(capsys):
     assert main(["laws"]) == 0
     out = capsys.readouterr().out
     legend = " ".join(out[: out.index("LAWS")].split())
@@ -51,7 +51,7 @@ def test_laws_say_in_words_how_sure_a_formula_is(capsys):
         assert ("derived and confirmed by integration (D)" in known) == ("D" in formula.provenance), formula
 
 
-def test_laws_of_a_name_shows_that_entry_only(capsys):
+def test_laws_command_with_a_name_prints_that_entry_only(capsys):
     assert main(["laws", "HuGuo"]) == 0
     out = capsys.readouterr().out
     assert out.startswith("  HuGuo\n    formula N = K δⁿ (1 + d δ̇/v₀),  d = 3(1−e)/(2e)\n")
@@ -132,11 +132,11 @@ def test_laws_of_a_name_shows_that_entry_only(capsys):
     ],
     ids=lambda value: " ".join(value)[:40] if isinstance(value, list) else None,
 )
-def test_wrong_use_of_laws_is_one_message_and_draws_nothing(words, message, tmp_path, capsys, monkeypatch):
+def test_invalid_laws_command_prints_one_message_and_draws_nothing(words, message, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("file").write_text("")
     Path("folder.svg").mkdir()
-    shutil.copy(OWN, "my_laws.py")
+    shutil.copy(CUSTOM_LAWS, "my_laws.py")
     assert main(["laws", *words]) == 2
     out, err = capsys.readouterr()
     assert out == ""
@@ -147,7 +147,7 @@ def test_wrong_use_of_laws_is_one_message_and_draws_nothing(words, message, tmp_
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "expected_text"),
     [
         (["Hertz", "--mass", "2", "--speed", "3", "--depth", "0.002"], "sphere of 2 kg on a plate at 3 m/s"),
         (["--compare", "../my_laws.py:Cubic", "Hertz"], "Cubic: stiffness 2e+12 N/m³"),
@@ -167,22 +167,22 @@ def test_wrong_use_of_laws_is_one_message_and_draws_nothing(words, message, tmp_
     ],
     ids=lambda value: " ".join(value)[:40] if isinstance(value, list) else None,
 )
-def test_laws_draws_what_is_asked_for(words, said, tmp_path, capsys, monkeypatch):
-    shutil.copy(OWN, tmp_path / "my_laws.py")
+def test_laws_command_draws_the_requested_plot(words, expected_text, tmp_path, capsys, monkeypatch):
+    shutil.copy(CUSTOM_LAWS, tmp_path / "my_laws.py")
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
     # With texts as texts, so that they can be looked for.
     with matplotlib.rc_context({"svg.fonttype": "none"}):
         assert main(["laws", *words, "--plot", "a.svg"]) == 0
     assert capsys.readouterr().out == "picture: a.svg\n"
-    assert said in Path("a.svg").read_text()
+    assert expected_text in Path("a.svg").read_text()
     assert main(["laws", *words, "--plot", "a.PNG"]) == 0
     assert Path("a.PNG").read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_file_of_ones_own_is_shown_and_drawn_beside_one_of_its_name(tmp_path, capsys, monkeypatch):
+def test_laws_command_distinguishes_custom_law_from_library_law_of_equal_name(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    Path("my_laws.py").write_text(OWN.read_text().replace("Cubic", "Hertz"))
+    Path("my_laws.py").write_text(CUSTOM_LAWS.read_text().replace("Cubic", "Hertz"))
     assert main(["laws", "my_laws.py:Hertz"]) == 0
     out = capsys.readouterr().out
     assert out.startswith("  Hertz\n    formula N = k δ³.\n    stiffness         N/m³    > 0")
@@ -191,9 +191,9 @@ def test_a_file_of_ones_own_is_shown_and_drawn_beside_one_of_its_name(tmp_path, 
     assert "my_laws.py:Hertz (Hertz): stiffness" in Path("a.svg").read_text()
 
 
-def test_a_class_that_does_not_compile_is_explained(tmp_path, capsys, monkeypatch):
+def test_laws_command_explains_a_compile_error(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    shutil.copy(OWN, "my_laws.py")
+    shutil.copy(CUSTOM_LAWS, "my_laws.py")
     assert main(["laws", "my_laws.py:Careless", "--plot", "a.svg"]) == 2
     err = capsys.readouterr().err
     assert "law Careless does not compile in float64" in err
@@ -201,9 +201,9 @@ def test_a_class_that_does_not_compile_is_explained(tmp_path, capsys, monkeypatc
     assert not Path("a.svg").exists()
 
 
-def test_values_that_only_the_author_knows_are_asked_for(tmp_path, capsys, monkeypatch):
+def test_laws_command_asks_for_required_values(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    shutil.copy(OWN.with_name("own_law.py"), "own_law.py")
+    shutil.copy(CUSTOM_LAWS.with_name("own_law.py"), "own_law.py")
     assert main(["laws", "own_law.py:Plastic", "--plot", "a.svg", "--set", "loading=1e6"]) == 2
     assert "Plastic needs unloading: add --set unloading=…" in capsys.readouterr().err
     with matplotlib.rc_context({"svg.fonttype": "none"}):
@@ -213,6 +213,6 @@ def test_values_that_only_the_author_knows_are_asked_for(tmp_path, capsys, monke
 
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs a folder in which nobody can write")
-def test_a_picture_that_cannot_be_written_is_said_before_anything_runs(capsys):
+def test_laws_command_checks_output_path_before_running(capsys):
     assert main(["laws", "Hertz", "--plot", "/proc/a.png"]) == 2
     assert capsys.readouterr().err == "warpcontact: /proc/a.png: cannot be written: No such file or directory\n"

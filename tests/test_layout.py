@@ -34,14 +34,14 @@ def run(code, folder, words=(), **environment):
     )
 
 
-def test_kernels_have_one_name(tmp_path):
+def test_kernels_package_has_one_name(tmp_path):
     shutil.copytree(KERNELS, tmp_path / "kernels", ignore=shutil.ignore_patterns("__pycache__"))
     result = run("import kernels", tmp_path)
     assert result.returncode != 0
     assert "import this package as 'warpcontact.kernels', not as 'kernels'" in result.stderr
 
 
-def test_two_checkouts_in_one_environment_are_refused(tmp_path):
+def test_mixed_checkouts_are_refused(tmp_path):
     shutil.copytree(HOST, tmp_path / "warpcontact", ignore=shutil.ignore_patterns("__pycache__", "kernels"))
     # The host from the current folder, its kernels from wherever this package is installed.
     code = (
@@ -102,7 +102,7 @@ ON_DEMAND = (
 
 
 @pytest.mark.parametrize("name", ON_DEMAND)
-def test_type_checkers_see_every_name_that_is_loaded_on_demand(name):
+def test_type_checkers_see_every_lazily_loaded_name(name):
     module = importlib.import_module(f"warpcontact.{name}")
     body = ast.parse(Path(module.__file__).read_text()).body
     (checked,) = (node for node in body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")
@@ -122,13 +122,13 @@ def test_type_checkers_see_every_name_that_is_loaded_on_demand(name):
     assert {*homes} | declared == {*module.__all__} - at_once
 
 
-def test_importing_the_package_loads_nothing_slow(tmp_path):
+def test_package_import_loads_no_slow_package(tmp_path):
     code = "import sys, warpcontact; print([m for m in ('warp', 'numpy', 'xarray', 'pxr') if m in sys.modules])"
     result = run(code, tmp_path)
     assert result.stdout.strip() == "[]", result.stderr
 
 
-def test_importing_every_name_does_not_start_warp(tmp_path):
+def test_import_of_every_name_does_not_initialize_warp(tmp_path):
     # It says so when it starts, and who imports may still want to tell it not to.
     code = (
         "import warpcontact as wc; every = [getattr(wc, name) for name in wc.__all__];"
@@ -138,7 +138,7 @@ def test_importing_every_name_does_not_start_warp(tmp_path):
     assert result.stdout == "True\n", result.stdout + result.stderr
 
 
-def test_importing_what_a_simulation_needs_loads_nothing_that_it_may_not_need(tmp_path):
+def test_import_for_a_simulation_loads_no_optional_package(tmp_path):
     code = (
         "import sys, warpcontact as wc; wc.Scene, wc.Simulation, wc.ContactMaterial, wc.laws, wc.friction, wc.load_mesh;"
         "slow = ('xarray', 'pandas', 'scipy', 'zarr', 'pydantic', 'matplotlib', 'trimesh', 'pxr');"
@@ -161,7 +161,7 @@ NEEDLESS = (
 )
 
 
-def test_the_first_step_of_an_experiment_loads_nothing_that_it_has_no_need_of(tmp_path):
+def test_first_step_of_an_experiment_loads_no_optional_package(tmp_path):
     code = (
         "import sys, warpcontact as wc; experiment = wc.Experiment.from_toml(sys.argv[1]);"
         "wc.Simulation(experiment.model(2, 'cpu'), experiment.settings.dt).step();"
@@ -172,10 +172,10 @@ def test_the_first_step_of_an_experiment_loads_nothing_that_it_has_no_need_of(tm
     assert result.stdout.strip().splitlines()[-1] == "[]", result.stderr
 
 
-def test_garbage_is_collected_again_after_a_pause_if_it_was_before():
+def test_garbage_collection_resumes_after_a_pause_if_it_was_enabled():
     def fails():
-        with collecting.paused():
-            with collecting.paused():
+        with collecting.gc_paused():
+            with collecting.gc_paused():
                 pass
             assert not gc.isenabled()
             raise ValueError("meanwhile")
@@ -186,16 +186,16 @@ def test_garbage_is_collected_again_after_a_pause_if_it_was_before():
     assert gc.isenabled()
 
 
-def test_what_was_made_in_a_pause_is_old_and_what_others_froze_stays_so():
+def test_objects_made_in_a_pause_are_in_the_oldest_generation_and_frozen_objects_stay_frozen():
     # What runs the tests may have frozen something.
     gc.unfreeze()
-    with collecting.paused():
+    with collecting.gc_paused():
         made = [[] for _ in range(10)]
     assert any(one is made for one in gc.get_objects(generation=2))
     gc.freeze()
     try:
         frozen = gc.get_freeze_count()
-        with collecting.paused():
+        with collecting.gc_paused():
             made = [[] for _ in range(10)]
         assert any(one is made for one in gc.get_objects(generation=0))
         # Some of what is frozen may be freed meanwhile.

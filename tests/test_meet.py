@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 from case_marks import slow_except
-from like_a_gpu import cells_everywhere, with_queues
-from test_alone import ALONE, ENVS, HILLS, MATERIAL, STATE, STUCK
+from like_a_gpu import build_all_face_grids, use_work_queues
+from test_alone import ENVS, HILLS, MATERIAL, SINGLE_BODY_SCENES, STATE, STUCK
 
 import warpcontact as wc
-from warpcontact.model import WITHOUT_CONTACT
-from warpcontact.schedule import Span
+from warpcontact.model import ZERO_WITHOUT_CONTACT
+from warpcontact.schedule import ExecutionPlan
 
 pytestmark = [pytest.mark.launch_shapes, pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")]
 
@@ -29,7 +29,7 @@ def balls(material=MATERIAL):
 
 def two_laws(scene):
     """A box with two kinds of contacts."""
-    ALONE["points in blocks"](scene)
+    SINGLE_BODY_SCENES["points in clusters"](scene)
     scene.add_contact(
         scene.add_points(scene.bodies[0], [(0.1, 0.1, -0.1), (-0.1, -0.1, -0.1)]),
         scene.surfaces[0],
@@ -51,7 +51,7 @@ def taken(make, device, precision, *, at_once, asks):
     velocity = model["body.linear_velocity"]
     model["body.linear_velocity"] = velocity + rng.normal(0, 0.7, (ENVS, *velocity.shape[1:]))
     sim = wc.Simulation(model, dt=1e-3, deterministic=True)
-    names = [f"{contact.name}.{key}" for contact in scene.contacts for key in WITHOUT_CONTACT]
+    names = [f"{contact.name}.{key}" for contact in scene.contacts for key in ZERO_WITHOUT_CONTACT]
     seen = []
     for _ in range(6):
         sim.step(97)
@@ -59,43 +59,44 @@ def taken(make, device, precision, *, at_once, asks):
             # What was told is taken for what is, of contacts that can not touch yet.
             seen += [model.sensor(name) for name in names]
     assert any((model.sensor(name) > 0).any() for name in names if name.endswith("normal_force"))
-    kernels = {launch.kernel.key.split("__")[-1] for launch in sim._prepared[1]._steppers[0]._steps[0].whole}
-    assert at_once == bool(kernels & {"meet_sets", "meet_in_cells", "step_in_place"}), kernels
+    kernels = {launch.kernel.key.split("__")[-1] for launch in sim._prepared[1]._steppers[0]._steps[0].full}
+    assert at_once == bool(kernels & {"update_sets", "fused_in_grid", "fused_steps"}), kernels
     return [model.sensor(f"body.{key}") for key in STATE], seen
 
 
-@pytest.mark.parametrize("asks", [False, True], ids=["", "and told to who asks"])
+@pytest.mark.parametrize("asks", [False, True], ids=["not_monitored", "monitored"])
 @pytest.mark.parametrize(
     ("name", "precision"),
     [
-        *((name, "float32") for name in [*ALONE, *MANY]),
-        ("points in blocks", "float64"),
+        *((name, "float32") for name in [*SINGLE_BODY_SCENES, *MANY]),
+        ("points in clusters", "float64"),
         *slow_except(
-            [(name, "float64") for name in [*ALONE, *MANY] if name != "points in blocks"], lambda case: False
+            [(name, "float64") for name in [*SINGLE_BODY_SCENES, *MANY] if name != "points in clusters"],
+            lambda case: False,
         ),
     ],
 )
-def test_a_cpu_finds_the_same_at_once(name, precision, asks, monkeypatch):
-    make = {**ALONE, **MANY}[name]
+def test_fused_contact_on_cpu_equals_staged_contact(name, precision, asks, monkeypatch):
+    make = {**SINGLE_BODY_SCENES, **MANY}[name]
     states, seen = taken(make, "cpu", precision, at_once=True, asks=asks)
-    monkeypatch.setattr(Span, "meets", False)
+    monkeypatch.setattr(ExecutionPlan, "fuses_contact", False)
     others, also = taken(make, "cpu", precision, at_once=False, asks=asks)
     for left, right in zip(states + seen, others + also, strict=True):
         np.testing.assert_array_equal(left, right)
 
 
-@pytest.mark.parametrize("asks", [False, True], ids=["", "and told to who asks"])
+@pytest.mark.parametrize("asks", [False, True], ids=["not_monitored", "monitored"])
 @pytest.mark.parametrize("few", [131072, 0], ids=["few", "many"])
 @pytest.mark.parametrize(
     "name", slow_except(["balls", "balls that stick"], lambda name: name == "balls that stick")
 )
-def test_a_gpu_finds_the_same_at_once(name, few, asks, monkeypatch, device):
+def test_fused_contact_on_gpu_equals_staged_contact(name, few, asks, monkeypatch, device):
     if device == "cpu":
-        cells_everywhere(monkeypatch)
-        with_queues(monkeypatch)
-    monkeypatch.setattr("warpcontact.schedule.FEW", few)
+        build_all_face_grids(monkeypatch)
+        use_work_queues(monkeypatch)
+    monkeypatch.setattr("warpcontact.schedule.SMALL_LAUNCH", few)
     states, seen = taken(MANY[name], device, "float32", at_once=True, asks=asks)
-    monkeypatch.setattr(Span, "meets", False)
+    monkeypatch.setattr(ExecutionPlan, "fuses_contact", False)
     others, also = taken(MANY[name], device, "float32", at_once=False, asks=asks)
     for left, right in zip(states + seen, others + also, strict=True):
         np.testing.assert_array_equal(left, right)
@@ -103,16 +104,16 @@ def test_a_gpu_finds_the_same_at_once(name, few, asks, monkeypatch, device):
 
 @pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("at_once", [True, False])
-def test_many_contacts_of_a_gpu_remember_that_nothing_is_near(at_once, precision, monkeypatch, device):
+def test_culling_of_many_contacts_on_gpu_matches_few_contacts(at_once, precision, monkeypatch, device):
     """The same as of few, which look each time; what was known is forgotten where radii grow."""
     if device == "cpu":
-        cells_everywhere(monkeypatch)
-        with_queues(monkeypatch)
+        build_all_face_grids(monkeypatch)
+        use_work_queues(monkeypatch)
     if not at_once:
-        monkeypatch.setattr(Span, "meets", False)
+        monkeypatch.setattr(ExecutionPlan, "fuses_contact", False)
     ends = []
     for few in (131072, 0):
-        monkeypatch.setattr("warpcontact.schedule.FEW", few)
+        monkeypatch.setattr("warpcontact.schedule.SMALL_LAUNCH", few)
         scene = wc.Scene()
         balls()(scene)
         model = scene.build(envs=ENVS, precision=precision, device=device)
@@ -120,9 +121,9 @@ def test_many_contacts_of_a_gpu_remember_that_nothing_is_near(at_once, precision
         kept = []
         for radius in (0.1, 0.12, 0.1, 0.12):
             model["touch.radius"] = radius
-            assert not model.arrays.cache.room.numpy().any()
+            assert not model.arrays.cache.clearance.numpy().any()
             sim.step(80)
-            kept.append(int((model.arrays.cache.room.numpy() > 0).sum()))
+            kept.append(int((model.arrays.cache.clearance.numpy() > 0).sum()))
         assert [number > 0 for number in kept] == [few == 0] * 4
         ends.append([model.sensor(f"body.{key}") for key in STATE])
     for one, other in zip(*ends, strict=True):

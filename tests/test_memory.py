@@ -12,11 +12,11 @@ from warpcontact.kernels.types import ENV_FROZEN
 
 import warpcontact as wc
 
-pytestmark = pytest.mark.usefixtures("steps_tell")
+pytestmark = pytest.mark.usefixtures("write_step_outputs")
 
 F = wc.friction
 G = 9.81
-REMEMBERING = [
+FRICTION_WITH_HISTORY = [
     F.CundallStrack(mu_static=0.5, mu_dynamic=0.3, stiffness=1e4, damping=2.0),
     F.Mindlin(mu_static=0.5, mu_dynamic=0.3, shear_modulus=1e5, damping=2.0),
     F.Dahl(mu=0.4, stiffness=1e3),
@@ -30,9 +30,9 @@ def name_of(value):
     return type(value).__name__
 
 
-def test_every_friction_with_memory_of_the_catalogue_is_here():
+def test_samples_cover_every_friction_model_with_history():
     assert {friction for friction in F.CATALOGUE if friction.memories} <= {
-        type(friction) for friction in REMEMBERING
+        type(friction) for friction in FRICTION_WITH_HISTORY
     }
 
 
@@ -74,8 +74,8 @@ def random_velocities(steps, envs, seed):
     return ((1 - share) * nodes[low] + share * nodes[low + 1]) * np.logspace(-2, 1, envs)[:, None]
 
 
-@pytest.mark.parametrize("friction", REMEMBERING, ids=name_of)
-def test_friction_stays_in_its_cone_and_gives_back_no_more_than_it_stored(friction, device):
+@pytest.mark.parametrize("friction", FRICTION_WITH_HISTORY, ids=name_of)
+def test_friction_with_history_stays_in_its_cone_and_is_passive(friction, device):
     velocity = random_velocities(600, 24, seed=3)
     work, forces, normals = driven(friction, velocity, 1e-3, device)
     size = np.linalg.norm(forces, axis=2)
@@ -96,7 +96,7 @@ def test_friction_stays_in_its_cone_and_gives_back_no_more_than_it_stored(fricti
     ],
     ids=name_of,
 )
-def test_dynamic_friction_may_be_larger_than_static(friction, device):
+def test_dynamic_friction_above_static_friction_is_passive(friction, device):
     """It then holds as much: a spring that slid and stuck between the two by turns would give energy away."""
     work, _, _ = driven(friction, random_velocities(600, 24, seed=4), 1e-3, device)
     given = np.cumsum(work, axis=0)
@@ -105,8 +105,8 @@ def test_dynamic_friction_may_be_larger_than_static(friction, device):
     np.testing.assert_allclose(np.linalg.norm(forces[-1], axis=1), 0.4 * normals[-1], rtol=1e-6)
 
 
-@pytest.mark.parametrize("friction", REMEMBERING, ids=name_of)
-def test_a_small_swing_of_slip_is_nearly_lossless(friction, device):
+@pytest.mark.parametrize("friction", FRICTION_WITH_HISTORY, ids=name_of)
+def test_small_oscillation_of_slip_is_nearly_lossless(friction, device):
     """Presliding: slip below the reach of the springs does as much work on the way back."""
     amplitude, steps = 2e-6, 6000
     dt = 3 * 2 * np.pi / 100 / steps
@@ -134,10 +134,10 @@ def test_a_small_swing_of_slip_is_nearly_lossless(friction, device):
     np.testing.assert_allclose(stiffness, expected, rtol=5e-3)
 
 
-def test_a_steady_slide_pulls_with_the_dynamic_coefficient(device):
+def test_steady_slip_has_the_dynamic_coefficient(device):
     """Judged by μ_s alone at every step, the slider would stick again and pull anything between μ_d and μ_s."""
     velocity = np.full((400, 1, 2), 0.05)
-    for friction in REMEMBERING[:2]:
+    for friction in FRICTION_WITH_HISTORY[:2]:
         _, forces, normals = driven(friction, velocity, 1e-4, device)
         coefficient = np.linalg.norm(forces, axis=2) / normals
         start = int(np.argmax(coefficient[:, 0] == coefficient.max()))
@@ -146,7 +146,7 @@ def test_a_steady_slide_pulls_with_the_dynamic_coefficient(device):
         np.testing.assert_allclose(coefficient[start + 1 :], 0.3, rtol=1e-12)
 
 
-def test_a_patch_keeps_its_force_while_it_grows_and_its_stretch_while_it_shrinks(device):
+def test_mindlin_spring_keeps_force_on_loading_and_stretch_on_unloading(device):
     """Mindlin: dF = 8 G* a dξ. Neither way does a load that swings put energy into the spring."""
     friction = F.Mindlin(mu_static=10.0, mu_dynamic=10.0, shear_modulus=1e5)
     model = dropped_sphere(
@@ -179,7 +179,7 @@ def test_a_patch_keeps_its_force_while_it_grows_and_its_stretch_while_it_shrinks
     ],
     ids=["CundallStrack", "stiff dashpot", "Mindlin"],
 )
-def test_a_dashpot_that_outlasts_the_step_gives_nothing_either(friction, device):
+def test_friction_with_slow_dashpot_is_passive(friction, device):
     """c/k many times dt, slow after fast slip, and a load that swings: where published return maps push."""
     rng = np.random.default_rng(8)
     velocity = random_velocities(600, 24, seed=9)
@@ -196,7 +196,7 @@ def test_a_dashpot_that_outlasts_the_step_gives_nothing_either(friction, device)
 
 @pytest.mark.parametrize("damping", [0.0, 180.0, 500.0, 5000.0])
 @pytest.mark.parametrize("speed", [2.5, 5.0])
-def test_an_oblique_impact_in_full_slip_loses_what_coulomb_says(speed, damping, device):
+def test_oblique_impact_in_full_slip_loses_velocity_as_coulomb(speed, damping, device):
     # FORCE_LAWS G14: v_t' = v_t − μ (1 + e) v_n while v_t ≥ (7/2) μ (1 + e) v_n; e = 1, v_n = 1, μ = 0.3.
     friction = F.CundallStrack(mu_static=0.3, mu_dynamic=0.3, stiffness=2e5 / 7, damping=damping)
     model = dropped_sphere(
@@ -209,7 +209,7 @@ def test_an_oblique_impact_in_full_slip_loses_what_coulomb_says(speed, damping, 
     np.testing.assert_allclose(model.sensor("ball.linear_velocity")[0, 0], speed - 0.6, rtol=1e-3)
 
 
-def test_the_part_of_bristle_damping_falls_with_speed(device):
+def test_bristle_damping_decreases_with_speed(device):
     """LuGre: σ₁ exp(−(s/v_d)²), seen in the first instant of slip."""
     options = {"mu_static": 90.0, "mu_dynamic": 90.0, "stribeck_speed": 1.0, "stiffness": 1e-3, "damping": 2.0}
     speeds = np.array([[0.5, 0.0], [1.0, 0.0], [2.0, 0.0]])
@@ -222,7 +222,7 @@ def test_the_part_of_bristle_damping_falls_with_speed(device):
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_a_law_that_remembers_its_deepest_point_rebounds_as_in_closed_form(precision, device):
+def test_law_with_history_of_peak_penetration_has_closed_form_restitution(precision, device):
     ratio = np.array([1.0, 2.0, 4.0, 16.0])
     model = dropped_sphere(
         own_law.Plastic(loading=1e5, unloading=1e5), height=1e-3, velocity=(0, 0, -1), envs=4, device=device,
@@ -255,8 +255,8 @@ def pushed(friction, device, envs=3, precision="float64", **options):
     return model, sim
 
 
-@pytest.mark.parametrize("friction", REMEMBERING, ids=name_of)
-def test_a_reading_advances_no_memory(friction, device):
+@pytest.mark.parametrize("friction", FRICTION_WITH_HISTORY, ids=name_of)
+def test_sensor_evaluation_does_not_advance_history(friction, device):
     model, sim = pushed(friction, device)
     other, twin = pushed(friction, device)
     first = model.sensor("touch.friction_force")
@@ -268,8 +268,8 @@ def test_a_reading_advances_no_memory(friction, device):
     np.testing.assert_array_equal(model.sensor("ball.position"), other.sensor("ball.position"))
 
 
-@pytest.mark.parametrize("friction", REMEMBERING, ids=name_of)
-def test_a_reading_is_the_force_of_the_next_step(friction, device):
+@pytest.mark.parametrize("friction", FRICTION_WITH_HISTORY, ids=name_of)
+def test_sensor_value_is_the_force_of_the_next_step(friction, device):
     """Also just after touch: the memory knows how long ago it was advanced."""
     model = dropped_sphere(
         wc.laws.Hooke(stiffness=1e4), friction=friction, height=1e-4, velocity=(0.3, 0.1, -1), envs=2,
@@ -287,7 +287,7 @@ def test_a_reading_is_the_force_of_the_next_step(friction, device):
     assert touched > 8
 
 
-def test_memory_begins_with_the_contact_not_with_the_step(device):
+def test_history_starts_at_the_instant_of_contact(device):
     """The spring of a contact found 0.3 steps after touch has stretched for 0.3 steps."""
     friction = F.CundallStrack(mu_static=10.0, mu_dynamic=10.0, stiffness=1e4)
     model = dropped_sphere(
@@ -299,8 +299,8 @@ def test_memory_begins_with_the_contact_not_with_the_step(device):
     np.testing.assert_allclose(model.sensor("touch.friction_force")[0], (-1e4 * 0.3 * 0.3e-4, 0, 0), rtol=1e-6)
 
 
-@pytest.mark.parametrize("friction", REMEMBERING, ids=name_of)
-def test_reset_empties_the_memory_of_chosen_environments(friction, device):
+@pytest.mark.parametrize("friction", FRICTION_WITH_HISTORY, ids=name_of)
+def test_reset_clears_history_of_masked_environments(friction, device):
     model, sim = pushed(friction, device)
     start, _ = pushed(friction, device)
     start.reset()
@@ -315,8 +315,8 @@ def test_reset_empties_the_memory_of_chosen_environments(friction, device):
     np.testing.assert_array_equal(model.sensor("touch.friction_force"), before)
 
 
-@pytest.mark.parametrize("friction", REMEMBERING, ids=name_of)
-def test_memory_ends_with_the_contact(friction, device):
+@pytest.mark.parametrize("friction", FRICTION_WITH_HISTORY, ids=name_of)
+def test_history_is_cleared_when_the_contact_ends(friction, device):
     model, sim = pushed(friction, device)
     held = sim.state.body_position.numpy().copy()
     sim.state.body_position.fill_(model.types.vec3(0.0, 0.0, 1.0))
@@ -328,8 +328,8 @@ def test_memory_ends_with_the_contact(friction, device):
     assert (model.sensor("touch.normal_force") > 1.0).all()
 
 
-def test_the_memory_of_a_frozen_environment_is_left_alone(device):
-    model, sim = pushed(REMEMBERING[0], device)
+def test_history_of_frozen_environment_is_unchanged(device):
+    model, sim = pushed(FRICTION_WITH_HISTORY[0], device)
     status = model.arrays.status.numpy().copy()
     status[1] = ENV_FROZEN
     model.arrays.status.assign(status)
@@ -344,8 +344,10 @@ def test_the_memory_of_a_frozen_environment_is_left_alone(device):
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
-@pytest.mark.parametrize("friction", [REMEMBERING[0], REMEMBERING[3], REMEMBERING[4]], ids=name_of)
-def test_memory_turns_with_the_bodies(friction, precision, device):
+@pytest.mark.parametrize(
+    "friction", [FRICTION_WITH_HISTORY[0], FRICTION_WITH_HISTORY[3], FRICTION_WITH_HISTORY[4]], ids=name_of
+)
+def test_history_vectors_rotate_with_the_bodies(friction, precision, device):
     """Two bodies that turn as one: the force of a stretched spring turns with them, about any axis."""
     scene = wc.Scene(gravity=(0, 0, 0))
     carrier = scene.add_body(1e15, (1e15, 1e15, 1e15), name="carrier")
@@ -425,13 +427,13 @@ MISTAKES = [
 
 
 @pytest.mark.parametrize(("body", "message"), MISTAKES)
-def test_a_mistaken_declaration_is_explained(body, message):
+def test_invalid_history_declaration_is_explained(body, message):
     base = F.Viscous if "drag" in body else wc.Friction
     with pytest.raises(TypeError, match=message):
         type("Wrong", (base,), body)()
 
 
-def test_a_memory_may_come_from_a_mixin(device):
+def test_history_variable_can_be_inherited_from_a_mixin(device):
     class Spring:
         spring = wc.history("m", "stretch", tangent=True)
 
@@ -446,7 +448,7 @@ def test_a_memory_may_come_from_a_mixin(device):
     assert model.sensor("touch.friction.spring").shape == (1, 3)
 
 
-def test_a_law_has_no_tangent_memory():
+def test_law_with_tangent_history_is_refused():
     with pytest.raises(TypeError, match=r"Sideways\.drift: a law acts along the normal"):
 
         class Sideways(wc.Law):
@@ -455,13 +457,13 @@ def test_a_law_has_no_tangent_memory():
             drift = wc.history("m", "drift", tangent=True)
 
 
-def test_what_a_set_of_contacts_remembers_is_read_per_item(device):
+def test_history_of_a_contact_set_has_item_axis(device):
     scene = wc.Scene(gravity=(0, 0, 0))
     ground = scene.add_surface(square())
     body = scene.add_body(1e15, (1e15, 1e15, 1e15), linear_velocity=(0, 0.1, 0), name="body")
     feet = scene.add_points(body, [(x, 0, -1e-3) for x in (-0.1, 0.0, 0.1)])
     plain = scene.add_point(body, (0, 0.2, -1e-3))
-    for points, friction, name in ((plain, F.Tanh(mu=0.1), "plain"), (feet, REMEMBERING[0], "feet")):
+    for points, friction, name in ((plain, F.Tanh(mu=0.1), "plain"), (feet, FRICTION_WITH_HISTORY[0], "feet")):
         scene.add_contact(
             points, ground, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4), friction=friction), name=name
         )

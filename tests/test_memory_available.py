@@ -26,7 +26,7 @@ OLD = {
         ("5:cpu:/x\n3:memory,pids:/job\n", "memory/job", OLD),
     ],
 )
-def test_limits_of_control_groups_count(cgroup, folder, files, tmp_path, monkeypatch):
+def test_available_memory_includes_control_group_limits(cgroup, folder, files, tmp_path, monkeypatch):
     (tmp_path / "cgroup").write_text(cgroup)
     (tmp_path / "meminfo").write_text("MemTotal: 8000 kB\nMemAvailable: 4000 kB\n")
     top = tmp_path / "sys"
@@ -36,17 +36,17 @@ def test_limits_of_control_groups_count(cgroup, folder, files, tmp_path, monkeyp
     monkeypatch.setattr(available, "_CGROUP", tmp_path / "cgroup")
     monkeypatch.setattr(available, "_CGROUPS", top)
     monkeypatch.setattr(available, "_MEMINFO", tmp_path / "meminfo")
-    assert available.find_room(HOST).size == 400_000
+    assert available.available_memory(HOST).size == 400_000
     limit = "memory.max" if "memory.max" in files else "memory.limit_in_bytes"
     (top / folder / limit).write_text("max\n")
-    assert available.find_room(HOST).size == 4000 * 1024
+    assert available.available_memory(HOST).size == 4000 * 1024
 
 
-def test_other_systems_tell_their_memory_or_nothing(tmp_path, monkeypatch):
+def test_available_memory_on_other_systems_is_found_or_unknown(tmp_path, monkeypatch):
     for name in ("_CGROUP", "_MEMINFO"):
         monkeypatch.setattr(available, name, tmp_path / "none")
-    told = {"SC_PHYS_PAGES": 1000, "SC_PAGE_SIZE": 4096, "SC_AVPHYS_PAGES": -1}
-    monkeypatch.setattr(os, "sysconf", told.__getitem__, raising=False)
-    assert available.find_room(HOST).size == 4_096_000
+    system_values = {"SC_PHYS_PAGES": 1000, "SC_PAGE_SIZE": 4096, "SC_AVPHYS_PAGES": -1}
+    monkeypatch.setattr(os, "sysconf", system_values.__getitem__, raising=False)
+    assert available.available_memory(HOST).size == 4_096_000
     monkeypatch.delattr(os, "sysconf")
-    assert available.find_room(HOST) is None
+    assert available.available_memory(HOST) is None

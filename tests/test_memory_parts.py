@@ -8,12 +8,12 @@ from scipy.spatial.transform import Rotation
 
 import warpcontact as wc
 
-pytestmark = pytest.mark.usefixtures("steps_tell")
+pytestmark = pytest.mark.usefixtures("write_step_outputs")
 
 F = wc.friction
 
 
-def carried_over(path, device, precision="float64", friction=None):
+def history_along(path, device, precision="float64", friction=None):
     """Takes a point along ``path`` (steps, 3) on a box about the origin, turned at random; a spring along the way.
 
     Returns force, normal and velocity of every step in the axes of the box.
@@ -39,31 +39,31 @@ def carried_over(path, device, precision="float64", friction=None):
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_a_spring_goes_round_an_edge_with_the_normal(precision, device):
+def test_history_vector_turns_with_the_normal_over_an_edge(precision, device):
     """From the top of a box over its edge: what pulled towards the edge pulls down the side, what along, along."""
     top = np.linspace((0.40, 0.0, 0.499), (0.43, 0.02, 0.499), 10)
     side = np.array([[0.499, 0.02, 0.45]])
-    found = carried_over(np.concatenate([top, side, side]), device, precision)
+    found = history_along(np.concatenate([top, side, side]), device, precision)
     before, after = found[9], found[11]
     np.testing.assert_allclose(before[1], (0, 0, 1), atol=1e-6)
     np.testing.assert_allclose(after[1], (1, 0, 0), atol=1e-6)
     np.testing.assert_allclose(before[0], (-30, -20, 0), rtol=1e-3, atol=1e-2)
     # The way down the side adds its own: the path jumped from z to x, and its slip on the side was −49 mm.
-    slip = carried_over(np.array([[0.499, 0.02, 0.499], *side]), device, precision)[1][0]
+    slip = history_along(np.array([[0.499, 0.02, 0.499], *side]), device, precision)[1][0]
     np.testing.assert_allclose(after[0] - slip, (0, -20, 30), atol=0.5)
     assert abs(after[0][0]) < 1e-4 * np.linalg.norm(after[0])
 
 
-def test_a_spring_turned_over_is_forgotten(device):
+def test_history_vector_is_cleared_if_the_normal_reverses(device):
     """From the top of a thin plate to its underside no direction is the right one."""
     top = np.linspace((0.0, 0.0, 0.499), (0.03, 0.0, 0.499), 10)
-    found = carried_over(np.concatenate([top, [[0.03, 0.0, -0.499]] * 2]), device)
+    found = history_along(np.concatenate([top, [[0.03, 0.0, -0.499]] * 2]), device)
     np.testing.assert_allclose(found[9][0], (-30, 0, 0), atol=1e-2)
     np.testing.assert_allclose(found[11][1], (0, 0, -1), atol=1e-9)
     np.testing.assert_allclose(found[11][0], 0.0, atol=1e-6)
 
 
-def test_a_spring_follows_a_curved_surface(device):
+def test_history_vector_follows_a_curved_surface(device):
     """Along a great circle of a fine sphere by 60°: the pull stays backwards along the way, at its size."""
     scene = wc.Scene(gravity=(0, 0, 0))
     globe = scene.add_surface(wc.meshes.icosphere(1.0, 5))
@@ -77,11 +77,11 @@ def test_a_spring_follows_a_curved_surface(device):
     force = None
     for angle in np.linspace(0, np.pi / 3, 400):
         place = 0.99 * (np.cos(angle) * start + np.sin(angle) * across)
-        way = -np.sin(angle) * start + np.cos(angle) * across
+        tangent = -np.sin(angle) * start + np.cos(angle) * across
         # Slips in the first tenth only; then it is carried without slip.
         speed = 0.3 if angle < np.pi / 30 else 0.0
         sim.state.body_position.assign(place[None, None])
-        sim.state.body_linear_velocity.assign((speed * way)[None, None])
+        sim.state.body_linear_velocity.assign((speed * tangent)[None, None])
         sim.step()
         force = model.arrays.contacts.friction_force.numpy()[0, 0]
         if speed:
@@ -89,7 +89,7 @@ def test_a_spring_follows_a_curved_surface(device):
     assert stretched > 5.0
     np.testing.assert_allclose(np.linalg.norm(force), stretched, rtol=1e-3)
     # Facets of 2° turn it a little; smallest rotations keep its angle to the great circle.
-    np.testing.assert_allclose(force / stretched, -way, atol=0.03)
+    np.testing.assert_allclose(force / stretched, -tangent, atol=0.03)
 
 
 # Every part
@@ -118,7 +118,7 @@ def stuck(device, **parts):
     return model, wc.Simulation(model, dt=1e-3)
 
 
-def test_every_part_has_its_own_spring(device):
+def test_friction_rolling_and_torsion_have_separate_history(device):
     model, sim = stuck(device)
     sim.step(11)
     # 10 ms, as at the start nothing has elapsed, of rolling at 0.02 m/s and of twist at 0.015 m/s.
@@ -130,7 +130,7 @@ def test_every_part_has_its_own_spring(device):
     assert np.linalg.norm(model.sensor("touch.friction.spring")[0]) > 1e-6
 
 
-def test_every_part_forgets_at_release(device):
+def test_history_of_all_parts_is_cleared_at_release(device):
     model, sim = stuck(device)
     sim.step(11)
     held = sim.state.body_position.numpy().copy()
@@ -148,7 +148,7 @@ def test_every_part_forgets_at_release(device):
     np.testing.assert_allclose(model.sensor("touch.law.age")[0], 1e-3)
 
 
-def test_every_part_begins_at_touch(device):
+def test_history_of_all_parts_starts_at_the_instant_of_contact(device):
     """Found 0.3 steps deep, a contact has lasted for 0.3 steps: for law, slip, rolling and twist alike."""
     model, sim = stuck(device)
     state = sim.state.body_position.numpy().copy()
@@ -164,7 +164,7 @@ def test_every_part_begins_at_touch(device):
     np.testing.assert_allclose(model.sensor("touch.torsion.spring")[0][2], 0.3e-3 * 0.015, rtol=1e-6)
 
 
-def test_a_torsion_spring_turns_with_its_bodies(device):
+def test_torsion_history_rotates_with_the_bodies(device):
     """Twisted, then carried along by a plate that turns about a tilted axis: the couple stays along the normal."""
     model, sim = stuck(device)
     sim.step(11)
@@ -184,7 +184,7 @@ def test_a_torsion_spring_turns_with_its_bodies(device):
     np.testing.assert_allclose(turned.inv().apply(normal), (0, 0, 1), atol=1e-12)
 
 
-def test_rolling_is_relative_to_the_plate(device):
+def test_rolling_velocity_is_relative_to_the_plate(device):
     """A ball at rest on a plate that turns about a tangent axis rolls backwards over it."""
     model, sim = stuck(device, rolling=F.Viscous(drag=0.1))
     sim.state.body_angular_velocity.assign(np.array([[[0, 0.2, 0], [0, 0, 0]]], dtype=float))
@@ -196,7 +196,7 @@ def test_rolling_is_relative_to_the_plate(device):
     )
 
 
-def test_a_directional_friction_serves_rolling(device):
+def test_anisotropic_friction_can_be_used_for_rolling(device):
     rolling = F.Elliptic(mu_1=0.4, mu_2=0.1, velocity_scale=1e-9)
     model, sim = stuck(device, rolling=rolling)
     sim.state.body_angular_velocity.assign(np.array([[[0, 0, 0], [-1.0, 1.0, 0]]], dtype=float))
@@ -208,7 +208,7 @@ def test_a_directional_friction_serves_rolling(device):
     )
 
 
-def test_where_the_surface_x_axis_is_normal_its_y_axis_leads(device):
+def test_surface_y_axis_is_the_tangent_reference_if_its_x_axis_is_normal(device):
     scene = wc.Scene(gravity=(0, 0, 0))
     wall = scene.add_surface(wc.meshes.box((2.0, 2.0, 2.0)))
     body = scene.add_body(1.0, (1, 1, 1), position=(0.999, 0, 0), linear_velocity=(0, 1.0, 1.0), name="body")
@@ -220,7 +220,7 @@ def test_where_the_surface_x_axis_is_normal_its_y_axis_leads(device):
     np.testing.assert_allclose(model.sensor("touch.friction_force")[0], expected, rtol=1e-9)
 
 
-def test_a_law_that_jumps_at_touch_is_given_its_impulse_from_a_fresh_memory(device):
+def test_law_with_initial_jump_gets_its_missed_impulse(device):
     """A dashpot that weakens with age: late and early contacts lose the same, as without a memory."""
     phases = np.linspace(0.02, 0.98, 25)
     model = dropped_sphere(

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from case_marks import slow_except
-from memory_scenes import MIB, SCENES, ball_scene, busy_scene, of_arrays, with_room
+from memory_scenes import MIB, SCENES, array_bytes, ball_scene, busy_scene, set_available_memory
 from scenes import dropped_sphere
 
 import warpcontact as wc
 from warpcontact import available, footprint
 from warpcontact.available import HOST
-from warpcontact.build import draw_up
+from warpcontact.build import plan_model
 from warpcontact.cli import main
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "terrain_drop.toml"
@@ -22,26 +22,26 @@ EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "terrain_drop.toml"
 
 @pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", slow_except(SCENES, lambda name: name in ("busy", "pile")))
-def test_the_estimate_is_what_the_arrays_take(name, precision, device, counted):
+def test_memory_estimate_equals_allocated_arrays(name, precision, device, counting_allocator):
     scene = SCENES[name]()
     envs = 13
-    draft = draw_up(scene, device, precision)
-    assert counted.used == 0  # nothing is allocated before it is known to fit
+    draft = plan_model(scene, device, precision)
+    assert counting_allocator.used == 0  # nothing is allocated before it is known to fit
     planned = draft.memory(envs)
     del draft
     gc.collect()
-    counted.used = 0
+    counting_allocator.used = 0
     model = scene.build(envs, device, precision)
     sim = wc.Simulation(model, dt=1e-4, capture_graphs=False)
     gc.collect()
-    assert of_arrays(model.memory(), model) == counted.used
-    assert planned.needs == model.memory().needs
+    assert array_bytes(model.memory(), model) == counting_allocator.used
+    assert planned.items == model.memory().items
     # What is widened, and what is measured, comes on top.
     mass = np.linspace(1, 2, envs)
     model["ball.mass"] = mass
     model["ball.position"] = np.zeros((envs, 3))
     varied, needs = ["ball.mass", "ball.position"], {"energies"}
-    if name != "nothing to touch":
+    if name != "no contacts":
         model["touch.law.stiffness"] = 1e5 * mass
         model["ground.scale"] = mass
         model["centre.position"] = 0.01 * np.ones((envs, 3))
@@ -64,103 +64,110 @@ def test_the_estimate_is_what_the_arrays_take(name, precision, device, counted):
         needs |= {"shape_points", "shape_curvatures", "shape_gradients"}
     model.sensor("scene.kinetic_energy")
     gc.collect()
-    assert of_arrays(sim.memory(), model) == counted.used
-    planned = draw_up(scene, device, precision).memory(envs, varied)
+    assert array_bytes(sim.memory(), model) == counting_allocator.used
+    planned = plan_model(scene, device, precision).memory(envs, varied)
     actual = model.memory()
-    assert planned.of("parameters") == actual.of("parameters")
-    measured = model.measures_needs(model.device, needs, envs)
-    assert actual.of("measures") == sum(need.size for need in measured)
+    assert planned.bytes_for("parameters") == actual.bytes_for("parameters")
+    measured = model.sensor_memory(model.device, needs, envs)
+    assert actual.bytes_for("measures") == sum(need.size for need in measured)
 
 
-def test_a_split_model_takes_what_its_parts_take(device, counted):
+def test_memory_estimate_of_split_model_is_the_sum_of_its_parts(device, counting_allocator):
     scene, envs, where = busy_scene(), 14, [device] * 3
-    planned = draw_up(scene, where).memory(envs)
+    planned = plan_model(scene, where).memory(envs)
     gc.collect()
-    counted.used = 0
+    counting_allocator.used = 0
     model = scene.build(envs, where)
     sim = wc.Simulation(model, dt=1e-4, capture_graphs=False)
     gc.collect()
     memory = sim.memory()
-    assert of_arrays(memory, model) == counted.used
-    assert planned.needs == model.memory().needs
+    assert array_bytes(memory, model) == counting_allocator.used
+    assert planned.items == model.memory().items
     assert (memory.envs, memory.device) == (envs, device)
     for purpose in ("state", "contacts", "cache", "surfaces", "parameters", "stepping"):
-        assert memory.of(purpose) == sum(part.memory().of(purpose) for part in model.parts)
+        assert memory.bytes_for(purpose) == sum(part.memory().bytes_for(purpose) for part in model.parts)
     # One more is on one of the devices; what each of them holds in any case is there three times.
     one = wc.Simulation(scene.build(envs, device), dt=1e-4, capture_graphs=False)
-    assert memory.of("surfaces") == 3 * one.memory().of("surfaces")
-    whole, alone = model.footprint(), one.model.footprint()
+    assert memory.bytes_for("surfaces") == 3 * one.memory().bytes_for("surfaces")
+    whole, alone = model.memory_estimate(), one.model.memory_estimate()
     assert whole.bytes_per_env == pytest.approx(alone.bytes_per_env)
     assert whole.fixed_bytes == pytest.approx(3 * alone.fixed_bytes)
     model["ball.mass"] = np.linspace(1, 2, envs)
     gc.collect()
-    assert draw_up(scene, where).memory(envs, ["ball.mass"]).of("parameters") == model.memory().of("parameters")
+    assert plan_model(scene, where).memory(envs, ["ball.mass"]).bytes_for(
+        "parameters"
+    ) == model.memory().bytes_for("parameters")
 
 
-def test_as_many_threads_step_all_parts_on_the_cpu():
+def test_memory_estimate_counts_launches_of_each_thread_and_part():
     """Each has steps of each part, however many environments there are."""
-    one, two = (draw_up(ball_scene(), where).memory(1000, threads=2) for where in ("cpu", ["cpu", "cpu"]))
-    assert two.of("launches") == 2 * one.of("launches")
-    assert draw_up(ball_scene(), "cpu").memory(100_000, threads=2).of("launches") == one.of("launches")
-    assert draw_up(ball_scene(), "cpu").memory(1, threads=2).of("launches") == one.of("launches") // 2
+    one, two = (plan_model(ball_scene(), where).memory(1000, threads=2) for where in ("cpu", ["cpu", "cpu"]))
+    assert two.bytes_for("launches") == 2 * one.bytes_for("launches")
+    assert plan_model(ball_scene(), "cpu").memory(100_000, threads=2).bytes_for("launches") == one.bytes_for(
+        "launches"
+    )
+    assert (
+        plan_model(ball_scene(), "cpu").memory(1, threads=2).bytes_for("launches")
+        == one.bytes_for("launches") // 2
+    )
 
 
-def test_one_environment_more_takes_as_much_as_is_said(device):
-    draft = draw_up(busy_scene(), device)
+def test_memory_per_environment_matches_estimate(device):
+    draft = plan_model(busy_scene(), device)
     one, other = draft.memory(256 * 1000, ["ball.mass"]), draft.memory(256 * 1001, ["ball.mass"])
     added = other.device_bytes + other.host_bytes - one.device_bytes - one.host_bytes
     assert added == pytest.approx(256 * one.bytes_per_env, rel=0.02)
 
 
-def test_a_footprint_says_what_for_and_where(device):
+def test_memory_estimate_lists_purposes_and_devices(device):
     model = ball_scene().build(16384, device)
     memory = model.memory()
     text = str(memory)
     for purpose in ("state", "contacts", "cache", "surfaces", "parameters", "stepping", "launches"):
-        assert memory.of(purpose) > 0
+        assert memory.bytes_for(purpose) > 0
         assert f"  {purpose}" in text
     assert text.startswith("16384 environments on ")
     assert "MiB" in repr(memory)
-    assert memory.of("surfaces") <= memory.fixed_bytes < memory.bytes_per_env * 16384
+    assert memory.bytes_for("surfaces") <= memory.fixed_bytes < memory.bytes_per_env * 16384
     assert " in any case" in text
     if model.device.is_cpu:
         assert memory.device_bytes == 0  # there is one memory, the host's
-        assert memory.places == (HOST,)
+        assert memory.locations == (HOST,)
         assert "memory of this machine (the CPU has no other): " in text
     else:
-        assert memory.places == (str(model.device), HOST)
-        assert memory.device_bytes > memory.of("state")
+        assert memory.locations == (str(model.device), HOST)
+        assert memory.device_bytes > memory.bytes_for("state")
 
 
-def test_footprints_of_parts_add_up_by_device():
-    first = footprint.Footprint(
-        3, "cuda:0", (footprint.Need("state", "cuda:0", 30, 10.0), footprint.Need("launches", HOST, 5))
+def test_memory_estimates_of_parts_are_summed_by_device():
+    first = footprint.MemoryEstimate(
+        3, "cuda:0", (footprint.MemoryItem("state", "cuda:0", 30, 10.0), footprint.MemoryItem("launches", HOST, 5))
     )
-    second = footprint.Footprint(2, "cuda:1", (footprint.Need("state", "cuda:1", 20, 10.0),))
+    second = footprint.MemoryEstimate(2, "cuda:1", (footprint.MemoryItem("state", "cuda:1", 20, 10.0),))
     both = first + second
     assert (both.envs, both.device) == (5, "cuda:0, cuda:1")
-    assert [both.on(place) for place in both.places] == [30, 20, 5]
-    assert both.places == ("cuda:0", "cuda:1", HOST)
-    assert (both.device_bytes, both.host_bytes, both.of("state")) == (50, 5, 50)
+    assert [both.bytes_at(place) for place in both.locations] == [30, 20, 5]
+    assert both.locations == ("cuda:0", "cuda:1", HOST)
+    assert (both.device_bytes, both.host_bytes, both.bytes_for("state")) == (50, 5, 50)
 
 
 @pytest.mark.parametrize(
     ("size", "text"),
     [(0, "0 B"), (1023, "1023 B"), (1024, "1 KiB"), (1.5 * 2**30, "1.5 GiB"), (1020 * MIB, "1020 MiB")],
 )
-def test_bytes_are_readable(size, text):
-    assert footprint.readable(size) == text
+def test_bytes_are_formatted_with_units(size, text):
+    assert footprint.format_bytes(size) == text
 
 
-def test_what_cannot_be_captured_takes_no_graphs(device):
-    draft = draw_up(busy_scene(), device)
-    assert draft.memory(9, crossing_substeps=4).of("launches") < draft.memory(9).of("launches")
+def test_memory_estimate_without_capture_includes_no_graphs(device):
+    draft = plan_model(busy_scene(), device)
+    assert draft.memory(9, crossing_substeps=4).bytes_for("launches") < draft.memory(9).bytes_for("launches")
     model = busy_scene().build(9, device)
     sim = wc.Simulation(model, dt=1e-4, crossing_substeps=4)
-    assert sim.memory().of("launches") == draft.memory(9, crossing_substeps=4).of("launches")
+    assert sim.memory().bytes_for("launches") == draft.memory(9, crossing_substeps=4).bytes_for("launches")
 
 
-def test_a_recording_takes_what_is_planned(device):
+def test_memory_estimate_of_a_recording_equals_its_arrays(device):
     from warpcontact.recorder import Recorder
 
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), envs=7, device=device)
@@ -175,12 +182,12 @@ def test_a_recording_takes_what_is_planned(device):
     recording = recorder.finish({})
     stored = sum(variable.nbytes for variable in recording.data_vars.values())
     assert size.on_host(7, 5) == stored
-    needs = size.needs(device, 7, 5)
+    needs = size.memory_items(device, 7, 5)
     assert sum(need.size for need in needs if need.purpose == "buffers") == rings
     assert sum(need.size for need in needs if need.purpose == "recording") == stored
 
 
-def test_plan_tells_and_runs_nothing(device, tmp_path, capsys, monkeypatch):
+def test_plan_command_prints_estimate_and_runs_nothing(device, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     words = ["plan", str(EXAMPLE), "--device", device]
     assert main(words) == 0
@@ -190,19 +197,19 @@ def test_plan_tells_and_runs_nothing(device, tmp_path, capsys, monkeypatch):
         assert part in out
     assert main([*words, "--shard", "100", "--duration", "1"]) == 0
     assert "shards of" in capsys.readouterr().out
-    with_room(monkeypatch, 120 * MIB)
+    set_available_memory(monkeypatch, 120 * MIB)
     assert main([*words, "--envs", "100000"]) == 0
     assert "one after another" in capsys.readouterr().out
     assert main([*words, "--envs", "100000", "--shard", "100000"]) == 1
     out = capsys.readouterr().out
     assert "shard 100000: 100000 environments need" in out
     assert "at most " in out
-    with_room(monkeypatch, MIB)
+    set_available_memory(monkeypatch, MIB)
     assert main(words) == 1
     assert "not even one environment" in capsys.readouterr().out
     assert main(["run", str(EXAMPLE), "--device", device]) == 2
     assert "not even one environment fits" in capsys.readouterr().err
-    with_room(monkeypatch, 10 * MIB)  # enough to look at the scene, not to record
+    set_available_memory(monkeypatch, 10 * MIB)  # enough to look at the scene, not to record
     assert main([*words, "--duration", "3000"]) == 1
     assert "does not fit: not even one environment" in capsys.readouterr().out
     assert main(["run", *words[1:], "--duration", "3000"]) == 2
@@ -264,11 +271,11 @@ before = used()
 many, recorder = stepped(envs)
 memory = many.memory()
 if recorder is not None:
-    recorded = recorder.size().needs(device, envs, len(recorder.times))
-    memory = memory.with_needs([*many.needs_of_frames(recorder.needs), *recorded])
+    recorded = recorder.size().memory_items(device, envs, len(recorder.times))
+    memory = memory.with_items([*many.frame_memory(recorder.needs), *recorded])
 place = "host" if device == "cpu" else device
 # What the scene takes in any case is taken a second time.
-print(used() - before, memory.on(place))
+print(used() - before, memory.bytes_at(place))
 """
 
 
@@ -284,7 +291,7 @@ print(used() - before, memory.on(place))
     ],
     ids=["spheres", "boxes of 64 points", "captured", "captured with poses", "captured with frames"],
 )
-def test_the_estimate_is_what_the_process_grows_by(kind, envs, steps, names, device):
+def test_memory_estimate_matches_growth_of_the_process(kind, envs, steps, names, device):
     """Within 15 %: also what is not in arrays, such as launches and graphs, and what allocators add."""
     if device == "cpu" and not Path("/proc/self/status").is_file():
         pytest.skip("this system does not tell how much memory a process has")
@@ -318,9 +325,9 @@ print(planned, 1024 * int(re.search(r"VmHWM:\\s+(\\d+)", open("/proc/self/status
     ],
     ids=["outcomes", "series"],
 )
-def test_the_process_has_at_its_peak_what_is_planned(envs, changes, tmp_path):
+def test_memory_plan_matches_peak_of_the_process(envs, changes, tmp_path):
     """Within 15 %, libraries and all; a first process compiles, which takes more and has nothing to do with it."""
-    if available.used() is None:
+    if available.used_memory() is None:
         pytest.skip("this system does not tell how much memory a process has")
     for count in (10, envs):
         words = [sys.executable, "-c", PEAK, str(EXAMPLE), str(tmp_path / str(count)), str(count)]

@@ -2,42 +2,44 @@
 
 import numpy as np
 import pytest
-from memory_scenes import MIB, ball_scene, with_room
+from memory_scenes import MIB, ball_scene, set_available_memory
 from scenes import dropped_sphere
 
 import warpcontact as wc
 from warpcontact import available, footprint
-from warpcontact.build import draw_up
+from warpcontact.build import plan_model
 
 
-def test_too_many_environments_are_refused_before_anything_is_allocated(device, monkeypatch, counted):
-    with_room(monkeypatch, 400 * MIB)
+def test_too_many_environments_are_refused_before_allocation(device, monkeypatch, counting_allocator):
+    set_available_memory(monkeypatch, 400 * MIB)
     with pytest.raises(MemoryError) as caught:
         ball_scene().build(10_000_000, device)
-    assert counted.used == 0
+    assert counting_allocator.used == 0
     message = str(caught.value)
     assert message.startswith("10000000 environments need ")
     assert "of which 340 MiB can be used (85% of the 400 MiB available)" in message
-    most = caught.value.most
+    most = caught.value.max_envs
     batches = -(-10_000_000 // most)
     assert f"at most {most} environments at once fit on {device}" in message
     assert f"run them in {batches} batches of {-(-10_000_000 // batches)}" in message
     assert caught.value.needed > caught.value.available == int(0.85 * 400 * MIB)
     # So many do fit, and one more does not.
-    draft = draw_up(ball_scene(), device)
-    rooms = footprint.rooms_of(draft.memory(1))
+    draft = plan_model(ball_scene(), device)
+    rooms = footprint.available_memory_for(draft.memory(1))
     assert footprint.shortage(draft.memory(most, capture_graphs=False), rooms) is None
     assert footprint.shortage(draft.memory(most + 1, capture_graphs=False), rooms) is not None
-    with_room(monkeypatch, 100_000)
+    set_available_memory(monkeypatch, 100_000)
     with pytest.raises(MemoryError, match="not even one environment fits"):
         ball_scene().build(1, device)
 
 
-def test_the_device_that_has_too_little_is_named(monkeypatch):
+def test_memory_error_names_the_device_with_too_little_memory(monkeypatch):
     def split(envs):
         """Twice as much on the first device as on the second."""
         return footprint.total(
-            footprint.Footprint(envs // 2, name, (footprint.Need("state", name, size * envs // 2, size),))
+            footprint.MemoryEstimate(
+                envs // 2, name, (footprint.MemoryItem("state", name, size * envs // 2, size),)
+            )
             for name, size in (("cuda:0", 2 * MIB), ("cuda:1", MIB))
         )
 
@@ -52,37 +54,37 @@ def test_the_device_that_has_too_little_is_named(monkeypatch):
     footprint.require(split, 34)
 
 
-def test_a_split_model_is_refused_before_anything_is_allocated(device, monkeypatch, counted):
-    with_room(monkeypatch, 400 * MIB)
+def test_split_model_is_refused_before_allocation(device, monkeypatch, counting_allocator):
+    set_available_memory(monkeypatch, 400 * MIB)
     with pytest.raises(MemoryError, match=r"at most \d+ environments at once fit on \w+") as caught:
         ball_scene().build(10_000_000, [device] * 2)
-    assert counted.used == 0
-    draft = draw_up(ball_scene(), [device] * 2)
-    rooms = footprint.rooms_of(draft.memory(1))
-    most = caught.value.most
+    assert counting_allocator.used == 0
+    draft = plan_model(ball_scene(), [device] * 2)
+    rooms = footprint.available_memory_for(draft.memory(1))
+    most = caught.value.max_envs
     assert footprint.shortage(draft.memory(most, capture_graphs=False), rooms) is None
     assert footprint.shortage(draft.memory(most + 1, capture_graphs=False), rooms) is not None
 
 
-def test_steps_that_do_not_fit_are_refused_before_anything_is_made_for_them(monkeypatch):
+def test_simulation_is_refused_before_allocation_of_step_buffers(monkeypatch):
     model = ball_scene().build(200_000, "cpu")
-    with_room(monkeypatch, 8 * MIB)
+    set_available_memory(monkeypatch, 8 * MIB)
     message = r"to step them, 200000 environments need .* at most \d+ environments at once fit on cpu"
     with pytest.raises(MemoryError, match=message):
         wc.Simulation(model, dt=1e-4)
 
 
-def test_nothing_is_refused_where_nobody_knows_what_there_is(device, monkeypatch):
-    with_room(monkeypatch, None)
+def test_nothing_is_refused_if_available_memory_is_unknown(device, monkeypatch):
+    set_available_memory(monkeypatch, None)
     assert ball_scene().build(2, device).envs == 2
-    draft = draw_up(ball_scene(), device)
-    assert footprint.rooms_of(draft.memory(10**12)) == ()
+    draft = plan_model(ball_scene(), device)
+    assert footprint.available_memory_for(draft.memory(10**12)) == ()
 
 
-def test_recordings_that_do_not_fit_are_refused_before_anything_runs(device, monkeypatch):
+def test_recording_is_refused_before_the_run_if_it_does_not_fit(device, monkeypatch):
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), envs=100, device=device)
     sim = wc.Simulation(model, dt=1e-4)
-    with_room(monkeypatch, 64 * MIB)
+    set_available_memory(monkeypatch, 64 * MIB)
     with pytest.raises(MemoryError) as caught:
         sim.run(10.0, ["touch.normal", "touch.gap"])
     message = str(caught.value)
@@ -92,7 +94,7 @@ def test_recordings_that_do_not_fit_are_refused_before_anything_runs(device, mon
     assert "ball.position 229 MiB" in message  # the largest: in float64
     assert sim.steps == 0
     assert len(sim.run(0.01, ["touch.gap"], every=1e-3).time) == 11
-    with_room(monkeypatch, 1000)
+    set_available_memory(monkeypatch, 1000)
     with pytest.raises(MemoryError, match="not even one frame fits"):
         sim.run(0.01, ["touch.gap"])
     with pytest.raises(MemoryError, match="100 environments need"):
@@ -100,10 +102,10 @@ def test_recordings_that_do_not_fit_are_refused_before_anything_runs(device, mon
 
 
 @pytest.mark.parametrize("parts", [1, 2])
-def test_values_for_each_environment_that_do_not_fit_are_refused(parts, device, monkeypatch):
+def test_parameter_values_per_environment_are_refused_if_they_do_not_fit(parts, device, monkeypatch):
     model = ball_scene().build(1000, [device] * parts)
     mass = np.linspace(1, 2, 1000)
-    with_room(monkeypatch, 5000)  # the host keeps 8 bytes of each
+    set_available_memory(monkeypatch, 5000)  # the host keeps 8 bytes of each
     message = (
         r"^for a value of ball\.mass in each, 1000 environments need .*; at most \d+ environments at once fit on"
     )
@@ -113,24 +115,24 @@ def test_values_for_each_environment_that_do_not_fit_are_refused(parts, device, 
     assert (model["ball.mass"] == 0.5).all()
     model["ball.mass"] = 2.0
     assert (model["ball.mass"] == 2.0).all()
-    with_room(monkeypatch, 50_000)
+    set_available_memory(monkeypatch, 50_000)
     model["ball.mass"] = mass
-    with_room(monkeypatch, 5000)  # nothing more is taken
+    set_available_memory(monkeypatch, 5000)  # nothing more is taken
     model["ball.mass"] = 2.0 * mass
     assert (model["ball.mass"] == 2.0 * mass).all()
 
 
-def test_what_all_parts_measure_into_is_refused_together(device, monkeypatch):
+def test_sensor_arrays_of_all_parts_are_refused_together(device, monkeypatch):
     """What fits for each part alone may be too much for all."""
     model = ball_scene().build(100, [device] * 2)
     sim = wc.Simulation(model, dt=1e-4, capture_graphs=False)
     part = model.parts[0]
-    needed = sum(need.size for need in part.measures_needs(part.device, {"points"}, part.envs))
-    with_room(monkeypatch, int(1.5 * needed / 0.85))
+    needed = sum(need.size for need in part.sensor_memory(part.device, {"points"}, part.envs))
+    set_available_memory(monkeypatch, int(1.5 * needed / 0.85))
     with pytest.raises(MemoryError, match=r"^to measure them, 100 environments need"):
         model.sensor("touch.point")
     with pytest.raises(MemoryError, match=r"^to measure them, 100 environments need"):
         sim.run(1e-3, ["touch.point"])
     assert [part.arrays.points for part in model.parts] == [None, None]
-    with_room(monkeypatch, None)
+    set_available_memory(monkeypatch, None)
     assert model.sensor("touch.point").shape == (100, 3)

@@ -21,7 +21,7 @@ SHAPES = {
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_a_flipped_report_is_that_of_the_flipped_surface(name):
+def test_report_of_flipped_mesh_equals_report_of_flipped_faces(name):
     mesh = SHAPES[name]
     turned = mesh.flipped()
     np.testing.assert_array_equal(turned.faces, mesh.faces[:, [0, 2, 1]])
@@ -40,7 +40,7 @@ def loaded(tmp_path):
 
 
 @pytest.mark.parametrize("change", [lambda mesh: mesh.flipped(), lambda mesh: mesh.scaled(0.25)])
-def test_a_changed_mesh_keeps_what_was_said_of_its_file(loaded, change):
+def test_changed_mesh_keeps_file_warnings_and_repairs(loaded, change):
     changed = change(loaded)
     old, new = loaded.report, changed.report
     assert old.repairs[0].count == 1
@@ -59,13 +59,13 @@ def test_a_changed_mesh_keeps_what_was_said_of_its_file(loaded, change):
     assert new == replace(fresh, **of_file, warnings=(old.warnings[0], *fresh.warnings))
 
 
-def test_flipping_costs_no_examination(monkeypatch):
+def test_flipped_mesh_is_not_examined_again(monkeypatch):
     ball = icosphere(1.0, 3)
     monkeypatch.setattr(mesh_module, "examine", None)
     assert ball.flipped().report.orientation == "inward"
 
 
-def test_scaling_says_anew_what_is_a_matter_of_size():
+def test_scaled_mesh_recomputes_size_warnings():
     small = box().scaled(1e-5)
     assert any("largest dimension is 1e-05 m" in text for text in small.report.warnings)
     assert not small.scaled(1e5).report.warnings

@@ -68,7 +68,7 @@ STL_TEXT = trimesh.exchange.stl.export_stl_ascii(trimesh.Trimesh(TETRAHEDRON, OU
 
 
 @pytest.mark.parametrize("suffix", ["stl", "STL", "stl_ascii", "obj", "ply", "ply_ascii", "off", "glb", "GLB"])
-def test_every_format_gives_the_faces_of_the_file_in_their_order(tmp_path, suffix):
+def test_every_mesh_format_keeps_faces_and_their_order(tmp_path, suffix):
     original = trimesh.creation.icosphere(subdivisions=1)
     kind, _, text = suffix.partition("_")
     path = tmp_path / f"ball.{kind}"
@@ -86,7 +86,7 @@ def test_every_format_gives_the_faces_of_the_file_in_their_order(tmp_path, suffi
 @pytest.mark.smoke
 @pytest.mark.parametrize(("name", "content"), [("a.stl", STL), ("a.stl", STL_TEXT), ("a.obj", OBJ), ("a.off", OFF),
                                                ("a.ply", PLY), ("a.glb", glb())])  # fmt: skip
-def test_the_sound_files_that_the_hostile_ones_are_made_of_load(write, name, content):
+def test_valid_originals_of_malformed_files_load(write, name, content):
     mesh = load_mesh(write(name, content))
     np.testing.assert_allclose(mesh.vertices[mesh.faces], TETRAHEDRON[OUTWARD])
     assert load_mesh(write(name, content), name="other").name == "other"
@@ -145,7 +145,7 @@ def test_the_sound_files_that_the_hostile_ones_are_made_of_load(write, name, con
         ("a", STL, "the extension '' is not one of"),
     ],
 )  # fmt: skip
-def test_a_hostile_file_is_refused_with_its_name_and_reason(write, name, content, message):
+def test_malformed_mesh_file_is_refused_with_name_and_reason(write, name, content, message):
     path = write(name, content)
     with pytest.raises(MeshError, match=message) as caught:
         load_mesh(path)
@@ -156,7 +156,7 @@ def test_a_hostile_file_is_refused_with_its_name_and_reason(write, name, content
 
 
 @pytest.mark.parametrize("read", [load_mesh, examine_file])
-def test_what_is_no_file_is_refused(tmp_path, read):
+def test_missing_file_or_folder_is_refused(tmp_path, read):
     with pytest.raises(MeshError, match=r"'.*missing.stl' does not exist"):
         read(tmp_path / "missing.stl")
     (tmp_path / "folder.stl").mkdir()
@@ -166,7 +166,7 @@ def test_what_is_no_file_is_refused(tmp_path, read):
         read(tmp_path / "missing.stl", scale=0)
 
 
-def test_an_obj_file_keeps_its_face_order_over_materials_and_relative_indices(write):
+def test_obj_file_keeps_face_order_with_materials_and_relative_indices(write):
     text = (
         "mtllib colours.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0 # corner\nvt 0 0\nvn 0 0 1\nusemtl b\n"
         "f -3/1/1 -1/1/1 -2/1/1\nv 0 0 1\nusemtl a\no part\nf 1//1 2//1 \\\n 4//1\nusemtl b\n"
@@ -186,14 +186,14 @@ def test_an_obj_file_keeps_its_face_order_over_materials_and_relative_indices(wr
          + "1 1 0\n4 0 1 4 2\n3 0 3 1\n"),
     ],
 )  # fmt: skip
-def test_polygons_become_triangles_with_a_note(write, name, content):
+def test_polygons_are_triangulated_with_a_note(write, name, content):
     mesh = load_mesh(write(name, content))
     assert mesh.report.area == pytest.approx(1.5)
     assert len(mesh.faces) == 3
     assert mesh.report.warnings[0].startswith("2 faces of the file, some with more than three corners, became 3")
 
 
-def test_parts_of_a_scene_are_placed_and_a_mirrored_one_stays_outward(tmp_path):
+def test_scene_parts_are_placed_and_mirrored_parts_stay_outward(tmp_path):
     scene = trimesh.Scene()
     crate = trimesh.Trimesh(box().vertices + 2.0, box().faces, process=False)
     scene.add_geometry(crate, geom_name="crate", transform=np.diag([1.0, 1, -2, 1]))
@@ -205,7 +205,7 @@ def test_parts_of_a_scene_are_placed_and_a_mirrored_one_stays_outward(tmp_path):
     np.testing.assert_allclose(mesh.bounds, [(0, 0, -5), (2.5, 2.5, 1)])
 
 
-def test_points_and_lines_in_a_scene_are_left_out_with_a_note(write):
+def test_points_and_lines_of_a_scene_are_skipped_with_a_note(write):
     def with_points(tree):
         parts = tree["meshes"][0]["primitives"]
         parts.append({"attributes": parts[0]["attributes"], "mode": 0})
@@ -215,7 +215,7 @@ def test_points_and_lines_in_a_scene_are_left_out_with_a_note(write):
     assert mesh.report.warnings == ("1 of 2 parts are points or lines and were left out",)
 
 
-def test_a_bad_index_in_one_part_does_not_reach_into_the_next(write):
+def test_invalid_index_of_one_part_does_not_reach_the_next(write):
     def second_part(tree):
         tree["meshes"].append(copy.deepcopy(tree["meshes"][0]))
         tree["nodes"] = [{"mesh": 0}, {"mesh": 1}]
@@ -229,13 +229,13 @@ def test_a_bad_index_in_one_part_does_not_reach_into_the_next(write):
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_a_broken_real_mesh_is_refused_with_the_reason(shared_data, name):
+def test_defective_real_mesh_is_refused_with_the_reason(shared_data, name):
     with pytest.raises(MeshError, match=REFUSED[name]):
         load_mesh(shared_data / "meshes" / name)
 
 
 @pytest.mark.parametrize("name", SOUND)
-def test_a_real_mesh_loads_with_the_facts_that_trimesh_finds(shared_data, name):
+def test_real_mesh_report_matches_trimesh(shared_data, name):
     path = shared_data / "meshes" / name
     mesh = load_mesh(path)
     report = mesh.report
@@ -256,7 +256,7 @@ def test_a_real_mesh_loads_with_the_facts_that_trimesh_finds(shared_data, name):
 
 
 @pytest.mark.parametrize("name", CRACKED)
-def test_a_cracked_real_mesh_says_so_and_rounding_closes_it(shared_data, name):
+def test_cracked_real_mesh_is_reported_and_closed_by_rounding(shared_data, name):
     mesh = load_mesh(shared_data / "meshes" / name)
     assert mesh.report.crack_vertex_count > 0
     assert not mesh.report.closed

@@ -191,20 +191,20 @@ def fuzz(kind, count, sources, folder):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_some_mutants_end_in_a_mesh_or_a_sentence(kind, sources, tmp_path):
+def test_few_mutated_mesh_files_load_or_are_refused(kind, sources, tmp_path):
     assert fuzz(kind, QUICK, sources, tmp_path)["refused"] > QUICK // 8
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_many_mutants_end_in_a_mesh_or_a_sentence(kind, times, sources, tmp_path):
+def test_many_mutated_mesh_files_load_or_are_refused(kind, times, sources, tmp_path):
     """200, or 1000 with --thorough."""
     seen = fuzz(kind, MANY * times, sources, tmp_path)
     assert seen["refused"] > MANY * times // 8
     assert seen["mesh"] > 0, "every mutant was refused: the mutations are too coarse to find anything"
 
 
-def test_the_originals_are_sound(sources, tmp_path):
+def test_unmutated_mesh_files_are_valid(sources, tmp_path):
     for kind, (data, *_) in sources.items():
         path = tmp_path / f"a.{kind.partition('_')[0]}"
         path.write_bytes(data)
@@ -212,7 +212,7 @@ def test_the_originals_are_sound(sources, tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["stl", "obj", "glb", "usdc"])
-def test_mutants_are_read_in_a_python_of_their_own(kind, sources, tmp_path):
+def test_mutated_mesh_files_are_read_in_a_separate_process(kind, sources, tmp_path):
     for seed in range(3):
         path = tmp_path / f"{seed}.{kind}"
         path.write_bytes(mutant(sources[kind], np.random.default_rng([99, seed])))
@@ -220,7 +220,7 @@ def test_mutants_are_read_in_a_python_of_their_own(kind, sources, tmp_path):
         assert report.usable or report.errors
 
 
-def test_a_hang_and_an_end_of_the_process_are_seen(tmp_path):
+def test_mesh_fuzzer_detects_hang_and_crash(tmp_path):
     path = tmp_path / "a.usda"
     path.write_text(doubling(40))
     with Loader(seconds=1.0, hang=5.0) as loader:
@@ -232,7 +232,7 @@ def test_a_hang_and_an_end_of_the_process_are_seen(tmp_path):
         assert loader.load(path) == "the process that loads it ended"
 
 
-def test_what_must_not_come_of_a_file_is_seen():
+def test_mesh_fuzzer_detects_invalid_results():
     sound = {"vertices": TETRAHEDRON, "faces": OUTWARD, "groups": {}}
 
     def judged(**changes):

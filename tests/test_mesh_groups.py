@@ -25,7 +25,7 @@ def faces_of(mesh):
     return {name: members.tolist() for name, members in mesh.groups.items()}
 
 
-def test_obj_names_objects_groups_and_materials(tmp_path):
+def test_obj_objects_groups_and_materials_are_mesh_groups(tmp_path):
     (tmp_path / "wheel.obj").write_text(WHEEL)
     mesh = load_mesh(tmp_path / "wheel.obj")
     assert faces_of(mesh) == {
@@ -37,7 +37,7 @@ def test_obj_names_objects_groups_and_materials(tmp_path):
     assert wc.meshes.examine_file(tmp_path / "wheel.obj") == mesh.report
 
 
-def test_solids_of_a_text_stl_are_groups(tmp_path):
+def test_solids_of_an_ascii_stl_are_mesh_groups(tmp_path):
     def solid(name, corners):
         rows = "".join(f"  vertex {x} {y} {z}\n" for x, y, z in corners)
         return f"solid {name}\nfacet normal 0 0 0\nouter loop\n{rows}endloop\nendfacet\nendsolid {name}\n"
@@ -49,7 +49,7 @@ def test_solids_of_a_text_stl_are_groups(tmp_path):
     assert faces_of(load_mesh(tmp_path / "a.stl")) == {"inlet": [0], "wall": [1, 3]}
 
 
-def test_nodes_meshes_and_materials_of_a_glb_are_groups(tmp_path):
+def test_nodes_meshes_and_materials_of_a_glb_are_mesh_groups(tmp_path):
     scene = trimesh.Scene()
     for i, name in enumerate(("tyre", "rim")):
         part = trimesh.Trimesh(TETRAHEDRON + 3 * i, OUTWARD, process=False)
@@ -64,7 +64,7 @@ def test_nodes_meshes_and_materials_of_a_glb_are_groups(tmp_path):
     assert mesh.groups["rim"].tolist() == [4, 5, 6, 7]
 
 
-def test_groups_belong_to_the_mesh():
+def test_groups_are_stored_with_the_mesh():
     crate = Mesh(
         box().vertices, box().faces, groups={"lid": [3, 1, 1], "all": np.ones(12, dtype=bool), "none": []}
     )
@@ -83,7 +83,7 @@ def test_groups_belong_to_the_mesh():
         Mesh(box().vertices, box().faces, groups={"": [1]})
 
 
-def test_active_faces_are_chosen_by_names_and_by_place():
+def test_active_faces_are_selected_by_group_or_predicate():
     sheet = grid((2, 2), (2, 2))
     mesh = Mesh(sheet.vertices, sheet.faces, groups={"left": [0, 1], "first": [0], "back": [6, 7]})
     scene = wc.Scene()
@@ -114,7 +114,7 @@ def study(folder, **surface):
     return wc.Experiment.from_dict({"duration": 1, "dt": 0.1, "surface": [entry], "body": [body]}, folder)
 
 
-def test_an_experiment_names_groups_units_and_repairs(tmp_path):
+def test_experiment_accepts_groups_units_and_repairs(tmp_path):
     (tmp_path / "wheel.obj").write_text(WHEEL + "f 4 1 5\n")
     mesh = {"file": "wheel.obj", "unit": "mm", "scale": 2.0, "repair": ["duplicate"], "tolerance": 1e-5}
     experiment = study(tmp_path, mesh=mesh, active_faces=["left", "steel"])
@@ -144,21 +144,23 @@ def test_an_experiment_names_groups_units_and_repairs(tmp_path):
             study(tmp_path, **({"mesh": mesh} | changes))
 
 
-def test_a_run_says_what_was_repaired_and_its_copy_does_it_again(tmp_path):
+def test_repair_is_reported_and_repeated_by_the_copied_experiment(tmp_path):
     (tmp_path / "wheel.obj").write_text(WHEEL + "f 4 1 5\n")
     entry = {"name": "road", "mesh": {"file": "wheel.obj", "repair": True}, "active_faces": "tread"}
     body = {"name": "ball", "mass": 1, "inertia": [1, 1, 1]}
     content = {"duration": 0.1, "dt": 0.1, "surface": [entry], "body": [body]}
-    heard = []
-    run = wc.Experiment.from_dict(content, tmp_path).run(tmp_path / "out", device="cpu", on_warning=heard.append)
-    assert "note: mesh file 'wheel.obj': duplicate: 1 face with the corners of an earlier one dropped" in heard
-    assert not any("are taken as one with it" in text or "no face turned" in text for text in heard)
-    assert json.loads((tmp_path / "out" / "run.json").read_text())["warnings"] == heard
+    messages = []
+    run = wc.Experiment.from_dict(content, tmp_path).run(
+        tmp_path / "out", device="cpu", on_warning=messages.append
+    )
+    assert "note: mesh file 'wheel.obj': duplicate: 1 face with the corners of an earlier one dropped" in messages
+    assert not any("are taken as one with it" in text or "no face turned" in text for text in messages)
+    assert json.loads((tmp_path / "out" / "run.json").read_text())["warnings"] == messages
     again = wc.Experiment.from_toml(run.files["experiment"]).scene().surfaces[0]
     assert np.flatnonzero(again.active_faces).tolist() == [1, 2, 3, 5]
 
 
-def test_inspect_takes_unit_prim_repair_and_trust(tmp_path, capsys):
+def test_inspect_command_accepts_unit_prim_repair_and_trust(tmp_path, capsys):
     path = tmp_path / "a.obj"
     path.write_text(TRIANGLE)
     assert main(["inspect", str(path), "--unit", "mm", "--repair", "merge,orient", "--trusted"]) == 0

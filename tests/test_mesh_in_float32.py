@@ -15,13 +15,13 @@ def far_apart():
 
 
 @pytest.mark.parametrize(("search", "first"), [("whole", 24), ("active", 30)])
-def test_a_lost_face_has_its_number_in_the_mesh(search, first, device):
+def test_face_without_area_in_float32_is_named_by_its_index(search, first, device):
     message = rf"surface: face {first} has no area left in float32, .* coordinates of up to 900000 m\."
     with pytest.raises(ValueError, match=message):
         probe(far_apart(), (0.0, 0.0, 1.0), active_faces=[12, 13, 30, 31], search=search, device=device)
 
 
-def test_corner_angles_are_those_of_the_triangles():
+def test_angles_of_a_face_match_the_triangle():
     corners = np.random.default_rng(0).normal(size=(50, 3, 3)) * 10.0 ** np.arange(-25, 25)[:, None, None]
     found = angles(corners)
     np.testing.assert_allclose(found.sum(axis=1), np.pi, rtol=1e-12)
@@ -30,6 +30,6 @@ def test_corner_angles_are_those_of_the_triangles():
     np.testing.assert_allclose(np.cos(found), np.column_stack(cosine), atol=1e-12)
 
 
-def test_sheets_back_to_back_have_the_direction_of_the_face():
+def test_pseudonormal_of_opposite_faces_falls_back_to_the_face_normal():
     sums, instead = np.array([(0.0, 0.0, 3.0), (0.0, 1e-12, 0.0)]), np.array([(1.0, 0.0, 0.0), (1.0, 0.0, 0.0)])
     assert directions(sums, instead).tolist() == [[0, 0, 1], [1, 0, 0]]

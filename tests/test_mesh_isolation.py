@@ -98,7 +98,7 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_a_hostile_file_ends_in_a_sentence(tmp_path, name):
+def test_malicious_mesh_file_is_refused_with_a_short_message(tmp_path, name):
     content, message = HOSTILE[name]
     path = tmp_path / name
     path.write_bytes(content.encode() if isinstance(content, str) else content)
@@ -113,7 +113,7 @@ def test_a_hostile_file_ends_in_a_sentence(tmp_path, name):
 
 
 @pytest.mark.smoke
-def test_a_packed_bomb_is_no_usdz(tmp_path):
+def test_zip_bomb_is_refused_as_usdz(tmp_path):
     zip_bomb(tmp_path / "a.usdz")
     with pytest.raises(MeshError, match="not valid USD"):
         load_mesh(tmp_path / "a.usdz")
@@ -128,7 +128,7 @@ def processor_time():
     return times.children_user + times.children_system
 
 
-def test_composition_without_end_is_ended_by_processor_time(tmp_path):
+def test_endless_usd_composition_is_stopped_by_processor_time(tmp_path):
     (tmp_path / "a.usda").write_text(doubling(30))
     start = processor_time()
     with pytest.raises(MeshError, match=TOO_LONG.format(1.5)):
@@ -146,7 +146,7 @@ def test_reader_that_waits_longer_than_its_processor_time_succeeds(tmp_path, mon
 
 
 @POSIX
-def test_reader_that_computes_longer_than_its_processor_time_is_ended(tmp_path, monkeypatch):
+def test_reader_that_computes_longer_than_its_processor_time_is_stopped(tmp_path, monkeypatch):
     (tmp_path / "a.stl").write_bytes(STL)
     busy = (
         "import signal; from warpcontact.meshes.reader_process import limit; limit(2**32, {seconds}); {first}\n"
@@ -159,10 +159,10 @@ def test_reader_that_computes_longer_than_its_processor_time_is_ended(tmp_path, 
             load_mesh(tmp_path / "a.stl", limits=Limits(seconds=0.5))
 
 
-def test_reader_that_blocks_is_ended_on_the_clock(tmp_path, monkeypatch):
+def test_blocked_reader_is_stopped_by_wall_clock(tmp_path, monkeypatch):
     (tmp_path / "a.stl").write_bytes(STL)
-    assert isolation.longest_wait(20.0) in (300.0, 20.0)  # 20 on Windows
-    monkeypatch.setattr(isolation, "longest_wait", lambda seconds: 0.5)
+    assert isolation.max_wall_time(20.0) in (300.0, 20.0)  # 20 on Windows
+    monkeypatch.setattr(isolation, "max_wall_time", lambda seconds: 0.5)
     monkeypatch.setattr(isolation, "_START", "import time; time.sleep(60)")
     with pytest.raises(MeshError, match=r"did not end within 0.5 s on the clock|takes more than 0.5 s"):
         load_mesh(tmp_path / "a.stl")
@@ -219,9 +219,7 @@ print(seconds, int(told["VmHWM"].split()[0]) * 1024, found)
         pytest.param(8_000, True, "takes more than 20 s|more memory|faces", marks=pytest.mark.slow),
     ],
 )
-def test_parts_placed_many_times_end_in_time_and_in_the_memory_of_the_process_apart(
-    tmp_path, count, names, message
-):
+def test_many_instances_are_bounded_in_time_and_memory(tmp_path, count, names, message):
     path = tmp_path / "a.glb"
     path.write_bytes(repeated(count, names))
     words = [sys.executable, "-c", CALLER, str(path)]
@@ -232,7 +230,7 @@ def test_parts_placed_many_times_end_in_time_and_in_the_memory_of_the_process_ap
     assert int(memory) < 2**30
 
 
-def test_examination_and_repair_take_part_in_the_time(tmp_path):
+def test_processor_time_limit_includes_examination_and_repair(tmp_path):
     path = tmp_path / "a.glb"
     path.write_bytes(repeated(10_000))
     for repair in (False, True):
@@ -243,7 +241,7 @@ def test_examination_and_repair_take_part_in_the_time(tmp_path):
 
 
 @POSIX
-def test_a_process_that_cannot_be_limited_watches_itself():
+def test_reader_without_system_limit_stops_itself():
     # As on macOS, where nothing keeps the limit on address space.
     code = (
         "import sys, threading; from warpcontact.meshes.reader_process import watch;"
@@ -257,7 +255,7 @@ def test_a_process_that_cannot_be_limited_watches_itself():
     assert "more memory" in isolation._reason(result.returncode, False, Limits(), [])
 
 
-def test_too_many_triangles_are_refused_before_they_are_made(tmp_path):
+def test_too_many_triangles_are_refused_before_allocation(tmp_path):
     (tmp_path / "a.glb").write_bytes(repeated(30_000))
     for trusted in (False, True):
         with pytest.raises(MeshError, match="allowed: 1000, see Limits"):
@@ -267,7 +265,7 @@ def test_too_many_triangles_are_refused_before_they_are_made(tmp_path):
         load_mesh(tmp_path / "a.stl", limits=Limits(faces=3))
 
 
-def test_limits_are_checked_and_come_from_the_environment(monkeypatch, tmp_path):
+def test_limits_are_validated_and_read_from_environment_variables(monkeypatch, tmp_path):
     assert Limits() == Limits(memory=4 * 2**30, seconds=20.0, faces=5_000_000)
     for options in ({"memory": 0}, {"memory": 1e9}, {"seconds": -1.0}, {"seconds": np.inf}, {"faces": True}):
         with pytest.raises(ValueError, match=rf"Limits.{next(iter(options))} must be a positive finite"):
@@ -284,7 +282,7 @@ def test_limits_are_checked_and_come_from_the_environment(monkeypatch, tmp_path)
 
 
 @POSIX
-def test_a_reader_that_dies_is_named_by_its_signal(tmp_path, monkeypatch):
+def test_crashed_reader_is_reported_with_its_signal(tmp_path, monkeypatch):
     (tmp_path / "a.stl").write_bytes(STL)
     monkeypatch.setattr(isolation, "_START", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
     with pytest.raises(MeshError, match=r"the reader crashed on it \(SIGSEGV\), in a process of its own"):
@@ -333,12 +331,12 @@ FACES = OUTWARD.astype("<i8")
         (answer(SOUND, TETRAHEDRON), "the process that reads it failed"),
     ],
 )
-def test_an_answer_that_makes_no_sense_is_one_sentence(data, message):
+def test_malformed_answer_of_reader_is_one_message(data, message):
     with pytest.raises((Unreadable, EOFError), match=message if "failed" not in message else None):
         isolation._answer(io.BytesIO(data), Limits())
 
 
-def test_a_process_that_answers_with_nonsense_makes_a_file_unreadable(tmp_path, monkeypatch):
+def test_malformed_answer_of_reader_makes_the_file_unreadable(tmp_path, monkeypatch):
     (tmp_path / "a.stl").write_bytes(STL)
     for data in (answer(b"no json"), answer({})):
         monkeypatch.setattr(isolation, "_START", f"import sys; sys.stdout.buffer.write({data!r})")
@@ -347,7 +345,7 @@ def test_a_process_that_answers_with_nonsense_makes_a_file_unreadable(tmp_path, 
         assert examine_file(tmp_path / "a.stl").errors
 
 
-def test_an_error_of_the_program_itself_is_said(tmp_path, monkeypatch):
+def test_internal_error_of_the_reader_is_reported(tmp_path, monkeypatch):
     (tmp_path / "a.stl").write_bytes(STL)
     start = isolation._START.replace("main(request)", "request['task']['more'] = 1; main(request)")
     monkeypatch.setattr(isolation, "_START", start)
@@ -356,7 +354,7 @@ def test_an_error_of_the_program_itself_is_said(tmp_path, monkeypatch):
 
 
 @pytest.mark.smoke
-def test_a_script_without_a_guard_a_lost_folder_and_threads_can_load(tmp_path):
+def test_mesh_loads_from_unguarded_script_deleted_folder_and_threads(tmp_path):
     (tmp_path / "a.stl").write_bytes(STL)
     folder = tmp_path / "gone"
     folder.mkdir()
@@ -377,7 +375,7 @@ def test_a_script_without_a_guard_a_lost_folder_and_threads_can_load(tmp_path):
     assert (result.stdout.split(), result.stderr) == (["4", "4"], "")
 
 
-def test_files_are_read_side_by_side(tmp_path):
+def test_mesh_files_can_be_read_concurrently(tmp_path):
     for i in range(6):
         (tmp_path / f"{i}.stl").write_bytes(binary_stl((TETRAHEDRON * (i + 1))[OUTWARD]))
     with ThreadPoolExecutor(3) as pool:
@@ -388,13 +386,13 @@ def test_files_are_read_side_by_side(tmp_path):
 @pytest.mark.skipif(
     os.name != "posix" or not hasattr(os, "mkfifo"), reason="pipes in folders are a matter of POSIX"
 )
-def test_a_pipe_is_not_waited_for(tmp_path):
+def test_named_pipe_is_refused_without_waiting(tmp_path):
     os.mkfifo(tmp_path / "a.stl")
     with pytest.raises(MeshError, match="is not a regular file"):
         load_mesh(tmp_path / "a.stl")
 
 
-def test_a_name_with_anything_in_it_is_read(tmp_path):
+def test_file_name_with_special_characters_is_read(tmp_path):
     path = tmp_path / "ümläut 'quoted' \n [x].usda"
     try:
         path.write_text("#usda 1.0\n")
@@ -404,7 +402,7 @@ def test_a_name_with_anything_in_it_is_read(tmp_path):
         load_mesh(path)
 
 
-def test_nothing_is_left_behind(tmp_path):
+def test_mesh_reader_leaves_no_files_or_processes(tmp_path):
     (tmp_path / "a.stl").write_bytes(STL)
     before = set(os.listdir(tmp_path))
     load_mesh(tmp_path / "a.stl")
@@ -414,7 +412,7 @@ def test_nothing_is_left_behind(tmp_path):
         assert subprocess.run(words, capture_output=True, check=False).stdout == b""
 
 
-def test_trusted_and_apart_give_the_same(shared_data):
+def test_trusted_and_sandboxed_loading_give_the_same_mesh(shared_data):
     for name in ("Duck.glb", "featuretype.STL", "fandisk.obj", "ballA.off"):
         path = shared_data / "meshes" / name
         apart, here = load_mesh(path), load_mesh(path, trusted=True)
@@ -425,7 +423,7 @@ def test_trusted_and_apart_give_the_same(shared_data):
         assert apart.groups.keys() == here.groups.keys()
 
 
-def test_a_large_mesh_passes_whole(tmp_path):
+def test_large_mesh_is_transferred_completely(tmp_path):
     corners = np.concatenate([box().vertices[box().faces] + (3.0 * i, 0, 0) for i in range(500)])
     (tmp_path / "a.stl").write_bytes(binary_stl(corners))
     mesh = load_mesh(tmp_path / "a.stl")

@@ -16,7 +16,7 @@ def joined(*parts):
     return np.concatenate([v for v, _ in parts]), np.concatenate(faces)
 
 
-def test_many_open_parts_cost_no_pairs():
+def test_many_open_components_need_no_pairwise_nesting_test():
     count = 100_000
     place = np.random.default_rng(0).uniform(-40.0, 40.0, (count, 1, 3))
     loose = place + np.array([(0, 0, 0), (0.1, 0, 0), (0, 0.1, 0)])
@@ -34,7 +34,7 @@ def test_many_open_parts_cost_no_pairs():
     assert Mesh(vertices, faces).report.components[0].inside == 1
 
 
-def test_shells_in_shells_are_found_or_passed_over_in_a_moment():
+def test_nested_shells_are_found_or_skipped_quickly():
     def onion(count):
         shells = [(TETRAHEDRON * (i + 1) - 0.2 * (i + 1), OUTWARD) for i in range(count)]
         return Mesh(*joined(*shells)).report.components

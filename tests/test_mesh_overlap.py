@@ -37,7 +37,7 @@ def cut_exactly(p, q):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_random_triangles_cut_each_other_as_exact_arithmetic_says(seed):
+def test_self_intersections_match_exact_arithmetic(seed):
     rng = np.random.default_rng(seed)
     centres = rng.uniform(0, 1, (40, 1, 3))
     corners = centres + rng.normal(0, 0.2, (40, 3, 3)) * rng.uniform(0.2, 2, (40, 1, 1))
@@ -52,7 +52,7 @@ def test_random_triangles_cut_each_other_as_exact_arithmetic_says(seed):
     "mesh",
     [box(), icosphere(0.5, 3), grid((1, 1), (9, 7)), sinusoidal_terrain(cells=(40, 40)), box((1e-3, 1, 100))],
 )
-def test_sound_surfaces_do_not_cut_themselves(mesh):
+def test_valid_surfaces_have_no_self_intersections(mesh):
     assert len(mesh.self_intersections()) == 0
     assert len(Mesh(*soup(mesh)).self_intersections()) == 0
 
@@ -70,12 +70,12 @@ def test_sound_surfaces_do_not_cut_themselves(mesh):
         ((0, 0, 0.9999), True),
     ],
 )
-def test_two_boxes(offset, cuts):
+def test_intersection_of_two_boxes_is_detected(offset, cuts):
     mesh = Mesh(*joined(box(), moved(box(), offset)))
     assert (len(mesh.self_intersections()) > 0) == cuts
 
 
-def test_faces_that_share_corners_can_overlap_all_the_same():
+def test_overlapping_faces_with_shared_vertices_are_detected():
     fold = [(0, 0, 0), (1, 0, 0), (0.5, 1, 0), (0.5, 0.5, 0)]
     assert intersections(np.array(fold), np.array([(0, 1, 2), (1, 0, 3)])).tolist() == [[0, 1]]
     flat = [(0, 0, 0), (1, 0, 0), (0.5, 1, 0), (0.5, -0.5, 0)]
@@ -86,14 +86,14 @@ def test_faces_that_share_corners_can_overlap_all_the_same():
     assert not len(intersections(beside, np.array([(0, 1, 2), (0, 3, 4)])))
 
 
-def test_size_and_place_make_no_difference():
+def test_self_intersections_are_invariant_to_scale_and_position():
     v, f = joined(box(), moved(box(), (0.5, 0.25, 0.125)))
     count = len(intersections(v, f))
     for factor, offset in ((1e-6, 0.0), (1e5, 0.0), (1.0, 1e3)):
         assert len(intersections(factor * v + offset, f)) == count
 
 
-def test_a_mesh_with_too_many_near_faces_is_given_up(monkeypatch):
+def test_mesh_with_too_many_close_faces_is_not_examined(monkeypatch):
     monkeypatch.setattr("warpcontact.meshes.overlap._BUDGET", 100)
     mesh = icosphere(1.0, 3)
     assert examine(mesh.vertices, mesh.faces, overlaps=True).self_intersection_count is None
@@ -101,7 +101,7 @@ def test_a_mesh_with_too_many_near_faces_is_given_up(monkeypatch):
         mesh.self_intersections()
 
 
-def test_a_report_from_a_file_has_the_pairs(shared_data):
+def test_report_of_a_file_counts_intersecting_pairs(shared_data):
     report = load_mesh(shared_data / "meshes" / "Duck.glb").report
     assert report.self_intersection_count == 4
     assert any(
@@ -130,13 +130,13 @@ def test_a_report_from_a_file_has_the_pairs(shared_data):
         (TETRAHEDRON, np.empty((0, 3), dtype=int), ()),
     ],
 )
-def test_kinds_of_meshes(vertices, faces, kinds):
+def test_mesh_kinds_are_classified(vertices, faces, kinds):
     report = examine(vertices, faces, overlaps=True)
     assert report.kinds == kinds
     assert f"kind                   {', '.join(kinds) or 'none'}" in report.to_text()
 
 
-def test_parts_that_touch_in_a_point_are_found_also_in_one_component():
+def test_components_touching_at_a_vertex_are_reported():
     # Two tetrahedra share a corner; two strips of a sheet do.
     v, f = joined(Mesh(TETRAHEDRON, OUTWARD), Mesh(-TETRAHEDRON, OUTWARD[:, ::-1]))
     assert examine(v, f).non_manifold_vertex_count == 1
@@ -147,7 +147,7 @@ def test_parts_that_touch_in_a_point_are_found_also_in_one_component():
     assert corner.non_manifold_vertex_count == 1
 
 
-def test_components_are_told_by_their_first_face():
+def test_components_are_identified_by_their_first_face():
     report = examine(*joined(grid(), moved(box(), 3.0), moved(box().flipped(), 6.0)))
     found = [(p.first_face, p.face_count, p.closed, p.inside) for p in report.components]
     assert found == [(0, 2, False, None), (2, 12, True, None), (14, 12, True, None)]

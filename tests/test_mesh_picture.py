@@ -9,7 +9,7 @@ import warpcontact as wc
 from warpcontact.cli import main
 from warpcontact.meshes import examine_file, load_mesh, plot_file
 from warpcontact.meshes.picture.defects import find_defects
-from warpcontact.meshes.picture.marks import _split
+from warpcontact.meshes.picture.marks import _split_by_visibility
 from warpcontact.meshes.picture.painter import paint
 from warpcontact.meshes.picture.sheet import length_unit
 from warpcontact.meshes.picture.view import View, best_direction
@@ -33,7 +33,7 @@ def brute_force(corners, size):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_random_triangles_hide_each_other_as_they_do_one_by_one(seed):
+def test_rendered_triangles_hide_each_other_as_brute_force(seed):
     rng = np.random.default_rng(seed)
     # Some of them reach out of the picture on all sides.
     corners = rng.uniform((-20, -20, 0), (90, 70, 50), (60, 3, 3))
@@ -44,7 +44,7 @@ def test_random_triangles_hide_each_other_as_they_do_one_by_one(seed):
     assert (seen >= 0).any()
 
 
-def test_neighbours_leave_no_gap_and_none_covers_a_pixel_of_the_other():
+def test_adjacent_faces_cover_each_pixel_once():
     mesh = wc.meshes.grid((1, 1), (37, 23))
     angle = 0.4
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
@@ -58,7 +58,7 @@ def test_neighbours_leave_no_gap_and_none_covers_a_pixel_of_the_other():
     assert (seen[inside > 100 + 1e-9] < 0).all()
 
 
-def test_of_faces_at_the_same_place_the_last_is_seen():
+def test_last_of_coincident_faces_is_visible():
     corners = np.repeat([[[1.0, 1.0, 5.0], [9.0, 1.0, 5.0], [1.0, 9.0, 7.0]]], 3, axis=0)
     assert set(np.unique(paint(corners, (10, 10))[0])) == {-1, 2}
 
@@ -69,7 +69,7 @@ def test_lines_are_split_where_the_surface_hides_them():
     points = np.concatenate([wall.reshape(-1, 3), line])
     view = View.towards(np.array([0.0, -1.0, 0.0]), points, (400, 400))
     _, depth = paint(view.project(wall), view.size)
-    seen, hidden = _split(view.project(line)[None], view, depth)
+    seen, hidden = _split_by_visibility(view.project(line)[None], view, depth)
     assert len(seen) == 2
     assert len(hidden) == 1
     # The wall is half as long as the line.
@@ -81,7 +81,7 @@ def test_lines_are_split_where_the_surface_hides_them():
     "name",
     ["bunny.ply", "busted.STL", "cycloidal.ply", "not_convex.obj", "soup.stl", "multibody.stl", "featuretype.STL"],
 )
-def test_defects_are_as_many_as_the_report_counts(name, shared):
+def test_drawn_defects_match_report_counts(name, shared):
     path = shared / "data" / "meshes" / name
     report = examine_file(path)
     from warpcontact.meshes.load import Options, examined
@@ -125,7 +125,7 @@ def write_obj(path, vertices, faces):
     path.write_text("\n".join(lines))
 
 
-def test_all_kinds_of_defects_are_found_and_named_in_the_legend(tmp_path):
+def test_all_defect_kinds_are_marked_and_in_the_legend(tmp_path):
     vertices, faces = broken()
     defects = find_defects(vertices, faces)
     box = len(wc.meshes.box().faces) - 1
@@ -139,7 +139,7 @@ def test_all_kinds_of_defects_are_found_and_named_in_the_legend(tmp_path):
     report = plot_file(tmp_path / "broken.obj", tmp_path / "broken.svg")
     assert not report.usable
     text = (tmp_path / "broken.svg").read_text()
-    said = "\n".join(re.findall(r"<!-- (.*?) -->", text))
+    legend = "\n".join(re.findall(r"<!-- (.*?) -->", text))
     for words in (
         "broken:  2.6 × 1 × 1.4 m (x, y, z),  335 faces",
         "outer side",
@@ -151,10 +151,10 @@ def test_all_kinds_of_defects_are_found_and_named_in_the_legend(tmp_path):
         "2 faces without a finite place not shown",
         "500 mm",
     ):
-        assert words in said
+        assert words in legend
 
 
-def test_cuts_pinches_and_cracks_are_marked(tmp_path):
+def test_intersections_pinched_vertices_and_cracks_are_marked(tmp_path):
     """Two boxes through each other, two more that touch in a corner, and a seam that is all but closed."""
     boxes = [(0.0, 0.0, 0.0), (0.5, 0.4, 0.3), (4.0, 0.0, 0.0), (5.0, 1.0, 1.0)]
     box = wc.meshes.box((1, 1, 1))
@@ -167,17 +167,17 @@ def test_cuts_pinches_and_cracks_are_marked(tmp_path):
     assert report.self_intersection_count > 0
     defects = find_defects(np.concatenate([vertices, seam]), faces)
     assert set(np.flatnonzero(defects.cutting)) < set(range(24))
-    said = "\n".join(re.findall(r"<!-- (.*?) -->", (tmp_path / "parts.svg").read_text()))
+    legend = "\n".join(re.findall(r"<!-- (.*?) -->", (tmp_path / "parts.svg").read_text()))
     cut = int(defects.cutting.sum())
     for words in (
         f"cut or overlap others: {cut} faces",
         "touching in a point only: 1 vertex",
         "cracks: 4 vertices",
     ):
-        assert words in said
+        assert words in legend
 
 
-def test_a_picture_shows_outer_inner_and_idle_faces(tmp_path):
+def test_mesh_picture_shows_outer_inner_and_inactive_faces(tmp_path):
     from matplotlib.image import imread
 
     grid = wc.meshes.grid((1, 1), (10, 10))
@@ -198,7 +198,7 @@ def test_a_picture_shows_outer_inner_and_idle_faces(tmp_path):
     assert max(side[0] - side[2] for side in sides) > 0.3
 
 
-def test_the_view_is_one_that_shows_the_outer_side():
+def test_mesh_picture_view_shows_the_outer_side():
     for mesh, axis in ((wc.meshes.grid(), 2), (wc.meshes.grid().flipped(), 2)):
         corners = mesh.vertices[mesh.faces]
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -206,7 +206,7 @@ def test_the_view_is_one_that_shows_the_outer_side():
         assert abs(best_direction(cross)[axis]) > 0.4
 
 
-def test_lengths_are_true_in_the_picture():
+def test_mesh_picture_lengths_are_to_scale():
     points = np.array([[0, 0, 0], [3.0, 1, 2], [-1, 4, 0.5]])
     view = View.towards(np.array([0.3, -0.5, 0.8]), points, (400, 600))
     places = view.project(points) / view.scale
@@ -218,11 +218,11 @@ def test_lengths_are_true_in_the_picture():
 
 
 @pytest.mark.parametrize(("length", "unit"), [(2e3, "km"), (1.0, "m"), (0.02, "mm"), (5e-6, "µm"), (2e-8, "nm")])
-def test_units_suit_the_size(length, unit):
+def test_scale_bar_unit_suits_the_size(length, unit):
     assert length_unit(length)[0] == unit
 
 
-def test_the_same_mesh_gives_the_same_file(tmp_path):
+def test_mesh_picture_is_bitwise_reproducible(tmp_path):
     mesh = wc.meshes.icosphere(0.1, 2)
     for suffix in ("svg", "png"):
         first, second = tmp_path / f"a.{suffix}", tmp_path / f"b.{suffix}"
@@ -231,7 +231,7 @@ def test_the_same_mesh_gives_the_same_file(tmp_path):
         assert first.read_bytes() == second.read_bytes()
 
 
-def test_faces_of_no_size_and_names_like_formulas_are_drawn(tmp_path):
+def test_degenerate_faces_and_names_with_formula_characters_are_drawn(tmp_path):
     write_obj(tmp_path / "a$_b$.obj", np.ones((3, 3)), np.array([[0, 1, 2]]))
     report = plot_file(tmp_path / "a$_b$.obj", tmp_path / "point.svg")
     assert report.degenerate_face_count == 1
@@ -240,7 +240,7 @@ def test_faces_of_no_size_and_names_like_formulas_are_drawn(tmp_path):
     assert "degenerate: 1 face" in text
 
 
-def test_inspect_draws_a_file(tmp_path, capsys, shared):
+def test_inspect_command_draws_a_file(tmp_path, capsys, shared):
     picture = tmp_path / "soup.png"
     assert main(["inspect", str(shared / "data" / "meshes" / "soup.stl"), "--plot", str(picture)]) == 0
     out, _ = capsys.readouterr()
@@ -249,14 +249,14 @@ def test_inspect_draws_a_file(tmp_path, capsys, shared):
     assert picture.read_bytes().startswith(PNG)
 
 
-def test_inspect_draws_an_unusable_file_and_still_says_no(tmp_path, capsys):
+def test_inspect_command_draws_an_unusable_file_and_exits_with_1(tmp_path, capsys):
     vertices, faces = broken()
     write_obj(tmp_path / "broken.obj", vertices, faces)
     assert main(["inspect", str(tmp_path / "broken.obj"), "--plot", str(tmp_path / "broken.png")]) == 1
     assert (tmp_path / "broken.png").read_bytes().startswith(PNG)
 
 
-def test_inspect_says_what_cannot_be_drawn(tmp_path, capsys):
+def test_inspect_command_reports_a_file_that_cannot_be_drawn(tmp_path, capsys):
     (tmp_path / "empty.obj").write_text("v 0 0 0\n")
     assert main(["inspect", str(tmp_path / "empty.obj"), "--plot", str(tmp_path / "x.png")]) == 1
     assert "'empty' has no face that can be drawn" in capsys.readouterr().err
@@ -280,13 +280,13 @@ WEDGE = (
 
 
 @pytest.mark.slow
-def test_inspect_reports_and_draws_the_active_part(tmp_path, capsys):
+def test_inspect_command_reports_and_draws_active_faces(tmp_path, capsys):
     path, picture = tmp_path / "wedge.obj", tmp_path / "wedge.svg"
     path.write_text(WEDGE)
     words = ["inspect", str(path), "--unit", "mm"]
     assert main(words) == 0
     assert "active" not in capsys.readouterr().out
-    for choice, said in (
+    for choice, legend in (
         (["--active", "back"], "2 of 4, 1 of 2 m²"),
         (["--active", "back", "top", "front"], "3 of 4, 1.5 of 2 m²"),
         (["--active-faces", "1"], "1 of 4, 0.5 of 2 m²"),
@@ -294,10 +294,10 @@ def test_inspect_reports_and_draws_the_active_part(tmp_path, capsys):
     ):
         assert main([*words, *choice, "--plot", str(picture)]) == 0
         out = capsys.readouterr().out
-        assert f"  active faces           {said}\n" in out
+        assert f"  active faces           {legend}\n" in out
         assert f"picture: {picture}" in out
         drawn = "\n".join(re.findall(r"<!-- (.*?) -->", picture.read_text()))
-        idle = 4 - int(said[0])
+        idle = 4 - int(legend[0])
         assert f"not active: {idle} face{'' if idle == 1 else 's'}" in drawn
         assert "outer side, active" in drawn
     # The same in Python, and by any other choice of faces.
@@ -310,7 +310,7 @@ def test_inspect_reports_and_draws_the_active_part(tmp_path, capsys):
     assert examine_file(path).active_face_count is None
 
 
-def test_the_active_part_is_that_of_the_repaired_mesh(tmp_path, capsys):
+def test_active_faces_refer_to_the_repaired_mesh(tmp_path, capsys):
     (tmp_path / "wedge.obj").write_text(WEDGE + "f 1 5 4\n")
     words = ["inspect", str(tmp_path / "wedge.obj"), "--unit", "mm", "--active", "top"]
     assert main([*words, "--repair", "duplicate"]) == 0
@@ -319,7 +319,7 @@ def test_the_active_part_is_that_of_the_repaired_mesh(tmp_path, capsys):
     assert "active faces           3 of 5" in capsys.readouterr().out
 
 
-def test_an_active_part_that_cannot_be_is_named_by_its_option(tmp_path, capsys):
+def test_invalid_active_faces_are_reported_with_the_option(tmp_path, capsys):
     path, picture = tmp_path / "wedge.obj", tmp_path / "wedge.png"
     path.write_text(WEDGE)
     for choice, message in (
@@ -344,7 +344,7 @@ def test_an_active_part_that_cannot_be_is_named_by_its_option(tmp_path, capsys):
     assert "--active" not in capsys.readouterr().err
 
 
-def test_the_active_part_of_an_unusable_mesh_is_drawn_as_far_as_it_has_a_place(tmp_path):
+def test_active_faces_of_an_unusable_mesh_are_drawn_if_possible(tmp_path):
     (tmp_path / "broken.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1 2 9\n")
     for choice, count in (([0, 1], 2), (lambda c: c[:, 0] > 0, 1)):
         report = plot_file(tmp_path / "broken.obj", tmp_path / "broken.png", active_faces=choice)

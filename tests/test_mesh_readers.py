@@ -27,7 +27,7 @@ def star(points, turn):
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("points", [3, 5, 40])
-def test_polygons_that_are_not_convex_are_filled_once(seed, points):
+def test_nonconvex_polygons_are_filled_once(seed, points):
     turn = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
     shape = np.roll(star(points, turn), seed, axis=0)
     v = np.concatenate((shape, shape + np.array((0, 0, 3))))
@@ -42,7 +42,7 @@ def test_polygons_that_are_not_convex_are_filled_once(seed, points):
         np.testing.assert_allclose(np.linalg.norm(vectors, axis=1).sum(), np.linalg.norm(expected))
 
 
-def test_convex_polygons_are_fans_and_strange_ones_are_taken_as_such():
+def test_convex_polygons_are_fans_and_degenerate_ones_are_kept():
     faces, owner = triangulate(star(4, np.eye(3)), np.array([4, 3]), np.array([0, 2, 4, 6, 1, 2, 3]))
     assert faces.tolist() == [[0, 2, 4], [0, 4, 6], [1, 2, 3]]
     assert owner.tolist() == [0, 0, 1]
@@ -56,7 +56,7 @@ def test_convex_polygons_are_fans_and_strange_ones_are_taken_as_such():
         assert len(faces) == 3
 
 
-def test_polygons_of_very_many_corners_are_convex_or_refused():
+def test_polygons_with_many_vertices_must_be_convex():
     angle = np.linspace(0, 2 * np.pi, 20_000, endpoint=False)
     disk = np.column_stack((np.cos(angle), np.sin(angle), 0 * angle))
     faces, _ = triangulate(disk, np.array([len(disk)]), np.arange(len(disk)))
@@ -92,7 +92,7 @@ def ply(order, faces, kind="int", extra=False):
 @pytest.mark.parametrize("order", ["<", ">"])
 @pytest.mark.parametrize("kind", ["int", "ushort"])
 @pytest.mark.parametrize("extra", [False, True])
-def test_binary_ply_of_any_layout(tmp_path, order, kind, extra):
+def test_binary_ply_of_any_layout_is_read(tmp_path, order, kind, extra):
     (tmp_path / "a.ply").write_bytes(ply(order, OUTWARD.tolist(), kind, extra))
     mesh = load_mesh(tmp_path / "a.ply")
     np.testing.assert_array_equal(mesh.faces, OUTWARD)
@@ -102,7 +102,7 @@ def test_binary_ply_of_any_layout(tmp_path, order, kind, extra):
         load_mesh(tmp_path / "b.ply")
 
 
-def test_ply_with_triangles_and_quads(tmp_path):
+def test_ply_with_triangles_and_quads_is_read(tmp_path):
     (tmp_path / "a.ply").write_bytes(ply("<", [(0, 1, 2, 3), (0, 1, 3), (3, 1, 2), (0, 3, 2, 1)][1:]))
     assert len(load_mesh(tmp_path / "a.ply", repair=True).faces) > 0
     (tmp_path / "b.ply").write_bytes(ply("<", [(0, 1, 2), (0, 1)]))
@@ -153,18 +153,18 @@ def parts(indices, mode, dtype="<u1"):
     ],
 )
 @pytest.mark.parametrize("dtype", ["<u1", "<u2", "<u4"])
-def test_triangles_and_strips_of_a_glb(tmp_path, indices, mode, dtype):
+def test_triangles_and_strips_of_a_glb_are_read(tmp_path, indices, mode, dtype):
     (tmp_path / "a.glb").write_bytes(gltf([{"mesh": 0}], *parts(indices, mode, dtype)))
     report = load_mesh(tmp_path / "a.glb", repair="orient").report
     assert (report.face_count, report.closed, report.orientation) == (4, True, "outward")
 
 
-def test_a_fan_of_a_glb(tmp_path):
+def test_triangle_fan_of_a_glb_is_read(tmp_path):
     (tmp_path / "a.glb").write_bytes(gltf([{"mesh": 0}], *parts([3, 0, 1, 2, 0], 6)))
     assert load_mesh(tmp_path / "a.glb").faces.tolist() == [[3, 0, 1], [3, 1, 2], [3, 2, 0]]
 
 
-def test_nodes_of_a_glb_place_their_children(tmp_path):
+def test_glb_nodes_transform_their_children(tmp_path):
     half = np.sqrt(0.5)
     nodes = [
         {"children": [1, 2], "translation": [10, 0, 0]},
@@ -212,13 +212,13 @@ def _indices(tree):
         (lambda t: _indices(t).update(normalized=True), "must be unsigned integers, not normalized; got float64"),
     ],
 )  # fmt: skip
-def test_bad_references_of_a_glb_are_named(tmp_path, edit, message):
+def test_invalid_references_of_a_glb_are_reported(tmp_path, edit, message):
     (tmp_path / "a.glb").write_bytes(glb(edit))
     with pytest.raises(MeshError, match=message):
         load_mesh(tmp_path / "a.glb")
 
 
-def test_a_glb_container_of_another_version_is_refused(tmp_path):
+def test_glb_of_another_version_is_refused(tmp_path):
     data = bytearray(glb())
     data[4] = 1
     (tmp_path / "a.glb").write_bytes(data)
@@ -253,13 +253,13 @@ BENT = "1 of 1 parts have a skin or morph targets, and are taken without"
         (lambda t: t.update(extensionsRequired=["KHR_materials_unlit", "KHR_mesh_quantization"]), ()),
     ],
 )  # fmt: skip
-def test_what_a_glb_has_beyond_triangles_is_said(tmp_path, edit, warnings):
+def test_unsupported_content_of_a_glb_is_reported(tmp_path, edit, warnings):
     (tmp_path / "a.glb").write_bytes(glb(edit))
     assert load_mesh(tmp_path / "a.glb").report.warnings == warnings
 
 
 @pytest.mark.parametrize("kind", ["float", "double"])
-def test_vertex_numbers_of_a_ply_are_integers(tmp_path, kind):
+def test_ply_vertex_indices_must_be_integers(tmp_path, kind):
     binary = ply("<", OUTWARD.tolist()).replace(b"list uchar int", f"list uchar {kind}".encode())
     for content in (PLY.replace("uchar int", f"uchar {kind}").encode(), binary):
         (tmp_path / "a.ply").write_bytes(content)
@@ -267,7 +267,7 @@ def test_vertex_numbers_of_a_ply_are_integers(tmp_path, kind):
             load_mesh(tmp_path / "a.ply")
 
 
-def test_lists_of_vertices_of_a_ply_are_refused_as_such(tmp_path):
+def test_ply_vertex_lists_are_refused(tmp_path):
     rows = "".join(f"{x} {y} {z} 1 7\n" for x, y, z in TETRAHEDRON)
     head, faces = PLY.replace("property float z\n", "property float z\nproperty list uchar int w\n").split(
         "0 0 0\n"
@@ -289,7 +289,7 @@ def test_lists_of_vertices_of_a_ply_are_refused_as_such(tmp_path):
         ("a.stl", STL_TEXT, "vertex 1.0", "vertex 1_0.0", "line 6: 3 or more numbers are needed, got '1_0.0"),
     ],
 )
-def test_numbers_are_not_those_of_python(tmp_path, name, content, old, new, message):
+def test_python_number_syntax_is_refused_in_mesh_files(tmp_path, name, content, old, new, message):
     assert old in content
     (tmp_path / name).write_text(content.replace(old, new, 1))
     with pytest.raises(MeshError, match=message):
@@ -306,17 +306,17 @@ def test_numbers_are_not_those_of_python(tmp_path, name, content, old, new, mess
         ("v 0 0 0\nv 0 0 0\nf 1 \\\n x 3 \\", 3),
     ],
 )
-def test_lines_of_an_obj_are_counted_as_an_editor_does(tmp_path, rows, line, end):
+def test_obj_line_numbers_match_text_editors(tmp_path, rows, line, end):
     (tmp_path / "a.obj").write_bytes(rows.replace("\n", end).encode())
     with pytest.raises(MeshError, match=f"line {line}: 3 or more numbers are needed"):
         load_mesh(tmp_path / "a.obj", trusted=True)
 
 
 @pytest.mark.parametrize("unit", UNITS)
-def test_units_are_metres_per_unit(tmp_path, unit):
+def test_units_are_meters_per_unit(tmp_path, unit):
     (tmp_path / "a.obj").write_text(OBJ)
     mesh = load_mesh(tmp_path / "a.obj", unit=unit, trusted=True)
-    known = {
+    units = {
         "m": 1,
         "dm": 0.1,
         "cm": 0.01,
@@ -327,8 +327,8 @@ def test_units_are_metres_per_unit(tmp_path, unit):
         "in": 0.0254,
         "ft": 0.3048,
     }
-    np.testing.assert_array_equal(mesh.vertices, TETRAHEDRON * known[unit])
+    np.testing.assert_array_equal(mesh.vertices, TETRAHEDRON * units[unit])
     half = load_mesh(tmp_path / "a.obj", unit=unit, scale=0.5, trusted=True)
-    np.testing.assert_array_equal(half.vertices, 0.5 * TETRAHEDRON * known[unit])
+    np.testing.assert_array_equal(half.vertices, 0.5 * TETRAHEDRON * units[unit])
     with pytest.raises(ValueError, match="unit must be one of m, dm, cm, mm, um, µm, km, in, ft, got 'inch'"):
         load_mesh(tmp_path / "a.obj", unit="inch")

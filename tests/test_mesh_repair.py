@@ -21,7 +21,7 @@ def steps(mesh):
 
 
 @pytest.mark.parametrize("name", ["angle_block.STL", "featuretype.STL", "idler_riser.STL"])
-def test_a_cracked_real_mesh_is_closed_by_merging(shared_data, name):
+def test_cracked_real_mesh_is_closed_by_merging(shared_data, name):
     path = shared_data / "meshes" / name
     assert not load_mesh(path).report.closed
     mesh = load_mesh(path, repair="merge")
@@ -35,7 +35,7 @@ def test_a_cracked_real_mesh_is_closed_by_merging(shared_data, name):
 
 
 @pytest.mark.parametrize("name", ["bunny.ply", "multibody.stl"])
-def test_a_broken_real_mesh_becomes_usable(shared_data, name):
+def test_defective_real_mesh_is_usable_after_repair(shared_data, name):
     path = shared_data / "meshes" / name
     with pytest.raises(MeshError):
         load_mesh(path)
@@ -54,7 +54,7 @@ def test_a_broken_real_mesh_becomes_usable(shared_data, name):
         assert found["orient"].count > 0
 
 
-def test_repairing_a_sound_mesh_changes_nothing():
+def test_repair_of_a_valid_mesh_changes_nothing():
     for mesh in (box(), icosphere(1.0, 2), grid((1, 2), (3, 4))):
         again = repaired(mesh)
         np.testing.assert_array_equal(again.vertices, mesh.vertices)
@@ -63,7 +63,7 @@ def test_repairing_a_sound_mesh_changes_nothing():
         assert again.name == mesh.name
 
 
-def test_only_the_steps_asked_for_are_done_in_their_order():
+def test_requested_repair_steps_are_applied_in_order():
     v, f = joined(box(), moved(box().flipped(), 5.0))
     broken = Broken([*v, (9, 9, 9)], [*f, f[0]])
     with pytest.raises(MeshError, match=r'duplicate, .*; repair="duplicate"'):
@@ -78,7 +78,7 @@ def test_only_the_steps_asked_for_are_done_in_their_order():
             repaired(broken, wrong)
 
 
-def test_merging_moves_no_vertex_farther_than_the_tolerance():
+def test_merge_moves_no_vertex_farther_than_the_tolerance():
     rng = np.random.default_rng(5)
     ball = icosphere(0.5, 3)
     v, f = soup(ball)
@@ -94,7 +94,7 @@ def test_merging_moves_no_vertex_farther_than_the_tolerance():
     assert chain.report.repairs[0].distance <= 1e-6
 
 
-def test_a_tolerance_larger_than_the_faces_is_refused():
+def test_merge_tolerance_larger_than_faces_is_refused():
     fine = grid((1, 1), (100, 100))
     dust = 0.003 * np.random.default_rng(1).random((300, 3))
     cloud = Broken([(1, 0, 0), *dust], np.arange(300).reshape(-1, 3))
@@ -106,7 +106,7 @@ def test_a_tolerance_larger_than_the_faces_is_refused():
             repaired(fine, tolerance=wrong)
 
 
-def test_a_face_without_area_is_taken_out_without_opening_the_surface():
+def test_face_without_area_is_removed_without_opening_the_surface():
     # A corner on the edge between two faces of a box, with a sliver in the gap.
     v, f = box().vertices, box().faces
     a, b, c = f[0]
@@ -126,7 +126,7 @@ def test_a_face_without_area_is_taken_out_without_opening_the_surface():
     assert "joined with the neighbour at the longest edge, 0 m away at most" in mesh.report.repairs[1].text
 
 
-def test_many_slivers_in_a_row_are_taken_out():
+def test_many_slivers_in_a_row_are_removed():
     # A fan of slivers along the edge between two large faces.
     t = np.linspace(0, 1, 6)
     v = [*np.column_stack((t, 0 * t, 0 * t)), (0.5, 1, 0), (0.5, -1, 0)]
@@ -138,7 +138,7 @@ def test_many_slivers_in_a_row_are_taken_out():
     assert mesh.report.degenerate_face_count == 0
 
 
-def test_faces_with_coincident_corners_are_dropped():
+def test_faces_with_coincident_vertices_are_removed():
     v, f = box().vertices, box().faces
     mesh = repaired(Broken(v, [*f, (0, 0, 1), (3, 3, 3)]), "degenerate")
     np.testing.assert_array_equal(mesh.faces, f)
@@ -146,7 +146,7 @@ def test_faces_with_coincident_corners_are_dropped():
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_scrambled_winding_is_put_right(seed):
+def test_random_winding_is_repaired(seed):
     rng = np.random.default_rng(seed)
     v, f = joined(icosphere(1.0, 2), moved(box(), 3.0))
     scrambled = np.where(rng.random(len(f))[:, None] < 0.5, f[:, ::-1], f)
@@ -165,7 +165,7 @@ def _turn(faces):
     return faces[rows, (first + 1) % 3] < faces[rows, (first + 2) % 3]
 
 
-def test_cavities_stay_cavities():
+def test_repair_keeps_cavities_inward():
     outer, inner, core = box((3, 3, 3)), box((2, 2, 2)).flipped(), box((1, 1, 1))
     onion = Mesh(*joined(outer, inner, core))
     assert [part.inside for part in onion.report.components] == [None, 0, 1]
@@ -184,7 +184,7 @@ def test_cavities_stay_cavities():
     assert "outward, one solid within another" in solids.report.to_text()
 
 
-def test_an_open_sheet_keeps_the_side_of_most_of_it():
+def test_repair_orients_an_open_sheet_as_its_majority():
     sheet = grid((1, 1), (4, 4))
     faces = sheet.faces.copy()
     faces[:5] = faces[:5, ::-1]
@@ -193,17 +193,17 @@ def test_an_open_sheet_keeps_the_side_of_most_of_it():
     np.testing.assert_array_equal(_turn(mesh.faces), _turn(sheet.faces))
 
 
-def test_a_moebius_strip_cannot_be_oriented_and_is_said_to_be_so():
+def test_repair_of_a_moebius_strip_is_refused():
     t = np.linspace(0, np.pi, 12, endpoint=False)
-    rim = np.column_stack((np.cos(2 * t), np.sin(2 * t), np.zeros(12)))
-    across = 0.3 * (np.cos(t)[:, None] * rim + np.sin(t)[:, None] * (0, 0, 1))
+    circle = np.column_stack((np.cos(2 * t), np.sin(2 * t), np.zeros(12)))
+    across = 0.3 * (np.cos(t)[:, None] * circle + np.sin(t)[:, None] * (0, 0, 1))
     quads = [(i, i + 12, i + 13, i + 1) for i in range(11)] + [(11, 23, 0, 12)]
     faces = [f for a, b, c, d in quads for f in ((a, b, c), (a, c, d))]
     with pytest.raises(MeshError, match="wound inconsistently"):
-        repaired(Broken(np.concatenate((rim - across, rim + across)), faces))
+        repaired(Broken(np.concatenate((circle - across, circle + across)), faces))
 
 
-def test_groups_go_with_their_faces():
+def test_repair_keeps_groups_with_their_faces():
     ball = icosphere(1.0, 1)
     v, f = soup(ball)
     mesh = Mesh(np.concatenate((v, [(7, 7, 7)])), f, groups={"north": f[:, 0] % 2 == 0, "first": [0, 1]})
@@ -221,7 +221,7 @@ def test_groups_go_with_their_faces():
     assert members["upper"] > 0 > members["lower"]
 
 
-def test_what_is_beyond_repair_is_refused_as_before():
+def test_irreparable_mesh_is_refused():
     for vertices, faces, message in (
         (np.full((3, 3), np.nan), [(0, 1, 2)], "not finite"),
         (TETRAHEDRON, [(0, 1, 9)], "out of index range"),
@@ -234,7 +234,7 @@ def test_what_is_beyond_repair_is_refused_as_before():
         repaired(trimesh.Scene())
 
 
-def test_a_trimesh_is_repaired():
+def test_trimesh_object_can_be_repaired():
     original = trimesh.creation.icosphere(subdivisions=2)
     original.faces[::3] = original.faces[::3, ::-1]
     report = repaired(original).report

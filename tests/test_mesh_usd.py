@@ -18,7 +18,7 @@ def tetrahedron(tmp_path):
 
 @pytest.mark.parametrize("suffix", ["usd", "usda", "usdc", "USDC", "usdz"])
 @pytest.mark.parametrize("trusted", [False, True])
-def test_every_kind_of_file_gives_the_faces_of_the_stage(tetrahedron, tmp_path, suffix, trusted):
+def test_every_usd_format_gives_the_faces_of_the_stage(tetrahedron, tmp_path, suffix, trusted):
     path = tmp_path / f"copy.{suffix}"
     if suffix == "usdz":
         assert UsdUtils.CreateNewUsdzPackage(str(tetrahedron), str(path))
@@ -32,7 +32,7 @@ def test_every_kind_of_file_gives_the_faces_of_the_stage(tetrahedron, tmp_path, 
     assert "the up axis is Z; the mesh is not turned" in mesh.report.notes
 
 
-def test_parts_are_placed_in_metres_and_mirrored_or_left_handed_ones_stay_outward(tmp_path):
+def test_usd_parts_are_in_meters_and_mirrored_ones_stay_outward(tmp_path):
     stage = new_stage(unit=0.01, axis="Y")
     UsdGeom.Xform.Define(stage, "/World").AddTranslateOp().Set((100, 0, 0))
     add_mesh(stage, "/World/plain")
@@ -52,7 +52,7 @@ def test_parts_are_placed_in_metres_and_mirrored_or_left_handed_ones_stay_outwar
     np.testing.assert_allclose(load_mesh(tmp_path / "a.usdc", scale=2).vertices[0], (2, 0, 0))
 
 
-def test_what_is_not_seen_is_left_out_and_what_is_no_mesh_is_named(tmp_path):
+def test_invisible_usd_prims_are_skipped_and_unsupported_ones_reported(tmp_path):
     stage = new_stage()
     add_mesh(stage, "/World/seen")
     add_mesh(stage, "/World/render", TETRAHEDRON + 2).CreatePurposeAttr("render")
@@ -83,7 +83,7 @@ def test_what_is_not_seen_is_left_out_and_what_is_no_mesh_is_named(tmp_path):
         load_mesh(tmp_path / "a.stl", prim="/World")
 
 
-def test_instances_are_there_as_often_as_they_are_seen(tmp_path):
+def test_usd_instances_are_read_as_often_as_they_are_visible(tmp_path):
     stage = new_stage()
     shape = add_mesh(stage, "/Shape/body", QUAD, [(0, 1, 2, 3)])
     UsdGeom.Subset.CreateGeomSubset(shape, "tread", "face", Vt.IntArray([0]))
@@ -101,7 +101,7 @@ def test_instances_are_there_as_often_as_they_are_seen(tmp_path):
     np.testing.assert_allclose(one.bounds, [(2, 0, 0), (3, 1, 0)])
 
 
-def test_subsets_holes_and_polygons(tmp_path):
+def test_usd_subsets_holes_and_polygons_are_read(tmp_path):
     stage = new_stage()
     vertices = [(x, y, 0) for y in range(2) for x in range(5)]
     mesh = add_mesh(stage, "/strip", vertices, [(i, i + 1, i + 6, i + 5) for i in range(4)])
@@ -119,7 +119,7 @@ def test_subsets_holes_and_polygons(tmp_path):
     assert any("control meshes of 1 prims" in note for note in loaded.report.notes)
 
 
-def test_an_animated_stage_is_taken_at_its_start(tmp_path):
+def test_animated_usd_stage_is_read_at_its_start(tmp_path):
     stage = new_stage()
     mesh = add_mesh(stage, "/a")
     move = mesh.AddTranslateOp()
@@ -129,7 +129,7 @@ def test_an_animated_stage_is_taken_at_its_start(tmp_path):
     np.testing.assert_allclose(load_mesh(save(stage, tmp_path / "a.usda")).bounds, [(5, 0, 0), (6, 1, 1)])
 
 
-def test_the_unit_is_said_or_doubted(tmp_path):
+def test_missing_usd_unit_is_reported_and_can_be_given(tmp_path):
     stage = new_stage()
     add_mesh(stage, "/a")
     layer = stage.GetRootLayer()
@@ -161,7 +161,7 @@ def test_the_unit_is_said_or_doubted(tmp_path):
         ("holeIndices", [4], r"hull.holeIndices must be face numbers from 0 to 3, got 4"),
     ],
 )
-def test_bad_values_of_a_stage_are_named(tetrahedron, attribute, value, message):
+def test_invalid_usd_mesh_values_are_reported(tetrahedron, attribute, value, message):
     stage = Usd.Stage.Open(str(tetrahedron))
     target = stage.GetPrimAtPath("/World/hull").GetAttribute(attribute)
     target.Set(Vt.Vec3fArray([Gf.Vec3f(*map(float, v)) for v in value]) if attribute == "points" else value)
@@ -169,7 +169,7 @@ def test_bad_values_of_a_stage_are_named(tetrahedron, attribute, value, message)
         load_mesh(save(stage, tetrahedron.with_name("bad.usdc")))
 
 
-def test_what_is_exported_comes_back(tmp_path, device):
+def test_exported_usd_mesh_round_trips(tmp_path, device):
     import warpcontact as wc
 
     scene = wc.Scene()

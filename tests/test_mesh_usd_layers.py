@@ -41,7 +41,7 @@ def layered(path, kind, asset):
 
 
 @pytest.mark.parametrize("kind", ["reference", "payload", "sublayer"])
-def test_layers_beside_the_file_and_below_are_read(tetrahedron, tmp_path, kind):
+def test_usd_layers_next_to_and_below_the_file_are_read(tetrahedron, tmp_path, kind):
     (tmp_path / "sub").mkdir()
     tetrahedron.rename(tmp_path / "sub" / "part.usda")
     path = layered(tmp_path / "a.usda", kind, "./sub/part.usda")
@@ -50,7 +50,7 @@ def test_layers_beside_the_file_and_below_are_read(tetrahedron, tmp_path, kind):
 
 @pytest.mark.parametrize("kind", ["reference", "payload", "sublayer", "variant"])
 @pytest.mark.parametrize("how", ["up", "absolute", "link", "package"])
-def test_layers_elsewhere_are_refused_unless_trusted(tetrahedron, tmp_path, kind, how):
+def test_usd_layers_elsewhere_are_refused_unless_trusted(tetrahedron, tmp_path, kind, how):
     folder = tmp_path / "inner"
     folder.mkdir()
     asset = {"up": "../part.usda", "absolute": str(tetrahedron), "link": "./link.usda"}.get(
@@ -79,14 +79,14 @@ def test_layers_elsewhere_are_refused_unless_trusted(tetrahedron, tmp_path, kind
         ("./broken.usda", "not valid USD"),
     ],
 )
-def test_what_is_no_layer_is_refused(tmp_path, asset, message):
+def test_invalid_usd_layer_is_refused(tmp_path, asset, message):
     (tmp_path / "text.txt").write_text("#usda 1.0\n")
     (tmp_path / "broken.usda").write_text("#usda 1.0\n(((")
     with pytest.raises(MeshError, match=message):
         load_mesh(layered(tmp_path / "a.usda", "reference", asset))
 
 
-def test_layers_of_the_current_folder_are_not_found(tetrahedron, tmp_path, monkeypatch):
+def test_usd_layers_are_not_searched_in_the_current_folder(tetrahedron, tmp_path, monkeypatch):
     (tmp_path / "inner").mkdir()
     monkeypatch.chdir(tmp_path)  # where USD looks for names that lie beside nothing
     monkeypatch.setenv("PXR_AR_DEFAULT_SEARCH_PATH", str(tmp_path))
@@ -94,7 +94,7 @@ def test_layers_of_the_current_folder_are_not_found(tetrahedron, tmp_path, monke
         load_mesh(layered(tmp_path / "inner" / "a.usda", "sublayer", "part.usda"))
 
 
-def test_a_package_does_not_reach_out_of_itself(tetrahedron, tmp_path):
+def test_usd_package_cannot_refer_to_outside_files(tetrahedron, tmp_path):
     (tmp_path / "inner").mkdir()
     for asset in ("../part.usda", "../../part.usda", str(tetrahedron)):
         with zipfile.ZipFile(tmp_path / "inner" / "a.usdz", "w", zipfile.ZIP_STORED) as package:
@@ -103,7 +103,7 @@ def test_a_package_does_not_reach_out_of_itself(tetrahedron, tmp_path):
             load_mesh(tmp_path / "inner" / "a.usdz")
 
 
-def test_a_chain_of_layers_is_followed_to_its_end(tetrahedron, tmp_path):
+def test_chain_of_usd_layers_is_checked_to_its_end(tetrahedron, tmp_path):
     folder = tmp_path / "inner"
     folder.mkdir()
     layered(folder / "b.usda", "sublayer", "../part.usda")
@@ -147,7 +147,7 @@ WHERE = {
 
 @pytest.mark.parametrize("where", WHERE)
 @pytest.mark.parametrize("layer", ["root", "sublayer", "reference", "usdz"])
-def test_value_clips_are_refused_wherever_they_are(tmp_path, where, layer):
+def test_value_clips_are_refused_on_any_prim(tmp_path, where, layer):
     text, place = WHERE[where]
     clipped, path = f"#usda 1.0\n{text}", tmp_path / "a.usda"
     if layer == "root":
@@ -169,7 +169,7 @@ def test_value_clips_are_refused_wherever_they_are(tmp_path, where, layer):
     check_layers(path, confined=False)
 
 
-def test_value_clips_in_a_variant_reach_out_if_trusted(tmp_path):
+def test_value_clips_in_a_variant_can_read_outside_files_only_if_trusted(tmp_path):
     # What the refusal is for: without it, points of a file elsewhere would be the vertices of this mesh.
     (tmp_path / "inner").mkdir()
     secret, stage = new_stage(), new_stage()

@@ -90,13 +90,13 @@ def outward_solid_angle(mesh):
         ),
     ],
 )
-def test_a_bad_mesh_is_refused_with_entry_value_and_what_is_allowed(vertices, faces, message):
+def test_invalid_mesh_is_refused_with_entry_value_and_allowed_values(vertices, faces, message):
     with pytest.raises(MeshError, match=message) as caught:
         Mesh(vertices, faces, name="bad")
     assert str(caught.value).startswith("mesh 'bad'")
 
 
-def test_all_problems_are_listed_at_once():
+def test_mesh_problems_are_all_listed():
     v, f = joined(box(), moved(box(), 3.0))
     v[5] = np.nan
     v[12] = 1e7
@@ -119,7 +119,7 @@ def test_all_problems_are_listed_at_once():
     assert text.startswith("mesh 'mesh' has 6 problems:\n  - ")
 
 
-def test_slivers_are_refused_at_the_limit_of_warp_and_not_above():
+def test_slivers_are_refused_at_the_limit_of_warp():
     # Height h over an edge of length 1: |cross|/Σe² = h / (1 + 2·(1/4 + h²)) ≈ h / 1.5.
     def needle(ratio):
         return [(0, 0, 0), (1, 0, 0), (0.5, 1.5 * ratio, 0)]
@@ -133,7 +133,7 @@ def test_slivers_are_refused_at_the_limit_of_warp_and_not_above():
 
 
 @pytest.mark.parametrize("name", ["", None, 3])
-def test_a_mesh_without_a_name_is_refused(name):
+def test_mesh_without_a_name_is_refused(name):
     with pytest.raises(ValueError, match="name must be a non-empty string"):
         Mesh(TETRAHEDRON, OUTWARD, name=name)
 
@@ -141,7 +141,7 @@ def test_a_mesh_without_a_name_is_refused(name):
 # The mesh ---------------------------------------------------------------------------------------------------
 
 
-def test_a_mesh_keeps_its_own_unchangeable_arrays():
+def test_mesh_has_its_own_read_only_arrays():
     v, f = TETRAHEDRON.copy(), OUTWARD.copy()
     mesh = Mesh(v, f)
     v[:], f[:] = 7.0, 0
@@ -158,7 +158,7 @@ def test_a_mesh_keeps_its_own_unchangeable_arrays():
         mesh.vertices = v
 
 
-def test_flipped_and_scaled_change_only_what_they_say():
+def test_flipped_and_scaled_change_faces_or_size_only():
     mesh = box((1, 2, 3), name="crate")
     inside = mesh.flipped()
     assert inside.report.volume == pytest.approx(-6.0)
@@ -174,14 +174,14 @@ def test_flipped_and_scaled_change_only_what_they_say():
         mesh.scaled(1e7)
 
 
-def test_welded_maps_to_the_first_vertex_at_the_same_place():
+def test_welded_maps_to_the_first_coincident_vertex():
     v = [(1, 0, 0), (0, 0, 0), (0, 1, 0), (0, 0, -0.0), (1, 0, 0), (1e-12, 0, 0)]
     mesh = Mesh(v, [(1, 0, 2)])
     assert mesh.welded.tolist() == [0, 1, 2, 1, 0, 5]
     assert mesh.welded.dtype == np.int32
 
 
-def test_a_trimesh_is_taken_as_it_is():
+def test_mesh_from_trimesh_keeps_vertices_and_faces():
     original = trimesh.creation.icosphere(subdivisions=1)
     mesh = Mesh.from_trimesh(original, name="ball")
     np.testing.assert_array_equal(mesh.faces, original.faces)
@@ -191,7 +191,7 @@ def test_a_trimesh_is_taken_as_it_is():
         Mesh.from_trimesh(trimesh.Scene(original))
 
 
-def test_importing_meshes_imports_no_slow_package():
+def test_import_of_meshes_loads_no_slow_package():
     # With an empty parent package: what the rest of warpcontact imports is its own matter.
     code = (
         "import sys, types; parent = types.ModuleType('warpcontact'); parent.__path__ = [sys.argv[1]];"
@@ -206,7 +206,7 @@ def test_importing_meshes_imports_no_slow_package():
 # Reports ----------------------------------------------------------------------------------------------------
 
 
-def test_report_of_a_box():
+def test_report_of_a_box_is_correct():
     report = box((1, 2, 3)).report
     assert (report.vertex_count, report.face_count, report.edge_count, report.euler_number) == (8, 12, 18, 2)
     assert (report.lower, report.upper, report.size) == ((-0.5, -1, -1.5), (0.5, 1, 1.5), (1, 2, 3))
@@ -218,14 +218,14 @@ def test_report_of_a_box():
     assert report.warnings == ()
 
 
-def test_report_of_an_open_grid():
+def test_report_of_an_open_grid_is_correct():
     report = grid((2, 3), (4, 5)).report
     assert (report.closed, report.orientation, report.volume) == (False, "open surface", None)
     assert (report.boundary_edge_count, report.boundary_loop_count, report.euler_number) == (18, 1, 1)
     assert report.warnings == ("the surface is open: 18 boundary edges in 1 loop",)
 
 
-def test_report_of_a_flipped_box():
+def test_report_of_a_flipped_box_is_correct():
     report = box().flipped().report
     assert (report.orientation, report.inward_component_count) == ("inward", 1)
     assert report.volume == pytest.approx(-1.0)
@@ -234,7 +234,7 @@ def test_report_of_a_flipped_box():
     assert "faces inward" in report.warnings[0]
 
 
-def test_report_of_mixed_winding():
+def test_report_of_mixed_winding_is_correct():
     v, f = box().vertices, box().faces.copy()
     f[3] = f[3][::-1]
     report = examine(v, f)
@@ -244,17 +244,17 @@ def test_report_of_mixed_winding():
         assert (tail, head) in zip(face, face[1:] + face[:1], strict=True)
 
 
-def test_a_moebius_strip_is_mixed():
+def test_report_of_a_moebius_strip_has_mixed_orientation():
     t = np.linspace(0, np.pi, 12, endpoint=False)
-    rim = np.column_stack((np.cos(2 * t), np.sin(2 * t), np.zeros(12)))
-    across = 0.3 * (np.cos(t)[:, None] * rim + np.sin(t)[:, None] * (0, 0, 1))
+    circle = np.column_stack((np.cos(2 * t), np.sin(2 * t), np.zeros(12)))
+    across = 0.3 * (np.cos(t)[:, None] * circle + np.sin(t)[:, None] * (0, 0, 1))
     quads = [(i, i + 12, i + 13, i + 1) for i in range(11)] + [(11, 23, 0, 12)]  # the last with a half twist
     faces = [f for a, b, c, d in quads for f in ((a, b, c), (a, c, d))]
-    report = examine(np.concatenate((rim - across, rim + across)), faces)
+    report = examine(np.concatenate((circle - across, circle + across)), faces)
     assert (report.orientation, report.boundary_loop_count, report.euler_number) == ("mixed", 1, 0)
 
 
-def test_report_of_several_components():
+def test_report_of_several_components_is_correct():
     cavity = Mesh(*joined(box((3, 3, 3)), box().flipped())).report
     assert (cavity.component_count, cavity.inward_component_count, cavity.orientation) == (2, 1, "outward")
     assert cavity.volume == pytest.approx(26.0)
@@ -263,26 +263,26 @@ def test_report_of_several_components():
     assert (apart.component_count, apart.inward_component_count, apart.closed) == (3, 0, False)
 
 
-def test_report_of_a_non_manifold_fin():
+def test_report_of_a_non_manifold_fin_is_correct():
     v, f = box().vertices, box().faces
     report = Mesh([*v, (2, 2, 2)], [*f, (f[0][0], f[0][1], 8)]).report
     assert (report.non_manifold_edge_count, report.boundary_edge_count, report.closed) == (1, 2, False)
     assert "1 edge with more than two faces (non-manifold)" in report.to_text()
 
 
-def test_a_wall_inside_is_no_border_and_yet_not_closed():
+def test_inner_wall_is_non_manifold_without_boundary():
     report = Mesh([*TETRAHEDRON, (0, 0, -1)], [*OUTWARD, (0, 4, 1), (1, 4, 2), (2, 4, 0)]).report
     assert (report.non_manifold_edge_count, report.boundary_edge_count, report.closed) == (3, 0, False)
 
 
-def test_figures_leave_out_a_copied_face_but_not_its_reverse():
+def test_mesh_report_excludes_duplicate_faces_but_not_reversed_ones():
     copied = examine(TETRAHEDRON, [*OUTWARD, (2, 1, 0)])
     assert (copied.duplicate_face_count, copied.non_manifold_edge_count, copied.closed) == (1, 0, True)
     reverse = examine(TETRAHEDRON, [*OUTWARD, (0, 1, 2)])
     assert (reverse.duplicate_face_count, reverse.non_manifold_edge_count, reverse.closed) == (1, 3, False)
 
 
-def test_a_soup_is_closed_once_welded():
+def test_triangle_soup_is_closed_after_welding():
     report = Mesh(*soup(icosphere(subdivisions=2))).report
     assert (report.closed, report.orientation, report.component_count, report.euler_number) == (
         True,
@@ -293,7 +293,7 @@ def test_a_soup_is_closed_once_welded():
     assert (report.vertex_count, report.welded_vertex_count, report.coincident_vertex_count) == (960, 162, 798)
 
 
-def test_topology_problems_are_found_in_a_soup():
+def test_topology_problems_are_found_in_a_triangle_soup():
     v, f = soup(box())
     with pytest.raises(MeshError, match=r"1 of 13 faces is duplicate, first: face 12 .* of face 4"):
         Mesh(np.concatenate((v, v[12:15])), [*f, (36, 37, 38)])
@@ -303,7 +303,7 @@ def test_topology_problems_are_found_in_a_soup():
         Mesh(changed(v, 0, v[1]), f)
 
 
-def test_a_crack_is_told_from_a_border():
+def test_cracks_are_distinguished_from_the_boundary():
     v, f = soup(box())
     v[f[0]] += 1e-9
     report = Mesh(v, f).report
@@ -325,19 +325,19 @@ def test_a_crack_is_told_from_a_border():
          "closed but encloses no volume"),
     ],
 )  # fmt: skip
-def test_a_usable_mesh_is_warned_about(mesh, warning):
+def test_usable_mesh_with_defects_has_a_warning(mesh, warning):
     assert any(warning in text for text in mesh().report.warnings)
 
 
-def test_a_small_mesh_far_away_is_seen_from_its_middle():
+def test_precision_warning_is_relative_to_the_center_of_a_mesh():
     assert not any("float32" in text for text in moved(box((1e-2, 1e-2, 1e-2)), 9e5).report.warnings)
 
 
-def test_bounds_ignore_vertices_that_no_face_uses():
+def test_bounds_ignore_unused_vertices():
     assert Mesh([*TETRAHEDRON, (5, 5, 5)], OUTWARD).bounds.tolist() == [[0, 0, 0], [1, 1, 1]]
 
 
-def test_a_report_reads_as_aligned_lines():
+def test_mesh_report_text_has_aligned_lines():
     lines = examine(TETRAHEDRON, changed(OUTWARD, (0, 0), 9), "wedge").to_text().splitlines()
     assert lines[0] == "mesh 'wedge'"
     facts = lines[1 : lines.index("errors")]
@@ -350,7 +350,7 @@ def test_a_report_reads_as_aligned_lines():
 # Generators -------------------------------------------------------------------------------------------------
 
 
-def test_a_grid_is_flat_centred_and_faces_up():
+def test_grid_is_flat_centered_and_faces_up():
     mesh = grid((2, 3), (4, 5))
     assert (len(mesh.vertices), len(mesh.faces)) == (30, 40)
     assert mesh.bounds.tolist() == [[-1, -1.5, 0], [1, 1.5, 0]]
@@ -358,7 +358,7 @@ def test_a_grid_is_flat_centred_and_faces_up():
     np.testing.assert_allclose(np.cross(b - a, c - a), [(0, 0, 0.3)] * 40, atol=1e-15)
 
 
-def test_terrain_has_the_height_of_its_formula_and_faces_up():
+def test_terrain_height_matches_its_formula_and_faces_up():
     mesh = sinusoidal_terrain((4, 2), (80, 40), amplitude=0.3, wavelength=2.0)
     x, y, z = mesh.vertices.T
     np.testing.assert_allclose(z, 0.3 * np.sin(np.pi * x) * np.sin(np.pi * y), atol=1e-15)
@@ -370,13 +370,13 @@ def test_terrain_has_the_height_of_its_formula_and_faces_up():
     )
 
 
-def test_a_box_is_outward():
+def test_box_faces_are_outward():
     mesh = box((1, 2, 3))
     assert outward_solid_angle(mesh) == pytest.approx(4 * np.pi)
     assert len(mesh.faces) == 12
 
 
-def test_an_icosphere_converges_to_the_sphere():
+def test_icosphere_converges_to_the_sphere():
     errors = []
     for n in range(5):
         mesh = icosphere(0.5, n)
@@ -406,6 +406,6 @@ def test_an_icosphere_converges_to_the_sphere():
         (lambda: icosphere(subdivisions=True), "subdivisions must be an integer from 0 to 8, got True"),
     ],
 )
-def test_generators_name_a_bad_argument(make, message):
+def test_mesh_generators_raise_for_invalid_arguments(make, message):
     with pytest.raises(ValueError, match=message):
         make()

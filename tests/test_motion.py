@@ -10,7 +10,7 @@ import warpcontact as wc
 G = 9.81
 
 
-def test_free_fall_is_exact_at_the_order_of_the_scheme(device):
+def test_free_fall_matches_the_scheme(device):
     model = dropped_sphere(
         wc.laws.Hooke(stiffness=1e4), gravity=(0, 0, -G), height=10.0, velocity=(1, 0, 0), device=device
     )
@@ -23,7 +23,7 @@ def test_free_fall_is_exact_at_the_order_of_the_scheme(device):
     np.testing.assert_allclose(model.sensor("ball.linear_velocity")[0], (1, 0, -G), rtol=1e-5)
 
 
-def test_rest_height_is_weight_over_stiffness(device):
+def test_static_penetration_is_weight_over_stiffness(device):
     mass = np.array([0.5, 1.0, 2.0])
     model = dropped_sphere(
         wc.laws.KelvinVoigt(stiffness=1e4, damping=100.0),
@@ -38,7 +38,7 @@ def test_rest_height_is_weight_over_stiffness(device):
     np.testing.assert_allclose(model.sensor("ball.position")[:, 2], 0.1 - mass * G / 1e4, atol=5e-8)
 
 
-def test_static_sinkage_of_a_body_on_four_points(device):
+def test_static_penetration_of_body_on_four_points_matches_reference(device):
     # FORCE_LAWS G7: m = 2 kg on four points, K = 1e6 N/m^1.5.
     scene = wc.Scene()
     ground = scene.add_surface(square())
@@ -52,7 +52,7 @@ def test_static_sinkage_of_a_body_on_four_points(device):
     np.testing.assert_allclose(model.sensor("touch.penetration")[0], 2.886861893e-4, rtol=1e-9)
 
 
-def test_a_sliding_sphere_rolls_at_five_sevenths(device):
+def test_sliding_sphere_rolls_at_five_sevenths_of_its_speed(device):
     # FORCE_LAWS G10: v₀ = 3 m/s, μ = 0.2, R = 0.05 m.
     model = dropped_sphere(
         wc.laws.KelvinVoigt(stiffness=1e5, damping=300.0),
@@ -83,7 +83,7 @@ def block_on_incline(slope, mu, velocity_scale, device):
     return scene.build(device=device)
 
 
-def test_a_block_slides_down_an_incline(device):
+def test_block_slides_down_an_incline_as_coulomb(device):
     slope = np.radians(30.0)
     model = block_on_incline(slope, 0.3, 1e-3, device)
     sim = wc.Simulation(model, dt=2e-4)
@@ -95,7 +95,7 @@ def test_a_block_slides_down_an_incline(device):
     np.testing.assert_allclose(sliding_acceleration(slope, 0.3), 2.356287237, rtol=1e-9)
 
 
-def test_a_block_creeps_as_tanh_friction_predicts(device):
+def test_block_creeps_as_tanh_friction_predicts(device):
     # FORCE_LAWS G9: 10°, μ = 0.3, k_t = 100 s/m.
     slope = np.radians(10.0)
     model = block_on_incline(slope, 0.3, 0.01, device)
@@ -111,7 +111,7 @@ def test_a_block_creeps_as_tanh_friction_predicts(device):
     # FORCE_LAWS G14: v_n = 2, e = 0.7, R = 0.05; sliding throughout, then rolling.
     [(0.1, 3.0, 2.66, 17.0), (0.4, 1.0, 5.0 / 7.0, 14.28571429)],
 )
-def test_oblique_impact_of_a_sphere(mu, tangential, expected, spin, device):
+def test_oblique_impact_of_a_sphere_matches_rigid_body_theory(mu, tangential, expected, spin, device):
     model = dropped_sphere(
         wc.laws.HuntCrossley(stiffness=1e6, restitution=0.7),
         friction=wc.friction.RegularizedCoulomb(mu=mu, velocity_scale=1e-3),
@@ -133,7 +133,7 @@ def spinning(inertia, omega, device, precision="float32", orientation=(0, 0, 0, 
     return scene.build(device=device, precision=precision)
 
 
-def test_a_free_symmetric_top_precesses(device):
+def test_free_symmetric_top_precesses_at_closed_form_rate(device):
     # FORCE_LAWS G15: I = (0.02, 0.02, 0.035), ω = (2, 0, 30) in the body: the axis turns about L at 52.538 rad/s.
     model = spinning((0.02, 0.02, 0.035), (2.0, 0.0, 30.0), device, "float64")
     momentum = model.sensor("top.angular_momentum")[0] - np.cross(
@@ -151,7 +151,7 @@ def test_a_free_symmetric_top_precesses(device):
     np.testing.assert_allclose(np.degrees(np.arccos(cosine)), 2.181641404, rtol=1e-7)
 
 
-def test_an_asymmetric_top_turns_over(device):
+def test_asymmetric_top_flips_as_closed_form(device):
     # FORCE_LAWS G15b: I = (1, 2, 3), ω₀ = (0.1, 5, 0): after half a period ω = (0.1, −5, 0) in the body.
     model = spinning((1.0, 2.0, 3.0), (0.1, 5.0, 0.0), device, "float64")
     half = 7.340968435 / 2
@@ -181,7 +181,7 @@ def test_free_bodies_conserve_momentum(precision, tolerance, device):
     )
 
 
-def test_the_energy_of_a_free_body_converges_at_second_order(device):
+def test_energy_of_a_free_body_converges_at_second_order(device):
     errors = []
     for steps in (200, 400, 800):
         model = spinning((1.0, 2.0, 3.0), (0.5, 5.0, 1.0), device, "float64")
@@ -193,7 +193,7 @@ def test_the_energy_of_a_free_body_converges_at_second_order(device):
     assert (orders > 1.8).all(), (errors, orders)
 
 
-def test_the_bounce_converges_at_first_order(device):
+def test_bounce_height_converges_at_first_order(device):
     """Height after a damped bounce against a reference with a much finer step."""
 
     def height(dt):
@@ -212,7 +212,7 @@ def test_the_bounce_converges_at_first_order(device):
     assert fine < 1e-4
 
 
-def test_two_bodies_exchange_momentum_without_loss(device):
+def test_contact_of_two_bodies_conserves_momentum(device):
     scene = wc.Scene(gravity=(0, 0, 0))
     block = scene.add_body(3.0, (0.05, 0.05, 0.05), angular_velocity=(0.1, 0.2, -0.3), name="block")
     surface = scene.add_surface(wc.meshes.box((0.4, 0.4, 0.4)), block)

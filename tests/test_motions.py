@@ -32,7 +32,7 @@ def energy(recording, name="arm"):
     return (recording[f"{name}.kinetic_energy"] + recording[f"{name}.potential_energy"]).values[:, 0]
 
 
-def test_a_pendulum_keeps_its_period_and_energy_over_a_thousand_periods(device):
+def test_pendulum_keeps_period_and_energy_over_a_thousand_periods(device):
     start = 2.0  # rad
     period = 4.0 * np.sqrt(ABOUT_AXIS / (MASS * G * LENGTH)) * ellipk(np.sin(start / 2.0) ** 2)
     model = pendulum(start, device=device)
@@ -57,7 +57,7 @@ def test_a_pendulum_keeps_its_period_and_energy_over_a_thousand_periods(device):
     np.testing.assert_allclose(swing[0] / swing[1], 2.0, rtol=0.05)
 
 
-def test_the_reaction_of_a_hinge_is_that_of_the_textbook(device):
+def test_revolute_joint_reaction_matches_closed_form(device):
     """Along the arm m g cos φ + m l ω², across it m g sin φ (1 − m l²/I)."""
     angle, rate = 0.7, 3.0
     model = pendulum(angle, rate, device=device)
@@ -69,7 +69,7 @@ def test_the_reaction_of_a_hinge_is_that_of_the_textbook(device):
     np.testing.assert_allclose(model.sensor("arm.reaction_torque")[0], 0.0, atol=1e-13)
 
 
-def test_an_unbalanced_rotor_shakes_its_hinge(device):
+def test_unbalanced_rotor_reaction_matches_closed_form(device):
     """A product of inertia I_xz asks for the moment I_xz ω² across the axis, and turns with the rotor."""
     scene = wc.Scene(gravity=(0, 0, 0))
     tensor = [[0.3, 0, 0.05], [0, 0.3, 0], [0.05, 0, 0.4]]
@@ -105,7 +105,7 @@ def cone(device):
 
 
 @pytest.mark.slow
-def test_a_conical_pendulum_goes_round_its_cone(device):
+def test_conical_pendulum_matches_closed_form(device):
     model, tilt, speed = cone(device)
     force = model.sensor("bob.reaction_force")[0]
     np.testing.assert_allclose(
@@ -116,15 +116,15 @@ def test_a_conical_pendulum_goes_round_its_cone(device):
     for steps in (1000, 2000):
         model.reset()
         wc.Simulation(model, dt=2 * np.pi / speed / steps).step(3 * steps)
-        way = model.sensor("bob.position")[0] - ANCHOR
-        np.testing.assert_allclose(np.linalg.norm(way), LENGTH, rtol=1e-14)
+        displacement = model.sensor("bob.position")[0] - ANCHOR
+        np.testing.assert_allclose(np.linalg.norm(displacement), LENGTH, rtol=1e-14)
         # Steady precession is not stable against what the first half step leaves out: an error of first order.
-        off.append(np.linalg.norm(way - LENGTH * np.array([np.sin(tilt), 0, -np.cos(tilt)])))
+        off.append(np.linalg.norm(displacement - LENGTH * np.array([np.sin(tilt), 0, -np.cos(tilt)])))
     assert off[0] < 0.01 * LENGTH
     np.testing.assert_allclose(off[0] / off[1], 2.0, rtol=0.2)
 
 
-def test_a_slider_on_a_slope_and_a_body_in_a_plane_and_one_that_does_not_turn(device):
+def test_prismatic_planar_and_cartesian_joints_match_closed_form(device):
     slope, dt = 0.5, 1e-3
     down = np.array([np.cos(slope), 0, -np.sin(slope)])
     scene = wc.Scene(gravity=(0, 0, -G))
@@ -155,7 +155,7 @@ def test_a_slider_on_a_slope_and_a_body_in_a_plane_and_one_that_does_not_turn(de
     np.testing.assert_allclose(model.sensor("post.reaction_force")[0], (0, 0, MASS * G), rtol=1e-13)
 
 
-def test_nothing_drifts_in_a_hundred_thousand_steps_of_float32(device):
+def test_joints_do_not_drift_in_100000_steps_of_float32(device):
     """Joints hold to one rounding, what is along the axes of the world to the bit."""
     scene = wc.Scene(gravity=(1.0, 2.0, -G))
     tilted = Rotation.from_rotvec((0.4, -0.3, 0.8))
@@ -197,10 +197,10 @@ def test_nothing_drifts_in_a_hundred_thousand_steps_of_float32(device):
         np.testing.assert_array_equal(now, then, err_msg=name)
     np.testing.assert_array_equal(model.sensor("slider.orientation")[0], start[0])
     np.testing.assert_array_equal(model.sensor("rail.orientation")[0], start[1])
-    way = model.sensor("rail.position")[0] - place
-    across = way - (way @ axis) * axis
+    displacement = model.sensor("rail.position")[0] - place
+    across = displacement - (displacement @ axis) * axis
     # Of a way of 490 m in float64: the remainder is that exact.
-    assert np.linalg.norm(across) < 1e-11 * np.linalg.norm(way)
+    assert np.linalg.norm(across) < 1e-11 * np.linalg.norm(displacement)
 
 
 def struck_door(law, device, precision="float64"):
@@ -219,7 +219,7 @@ def struck_door(law, device, precision="float64"):
 
 
 @pytest.mark.parametrize("restitution", [1.0, 0.5])
-def test_a_ball_on_a_door_bounces_with_the_mass_that_the_door_has_there(restitution, device):
+def test_ball_bounces_off_a_door_with_its_effective_mass(restitution, device):
     """m* = I/d² of the door; momentum about the axis is kept, and with a spring the energy."""
     law = (
         wc.laws.Hooke(stiffness=1e6)
@@ -239,17 +239,17 @@ def test_a_ball_on_a_door_bounces_with_the_mass_that_the_door_has_there(restitut
         np.testing.assert_allclose(model.sensor("scene.kinetic_energy"), 0.5 * 0.7 * 4.0, rtol=1e-4)
 
 
-def test_a_hinge_far_away_swings_like_one_at_the_origin(device):
+def test_revolute_joint_far_from_the_origin_moves_as_at_the_origin(device):
     """One kilometre off, in float32: places are differences."""
-    ways = []
+    trajectories = []
     for far in (0.0, 1000.0):
         anchor = np.array([far, -far, far])
         model = pendulum(1.0, anchor=anchor, precision="float32", device=device)
         wc.Simulation(model, dt=1e-3).step(2000)
-        ways.append(model.sensor("arm.position")[0] - anchor)
+        trajectories.append(model.sensor("arm.position")[0] - anchor)
     # The orientation decides, in both to 6e-8 a step.
-    np.testing.assert_allclose(ways[0], ways[1], atol=1e-6)
+    np.testing.assert_allclose(trajectories[0], trajectories[1], atol=1e-6)
     exact = pendulum(1.0)
     wc.Simulation(exact, dt=1e-3).step(2000)
     # 2000 roundings of an angle, 3e-8 each, that rarely have the same sign.
-    np.testing.assert_allclose(ways[0], exact.sensor("arm.position")[0] - ANCHOR, atol=1e-5)
+    np.testing.assert_allclose(trajectories[0], exact.sensor("arm.position")[0] - ANCHOR, atol=1e-5)

@@ -37,7 +37,7 @@ class Helix(wc.Motion):
 
 
 TIMES = (0.0, 0.02, 0.05, 0.06, 0.09)
-WAYS = ((0, 0, 0), (0.1, 0, 0), (0.1, 0.2, 0), (0.1, 0.2, -0.1), (0, 0, 0))
+PATHS = ((0, 0, 0), (0.1, 0, 0), (0.1, 0.2, 0), (0.1, 0.2, -0.1), (0, 0, 0))
 TURNS = ((0, 0, 0), (0.1, 0, 0), (0.1, 0.7, 0), (0.4, 0.2, 0), (0, 3.5, 0))
 PIVOT = (0.2, 0.1, 0.3)
 
@@ -55,13 +55,13 @@ def swing(t):
 
 def table(t):
     at = np.clip(2.0 * t, TIMES[0], TIMES[-1])
-    return tuple(0.5 * Akima1DInterpolator(TIMES, rows, method="makima")(at) for rows in (WAYS, TURNS))
+    return tuple(0.5 * Akima1DInterpolator(TIMES, rows, method="makima")(at) for rows in (PATHS, TURNS))
 
 
 FOLLOWED = {
     "helix": (Helix(radius=0.3, rate=9.0, axis=(0, 0, 2)), helix),
     "swing": (wc.motions.Harmonic(direction=(1, 2, 2), angle=0.8, frequency=3.0, phase=0.4, anchor=PIVOT), swing),
-    "table": (wc.motions.Table(times=TIMES, displacements=WAYS, rotations=TURNS, scale=0.5, rate=2.0), table),
+    "table": (wc.motions.Table(times=TIMES, displacements=PATHS, rotations=TURNS, scale=0.5, rate=2.0), table),
 }
 
 
@@ -84,7 +84,7 @@ def pose_error(model, name, function, t):
     return np.abs(model.sensor(f"{name}.position")[0] - START - way).max(), turned.magnitude()
 
 
-def test_a_function_of_time_is_tracked_exactly_for_as_long_as_a_run_takes(followed):
+def test_prescribed_motion_is_tracked_exactly_over_a_long_run(followed):
     model = followed
     model.reset()
     sim = wc.Simulation(model, dt=1e-3)
@@ -98,7 +98,7 @@ def test_a_function_of_time_is_tracked_exactly_for_as_long_as_a_run_takes(follow
             assert angle < 4 * EPSILON[model.precision] + 1e-12, (name, steps)
 
 
-def test_the_clock_of_a_function_is_that_of_the_recording(device):
+def test_prescribed_motion_uses_the_recorded_time(device):
     """In float32 a step of 1 ms is off by 5e-8 of it: 3e-4 rad of 50 Hz after 20 s, were the clock its sum."""
     scene = wc.Scene()
     shake = wc.motions.Harmonic(direction=(0, 0, 1), amplitude=0.1, frequency=49.7)
@@ -111,7 +111,7 @@ def test_the_clock_of_a_function_is_that_of_the_recording(device):
     np.testing.assert_allclose(recording["table.position"].values[:, 0, 2], expected, rtol=0, atol=1.2e-9)
 
 
-def test_its_velocities_are_the_mean_over_the_step_and_the_derivative_before_the_first(followed):
+def test_prescribed_velocity_is_the_mean_over_the_step(followed):
     model = followed
     model.reset()
     rounding = 4 * EPSILON[model.precision]
@@ -139,7 +139,7 @@ def test_its_velocities_are_the_mean_over_the_step_and_the_derivative_before_the
             np.testing.assert_allclose(velocity, expected, atol=allowed, err_msg=name)
 
 
-def test_the_reaction_of_a_function_of_time_drives_the_body(followed):
+def test_prescribed_motion_reaction_equals_driving_force(followed):
     """F = m (a − g) with the acceleration of the instant."""
     model = followed
     model.reset()
@@ -151,7 +151,7 @@ def test_the_reaction_of_a_function_of_time_drives_the_body(followed):
     np.testing.assert_allclose(model.sensor("helix.reaction_force")[0], expected, atol=2e-5)
 
 
-def test_a_prescribed_body_moves_with_the_velocities_that_stand_in_its_state(device):
+def test_kinematic_body_moves_with_its_constant_velocity(device):
     scene = wc.Scene(gravity=(0, 0, -G))
     velocity = (0.5, 0.0, -0.25)
     body = scene.add_body(
@@ -181,7 +181,7 @@ def test_a_prescribed_body_moves_with_the_velocities_that_stand_in_its_state(dev
 
 
 @pytest.mark.slow
-def test_a_surface_that_jumps_at_a_point_is_not_missed(device):
+def test_swept_contact_detects_a_prescribed_surface_jump(device):
     """What is known of distances goes by poses: a plate at rest for long comes up by 0.4 m in two steps."""
     scene = wc.Scene(gravity=(0, 0, 0))
     jump = wc.motions.Table(
@@ -204,7 +204,7 @@ def test_a_surface_that_jumps_at_a_point_is_not_missed(device):
     np.testing.assert_allclose(speeds[0], 0.1 * np.sqrt(1e3), rtol=0.1)
 
 
-def test_two_bodies_that_no_force_moves_press_on_each_other_and_stay(device):
+def test_contact_of_prescribed_and_fixed_body_has_finite_force(device):
     """A law that divides by their mass gets a number."""
     scene = wc.Scene(gravity=(0, 0, 0))
     post = scene.add_body(1.0, (1, 1, 1), motion=wc.motions.Fixed(), name="post")
@@ -229,7 +229,7 @@ def test_two_bodies_that_no_force_moves_press_on_each_other_and_stay(device):
     assert model.health().frozen.size == 0
 
 
-def test_a_shaker_throws_a_ball_off_when_it_falls_faster_than_that(device):
+def test_shaker_throws_ball_at_closed_form_time(device):
     """z = −a cos ω t: a ω² cos ω t = −g, in each environment at its own time."""
     amplitude, frequency = 0.02, np.array([5.0, 6.0, 8.0])
     mass, stiffness, radius = 0.2, 2e6, 0.05

@@ -14,7 +14,7 @@ from warpcontact.kernels.types import ENV_FROZEN
 
 import warpcontact as wc
 from warpcontact.mobility import mobility_along, mobility_of
-from warpcontact.schedule import Span
+from warpcontact.schedule import ExecutionPlan
 
 HINGE = wc.motions.Hinge(axis=(0, 1, 0), anchor=(0, 0, 1))
 HINGE_ABOVE = wc.motions.Hinge(axis=(0, 1, 0), anchor=(0, 0, 5))
@@ -101,15 +101,15 @@ BAD = [
 
 
 @pytest.mark.parametrize(("make", "error", "message"), BAD, ids=[message[:40] for _, _, message in BAD])
-def test_a_motion_that_cannot_be_is_refused(make, error, message):
+def test_invalid_joint_raises(make, error, message):
     with pytest.raises(error, match=message):
         make()
 
 
-def test_a_model_of_free_bodies_runs_the_same_kernels_and_has_nothing_of_motions(device):
+def test_model_of_free_bodies_compiles_no_joint_kernel(device):
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), device=device)
-    assert not model.moves
-    assert not model.drives
+    assert not model.has_joints
+    assert not model.prescribed_motions
     assert model.arrays.constrained is None
     assert not [name for name in model if ".motion." in name]
     assert not [name for name in model.sensor_names if "reaction" in name]
@@ -117,12 +117,12 @@ def test_a_model_of_free_bodies_runs_the_same_kernels_and_has_nothing_of_motions
     one = wc.Simulation(model, dt=1e-3)
     one.step()
     assert constrained.semi_implicit_euler.cache_info().currsize == made
-    span, state = Span(model, 1, cached=True, ordered=True), model.arrays.state
-    kernels = [launch.kernel for launch in one.integrator.step_stages(span, one.times.whole, state, state, None)]
-    assert integrate.semi_implicit_euler(model.types.real, False, span.sources, False) in kernels
+    plan, state = ExecutionPlan(model, 1, uses_cache=True, ordered_sum=True), model.arrays.state
+    kernels = [launch.kernel for launch in one.integrator.step_stages(plan, one.times.full, state, state, None)]
+    assert integrate.semi_implicit_euler(model.types.real, False, plan.other_forces, False) in kernels
 
 
-def test_a_free_body_moves_to_the_bit_as_it_does_beside_one_on_a_hinge(device):
+def test_free_body_is_bitwise_unaffected_by_a_jointed_body(device):
     alone, beside = wc.Scene(), wc.Scene()
     for scene in (alone, beside):
         scene.add_body(1.0, (0.1, 0.3, 0.2), angular_velocity=(1, 2, 3), name="stone")
@@ -183,7 +183,7 @@ def run(device):
     return go
 
 
-def test_environments_of_their_own_are_the_same_alone_and_split_and_launched_and_captured(run, device):
+def test_jointed_environments_are_bitwise_identical_for_any_schedule(run, device):
     model, expected = run()
     # All arms have struck the plate, and some press on it now.
     assert (model.sensor("touch.normal_force") > 0.0).any()
@@ -200,7 +200,7 @@ def test_environments_of_their_own_are_the_same_alone_and_split_and_launched_and
         np.testing.assert_array_equal(alone.sensor(name)[0], several[2], err_msg=name)
 
 
-def test_an_environment_is_reset_to_where_its_motion_begins_and_a_frozen_one_stays(run):
+def test_reset_environment_returns_to_initial_joint_state_and_frozen_one_stays(run):
     model, _ = run(steps=0)
     begin = [model.sensor(name) for name in NAMES]
     sim = wc.Simulation(model, dt=1e-3)
@@ -222,7 +222,7 @@ def test_an_environment_is_reset_to_where_its_motion_begins_and_a_frozen_one_sta
     np.testing.assert_allclose(model.sensor("shaker.position")[2, 2], height, rtol=1e-12)
 
 
-def test_velocities_set_in_a_model_are_projected_onto_the_motion(device):
+def test_initial_velocities_are_projected_onto_the_joint(device):
     model = add().build(envs=2, device=device, precision="float64")
     model["arm.angular_velocity"] = [(3, 2, 1), (0, 4, 0)]
     model["arm.linear_velocity"] = (7, 8, 9)
@@ -234,7 +234,7 @@ def test_velocities_set_in_a_model_are_projected_onto_the_motion(device):
 
 
 @pytest.mark.parametrize("parts", [1, 8])
-def test_an_arm_that_crosses_a_plate_within_a_step_is_caught_and_thrown_back(parts, device):
+def test_swept_contact_with_substeps_stops_a_revolute_arm(parts, device):
     """Steps in parts begin from velocities of another time, on the joint as well."""
     scene = wc.Scene(gravity=(0, 0, 0))
     hinge = wc.motions.Hinge(axis=(0, 1, 0), anchor=(0, 0, 0))
@@ -260,7 +260,7 @@ def test_an_arm_that_crosses_a_plate_within_a_step_is_caught_and_thrown_back(par
     np.testing.assert_allclose(model.sensor("lift.position")[0, 2], 1e-3 * np.sin(2 * np.pi * t), rtol=1e-10)
 
 
-def test_a_step_in_parts_changes_no_pendulum_beside_it(device):
+def test_substeps_do_not_change_a_pendulum_without_crossing(device):
     """Its velocities are those of half a step before; shorter steps begin from later ones."""
     scene = wc.Scene(gravity=(0, 0, -9.81))
     scene.add_body(1.0, (0.1,) * 3, position=(0.5, 0, 5.0), motion=HINGE_ABOVE, name="arm")
@@ -285,7 +285,7 @@ def test_a_step_in_parts_changes_no_pendulum_beside_it(device):
     np.testing.assert_allclose(angles[0], angles[1], atol=2e-5)
 
 
-def test_the_advice_knows_what_a_door_yields(device):
+def test_contact_duration_estimate_uses_the_mobility_of_a_jointed_body(device):
     """A door is heavier at its hinge: I/d² decides how long a contact takes, not its mass."""
 
     def shortest(motion):
@@ -306,7 +306,7 @@ def test_the_advice_knows_what_a_door_yields(device):
     np.testing.assert_allclose(hinged, np.pi * np.sqrt(inertia / 0.1**2 / 1e4), rtol=0.03)
 
 
-def test_a_body_that_no_force_moves_is_kinematic_in_usd(device, tmp_path):
+def test_prescribed_and_fixed_bodies_are_kinematic_in_usd(device, tmp_path):
     from pxr import Usd, UsdPhysics
 
     scene = add()
@@ -336,7 +336,7 @@ def test_a_body_that_no_force_moves_is_kinematic_in_usd(device, tmp_path):
     ],
     ids=lambda motion: type(motion).__name__,
 )
-def test_a_push_moves_a_place_by_as_much_as_the_body_yields_there(motion, device):
+def test_mobility_of_jointed_body_matches_response_of_a_step(motion, device):
     """What warnings go by is what a step does: δv along the force, of a small impulse."""
     scene = wc.Scene(gravity=(0, 0, 0))
     arm = scene.add_body(
@@ -354,7 +354,7 @@ def test_a_push_moves_a_place_by_as_much_as_the_body_yields_there(motion, device
 
 
 @pytest.mark.parametrize("motion", [HINGE, wc.motions.Ball(anchor=(0, 0, 1))], ids=["Hinge", "Ball"])
-def test_a_place_yields_most_along_some_direction(motion, device):
+def test_largest_mobility_of_jointed_body_is_found_over_all_directions(motion, device):
     """What the advice takes for the worst is the most of all directions, at the worst of the places."""
     scene = wc.Scene()
     ground = scene.add_surface(square())
@@ -372,8 +372,8 @@ def test_a_place_yields_most_along_some_direction(motion, device):
     yields = [mobility_along(model, arm, np.broadcast_to(place, directions.shape), directions) for place in arms]
     most = np.max(yields)
     # Of 20 000 directions the nearest to the worst is some 0.01 rad off.
-    np.testing.assert_allclose(mobility_of(model, contact, arm).push[0, 0], most, rtol=1e-3)
-    assert mobility_of(model, contact, arm).push[0, 0] >= most * (1.0 - 1e-12)
+    np.testing.assert_allclose(mobility_of(model, contact, arm).linear[0, 0], most, rtol=1e-3)
+    assert mobility_of(model, contact, arm).linear[0, 0] >= most * (1.0 - 1e-12)
 
 
 class Root(wc.Spring):
@@ -386,7 +386,7 @@ class Root(wc.Spring):
         return p.stiffness * wp.sqrt(s.extension)
 
 
-HELD = {
+JOINTS = {
     "free": None,
     "fixed": wc.motions.Fixed(),
     "translation": wc.motions.Translation(),
@@ -399,22 +399,22 @@ HELD = {
 }
 
 
-def test_a_load_that_is_no_number_freezes_its_environment_alone_however_the_body_moves(device):
+def test_non_finite_load_freezes_its_environment_for_every_joint(device):
     """Also where the body does not yield to it: each environment has another body under it."""
     scene = wc.Scene(gravity=(0, 0, 0))
-    for name, motion in HELD.items():
+    for name, motion in JOINTS.items():
         body = scene.add_body(**POSE, motion=motion, name=name)
         ends = scene.add_point(body, (0, 0, 0)), scene.add_point(None, (0.5, 1, 1))
         scene.add_spring_damper(*ends, spring=Root(stiffness=1.0), rest_length=0.5, name=f"{name}_spring")
-    model = scene.build(envs=len(HELD) + 1, device=device)
+    model = scene.build(envs=len(JOINTS) + 1, device=device)
     expected = scene.build(device=device)
     wc.Simulation(expected, dt=1e-3).step(10)
-    for number, name in enumerate(HELD):
-        model[f"{name}_spring.rest_length"] = np.where(np.arange(len(HELD) + 1) == number, 3.0, 0.5)
-    start = {name: model.sensor(f"{name}.position") for name in HELD}
+    for number, name in enumerate(JOINTS):
+        model[f"{name}_spring.rest_length"] = np.where(np.arange(len(JOINTS) + 1) == number, 3.0, 0.5)
+    start = {name: model.sensor(f"{name}.position") for name in JOINTS}
     wc.Simulation(model, dt=1e-3).step(10)
-    assert model.health().frozen.tolist() == list(range(len(HELD)))
-    for name in HELD:
+    assert model.health().frozen.tolist() == list(range(len(JOINTS)))
+    for name in JOINTS:
         place = model.sensor(f"{name}.position")
         np.testing.assert_array_equal(place[:-1], start[name][:-1], err_msg=name)
         np.testing.assert_array_equal(place[-1], expected.sensor(f"{name}.position")[0], err_msg=name)

@@ -81,7 +81,7 @@ STEPS = 1500  # 0.3 s: they meet after 0.1 s
 
 @PRECISIONS
 @pytest.mark.parametrize("swept", [False, True])
-def test_momentum_and_angular_momentum_are_kept_to_rounding(swept, precision, device):
+def test_collision_conserves_momentum_and_angular_momentum(swept, precision, device):
     sim = collision(precision, device, swept=swept)
     names = ("scene.linear_momentum", "scene.angular_momentum")
     before = {name: sim.model.sensor(name)[0].astype(np.float64) for name in names}
@@ -99,7 +99,7 @@ def test_momentum_and_angular_momentum_are_kept_to_rounding(swept, precision, de
 @PRECISIONS
 @pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize("shift", [(10.0, -3.0, 0.2), (1000.0, 0.0, 0.0), (-600.0, 700.0, 400.0)])
-def test_a_collision_a_kilometre_away_and_turned_is_the_same(shift, turned, precision, device):
+def test_collision_is_invariant_to_rotation_and_distance_from_the_origin(shift, turned, precision, device):
     reference = collision(precision, device)
     reference.step(STEPS)
     turn = np.array([0.4, -0.3, 0.6, 0.5]) if turned else UNTURNED
@@ -112,7 +112,7 @@ def test_a_collision_a_kilometre_away_and_turned_is_the_same(shift, turned, prec
     np.testing.assert_allclose(motion_of(moved, shift, turn), motion_of(reference), rtol=0, atol=exact)
 
 
-def test_a_slow_body_moves_wherever_it_is(device):
+def test_slow_body_moves_in_float32_far_from_the_origin(device):
     """In float32, by less in a step than its position is rounded to."""
     scene = wc.Scene(gravity=(0, 0, 0))
     start, velocity = np.array([1000.0, -0.3, 20.0]), np.array([1e-3, -2e-4, 3e-5])
@@ -125,7 +125,7 @@ def test_a_slow_body_moves_wherever_it_is(device):
 
 
 @PRECISIONS
-def test_meshes_modelled_a_kilometre_from_their_own_origin_collide_the_same(precision, device):
+def test_collision_is_invariant_to_mesh_origin(precision, device):
     reference = collision(precision, device)
     reference.step(STEPS)
     moved = collision(precision, device, modelled_at=hard_cases.FAR_AWAY)
@@ -137,7 +137,7 @@ def test_meshes_modelled_a_kilometre_from_their_own_origin_collide_the_same(prec
 
 
 @pytest.mark.parametrize("carried", [False, True])
-def test_gaps_are_as_exact_a_kilometre_from_the_worlds_origin(carried, device):
+def test_gaps_are_exact_far_from_the_world_origin(carried, device):
     """To rounding at the scale of the mesh, also where points of the world touch a surface of a body."""
     rng = np.random.default_rng(6)
     shift = np.array([1000.1, -700.2, 300.3])

@@ -142,7 +142,7 @@ def test_sequential_impacts_of_bodies_on_sliders_equal_the_closed_form(device):
 
 @pytest.mark.parametrize("rule", RULES)
 @pytest.mark.slow
-def test_both_integrators_agree_with_friction(rule, device):
+def test_both_integrators_agree_on_multiple_impacts_with_friction(rule, device):
     """A ball that spins hits two that touch: the normal velocities follow the rule, and friction gives slip."""
     model = row_of_balls(3, mu=0.2, spin=30.0, device=device)
     stepped, exact = by_steps(model, 3, rule, dt=1e-4)[0], by_events(model, 3, rule)
@@ -152,7 +152,7 @@ def test_both_integrators_agree_with_friction(rule, device):
 
 
 @pytest.mark.parametrize("rule", RULES)
-def test_body_that_lands_on_several_points_bounces_without_turning(rule, device):
+def test_body_landing_on_several_points_bounces_without_rotation(rule, device):
     """Contacts of one pair of bodies collide together, under both rules."""
     scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
     ground = scene.add_surface(square(2.0), name="ground")
@@ -264,14 +264,14 @@ def test_energy_of_elastic_balls_under_gravity_is_kept_by_sequential_impacts(dev
     assert not model.sensor("scene.solve_failures").any()
 
 
-def test_unknown_rule_is_refused(device):
+def test_unknown_impact_rule_is_refused(device):
     with pytest.raises(ValueError, match="impacts must be one of 'simultaneous', 'sequential', got 'together'"):
         wc.integrators.MoreauJean(impacts="together")
     with pytest.raises(ValueError, match="impacts must be one of"):
         wc.unilateral.EventDriven(row_of_balls(2, device=device), impacts="together")
 
 
-def test_experiment_settings_choose_the_rule():
+def test_experiment_settings_select_the_impact_rule():
     from warpcontact.experiment.integration import IntegratorSettings
 
     assert IntegratorSettings(type="MoreauJean", impacts="sequential").make().impacts == "sequential"

@@ -5,11 +5,11 @@ from test_experiment import content
 from test_experiment_own_law import LAWS
 
 import warpcontact as wc
-from warpcontact.checks import MOST_NAME
+from warpcontact.checks import MAX_NAME_LENGTH
 from warpcontact.cli import main
 
-LONGEST = "b" * MOST_NAME
-TOO_LONG = "b" * (MOST_NAME + 1)
+LONGEST = "b" * MAX_NAME_LENGTH
+TOO_LONG = "b" * (MAX_NAME_LENGTH + 1)
 
 
 def renamed(section, name):
@@ -67,9 +67,9 @@ def test_name_of_a_file_of_laws_has_at_most_200_bytes(tmp_path):
         wc.Experiment.from_dict(content(material=[material]), tmp_path)
 
 
-def test_variable_with_too_long_a_name_is_refused_before_anything_is_written(tmp_path, monkeypatch):
+def test_variable_with_too_long_name_is_refused_before_writing(tmp_path, monkeypatch):
     """Such as a parameter of a custom law, whose name no rule of this library limits."""
-    monkeypatch.setattr("warpcontact.experiment.store.MOST_NAME", 8)
+    monkeypatch.setattr("warpcontact.experiment.store.MAX_NAME_LENGTH", 8)
     experiment = wc.Experiment.from_dict(content(variation={"ball.mass": {"uniform": [1.0, 2.0]}}))
     with pytest.raises(
         wc.ExperimentError, match=r"run: the name of a variable of params must have at most 8 bytes"
@@ -79,7 +79,7 @@ def test_variable_with_too_long_a_name_is_refused_before_anything_is_written(tmp
 
 
 @pytest.mark.parametrize("name", ["a/b", "../a", ".a", "a\0b", "a b", "ä", "", "a\n", "a:b", "a\\b"])
-def test_characters_that_no_file_should_have_are_refused_in_names(name):
+def test_control_characters_are_refused_in_names(name):
     with pytest.raises(
         wc.ExperimentError, match=r"body\[0\]\.name must be letters, digits, _ and -, not starting"
     ):
@@ -91,7 +91,7 @@ def test_characters_that_no_file_should_have_are_refused_in_names(name):
 @pytest.mark.parametrize(
     ("title", "folder"), [("../a/b", "a_b"), (".hidden", "hidden"), ("...", "experiment"), ("/etc", "etc")]
 )
-def test_title_leads_to_a_folder_in_results(title, folder, tmp_path, monkeypatch, capsys):
+def test_title_determines_the_results_folder(title, folder, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "study.toml").write_text(f"name = {title!r}\n")
     (tmp_path / "results" / folder).mkdir(parents=True)

@@ -56,7 +56,7 @@ def counted(axes):
     return [bar.get_height() for bar in axes.patches]
 
 
-def test_outcomes_of_one_number_are_drawn_and_frozen_environments_counted(outcome, drawn):
+def test_scalar_outcomes_are_plotted_and_frozen_environments_counted(outcome, drawn):
     figure = drawn(outcome)
     assert figure.get_suptitle() == "study: 50 environments, 3 frozen left out"
     assert [axes.get_title() for axes in figure.axes] == ["peak", "hits", "late"]
@@ -70,43 +70,43 @@ def test_outcomes_of_one_number_are_drawn_and_frozen_environments_counted(outcom
     assert not peak.texts
 
 
-def test_nothing_is_said_of_frozen_environments_where_there_are_none(outcome, drawn):
+def test_outcome_plot_mentions_no_frozen_environments_if_there_are_none(outcome, drawn):
     outcome["status"][:] = EnvironmentStatus.STOPPED
     assert drawn(outcome).get_suptitle() == "study: 50 environments"
 
 
-def test_at_most_six_outcomes_are_drawn(outcome, drawn):
+def test_at_most_six_outcomes_are_plotted(outcome, drawn):
     more = outcome.assign({f"peak_{i}": outcome["peak"] for i in range(8)})
     assert [axes.get_title() for axes in drawn(more).axes][:4] == ["peak", "hits", "late", "peak_0"]
     assert len(drawn(more).axes) == 6
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 0.0, 3.4e38, -3.7])
-def test_values_that_are_all_alike_are_drawn(outcome, drawn, value):
+def test_constant_outcomes_are_plotted(outcome, drawn, value):
     outcome["peak"][:] = value
     assert sum(counted(drawn(outcome).axes[0])) == (ENVS - 3 if np.isfinite(value) else 0)
 
 
-def test_values_that_span_all_of_float32_are_drawn(outcome, drawn):
+def test_outcomes_spanning_float32_are_plotted(outcome, drawn):
     outcome["peak"][3:5] = [-3.4e38, 3.4e38]
     assert sum(counted(drawn(outcome).axes[0])) == ENVS - 3
 
 
-def test_a_run_of_frozen_environments_only_is_drawn(outcome, drawn):
+def test_outcomes_of_only_frozen_environments_are_plotted(outcome, drawn):
     outcome["status"][:] = EnvironmentStatus.FROZEN
     figure = drawn(outcome)
     assert figure.get_suptitle() == "study: 50 environments, 50 frozen left out"
     assert [text.get_text() for text in figure.axes[0].texts] == ["all are frozen"]
 
 
-def test_there_is_no_picture_without_outcomes_of_one_number(outcome, tmp_path):
+def test_no_plot_is_written_without_scalar_outcomes(outcome, tmp_path):
     path = tmp_path / "picture.png"
     assert not outcome_picture.write_outcome_picture(path, outcome[["place", "status", "end_time"]], "study")
     assert not path.exists()
 
 
 @pytest.mark.smoke
-def test_a_run_without_series_has_a_picture_of_its_outcomes(device, tmp_path):
+def test_run_without_series_has_a_plot_of_its_outcomes(device, tmp_path):
     fall = {
         "envs": 3,
         "duration": 0.01,
@@ -123,7 +123,7 @@ def test_a_run_without_series_has_a_picture_of_its_outcomes(device, tmp_path):
     ("first", "width", "offset"),
     [(0.0, 3e-9, " (×1e−9)"), (1e9, 1e2, " (+1e9)"), (-1e9, 1e2, " (−1e9)"), (0.0, 5.0, "")],
 )
-def test_factor_and_summand_of_the_ticks_stand_in_the_label(first, width, offset, outcome, drawn):
+def test_axis_label_includes_scale_and_offset_of_ticks(first, width, offset, outcome, drawn):
     outcome["peak"][:] = first + np.linspace(0.0, width, ENVS)
     axes = drawn(outcome).axes[0]
     assert axes.get_xlabel() == f"largest force [N]{offset}"

@@ -54,7 +54,7 @@ ELASTIC = {
 }
 
 
-def test_an_elastic_bounce_is_that_of_a_half_sine(device):
+def test_outcomes_of_elastic_bounce_match_half_sine(device):
     model = model_of(wc.laws.Hooke(stiffness=STIFFNESS), device=device)
     sim = wc.Simulation(model, DT, outcomes=ELASTIC)
     sim.step(STEPS)
@@ -81,7 +81,7 @@ def test_an_elastic_bounce_is_that_of_a_half_sine(device):
 
 
 @pytest.mark.parametrize("restitution", [0.3, 0.8])
-def test_restitution_and_work_are_those_of_a_damped_law(restitution):
+def test_restitution_and_work_outcomes_match_damped_law(restitution):
     law = wc.laws.KelvinVoigt(stiffness=STIFFNESS, restitution=restitution)
     sim = wc.Simulation(model_of(law), DT, outcomes={key: ELASTIC[key] for key in ("restitution", "work")})
     sim.step(STEPS)
@@ -94,7 +94,7 @@ def test_restitution_and_work_are_those_of_a_damped_law(restitution):
     np.testing.assert_allclose(found["work"], lost, rtol=4.0 * OMEGA * DT)
 
 
-def test_a_contact_that_begins_without_an_approach_has_no_restitution():
+def test_restitution_outcome_is_nan_for_contact_without_approach():
     model = model_of(wc.laws.Hooke(stiffness=STIFFNESS), 3)
     start = model["ball.position"].copy()
     start[:, 2] -= 0.01 + 1e-3  # a millimetre deep
@@ -133,7 +133,7 @@ REDUCED = {
 
 
 @pytest.mark.slow
-def test_every_reduction_is_that_of_a_recording_of_every_step():
+def test_every_outcome_matches_recording_of_every_step():
     names = ["ball.position", "ball.linear_velocity", "ball.kinetic_energy", "touch.gap", "scene.linear_momentum"]
     _, recording = recorded(names)
     outcomes = {
@@ -205,7 +205,7 @@ def bits(envs=5, steps=600, first=0, count=None, device="cpu", **options):
     [{"threads": 2}, {"capture_graphs": False}, {"device": ["cpu", "cpu"]}, {"distance_cache": False}],
     ids=str,
 )
-def test_results_are_the_same_bits_however_they_are_stepped(options):
+def test_outcomes_are_bitwise_identical_for_any_schedule(options):
     expected, found = bits(envs=9, threads=1), bits(envs=9, **options)
     assert expected.keys() == found.keys()
     for name, values in expected.items():
@@ -213,13 +213,13 @@ def test_results_are_the_same_bits_however_they_are_stepped(options):
     assert (expected["outcome stopped_by"] == 0).any()
 
 
-def test_an_environment_has_the_same_results_alone(device):
+def test_outcomes_of_an_environment_alone_are_identical(device):
     expected, found = bits(envs=7, device=device), bits(envs=7, first=3, count=1, device=device)
     for name, values in expected.items():
         np.testing.assert_array_equal(found[name], values[3:4], err_msg=name)
 
 
-def test_a_reset_starts_outcomes_of_those_environments_anew():
+def test_reset_restarts_outcomes_of_masked_environments():
     model = model_of(wc.laws.Hooke(stiffness=STIFFNESS))
     outcomes = {key: ELASTIC[key] for key in ("peak", "first", "times")}
     sim = wc.Simulation(model, 1e-4, outcomes=outcomes, events=wc.ContactEvents(["touch"], most=2))
@@ -238,7 +238,7 @@ def test_a_reset_starts_outcomes_of_those_environments_anew():
         assert again[name][1] == before[name][1]
 
 
-def test_a_simulation_that_another_took_over_from_says_so_and_begins_anew():
+def test_outcomes_raise_after_another_simulation_stepped_and_restart():
     model = model_of(wc.laws.Hooke(stiffness=STIFFNESS))
     first = wc.Simulation(model, 1e-4, outcomes={"peak": ELASTIC["peak"]})
     first.step(450)  # until all have left the ground
@@ -251,7 +251,7 @@ def test_a_simulation_that_another_took_over_from_says_so_and_begins_anew():
     np.testing.assert_array_equal(first.outcomes()["peak"], 0.0)
 
 
-def test_sets_have_a_result_for_each_item_or_for_what_becomes_of_them():
+def test_outcomes_of_sets_are_per_item_or_reduced():
     scene = wc.Scene(gravity=(0.0, 0.0, -9.81))
     ground = scene.add_surface(square(), name="ground")
     box = scene.add_body(mass=1.0, inertia=(0.01,) * 3, position=(0, 0, 0.099), name="box")
@@ -273,7 +273,7 @@ def test_sets_have_a_result_for_each_item_or_for_what_becomes_of_them():
     assert (found["min"] <= found["max"]).all()
 
 
-def test_the_longest_gap_needs_no_cache_and_is_right():
+def test_max_gap_outcome_disables_the_distance_cache():
     # Far contacts are not looked at in every step, but for an outcome that asks for their gap.
     model = model_of(wc.laws.Hooke(stiffness=STIFFNESS))
     sim = wc.Simulation(model, 1e-4, outcomes={"far": wc.outcomes.Max("touch.gap")})
@@ -283,7 +283,7 @@ def test_the_longest_gap_needs_no_cache_and_is_right():
     np.testing.assert_allclose(sim.outcomes()["far"], position - 0.1, rtol=1e-6)
 
 
-def test_hard_contacts_have_impulses_and_forces_in_every_step():
+def test_nonsmooth_contacts_have_impulse_and_force_outcomes_in_every_step():
     scene = wc.Scene()
     ground = scene.add_surface(square(), name="ground")
     ball = scene.add_body(mass=2.0, inertia=(0.01,) * 3, position=(0, 0, 0.3), name="ball")
@@ -321,7 +321,7 @@ def test_hard_contacts_have_impulses_and_forces_in_every_step():
         wc.Simulation(model, dt, wc.integrators.MoreauJean(), outcomes={"f": force})
 
 
-def test_smooth_contacts_and_springs_are_watched_alike():
+def test_shape_contacts_and_springs_can_be_monitored():
     scene = wc.Scene()
     ball = scene.add_body(mass=1.0, inertia=(4e-3,) * 3, position=(0, 0, 0.11), name="ball")
     material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=STIFFNESS))
@@ -342,21 +342,21 @@ def test_smooth_contacts_and_springs_are_watched_alike():
     np.testing.assert_allclose(sim.events()["time"][:, 0], first, rtol=1e-12)
 
 
-def test_the_memory_of_what_is_watched_is_counted():
+def test_memory_estimate_includes_outcomes_and_events():
     plain, watched = (
         wc.Simulation(model_of(wc.laws.Hooke(stiffness=STIFFNESS), envs=64), 1e-4, **options)
         for options in ({}, {"outcomes": ELASTIC, "events": wc.ContactEvents(["touch"], most=10)})
     )
     before, after = plain.memory(), watched.memory()
-    assert "outcomes" not in {need.purpose for need in before.needs}
+    assert "outcomes" not in {need.purpose for need in before.items}
     # Of each result its numbers, two at least, in float64; of events a time and a code each, and a little more.
     results = dict.fromkeys(ELASTIC, 1) | {"end": 3}
     numbers = sum(results[name] * max(2, len(one.memory)) for name, one in ELASTIC.items())
     least = 64 * (8 * numbers + 10 * 12)
-    counted = sum(need.size for need in after.needs if need.purpose == "outcomes")
+    counted = sum(need.size for need in after.items if need.purpose == "outcomes")
     assert least <= counted <= least + 64 * 16
     # As much as is there: the same layouts make it.
-    kept = watched.model.parts[0].observer.kept
+    kept = watched.model.parts[0].monitor.outcome_states
     assert sum(one.memory.capacity for one in kept) == 64 * 8 * numbers
 
 
@@ -376,14 +376,14 @@ def test_the_memory_of_what_is_watched_is_counted():
         (lambda: wc.outcomes.Count("touch.gap", above=np.nan), r"Count\.above must be finite, got nan"),
     ],
 )
-def test_what_cannot_be_had_is_refused_by_name(outcome, problem):
+def test_invalid_outcome_is_refused(outcome, problem):
     model = model_of(wc.laws.Hooke(stiffness=STIFFNESS))
     with pytest.raises((ValueError, KeyError), match=problem):
         wc.Simulation(model, 1e-4, outcomes={"x": outcome()})
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_every_outcome_of_the_library_can_be_had(precision, device):
+def test_every_library_outcome_can_be_computed(precision, device):
     model = model_of(wc.laws.Hooke(stiffness=STIFFNESS), precision=precision, device=device)
     outcomes = {}
     for name, kind in wc.outcomes.OUTCOMES.items():
@@ -401,7 +401,7 @@ def test_every_outcome_of_the_library_can_be_had(precision, device):
     assert (found["Initial"] > found["Min"]).all()
 
 
-def test_names_of_every_result_are_taken():
+def test_reserved_outcome_names_are_refused():
     model = model_of(wc.laws.Hooke(stiffness=STIFFNESS))
     with pytest.raises(ValueError, match="'status' is the name of what every result has"):
         wc.Simulation(model, 1e-4, outcomes={"status": wc.outcomes.Max("touch.gap")})
@@ -409,7 +409,7 @@ def test_names_of_every_result_are_taken():
         wc.Simulation(model, 1e-4, outcomes={"x": wc.outcomes.Max})
 
 
-def test_an_own_outcome_that_does_not_compile_says_so():
+def test_custom_outcome_with_compile_error_is_explained():
     class Broken(wc.Outcome):
         @wp.func
         def update(m: Any, x: Any, time: Any, dt: Any):

@@ -29,7 +29,7 @@ def mesh(tmp_path):
     return file
 
 
-def said(stream):
+def encoded_text(stream):
     stream.flush()
     return stream.buffer.getvalue().decode(stream.encoding)
 
@@ -45,13 +45,13 @@ def test_output_escapes_characters_outside_the_encoding(encoding, mesh, monkeypa
     with pytest.raises(SystemExit) as ended:
         main(["run", "--help"])
     assert ended.value.code == 0
-    assert "  faces                  1" in said(out)
+    assert "  faces                  1" in encoded_text(out)
     escaped = "Ähre≤.obj".encode(encoding, "backslashreplace").decode(encoding)
-    assert escaped in said(err)
+    assert escaped in encoded_text(err)
 
 
 @pytest.mark.slow
-def test_run_and_status_end_well_in_the_c_locale(tmp_path):
+def test_run_and_status_succeed_in_the_c_locale(tmp_path):
     environment = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
     environment.pop("PYTHONIOENCODING", None)
     out = tmp_path / "Größe"

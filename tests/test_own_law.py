@@ -16,7 +16,7 @@ pytestmark = pytest.mark.installed
 
 @pytest.mark.smoke
 @pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_a_law_of_the_user_bounces_elastically(precision, device):
+def test_custom_law_bounces_elastically(precision, device):
     model = dropped_sphere(
         own_law.Cubic(stiffness=1e8), gravity=(0, 0, -9.81), height=0.3, velocity=(0, 0, 0), envs=4,
         device=device, precision=precision,
@@ -29,7 +29,7 @@ def test_a_law_of_the_user_bounces_elastically(precision, device):
     np.testing.assert_allclose(second, 0.3, rtol=2e-3)
 
 
-def test_a_friction_of_the_user_slows_a_sphere(device):
+def test_custom_friction_slows_a_sphere(device):
     model = dropped_sphere(
         wc.laws.Hooke(stiffness=1e4), friction=own_law.Viscous(damping=2.0), height=-1e-3, velocity=(3, 0, 0),
         device=device,
@@ -37,13 +37,13 @@ def test_a_friction_of_the_user_slows_a_sphere(device):
     np.testing.assert_allclose(model.sensor("touch.friction_force")[0], (-6, 0, 0), rtol=1e-5)
 
 
-def test_a_law_may_say_that_it_pulls(device):
+def test_custom_law_with_declared_adhesion_can_pull(device):
     model = dropped_sphere(own_law.Adhesive(stiffness=1e4, depth=2e-3), height=-1e-3, device=device)
     np.testing.assert_allclose(model.sensor("touch.normal_force"), -10.0, rtol=1e-4)
     np.testing.assert_allclose(model.sensor("ball.force")[0], (0, 0, -10), rtol=1e-4, atol=1e-6)
 
 
-def test_a_parameter_without_a_unit_is_refused():
+def test_law_parameter_without_unit_is_refused():
     with pytest.raises(TypeError, match=r"Bare\.k must be declared with wc\.parameter"):
 
         class Bare(wc.Law):
@@ -62,7 +62,7 @@ def test_a_parameter_without_a_unit_is_refused():
     ],
     ids=["law", "friction", "spring", "motion"],
 )
-def test_a_parameter_that_a_device_function_cannot_see_is_refused(base, shape, message):
+def test_law_parameter_of_unsupported_type_is_refused(base, shape, message):
     with pytest.raises(TypeError, match=rf"Wide\.sizes: {message}"):
 
         class Wide(base):
@@ -71,7 +71,7 @@ def test_a_parameter_that_a_device_function_cannot_see_is_refused(base, shape, m
             sizes: tuple[float, ...] = wc.parameter("m", "sizes", shape=shape)
 
 
-def test_a_class_that_is_no_law_is_refused():
+def test_law_class_without_force_is_refused():
     class Empty(wc.Law):
         """Has no force."""
 
@@ -79,7 +79,7 @@ def test_a_class_that_is_no_law_is_refused():
         Empty()
 
 
-def test_a_law_that_does_not_compile_is_explained(device):
+def test_law_with_compile_error_is_explained(device):
     law = own_law.Careless(stiffness=1e4)
     model = dropped_sphere(law, height=-1e-3, device=device)
     np.testing.assert_allclose(model.sensor("touch.normal_force"), 20.0, rtol=1e-4)
@@ -87,7 +87,7 @@ def test_a_law_that_does_not_compile_is_explained(device):
         dropped_sphere(law, device=device, precision="float64")
 
 
-def test_a_function_that_is_not_there_yet_does_not_hide_the_mistake():
+def test_undefined_function_in_a_law_does_not_hide_the_error():
     @wp.func
     def early(p: Any, c: Any):
         return later(p) * c.delta

@@ -39,20 +39,20 @@ def check_packing(result):
 
 @pytest.mark.slow
 @pytest.mark.skipif(not (ROOT / "benchmarks").is_dir(), reason="benchmarks are in a checkout")
-def test_spheres_settle_to_the_density_of_random_packings(device):
+def test_spheres_settle_to_random_packing_density(device):
     check_packing(load("benchmarks", "piles").settle(1200, device, most=14.0))
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not (ROOT / "benchmarks").is_dir(), reason="benchmarks are in a checkout")
-def test_many_spheres_settle_to_the_density_of_random_packings(device):
+def test_many_spheres_settle_to_random_packing_density(device):
     if device == "cpu":
         pytest.skip("takes an hour on a CPU; --device cuda:0")
     check_packing(load("benchmarks", "piles").settle(100_000, device, most=60.0))
 
 
 @pytest.mark.slow
-def test_hopper_flows_as_beverloo_says(device, capsys):
+def test_hopper_flow_rate_matches_beverloo(device, capsys):
     """In the mean of four fillings: of 400 spheres that leave one, the rate scatters by 6 % (nine fillings)."""
     found = []
     for spheres in (1500, 1510, 1520, 1530):
@@ -65,13 +65,13 @@ def test_hopper_flows_as_beverloo_says(device, capsys):
     assert 0.5 < np.mean(found) < 0.7
 
 
-def test_hopper_example_ends_in_good_health(capsys):
+def test_hopper_example_ends_without_failed_environments(capsys):
     options = ["--spheres", "1014", "--orifice", "4.5", "--part", "0.02", "--device", "cpu"]
     assert load("examples", "hopper").main(options)["health"].good
     assert "flow rate" in capsys.readouterr().out
 
 
-def test_a_hopper_refuses_too_few_spheres(capsys):
+def test_hopper_example_refuses_too_few_spheres(capsys):
     with pytest.raises(SystemExit):
         load("examples", "hopper").main(["--spheres", "300", "--orifice", "5"])
     assert "--spheres must be at least 1092 to fill a funnel" in capsys.readouterr().err

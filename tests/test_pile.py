@@ -22,7 +22,7 @@ def spheres(positions, velocities, material=ELASTIC, *, gravity=(0, 0, 0), form=
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_head_on_impact_has_the_depth_and_time_of_a_spring(device, precision):
+def test_head_on_particle_impact_matches_spring_penetration_and_duration(device, precision):
     """Two masses on a spring: depth v √(m/2k), touching for π √(m/2k), velocities exchanged."""
     speed = 1.0
     time = np.sqrt(0.5 * MASS / STIFFNESS)
@@ -43,7 +43,7 @@ def test_head_on_impact_has_the_depth_and_time_of_a_spring(device, precision):
     np.testing.assert_array_equal(forces[:, 0], -forces[:, 1])
 
 
-def test_dissipative_impact_has_the_restitution_of_its_law(device):
+def test_dissipative_particle_impact_has_restitution_of_its_law(device):
     """A law with restitution gives it to spheres as to meshes: e of the relative speed, the same momentum."""
     restitution, speed = 0.6, 0.5
     law = wc.laws.HuntCrossley(stiffness=1e7, exponent=1.5, restitution=restitution)
@@ -67,7 +67,7 @@ def test_dissipative_impact_has_the_restitution_of_its_law(device):
     np.testing.assert_allclose(velocities, [-out, out], rtol=1e-3)
 
 
-def test_oblique_impact_with_sticking_friction_follows_the_closed_form(device):
+def test_oblique_particle_impact_with_sticking_friction_matches_closed_form(device):
     """Rigid spheres that stick: the tangential impulse is 1/7 m v_t for two equal ones, and makes them spin."""
     # So slow that the line of centres turns by little.
     normal_speed, slip = 0.02, 0.1
@@ -85,7 +85,7 @@ def test_oblique_impact_with_sticking_friction_follows_the_closed_form(device):
     np.testing.assert_allclose(spin[:, 1], [impulse * RADIUS / INERTIA[0]] * 2, rtol=5e-3)
 
 
-def test_chain_keeps_momentum_and_energy(device):
+def test_chain_of_particles_conserves_momentum_and_energy(device):
     """A sphere that hits a chain: momentum to rounding, energy to what the step leaves of it."""
     count = 6
     positions = np.zeros((count, 3))
@@ -141,7 +141,7 @@ def gaps_of(positions, axes, radii):
 
 @pytest.mark.parametrize("capsules", [False, True])
 @pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
-def test_finds_the_pairs_of_a_search_over_all(device, capsules, precision):
+def test_particle_pairs_match_brute_force(device, capsules, precision):
     """A cloud of radii 1:5 that moves through itself: the pairs, gaps and points are those of brute force."""
     positions, turns, forms, radii, half = cloud(capsules)
     scene = wc.Scene(gravity=(0, 0, 0))
@@ -173,10 +173,10 @@ def test_finds_the_pairs_of_a_search_over_all(device, capsules, precision):
         np.testing.assert_allclose(found["gap"], [expected[pair] for pair in pairs], atol=within)
         assert model.sensor("pile.contacts")[0] == len(pairs) > 50
         assert model.sensor("pile.coordination")[0].sum() == 2 * len(pairs)
-    assert model.piles[0].grid.made.numpy()[0] > 5
+    assert model.particle_contact_sets[0].grid.build_count.numpy()[0] > 5
 
 
-def test_parallel_capsules_touch_in_the_middle_of_where_they_overlap(device):
+def test_parallel_capsules_contact_at_the_middle_of_their_overlap(device):
     """Side by side the closest points are many; the force acts in their middle, and does not turn them."""
     form = wc.shapes.Capsule(RADIUS, 0.3)
     scene = spheres([[0, 0, 0], [1.9 * RADIUS, 0, 0.2]], [[0, 0, 0]] * 2, form=form)
@@ -191,7 +191,7 @@ def test_parallel_capsules_touch_in_the_middle_of_where_they_overlap(device):
     np.testing.assert_allclose(touch["point"][0], [0, 0, 0.3 + 0.95 * RADIUS], atol=1e-15)
 
 
-def test_kappa_places_the_force_between_the_surfaces(device):
+def test_kappa_places_the_contact_point_between_the_surfaces(device):
     """K goes from the surface of the second shape to that of the first."""
     scene = spheres([[0, 0, 0], [1.9 * RADIUS, 0, 0]], [[0, 0, 0]] * 2, kappa=0.0)
     model = scene.build(envs=3, device=device, precision="float64")
@@ -201,7 +201,7 @@ def test_kappa_places_the_force_between_the_surfaces(device):
     )
 
 
-def test_sphere_and_capsule_on_one_body_touch_others_alone(device):
+def test_shapes_of_one_body_contact_other_bodies_only(device):
     """Several shapes of a body act on it together and never on each other."""
     scene = wc.Scene(gravity=(0, 0, 0))
     pin = scene.add_body(MASS, INERTIA, name="pin")
@@ -222,7 +222,7 @@ def test_sphere_and_capsule_on_one_body_touch_others_alone(device):
     np.testing.assert_allclose(model.sensor("ball.force")[0], [force, 0, 0], atol=1e-9)
 
 
-def test_groups_masks_and_exclusions_keep_pairs_apart(device):
+def test_groups_masks_and_exclusions_prevent_particle_contact(device):
     """Two shapes touch if each is in a group that the other's mask has, and they are not excluded."""
     scene = wc.Scene(gravity=(0, 0, 0))
     groups = [(1, 0xFFFFFFFF), (2, 1), (2, 1), (4, 4), (1, 0xFFFFFFFF)]
@@ -236,7 +236,7 @@ def test_groups_masks_and_exclusions_keep_pairs_apart(device):
     assert pairs == [(0, 1), (0, 2), (0, 4), (2, 4)]
 
 
-def test_radii_may_differ_between_environments(device):
+def test_particle_radii_can_vary_by_environment(device):
     """A larger radius touches, in its environment alone."""
     scene = spheres([[0, 0, 0], [2.1 * RADIUS, 0, 0]], [[0, 0, 0]] * 2)
     model = scene.build(envs=2, device=device, precision="float64")
@@ -247,7 +247,7 @@ def test_radii_may_differ_between_environments(device):
     assert model.sensor("pile.max_normal_force").tolist() == model.sensor("pile.normal_force").tolist()
 
 
-def test_what_cannot_be_is_refused(device):
+def test_invalid_particle_contact_is_refused(device):
     """Each error names the entry, what was given and what is allowed."""
     scene = wc.Scene()
     body = scene.add_body(MASS, INERTIA, name="body")

@@ -48,7 +48,7 @@ PAIRS = {
 
 # Of float32: curvatures to a few roundings, forces to those of elliptic integrals and of a depth of 1e-3.
 @pytest.mark.parametrize(("precision", "tolerance"), [("float64", 1e-9), ("float32", 1e-4)])
-def test_hertz_contact_has_the_curvatures_of_the_pair(precision, tolerance, device):
+def test_hertz_force_of_particles_uses_curvatures_of_the_pair(precision, tolerance, device):
     """Forces are those of the closed form, for all pairs of one pile and in every environment."""
     scene = wc.Scene(gravity=(0, 0, 0))
     shapes = []
@@ -75,11 +75,11 @@ def test_hertz_contact_has_the_curvatures_of_the_pair(precision, tolerance, devi
         for modulus, of_env in zip((MODULUS, 3 * MODULUS), curvatures, strict=True)
     ]
     names = [f"{name} in environment {env}" for env in range(2) for name in PAIRS]
-    for name, force, known in zip(names, found["normal_force"].values, np.ravel(expected), strict=True):
-        assert force == pytest.approx(known, rel=tolerance), name
+    for name, force, expected_force in zip(names, found["normal_force"].values, np.ravel(expected), strict=True):
+        assert force == pytest.approx(expected_force, rel=tolerance), name
 
 
-def test_spheres_alone_have_both_radii(device):
+def test_hertz_force_of_spheres_uses_both_radii(device):
     """A pile without capsules, of more shapes than are tested all with all."""
     count = 40
     places = np.zeros((count, 3))
@@ -91,8 +91,10 @@ def test_spheres_alone_have_both_radii(device):
     law = wc.laws.HertzElastic(modulus=MODULUS)
     scene.add_particle_contact(scene.add_shape(balls, forms), wc.ContactMaterial(law=law), name="pile")
     model = scene.build(1, device, "float64")
-    known = 4 / 3 * MODULUS * np.sqrt(1 / 24.0) * DEPTH**1.5
-    np.testing.assert_allclose(model.contact_pairs("pile")["normal_force"], np.full(count // 2, known), rtol=1e-9)
+    expected_force = 4 / 3 * MODULUS * np.sqrt(1 / 24.0) * DEPTH**1.5
+    np.testing.assert_allclose(
+        model.contact_pairs("pile")["normal_force"], np.full(count // 2, expected_force), rtol=1e-9
+    )
 
 
 FRICTION = wc.friction.CundallStrack(mu_static=0.5, mu_dynamic=0.4, stiffness=1e4, damping=1.0)
@@ -107,7 +109,7 @@ TWO = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TWO)
-def test_an_impact_in_a_pile_is_that_of_a_smooth_contact(name, device):
+def test_particle_impact_matches_shape_contact(name, device):
     """Oblique and spinning: capsules that cross, and spheres that roll and twist as well."""
     forms, friction_models = TWO[name]
     law = wc.laws.HertzElastic(modulus=1e7, restitution=0.6)

@@ -60,23 +60,23 @@ def again(run, made, device, **options):
     return bits(model), model
 
 
-def test_any_skin_gives_the_same_bits(run, device):
+def test_results_are_bitwise_identical_for_any_skin(run, device):
     """A wide skin keeps lists long, a narrow one makes them anew: what is remembered goes with the pairs."""
     end, wide = again(run, scene(skin=0.15), device)
     np.testing.assert_array_equal(end, run[1])
-    often, seldom = (model.piles[0].grid.made.numpy().min() for model in (run[0], wide))
+    often, seldom = (model.particle_contact_sets[0].grid.build_count.numpy().min() for model in (run[0], wide))
     assert often > 5 * seldom > 0
 
 
-def test_lists_of_all_pairs_give_the_same_bits(run, device, monkeypatch):
+def test_neighbor_lists_of_all_pairs_give_bitwise_identical_results(run, device, monkeypatch):
     """Few shapes have lists of all pairs that are never made anew."""
-    monkeypatch.setattr(pile, "FEW", COUNT)
+    monkeypatch.setattr(pile, "ALL_PAIRS_LIMIT", COUNT)
     end, model = again(run, scene(), device)
-    assert model.piles[0].fixed
+    assert model.particle_contact_sets[0].all_pairs
     np.testing.assert_array_equal(end, run[1])
 
 
-def test_lists_of_capsules_beside_their_bodies_change_no_bits(device, monkeypatch):
+def test_neighbor_lists_of_offset_capsules_give_bitwise_identical_results(device, monkeypatch):
     """Shapes that turn with their bodies, two on each: any skin, lists of all pairs, and far from the origin."""
     rng = np.random.default_rng(8)
     positions = rng.uniform(-0.4, 0.4, (30, 3))
@@ -86,7 +86,7 @@ def test_lists_of_capsules_beside_their_bodies_change_no_bits(device, monkeypatc
     far = np.array([2.0**22, -(2.0**21), 0.0])  # to where a single float32 has steps of half a metre
     ends, models = [], []
     for skin, few, centre in ((0.01, 32, 0.0), (0.1, 32, 0.0), (0.1, 60, 0.0), (0.01, 32, far)):
-        monkeypatch.setattr(pile, "FEW", few)
+        monkeypatch.setattr(pile, "ALL_PAIRS_LIMIT", few)
         made = wc.Scene(gravity=(0, 0, 0))
         # Places that a remainder of 24 bits holds beside the centre, so that all start alike.
         places = np.round(positions * 2.0**20) / 2.0**20
@@ -102,23 +102,23 @@ def test_lists_of_capsules_beside_their_bodies_change_no_bits(device, monkeypatc
         models.append(model)
     changed = np.linalg.norm(models[0].sensor("rod.linear_velocity") + 2 * positions, axis=-1)
     assert (changed > 0.5).mean() > 0.8
-    often, seldom = (model.piles[0].grid.made.numpy().min() for model in models[:2])
+    often, seldom = (model.particle_contact_sets[0].grid.build_count.numpy().min() for model in models[:2])
     assert often > 5 * seldom > 0
-    assert models[2].piles[0].fixed
+    assert models[2].particle_contact_sets[0].all_pairs
     for end in ends[1:3]:
         np.testing.assert_array_equal(end, ends[0])
     # Places are as fine there, and rounded otherwise.
     np.testing.assert_allclose(ends[3], ends[0], atol=1e-2)
 
 
-def test_slices_and_threads_give_the_same_bits(run, device, monkeypatch):
+def test_particle_results_are_bitwise_identical_for_any_slices_and_threads(run, device, monkeypatch):
     """One environment a slice, on one thread, and without graphs."""
-    monkeypatch.setattr("warpcontact.stepping.LARGEST_SLICE", 1)
+    monkeypatch.setattr("warpcontact.stepping.MAX_SLICE", 1)
     end, _ = again(run, scene(), device, threads=1, capture_graphs=False)
     np.testing.assert_array_equal(end, run[1])
 
 
-def test_an_environment_alone_gives_the_same_bits(run, device):
+def test_particle_environment_alone_is_bitwise_identical(run, device):
     """Others beside it change nothing."""
     model = scene().build(device=device, precision=run[0].precision)
     model["ball.linear_velocity"] = run[0]["ball.linear_velocity"][1:2]
@@ -126,7 +126,7 @@ def test_an_environment_alone_gives_the_same_bits(run, device):
     np.testing.assert_array_equal(bits(model)[0], run[1][1])
 
 
-def test_a_look_at_another_state_changes_nothing(run, device):
+def test_evaluation_of_another_state_keeps_particle_history(run, device):
     """Forces of a state that is only tried, far from that of the lists, leave the history as it was."""
     model = scene().build(envs=3, device=device, precision=run[0].precision)
     model["ball.linear_velocity"] = run[0]["ball.linear_velocity"]
@@ -142,7 +142,7 @@ def test_a_look_at_another_state_changes_nothing(run, device):
     np.testing.assert_array_equal(bits(model), run[1])
 
 
-def test_reset_goes_back_to_the_start(run, device):
+def test_reset_restores_initial_particle_state(run, device):
     """An environment that is reset runs as it did; the others go on."""
     model = scene().build(envs=3, device=device, precision=run[0].precision)
     model["ball.linear_velocity"] = run[0]["ball.linear_velocity"]
@@ -156,7 +156,7 @@ def test_reset_goes_back_to_the_start(run, device):
     np.testing.assert_array_equal(bits(model)[1], run[1][1])
 
 
-def test_split_over_devices_gives_the_same_bits(run, device):
+def test_particle_results_split_over_devices_are_bitwise_identical(run, device):
     """Parts of a model have their environments' piles, and are read as one."""
     model = scene().build(envs=3, device=[device, device], precision=run[0].precision)
     model["ball.linear_velocity"] = run[0]["ball.linear_velocity"]
@@ -165,7 +165,7 @@ def test_split_over_devices_gives_the_same_bits(run, device):
     assert model.contact_pairs("pile").equals(run[0].contact_pairs("pile"))
 
 
-def test_momentum_stays_to_rounding(run):
+def test_particle_contact_conserves_momentum(run):
     """Forces and couples are opposite at one point: linear and angular momentum stay."""
     model = run[0]
     mass, inertia = 0.5, 0.002
@@ -180,7 +180,7 @@ def test_momentum_stays_to_rounding(run):
     assert np.mean(changed > 0.5) > 0.8
 
 
-def test_a_failed_environment_is_frozen_and_the_others_go_on(run, device):
+def test_failed_particle_environment_is_frozen_and_others_continue(run, device):
     """A state that turns non-finite stops its environment alone."""
     model = scene().build(envs=3, device=device, precision=run[0].precision)
     model["ball.linear_velocity"] = run[0]["ball.linear_velocity"]
@@ -193,7 +193,7 @@ def test_a_failed_environment_is_frozen_and_the_others_go_on(run, device):
     np.testing.assert_array_equal(bits(model)[[0, 2]], run[1][[0, 2]])
 
 
-def test_a_list_that_is_too_short_is_an_error(device):
+def test_neighbor_list_overflow_raises(device):
     """Partners that do not fit are missed by no one: the next look says so, and what helps."""
     model = scene(skin=0.15, max_neighbors=2).build(device=device)
     with pytest.raises(
@@ -204,7 +204,7 @@ def test_a_list_that_is_too_short_is_an_error(device):
         wc.Simulation(model, dt=DT).run(2 * DT)
 
 
-def test_radii_that_need_longer_lists_are_refused(device):
+def test_radii_beyond_neighbor_capacity_are_refused(device):
     """Room for partners is made for the radii of the scene; others that need more are an error, and not taken."""
     model = scene(max_neighbors=None).build(device=device)
     radii = model["shape.radius"]
@@ -215,7 +215,7 @@ def test_radii_that_need_longer_lists_are_refused(device):
     np.testing.assert_array_equal(model["shape.radius"], radii)
 
 
-def test_steps_that_are_taken_again_in_parts_give_the_same_bits(device):
+def test_particle_results_with_substeps_are_bitwise_identical_for_any_skin(device):
     """A step that a swept point crosses a surface in is tried first: lists made for it change nothing."""
     places = np.stack(np.meshgrid(*[np.arange(4.0)] * 3), axis=-1).reshape(-1, 3) * 0.045 + [0, 0, 0.1]
     fast = np.arange(64)[:, None] % 3 == 0

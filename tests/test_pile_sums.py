@@ -6,13 +6,13 @@ from like_a_gpu import sum_by_body
 from test_pile import ELASTIC, INERTIA, MASS, cloud
 
 import warpcontact as wc
-from warpcontact.piles.pile import Pile
+from warpcontact.piles.pile import ParticleContactSet
 
 FRICTION = wc.friction.Tanh(mu=0.4, velocity_scale=0.1)
 
 
 @pytest.mark.parametrize("several", [pytest.param(False, marks=pytest.mark.slow), True])
-def test_touches_summed_by_body_are_those_added_one_by_one(several):
+def test_particle_forces_summed_by_body_match_sequential_sums(several):
     """A GPU, where threads share an environment, sums touches of a body; a thread of a CPU adds each at once."""
     positions, turns, forms, _, _ = cloud(capsules=True)
     scene = wc.Scene(gravity=(0, 0, 0))
@@ -27,7 +27,7 @@ def test_touches_summed_by_body_are_those_added_one_by_one(several):
     for alone in (True, False):
         model = scene.build(2, "cpu", "float64")
         if not alone:
-            sum_by_body(model.piles[0])
+            sum_by_body(model.particle_contact_sets[0])
         forces.append([model.sensor(f"ball.{name}") for name in ("force", "torque")])
     assert not np.array_equal(forces[0][1], forces[1][1])  # rounded otherwise: the other way was taken
     for at_once, summed in zip(*forces, strict=True):
@@ -53,15 +53,15 @@ def heap():
 
 
 @pytest.mark.parametrize("watched", [False, True])
-def test_whoever_integrates_a_body_adds_up_its_touches_alike(monkeypatch, watched):
+def test_particle_sums_in_integrator_are_bitwise_identical_to_wrench_sums(monkeypatch, watched):
     """The same bits as of a launch that adds them to wrenches before, watched or not."""
     ends = []
     for by_body in (True, False):
         model = heap().build(3, "cpu", "float64")
-        sum_by_body(model.piles[0])
-        assert model.piles[0].sums_by_body
+        sum_by_body(model.particle_contact_sets[0])
+        assert model.particle_contact_sets[0].sums_by_body
         if not by_body:
-            monkeypatch.setattr(Pile, "sums_by_body", False)
+            monkeypatch.setattr(ParticleContactSet, "sums_by_body", False)
         outcomes = {"load": wc.outcomes.Max("ball.force")} if watched else {}
         simulation = wc.Simulation(model, dt=5e-4, outcomes=outcomes)
         simulation.step(100)

@@ -14,7 +14,7 @@ import warpcontact as wc
 F = wc.friction
 
 
-class Jump(wc.Law):
+class JumpAtContact(wc.Law):
     """N = k δ − F_a, with a pull-off force that the class states: twice F_a."""
 
     pulls = True
@@ -48,7 +48,7 @@ def sphere_in_overlap(law, friction, depth, device, **options):
     return model
 
 
-def test_friction_of_a_law_that_pulls_acts_on_the_force_and_the_pull_off_force(device):
+def test_friction_of_an_adhesive_law_acts_on_normal_force_plus_pull_off_force(device):
     # N = k (δ − d₀), F_p = k d₀ = 20 N: the load is k δ.
     law, depth = own_law.Adhesive(stiffness=1e4, depth=2e-3), np.array([1e-4, 1e-3, 2e-3, 3e-3])
     model = sphere_in_overlap(law, F.Tanh(mu=0.5, velocity_scale=1e-3), depth, device)
@@ -56,7 +56,7 @@ def test_friction_of_a_law_that_pulls_acts_on_the_force_and_the_pull_off_force(d
     np.testing.assert_allclose(model.sensor("touch.friction_force")[:, 0], -0.5 * 1e4 * depth, rtol=1e-5)
 
 
-def test_friction_with_history_holds_a_body_that_hangs_by_a_law_that_pulls(device):
+def test_friction_with_history_holds_a_body_hanging_by_adhesion(device):
     """A ball hangs below a ceiling; the side force that its friction holds is μ (F_p − m g)."""
     scene = wc.Scene(gravity=(0.0, 0.0, -10.0))
     ceiling = scene.add_surface(wc.meshes.grid((1, 1)), flip=True)
@@ -79,16 +79,16 @@ def test_friction_with_history_holds_a_body_that_hangs_by_a_law_that_pulls(devic
     assert slid > 0.5 * 0.5 * 0.1 * limit * 0.2**2
 
 
-def test_stated_pull_off_force_is_the_load(device):
+def test_stated_pull_off_force_equals_the_force(device):
     depth = np.array([0.0005, 0.002])
     model = sphere_in_overlap(
-        Jump(stiffness=1e4, adhesion=10.0), F.Tanh(mu=0.5, velocity_scale=1e-3), depth, device
+        JumpAtContact(stiffness=1e4, adhesion=10.0), F.Tanh(mu=0.5, velocity_scale=1e-3), depth, device
     )
     load = 1e4 * depth - 10.0 + 20.0
     np.testing.assert_allclose(model.sensor("touch.friction_force")[:, 0], -0.5 * load, rtol=1e-12)
 
 
-def test_pull_off_of_a_law_that_does_not_pull_is_refused():
+def test_pull_off_of_a_law_without_adhesion_is_refused():
     with pytest.raises(TypeError, match=r"Tight\.pull_off is for a law that pulls; set pulls = True"):
 
         class Tight(wc.Law):
@@ -116,7 +116,7 @@ def test_pull_off_with_other_arguments_is_refused():
                 return p.stiffness * p.depth
 
 
-def test_integrators_of_rigid_contact_refuse_a_law_that_pulls(device):
+def test_integrators_of_nonsmooth_contact_refuse_an_adhesive_law(device):
     model = dropped_sphere(own_law.Adhesive(stiffness=1e4, depth=2e-3), device=device, precision="float64")
     sentence = r"touch\.law must be a law that does not pull, got Adhesive with pulls = True: rigid contact has no"
     with pytest.raises(ValueError, match=sentence + r" tension\. Or use SemiImplicitEuler, or compliant="):
@@ -127,13 +127,13 @@ def test_integrators_of_rigid_contact_refuse_a_law_that_pulls(device):
             method(model)
 
 
-def test_event_driven_refuses_a_friction_without_a_coefficient(device):
+def test_event_driven_refuses_friction_without_coefficient(device):
     model = dropped_sphere(wc.laws.Rigid(restitution=0.0), friction=Drag(), device=device, precision="float64")
     with pytest.raises(ValueError, match=r"touch.friction is Drag, which has no coefficient of friction"):
         wc.unilateral.EventDriven(model)
 
 
-def test_share_does_not_scale_an_impulse_and_is_refused_at_zero(device):
+def test_force_scale_does_not_scale_an_impulse_and_is_refused_at_zero(device):
     sentence = r"touch\.force_scale must be greater than 0, got 0: rigid contact has no force to scale"
     model = dropped_sphere(wc.laws.Rigid(restitution=0.0), force_scale=0.0, device=device, precision="float64")
     with pytest.raises(ValueError, match=sentence):
@@ -146,19 +146,22 @@ def test_share_does_not_scale_an_impulse_and_is_refused_at_zero(device):
     np.testing.assert_array_equal(model["touch.force_scale"], 0.5)
 
 
-def test_share_of_zero_is_refused_in_every_step_and_leaves_the_model_as_it_is(device):
+def test_force_scale_of_zero_is_refused_in_every_step_and_leaves_the_model_unchanged(device):
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), device=device, precision="float64")
     rigid, compliant = wc.Simulation(model, 1e-3, HARD), wc.Simulation(model, 1e-3)
     compliant.step()
     model["touch.force_scale"] = 0.0
-    names, uploads = list(model.sensor_names), list(model.find_parameter("touch.law.stiffness").uploads)
+    names, device_fields = (
+        list(model.sensor_names),
+        list(model.find_parameter("touch.law.stiffness").device_fields),
+    )
     for _ in range(2):
         with pytest.raises(ValueError, match=r"touch\.force_scale must be greater than 0, got 0"):
             rigid.step()
-        assert model.hard is None
+        assert model.nonsmooth is None
         assert list(model.sensor_names) == names
-    assert model.find_parameter("touch.law.stiffness").uploads == uploads
+    assert model.find_parameter("touch.law.stiffness").device_fields == device_fields
     compliant.step()
     model["touch.force_scale"] = 1.0
     rigid.step()
-    assert model.hard is not None
+    assert model.nonsmooth is not None

@@ -23,7 +23,7 @@ def falling(envs=4, **options):
 
 
 @pytest.mark.parametrize("integrator", [wc.integrators.SemiImplicitEuler(), wc.integrators.MoreauJean()])
-def test_limits_hold_an_environment_at_the_last_state_within_them(integrator, device):
+def test_limits_freeze_an_environment_at_the_last_state_within_them(integrator, device):
     model = falling(precision="float64", device=device)
     model["scene.max_speed"] = [np.inf, 5.0, np.inf, 1e4]
     model["scene.max_distance"] = [np.inf, np.inf, 99.0, 1e6]
@@ -37,16 +37,18 @@ def test_limits_hold_an_environment_at_the_last_state_within_them(integrator, de
     speed = -model.sensor("ball.linear_velocity")[:, 2]
     assert 5.0 - 2 * 10.0 * DT <= speed[1] <= 5.0
     np.testing.assert_allclose(speed[[0, 3]], 10.0, rtol=1e-9)
-    said = str(health)
-    assert "1 of 4 environments became faster than scene.max_speed" in said
-    assert "1 of 4 environments went beyond scene.max_distance and are frozen at the last state before: 2" in said
+    report = str(health)
+    assert "1 of 4 environments became faster than scene.max_speed" in report
+    assert (
+        "1 of 4 environments went beyond scene.max_distance and are frozen at the last state before: 2" in report
+    )
     found = sim.outcomes()
     assert found["cause"].to_numpy().tolist() == [0, 2, 3, 0]
     assert found["status"].to_numpy().tolist() == [0, 2, 2, 0]
     np.testing.assert_array_equal(found["end_time"][1:3], health.times)
 
 
-def test_joints_and_functions_of_time_have_the_same_limits():
+def test_limits_apply_to_joints_and_prescribed_motions():
     scene = wc.Scene(max_speed=2.0)
     slider = wc.motions.Slider(axis=(0, 0, 1))
     scene.add_body(mass=1.0, inertia=(0.1,) * 3, motion=slider, name="slider")
@@ -75,7 +77,7 @@ def test_limits_are_ordinary_parameters():
     assert model.health().good
 
 
-def test_one_that_turns_non_finite_leaves_a_thousand_as_they_are():
+def test_non_finite_environment_leaves_a_thousand_others_unchanged():
     expected = falling(1000)
     wc.Simulation(expected, DT).step(50)
     model = falling(1000)
@@ -110,7 +112,7 @@ def spinning_up(envs, first=0, **options):
 OUTCOMES = {"low": wc.outcomes.Min("ball.position", component="z"), "first": wc.outcomes.Initial("ball.position")}
 
 
-def test_a_reset_environment_begins_again_and_is_counted():
+def test_reset_environment_restarts_and_is_counted():
     sim = spinning_up(5, outcomes=OUTCOMES)
     steps = 10 * CADENCE
     sim.step(steps)
@@ -131,7 +133,7 @@ def test_a_reset_environment_begins_again_and_is_counted():
     assert sim.outcomes()["resets"].to_numpy().tolist() == [0, *expected[1:]]
 
 
-def test_when_it_looks_does_not_depend_on_how_steps_are_asked_for():
+def test_quarantine_checks_do_not_depend_on_steps_per_call():
     results = []
     for pieces in ([500], [1, 63, 64, 100, 272], [7] * 71 + [3]):
         sim = spinning_up(5, outcomes=OUTCOMES)
@@ -144,7 +146,7 @@ def test_when_it_looks_does_not_depend_on_how_steps_are_asked_for():
             np.testing.assert_array_equal(found[name], results[0][0][name])
 
 
-def test_an_environment_is_reset_alike_alone():
+def test_quarantine_reset_is_identical_for_an_environment_alone():
     many, alone = spinning_up(5, outcomes=OUTCOMES), spinning_up(1, first=2, outcomes=OUTCOMES)
     for sim in (many, alone):
         sim.step(500)
@@ -152,7 +154,7 @@ def test_an_environment_is_reset_alike_alone():
         np.testing.assert_array_equal(values, many.outcomes()[name][2:3])
 
 
-def test_raising_names_the_first_environment_with_its_time_and_cause():
+def test_quarantine_error_names_first_environment_with_time_and_cause():
     model = falling()
     model["scene.max_speed"] = [np.inf, 3.0, 2.0, 2.0]
     model.first_env = 100
@@ -166,13 +168,13 @@ def test_raising_names_the_first_environment_with_its_time_and_cause():
     assert sim.steps == CADENCE * -(-201 // CADENCE)
 
 
-def test_other_policies_are_refused():
+def test_unknown_quarantine_policy_is_refused():
     with pytest.raises(ValueError, match="quarantine must be one of 'freeze', 'reset', 'raise', got 'explode'"):
         wc.Simulation(falling(1), DT, quarantine="explode")
 
 
-@pytest.mark.parametrize("look", [False, True], ids=["steps", "looks first"])
-def test_a_reset_environment_knows_nothing_of_the_wrenches_that_it_failed_with(look, device):
+@pytest.mark.parametrize("look", [False, True], ids=["step", "evaluation_first"])
+def test_reset_environment_has_no_wrenches_of_its_failure(look, device):
     """Steps of Moreau and Jean tell driven bodies where to go before they compute what acts on them."""
     scene = wc.Scene()
     motion = wc.motions.Harmonic(direction=(1.0, 0.0, 0.0), amplitude=0.02, frequency=1.0)

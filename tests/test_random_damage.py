@@ -57,11 +57,11 @@ def edit(rng, path, folder):
         path.write_bytes(rng.randbytes(rng.randrange(200)))
         return
     value = rng.choice([None, -1, 0, 1, 2**40, 1e300, "", "\x1b[2J", [], {}, True, [0, "0" * 64]])
-    way = rng.randrange(4)
-    if way == 0:
+    damage = rng.randrange(4)
+    if damage == 0:
         del table[key]
     else:
-        table[key if way < 3 else f"{key}0"] = table[key] if way == 3 else value
+        table[key if damage < 3 else f"{key}0"] = table[key] if damage == 3 else value
     path.write_text(json.dumps(content))
 
 
@@ -75,7 +75,7 @@ def lose(rng, path, folder):
         record.write_text(json.dumps(content))
 
 
-WAYS = (flip, flip, truncate, delete, delete_folder, duplicate, replace, edit, edit, lose)
+DAMAGES = (flip, flip, truncate, delete, delete_folder, duplicate, replace, edit, edit, lose)
 
 
 def files(folder):
@@ -90,19 +90,19 @@ def one_of(rng, folder):
     return rng.choice(kinds[rng.choice(sorted(kinds))])
 
 
-def commanded(capsys, *words):
+def run_command(capsys, *words):
     """Runs a command; returns its exit code. It ends with a sentence, and sends no control characters."""
     code = main([str(word) for word in words])
-    told = capsys.readouterr()
+    output = capsys.readouterr()
     assert code in (0, 1, 2, 3)
-    assert "Traceback" not in told.err
-    assert "\x1b" not in told.out + told.err
+    assert "Traceback" not in output.err
+    assert "\x1b" not in output.out + output.err
     return code
 
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("kind", ["whole", "part"])
-def test_random_damage_neither_crashes_nor_changes_what_is_verified(kind, request, times, tmp_path, capsys):
+def test_random_damage_neither_crashes_nor_changes_verified_results(kind, request, times, tmp_path, capsys):
     whole, original = request.getfixturevalue("whole_run"), request.getfixturevalue(f"{kind}_run")
     digest = wc.open_run(original).digest()
     verified = refused = 0
@@ -111,12 +111,12 @@ def test_random_damage_neither_crashes_nor_changes_what_is_verified(kind, reques
         rng = random.Random(f"{kind} {number}")
         folder = shutil.copytree(original, tmp_path / str(number))
         for _ in range(1 + number % 2):
-            way = rng.choice(WAYS)
+            damage = rng.choice(DAMAGES)
             try:
-                way(rng, one_of(rng, folder), folder)
+                damage(rng, one_of(rng, folder), folder)
             except (OSError, IndexError):
                 continue  # the file is gone already, or the same
-        if commanded(capsys, "status", folder, "--verify") == 0:
+        if run_command(capsys, "status", folder, "--verify") == 0:
             verified += 1
             run = wc.open_run(folder)
             assert run.digest() == digest, number
@@ -126,10 +126,10 @@ def test_random_damage_neither_crashes_nor_changes_what_is_verified(kind, reques
             with pytest.raises((wc.ExperimentError, wc.RunDataError)):
                 wc.open_run(folder, verify=True)
         if number % 10 == 4:
-            commanded(capsys, "report", folder, "-o", tmp_path / "report.html")
+            run_command(capsys, "report", folder, "-o", tmp_path / "report.html")
         if number % 10 == 9:
-            done = commanded(capsys, "run", "--resume", "--out", folder, "--device", "cpu")
-            if done == 0 and commanded(capsys, "status", folder, "--verify") == 0:
+            done = run_command(capsys, "run", "--resume", "--out", folder, "--device", "cpu")
+            if done == 0 and run_command(capsys, "status", folder, "--verify") == 0:
                 # Copies of chunks stay, and are not read.
                 assert runs.hashes(whole).items() <= runs.hashes(folder).items(), number
         shutil.rmtree(folder)

@@ -7,9 +7,9 @@ from scenes import dropped_sphere, square
 
 import warpcontact as wc
 from warpcontact import crew, stepping
-from warpcontact.looks import IN_PARTS
+from warpcontact.looks import SLICE_NEEDS
 from warpcontact.recorder import Recorder
-from warpcontact.taking import take_after
+from warpcontact.taking import record_frames
 
 WATCHED = ["ball.position", "touch.gap", "touch.normal_force", "scene.kinetic_energy"]
 
@@ -36,11 +36,11 @@ def read_by_stopping(device, frames, stride):
 @pytest.fixture
 def in_slices(monkeypatch):
     """Lets several threads share a few environments."""
-    monkeypatch.setattr(stepping, "LARGEST_SLICE", 2)
-    monkeypatch.setattr(crew, "ALONE", 0)
+    monkeypatch.setattr(stepping, "MAX_SLICE", 2)
+    monkeypatch.setattr(crew, "SERIAL_ENV_STEPS", 0)
 
 
-def test_a_recording_is_a_labelled_data_set(device):
+def test_recording_is_a_labeled_data_set(device):
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), gravity=(0, 0, -9.81), envs=3, device=device)
     sim = wc.Simulation(model, dt=1e-3)
     names = model.sensor_names
@@ -62,7 +62,7 @@ def test_a_recording_is_a_labelled_data_set(device):
         np.testing.assert_array_equal(recording[name].values[-1], model.sensor(name), err_msg=name)
 
 
-def test_readings_belong_to_the_state_they_are_recorded_with(device):
+def test_sensors_of_a_frame_belong_to_one_state(device):
     """Gap and position of one frame are of one instant, not a step apart."""
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), velocity=(0, 0, -1.0), height=0.02, device=device)
     recording = wc.Simulation(model, dt=1e-3).run(0.04, ["ball.position", "touch.gap", "touch.normal_force"])
@@ -73,7 +73,7 @@ def test_readings_belong_to_the_state_they_are_recorded_with(device):
     assert force.max() > 50
 
 
-def test_poses_and_radii_are_recorded_for_replays(device):
+def test_poses_and_radii_are_recorded_for_replay(device):
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), envs=2, device=device)
     model["touch.radius"] = [0.1, 0.2]
     sim = wc.Simulation(model, dt=1e-3)
@@ -85,7 +85,7 @@ def test_poses_and_radii_are_recorded_for_replays(device):
     assert set(sim.run(0.01, ["touch.gap"], poses=False).data_vars) == {"touch.gap"}
 
 
-def test_what_sets_environments_apart_is_recorded(device):
+def test_parameters_that_vary_by_environment_are_recorded(device):
     model = dropped_sphere(wc.laws.HuntCrossley(stiffness=1e4, restitution=0.5), envs=3, device=device)
     model["touch.law.restitution"] = [0.2, 0.4, 0.6]
     model["ball.position"] = [(0, 0, 1), (0, 0, 2), (0, 0, 3)]
@@ -97,7 +97,7 @@ def test_what_sets_environments_apart_is_recorded(device):
     assert "touch.law.stiffness" not in recording
 
 
-def test_sets_have_an_item_axis(device):
+def test_sensors_of_sets_have_an_item_axis(device):
     scene = wc.Scene()
     ground = scene.add_surface(square())
     body = scene.add_body(1.0, (1, 1, 1), position=(0, 0, 1), name="body")
@@ -116,7 +116,7 @@ def test_sets_have_an_item_axis(device):
     assert recording["pair.gap"].shape == (3, 1, 2)
 
 
-def test_totals_are_sums_over_bodies(device):
+def test_scene_totals_are_sums_over_bodies(device):
     scene = wc.Scene()
     scene.add_body(1.0, (1, 1, 1), linear_velocity=(1, 0, 0), name="one")
     scene.add_body(
@@ -133,7 +133,7 @@ def test_totals_are_sums_over_bodies(device):
     assert recording["scene.linear_momentum"].dims == ("time", "env", "axis")
 
 
-def test_frames_are_drained_from_a_small_ring(device, monkeypatch):
+def test_frames_are_drained_from_a_small_ring_buffer(device, monkeypatch):
     monkeypatch.setattr("warpcontact.channels.RING_BYTES", 7 * 3 * 4 * 4)
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), envs=4, device=device)
     small = wc.Simulation(model, dt=1e-3).run(0.05, ["ball.position", "touch.gap"])
@@ -146,7 +146,7 @@ def test_frames_are_drained_from_a_small_ring(device, monkeypatch):
 
 
 @pytest.mark.parametrize("stride", [1, 7, 40])
-def test_a_recording_is_what_one_reads_by_stopping(stride, device, in_slices):
+def test_recording_equals_sensors_between_steps(stride, device, in_slices):
     recording = falling(device).run(0.1, WATCHED, every=stride * 1e-3, poses=False)
     expected = read_by_stopping(device, 100 // stride + 1, stride)
     for name, values in zip(WATCHED, expected, strict=True):
@@ -154,7 +154,7 @@ def test_a_recording_is_what_one_reads_by_stopping(stride, device, in_slices):
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_recordings_have_values_of_every_kind(precision, device, in_slices):
+def test_sensors_of_every_kind_are_recorded(precision, device, in_slices):
     """One recording after the other, each into memory of its own."""
     scene = wc.Scene()
     ground = scene.add_surface(square())
@@ -169,7 +169,7 @@ def test_recordings_have_values_of_every_kind(precision, device, in_slices):
     for sim in sims:
         sim.model["two.linear_velocity"] = np.linspace((0, 0, -1), (2, 0, -2), 5)
     sim, stopped = sims
-    names = [name for name in sim.model.sensor_names if IN_PARTS.issuperset(sim.model.find_sensor(name).needs)]
+    names = [name for name in sim.model.sensor_names if SLICE_NEEDS.issuperset(sim.model.find_sensor(name).needs)]
     assert {"one.position", "feet_of_two.status", "feet_of_two.friction.deflection", "scene.kinetic_energy"} <= {
         *names
     }
@@ -184,7 +184,7 @@ def test_recordings_have_values_of_every_kind(precision, device, in_slices):
 
 
 @pytest.mark.parametrize("blocks", [1, 2, 3])
-def test_blocks_are_a_recording_in_pieces(blocks, device, in_slices):
+def test_blocks_contain_successive_pieces_of_a_recording(blocks, device, in_slices):
     """A block stays as it is until as many were begun after it as there are."""
     sim = falling(device)
     recorder = Recorder(sim.model, WATCHED, 3, poses=False, blocks=blocks)
@@ -211,7 +211,7 @@ def test_blocks_are_a_recording_in_pieces(blocks, device, in_slices):
 @pytest.mark.parametrize(
     "options",
     [{}, {"capture_graphs": False}, {"quarantine": "reset"}],
-    ids=["by launches in graphs", "by launches", "of all environments"],
+    ids=["graphs", "launches", "all_environments"],
 )
 def test_frames_of_many_chunks_have_their_numbers(options, device, in_slices):
     """However many of them are taken in one go, after others, by a crew that has not found its pace yet."""
@@ -219,45 +219,45 @@ def test_frames_of_many_chunks_have_their_numbers(options, device, in_slices):
     recorder = Recorder(sim.model, WATCHED, 60, poses=False)
     recorder.start()
     recorder.take(0.0)
-    take_after(sim, recorder, 7, 3, 0.0, 0, follows=False)
-    take_after(sim, recorder, 50, 3, 0.0, 21, follows=True)
+    record_frames(sim, recorder, 7, 3, 0.0, 0, follows_frame=False)
+    record_frames(sim, recorder, 50, 3, 0.0, 21, follows_frame=True)
     expected = read_by_stopping(device, 58, 3)
     for name, values in zip(WATCHED, expected, strict=True):
         np.testing.assert_array_equal(recorder.frames()[name], values, err_msg=name)
     np.testing.assert_allclose(recorder.series().time, 3e-3 * np.arange(58))
 
 
-@pytest.mark.parametrize("sensors", [[], ["touch.normal_force"], WATCHED], ids=["poses", "forces", "far as well"])
-def test_frames_of_turns_are_what_one_reads_by_stopping(sensors, device, in_slices, monkeypatch):
+@pytest.mark.parametrize("sensors", [[], ["touch.normal_force"], WATCHED], ids=["poses", "forces", "all_sensors"])
+def test_frames_of_split_chunks_equal_sensors_between_steps(sensors, device, in_slices, monkeypatch):
     """Few slices take turns of some frames, and know at the begin of each what the last frame told."""
     taken = []
-    step = crew._step
+    step = crew._run_item
 
     def seen(stepper, turn, frames):
         taken.append(turn)
         step(stepper, turn, frames)
 
-    monkeypatch.setattr(crew, "_step", seen)
+    monkeypatch.setattr(crew, "_run_item", seen)
     sim = falling(device)
     recorder = Recorder(sim.model, [*sensors, WATCHED[0]], 60, poses=False)
     recorder.start()
     recorder.take(0.0)
-    take_after(sim, recorder, 3, 3, 0.0, 0, follows=False)
-    sim._prepared[1]._pace.steps = 1000
+    record_frames(sim, recorder, 3, 3, 0.0, 0, follows_frame=False)
+    sim._prepared[1]._chunk_sizer.steps = 1000
     taken.clear()
-    take_after(sim, recorder, 54, 3, 0.0, 9, follows=True)
+    record_frames(sim, recorder, 54, 3, 0.0, 9, follows_frame=True)
     if sim.model.device.is_cpu:
         # 162 steps of three slices, each time half of what is left, in whole frames.
-        assert sorted((turn.frame, len(turn.ways)) for turn in taken) == [
+        assert sorted((turn.frame, len(turn.chunks)) for turn in taken) == [
             turn for turn in ((4, 30), (34, 14), (48, 8), (56, 2)) for _ in range(3)
         ]
-    assert all(way.known for turn in taken for way in turn.ways)
+    assert all(way.after_evaluation for turn in taken for way in turn.chunks)
     expected = dict(zip(WATCHED, read_by_stopping(device, 58, 3), strict=True))
     for name, values in recorder.frames().items():
         np.testing.assert_array_equal(values, expected[name], err_msg=name)
 
 
-def test_totals_are_of_the_first_item_to_the_last(device):
+def test_scene_totals_are_summed_in_item_order(device):
     """Of so many that NumPy would add them up in another order, and never −0."""
     scene = wc.Scene(gravity=(0, 0, 0))
     position = 10.0 * np.random.default_rng(4).normal(size=(40, 3))
@@ -284,21 +284,21 @@ def test_totals_are_of_the_first_item_to_the_last(device):
     np.testing.assert_array_equal(energies, total)
 
 
-def test_a_recorder_that_is_started_again_begins_anew(device):
+def test_restarted_recorder_begins_with_an_empty_block(device):
     sim = falling(device)
     recorder = Recorder(sim.model, WATCHED, 2, poses=False)
     frames = {name: np.zeros((1, *values.shape[1:])) for name, values in recorder.frames().items()}
     with pytest.raises(RuntimeError, match="room for 0 of 2 frames"):
-        recorder.go_on_from(frames, np.zeros(1))
+        recorder.continue_from(frames, np.zeros(1))
     for _ in range(2):
         recorder.start()
-        assert (recorder.taken, recorder.room) == (0, 2)
+        assert (recorder.taken, recorder.free_frames) == (0, 2)
         recorder.take(0.0)
     with pytest.raises(RuntimeError, match="room for 2 of 2 frames, not for 3 more"):
-        recorder.go_on_from(frames, np.zeros(3))
+        recorder.continue_from(frames, np.zeros(3))
 
 
-def test_no_more_frames_are_taken_than_there_is_room_for(device):
+def test_frames_beyond_recorder_capacity_are_refused(device):
     sim = falling(device)
     recorder = Recorder(sim.model, WATCHED, 3, poses=False)
     with pytest.raises(RuntimeError, match=r"room for 0 of 3 frames, not for 1 more: start it first"):
@@ -307,7 +307,7 @@ def test_no_more_frames_are_taken_than_there_is_room_for(device):
     recorder.take(0.0)
     frames = recorder.frames()
     with pytest.raises(RuntimeError, match=r"room for 2 of 3 frames, not for 3 more: .*rewind it"):
-        take_after(sim, recorder, 3, 1, 0.0, 0, follows=False)
+        record_frames(sim, recorder, 3, 1, 0.0, 0, follows_frame=False)
     assert (sim.steps, recorder.taken) == (0, 1)
     done = []
     with pytest.raises(RuntimeError, match=r"room for 0 of 3 frames, not for 1 more"):
@@ -317,7 +317,7 @@ def test_no_more_frames_are_taken_than_there_is_room_for(device):
         np.testing.assert_array_equal(values, recorder.frames()[name][:1], err_msg=name)
 
 
-def test_time_goes_on_from_run_to_run(device):
+def test_time_continues_in_a_second_run(device):
     sim = wc.Simulation(dropped_sphere(wc.laws.Hooke(stiffness=1e4), device=device), dt=1e-3)
     sim.run(0.01)
     second = sim.run(0.01, every=5e-3)
@@ -328,7 +328,7 @@ def test_time_goes_on_from_run_to_run(device):
     assert sim.steps == 33
 
 
-def test_unknown_readings_are_refused_before_anything_runs(device):
+def test_unknown_sensors_are_refused_before_the_run(device):
     sim = wc.Simulation(dropped_sphere(wc.laws.Hooke(stiffness=1e4), device=device), dt=1e-3)
     with pytest.raises(KeyError, match=r"did you mean 'touch\.gap'"):
         sim.run(0.01, ["touch.gab"])

@@ -47,7 +47,7 @@ def command(run, *words):
 
 
 @pytest.mark.smoke
-def test_a_still_is_written_as_it_is_returned(run, tmp_path):
+def test_rendered_still_equals_returned_picture(run, tmp_path):
     picture = wc.render(run, tmp_path / "a.png", env=2, time=0.1, **SMALL)
     assert picture.shape == (48, 64, 3)
     assert picture.dtype == np.uint8
@@ -61,22 +61,22 @@ def test_a_still_is_written_as_it_is_returned(run, tmp_path):
     assert (wc.render(run, time=0.0, **SMALL) != picture).any()
 
 
-def test_stills_at_different_times_are_taken_from_the_same_place(run):
-    looks = {**SMALL, "samples": 4, "forces": False}
-    early, late = (wc.render(run, time=time, **looks).astype(int) for time in (0.0, 0.13))
+def test_stills_at_different_times_have_the_same_camera(run):
+    style = {**SMALL, "samples": 4, "forces": False}
+    early, late = (wc.render(run, time=time, **style).astype(int) for time in (0.0, 0.13))
     same = (early == late).all(axis=-1)
     # But for the ball and its shadow.
     assert 0.3 < same.mean() < 0.999
 
 
-def test_a_recording_without_its_scene_needs_it(run):
+def test_recording_without_scene_requires_scene_argument(run):
     part = run.recording.isel(time=slice(0, 3))
     with pytest.raises(ValueError, match="does not know its scene"):
         wc.render(part, **SMALL)
     assert wc.render(part, scene=run.scene, **SMALL).any()
 
 
-def test_the_nearest_record_is_drawn(run):
+def test_nearest_record_is_rendered(run):
     source = Source.of(run, None)
     np.testing.assert_array_equal(source.nearest(np.array([0.0, 0.0149, 0.0151, 0.2])), [0, 1, 2, 20])
     for wrong in (-0.01, 0.21, float("nan")):
@@ -104,10 +104,10 @@ def part(run, tmp_path_factory):
     return wc.open_run(folder)
 
 
-def test_of_a_run_in_part_the_last_record_of_those_shown_is_drawn(run, part, tmp_path, capsys):
+def test_last_record_of_an_unfinished_run_is_rendered(run, part, tmp_path, capsys):
     assert command(part, "-o", tmp_path / "a.png", "--env", 1) == 0
-    said = "environment 1 at 0.07 s, the last record of a run that is not finished"
-    assert capsys.readouterr().out == f"{said}: {tmp_path / 'a.png'}\n"
+    expected_output = "environment 1 at 0.07 s, the last record of a run that is not finished"
+    assert capsys.readouterr().out == f"{expected_output}: {tmp_path / 'a.png'}\n"
     assert command(part, "-o", tmp_path / "b.png", "--env", 0, 1) == 0
     assert "environments 0, 1 at 0.07 s, the last record of" in capsys.readouterr().out
     assert command(part, "-o", tmp_path / "c.gif", "--env", 1) == 0
@@ -122,20 +122,20 @@ def test_of_a_run_in_part_the_last_record_of_those_shown_is_drawn(run, part, tmp
         wc.render(part, env=1, time=0.1, **SMALL)
     assert command(part, "-o", tmp_path / "f.png", "--env", 2) == 2
     goes_on = f"warpcontact run --resume --out {part.folder} goes on with it"
-    told = f"environment 2 has no record yet in this run: it has not begun; {goes_on}"
-    assert told in capsys.readouterr().err
+    expected_error = f"environment 2 has no record yet in this run: it has not begun; {goes_on}"
+    assert expected_error in capsys.readouterr().err
     assert command(part, "-o", tmp_path / "f.png", "--env", 3) == 2
     assert "environment 3 is not in the recording, which has 0 to 1" in capsys.readouterr().err
 
 
-def test_an_environment_without_a_record_yet_is_said_to_have_none(part, monkeypatch):
+def test_environment_without_records_is_reported(part, monkeypatch):
     monkeypatch.setitem(part._commits, 1, replace(part._commits[1], frames=0))
-    told = (
+    expected_error = (
         "environment 1 has no record yet in this run that can be read: its shard is at step 70 of 200, and "
         "records are written in blocks of 1, those since the last block are kept in checkpoints and appear as the "
         f"run goes on; warpcontact run --resume --out {part.folder} goes on with it"
     )
-    with pytest.raises(ValueError, match=f"^{re.escape(told)}$"):
+    with pytest.raises(ValueError, match=f"^{re.escape(expected_error)}$"):
         wc.render(part, env=1, **SMALL)
     # Unless they are named, those that have one are shown.
     monkeypatch.setitem(part._commits, 0, replace(part._commits[0], frames=0))
@@ -143,7 +143,7 @@ def test_an_environment_without_a_record_yet_is_said_to_have_none(part, monkeypa
     assert Source.of(part, None).envs == [1]
 
 
-def test_what_is_not_drawn_is_not_read(tmp_path):
+def test_unused_sensors_are_not_read_for_rendering(tmp_path):
     study = STUDY | {"record": {"every": 0.01, "sensors": [*STUDY["record"]["sensors"], "ball.kinetic_energy"]}}
     folder = tmp_path / "run"
     whole = wc.render(wc.Experiment.from_dict(study).run(folder, device="cpu"), time=0.1, **SMALL)
@@ -159,17 +159,17 @@ def test_what_is_not_drawn_is_not_read(tmp_path):
 
 
 @pytest.mark.smoke
-def test_the_command_says_what_it_drew(run, tmp_path, capsys):
+def test_render_command_prints_environment_time_and_file(run, tmp_path, capsys):
     assert command(run, "-o", tmp_path / "a.png", "--env", 1, "--time", 0.1) == 0
     assert capsys.readouterr().out == f"environment 1 at 0.1 s: {tmp_path / 'a.png'}\n"
     assert command(run, "-o", tmp_path / "b.png", "--envs", 0, 2, "--time", 0.103, "--together") == 0
-    said = capsys.readouterr().out
-    assert said == f"environments 0, 2 at 0.1 s, the record nearest to 0.103 s: {tmp_path / 'b.png'}\n"
+    expected_output = capsys.readouterr().out
+    assert expected_output == f"environments 0, 2 at 0.1 s, the record nearest to 0.103 s: {tmp_path / 'b.png'}\n"
     expected = wc.render(run, env=1, time=0.1, **SMALL)
     np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "a.png")), expected)
 
 
-def test_colours_tell_the_value_of_each_environment(run):
+def test_color_by_shows_the_value_of_each_environment(run):
     plain = wc.render(run, env=range(3), together=True, **SMALL)
     colored = wc.render(run, env=range(3), color_by="ball.mass", labels=False, **SMALL)
     assert (plain != colored).any()
@@ -180,7 +180,7 @@ def test_colours_tell_the_value_of_each_environment(run):
         wc.render(run, env=range(3), color_by="humidity", **SMALL)
 
 
-def test_a_gif_plays_as_long_as_what_it_shows(run, tmp_path, capsys):
+def test_gif_duration_equals_simulated_time_over_speed(run, tmp_path, capsys):
     assert command(run, "-o", tmp_path / "a.gif", "--fps", 30, "--speed", 0.2) == 0
     # 0.2 s five times slower: 1 s, and 31 moments of it.
     assert "0 to 0.2 s in 31 pictures, 1.03 s long" in capsys.readouterr().out
@@ -196,7 +196,7 @@ def test_a_gif_plays_as_long_as_what_it_shows(run, tmp_path, capsys):
     assert 5 < len(durations) <= 21
 
 
-def test_pictures_of_a_gif_are_written_as_they_are_made(tmp_path):
+def test_gif_frames_are_written_incrementally(tmp_path):
     """What changes in a corner, nothing, and everything; of colours that the film has."""
     colors = np.random.default_rng(0).integers(0, 64, (100, 3), dtype=np.uint8) * 4
     numbers = np.random.default_rng(1).integers(0, 100, (40, 96, 128))
@@ -226,7 +226,7 @@ def test_pictures_of_a_gif_are_written_as_they_are_made(tmp_path):
 
 
 @pytest.mark.parametrize(("count", "fps"), [(80, 0.1), (1, 1 / 800)])
-def test_a_gif_that_stands_still_for_longer_than_it_can_count(count, fps, tmp_path):
+def test_gif_of_long_standstill_has_correct_duration(count, fps, tmp_path):
     picture = np.full((32, 48, 3), 100, dtype=np.uint8)
     writers.write_gif(tmp_path / "a.gif", [picture] * count, count, fps, [picture])
     with Image.open(tmp_path / "a.gif") as image:
@@ -239,7 +239,7 @@ def test_a_gif_that_stands_still_for_longer_than_it_can_count(count, fps, tmp_pa
     assert len(waits) == 2
 
 
-def test_the_pictures_of_a_gif_are_those_of_the_records(run, tmp_path):
+def test_gif_frames_show_the_records(run, tmp_path):
     film = wc.film(run, tmp_path / "a.gif", fps=25.0, speed=0.25, env=1, progress=False, labels=False, **SMALL)
     np.testing.assert_allclose(film.times, np.arange(21) * 0.01)
     assert film.duration == pytest.approx(0.84)
@@ -255,15 +255,15 @@ def test_the_pictures_of_a_gif_are_those_of_the_records(run, tmp_path):
 
 
 @pytest.mark.skipif(not (shutil.which("ffmpeg") and shutil.which("ffprobe")), reason="needs ffmpeg and ffprobe")
-def test_an_mp4_plays_in_browsers(run, tmp_path, capsys):
+def test_mp4_uses_a_codec_that_browsers_play(run, tmp_path, capsys):
     assert command(run, "-o", tmp_path / "a.mp4", "--time", 0.05, 0.15, "--fps", 20, "--speed", 0.1) == 0
     assert "0.05 to 0.15 s in 21 pictures, 1.05 s long" in capsys.readouterr().out
-    said = subprocess.run(
+    expected_output = subprocess.run(
         ["ffprobe", "-v", "error", "-count_frames", "-show_streams", "-of", "json", str(tmp_path / "a.mp4")],
         capture_output=True,
         check=True,
     ).stdout
-    (stream,) = json.loads(said)["streams"]
+    (stream,) = json.loads(expected_output)["streams"]
     assert (stream["codec_name"], stream["pix_fmt"]) == ("h264", "yuv420p")
     assert (stream["width"], stream["height"]) == (64, 48)
     assert int(stream["nb_read_frames"]) == 21
@@ -279,7 +279,7 @@ def test_an_mp4_plays_in_browsers(run, tmp_path, capsys):
     assert np.median(np.abs(first - expected)) <= 4
 
 
-def test_without_ffmpeg_the_error_names_what_works(run, tmp_path, monkeypatch):
+def test_missing_ffmpeg_error_names_alternatives(run, tmp_path, monkeypatch):
     monkeypatch.setattr(writers.shutil, "which", lambda name: None)
     with pytest.raises(
         ValueError, match=r"a\.mp4: an \.mp4 file needs ffmpeg, which is not on the PATH; \.gif needs nothing"
@@ -288,7 +288,7 @@ def test_without_ffmpeg_the_error_names_what_works(run, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-def test_an_ffmpeg_that_fails_says_why_and_leaves_nothing(run, tmp_path, monkeypatch):
+def test_ffmpeg_failure_is_reported_and_leaves_no_file(run, tmp_path, monkeypatch):
     program = tmp_path / "bin" / "ffmpeg"
     program.parent.mkdir()
     program.write_text("#!/bin/sh\necho 'Unknown encoder libx264' >&2\nexit 1\n")
@@ -299,11 +299,13 @@ def test_an_ffmpeg_that_fails_says_why_and_leaves_nothing(run, tmp_path, monkeyp
     assert [entry.name for entry in tmp_path.iterdir()] == ["bin"]
 
 
-def test_a_film_that_is_broken_off_leaves_the_last_one(run, tmp_path, monkeypatch):
+def test_interrupted_film_keeps_the_existing_file(run, tmp_path, monkeypatch):
     file = tmp_path / "a.gif"
     wc.film(run, file, progress=False, **SMALL)
     before = file.read_bytes()
-    monkeypatch.setattr(filming.Show, "picture", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
+    monkeypatch.setattr(
+        filming.FrameRenderer, "picture", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt)
+    )
     with pytest.raises(KeyboardInterrupt):
         wc.film(run, file, progress=False, **SMALL)
     assert file.read_bytes() == before
@@ -330,7 +332,7 @@ def test_a_film_that_is_broken_off_leaves_the_last_one(run, tmp_path, monkeypatc
         (["-o", "{}/a.png", "--background", "blue"], "--background must be one of 'light'"),
     ],
 )
-def test_what_cannot_be_drawn_is_said(run, tmp_path, capsys, words, message):
+def test_invalid_render_arguments_are_reported(run, tmp_path, capsys, words, message):
     assert command(run, *(word.format(tmp_path) for word in words)) == 2
     error = capsys.readouterr().err
     assert error.startswith("warpcontact: ")
@@ -338,24 +340,24 @@ def test_what_cannot_be_drawn_is_said(run, tmp_path, capsys, words, message):
     assert not list(tmp_path.iterdir())
 
 
-def test_odd_sizes_of_mp4_are_refused(run, tmp_path, capsys):
+def test_odd_mp4_sizes_are_refused(run, tmp_path, capsys):
     code = main(["render", str(run.folder), "-o", str(tmp_path / "a.mp4"), "--size", "63x48"])
     assert code == 2
     assert "--size must be even for an .mp4 file, got 63 × 48 pixels" in capsys.readouterr().err
 
 
-def test_a_film_that_would_take_days_is_refused(run, tmp_path, capsys):
+def test_film_with_too_many_pictures_is_refused(run, tmp_path, capsys):
     assert command(run, "-o", tmp_path / "a.gif", "--speed", 1e-9) == 2
     assert re.search(r"at most 100000 pictures, got \d+ of 0 to 0.2 s; lower fps", capsys.readouterr().err)
 
 
-def test_sizes_are_two_numbers(run, capsys):
+def test_render_size_must_be_two_numbers(run, capsys):
     with pytest.raises(SystemExit):
         main(["render", str(run.folder), "-o", "a.png", "--size", "wide"])
     assert "must be WIDTHxHEIGHT, such as 1280x720, got 'wide'" in capsys.readouterr().err
 
 
-def test_forces_that_were_not_recorded_are_said_to_be_missing(tmp_path, capsys):
+def test_missing_force_sensors_are_reported(tmp_path, capsys):
     bare = {**STUDY, "envs": 1, "variation": {}, "record": {"every": 0.1, "sensors": ["touch.gap"]}}
     run = wc.Experiment.from_dict(bare).run(tmp_path / "bare", device="cpu")
     assert command(run, "-o", tmp_path / "a.png", "--forces") == 0
@@ -364,12 +366,12 @@ def test_forces_that_were_not_recorded_are_said_to_be_missing(tmp_path, capsys):
     assert "no forces are shown" not in capsys.readouterr().err
 
 
-def test_a_folder_without_a_run_is_refused(tmp_path, capsys):
+def test_render_command_refuses_folder_without_a_run(tmp_path, capsys):
     assert main(["render", str(tmp_path), "-o", str(tmp_path / "a.png")]) == 2
     assert "holds no run" in capsys.readouterr().err
 
 
-def test_what_is_no_recording_is_refused():
+def test_render_refuses_an_invalid_recording():
     with pytest.raises(
         TypeError, match=r"recording must be what Simulation\.run or wc\.open_run returns, got str"
     ):

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import warp as wp
 from drawings import PLATE, balls, camera, covered, drawing, figure, paint
-from warpcontact.kernels.rendering.forms import meet_form, normal_of_form
+from warpcontact.kernels.rendering.forms import intersect_shape, shape_normal
 from warpcontact.kernels.rendering.rays import trace
 from warpcontact.kernels.rendering.world import CONE, CYLINDER, SPHERE, World
 
 from warpcontact.meshes import icosphere
-from warpcontact.rendering.items import Items, of_figure
+from warpcontact.rendering.items import Items, place_figure
 from warpcontact.rendering.painter import Painter, light_of
 from warpcontact.rendering.stage import Stage
 from warpcontact.replay.colors import linear
@@ -23,7 +23,7 @@ BLUE, RED = (0.1, 0.2, 0.9), (0.9, 0.1, 0.1)
 
 
 @wp.kernel(module="unique", enable_backward=False)
-def meet_each(
+def intersect_all(
     kind: int,
     origin: wp.array(dtype=wp.vec3),
     along: wp.array(dtype=wp.vec3),
@@ -31,13 +31,13 @@ def meet_each(
     normal: wp.array(dtype=wp.vec3),
 ):
     i = wp.tid()
-    distance[i] = meet_form(kind, origin[i], along[i])
+    distance[i] = intersect_shape(kind, origin[i], along[i])
     p = origin[i] + distance[i] * along[i]
-    normal[i] = wp.normalize(normal_of_form(kind, p, wp.vec3(1.0, 1.0, 1.0)))
+    normal[i] = wp.normalize(shape_normal(kind, p, wp.vec3(1.0, 1.0, 1.0)))
 
 
 @wp.kernel(module="unique", enable_backward=False)
-def trace_each(
+def trace_all(
     world: World,
     origin: wp.array(dtype=wp.vec3),
     along: wp.array(dtype=wp.vec3),
@@ -60,7 +60,7 @@ def inside(kind, p):
 
 
 @pytest.mark.parametrize("kind", [SPHERE, CYLINDER, CONE])
-def test_rays_meet_forms_where_these_begin(kind, device):
+def test_ray_intersections_match_shapes(kind, device):
     rng = np.random.default_rng(0)
     count = 3000
     origin = rng.normal(size=(count, 3))
@@ -70,24 +70,24 @@ def test_rays_meet_forms_where_these_begin(kind, device):
     along[50:60] = (0.0, 0.0, -1.0)  # along the axis
     arrays = [wp.array(v.astype(np.float32), dtype=wp.vec3, device=device) for v in (origin, along)]
     distance, normal = wp.zeros(count, dtype=float, device=device), wp.zeros(count, dtype=wp.vec3, device=device)
-    wp.launch(meet_each, dim=count, inputs=[kind, *arrays], outputs=[distance, normal], device=device)
+    wp.launch(intersect_all, dim=count, inputs=[kind, *arrays], outputs=[distance, normal], device=device)
     t, n = distance.numpy().astype(float), normal.numpy()
     steps = np.linspace(0.0, 3.0, 3001)
     within = inside(kind, origin[:, None] + steps[:, None] * along[:, None])
     first = np.where(within.any(axis=1), steps[within.argmax(axis=1)], np.inf)
-    met = t > 0.0
-    assert met.sum() > 500
+    intersects = t > 0.0
+    assert intersects.sum() > 500
     # A ray that grazes may pass between two steps, or be lost to rounding.
     step = steps[1]
-    assert (np.abs(t - first)[met & np.isfinite(first)] <= 1.01 * step).all()
-    assert (met == np.isfinite(first)).mean() > 0.99
+    assert (np.abs(t - first)[intersects & np.isfinite(first)] <= 1.01 * step).all()
+    assert (intersects == np.isfinite(first)).mean() > 0.99
     # Just before the point, against the normal, it is outside, and just behind it inside.
     p = origin + t[:, None] * along
-    assert not inside(kind, p + 1e-4 * n)[met].any()
-    assert inside(kind, p - 1e-4 * n)[met].mean() > 0.99
+    assert not inside(kind, p + 1e-4 * n)[intersects].any()
+    assert inside(kind, p - 1e-4 * n)[intersects].mean() > 0.99
 
 
-def test_a_sphere_covers_the_disc_of_its_cone_of_view(device):
+def test_rendered_sphere_covers_its_projected_disk(device):
     radius, distance, angle, side = 1.3, 9.0, 24.0, 400
     picture = paint(
         [balls(BLUE, [0.0, 0.0, 0.0], radius)],
@@ -105,7 +105,7 @@ def test_a_sphere_covers_the_disc_of_its_cone_of_view(device):
     assert (rows + 0.5).mean() == pytest.approx(0.5 * side, abs=0.1)
 
 
-def test_a_mesh_covers_what_the_form_it_approximates_does(device):
+def test_rendered_mesh_covers_the_shape_it_approximates(device):
     mesh = icosphere(1.0, 4)
     turn = np.array([0.3, -0.2, 0.5, 0.8]) / np.linalg.norm([0.3, -0.2, 0.5, 0.8])
     eye = camera(40, 25, distance=8.0)
@@ -118,7 +118,7 @@ def test_a_mesh_covers_what_the_form_it_approximates_does(device):
     assert (masks[0] & ~masks[1]).sum() < 0.03 * masks[0].sum()
 
 
-def test_the_shadow_of_a_sphere_lies_where_the_sun_puts_it(device):
+def test_shadow_of_a_sphere_is_opposite_to_the_sun(device):
     radius, height, side = 0.4, 3.0, 300
     eye = camera(0, 90, distance=1000.0, angle=0.6)
     plate = figure(PLATE, (0.8, 0.8, 0.8), [0.0, 0.0, 0.0], 20.0)
@@ -145,7 +145,7 @@ def test_the_shadow_of_a_sphere_lies_where_the_sun_puts_it(device):
     assert area == pytest.approx(math.pi * radius**2 / sun[2], rel=0.1)
 
 
-def test_what_is_nearer_covers_what_is_behind(device):
+def test_nearer_object_hides_farther_one(device):
     near, far = balls(RED, [1.0, 0.0, 0.0], 0.5), balls(BLUE, [-3.0, 0.0, 0.0], 0.9)
     for figures in ([near, far], [far, near]):
         picture = paint(figures, camera(0, 0), device=device)
@@ -156,7 +156,7 @@ def test_what_is_nearer_covers_what_is_behind(device):
 
 
 @pytest.mark.parametrize("below", [False, True])
-def test_the_colour_of_a_plate_is_the_sum_of_its_lights(below, device):
+def test_color_of_a_plate_is_the_sum_of_its_lights(below, device):
     color = np.array([0.6, 0.4, 0.2])
     eye = camera(0, -90 if below else 90, distance=5.0)
     picture = paint([figure(PLATE, color, [0.0, 0.0, 0.0], 10.0)], eye, samples=64, device=device)
@@ -174,7 +174,7 @@ def test_the_colour_of_a_plate_is_the_sum_of_its_lights(below, device):
     np.testing.assert_allclose(picture[64, 64], 255.0 * expected, atol=2.0)
 
 
-def test_faces_have_their_own_colours(device):
+def test_faces_have_their_own_colors(device):
     shape = Shape(PLATE.vertices, PLATE.faces, colors=np.array([RED, BLUE]))
     picture = paint([figure(shape, (0.5, 0.5, 0.5), [0.0, 0.0, 0.0])], camera(0, 90), device=device).astype(int)
     # From above, right is +y and up is −x: the first face is on the side of −y.
@@ -183,7 +183,7 @@ def test_faces_have_their_own_colours(device):
     assert second[2] > 2 * second[0]
 
 
-def test_smooth_meshes_are_shaded_like_what_they_approximate(device):
+def test_meshes_with_normals_are_shaded_smoothly(device):
     mesh = icosphere(1.0, 3)
     smooth = Shape(mesh.vertices, mesh.faces, normals=mesh.vertices)
     pictures = [
@@ -200,7 +200,7 @@ def test_smooth_meshes_are_shaded_like_what_they_approximate(device):
     assert errors[1] > 4.0 * errors[0]
 
 
-def test_a_convex_body_throws_no_shadow_on_its_lit_side(device):
+def test_convex_body_has_no_shadow_on_its_lit_side(device):
     # Were rays to the sun to begin below the surface, or on the faces of smooth meshes, spots would be dark.
     mesh = icosphere(1.0, 2)
     for shape in (ball(), Shape(mesh.vertices, mesh.faces, normals=mesh.vertices)):
@@ -236,7 +236,7 @@ def mixed_items(count, seed):
     return found, drawing([figure(shape, BLUE, [0.0, 0.0, 0.0])])
 
 
-def test_the_tree_finds_what_a_search_of_all_items_finds(device):
+def test_rendering_bvh_matches_brute_force(device):
     items, shown = mixed_items(40, seed=3)
     stage = Stage(shown, wp.get_device(device))
     rng = np.random.default_rng(4)
@@ -249,7 +249,7 @@ def test_the_tree_finds_what_a_search_of_all_items_finds(device):
     def search(groups):
         world = stage.world(groups, np.zeros(3), 1.0)
         item, distance = wp.zeros(count, dtype=int, device=device), wp.zeros(count, dtype=float, device=device)
-        wp.launch(trace_each, dim=count, inputs=[world.struct, *rays], outputs=[item, distance], device=device)
+        wp.launch(trace_all, dim=count, inputs=[world.struct, *rays], outputs=[item, distance], device=device)
         return item.numpy(), distance.numpy()
 
     item, distance = search(items)
@@ -277,7 +277,7 @@ def scene_of_everything():
     return [plate, balls(BLUE, rng.uniform((-1, -1, 0.2), (1, 1, 1.0), (12, 3)), 0.2)], plate
 
 
-def test_pictures_do_not_depend_on_the_number_of_threads():
+def test_rendered_pictures_do_not_depend_on_number_of_threads():
     figures, _ = scene_of_everything()
     first, *others = [paint(figures, camera(20, 30), (90, 70), samples=16, threads=n) for n in (1, 2, 5)]
     for other in others:
@@ -285,10 +285,10 @@ def test_pictures_do_not_depend_on_the_number_of_threads():
 
 
 @pytest.mark.parametrize(("factor", "shift"), [(1e-4, 0.0), (1e5, 0.0), (1.0, 3e5)])
-def test_pictures_do_not_depend_on_units_or_on_where_the_scene_is(factor, shift, device):
+def test_rendered_pictures_are_invariant_to_scale_and_position(factor, shift, device):
     figures, plate = scene_of_everything()
     eye = camera(20, 30)
-    first = paint(figures, eye, samples=4, device=device, ruled=[plate]).astype(int)
+    first = paint(figures, eye, samples=4, device=device, has_grid=[plate]).astype(int)
     moved = [
         figure(one.shape, one.color, factor * one.positions + shift, factor * one.scales, name=one.name)
         for one in figures
@@ -299,18 +299,18 @@ def test_pictures_do_not_depend_on_units_or_on_where_the_scene_is(factor, shift,
         camera(20, 30, distance=10.0 * factor, target=target),
         samples=4,
         device=device,
-        ruled=moved[:1],
+        has_grid=moved[:1],
     ).astype(int)
     # Rays that graze an edge may see the other side of it.
     assert (np.abs(first - other).max(axis=-1) > 2).mean() < 0.005
 
 
-def test_lines_are_round_numbers_of_metres_apart(device):
+def test_grid_lines_are_round_numbers_of_meters_apart(device):
     eye = camera(0, 90, distance=1000.0, angle=0.6, target=(2.0, 3.0, 0.0))
     plate = figure(PLATE, (0.8, 0.8, 0.8), [0.0, 0.0, 0.0], 40.0)
     side = 500
     row = (
-        paint([plate], eye, (side, side), samples=16, device=device, ruled=[plate])[side // 4 + 7]
+        paint([plate], eye, (side, side), samples=16, device=device, has_grid=[plate])[side // 4 + 7]
         .astype(int)
         .sum(axis=-1)
     )
@@ -321,7 +321,7 @@ def test_lines_are_round_numbers_of_metres_apart(device):
     np.testing.assert_allclose(lines, np.round(lines), atol=2.5 * eye.reach / side)
 
 
-def test_nothing_and_what_has_no_place_are_left_out(device):
+def test_empty_scene_and_non_finite_objects_are_rendered(device):
     empty = paint([], camera(), device=device)
     assert (empty == 255).all()
     lost = balls(BLUE, [[np.nan, 0.0, 0.0], [0.0, 0.0, 0.0]], 0.5)
@@ -346,12 +346,12 @@ def test_nothing_and_what_has_no_place_are_left_out(device):
         ),
     ],
 )
-def test_meshes_that_warp_would_crash_on_are_refused(shape, message):
+def test_meshes_invalid_for_warp_are_refused(shape, message):
     with pytest.raises(ValueError, match=message):
         Stage(drawing([figure(shape, BLUE, [0.0, 0.0, 0.0])]), wp.get_device("cpu"))
 
 
-def test_a_hundred_thousand_spheres_take_little_memory(device):
+def test_memory_for_rendering_100000_spheres_is_bounded(device):
     places = np.random.default_rng(2).uniform(-10, 10, (100_000, 3))
     crowd = balls(BLUE, places, 0.1)
     stage = Stage(drawing([crowd]), wp.get_device(device))
@@ -359,7 +359,7 @@ def test_a_hundred_thousand_spheres_take_little_memory(device):
     tracemalloc.start()
     try:
         picture = painter.paint(
-            [of_figure(crowd, 0, 0)], [], camera(20, 30, distance=40.0, angle=40.0), (160, 90), 1
+            [place_figure(crowd, 0, 0)], [], camera(20, 30, distance=40.0, angle=40.0), (160, 90), 1
         )
         _, peak = tracemalloc.get_traced_memory()
     finally:

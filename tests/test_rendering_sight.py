@@ -9,8 +9,8 @@ from drawings import PLATE, balls, drawing, figure
 
 from warpcontact.meshes import grid
 from warpcontact.rendering.camera import direction
-from warpcontact.rendering.look import Look
-from warpcontact.rendering.show import Show
+from warpcontact.rendering.look import RenderStyle
+from warpcontact.rendering.show import FrameRenderer
 from warpcontact.replay.drawing import Shape
 
 BLUE, GREY = (0.1, 0.2, 0.9), (0.6, 0.6, 0.6)
@@ -36,7 +36,7 @@ def show(figures, device, records=2, envs=1, size=1.0, **look):
     shown = replace(
         drawing(figures), times=np.arange(float(records)), envs=list(range(envs)), size=size, force_scale=size
     )
-    return Show(shown, Look(size=(96, 64), samples=4, device=device, **look))
+    return FrameRenderer(shown, RenderStyle(size=(96, 64), samples=4, device=device, **look))
 
 
 def blue(picture):
@@ -44,18 +44,18 @@ def blue(picture):
     return int((blue > 1.5 * red).sum())
 
 
-def test_a_ball_in_a_bowl_is_looked_at_from_above(device):
+def test_camera_sees_a_ball_in_a_bowl_from_above(device):
     figures = [bowl(), moving((0.0, 0.0, 0.15), (0.1, 0.0, 0.15))]
     chosen = show(figures, device)
     assert blue(chosen.picture(1)) > 20
     assert chosen.camera.backward[2] > math.sin(math.radians(40.0))
     # From where pictures are taken otherwise, and from where a user wants it, the bowl hides it.
-    asked = show(figures, device, view_from=(-60.0, 22.0))
-    np.testing.assert_allclose(asked.camera.backward, FRONT)
-    assert blue(asked.picture(1)) == 0
+    requested = show(figures, device, view_from=(-60.0, 22.0))
+    np.testing.assert_allclose(requested.camera.backward, FRONT)
+    assert blue(requested.picture(1)) == 0
 
 
-def test_a_ball_in_a_well_is_looked_at_from_straight_above(device):
+def test_camera_sees_a_ball_in_a_well_from_straight_above(device):
     walls = [
         figure(PLATE, GREY, place, (1.0, 8.0, 1.0), turns=turn, name=f"wall {i}")
         for i, (place, turn) in enumerate(
@@ -72,14 +72,14 @@ def test_a_ball_in_a_well_is_looked_at_from_straight_above(device):
     assert blue(chosen.picture(1)) > 0
 
 
-def test_a_ball_behind_a_high_wall_is_looked_at_from_another_side(device):
+def test_camera_sees_a_ball_behind_a_high_wall_from_another_side(device):
     wall = figure(PLATE, GREY, [0.0, -0.5, 0.0], 8.0, turns=ON_EDGE)
     chosen = show([wall, moving((0.0, 0.0, 0.0), (0.1, 0.0, 0.0))], device)
     np.testing.assert_allclose(chosen.camera.backward, direction(math.radians(30.0), math.radians(22.0)))
     assert blue(chosen.picture(1)) > 20
 
 
-def test_the_place_is_the_usual_one_where_nothing_is_hidden_or_nothing_helps(device):
+def test_camera_has_default_direction_if_nothing_is_hidden_or_nothing_helps(device):
     ball = moving((0.0, 0.0, 0.2), (0.1, 0.0, 0.2))
     floor = figure(PLATE, GREY, [0.0, 0.0, 0.1], 8.0)
     lid = figure(PLATE, GREY, [0.0, 0.0, 0.4], 8.0)
@@ -88,13 +88,13 @@ def test_the_place_is_the_usual_one_where_nothing_is_hidden_or_nothing_helps(dev
         np.testing.assert_allclose(show(figures, device).camera.backward, FRONT)
 
 
-def test_a_ball_that_is_hidden_for_a_moment_is_no_reason_to_look_from_elsewhere(device):
+def test_camera_ignores_a_ball_hidden_in_few_records(device):
     post = figure(PLATE, GREY, [0.0, -0.5, 0.0], (0.05, 8.0, 1.0), turns=ON_EDGE)
     ball = moving(*np.linspace((-1.0, 0.0, 0.0), (1.0, 0.0, 0.0), 21), radius=0.02)
     np.testing.assert_allclose(show([post, ball], device, records=21).camera.backward, FRONT)
 
 
-def test_each_panel_has_the_ground_of_its_own_environment(device):
+def test_camera_of_each_panel_uses_the_ground_of_its_environment(device):
     """A bowl as deep as that of the second environment hides the ball there, not in the first."""
     ground, ball = bowl(), moving((0.0, 0.0, 0.15), (0.1, 0.0, 0.15))
     two = [np.repeat(values, 2, axis=1) for values in (ball.positions, ball.orientations)]
@@ -103,13 +103,13 @@ def test_each_panel_has_the_ground_of_its_own_environment(device):
         positions=two[0],
         orientations=two[1],
         scales=np.repeat(ball.scales, 2, axis=0),
-        there=np.repeat(ball.there, 2, axis=0),
+        present=np.repeat(ball.present, 2, axis=0),
     )
     deep = {
         "positions": np.repeat(ground.positions, 2, axis=1),
         "orientations": np.repeat(ground.orientations, 2, axis=1),
         "scales": np.array([[[1.0, 1.0, 0.01]], [[1.0, 1.0, 1.0]]]),
-        "there": np.repeat(ground.there, 2, axis=0),
+        "there": np.repeat(ground.present, 2, axis=0),
     }
     assert show([replace(ground, **deep), ball], device, envs=2).camera.backward[2] > math.sin(math.radians(40.0))
     flat = {**deep, "scales": np.full((2, 1, 3), (1.0, 1.0, 0.01))}
@@ -117,7 +117,7 @@ def test_each_panel_has_the_ground_of_its_own_environment(device):
 
 
 @pytest.mark.parametrize("unit", [1e-3, 1e4])
-def test_what_hides_does_so_at_any_scale(unit, device):
+def test_camera_visibility_is_invariant_to_scale(unit, device):
     ground = bowl(scales=unit)
     ball = moving((0.0, 0.0, 0.15 * unit), (0.1 * unit, 0.0, 0.15 * unit), radius=0.1 * unit)
     assert show([ground, ball], device, size=unit).camera.backward[2] > math.sin(math.radians(40.0))

@@ -9,24 +9,24 @@ import xarray as xr
 from drawings import PLATE, balls, camera, covered, drawing, figure
 from warpcontact.kernels.rendering.world import CONE, CYLINDER
 
-from warpcontact.frames import placed
+from warpcontact.frames import transform_points
 from warpcontact.rendering import sheet
-from warpcontact.rendering.camera import MARGIN, direction, framed, spheres_to_see
-from warpcontact.rendering.items import of_curve, of_figure, of_touch
-from warpcontact.rendering.look import Look
-from warpcontact.rendering.show import Coloring, Show
-from warpcontact.replay.colors import Scale, number_of_each
-from warpcontact.replay.drawing import Curve, Touch
+from warpcontact.rendering.camera import MARGIN, bounding_spheres, direction, frame_spheres
+from warpcontact.rendering.items import curve_tube, force_arrows, place_figure
+from warpcontact.rendering.look import RenderStyle
+from warpcontact.rendering.show import Coloring, FrameRenderer
+from warpcontact.replay.colors import Scale, per_environment_number
+from warpcontact.replay.drawing import ContactForces, Curve
 
 RED = np.array([0.9, 0.1, 0.1])
 
 
 @pytest.mark.parametrize("aspect", [0.5, 1.0, 2.2])
-def test_the_nearest_eye_that_sees_all_spheres_touches_the_margin(aspect):
+def test_camera_distance_is_the_smallest_with_all_spheres_in_view(aspect):
     rng = np.random.default_rng(0)
     for azimuth, elevation in ((0.3, 0.2), (2.0, -0.7), (-1.0, 0.5 * math.pi)):
         points, radii = rng.normal(size=(20, 3)), rng.uniform(0.0, 0.3, 20)
-        eye = framed(points, radii, direction(azimuth, elevation), 0.6, aspect)
+        eye = frame_spheres(points, radii, direction(azimuth, elevation), 0.6, aspect)
         right, up, forward = eye.axes
         seen = points - eye.target - eye.distance * eye.backward
         depth = seen @ forward
@@ -41,42 +41,42 @@ def test_the_nearest_eye_that_sees_all_spheres_touches_the_margin(aspect):
         assert sorted(most)[-2] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_place_that_was_asked_for_is_kept():
-    eye = framed(
+def test_requested_camera_position_is_used():
+    eye = frame_spheres(
         np.zeros((1, 3)), np.ones(1), direction(0.1, 0.2), 0.5, 1.0, target=np.array([1.0, 2.0, 3.0]), distance=7.0
     )
     np.testing.assert_array_equal(eye.target, [1.0, 2.0, 3.0])
     assert eye.distance == 7.0
 
 
-def test_pictures_are_about_what_moves_and_what_stands_beside_it():
+def test_view_includes_moving_objects_and_their_surroundings():
     ball, wall, ground = (
-        of_figure(one, 0, 0)
+        place_figure(one, 0, 0)
         for one in (
             balls(RED, [[0.0, 0.0, 1.0], [0.0, 0.0, 2.0]], 0.5),
             figure(PLATE, RED, [1.0, 0.0, 1.0], 0.3),
             figure(PLATE, RED, [0.0, 0.0, 0.0], 50.0),
         )
     )
-    centres, _ = spheres_to_see(drawing([]), [(ball, True), (wall, False), (ground, False)])
+    centres, _ = bounding_spheres(drawing([]), [(ball, True), (wall, False), (ground, False)])
     assert len(centres) == 2 + 8
     assert centres[:, 0].max() == pytest.approx(1.3)
     # What fell off the ground long ago would make all else tiny.
-    lost = of_figure(balls(RED, [[0.0, 0.0, 1.0], [0.0, 0.0, -900.0]], 0.5), 0, 0)
-    centres, _ = spheres_to_see(drawing([]), [(lost, True), (ground, False)])
+    lost = place_figure(balls(RED, [[0.0, 0.0, 1.0], [0.0, 0.0, -900.0]], 0.5), 0, 0)
+    centres, _ = bounding_spheres(drawing([]), [(lost, True), (ground, False)])
     np.testing.assert_array_equal(centres, [[0.0, 0.0, 1.0]])
     # Where nothing moves, all of it; where there is nothing, something.
-    assert len(spheres_to_see(drawing([]), [(ground, False)])[0]) == 8
-    assert len(spheres_to_see(drawing([]), [])[0]) == 1
+    assert len(bounding_spheres(drawing([]), [(ground, False)])[0]) == 8
+    assert len(bounding_spheres(drawing([]), [])[0]) == 1
 
 
-def test_arrows_are_as_long_as_forces_and_shrink_with_them():
+def test_arrow_lengths_are_proportional_to_forces():
     forces = np.array([[0.0, 0.0, 10.0], [3.0, 4.0, 0.0], [0.0, 0.0, 0.0], [np.nan, 0.0, 0.0], [0.0, 0.0, -1e-3]])
     starts = np.arange(15.0).reshape(5, 3)
-    touch = Touch("touch", RED, starts[None, None], forces[None, None], None)
-    shafts, heads = of_touch(touch, 0, 0, 0.2, 0.1)
+    touch = ContactForces("touch", RED, starts[None, None], forces[None, None], None)
+    shafts, heads = force_arrows(touch, 0, 0, 0.2, 0.1)
     assert (shafts.kind, heads.kind) == (CYLINDER, CONE)
-    tips = placed(heads.scales[:, None] * (0.0, 0.0, 1.0), heads.positions, heads.rotations)[:, 0]
+    tips = transform_points(heads.scales[:, None] * (0.0, 0.0, 1.0), heads.positions, heads.rotations)[:, 0]
     acting = [0, 1, 4]
     np.testing.assert_allclose(tips, (starts + 0.2 * forces)[acting], atol=1e-12)
     np.testing.assert_allclose(shafts.positions, starts[acting])
@@ -85,26 +85,28 @@ def test_arrows_are_as_long_as_forces_and_shrink_with_them():
     assert heads.scales[2, 0] < 1e-3 * heads.scales[0, 0]
 
 
-def test_curves_are_tubes_and_broken_ones_are_not_there():
+def test_curves_are_drawn_as_tubes_and_broken_ones_skipped():
     points = np.array([[0.0, 0, 0], [1, 0, 0], [1, 0, 0], [1, 1, 0]])
     curve = Curve("rope", RED, points[None, None], np.ones((1, 1), dtype=bool))
-    joints, tubes = of_curve(curve, 0, 0, 0.2)
+    joints, tubes = curve_tube(curve, 0, 0, 0.2)
     assert len(joints.positions) == 4
     assert len(tubes.positions) == 2  # of two points in one place there is nothing between
     np.testing.assert_allclose(tubes.scales, [[0.1, 0.1, 1.0]] * 2)
     broken = Curve("rope", RED, points[None, None], np.zeros((1, 1), dtype=bool))
-    assert of_curve(broken, 0, 0, 0.2) == []
+    assert curve_tube(broken, 0, 0, 0.2) == []
     failed = Curve("rope", RED, np.full((1, 1, 2, 3), np.nan), np.ones((1, 1), dtype=bool))
-    assert of_curve(failed, 0, 0, 0.2) == []
+    assert curve_tube(failed, 0, 0, 0.2) == []
 
 
-def test_arrows_shine_through_what_is_before_them(device):
+def test_arrows_are_visible_through_objects(device):
     body = balls(np.array([0.1, 0.2, 0.9]), [[0.0, 0.0, 0.0]], 1.0)
-    touch = Touch("touch", RED, np.array([[[[0.0, 0.0, -0.5]]]]), np.array([[[[0.0, 0.0, 1.0]]]]), None)
+    touch = ContactForces("touch", RED, np.array([[[[0.0, 0.0, -0.5]]]]), np.array([[[[0.0, 0.0, 1.0]]]]), None)
     look = {"size": (64, 64), "samples": 4, "device": device, "labels": False}
     look |= {"look_at": (0.0, 0.0, 0.0), "distance": 6.0, "force_scale": 1.0}
     pictures = [
-        Show(drawing([body], touches=[touch], size=2.0), Look(**look, forces=forces)).picture(0).astype(int)
+        FrameRenderer(drawing([body], contact_forces=[touch], size=2.0), RenderStyle(**look, forces=forces))
+        .picture(0)
+        .astype(int)
         for forces in (True, False)
     ]
     changed = (pictures[0] != pictures[1]).any(axis=-1)
@@ -115,7 +117,7 @@ def test_arrows_shine_through_what_is_before_them(device):
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 5, 16])
-def test_panels_are_of_one_size_and_do_not_overlap(count):
+def test_panels_have_equal_size_and_do_not_overlap(count):
     found = sheet.places(count, 640, 360)
     assert len(found) == count
     assert len({(right - left, bottom - top) for left, top, right, bottom in found}) == 1
@@ -134,7 +136,7 @@ def test_too_many_panels_are_refused():
         sheet.places(900, 64, 64)
 
 
-def test_colours_go_from_the_lowest_to_the_highest_value():
+def test_colors_range_from_the_lowest_to_the_highest_value():
     coloring = Coloring.of("mass", np.array([3.0, np.nan, 1.0, 2.0]))
     np.testing.assert_allclose(coloring.colors[[2, 3, 0]], Scale(0.0, 1.0).colors(np.array([0.0, 0.5, 1.0])))
     np.testing.assert_allclose(coloring.colors[1], 0.5)  # grey where there is none
@@ -142,19 +144,19 @@ def test_colours_go_from_the_lowest_to_the_highest_value():
     assert (same.colors[0] == same.colors[1]).all()
 
 
-def test_a_parameter_of_a_set_is_one_number_where_its_items_agree():
+def test_parameter_of_a_set_is_one_number_if_its_items_are_equal():
     values = np.array([[1.0, 1.0], [np.nan, np.nan], [2.0, 2.0]])
     array = xr.DataArray(values, dims=("env", "item"), coords={"env": [3, 5, 9]})
-    np.testing.assert_array_equal(number_of_each(array), values[:, 0])
+    np.testing.assert_array_equal(per_environment_number(array), values[:, 0])
     array[1, 0] = 1.0
-    assert number_of_each(array) is None
-    assert number_of_each(xr.DataArray(values, dims=("env", "axis"))) is None
-    over_time = number_of_each(xr.DataArray(values, dims=("env", "time")))
+    assert per_environment_number(array) is None
+    assert per_environment_number(xr.DataArray(values, dims=("env", "axis"))) is None
+    over_time = per_environment_number(xr.DataArray(values, dims=("env", "time")))
     assert over_time.dims == ("time", "env")
-    assert number_of_each(xr.DataArray(["a", "b"], dims="env")) is None
+    assert per_environment_number(xr.DataArray(["a", "b"], dims="env")) is None
 
 
-def test_labels_are_written_where_they_are_asked_for():
+def test_labels_are_drawn_at_their_positions():
     picture = np.full((120, 200, 3), 200, dtype=np.uint8)
     before = picture.copy()
     sheet.write(picture, [(0, 0, 200, 120)], [""], "")
@@ -167,7 +169,7 @@ def test_labels_are_written_where_they_are_asked_for():
 
 
 @pytest.mark.parametrize("width", [60, 100, 160, 320, 1280])
-def test_labels_leave_room_for_what_is_seen(width):
+def test_labels_do_not_cover_the_scene(width):
     height = width * 9 // 16
     picture = np.full((height, width, 3), 200, dtype=np.uint8)
     sheet.write(picture, [(0, 0, width, height)], ["environment 7"], "0.400 s")
@@ -179,7 +181,7 @@ def test_labels_leave_room_for_what_is_seen(width):
     assert not scale[height // 2 :].any()
 
 
-def test_a_scale_has_room_for_a_name_of_any_length():
+def test_long_name_of_color_scale_does_not_cover_the_scene():
     picture = np.full((180, 320, 3), 200, dtype=np.uint8)
     sheet.write_scale(picture, "n" * 10_000, Scale(-1.23e-5, 4.56e10))
     changed = (picture != 200).any(axis=-1)
@@ -209,25 +211,25 @@ def test_a_scale_has_room_for_a_name_of_any_length():
         ({"background": 7}, "background must be one of"),
     ],
 )
-def test_options_that_are_not_allowed_are_named(options, message):
+def test_invalid_render_style_is_refused(options, message):
     with pytest.raises(ValueError, match=message):
-        Look(**options)
+        RenderStyle(**options)
 
 
-def test_a_background_of_ones_own_fills_what_nothing_covers(device):
-    look = Look(size=(32, 32), background="#123456", device=device, labels=False)
-    picture = Show(drawing([balls(RED, [[0.0, 0.0, 0.0]], 0.5)]), look).picture(0)
+def test_custom_background_fills_uncovered_pixels(device):
+    look = RenderStyle(size=(32, 32), background="#123456", device=device, labels=False)
+    picture = FrameRenderer(drawing([balls(RED, [[0.0, 0.0, 0.0]], 0.5)]), look).picture(0)
     np.testing.assert_array_equal(picture[0, 0], [0x12, 0x34, 0x56])
     assert covered(picture).all()
 
 
 def nearby(seen, device, **look):
     """A picture of a figure on white, from 5 m off the origin."""
-    look = Look(device=device, background="white", look_at=(0.0, 0.0, 0.0), distance=5.0, **look)
-    return Show(drawing([seen]), look).picture(0)
+    look = RenderStyle(device=device, background="white", look_at=(0.0, 0.0, 0.0), distance=5.0, **look)
+    return FrameRenderer(drawing([seen]), look).picture(0)
 
 
-def test_a_plane_without_end_fades_into_the_background(device):
+def test_infinite_plane_fades_into_the_background(device):
     ground = figure(PLATE, (0.2, 0.2, 0.2), [0.0, 0.0, 0.0], 1000.0, kind="plane")
     picture = nearby(ground, device, size=(32, 512), view_from=(0.0, 5.0))
     column = picture[:, 16].astype(int).mean(axis=-1)
@@ -238,14 +240,14 @@ def test_a_plane_without_end_fades_into_the_background(device):
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.3])
-def test_a_plane_without_end_has_no_edges_in_wide_views(turn, device):
+def test_infinite_plane_has_no_edges_in_wide_views(turn, device):
     # Drawn as a square of two metres, in a view that is wider, from low above.
     ground = figure(
         PLATE, (0.2, 0.2, 0.2), [3.0, 1.0, 0.0], kind="plane", turns=(0.0, 0.0, turn, math.cos(math.asin(turn)))
     )
     look = {"size": (128, 96), "samples": 4, "device": device, "background": "white"}
     look |= {"view_from": (0.0, 10.0), "look_at": (0.0, 0.0, 0.0), "distance": 40.0}
-    picture = Show(drawing([ground]), Look(**look)).picture(0).astype(int).mean(axis=-1)
+    picture = FrameRenderer(drawing([ground]), RenderStyle(**look)).picture(0).astype(int).mean(axis=-1)
     horizon = int(np.argmax((picture < 255).all(axis=1)))
     assert 0 < horizon < 48
     assert (picture[horizon + 10 :] < 200).all()
@@ -253,31 +255,31 @@ def test_a_plane_without_end_has_no_edges_in_wide_views(turn, device):
     assert np.abs(np.diff(picture, axis=1)).max() < 20
 
 
-def test_a_plane_without_end_is_below_all_that_moves():
-    ground = of_figure(figure(PLATE, (0.2, 0.2, 0.2), [0.0, 0.0, 0.0], 2.0, kind="plane"), 0, 0)
+def test_infinite_plane_extends_below_all_moving_objects():
+    ground = place_figure(figure(PLATE, (0.2, 0.2, 0.2), [0.0, 0.0, 0.0], 2.0, kind="plane"), 0, 0)
     track = np.zeros((200, 3))
     track[:, 0], track[:, 2] = np.linspace(0.0, 100.0, 200), 0.1
-    ball = of_figure(balls(RED, track, 0.1), 0, 0)
-    centres, _ = spheres_to_see(drawing([]), [(ball, True), (ground, False)])
+    ball = place_figure(balls(RED, track, 0.1), 0, 0)
+    centres, _ = bounding_spheres(drawing([]), [(ball, True), (ground, False)])
     # The whole track, though the square that is drawn is small, and no corner of that.
     np.testing.assert_array_equal(centres, track)
 
 
 @pytest.mark.parametrize("kind", ["surface", "plane"])
-def test_ground_far_below_what_moves_is_seen(kind, device):
+def test_ground_far_below_moving_objects_is_visible(kind, device):
     # As low as a ball is seen after a short drop: rays meet it ten halves of the view away.
     ground = figure(PLATE, (0.2, 0.2, 0.2), [0.0, 0.0, -5.0], 1000.0, kind=kind)
     bottom = nearby(ground, device, size=(32, 32))[-1].astype(int)
     assert bottom.max() < 150
 
 
-def test_a_mesh_never_fades(device):
+def test_mesh_does_not_fade(device):
     # A hill at the far end of large ground, sixty halves of the view away.
     hill = figure(PLATE, (0.2, 0.2, 0.2), [-80.0, 0.0, 0.0], 4.0, turns=(0.0, math.sqrt(0.5), 0.0, math.sqrt(0.5)))
     assert nearby(hill, device, size=(64, 64), view_from=(0.0, 0.0))[32, 32].max() < 150
 
 
-def test_the_camera_of_a_stage_is_that_of_its_view():
+def test_camera_axes_match_its_view_direction():
     assert camera(0, 90).reach == pytest.approx(10.0 * math.tan(math.radians(10.0)))
     right, up, forward = camera(0, 90).axes
     np.testing.assert_allclose([right, up, forward], [[0, 1, 0], [-1, 0, 0], [0, 0, -1]], atol=1e-12)

@@ -75,21 +75,26 @@ def ids(page):
 
 
 @pytest.mark.smoke
-def test_a_report_has_what_was_run_and_what_became_of_it(crate, text):
+def test_report_describes_the_run_and_its_results(crate, text):
     page = report_runs.check_harmless(text)
     sections = {"replay-section", "outcomes", "series", "loops", "failed", "environments", "run"}
     assert sections <= ids(page)
     words = " ".join(page.text.split())
     summary = crate.summary
-    for told in (summary["fingerprint"], summary["started"], summary["versions"]["numpy"], "SemiImplicitEuler"):
-        assert told in words
+    for expected_text in (
+        summary["fingerprint"],
+        summary["started"],
+        summary["versions"]["numpy"],
+        "SemiImplicitEuler",
+    ):
+        assert expected_text in words
     assert "5×10⁻⁴ s" in words.replace("\u202f", " ") or "0.0005 s" in words.replace("\u202f", " ")
     assert "a body became faster than scene.max_speed" in words
     assert (crate.folder / "experiment.toml").read_text() in page.text
 
 
-def test_statistics_are_those_of_the_environments_that_did_not_fail(crate, text):
-    page = report_runs.Parsed(text)
+def test_report_statistics_exclude_failed_environments(crate, text):
+    page = report_runs.ParsedPage(text)
     values = np.delete(crate.outcome["hardest"].values, 4)
     words = page.text.replace("\u202f", " ").replace("−", "-")
     for number in (values.min(), np.median(values), values.mean(), values.max(), values.std()):
@@ -97,8 +102,8 @@ def test_statistics_are_those_of_the_environments_that_did_not_fail(crate, text)
     assert "Over 6 environments, without 1 frozen one." in words
 
 
-def test_the_table_has_parameters_and_outcomes_of_all_environments(crate, text):
-    data = report_runs.Parsed(text).blocks["environments"]
+def test_report_table_has_parameters_and_outcomes_of_all_environments(crate, text):
+    data = report_runs.ParsedPage(text).blocks["environments"]
     assert data["env"] == list(range(6))
     columns = {column["name"]: column for column in data["columns"]}
     np.testing.assert_allclose(columns["hardest"]["values"], crate.outcome["hardest"], rtol=1e-5)
@@ -110,8 +115,8 @@ def test_the_table_has_parameters_and_outcomes_of_all_environments(crate, text):
     assert "crate.mass" not in columns  # the same everywhere
 
 
-def test_bands_over_time_are_quantiles_of_what_was_recorded(text):
-    page = report_runs.Parsed(text)
+def test_report_bands_are_quantiles_of_recorded_sensors(text):
+    page = report_runs.ParsedPage(text)
     charts = [attributes for tag, attributes in page.elements if tag == "svg" and "data-series" in attributes]
     series = page.blocks["series"]
     assert len(charts) == len(series)
@@ -148,9 +153,9 @@ def drawn_curve(chart_data, env):
         ("scene.kinetic_energy", lambda values: values),
     ],
 )
-def test_curves_of_a_report_have_the_peaks_and_the_ends_of_the_data(sensor, reduced, recorded_every_step):
+def test_report_curves_include_peaks_and_ends_of_the_data(sensor, reduced, recorded_every_step):
     run, text = recorded_every_step
-    page = report_runs.Parsed(text)
+    page = report_runs.ParsedPage(text)
     data = next(one for one in page.blocks["series"] if one["name"] == sensor)
     expected = reduced(run.series[sensor])
     assert expected.sizes["time"] > series.SAMPLES
@@ -167,28 +172,30 @@ def test_curves_of_a_report_have_the_peaks_and_the_ends_of_the_data(sensor, redu
     counted = expected.sel(env=[0, 1, 2, 3, 5])
     env, time = counted.argmax(["env", "time"]).values()
     factor, unit = scaled(data["unit"], max(abs(data["low"]), abs(data["high"])))
-    told = (
+    expected_text = (
         f"largest {quantity(factor * counted.max().item(), unit, 5)} at "
         f"{quantity(counted['time'][time].item(), 's', 5)} in environment {counted['env'][env].item()}"
     )
-    assert told in page.text
+    assert expected_text in page.text
 
 
-def test_loops_of_a_report_have_the_largest_force_of_all_records(recorded_every_step):
+def test_report_loops_include_the_largest_force_of_all_records(recorded_every_step):
     run, text = recorded_every_step
-    page = report_runs.Parsed(text)
+    page = report_runs.ParsedPage(text)
     forces = run.series["feet.normal_force"]
     counted = [int(attributes["data-env"]) for _, attributes in page.elements if "data-env" in attributes]
     force = forces.sel(env=counted).max("item")
     env, time = (int(place) for place in force.argmax(["env", "time"]).values())
     value = quantity(force.max().item(), "N", 5)
-    told = f"largest force {value} at {quantity(force['time'][time].item(), 's', 5)} in environment {counted[env]}"
-    assert told in page.text
+    expected_text = (
+        f"largest force {value} at {quantity(force['time'][time].item(), 's', 5)} in environment {counted[env]}"
+    )
+    assert expected_text in page.text
 
 
-def test_records_of_the_largest_forces_are_replayed(recorded_every_step):
+def test_replay_includes_records_of_the_largest_forces(recorded_every_step):
     run, text = recorded_every_step
-    page = report_runs.Parsed(text)
+    page = report_runs.ParsedPage(text)
     shown = [one["env"] for one in page.blocks["replay"]["envs"]]
     force = run.series["feet.normal_force"].sel(env=shown).max(["env", "item"])
     times = np.array(page.blocks["replay"]["times"])
@@ -197,21 +204,23 @@ def test_records_of_the_largest_forces_are_replayed(recorded_every_step):
     assert page.blocks["replay"]["largestForce"] >= force.max().item() * (1 - 1e-6)
 
 
-def test_loops_of_a_set_say_of_which_point_they_are(text):
-    told = "normal force over penetration of one point of 8, in each environment that with the largest force"
-    assert told in " ".join(report_runs.Parsed(text).text.split())
+def test_report_loop_of_a_set_states_its_point(text):
+    expected_text = (
+        "normal force over penetration of one point of 8, in each environment that with the largest force"
+    )
+    assert expected_text in " ".join(report_runs.ParsedPage(text).text.split())
 
 
-def test_the_same_run_gives_the_same_file(crate, text, tmp_path):
+def test_report_of_the_same_run_is_bitwise_identical(crate, text, tmp_path):
     assert written(crate.folder, tmp_path / "again.html") == text
 
 
-def test_environments_that_are_asked_for_are_shown(crate, tmp_path):
-    page = report_runs.Parsed(written(crate, tmp_path / "some.html", envs=[5, 2]))
+def test_requested_environments_are_shown_in_the_report(crate, tmp_path):
+    page = report_runs.ParsedPage(written(crate, tmp_path / "some.html", envs=[5, 2]))
     assert [one["env"] for one in page.blocks["replay"]["envs"]] == [2, 5]
     assert {name for name in page.blocks if name.startswith("replay-")} == {"replay-2", "replay-5"}
     assert set(page.blocks["series"][0]["lines"]) == {"2", "5"}
-    every = report_runs.Parsed(written(crate, tmp_path / "all.html")).blocks["replay"]["envs"]
+    every = report_runs.ParsedPage(written(crate, tmp_path / "all.html")).blocks["replay"]["envs"]
     labels = {one["env"]: one["label"] for one in every}
     assert labels[4].startswith("4, failed")
     worst = int(crate.outcome["env"][np.delete(crate.outcome["hardest"].values, 4).argmax()])
@@ -220,14 +229,14 @@ def test_environments_that_are_asked_for_are_shown(crate, tmp_path):
 
 
 @pytest.mark.smoke
-def test_the_command_writes_it_beside_the_run_or_where_it_is_told(crate, tmp_path, capsys):
+def test_report_command_writes_next_to_the_run_or_to_the_given_path(crate, tmp_path, capsys):
     folder = tmp_path / "run"
     shutil.copytree(crate.folder, folder)
     assert main(["report", str(folder)]) == 0
     assert capsys.readouterr().out.strip() == str(folder / "report.html")
     assert main(["report", str(folder), "-o", str(tmp_path / "x.html"), "--envs", "1"]) == 0
     assert [
-        one["env"] for one in report_runs.Parsed((tmp_path / "x.html").read_text()).blocks["replay"]["envs"]
+        one["env"] for one in report_runs.ParsedPage((tmp_path / "x.html").read_text()).blocks["replay"]["envs"]
     ] == [1]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run", "x.html"]
 
@@ -241,19 +250,19 @@ def test_the_command_writes_it_beside_the_run_or_where_it_is_told(crate, tmp_pat
         (["-o", "."], "path must end in .html"),
     ],
 )
-def test_wrong_words_are_named(words, message, crate, capsys, monkeypatch, tmp_path):
+def test_invalid_report_arguments_are_reported(words, message, crate, capsys, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     assert main(["report", str(crate.folder), *words]) == 2
     assert message in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_folder_without_a_run_is_named(tmp_path, capsys):
+def test_report_command_refuses_folder_without_a_run(tmp_path, capsys):
     assert main(["report", str(tmp_path)]) == 2
     assert "holds no run" in capsys.readouterr().err
 
 
-def test_a_parameter_of_a_set_is_one_column_of_tables(crate, tmp_path):
+def test_parameter_of_a_set_is_one_column_of_tables(crate, tmp_path):
     pytest.importorskip("pandas")
     run = wc.open_run(crate.folder)
     assert run.params["feet.friction.mu"].dims == ("env", "item")
@@ -277,7 +286,7 @@ def test_a_parameter_of_a_set_is_one_column_of_tables(crate, tmp_path):
 
 
 @pytest.mark.parametrize("hostile", HOSTILE, ids=lambda text: ascii(text[:12]))
-def test_hostile_texts_are_shown_and_do_nothing(hostile, copied, tmp_path):
+def test_malicious_texts_in_report_are_shown_and_inert(hostile, copied, tmp_path):
     folder = copied(
         name=hostile,
         device=hostile,
@@ -301,14 +310,14 @@ def test_hostile_texts_are_shown_and_do_nothing(hostile, copied, tmp_path):
     assert len(text) < 1_600_000
 
 
-def test_characters_that_no_page_may_hold_are_replaced(copied, tmp_path):
+def test_characters_not_allowed_in_html_are_replaced(copied, tmp_path):
     text = written(copied(name="a\x00b\x1b[31m\ufffe\ud800c", device="\x85"), tmp_path / "x.html")
     assert "a\ufffdb\ufffd[31m\ufffd\ufffdc" in report_runs.check_harmless(text).text
     assert not re.search("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]", text)
 
 
 @pytest.mark.filterwarnings("ignore:no picture or animation")
-def test_hostile_names_in_an_experiment_are_shown_and_do_nothing(tmp_path):
+def test_malicious_names_of_an_experiment_are_shown_and_inert(tmp_path):
     study = report_runs.changed(name="</script><b>&\"'مرحبا🚀" + "y" * 160, duration=0.01, envs=1, variation=None)
     study["contact"][0]["name"] = "z" * 100
     study["record"] = {"sensors": [f"{study['contact'][0]['name']}.gap"], "every": 5e-3}
@@ -319,7 +328,7 @@ def test_hostile_names_in_an_experiment_are_shown_and_do_nothing(tmp_path):
     assert "o" * 39 + "…" in page.text
 
 
-def test_values_that_are_not_finite_are_told(crate, tmp_path):
+def test_non_finite_values_are_counted_in_report(crate, tmp_path):
     run = wc.open_run(crate.folder)
     outcome = run.outcome.load().copy()
     outcome["hardest"].values[:3] = np.nan, np.inf, -np.inf
@@ -335,7 +344,7 @@ def test_values_that_are_not_finite_are_told(crate, tmp_path):
     assert values[:3] == [None] * 3
 
 
-def test_a_run_without_series_says_how_to_get_a_replay(tmp_path):
+def test_report_without_series_states_how_to_get_a_replay(tmp_path):
     study = report_runs.changed(record={"series": False}, duration=0.01)
     page = report_runs.check_harmless(written(report_runs.run(tmp_path / "run", study), tmp_path / "x.html"))
     assert "nothing was recorded over time: with [record] series = true" in page.text
@@ -344,14 +353,14 @@ def test_a_run_without_series_says_how_to_get_a_replay(tmp_path):
     assert {"outcomes", "environments"} <= ids(page)
 
 
-def test_a_run_without_outcomes_says_so(tmp_path):
+def test_report_without_outcomes_states_so(tmp_path):
     study = report_runs.changed(outcome=None, duration=0.01, envs=1, variation=None)
     page = report_runs.check_harmless(written(report_runs.run(tmp_path / "run", study), tmp_path / "x.html"))
     assert "asks for no outcomes" in page.text
     assert len(page.blocks["replay"]["envs"]) == 1
 
 
-def test_an_unfinished_run_says_how_far_it_is(crate, tmp_path):
+def test_report_of_an_unfinished_run_states_progress(crate, tmp_path):
     folder = tmp_path / "part"
     report_runs.run(folder, report_runs.CRATE, shard=3)
     (folder / "commit" / "shard_000001.json").unlink()
@@ -370,7 +379,7 @@ def test_an_unfinished_run_says_how_far_it_is(crate, tmp_path):
     assert "0 of 6 environments are finished" in page.text
 
 
-def test_a_scene_that_cannot_be_made_again_leaves_the_rest(copied, tmp_path):
+def test_report_without_valid_scene_omits_replay_only(copied, tmp_path):
     folder = copied()
     path = folder / "experiment.toml"
     path.write_text(path.read_text().replace('shape = "box"', 'shape = "<b>gone</b>"'))
@@ -379,7 +388,7 @@ def test_a_scene_that_cannot_be_made_again_leaves_the_rest(copied, tmp_path):
     assert {"outcomes", "series", "environments"} <= ids(page)
 
 
-def test_results_that_were_changed_are_refused(copied, tmp_path):
+def test_report_refuses_changed_results(copied, tmp_path):
     folder = copied()
     path = next((folder / "data.zarr/outcome/hardest/c").rglob("*"))
     path = path if path.is_file() else next(p for p in path.rglob("*") if p.is_file())
@@ -393,7 +402,7 @@ def test_results_that_were_changed_are_refused(copied, tmp_path):
 
 
 @pytest.mark.skipif(not (WEB / "package.json").is_file(), reason="the sources of the script are in a checkout")
-def test_the_script_is_of_todays_sources():
+def test_bundled_report_script_matches_its_sources():
     digest = hashlib.sha256()
     sources = sorted(path.relative_to(WEB).as_posix() for path in (WEB / "src").glob("*.js"))
     for name in ("build.mjs", "package-lock.json", "package.json", *sources):
@@ -405,7 +414,7 @@ def test_the_script_is_of_todays_sources():
     assert f"three.js {version}," in (WEB.parent / "THIRD_PARTY_NOTICES").read_text(encoding="utf-8")
 
 
-def test_the_script_neither_evaluates_texts_nor_makes_html_of_them():
+def test_report_script_contains_no_eval_and_no_inner_html():
     script = page_of.asset(page_of.SCRIPT)
     for word in (r"\beval\(", r"new Function\b", r"\.innerHTML\s*=", "insertAdjacentHTML", "document.write"):
         assert not re.search(word, script), word
@@ -420,7 +429,7 @@ def colours():
     return [dict(re.findall(r"(--[\w-]+):\s*([^;]+);", block)) for block in blocks]
 
 
-def test_dark_colours_are_the_same_by_choice_and_by_the_system():
+def test_dark_colors_are_equal_by_choice_and_by_system():
     light, chosen, system = colours()
     assert chosen == system
     assert set(light) == set(chosen)

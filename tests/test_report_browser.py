@@ -80,7 +80,7 @@ def expected(run, env, time):
 
 @pytest.mark.parametrize("size", [browser.DESKTOP, browser.PHONE], ids=["desktop", "phone"])
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-def test_bodies_are_where_they_were_at_the_time_of_the_slider(size, dark, crate, file, opened):
+def test_replayed_bodies_are_at_recorded_positions(size, dark, crate, file, opened):
     with opened(file, size, dark) as page:
         for env in (0, 3):
             choose_env(page, env)
@@ -96,7 +96,7 @@ def test_bodies_are_where_they_were_at_the_time_of_the_slider(size, dark, crate,
         assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
 
 
-def test_arrows_are_seen_where_forces_act_and_can_be_switched_off(crate, file, opened):
+def test_replayed_force_arrows_are_visible_and_can_be_hidden(crate, file, opened):
     force = crate.series["feet.normal_force"].sel(env=0)
     row = int(force.max("item").argmax("time"))
     time = float(force["time"][row])
@@ -116,7 +116,7 @@ def test_arrows_are_seen_where_forces_act_and_can_be_switched_off(crate, file, o
 
 
 @pytest.mark.smoke
-def test_it_plays_to_the_end_and_stops(file, opened):
+def test_replay_plays_to_the_end_and_stops(file, opened):
     with opened(file) as page:
         # However slowly pages are drawn, it has not come to the end before it is asked.
         page.evaluate("document.getElementById('replay-speed').value = '0.01'")
@@ -129,7 +129,7 @@ def test_it_plays_to_the_end_and_stops(file, opened):
 
 
 @pytest.mark.smoke
-def test_keys_do_what_the_help_says(file, opened):
+def test_replay_keys_match_the_help(file, opened):
     with opened(file) as page:
 
         def after(key, **more):
@@ -163,7 +163,7 @@ def test_keys_do_what_the_help_says(file, opened):
         assert after("ArrowRight")["record"] == before["record"]  # it moves in the field
 
 
-def test_the_view_turns_and_fits_again(file, opened):
+def test_replay_camera_rotates_and_resets(file, opened):
     with opened(file) as page:
         first = state(page)["camera"]
         x, y = page.place("document.getElementById('replay-canvas')")
@@ -173,7 +173,7 @@ def test_the_view_turns_and_fits_again(file, opened):
         np.testing.assert_allclose(state(page)["camera"], first, rtol=1e-6)
 
 
-def test_the_canvas_follows_the_size_of_the_window(file, opened):
+def test_replay_canvas_follows_the_window_size(file, opened):
     with opened(file) as page:
         page.call("Emulation.setDeviceMetricsOverride", width=700, height=600, deviceScaleFactor=3, mobile=False)
         canvas = "document.getElementById('replay-canvas')"
@@ -183,7 +183,7 @@ def test_the_canvas_follows_the_size_of_the_window(file, opened):
 
 
 @pytest.mark.smoke
-def test_rows_are_sorted_filtered_and_replayed(crate, file, opened):
+def test_report_table_rows_are_sorted_filtered_and_replayed(crate, file, opened):
     rows = "[...document.querySelectorAll('#environments-table tbody tr')].map((row) => Number(row.dataset.env))"
 
     def search(page, text):
@@ -215,7 +215,7 @@ def test_rows_are_sorted_filtered_and_replayed(crate, file, opened):
 
 
 @pytest.mark.smoke
-def test_light_and_dark_can_be_chosen(file, opened):
+def test_report_theme_can_be_chosen(file, opened):
     background = "getComputedStyle(document.body).backgroundColor"
     with opened(file, dark=True) as page:
         dark = page.evaluate(background)
@@ -227,14 +227,14 @@ def test_light_and_dark_can_be_chosen(file, opened):
 
 
 @pytest.mark.parametrize("width", [360, 390, 1280])
-def test_nothing_is_wider_than_the_screen(width, tmp_path, opened):
+def test_report_page_fits_the_screen_width(width, tmp_path, opened):
     study = report_runs.changed(name="W" * 200, duration=0.01)
     run = report_runs.run(tmp_path / "run", study)
     with opened(wc.report(run), (width, 800)) as page:
         assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
 
 
-def test_the_rest_is_there_without_a_graphics_card(file, opened, pages):
+def test_report_without_webgl_shows_everything_but_the_replay(file, opened, pages):
     without = "HTMLCanvasElement.prototype.getContext = () => null;"
     with pages("about:blank#") as page:
         page.call("Page.addScriptToEvaluateOnNewDocument", source=without)
@@ -246,13 +246,13 @@ def test_the_rest_is_there_without_a_graphics_card(file, opened, pages):
 
 
 @pytest.mark.smoke
-def test_without_scripts_the_charts_are_there(file, pages):
+def test_report_without_javascript_shows_charts(file, pages):
     with pages(file.resolve().as_uri(), script=False) as page:
         assert "The replay needs JavaScript" in page.text()
         assert page.evaluate("document.querySelectorAll('svg .band').length") > 0
 
 
-def test_nothing_moves_for_who_wants_no_motion(file, opened):
+def test_replay_does_not_start_with_reduced_motion(file, opened):
     with opened(file, still=True) as page:
         assert page.evaluate("getComputedStyle(document.documentElement).scrollBehavior") == "auto"
         assert not state(page)["playing"]
@@ -261,7 +261,7 @@ def test_nothing_moves_for_who_wants_no_motion(file, opened):
 @pytest.mark.parametrize(
     "hostile", ["</script><script>window.hacked = 1</script>", "<img src=x onerror=hacked=1>"]
 )
-def test_hostile_texts_run_nothing(hostile, tmp_path, opened):
+def test_malicious_texts_run_no_script_in_the_report(hostile, tmp_path, opened):
     study = report_runs.changed(name=hostile, duration=0.01)
     run = report_runs.run(tmp_path / "run", study)
     run.summary["warnings"] = [hostile]
@@ -273,7 +273,7 @@ def test_hostile_texts_run_nothing(hostile, tmp_path, opened):
 
 
 @pytest.mark.smoke
-def test_the_policy_stops_what_it_forbids(file, pages):
+def test_content_security_policy_blocks_scripts_and_requests(file, pages):
     with pages(file.resolve().as_uri()) as page:
         page.wait_for(READY)
         ran = page.evaluate(
@@ -286,7 +286,7 @@ def test_the_policy_stops_what_it_forbids(file, pages):
         assert any("Content Security Policy" in error for error in page.errors)
 
 
-def test_a_thousand_bodies_fit_into_five_megabytes(tmp_path, opened):
+def test_report_of_a_thousand_bodies_is_below_five_megabytes(tmp_path, opened):
     random = np.random.default_rng(5)
     study = {
         "envs": 1,
@@ -316,6 +316,6 @@ def test_a_thousand_bodies_fit_into_five_megabytes(tmp_path, opened):
         seen = state(page)
         figure = next(figure for figure in seen["figures"] if figure["name"] == "grain")
         assert figure["count"] == 1000
-        known = run.series["grains.position"].sel(env=0).isel(time=50).values[:4]
+        expected_positions = run.series["grains.position"].sel(env=0).isel(time=50).values[:4]
         # Steps of 16 bits of a way of some 15 m.
-        np.testing.assert_allclose(figure["places"], known, atol=3e-4)
+        np.testing.assert_allclose(figure["places"], expected_positions, atol=3e-4)

@@ -64,7 +64,7 @@ def unpacked(pack):
     return found
 
 
-def test_series_come_out_within_half_a_step():
+def test_packed_series_round_trip_within_half_a_step():
     random = np.random.default_rng(1)
     values = np.cumsum(random.normal(size=(50, 7, 3)), axis=0) * [1.0, 1e-3, 1e3]
     values[3, 2] = np.nan
@@ -78,14 +78,14 @@ def test_series_come_out_within_half_a_step():
     assert (np.isnan(found) == np.isnan(values)).all()
 
 
-def test_what_16_bits_are_too_coarse_for_stays_exact():
+def test_packed_series_beyond_16_bits_are_exact():
     values = np.array([[[0.0, 0.0, 0.0]], [[1e6, 0.25, 1.0]]])
     pack = Pack()
     pack.series(values, finest=1e-3)
     np.testing.assert_array_equal(unpacked(pack)[0], values)
 
 
-def test_rotations_come_out_as_the_same_rotations():
+def test_packed_rotations_round_trip():
     random = np.random.default_rng(2)
     turns = random.normal(size=(40, 5, 4))
     turns /= np.linalg.norm(turns, axis=-1, keepdims=True)
@@ -98,7 +98,7 @@ def test_rotations_come_out_as_the_same_rotations():
     assert (np.sum(found[1:] * found[:-1], axis=-1) > -1e-4).all()  # neighbours on one side, to be interpolated
 
 
-def test_indices_come_out_and_equal_arrays_are_stored_once():
+def test_packed_indices_round_trip_and_equal_arrays_are_stored_once():
     faces = np.random.default_rng(3).integers(0, 100_000, (500, 3)).astype(np.int32)
     pack = Pack()
     pack.indices(faces)
@@ -111,21 +111,21 @@ def test_indices_come_out_and_equal_arrays_are_stored_once():
     np.testing.assert_array_equal(again, faces)
 
 
-def test_large_meshes_get_fewer_triangles_in_the_same_place():
+def test_large_meshes_are_simplified_in_place():
     n = 400
     x, y = np.meshgrid(np.linspace(0, 4, n), np.linspace(0, 4, n))
     vertices = np.stack([x, y, np.sin(x)], axis=-1).reshape(-1, 3)
     corner = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).reshape(-1)
     faces = np.concatenate([corner[:, None] + [0, 1, n], corner[:, None] + [1, n + 1, n]]).astype(np.int32)
     colors = np.zeros((len(faces), 3))
-    drawn = meshes.drawable(Shape(vertices, faces, colors), 1)
+    drawn = meshes.drawable_shape(Shape(vertices, faces, colors), 1)
     assert len(drawn.colors) == len(drawn.faces) <= meshes.TRIANGLES < len(faces)
     a, b, c = (drawn.vertices[drawn.faces[:, i]] for i in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
     fine = [vertices[faces[:, i]] for i in range(3)]
     expected = np.linalg.norm(np.cross(fine[1] - fine[0], fine[2] - fine[0]), axis=1).sum() / 2
     assert area == pytest.approx(expected, rel=0.02)  # points move by up to a cell of some 300 along a side
-    assert len(meshes.drawable(ball(), 1).faces) > len(meshes.drawable(ball(), 1000).faces)
+    assert len(meshes.drawable_shape(ball(), 1).faces) > len(meshes.drawable_shape(ball(), 1000).faces)
 
 
 @pytest.mark.parametrize(
@@ -140,7 +140,7 @@ def test_large_meshes_get_fewer_triangles_in_the_same_place():
         (float("-inf"), "−∞"),
     ],
 )
-def test_numbers_are_written_as_one_reads_them(value, text):
+def test_numbers_are_formatted_with_few_digits(value, text):
     assert number_format.number(value) == text
 
 
@@ -160,7 +160,7 @@ def test_numbers_are_written_as_one_reads_them(value, text):
         ("m", float("inf"), (1.0, "m")),
     ],
 )
-def test_units_fit_what_is_measured_in_them(unit, largest, expected):
+def test_units_are_scaled_to_the_data(unit, largest, expected):
     factor, text = number_format.scaled(unit, largest)
     assert factor == pytest.approx(expected[0])
     assert text == expected[1]
@@ -179,7 +179,7 @@ def test_units_fit_what_is_measured_in_them(unit, largest, expected):
         (-1e30, 1e30),
     ],
 )
-def test_axes_have_a_few_marks_in_their_places(low, high):
+def test_chart_axes_have_few_distinct_marks(low, high):
     axis = chart.horizontal(low, high, "m")
     marks = axis.marks()
     assert 2 <= len(marks) <= 8
@@ -199,8 +199,8 @@ def test_axes_have_a_few_marks_in_their_places(low, high):
         (-2e-5, -2e-5, 1.2e-7, 0.0),
     ],
 )
-def test_what_is_only_rounding_looks_flat(low, high, precision, scale):
-    axis = chart.vertical(*series.visible(low, high, precision, scale), "J")
+def test_rounding_noise_is_drawn_flat(low, high, precision, scale):
+    axis = chart.vertical(*series.visible_range(low, high, precision, scale), "J")
     drawn = axis.place(np.array([low, high]))
     assert np.ptp(drawn) < 0.05  # of a pixel
     assert chart.TOP < drawn.min() <= drawn.max() < chart.HEIGHT - chart.BOTTOM
@@ -210,11 +210,11 @@ def test_what_is_only_rounding_looks_flat(low, high, precision, scale):
     ("low", "high", "precision", "scale"),
     [(0.0, 1e-9, 1.2e-7, 10.0), (1.0, 1.0001, 1.2e-7, 1.0), (1e-17, 3e-17, 2.2e-16, 3e-17), (0.0, 1.0, 0.0, 1.0)],
 )
-def test_what_is_more_than_rounding_fills_its_chart(low, high, precision, scale):
-    assert series.visible(low, high, precision, scale) == (low, high)
+def test_variation_above_rounding_fills_its_chart(low, high, precision, scale):
+    assert series.visible_range(low, high, precision, scale) == (low, high)
 
 
-def test_curves_have_gaps_where_nothing_is_known():
+def test_curves_have_gaps_at_non_finite_samples():
     x = np.arange(6.0)
     drawn = chart.polyline(x, np.array([0.0, 1.0, np.nan, 2.0, np.inf, 3.0]), "curve")
     assert drawn.count("M") == 3
@@ -222,11 +222,11 @@ def test_curves_have_gaps_where_nothing_is_known():
     assert "inf" not in drawn
 
 
-def test_texts_are_escaped_wherever_they_are_put():
-    evil = "\"'><script>&\u2028\x00"
-    drawn = markup.element("p", evil, title=evil)
+def test_texts_are_escaped_in_markup_and_data():
+    malicious = "\"'><script>&\u2028\x00"
+    drawn = markup.element("p", malicious, title=malicious)
     assert drawn == '<p title="{0}">{0}</p>'.format("&quot;&#x27;&gt;&lt;script&gt;&amp;\u2028\ufffd")
-    block = markup.data_block("x", {"a": evil, evil: float("nan"), "b": [float("inf"), 1.5]})
+    block = markup.data_block("x", {"a": malicious, malicious: float("nan"), "b": [float("inf"), 1.5]})
     inner = block.partition(">")[2].rpartition("<")[0]
     assert not set(inner) & set("<>&\u2028\x00")
     assert inner.isascii()
@@ -239,7 +239,7 @@ def cells(content):
     return [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in re.findall(r"<tr>(.*?)</tr>", content)]
 
 
-def test_contact_couplings_are_told():
+def test_report_describes_contact_couplings():
     report = CouplingReport(
         name="<b>fender",
         effective_area=np.array([0.0, 0.2, 0.3]),
@@ -256,7 +256,7 @@ def test_contact_couplings_are_told():
     assert couplings.section([]) is None
 
 
-def test_loops_have_late_peaks_in_their_drawing_and_in_their_caption():
+def test_loop_drawing_and_caption_include_late_peaks():
     seconds = np.linspace(0.0, 1.0, 10_001)
     depth = 1e-3 * np.abs(np.sin(40.0 * seconds))
     force = 1e5 * depth * (1.0 + 0.2 * np.cos(40.0 * seconds))
@@ -277,7 +277,7 @@ def test_loops_have_late_peaks_in_their_drawing_and_in_their_caption():
     assert up.min() == pytest.approx(chart.vertical(0.0, 1.05 * 777.77, "N").place(777.77), abs=0.06)
 
 
-def test_a_short_impact_keeps_its_loop_before_a_long_rest():
+def test_loop_of_a_short_impact_is_kept_before_a_long_rest():
     angle = np.linspace(0.0, np.pi, 200)
     depth = np.append(np.sin(angle), np.full(20_000, 0.1))
     force = np.append(np.sin(angle) * (1.0 + 0.5 * np.cos(angle)), np.full(20_000, 0.1))
@@ -297,7 +297,7 @@ def test_a_short_impact_keeps_its_loop_before_a_long_rest():
     assert area(loop.penetration, loop.force) == pytest.approx(area(depth, force), rel=1e-2)
 
 
-def test_records_with_peaks_of_forces_are_replayed():
+def test_replayed_records_include_force_peaks():
     force = np.zeros((3000, 2, 5))
     peaks = [17, 1234, 2500, 2998]
     force[peaks, [0, 1, 1, 0], [4, 2, 0, 0]] = 10.0
@@ -314,7 +314,7 @@ def test_records_with_peaks_of_forces_are_replayed():
     assert replay._frames(data, scene, 5000).size == 3000
 
 
-def test_failed_stopped_and_repeated_environments_are_told():
+def test_report_lists_failed_stopped_and_reset_environments():
     status = np.array([EnvironmentStatus.ACTIVE, EnvironmentStatus.FROZEN, EnvironmentStatus.STOPPED], int)
     health = Health.of(
         status,
@@ -354,9 +354,9 @@ def million():
     )
 
 
-def test_a_million_environments_are_summed_up_and_the_table_is_capped(million):
+def test_report_of_a_million_environments_has_a_capped_table(million):
     tracemalloc.start()
-    spreads, more = outcomes.spreads_of(million)
+    spreads, more = outcomes.make_spreads(million)
     health = Health.of(million["status"].values, np.ones(10**6, int), np.zeros(10**6), million["env"].values)
     choice = choose(None, million["env"].values, health, spreads)
     params = million[["place"]].rename(place="start")
@@ -374,9 +374,9 @@ def test_a_million_environments_are_summed_up_and_the_table_is_capped(million):
     assert peak < 40 * 8 * 10**6
 
 
-def test_choice_takes_first_failed_and_extreme_environments(million):
+def test_shown_environments_include_first_failed_and_extreme_ones(million):
     small = million.isel(env=slice(500, 2500))
-    spreads, _ = outcomes.spreads_of(small)
+    spreads, _ = outcomes.make_spreads(small)
     health = Health.of(small["status"].values, np.ones(2000, int), np.zeros(2000), small["env"].values)
     choice = choose(None, small["env"].values, health, spreads)
     assert choice.envs[0] == 500
@@ -391,7 +391,7 @@ def test_choice_takes_first_failed_and_extreme_environments(million):
         choose(["a"], small["env"].values, health, spreads)
 
 
-def test_items_that_are_alike_are_one_column_and_sets_none():
+def test_equal_items_are_one_column_and_large_sets_none():
     data = xr.Dataset(
         {
             "mu": (("env", "item"), np.repeat([[0.1], [0.2]], 500, axis=1)),

@@ -34,7 +34,7 @@ def values(model):
 
 
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
-def test_only_the_environments_of_the_mask_forget(sim):
+def test_reset_clears_coupling_state_of_masked_environments_only(sim):
     model = sim.model
     begin = values(model)
     sim.step(20)

@@ -42,7 +42,7 @@ def read_table(path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("precision", "tolerance"), [("float32", 2e-3), ("float64", 1e-3)])
-def test_every_law_reproduces_its_row_of_the_table(precision, tolerance, shared, device):
+def test_every_law_matches_its_row_of_the_restitution_table(precision, tolerance, shared, device):
     """One body per law, one environment per restitution; impacts of 1 kg at 1 m/s, radius 50 mm.
 
     dt = 5 µs is 1/2000 of a contact time: what is left is the first-order error of the laws that jump when the
@@ -99,7 +99,7 @@ def reduced_viscosity(restitution):
     return law.viscosity
 
 
-def test_tsuji_is_exact_for_any_exponent(device):
+def test_tsuji_restitution_is_exact_for_any_exponent(device):
     e = np.array([0.2, 0.5, 0.9])
     for exponent in (1.0, 1.5, 2.0):
         model = dropped_sphere(
@@ -122,14 +122,14 @@ def force_at(law, depths, device, **velocity):
     return model.sensor("touch.normal_force")
 
 
-def test_cylinder_laws_match_their_worked_numbers(device):
+def test_cylinder_laws_match_worked_numbers(device):
     # Steel of 207 GPa: E* = 113.7 GPa, L = 15 mm, ΔR = 0.1 mm, δ = 0.01 mm: 13073.0 N and 12352.0 N.
     steel = {"modulus": 207e9 / (2 * (1 - 0.3**2)), "length": 0.015, "clearance": 1e-4}
     np.testing.assert_allclose(force_at(laws.JohnsonCylinder(**steel), [1e-5], device), 13073.0, rtol=5e-6)
     np.testing.assert_allclose(force_at(laws.PereiraCylinder(**steel), [1e-5], device), 12352.0, rtol=5e-6)
 
 
-def test_johnsons_cylinder_inverts_its_formula_over_its_whole_range(device):
+def test_johnson_cylinder_inverts_its_formula_over_its_whole_range(device):
     modulus, length, clearance = 1e9, 0.1, 1e-3
     law = laws.JohnsonCylinder(modulus=modulus, length=length, clearance=clearance)
     limit = 4 * np.exp(-2) * clearance
@@ -143,7 +143,7 @@ def test_johnsons_cylinder_inverts_its_formula_over_its_whole_range(device):
     np.testing.assert_allclose(beyond, line * np.array([limit, limit, 2 * limit]), rtol=1e-4)
 
 
-def test_pereira_in_si_units_is_the_fit_in_millimetres():
+def test_pereira_in_si_units_matches_the_fit_in_millimeters():
     for kind, factor, exponent in (
         (laws.PereiraCylinderExternal, (0.39 * 20 + 0.85) / 20, 1.094),
         (laws.PereiraCylinder, (0.965 * 0.2 + 0.0965) / 0.2, 1.51 * np.log(200) ** -0.151 * 0.2**-0.005),
@@ -157,7 +157,7 @@ def test_pereira_in_si_units_is_the_fit_in_millimetres():
     assert pereira_cylinder.PereiraCylinderExternal.device == ("stiffness", "exponent")
 
 
-def test_hertz_of_elliptic_contacts():
+def test_elliptic_hertz_stiffness_has_expected_symmetries():
     # Equal radii give the sphere of twice the combined radius; crossed equal cylinders are such a contact.
     circular = laws.Hertz.elliptic(E=210e9, nu=0.3, Rx=0.02, Ry=0.02, E2=210e9, nu2=0.3)
     sphere = laws.Hertz.from_materials(E=210e9, nu=0.3, R=0.02, E2=210e9, nu2=0.3)
@@ -169,7 +169,7 @@ def test_hertz_of_elliptic_contacts():
     np.testing.assert_allclose(scaled.stiffness, 2 * one.stiffness, rtol=1e-9)
 
 
-def test_contact_range_hovers_and_bounces_as_its_closed_form(shared, device):
+def test_contact_range_law_hovers_and_bounces_as_closed_form(shared, device):
     oracle = json.loads((shared / "laws" / "oracles.json").read_text())
     values = next(value for key, value in oracle.items() if key.startswith("G27"))
     law = laws.ContactRange(k1=1e7, k2=1e4, area=0.01)
@@ -184,7 +184,7 @@ def test_contact_range_hovers_and_bounces_as_its_closed_form(shared, device):
     assert values  # the oracle file holds the same case
 
 
-def test_an_elastic_foundation_does_not_depend_on_how_fine_its_points_are(device):
+def test_elastic_foundation_converges_with_number_of_points(device):
     """A sphere pressed into a plane: π k δ² (R − δ/3) in the limit, springs on the plane by projected area."""
     radius, depth, modulus = 0.05, 0.004, 1e9
     expected = 2446.253480
@@ -208,7 +208,7 @@ def test_an_elastic_foundation_does_not_depend_on_how_fine_its_points_are(device
     assert errors[-1] < errors[0]
 
 
-def test_many_points_in_one_impact_keep_the_restitution(device):
+def test_impact_on_many_points_has_prescribed_restitution(device):
     """A sphere on a bed of points, each with its own entry speed: within 0.01 of e, and a little below."""
     rng = np.random.default_rng(7)
     radius = 0.05

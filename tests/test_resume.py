@@ -17,7 +17,7 @@ import warpcontact as wc
 from warpcontact import available
 from warpcontact.cli import main
 from warpcontact.experiment import cluster
-from warpcontact.signals import terminations
+from warpcontact.signals import terminate_as_interrupt
 
 pytestmark = pytest.mark.installed
 
@@ -54,7 +54,7 @@ def killed_at_random(out, study, moments, words, whole):
     for moment in moments:
         resume = (out / "data.zarr").exists()
         options = ["--resume"] if resume else ["--overwrite"]
-        process = runs.begin(study, "--out", out, *WORDS[2:], *words, *(() if resume else WORDS[:2]), *options)
+        process = runs.start_run(study, "--out", out, *WORDS[2:], *words, *(() if resume else WORDS[:2]), *options)
         # Importing and compiling takes most of the time, and is of no interest.
         begun = runs.wait_until(lambda: any((out / "progress").glob("*.json")), process)
         if begun and process.poll() is None:
@@ -66,7 +66,7 @@ def killed_at_random(out, study, moments, words, whole):
         if process.returncode == 0:
             break
         if (out / "data.zarr").exists():
-            now = runs.check_what_readers_see(out, whole)
+            now = runs.check_committed_results(out, whole)
             for number, record in committed[-1].items() if committed else ():
                 assert now[number]["steps"] >= record["steps"], "what was committed was lost"
             committed.append(now)
@@ -75,12 +75,12 @@ def killed_at_random(out, study, moments, words, whole):
 
 @pytest.mark.smoke
 @pytest.mark.parametrize("where", slow_except(["before", "between", "after"], lambda where: where == "between"))
-def test_a_kill_at_a_commit_is_repaired(where, place, whole, tmp_path):
+def test_killed_commit_is_repaired_on_resume(where, place, whole, tmp_path):
     out = tmp_path / "out"
-    kill = runs.ending_after(25, where)
+    kill = runs.kill_at_commit(25, where)
     code, _, err = runs.run(place / "study.toml", "--out", out, *WORDS, "--checkpoint", 0, first=kill)
     assert code == -signal.SIGKILL, err
-    committed = runs.check_what_readers_see(out, whole)
+    committed = runs.check_committed_results(out, whole)
     root = out / "data.zarr"
     names = [name for record in committed.values() for name in record["files"]]
     unmoved = [name for name in names if not (root / name).is_file()]
@@ -90,9 +90,9 @@ def test_a_kill_at_a_commit_is_repaired(where, place, whole, tmp_path):
     check_equal(out, whole)
 
 
-def test_a_chunk_that_was_being_written_again_is_not_taken_for_the_committed_one(place, whole, tmp_path):
+def test_partially_rewritten_chunk_is_not_taken_as_committed(place, whole, tmp_path):
     out = tmp_path / "out"
-    kill = runs.ending_after(25)
+    kill = runs.kill_at_commit(25)
     code, _, err = runs.run(place / "study.toml", "--out", out, *WORDS, "--checkpoint", 0, first=kill)
     assert code == -signal.SIGKILL, err
     number, record = next(item for item in runs.records(out).items() if item[1]["frames"])
@@ -100,14 +100,14 @@ def test_a_chunk_that_was_being_written_again_is_not_taken_for_the_committed_one
     half = out / "staging" / f"shard_{number:06d}" / name
     half.parent.mkdir(parents=True, exist_ok=True)
     half.write_bytes((out / "data.zarr" / name).read_bytes()[:-5])
-    runs.check_what_readers_see(out, whole)
+    runs.check_committed_results(out, whole)
     wc.Experiment.from_toml(out / "experiment.toml").run(out, device="cpu", resume=True)
     check_equal(out, whole)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("checkpoint", [0, 0.2])
-def test_25_kills_at_random_moments_lose_nothing_committed(checkpoint, tmp_path):
+def test_kills_at_random_times_lose_no_committed_results(checkpoint, tmp_path):
     rng = random.Random(8 + int(10 * checkpoint))
     study = runs.study(tmp_path, duration=2.0, envs=14)
     code, _, err = runs.run(study, "--out", tmp_path / "whole", *WORDS)
@@ -124,10 +124,10 @@ def test_25_kills_at_random_moments_lose_nothing_committed(checkpoint, tmp_path)
 
 
 @pytest.mark.slow
-def test_kills_before_anything_was_kept_leave_a_folder_to_start_in(place, whole, tmp_path):
+def test_kills_before_first_commit_leave_a_reusable_folder(place, whole, tmp_path):
     out = tmp_path / "out"
     for _ in range(4):
-        process = runs.begin(place / "study.toml", "--out", out, *WORDS)
+        process = runs.start_run(place / "study.toml", "--out", out, *WORDS)
         runs.wait_until(out.exists, process)
         runs.kill(process)
         if (out / "data.zarr").exists():
@@ -146,15 +146,15 @@ def test_kills_before_anything_was_kept_leave_a_folder_to_start_in(place, whole,
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
-def test_who_asks_to_stop_is_told_how_to_go_on(number, place, whole, tmp_path):
+def test_stop_signal_prints_resume_command(number, place, whole, tmp_path):
     out = tmp_path / "a folder"
-    code, _, err = runs.run(place / "study.toml", "--out", out, *WORDS, first=runs.asking_at(number, 37))
+    code, _, err = runs.run(place / "study.toml", "--out", out, *WORDS, first=runs.send_signal_at_step(number, 37))
     assert code == 130, err
     assert "interrupted; what was done is kept in" in err
     assert f"warpcontact run --resume --out '{out}'" in err
     assert "Traceback" not in err
     assert wc.open_run(out).summary["state"] == "interrupted"
-    committed = runs.check_what_readers_see(out, whole)
+    committed = runs.check_committed_results(out, whole)
     # A piece of steps ends with a block, at the latest.
     (record,) = committed.values()
     assert 37 <= record["steps"] < 100
@@ -164,13 +164,15 @@ def test_who_asks_to_stop_is_told_how_to_go_on(number, place, whole, tmp_path):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
-def test_who_asks_to_stop_again_is_told_how_to_go_on_where_no_folder_was_named(place, tmp_path):
+def test_stop_signal_prints_resume_command_without_named_folder(place, tmp_path):
     study, out = place / "study.toml", tmp_path / "results" / "study"
     for steps, words in ((37, WORDS), (74, ("--resume", "--device", "cpu"))):
-        code, _, err = runs.run(study, *words, first=runs.asking_at(signal.SIGTERM, steps), cwd=tmp_path)
+        code, _, err = runs.run(study, *words, first=runs.send_signal_at_step(signal.SIGTERM, steps), cwd=tmp_path)
         assert code == 130, err
-        told = f"what was done is kept in {out.relative_to(tmp_path)}; go on with:\n    warpcontact run --resume"
-        assert told in err
+        expected_message = (
+            f"what was done is kept in {out.relative_to(tmp_path)}; go on with:\n    warpcontact run --resume"
+        )
+        assert expected_message in err
         (record,) = runs.records(out).values()
         assert steps <= record["steps"] < steps + 63
 
@@ -179,9 +181,9 @@ def test_who_asks_to_stop_again_is_told_how_to_go_on_where_no_folder_was_named(p
 @pytest.mark.parametrize(
     ("number", "stage"), [(signal.SIGTERM, "sensor"), (signal.SIGTERM, "building"), (signal.SIGINT, "building")]
 )
-def test_who_asks_to_stop_before_the_first_step_is_told_that_nothing_is_kept(number, stage, place, tmp_path):
+def test_stop_signal_before_the_first_step_reports_nothing_stored(number, stage, place, tmp_path):
     out = tmp_path / "out"
-    first = runs.asking_when(number, stage)
+    first = runs.send_signal_at_stage(number, stage)
     code, printed, err = runs.run(place / "study.toml", "--out", out, *WORDS, first=first)
     assert code == 130, err
     assert err.endswith("\nwarpcontact: interrupted before anything was kept\n")
@@ -192,7 +194,7 @@ def test_who_asks_to_stop_before_the_first_step_is_told_that_nothing_is_kept(num
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
 @pytest.mark.parametrize(
-    ("stage", "words", "told"),
+    ("stage", "words", "expected_message"),
     [
         ("building", ["--overwrite"], " before anything was kept; {out} is as it was\n"),
         ("sensor", ["--resume"], " before anything was done in {out}; go on with:\n    {resume}\n"),
@@ -200,25 +202,27 @@ def test_who_asks_to_stop_before_the_first_step_is_told_that_nothing_is_kept(num
         ("writing", ["--resume"], "; the results are whole in {out}; go on with:\n    {resume}\n"),
     ],
 )
-def test_who_asks_to_stop_where_a_run_is_kept_is_told_so(stage, words, told, place, whole, tmp_path):
+def test_stop_signal_after_the_last_commit_reports_stored_run(
+    stage, words, expected_message, place, whole, tmp_path
+):
     out = shutil.copytree(whole.folder, tmp_path / "out")
-    first = runs.asking_when(signal.SIGTERM, stage)
+    first = runs.send_signal_at_stage(signal.SIGTERM, stage)
     code, _, err = runs.run(place / "study.toml", "--out", out, "--device", "cpu", *words, first=first)
     assert code == 130, err
-    told = told.format(out=out, resume=f"warpcontact run --resume --out {out}")
-    assert err.endswith(f"\nwarpcontact: interrupted{told}")
+    expected_message = expected_message.format(out=out, resume=f"warpcontact run --resume --out {out}")
+    assert err.endswith(f"\nwarpcontact: interrupted{expected_message}")
     assert "Traceback" not in err
-    runs.check_what_readers_see(out, whole)
+    runs.check_committed_results(out, whole)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
-def test_who_takes_a_signal_meanwhile_keeps_it():
+def test_signal_handler_set_during_a_run_is_preserved():
     usual = signal.getsignal(signal.SIGTERM)
     try:
-        with pytest.raises(KeyboardInterrupt), terminations():
+        with pytest.raises(KeyboardInterrupt), terminate_as_interrupt():
             os.kill(os.getpid(), signal.SIGTERM)
         assert signal.getsignal(signal.SIGTERM) is usual
-        with terminations():
+        with terminate_as_interrupt():
             signal.signal(signal.SIGTERM, print)
         assert signal.getsignal(signal.SIGTERM) is print
     finally:
@@ -227,17 +231,19 @@ def test_who_takes_a_signal_meanwhile_keeps_it():
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
-def test_asking_twice_ends_at_once_and_keeps_what_was_committed(place, whole, tmp_path):
+def test_second_stop_signal_exits_immediately_and_keeps_committed_results(place, whole, tmp_path):
     out = tmp_path / "out"
     # A first commit, then steps that end only when all of a block are taken.
-    process = runs.begin(place / "study.toml", "--out", out, *WORDS, "--checkpoint", 0, first=runs.EAGER)
+    process = runs.start_run(
+        place / "study.toml", "--out", out, *WORDS, "--checkpoint", 0, first=runs.COMMIT_OFTEN
+    )
     assert runs.wait_until(lambda: runs.records(out), process)
     before = runs.records(out)
     for _ in range(20):
         process.send_signal(signal.SIGINT)
-    code, _, err = runs.ended(process)
+    code, _, err = runs.wait_for_end(process)
     assert code in (130, -signal.SIGINT), err
-    now = runs.check_what_readers_see(out, whole)
+    now = runs.check_committed_results(out, whole)
     assert all(now[number]["steps"] >= record["steps"] for number, record in before.items())
     code, _, err = runs.run("--resume", "--out", out, "--device", "cpu")
     assert code == 0, err
@@ -262,19 +268,21 @@ def small_disk(path, size):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("size", ["400k", "550k"])
-def test_a_full_disk_is_one_message_and_the_run_goes_on_once_there_is_room(size, place, whole, tmp_path):
+def test_full_disk_is_one_message_and_the_run_can_be_resumed(size, place, whole, tmp_path):
     with small_disk(tmp_path / "disk", size) as disk:
         out = disk / "out"
-        code, _, err = runs.run(place / "study.toml", "--out", out, *WORDS, "--checkpoint", 0, first=runs.EAGER)
+        code, _, err = runs.run(
+            place / "study.toml", "--out", out, *WORDS, "--checkpoint", 0, first=runs.COMMIT_OFTEN
+        )
         assert code == 2, err
         assert "Traceback" not in err
         assert f"No space left on device: '{out}" in err
         assert f"what was committed is kept in {out}; go on with:\n    warpcontact run --resume --out {out}" in err
-        committed = runs.check_what_readers_see(out, whole)
+        committed = runs.check_committed_results(out, whole)
         assert committed
         code, _, err = runs.run("--resume", "--out", out, "--device", "cpu")  # still full
         assert code == 2, err
-        assert runs.check_what_readers_see(out, whole).keys() >= committed.keys()
+        assert runs.check_committed_results(out, whole).keys() >= committed.keys()
         subprocess.run(["mount", "-o", "remount,size=8m", str(disk)], check=True)
         code, _, err = runs.run("--resume", "--out", out, "--device", "cpu")
         assert code == 0, err
@@ -282,7 +290,7 @@ def test_a_full_disk_is_one_message_and_the_run_goes_on_once_there_is_room(size,
 
 
 @pytest.mark.slow
-def test_a_disk_that_is_full_at_the_start_keeps_nothing(place, tmp_path):
+def test_full_disk_at_the_start_leaves_no_results(place, tmp_path):
     with small_disk(tmp_path / "disk", "40k") as disk:
         out = disk / "out"
         code, _, err = runs.run(place / "study.toml", "--out", out, *WORDS)
@@ -313,13 +321,15 @@ def test_results_do_not_depend_on_shards_and_threads(shard, place, whole, tmp_pa
         assert run.series.identical(whole.series)
 
 
-def test_other_shards_are_refused_and_the_same_are_not(place, whole, tmp_path, capsys):
+def test_resume_with_another_shard_size_is_refused(place, whole, tmp_path, capsys):
     out = shutil.copytree(whole.folder, tmp_path / "out")
     words = ["run", "--resume", "--out", str(out), "--device", "cpu", "--shard"]
     for shard in (2, 5, 100):
         assert main([*words, str(shard)]) == 2
-        told = f"{out}: holds a run in other shards: shard is 4 there, {shard} here; it can be left out"
-        assert told in capsys.readouterr().err
+        expected_message = (
+            f"{out}: holds a run in other shards: shard is 4 there, {shard} here; it can be left out"
+        )
+        assert expected_message in capsys.readouterr().err
     (out / "commit" / "shard_000002.json").unlink()
     assert main([*words, "4"]) == 0
     check_equal(out, whole)
@@ -329,7 +339,7 @@ def test_other_shards_are_refused_and_the_same_are_not(place, whole, tmp_path, c
     assert study.run(tmp_path / "one", device="cpu", shard=64, resume=True).summary["shard"] == 10
 
 
-def test_going_on_with_a_finished_run_changes_nothing(place, whole, tmp_path):
+def test_resume_of_a_finished_run_changes_nothing(place, whole, tmp_path):
     out = shutil.copytree(whole.folder, tmp_path / "out")
     (out / "picture.png").unlink()
     run = wc.Experiment.from_toml(place / "study.toml").run(out, device="cpu", resume=True)
@@ -339,7 +349,7 @@ def test_going_on_with_a_finished_run_changes_nothing(place, whole, tmp_path):
 
 
 @pytest.mark.parametrize("ray", [False, True])
-def test_with_nothing_left_to_run_no_memory_for_a_shard_is_needed(ray, place, whole, tmp_path, monkeypatch):
+def test_resume_of_finished_shards_needs_no_memory(ray, place, whole, tmp_path, monkeypatch):
     out = shutil.copytree(whole.folder, tmp_path / "out")
     summary = json.loads((out / "run.json").read_text())
     (out / "run.json").write_text(json.dumps(summary | {"state": "unfinished"}))
@@ -357,8 +367,8 @@ def test_with_nothing_left_to_run_no_memory_for_a_shard_is_needed(ray, place, wh
 
 
 @pytest.mark.slow
-def test_a_shard_that_fails_three_times_is_reported_and_the_others_finish(tmp_path):
-    path, out = runs.crowded(tmp_path), tmp_path / "out"
+def test_shard_failing_three_times_is_reported_and_others_finish(tmp_path):
+    path, out = runs.overflowing_study(tmp_path), tmp_path / "out"
     for options in (["--shard", 2], ["--resume"]):
         code, printed, err = runs.run(path, "--out", out, "--device", "cpu", *options)
         assert code == 3, err

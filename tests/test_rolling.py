@@ -25,7 +25,7 @@ def ball_on_plate(*, gravity=(0.0, 0.0, -G), device="cpu", envs=1, precision="fl
     return scene.build(envs=envs, device=device, precision=precision)
 
 
-def test_rolling_resistance_slows_a_ball_as_in_closed_form(device):
+def test_rolling_resistance_decelerates_ball_as_closed_form(device):
     # FORCE_LAWS G12: μ_r = 0.01, from 1 m/s: (5/7) μ_r g = 0.07007142857 m/s², 7.135575943 m in 14.27115189 s.
     model = ball_on_plate(rolling=F.Tanh(mu=0.01, velocity_scale=1e-4), stiffness=1e6, device=device)
     model["ball.linear_velocity"] = (1.0, 0, 0)
@@ -40,7 +40,7 @@ def test_rolling_resistance_slows_a_ball_as_in_closed_form(device):
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_a_rolling_spring_holds_a_ball_on_a_slope(precision, device):
+def test_rolling_spring_holds_ball_on_a_slope(precision, device):
     """Type C: at rest below tan θ = μ_r, and rolling above with a = (5/7) g (sin θ − μ_r cos θ)."""
     spring = F.CundallStrack(mu_static=0.05, mu_dynamic=0.05, stiffness=2e4, damping=100.0)
     model = ball_on_plate(rolling=spring, envs=3, device=device, precision=precision)
@@ -59,7 +59,7 @@ def test_a_rolling_spring_holds_a_ball_on_a_slope(precision, device):
     np.testing.assert_allclose(acceleration, expected, rtol=5e-3)
 
 
-def test_a_ball_rolls_or_slips_down_a_slope_as_in_closed_form(device):
+def test_ball_on_slope_rolls_or_slips_as_closed_form(device):
     # FORCE_LAWS G11: 25°, (5/7) g sin θ = 2.961346534 m/s² above μ = 0.1332307595; at μ = 0.05 it slips at
     # 3.701341178 m/s² and spins up at 1.111359924 m/s² over R.
     slope = np.radians(25.0)
@@ -80,7 +80,7 @@ def test_a_ball_rolls_or_slips_down_a_slope_as_in_closed_form(device):
     np.testing.assert_allclose(spinning[[0, 2]], [1.111359924, 2.961346534], rtol=4e-4)
 
 
-def test_a_ball_rolls_in_a_groove_as_in_closed_form(device):
+def test_ball_in_groove_rolls_as_closed_form(device):
     # FORCE_LAWS G25: 90° groove at 20°: 1.864009781 m/s², N = 0.6644630244 m g on either side, μ > 0.1143848092.
     slope, half = np.radians(20.0), np.radians(45.0)
     scene = wc.Scene(gravity=(G * np.sin(slope), 0, -G * np.cos(slope)))
@@ -104,7 +104,7 @@ def test_a_ball_rolls_in_a_groove_as_in_closed_form(device):
         np.testing.assert_allclose(model.sensor(f"{name}.normal_force")[0], 0.6644630244 * G, rtol=1e-5)
 
 
-def test_viscous_rolling_resistance_lets_speed_decay(device):
+def test_viscous_rolling_resistance_decays_speed_exponentially(device):
     """Type B: dv/dt = −(5/7) β g v."""
     model = ball_on_plate(rolling=F.Viscous(drag=0.05), stiffness=1e6, device=device)
     model["ball.linear_velocity"] = (1.0, 0, 0)
@@ -114,7 +114,7 @@ def test_viscous_rolling_resistance_lets_speed_decay(device):
     np.testing.assert_allclose(model.sensor("ball.linear_velocity")[0, 0], expected, rtol=4e-4)
 
 
-def test_torsion_stops_a_spinning_ball_as_in_closed_form(device):
+def test_torsional_friction_stops_spinning_ball_as_closed_form(device):
     # FORCE_LAWS G24: ω = 50 rad/s, μ = 0.3, a = 1 mm: 25.48419980 s (uniform pressure), 28.84221417 s (Hertz).
     arms = 1e-3 * np.array([2 / 3, 3 * np.pi / 16])
     model = ball_on_plate(torsion=F.Tanh(mu=0.3, velocity_scale=1e-5), torsion_radius=1e-3, envs=2, device=device)
@@ -128,7 +128,7 @@ def test_torsion_stops_a_spinning_ball_as_in_closed_form(device):
     np.testing.assert_allclose(spin[1000], 50.0 - 10.0 * 0.3 * G * arms / 1e-3, rtol=1e-4)
 
 
-def test_the_arm_of_torsion_follows_the_overlap(device):
+def test_torsion_radius_follows_the_overlap(device):
     """(3π/16) √(R δ) μ N, in every environment with its own load."""
     mass = np.array([0.5, 1.0, 4.0])
     law = wc.laws.Hertz(stiffness=1e7)
@@ -148,7 +148,7 @@ def test_the_arm_of_torsion_follows_the_overlap(device):
 @pytest.mark.parametrize("stop", [F.Tanh(mu=0.3, velocity_scale=1e-3), F.LuGre(
     mu_static=0.4, mu_dynamic=0.3, stribeck_speed=0.01, stiffness=1e4, damping=3.0)], ids=["Tanh", "LuGre"],
 )  # fmt: skip
-def test_couples_act_on_both_bodies_and_only_dissipate(stop, device):
+def test_rolling_and_torsional_torques_are_reciprocal_and_dissipative(stop, device):
     """A ball against a free plate: what one loses of momentum and spin the other gains, and energy falls."""
     scene = wc.Scene(gravity=(0, 0, 0))
     carrier = scene.add_body(3.0, (0.2, 0.3, 0.4), position=(0, 0, -0.1), name="carrier")
@@ -174,7 +174,7 @@ def test_couples_act_on_both_bodies_and_only_dissipate(stop, device):
     assert energy[-1] < energy[0] - 1e-2
 
 
-def test_a_rolling_ball_is_slowed_against_its_motion_in_any_direction(device):
+def test_rolling_resistance_opposes_motion_in_any_direction(device):
     """The couple is −μ_r R N ω_t/|ω_t|, whatever the tangent direction; spin about the normal adds nothing."""
     rng = np.random.default_rng(4)
     spins = rng.normal(size=(20, 3)) * 10
@@ -186,7 +186,7 @@ def test_a_rolling_ball_is_slowed_against_its_motion_in_any_direction(device):
 
 
 @pytest.mark.parametrize("part", ["rolling", "torsion"])
-def test_a_couple_without_an_arm_is_refused(part):
+def test_rolling_or_torsion_without_radius_is_refused(part):
     material = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1.0), **{part: F.Tanh(mu=0.1)})
     scene = wc.Scene()
     ground = scene.add_surface(square())
@@ -195,19 +195,19 @@ def test_a_couple_without_an_arm_is_refused(part):
         scene.add_contact(point, ground, material)
 
 
-def test_a_torsion_radius_without_torsion_is_refused():
+def test_torsion_radius_without_torsion_is_refused():
     with pytest.raises(ValueError, match=r"touch\.torsion_radius is given, but its material has no torsion"):
         dropped_sphere(wc.laws.Hooke(stiffness=1.0), torsion_radius=0.1)
 
 
-def test_torsion_has_no_directions():
+def test_anisotropic_torsion_is_refused():
     with pytest.raises(
         ValueError, match=r"ContactMaterial\.torsion must be a friction without directions, got Elliptic"
     ):
         wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1.0), torsion=F.Elliptic(mu_1=0.1, mu_2=0.2))
 
 
-def test_the_parameters_of_every_part_are_there(device):
+def test_parameters_of_friction_rolling_and_torsion_exist(device):
     model = ball_on_plate(
         friction=F.Tanh(mu=0.1), rolling=F.Tanh(mu=0.2), torsion=F.Tanh(mu=0.3), envs=2, device=device
     )
@@ -218,7 +218,7 @@ def test_the_parameters_of_every_part_are_there(device):
     np.testing.assert_allclose(model.sensor("touch.torque")[:, 1], [0, -0.4 * R * G], rtol=1e-9)
 
 
-def test_a_friction_of_spheres_needs_a_radius(device):
+def test_friction_model_for_spheres_requires_a_radius(device):
     friction = F.Mindlin(mu_static=0.4, mu_dynamic=0.3, shear_modulus=1e6)
     scene = wc.Scene()
     ground = scene.add_surface(square())

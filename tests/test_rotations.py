@@ -7,16 +7,16 @@ from scenes import square
 from warpcontact.kernels import rotations
 
 import warpcontact as wc
-from warpcontact.frames import placed, shortest_rotations
+from warpcontact.frames import shortest_rotations, transform_points
 
 
 @pytest.mark.parametrize("start", np.eye(3), ids=("x", "y", "z"))
-def test_shortest_rotations_reach_every_direction_and_turn_about_no_other_axis(start):
+def test_shortest_rotations_reach_every_direction_without_twist(start):
     directions = np.random.default_rng(0).normal(size=(5, 10, 3))
     directions[0, :3] = start, -start, -start + 1e-7 * np.roll(start, 1)
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
     found = shortest_rotations(start, directions)
-    reached = placed(np.broadcast_to(start, (5, 10, 1, 3)), np.zeros((5, 10, 3)), found)[..., 0, :]
+    reached = transform_points(np.broadcast_to(start, (5, 10, 1, 3)), np.zeros((5, 10, 3)), found)[..., 0, :]
     # Near the opposite direction 1 + dot, of 1e-14, has two digits: then its square is what rounding leaves.
     np.testing.assert_allclose(reached, directions, atol=1e-6)
     np.testing.assert_allclose(reached.reshape(-1, 3)[3:], directions.reshape(-1, 3)[3:], atol=1e-12)
@@ -28,13 +28,13 @@ def test_shortest_rotations_reach_every_direction_and_turn_about_no_other_axis(s
     assert (found[..., 3] >= 0.0).all()
 
 
-def test_one_direction_has_one_rotation():
+def test_shortest_rotation_is_unique_for_opposite_directions():
     np.testing.assert_array_equal(shortest_rotations((1.0, 0.0, 0.0), np.array([-1.0, 0.0, 0.0])), [0, 1, 0, 0])
     np.testing.assert_array_equal(shortest_rotations((1.0, 0.0, 0.0), np.array([1.0, 0.0, 0.0])), [0, 0, 0, 1])
 
 
 @pytest.mark.parametrize("real", [np.float32, np.float64])
-def test_a_matrix_does_what_its_quaternion_does_however_long_that_is(real, device):
+def test_rotation_matrix_matches_quaternion_of_any_length(real, device):
     """To rounding: what is placed by one is where the other sees it."""
     kind = wp.dtype_from_numpy(real)
     quat, vec3 = (wp.quatf, wp.vec3f) if real is np.float32 else (wp.quatd, wp.vec3d)
@@ -60,7 +60,7 @@ def test_a_matrix_does_what_its_quaternion_does_however_long_that_is(real, devic
 
 @pytest.mark.parametrize("cached", [True, False], ids=["cached", "not"])
 @pytest.mark.parametrize("excess", [1e-4, -1e-3])
-def test_a_body_turned_by_a_quaternion_of_another_length_touches_where_it_is(excess, cached, device):
+def test_contact_of_body_with_unnormalized_quaternion_is_at_its_position(excess, cached, device):
     """A point 0.5 m beside a body that is turned by 180° about z comes to x = 0 at 1 m/s, after 0.1 m."""
     scene = wc.Scene(gravity=(0, 0, 0))
     wall = scene.add_surface(square(half=5.0), orientation=(0, np.sqrt(0.5), 0, np.sqrt(0.5)), name="wall")

@@ -31,7 +31,7 @@ def test_every_bounce_has_its_own_entry_speed(device):
         sim.state.body_position.fill_(model.types.vec3(0.0, 0.0, 0.101))
 
 
-def test_a_contact_that_reloads_faster_takes_the_faster_speed(device):
+def test_faster_reloading_increases_the_entry_speed(device):
     model = dropped_sphere(
         wc.laws.HuntCrossley(stiffness=1e5, restitution=0.5), height=1e-4, velocity=(0, 0, -0.1), device=device
     )
@@ -69,7 +69,7 @@ LATCH = [
 
 
 @pytest.mark.parametrize(("start", "options", "path", "status"), LATCH)
-def test_the_latch_follows_its_table(start, options, path, status, device):
+def test_latch_follows_its_state_table(start, options, path, status, device):
     scene = wc.Scene(gravity=(0, 0, 0))
     # The upper left half is hidden.
     surface = scene.add_surface(square(), active_faces=[0])
@@ -85,7 +85,7 @@ def test_the_latch_follows_its_table(start, options, path, status, device):
     assert sim.model.sensor("touch.status")[0] == status
 
 
-def test_a_disabled_contact_keeps_its_latch(device):
+def test_disabled_contact_keeps_its_latch(device):
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), height=0.1, entry="latched", device=device)
     sim = wc.Simulation(model, dt=1e-6)
     sim.step()
@@ -114,7 +114,7 @@ def spread_of(model):
     }
 
 
-def test_a_frozen_environment_is_left_untouched(device):
+def test_frozen_environment_is_unchanged_by_steps(device):
     friction = wc.friction.Tanh(mu=0.4)
     model = dropped_sphere(
         wc.laws.HuntCrossley(stiffness=1e4, restitution=0.5), friction=friction, gravity=(0, 0, -G), height=-1e-3,
@@ -147,7 +147,7 @@ def test_a_frozen_environment_is_left_untouched(device):
     assert model.health().frozen.tolist() == [2]
 
 
-def test_a_frozen_environment_is_measured_where_it_is_held(device):
+def test_sensors_of_frozen_environment_use_its_stored_state(device):
     """Not where its points were when they were last looked at, which may be long ago for those far away."""
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), height=1.0, envs=2, device=device)
     sim = wc.Simulation(model, dt=1e-3)
@@ -161,7 +161,7 @@ def test_a_frozen_environment_is_measured_where_it_is_held(device):
     np.testing.assert_allclose(model.sensor("touch.gap"), model.sensor("ball.position")[:, 2] - 0.1, atol=1e-6)
 
 
-def test_a_frozen_environment_survives_another_simulation(device):
+def test_frozen_environment_is_unchanged_by_another_simulation(device):
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), gravity=(0, 0, -G), height=-0.01, envs=4, device=device)
     stiffness = np.full(4, 1e4)
     stiffness[2] = 1e38
@@ -174,7 +174,7 @@ def test_a_frozen_environment_survives_another_simulation(device):
     np.testing.assert_array_equal(model.sensor("ball.orientation")[2], held[1])
 
 
-def test_a_law_that_returns_nan_freezes_its_environment(device):
+def test_law_returning_nan_freezes_its_environment(device):
     model = dropped_sphere(own_law.Broken(stiffness=1e4, depth=5e-3), height=1e-3, envs=2, device=device)
     model["touch.law.depth"] = [5e-3, 1.0]
     sim = wc.Simulation(model, dt=1e-4)
@@ -185,7 +185,7 @@ def test_a_law_that_returns_nan_freezes_its_environment(device):
 # Indices
 
 
-def test_surfaces_points_and_laws_find_their_own(device):
+def test_contacts_use_their_own_surface_points_and_law(device):
     """Two meshes, each rotated, one on a rotated body; two friction models of one class; forces against hand values."""
     scene = wc.Scene(gravity=(0, 0, 0))
     turn = Rotation.from_euler("xyz", [0.3, -0.4, 0.5])
@@ -217,7 +217,7 @@ def test_surfaces_points_and_laws_find_their_own(device):
     np.testing.assert_allclose(model.sensor("carrier.force"), -model.sensor("two.force"))
 
 
-def test_vertices_at_one_place_are_one(device):
+def test_coincident_vertices_are_welded(device):
     """The corners of a soup of triangles have the pseudonormals of the solid."""
     cube = wc.meshes.box((1.0, 1.0, 1.0))
     soup = wc.Mesh(cube.vertices[cube.faces].reshape(-1, 3), np.arange(36).reshape(12, 3))
@@ -247,7 +247,7 @@ def test_vertices_at_one_place_are_one(device):
         ("centre.position", [(0, 0, 0), (0.01, 0, 0), (0, 0.01, -0.001)]),
     ],
 )
-def test_a_parameter_changed_between_steps_acts_like_one_set_before(name, value, device):
+def test_parameter_changed_between_steps_equals_parameter_set_before(name, value, device):
     """From shared to per environment the array moves: prepared launches have to follow."""
 
     def model():
@@ -284,7 +284,7 @@ def test_a_parameter_changed_between_steps_acts_like_one_set_before(name, value,
         ("touch.enabled", 0.7, r"touch.enabled\[0, 0\] must be 0 or 1, got 0.7"),
     ],
 )
-def test_values_that_do_not_fit_the_device_are_refused_and_change_nothing(name, value, message, device):
+def test_values_out_of_device_range_are_refused_without_changes(name, value, message, device):
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), height=-1e-3, device=device)
     before, force = model[name], model.sensor("touch.normal_force")
     with pytest.raises(ValueError, match=message):
@@ -295,7 +295,7 @@ def test_values_that_do_not_fit_the_device_are_refused_and_change_nothing(name, 
         wc.Simulation(model, dt=1e-50)
 
 
-def test_a_value_read_stays_what_it_was():
+def test_parameter_value_is_a_copy():
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), envs=3)
     kept = model["ball.mass"]
     model["ball.mass"] = 9.0
@@ -304,13 +304,13 @@ def test_a_value_read_stays_what_it_was():
     assert model["ball.mass"].tolist() == [1, 1, 1]
 
 
-def test_the_arrays_of_the_state_cannot_be_replaced():
+def test_state_arrays_cannot_be_replaced():
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e4))
     with pytest.raises(AttributeError):
         model.state.body_position = None
 
 
-def test_the_clock_is_that_of_the_state(device):
+def test_simulation_time_is_the_time_of_the_state(device):
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), device=device)
     sim = wc.Simulation(model, dt=1e-3)
     sim.step(5)
@@ -325,7 +325,7 @@ def test_the_clock_is_that_of_the_state(device):
 
 
 @pytest.mark.parametrize("offset", [0.0, 10.0, 1000.0])
-def test_a_floor_beside_a_wall_is_the_floor_far_from_the_origin_too(offset, device):
+def test_floor_near_a_wall_is_nearest_far_from_the_origin(offset, device):
     """Both are at about the same distance; that of the differences decides, not that of the coordinates."""
     corner = wc.Mesh(
         np.array([(0, 0, 0), (4, 0, 0), (4, 4, 0), (0, 4, 0), (0, 4, 4), (0, 0, 4)]) + offset,

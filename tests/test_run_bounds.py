@@ -7,10 +7,10 @@ from dataclasses import asdict
 
 import pytest
 
-from warpcontact.experiment.expected import ChunkGrid, Expected, Extent
+from warpcontact.experiment.expected import ChunkGrid, ExpectedFiles, RunExtent
 from warpcontact.experiment.records import AXES, Commit, RunDataError, digest, is_chunk
 from warpcontact.experiment.run import Run
-from warpcontact.experiment.status import status_of
+from warpcontact.experiment.status import run_status
 from warpcontact.experiment.store import Ledger, Shard, Shards
 from warpcontact.run_folder import RunPath
 
@@ -55,7 +55,7 @@ def stored(folder, shape, chunks=None, dims=None):
         path = RunPath(folder) / "data.zarr" / name
         made[name] = (path.size(), digest(path))
     write(folder / "commit/store.json", {"files": made})
-    return Expected(RunPath(folder), made, Extent(4, 4, 10))
+    return ExpectedFiles(RunPath(folder), made, RunExtent(4, 4, 10))
 
 
 @pytest.mark.parametrize(
@@ -85,7 +85,7 @@ def test_more_frames_than_steps_are_refused(tmp_path):
         stored(tmp_path, [12, 4], dims=["time", "env"])
 
 
-def test_array_with_an_empty_axis_has_no_chunks_and_is_checked_immediately(tmp_path):
+def test_array_with_an_empty_axis_has_no_chunks_and_is_checked_quickly(tmp_path):
     expected = stored(tmp_path, [2**24, 4, 0], dims=["x", "env", "y"])
     begin = time.process_time()
     assert expected.problem(Commit(0, steps=10, finished=True)) is None
@@ -94,9 +94,9 @@ def test_array_with_an_empty_axis_has_no_chunks_and_is_checked_immediately(tmp_p
     assert time.process_time() - begin < 1.0
 
 
-def test_ranges_longer_than_an_index_have_places():
+def test_chunk_grid_handles_ranges_beyond_index_size():
     grid = ChunkGrid(("x",), (2**70,), (2**69,))
-    assert grid.places() == [range(2)]
+    assert grid.chunk_ranges() == [range(2)]
 
 
 def test_chunk_names_have_bounded_depth_and_length():
@@ -116,7 +116,7 @@ def test_shards_are_computed_from_their_numbers():
     assert many[MOST - 1] == Shard(MOST - 1, MOST - 1, MOST)
 
 
-def test_status_of_billions_of_shards_is_immediate(tmp_path):
+def test_status_of_billions_of_shards_is_fast(tmp_path):
     write(tmp_path / "run.json", SUMMARY | {"envs": MOST, "shard": 1, "shards": MOST, "state": "failed"})
     write(
         tmp_path / "commit/shard_000007.json",
@@ -126,7 +126,7 @@ def test_status_of_billions_of_shards_is_immediate(tmp_path):
         },
     )
     begin = time.process_time()
-    found = status_of(tmp_path)
+    found = run_status(tmp_path)
     assert (found.shards, found.finished_shards, found.finished_envs, found.env_steps) == (MOST, 1, 1, 10)
     assert not Run(tmp_path, dict(found.summary)).finished
     assert time.process_time() - begin < 1.0
@@ -146,11 +146,11 @@ def finished(folder, empty=range(4)):
     return Ledger(folder)
 
 
-EXTENT = Extent(4, 4, 10)
+EXTENT = RunExtent(4, 4, 10)
 
 
 @pytest.mark.parametrize("name", ["x", "0"])
-def test_folders_that_no_chunk_is_in_are_not_entered(name, tmp_path, monkeypatch):
+def test_folders_without_chunks_are_not_entered(name, tmp_path, monkeypatch):
     """Those that are not of a chunk are named as unknown."""
     ledger = finished(tmp_path)
     top = tmp_path / "data.zarr/params/mass/c"
@@ -170,7 +170,7 @@ def test_folders_that_no_chunk_is_in_are_not_entered(name, tmp_path, monkeypatch
     assert max(entered) <= len(("data.zarr", "params", "mass", "c")) + AXES - 1
 
 
-def test_folders_nested_too_deep_to_be_removed_are_an_error_that_names_them(tmp_path, monkeypatch):
+def test_folders_nested_too_deep_to_be_removed_raise_with_their_name(tmp_path, monkeypatch):
     def deep(*_, **__):
         raise RecursionError
 
@@ -181,7 +181,7 @@ def test_folders_nested_too_deep_to_be_removed_are_an_error_that_names_them(tmp_
     assert error.value.filename == str(tmp_path / "staging")
 
 
-def test_each_chunk_is_looked_up_once_and_staging_once_for_a_shard(tmp_path, monkeypatch):
+def test_each_chunk_is_accessed_once_and_staging_once_per_shard(tmp_path, monkeypatch):
     ledger = finished(tmp_path, empty=())
     looked, status = [], RunPath.status
 
@@ -196,7 +196,7 @@ def test_each_chunk_is_looked_up_once_and_staging_once_for_a_shard(tmp_path, mon
     assert [name for name in looked if name.startswith("staging")] == ["staging/shard_000000"]
 
 
-def test_chunk_that_is_still_staged_counts(tmp_path):
+def test_staged_chunk_is_found(tmp_path):
     ledger = finished(tmp_path, empty=())
     staged = tmp_path / "staging/shard_000000/params/mass/c/2"
     staged.parent.mkdir(parents=True)

@@ -29,7 +29,7 @@ def chunk_of(folder, name, shard=0):
     return folder / "data.zarr" / next(file for file in sorted(files) if file.startswith(name))
 
 
-def test_missing_parts_are_named(whole_run, copied_run):
+def test_missing_run_parts_are_reported(whole_run, copied_run):
     folder = copied_run(whole_run)
     for name, message in (
         ("experiment.toml", r"experiment\.toml: cannot be read"),
@@ -52,7 +52,7 @@ def test_missing_parts_are_named(whole_run, copied_run):
         wc.open_run(folder)
 
 
-def test_experiment_that_is_cut_off_is_named(whole_run, copied_run):
+def test_truncated_experiment_file_is_reported(whole_run, copied_run):
     folder = copied_run(whole_run)
     path = folder / "experiment.toml"
     path.write_bytes(path.read_bytes()[:100])
@@ -60,7 +60,7 @@ def test_experiment_that_is_cut_off_is_named(whole_run, copied_run):
         wc.open_run(folder)
 
 
-def test_chunks_that_are_missing_or_cut_off_are_named(whole_run, copied_run):
+def test_missing_or_truncated_chunks_are_reported(whole_run, copied_run):
     folder = copied_run(whole_run)
     path = chunk_of(folder, "series/touch.gap")
     content = path.read_bytes()
@@ -86,7 +86,7 @@ def drop_entry(folder, name):
 @pytest.mark.parametrize(
     "array", ["params/ball.mass", "params/env", "params/axis", "outcome/status", "series/touch.gap", "series/time"]
 )
-def test_a_chunk_that_is_missing_with_its_entry_is_named(array, whole_run, copied_run, capsys):
+def test_chunk_missing_with_its_entry_is_reported(array, whole_run, copied_run, capsys):
     folder = copied_run(whole_run)
     chunk = sorted((folder / "data.zarr" / array / "c").rglob("*"))[-1]
     name = chunk.relative_to(folder / "data.zarr").as_posix()
@@ -98,7 +98,7 @@ def test_a_chunk_that_is_missing_with_its_entry_is_named(array, whole_run, copie
     assert f"{name}: is missing" in capsys.readouterr().err
 
 
-def test_an_array_that_is_missing_with_its_entries_is_named(whole_run, copied_run):
+def test_array_missing_with_its_entries_is_reported(whole_run, copied_run):
     folder = copied_run(whole_run)
     shutil.rmtree(folder / "data.zarr/series/touch.gap")
     for path in (folder / "commit").glob("*.json"):
@@ -109,7 +109,7 @@ def test_an_array_that_is_missing_with_its_entries_is_named(whole_run, copied_ru
         wc.open_run(folder)
 
 
-def test_a_block_of_an_unfinished_shard_that_is_missing_with_its_entry_is_named(whole_run, part_run, copied_run):
+def test_block_of_unfinished_shard_missing_with_its_entry_is_reported(whole_run, part_run, copied_run):
     folder = copied_run(part_run)
     name = chunk_of(folder, "series/touch.gap", shard=1).relative_to(folder / "data.zarr").as_posix()
     for root in ("data.zarr", "staging/shard_000001"):  # it may not be moved yet
@@ -141,7 +141,7 @@ def test_a_block_of_an_unfinished_shard_that_is_missing_with_its_entry_is_named(
     ],
     ids=str,
 )
-def test_a_record_that_no_run_writes_is_not_verified(changes, message, whole_run, copied_run):
+def test_invalid_commit_record_is_not_verified(changes, message, whole_run, copied_run):
     folder = copied_run(whole_run)
     record = folder / "commit" / "shard_000000.json"
     if "add" in changes:
@@ -161,7 +161,7 @@ def test_a_record_that_no_run_writes_is_not_verified(changes, message, whole_run
         ("data.zarr/notes.txt", "is not of this run"),
     ],
 )
-def test_files_that_no_run_writes_are_not_verified(name, message, whole_run, copied_run):
+def test_unknown_files_are_not_verified(name, message, whole_run, copied_run):
     folder = copied_run(whole_run)
     (folder / name).parent.mkdir(exist_ok=True)
     shutil.copy(folder / "commit" / "shard_000000.json", folder / name)
@@ -193,7 +193,7 @@ def test_chunks_lost_with_their_entries_are_not_verified_in_a_run_of_an_earlier_
     assert wc.open_run(folder).digest() == wc.open_run(whole_run).digest()
 
 
-def test_a_shard_whose_record_was_removed_is_run_again(whole_run, copied_run):
+def test_shard_without_record_is_run_again(whole_run, copied_run):
     folder = copied_run(whole_run)
     flip(chunk_of(folder, "series/touch.gap", shard=1))
     (folder / "commit" / "shard_000001.json").unlink()
@@ -203,7 +203,7 @@ def test_a_shard_whose_record_was_removed_is_run_again(whole_run, copied_run):
 
 
 @pytest.mark.parametrize("name", ["params/ball.mass", "outcome/status", "series/touch.gap"])
-def test_a_changed_bit_is_found_when_it_is_read_and_when_all_is_verified(name, whole_run, copied_run):
+def test_changed_bit_is_detected_on_read_and_on_verification(name, whole_run, copied_run):
     folder = copied_run(whole_run)
     path = chunk_of(folder, name, shard=1)
     flip(path)
@@ -225,7 +225,7 @@ def test_a_changed_bit_is_found_when_it_is_read_and_when_all_is_verified(name, w
         xr.open_zarr(folder / "data.zarr", group=group, consolidated=False)[variable].load()
 
 
-def test_chunks_that_vanish_after_opening_are_no_empty_values(whole_run, copied_run):
+def test_chunks_missing_after_opening_raise_instead_of_empty_values(whole_run, copied_run):
     folder = copied_run(whole_run)
     run = wc.open_run(folder)
     chunk_of(folder, "series/touch.gap").unlink()
@@ -233,7 +233,7 @@ def test_chunks_that_vanish_after_opening_are_no_empty_values(whole_run, copied_
         run.series["touch.gap"].load()
 
 
-def test_a_digest_reads_each_file_once_and_is_the_same_in_smaller_pieces(whole_run, monkeypatch):
+def test_digest_reads_each_file_once_and_does_not_depend_on_piece_size(whole_run, monkeypatch):
     read = []
     content = CommittedStore._content
 
@@ -255,7 +255,7 @@ def test_a_digest_reads_each_file_once_and_is_the_same_in_smaller_pieces(whole_r
         assert run.digest() == digest
 
 
-def test_a_missing_checkpoint_is_named_and_its_shard_begins_anew(whole_run, part_run, copied_run):
+def test_missing_checkpoint_is_reported_and_its_shard_restarts(whole_run, part_run, copied_run):
     folder = copied_run(part_run)
     name = runs.records(folder)[1]["checkpoint"]
     (folder / "checkpoint" / name).unlink()
@@ -276,7 +276,7 @@ def test_a_missing_checkpoint_is_named_and_its_shard_begins_anew(whole_run, part
         *(pytest.param(one, marks=pytest.mark.slow) for one in ("no arrays", "objects", "of another time")),
     ],
 )
-def test_a_damaged_checkpoint_lets_its_shard_begin_anew(damage, whole_run, part_run, copied_run):
+def test_damaged_checkpoint_restarts_its_shard(damage, whole_run, part_run, copied_run):
     """Also where the record is of an earlier version, which told nothing of its content."""
     folder = copied_run(part_run)
     record = folder / "commit" / "shard_000001.json"
@@ -304,7 +304,7 @@ def test_a_damaged_checkpoint_lets_its_shard_begin_anew(damage, whole_run, part_
     assert runs.leftovers(folder) == []
 
 
-def test_a_checkpoint_of_another_content_is_named_and_its_shard_begins_anew(whole_run, part_run, copied_run):
+def test_changed_checkpoint_is_reported_and_its_shard_restarts(whole_run, part_run, copied_run):
     folder = copied_run(part_run)
     path = folder / "checkpoint" / runs.records(folder)[1]["checkpoint"]
     arrays, header = checkpoint.read(path)
@@ -319,7 +319,7 @@ def test_a_checkpoint_of_another_content_is_named_and_its_shard_begins_anew(whol
     wc.open_run(folder, verify=True)
 
 
-def test_a_checkpoint_of_objects_runs_no_code(tmp_path):
+def test_checkpoint_with_pickled_objects_runs_no_code(tmp_path):
     class Code:
         def __reduce__(self):
             return os.mkdir, (str(tmp_path / "ran"),)
@@ -330,7 +330,7 @@ def test_a_checkpoint_of_objects_runs_no_code(tmp_path):
     assert not (tmp_path / "ran").exists()
 
 
-def test_a_checkpoint_with_any_bit_changed_is_refused_or_the_same(tmp_path):
+def test_checkpoint_with_any_changed_bit_is_refused_or_equal(tmp_path):
     path = tmp_path / "state.npz"
     arrays = {"a": np.arange(9, dtype=np.uint8), "b": np.zeros((2, 3))}
     checkpoint.write(path, arrays, {"shard": 1})

@@ -19,7 +19,7 @@ SHA = "0" * 64
 # What is no run
 
 
-def test_what_holds_no_run_is_refused(tmp_path):
+def test_folder_without_a_run_is_refused(tmp_path):
     with pytest.raises(wc.ExperimentError, match="none: is not a folder"):
         wc.open_run(tmp_path / "none")
     (tmp_path / "file").write_text("text")
@@ -36,7 +36,7 @@ def test_what_holds_no_run_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("content", ["", "{", '{"program": "warpc', "[]", "null", "\x00\xff", "[" * 100_000])
-def test_run_json_that_is_cut_off_is_no_run(content, whole_run, copied_run):
+def test_truncated_run_json_is_not_a_run(content, whole_run, copied_run):
     folder = copied_run(whole_run)
     (folder / "run.json").write_text(content)
     with pytest.raises(wc.ExperimentError, match=r"holds no run: there is no whole run\.json"):
@@ -64,14 +64,14 @@ def test_run_json_that_is_cut_off_is_no_run(content, whole_run, copied_run):
         ({"law_files": 1}, "law_files must be a table, got 1"),
     ],
 )
-def test_run_json_with_wrong_entries_names_them(entries, message, whole_run, copied_run):
+def test_invalid_run_json_entries_are_reported(entries, message, whole_run, copied_run):
     folder = copied_run(whole_run)
     runs.change(folder / "run.json", **entries)
     with pytest.raises(wc.ExperimentError, match=f"run\\.json.*{message}"):
         wc.open_run(folder)
 
 
-def test_run_json_names_all_that_is_missing(whole_run, copied_run):
+def test_missing_run_json_entries_are_all_reported(whole_run, copied_run):
     folder = copied_run(whole_run)
     kept = {key: json.loads((folder / "run.json").read_text())[key] for key in ("program", "schema", "envs")}
     (folder / "run.json").write_text(json.dumps(kept))
@@ -80,14 +80,14 @@ def test_run_json_names_all_that_is_missing(whole_run, copied_run):
     assert "  - shard is missing" in str(error.value)
 
 
-def test_names_in_run_json_lead_nowhere_else(whole_run, copied_run):
+def test_file_names_in_run_json_cannot_leave_the_folder(whole_run, copied_run):
     folder = copied_run(whole_run)
     (folder.parent / "secret.py").write_text("secret = 1")
     runs.change(folder / "run.json", law_files={"../secret.py": SHA, "/etc/passwd": SHA})
     assert set(wc.open_run(folder).files) == {"commits", "data", "experiment", "picture", "summary"}
 
 
-def test_whole_folder_passes(whole_run):
+def test_complete_run_folder_is_valid(whole_run):
     run = wc.open_run(whole_run, verify=True)
     assert run.finished
     run.check()
@@ -98,7 +98,7 @@ def test_whole_folder_passes(whole_run):
 # Who may go on
 
 
-def test_the_run_of_another_experiment_is_told_by_keys_and_values(part_run, copied_run):
+def test_run_of_another_experiment_is_reported_with_differing_keys(part_run, copied_run):
     folder = copied_run(part_run)
     path = runs.study(folder.parent, mass="1.5", every="2e-3", seed="4")
     before = sorted(folder.rglob("*"))
@@ -111,7 +111,7 @@ def test_the_run_of_another_experiment_is_told_by_keys_and_values(part_run, copi
     assert sorted(folder.rglob("*")) == before
 
 
-def test_a_mesh_file_with_another_content_is_another_experiment(tmp_path):
+def test_changed_mesh_file_makes_another_experiment(tmp_path):
     ground = tmp_path / "ground.obj"
     ground.write_text("v -2 -2 0\nv 2 -2 0\nv 2 2 0\nv -2 2 0\nf 1 2 3\nf 1 3 4\n")
     path = runs.study(tmp_path, mesh='{ file = "ground.obj" }', duration="2e-3")
@@ -122,7 +122,7 @@ def test_a_mesh_file_with_another_content_is_another_experiment(tmp_path):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="other systems have no locks on folders")
-def test_a_run_in_progress_can_be_read_and_not_continued(whole_run, tmp_path):
+def test_run_in_progress_can_be_read_but_not_resumed(whole_run, tmp_path):
     folder = tmp_path / "out"
     reference = wc.open_run(whole_run)
     seen = set()
@@ -134,7 +134,7 @@ def test_a_run_in_progress_can_be_read_and_not_continued(whole_run, tmp_path):
         np.testing.assert_array_equal(values.values[there], expected[there])
         seen.add(int(there.sum()))
 
-    process = runs.begin(runs.study(tmp_path), "--out", folder, *runs.WORDS, first=runs.EAGER)
+    process = runs.start_run(runs.study(tmp_path), "--out", folder, *runs.OPTIONS, first=runs.COMMIT_OFTEN)
     try:
         assert runs.wait_until(lambda: runs.records(folder), process)
         os.kill(process.pid, signal.SIGSTOP)
@@ -148,7 +148,7 @@ def test_a_run_in_progress_can_be_read_and_not_continued(whole_run, tmp_path):
             read()  # whatever is committed, moved and removed meanwhile
     finally:
         process.send_signal(signal.SIGCONT)
-        code, _, err = runs.ended(process)
+        code, _, err = runs.wait_for_end(process)
     assert code == 0, err
     read()
     assert len(seen) > 1
@@ -158,8 +158,8 @@ def test_a_run_in_progress_can_be_read_and_not_continued(whole_run, tmp_path):
 # What can be read
 
 
-def test_an_unfinished_run_shows_what_is_committed(whole_run, part_run):
-    committed = runs.check_what_readers_see(part_run, wc.open_run(whole_run))
+def test_unfinished_run_shows_committed_results(whole_run, part_run):
+    committed = runs.check_committed_results(part_run, wc.open_run(whole_run))
     run = wc.open_run(part_run)
     assert not run.finished
     assert committed[0]["finished"]
@@ -171,7 +171,7 @@ def test_an_unfinished_run_shows_what_is_committed(whole_run, part_run):
 
 
 @pytest.mark.parametrize("begun", [True, False])
-def test_a_run_without_anything_committed_says_so(begun, part_run, copied_run, tmp_path, capsys):
+def test_run_without_commits_is_reported(begun, part_run, copied_run, tmp_path, capsys):
     folder = copied_run(part_run)
     for path in (folder / "commit").glob("shard_*.json"):
         path.unlink()
@@ -181,13 +181,13 @@ def test_a_run_without_anything_committed_says_so(begun, part_run, copied_run, t
     goes_on = f"warpcontact run --resume --out {folder} goes on with"
     for words in (["export", folder, "--usd", tmp_path / "a.usda"], ["render", folder, "-o", tmp_path / "a.png"]):
         assert main([str(word) for word in words]) == 2
-        told = capsys.readouterr().err
-        assert f"{folder}: nothing over time is committed yet in this run; {goes_on} it" in told
+        output = capsys.readouterr().err
+        assert f"{folder}: nothing over time is committed yet in this run; {goes_on} it" in output
     assert main(["export", str(folder), "--csv", str(tmp_path / "a.csv")]) == 0
     assert f"is finished yet: the table has no rows; {goes_on} the run" in capsys.readouterr().err
 
 
-def test_records_that_wait_in_a_checkpoint_are_said_to_be_kept(part_run, copied_run, tmp_path, capsys):
+def test_records_only_in_a_checkpoint_are_reported_as_stored(part_run, copied_run, tmp_path, capsys):
     """Half of a shard is done, and not a whole block of it."""
     folder = copied_run(part_run)
     for number in (0, 1):
@@ -198,29 +198,29 @@ def test_records_that_wait_in_a_checkpoint_are_said_to_be_kept(part_run, copied_
     )
     for words in (["export", folder, "--usd", tmp_path / "a.usda"], ["render", folder, "-o", tmp_path / "a.png"]):
         assert main([str(word) for word in words]) == 2
-        told = capsys.readouterr().err
-        assert f"{folder}: no record over time can be read yet: {kept} run goes on; {goes_on}\n" in told
+        output = capsys.readouterr().err
+        assert f"{folder}: no record over time can be read yet: {kept} run goes on; {goes_on}\n" in output
     assert f"\n4 environments begun, with 0 records over time or more: {kept} run goes on\n" in str(
         wc.open_run(folder)
     )
 
 
-def test_what_is_shown_of_an_unfinished_run_says_of_how_many(part_run, whole_run):
+def test_summary_of_an_unfinished_run_states_number_of_finished_environments(part_run, whole_run):
     assert "\nof the 4 of 10 that are finished: all 4 environments are active\n" in str(wc.open_run(part_run))
     assert "\nall 10 environments are active\n" in str(wc.open_run(whole_run))
     assert " begun, " not in str(wc.open_run(whole_run))
 
 
-def test_an_animation_of_an_unfinished_run_goes_to_the_last_record(part_run, tmp_path, capsys):
+def test_animation_of_an_unfinished_run_ends_at_the_last_record(part_run, tmp_path, capsys):
     frames = runs.records(part_run)[1]["frames"]
     out = tmp_path / "a.usda"
     assert main(["export", str(part_run), "--usd", str(out), "--envs", "0", "5"]) == 0
-    printed, told = capsys.readouterr()
+    printed, output = capsys.readouterr()
     assert printed == f"{out}\n"
     end = f"{(frames - 1) * 1e-3:g}"
     assert (
         f"caution: {part_run} is not finished: the animation goes to {end} s, and has 8 of 10 environments\n"
-        in told
+        in output
     )
     assert f"endTimeCode = {frames - 1}\n" in out.read_text()
     assert main(["export", str(part_run), "--usd", str(out), "--envs", "0"]) == 0
@@ -229,7 +229,7 @@ def test_an_animation_of_an_unfinished_run_goes_to_the_last_record(part_run, tmp
     assert "environment 9 has no record yet in this run: it has not begun; " in capsys.readouterr().err
 
 
-def test_results_are_read_without_a_model(whole_run, tmp_path, monkeypatch):
+def test_results_are_read_without_building_a_model(whole_run, tmp_path, monkeypatch):
     settings = wc.open_run(whole_run).experiment.settings
 
     def build(*_, **__):
@@ -245,7 +245,7 @@ def test_results_are_read_without_a_model(whole_run, tmp_path, monkeypatch):
     assert "touch" in wc.report(run, tmp_path / "report.html").read_text(encoding="utf-8")
 
 
-def test_tables_go_to_files_and_come_back(whole_run, tmp_path):
+def test_tables_round_trip_through_files(whole_run, tmp_path):
     pd = pytest.importorskip("pandas")
     run = wc.open_run(whole_run)
     frame = run.to_dataframe()
@@ -264,7 +264,7 @@ def test_tables_go_to_files_and_come_back(whole_run, tmp_path):
     pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "table.parquet"), frame)
 
 
-def test_the_digest_is_that_of_the_results_alone(whole_run, copied_run):
+def test_digest_depends_on_results_only(whole_run, copied_run):
     folder = copied_run(whole_run)
     digest = wc.open_run(whole_run).digest()
     runs.change(folder / "run.json", name="another", wall_time=1.0)

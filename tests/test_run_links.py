@@ -171,18 +171,18 @@ FIRST = {
     ("name", "kind"),
     [pytest.param(*case, marks=() if case in FIRST else pytest.mark.slow) for case in CASES],
 )
-def test_planted_entry_leads_nowhere(name, kind, place, capsys):
+def test_planted_link_is_not_followed(name, kind, place, capsys):
     runs.study(place)
     planted(place, name, kind)
     before = snapshot(place / "outside")
     for command, act in commands(place / "run").items():
-        told = str(place / "run")
+        message = str(place / "run")
         try:
             act()
         except (wc.ExperimentError, wc.RunDataError, OSError) as error:
-            told = str(error)
-        assert str(place / "run") in told, command
-        assert len(told.splitlines()) == 1, command
+            message = str(error)
+        assert str(place / "run") in message, command
+        assert len(message.splitlines()) == 1, command
         assert snapshot(place / "outside") == before, command
     capsys.readouterr()
 

@@ -9,7 +9,7 @@ import pytest
 
 from warpcontact import run_folder
 from warpcontact.cache_key import cache_key
-from warpcontact.durable import check_place, replacing, writing
+from warpcontact.durable import atomic_file, check_writable, open_for_writing
 from warpcontact.meshes import MeshError, load_mesh
 from warpcontact.regular_files import UnsafeFileError, open_regular
 from warpcontact.run_folder import RunPath, below_run, open_file
@@ -52,7 +52,7 @@ BELOW = ACTIONS | {
     "status": lambda path: path.status(),
     "names": lambda path: path.names(),
     "create": lambda path: path.create(),
-    "replacing": lambda path: path.replacing().__enter__(),
+    "replacing": lambda path: path.atomic_file().__enter__(),
     "replaced": lambda path: path.replaced().__enter__(),
     "remove": lambda path: path.remove(),
     "move_to": lambda path: path.move_to(RunPath(path.root) / "moved"),
@@ -90,7 +90,7 @@ def test_names_of_a_linked_folder_are_refused(run):
         (run / "link").names()
 
 
-def test_removing_a_link_or_a_folder_with_links_keeps_what_they_name(run):
+def test_removing_a_link_or_a_folder_with_links_keeps_their_targets(run):
     plant(run / "link", "../other")
     plant(run / "inner/link", "../../other")
     plant(run / "inner/dangling", "nowhere")
@@ -106,7 +106,7 @@ def test_new_file_replaces_a_prepared_link(target, run):
     plant(run / "file", target)
     plant(run / "file.partial", target)
     before = outside(run)
-    with (run / "file").replacing() as file:
+    with (run / "file").atomic_file() as file:
         file.write(b"mine")
     assert (run / "file").read() == b"mine"
     with (run / "named").replaced("file") as partial:
@@ -121,7 +121,7 @@ def test_new_file_replaces_a_prepared_link(target, run):
 
 def test_failed_block_leaves_the_old_file(run):
     path = run / "inner/file"
-    with pytest.raises(TypeError), path.replacing() as file:
+    with pytest.raises(TypeError), path.atomic_file() as file:
         file.writelines([b"part", None])
     assert path.read() == b"inner"
     assert (run / "inner").names() == ["file"]
@@ -134,13 +134,13 @@ def test_files_are_created_with_the_usual_mode(run):
 
 
 @pytest.mark.parametrize("name", ["", ".", "..", "a/../b", "a//b", "/a", "a\0b"])
-def test_names_that_lead_elsewhere_are_refused(name, run):
+def test_names_outside_of_the_folder_are_refused(name, run):
     with pytest.raises(ValueError, match="the name of a file must not be empty"):
         run / name
 
 
 @pytest.mark.parametrize("name", ["run.json:stream", "C:", "nul", "Aux.txt", "com1.npz", "lpt² .x", "a.", "a "])
-def test_names_that_windows_has_no_files_for_are_refused_there(name, run, monkeypatch):
+def test_names_reserved_on_windows_are_refused_on_windows(name, run, monkeypatch):
     assert (run / name).name == name
     monkeypatch.setattr(run_folder, "_WINDOWS", True)
     with pytest.raises(ValueError, match="must be one that Windows has for files"):
@@ -149,7 +149,7 @@ def test_names_that_windows_has_no_files_for_are_refused_there(name, run, monkey
         assert (run / usual).name == usual
 
 
-def test_descriptors_that_are_synchronized_can_write_where_windows_needs_it(run, monkeypatch):
+def test_descriptors_for_synchronization_are_writable_on_windows(run, monkeypatch):
     modes, synchronize = [], os.fsync
 
     def noted(descriptor):
@@ -158,7 +158,7 @@ def test_descriptors_that_are_synchronized_can_write_where_windows_needs_it(run,
         synchronize(descriptor)
 
     monkeypatch.setattr(os, "fsync", noted)
-    with (run / "file").replacing() as file:
+    with (run / "file").atomic_file() as file:
         file.write(b"mine")
         file.close()  # as a wrapper of the file does
     assert modes == [os.O_WRONLY]
@@ -199,14 +199,14 @@ def test_file_of_the_user_is_found_below_a_run_folder(run, monkeypatch):
 def test_output_below_a_run_folder_replaces_links_elsewhere_follows_them(run):
     root = run.root.parent
     plant(run / "table.csv", "../other/file")
-    check_place(root / "run" / "table.csv")
-    with writing(root / "run" / "table.csv") as file:
+    check_writable(root / "run" / "table.csv")
+    with open_for_writing(root / "run" / "table.csv") as file:
         file.write(b"table")
     assert outside(run)["file"][0] == "other"
     assert (run / "table.csv").read() == b"table"
     (root / "latest.csv").symlink_to("other/file")
-    check_place(root / "latest.csv")
-    with writing(root / "latest.csv") as file:
+    check_writable(root / "latest.csv")
+    with open_for_writing(root / "latest.csv") as file:
         file.write(b"table")
     assert outside(run)["file"][0] == "table"
     assert (root / "latest.csv").is_symlink()
@@ -215,28 +215,28 @@ def test_output_below_a_run_folder_replaces_links_elsewhere_follows_them(run):
 def test_output_is_not_written_through_a_prepared_partial_file(run):
     root = run.root.parent
     (root / "a.html.partial").symlink_to("other/file")
-    with replacing(root / "a.html") as file:
+    with atomic_file(root / "a.html") as file:
         file.write(b"page")
     assert outside(run)["file"][0] == "other"
     assert (root / "a.html").read_bytes() == b"page"
     assert not (root / "a.html.partial").is_symlink()
 
 
-def test_place_behind_a_link_below_a_run_folder_is_refused(run):
+def test_output_path_behind_a_link_below_a_run_folder_is_refused(run):
     plant(run / "link", "../other")
     before = outside(run)
     with pytest.raises(ValueError, match=f"new: cannot be written: {LINK}"):
-        check_place(run.root / "link" / "new")
-    with pytest.raises(UnsafeFileError, match=LINK), writing(run.root / "link" / "new"):
+        check_writable(run.root / "link" / "new")
+    with pytest.raises(UnsafeFileError, match=LINK), open_for_writing(run.root / "link" / "new"):
         pass
     with pytest.raises(UnsafeFileError, match=LINK):
         open_file(run.root / "link" / "file")
     assert outside(run) == before
 
 
-def test_place_of_a_pipe_is_tried_without_waiting(tmp_path):
+def test_output_path_of_a_pipe_is_checked_without_waiting(tmp_path):
     os.mkfifo(tmp_path / "pipe")
-    check_place(tmp_path / "pipe")
+    check_writable(tmp_path / "pipe")
     assert stat.S_ISFIFO((tmp_path / "pipe").stat().st_mode)
 
 

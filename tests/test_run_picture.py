@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 
 import warpcontact as wc
 from warpcontact.experiment import picture
-from warpcontact.experiment.ground import Ground, contour_step, draw_from_above
-from warpcontact.experiment.sensor_panels import CURVES, draw_panel, panels_of
-from warpcontact.frames import placed
+from warpcontact.experiment.ground import GroundSurface, contour_step, draw_from_above
+from warpcontact.experiment.sensor_panels import CURVES, draw_panel, make_panels
+from warpcontact.frames import transform_points
 from warpcontact.health import Health
 from warpcontact.recording import Recording
 
@@ -26,8 +26,10 @@ def terrain(tilt, amplitude=0.1):
     x, y, _ = mesh.vertices.T
     vertices = np.stack([x, y, amplitude * np.sin(2 * np.pi * x) * np.sin(2 * np.pi * y)], axis=1)
     half = math.radians(0.5 * tilt)
-    corners = placed(vertices, np.zeros(3), np.array([0.0, math.sin(half), 0.0, math.cos(half)]))[mesh.faces]
-    return Ground(corners, np.ones(len(corners), dtype=bool), True), vertices[mesh.faces].mean(axis=1)
+    corners = transform_points(vertices, np.zeros(3), np.array([0.0, math.sin(half), 0.0, math.cos(half)]))[
+        mesh.faces
+    ]
+    return GroundSurface(corners, np.ones(len(corners), dtype=bool), True), vertices[mesh.faces].mean(axis=1)
 
 
 def drawn(ground, step=0.0):
@@ -46,7 +48,7 @@ def greys_of(ground, middles):
 
 
 @pytest.mark.parametrize("tilt", [0.0, 10.0, -25.0])
-def test_hills_look_like_hills_however_the_ground_is_inclined(tilt):
+def test_hill_shading_is_independent_of_ground_inclination(tilt):
     ground, middles = terrain(tilt)
     greys = greys_of(ground, middles)
     # Over a wave, what is higher above the ground's own plane is lighter.
@@ -60,12 +62,12 @@ def test_hills_look_like_hills_however_the_ground_is_inclined(tilt):
 
 
 @pytest.mark.parametrize("tilt", [0.0, 10.0])
-def test_what_is_plane_is_of_one_grey(tilt):
+def test_plane_ground_has_one_gray(tilt):
     ground, middles = terrain(tilt, amplitude=0.0)
     assert np.ptp(greys_of(ground, middles)) < 1e-6
 
 
-def test_contours_are_where_they_say():
+def test_contours_are_at_labeled_heights():
     ground, _ = terrain(10.0, amplitude=0.0)
     step = contour_step([ground], *WINDOW)
     assert step == pytest.approx(0.1)  # 0.69 m in at most eight
@@ -89,7 +91,7 @@ def test_level_ground_has_no_contours():
     # Nor have the walls of a box, which are but lines from above.
     box = wc.meshes.box((1.0, 1.0, 0.5))
     corners = box.vertices[box.faces]
-    walls = Ground(corners, np.ones(len(corners), dtype=bool), True)
+    walls = GroundSurface(corners, np.ones(len(corners), dtype=bool), True)
     assert contour_step([ground, walls], *WINDOW) == 0.0
     assert not drawn(walls, 0.1).texts
 
@@ -108,14 +110,14 @@ def test_level_ground_has_no_contours():
         (LogNorm(0.05, 200.0), False, ["0.05", "1", "10", "200"]),
     ],
 )
-def test_a_scale_of_colours_has_ticks_at_its_ends(norm, whole, names):
+def test_color_scale_has_ticks_at_its_ends(norm, whole, names):
     ticks, labels = picture._ticks(norm, whole)
     assert labels == names
     assert (ticks[0], ticks[-1]) == (norm.vmin, norm.vmax)
     np.testing.assert_allclose([float(label) for label in labels], ticks, rtol=1e-3)
 
 
-def test_heights_are_above_tracks_and_dots():
+def test_height_labels_are_drawn_above_tracks():
     ground, _ = terrain(10.0, amplitude=0.0)
     heights = drawn(ground, 0.1).texts
     # Dots of ends are at 3, tracks where Matplotlib has lines.
@@ -123,7 +125,7 @@ def test_heights_are_above_tracks_and_dots():
     assert all(height.get_zorder() > 3 for height in heights)
 
 
-def test_the_view_is_of_the_tracks_that_are_shown():
+def test_picture_view_fits_the_shown_tracks():
     level = np.array([[[0.0, 0.0, 0.5], [1.0, 0.01, 0.2]], [[2.0, 0.0, 0.1], [np.nan, 5.0, 0.0]]])
     plane, low, high = picture._extent([level])
     assert plane == [0, 2]
@@ -160,10 +162,10 @@ def recorded(*names, envs=3, records=50, **parameters):
 
 
 def headings(recording, most=3):
-    return [panel.heading for panel in panels_of(recording, NONE, most)]
+    return [panel.heading for panel in make_panels(recording, NONE, most)]
 
 
-def test_sensors_of_contacts_come_first():
+def test_contact_sensors_are_drawn_first():
     energy, speed = "scene.kinetic_energy", "ball.linear_velocity"
     touch = ("a.gap", "a.normal_force", "b.gap", "b.normal_force")
     assert headings(recorded(speed, energy, *touch)) == ["a.normal_force", "a.gap", f"magnitude of {speed}"]
@@ -176,7 +178,7 @@ def test_sensors_of_contacts_come_first():
     assert headings(recorded("a.normal_force", "b.normal_force")) == ["a.normal_force", "b.normal_force"]
 
 
-def test_a_contact_with_a_force_comes_before_one_without():
+def test_contact_with_force_is_drawn_before_one_without():
     recording = recorded("a.gap", "a.normal_force", "b.gap", "b.normal_force")
     recording["a.normal_force"][:] = 0.0
     assert headings(recording) == ["b.normal_force", "a.normal_force", "b.gap"]
@@ -188,10 +190,10 @@ def test_positions_are_drawn_if_nothing_else_was_recorded():
     assert headings(recorded("scene.kinetic_energy")) == ["scene.kinetic_energy", "height of ball"]
 
 
-def test_a_peak_of_one_record_is_drawn_and_printed():
+def test_peak_of_one_record_is_drawn_and_labeled():
     recording = recorded("a.normal_force", envs=3, records=100_000)
     recording["a.normal_force"][77_777, 1] = 1234.5
-    panel = panels_of(recording, NONE, 2)[0]
+    panel = make_panels(recording, NONE, 2)[0]
     axes = Figure().add_subplot()
     draw_panel(axes, panel, np.eye(4)[[0, 1, 2]])
     lines = axes.get_lines()
@@ -203,11 +205,11 @@ def test_a_peak_of_one_record_is_drawn_and_printed():
     assert axes.get_ylabel() == "normal_force [N]"
 
 
-def test_a_frozen_environment_is_dotted_and_leaves_the_others_readable():
+def test_frozen_environment_is_dotted_and_excluded_from_the_scale():
     recording = recorded("a.normal_force", envs=3)
     recording["a.normal_force"][:, 1] = 1e9
     axes = Figure().add_subplot()
-    draw_panel(axes, panels_of(recording, np.array([1]), 2)[0], np.eye(4)[[0, 1, 2]])
+    draw_panel(axes, make_panels(recording, np.array([1]), 2)[0], np.eye(4)[[0, 1, 2]])
     assert [line.get_linestyle() for line in axes.get_lines()] == ["-", ":", "-"]
     assert axes.get_ylim()[1] == pytest.approx(6.0)
     assert axes.get_ylabel() == "normal_force [N]"
@@ -216,7 +218,7 @@ def test_a_frozen_environment_is_dotted_and_leaves_the_others_readable():
 def test_many_environments_are_drawn_as_quantiles_without_frozen_ones():
     recording = recorded("a.normal_force", envs=20)
     recording["a.normal_force"][:, 4] = 1e9
-    panel = panels_of(recording, np.array([4]), 2)[0]
+    panel = make_panels(recording, np.array([4]), 2)[0]
     axes = Figure().add_subplot()
     draw_panel(axes, panel, None)
     assert [text.get_label() for text in axes.get_lines()] == ["median of 19 environments"]
@@ -235,7 +237,7 @@ def test_many_environments_are_drawn_as_quantiles_without_frozen_ones():
         ("a.radius", ("env",), [1.0, 1.0, 1.0], "environment"),
     ],
 )  # fmt: skip
-def test_curves_are_colored_by_the_first_varied_parameter_that_is_one_number(name, dims, values, expected):
+def test_curves_are_colored_by_the_first_scalar_varied_parameter(name, dims, values, expected):
     recording = recorded(**{name: (dims, np.array(values, dtype=float))})
     numbers, label = picture._color_values(recording, [name.removesuffix(".initial")])
     assert label == expected
@@ -267,7 +269,7 @@ def drops(tmp_path_factory):
 
 
 @pytest.mark.parametrize("envs", [1, CURVES, CURVES + 1])
-def test_no_text_is_clipped_or_overlaps_another(envs, drops, tmp_path, monkeypatch):
+def test_picture_texts_are_not_clipped_and_do_not_overlap(envs, drops, tmp_path, monkeypatch):
     figures = []
     monkeypatch.setattr(picture, "save", lambda figure, path: figures.append(figure))
     some = drops.isel(env=slice(0, envs))

@@ -14,7 +14,7 @@ MOST = 2**63 - 1
 
 
 @pytest.mark.parametrize("content", ["", "{", "[]", "null", "\x00", "[" * 100_000, '{"shard": 0}', "1" * 5000])
-def test_a_damaged_record_is_named(content, whole_run, copied_run):
+def test_damaged_commit_record_is_reported(content, whole_run, copied_run):
     folder = copied_run(whole_run)
     (folder / "commit" / "shard_000001.json").write_text(content)
     with pytest.raises(
@@ -52,7 +52,7 @@ def test_a_damaged_record_is_named(content, whole_run, copied_run):
         ({"more": 1}, "must have the entries shard, steps"),
     ],
 )
-def test_a_record_with_wrong_entries_names_them(entries, message, whole_run, copied_run):
+def test_invalid_commit_record_entries_are_reported(entries, message, whole_run, copied_run):
     folder = copied_run(whole_run)
     path = folder / "commit" / "shard_000001.json"
     runs.change(path, **entries)
@@ -81,7 +81,7 @@ HOSTILE = [
 
 @pytest.mark.parametrize("name", HOSTILE, ids=repr)
 @pytest.mark.parametrize("record", ["shard_000001.json", "store.json"])
-def test_a_record_that_names_files_elsewhere_is_refused_and_nothing_is_moved(name, record, part_run, copied_run):
+def test_commit_record_with_outside_file_names_is_refused_without_moving_files(name, record, part_run, copied_run):
     folder = copied_run(part_run)
     victim = folder.parent / "victim"
     victim.write_text("mine")
@@ -104,7 +104,7 @@ def test_a_record_that_names_files_elsewhere_is_refused_and_nothing_is_moved(nam
 @pytest.mark.parametrize(
     "entry", [None, [1], [1, 2], ["1", SHA], [-1, SHA], [10**30, SHA], [1, "x"], [1, SHA, 0], [True, SHA], {}]
 )
-def test_a_record_with_wrong_sizes_or_sums_is_refused(entry, whole_run, copied_run):
+def test_commit_record_with_invalid_sizes_or_hashes_is_refused(entry, whole_run, copied_run):
     folder = copied_run(whole_run)
     path = folder / "commit" / "shard_000001.json"
     runs.change(path, files={"outcome/status/c/0": entry})
@@ -112,13 +112,13 @@ def test_a_record_with_wrong_sizes_or_sums_is_refused(entry, whole_run, copied_r
         wc.open_run(folder)
 
 
-def test_no_record_of_a_run_is_refused(whole_run, part_run):
+def test_valid_commit_records_are_accepted(whole_run, part_run):
     for folder in (whole_run, part_run):
         for path in (folder / "commit").glob("shard_*.json"):
             assert Commit.read(RunPath(folder) / "commit" / path.name).shard in range(3)
 
 
-def test_other_files_do_no_harm(whole_run, copied_run):
+def test_unknown_files_do_not_affect_a_run(whole_run, copied_run):
     folder = copied_run(whole_run)
     (folder / "checkpoint").mkdir()
     for name in ("notes.txt", "commit/shard_000001 (copy).json", "commit/shard_1.json", "checkpoint/mine.npz"):

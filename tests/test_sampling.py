@@ -29,7 +29,7 @@ def uneven():
 
 @pytest.mark.parametrize(("method", "count"), METHODS)
 @pytest.mark.parametrize("mesh", [wc.meshes.icosphere(0.05, 3), wc.meshes.box((1, 2, 3)), uneven()])
-def test_areas_add_up_to_the_surface_and_normals_are_units(mesh, method, count):
+def test_sample_areas_sum_to_the_surface_area_and_normals_are_unit(mesh, method, count):
     samples = sample_surface(mesh, count, method)
     assert (samples.areas > 0).all()
     assert samples.areas.sum() == pytest.approx(mesh.report.area, rel=1e-12)
@@ -52,7 +52,7 @@ def test_areas_add_up_to_the_surface_and_normals_are_units(mesh, method, count):
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 @pytest.mark.parametrize("count", [50, pytest.param(1000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("mesh", [wc.meshes.icosphere(1.0, 5), uneven()])
-def test_blue_noise_is_as_even_as_sample_elimination_gets(mesh, count, seed):
+def test_blue_noise_samples_are_as_even_as_sample_elimination(mesh, count, seed):
     samples = sample_surface(mesh, count, seed=seed)
     assert len(samples) == count
     unit = hexagonal(mesh.report.area, count)
@@ -63,19 +63,19 @@ def test_blue_noise_is_as_even_as_sample_elimination_gets(mesh, count, seed):
     assert cKDTree(samples.positions).query(dense)[0].max() < 1.15 * unit
 
 
-def test_random_points_would_fail_the_test_of_evenness():
+def test_random_points_fail_the_evenness_test():
     points = np.random.default_rng(0).random((1000, 2))
     assert distances(points).min() < 0.1 * hexagonal(1.0, 1000)
 
 
-def test_density_does_not_follow_the_triangles():
+def test_sample_density_does_not_depend_on_triangles():
     samples = sample_surface(uneven(), 1000)
     fine = samples.positions[:, 0] < 0.5
     assert abs(fine.sum() - 500) < 15
     assert samples.areas[fine].sum() == pytest.approx(1.0, abs=0.02)
 
 
-def test_each_side_of_a_thin_plate_is_sampled_on_its_own():
+def test_both_sides_of_a_thin_plate_are_sampled_separately():
     plate = wc.meshes.box((1.0, 1.0, 1e-3))
     samples = sample_surface(plate, 600)
     for sign in (-1, 1):
@@ -85,7 +85,7 @@ def test_each_side_of_a_thin_plate_is_sampled_on_its_own():
         assert distances(samples.positions[side]).min() > 0.6 * hexagonal(1.0, 300)
 
 
-def test_blue_noise_areas_are_those_of_the_nearest_points():
+def test_blue_noise_areas_match_nearest_point_areas():
     samples = sample_surface(wc.meshes.grid((1.0, 1.0)), 200)
     probes = np.random.default_rng(3).random((400_000, 2)) - 0.5
     owner = cKDTree(samples.positions[:, :2]).query(probes)[1]
@@ -97,7 +97,7 @@ def test_blue_noise_areas_are_those_of_the_nearest_points():
     assert np.std(expected) * 200 > 0.1
 
 
-def test_a_seed_decides_the_points():
+def test_samples_are_repeatable_with_equal_seed():
     mesh = wc.meshes.icosphere(1.0, 3)
     one, same, other = (sample_surface(mesh, 300, seed=seed) for seed in (4, 4, 5))
     for key in ("positions", "areas", "normals", "faces"):
@@ -105,7 +105,7 @@ def test_a_seed_decides_the_points():
     assert not np.array_equal(one.positions, other.positions)
 
 
-def test_vertices_of_a_box_have_the_diagonal_for_a_normal_however_its_sides_are_divided():
+def test_vertex_sample_normals_of_a_box_are_diagonal_for_any_triangulation():
     box = wc.meshes.box((2, 2, 2))
     samples = sample_surface(box, method="vertices")
     np.testing.assert_allclose(samples.normals, np.sign(samples.positions) / np.sqrt(3.0), rtol=1e-12)
@@ -114,7 +114,7 @@ def test_vertices_of_a_box_have_the_diagonal_for_a_normal_however_its_sides_are_
     np.testing.assert_allclose(samples.areas, 2.0 / 3.0 * np.array(touching), rtol=1e-12)
 
 
-def test_vertices_at_the_same_place_are_one_point():
+def test_coincident_vertices_are_one_sample():
     box = wc.meshes.box()
     soup = wc.Mesh(box.vertices[box.faces].reshape(-1, 3), np.arange(36).reshape(-1, 3))
     samples = sample_surface(soup, method="vertices")
@@ -122,7 +122,7 @@ def test_vertices_at_the_same_place_are_one_point():
     assert samples.areas.sum() == pytest.approx(6.0)
 
 
-def test_centroids_are_the_centres_of_the_faces():
+def test_centroid_samples_are_at_face_centroids():
     mesh = wc.meshes.sinusoidal_terrain(cells=(5, 4))
     samples = sample_surface(mesh, method="centroids")
     np.testing.assert_allclose(samples.positions, mesh.vertices[mesh.faces].mean(axis=1))
@@ -130,7 +130,7 @@ def test_centroids_are_the_centres_of_the_faces():
 
 
 @pytest.mark.parametrize(("method", "count"), METHODS)
-def test_a_part_of_the_faces_is_sampled_alone(method, count):
+def test_subset_of_faces_can_be_sampled(method, count):
     mesh = wc.meshes.icosphere(1.0, 3)
     top = mesh.vertices[mesh.faces].mean(axis=1)[:, 2] > 0.5
     samples = sample_surface(mesh, count, method, faces=top)
@@ -144,7 +144,7 @@ def test_a_part_of_the_faces_is_sampled_alone(method, count):
     np.testing.assert_array_equal(numbers.positions, samples.positions)
 
 
-def test_what_is_not_allowed_is_named():
+def test_sample_surface_raises_for_invalid_arguments():
     mesh = wc.meshes.box()
     cases = [
         ({"count": 0}, "count must be a whole number of at least 1, got 0"),

@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 import warp as wp
-from warpcontact.kernels.friction.saturation import saturated
+from warpcontact.kernels.friction.saturation import fast_tanh
 
 
 @pytest.mark.parametrize(("real", "units"), [(np.float32, 3.0), (np.float64, 4.0)], ids=["float32", "float64"])
-def test_is_the_hyperbolic_tangent_to_rounding(real, units, device):
+def test_fast_tanh_matches_hyperbolic_tangent_to_rounding(real, units, device):
     """Within three units in the last place in float32, as Cephes says; in float64 it is the library's."""
     kind = wp.dtype_from_numpy(real)
 
     @wp.kernel(module="unique", enable_backward=False)
     def evaluate(x: wp.array(dtype=kind), y: wp.array(dtype=kind)):
-        y[wp.tid()] = saturated(x[wp.tid()])
+        y[wp.tid()] = fast_tanh(x[wp.tid()])
 
     size = np.geomspace(1.0e-30, 200.0, 200_001)
     # Both sides of where the polynomial ends, too.
@@ -26,12 +26,12 @@ def test_is_the_hyperbolic_tangent_to_rounding(real, units, device):
     assert error.max() <= units
 
 
-def test_what_is_no_number_stays_none(device):
+def test_fast_tanh_of_nan_is_nan(device):
     """A contact that fails is seen by what it leads to."""
 
     @wp.kernel(module="unique", enable_backward=False)
     def evaluate(x: wp.array(dtype=wp.float32), y: wp.array(dtype=wp.float32)):
-        y[wp.tid()] = saturated(x[wp.tid()])
+        y[wp.tid()] = fast_tanh(x[wp.tid()])
 
     x = wp.array([np.nan], dtype=wp.float32, device=device)
     y = wp.zeros_like(x)

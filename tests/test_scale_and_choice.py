@@ -26,7 +26,7 @@ def around(mesh, count=500):
 
 @PRECISIONS
 @pytest.mark.parametrize("scale", [0.5, 4.0, 1e-3, 3.7])
-def test_a_scaled_surface_is_the_mesh_with_scaled_vertices(scale, precision, device):
+def test_scaled_surface_equals_mesh_with_scaled_vertices(scale, precision, device):
     for mesh in (hard_cases.angle_bracket(), hard_cases.moved(hard_cases.angle_bracket(), (3.0, -1.0, 2.0))):
         larger = wc.Mesh(scale * mesh.vertices, mesh.faces)
         points = around(larger)
@@ -63,7 +63,7 @@ def results(sim, names=(*STATE, "carrier.position", "carrier.orientation", "corn
 
 
 @PRECISIONS
-def test_scales_of_environments_are_those_of_scenes(precision, device):
+def test_surface_scale_per_environment_equals_separate_scenes(precision, device):
     scales = [0.5, 0.8, 1.0, 1.3]
     model = scene_of(wc.meshes.icosphere(0.6, 2)).build(envs=4, precision=precision, device=device)
     model["ground.scale"] = scales
@@ -83,7 +83,7 @@ CHOICE = (wc.meshes.icosphere(0.6, 2), wc.meshes.box((1.2, 1.2, 1.2)), wc.meshes
 
 
 @PRECISIONS
-def test_chosen_meshes_are_those_of_scenes(precision, device):
+def test_mesh_index_per_environment_equals_separate_scenes(precision, device):
     chosen = [2, 0, 1, 1, 0, 2]
     model = scene_of(list(CHOICE)).build(envs=6, precision=precision, device=device)
     model["ground.mesh"] = chosen
@@ -101,7 +101,7 @@ def test_chosen_meshes_are_those_of_scenes(precision, device):
 
 
 @PRECISIONS
-def test_scale_and_choice_act_between_steps(precision, device):
+def test_surface_scale_and_mesh_index_can_change_between_steps(precision, device):
     box, ball = wc.meshes.box((1.0, 1.0, 1.0)), wc.meshes.icosphere(0.5, 3)
     scene = wc.Scene(gravity=(0, 0, 0))
     ground = scene.add_surface([box, ball], name="ground")
@@ -125,7 +125,7 @@ def test_scale_and_choice_act_between_steps(precision, device):
 
 @PRECISIONS
 @pytest.mark.parametrize("search", ["whole", "active"])
-def test_each_choice_has_its_own_active_part(search, precision, device):
+def test_each_mesh_has_its_own_active_faces(search, precision, device):
     square = wc.meshes.grid((2.0, 2.0), (1, 1))
     fine = wc.meshes.grid((2.0, 2.0), (2, 2))
     left = np.flatnonzero(fine.vertices[fine.faces].mean(axis=1)[:, 0] < 0)
@@ -139,7 +139,7 @@ def test_each_choice_has_its_own_active_part(search, precision, device):
     assert model.sensor("touch.status").tolist() == [ContactStatus.CONTACT, free, ContactStatus.CONTACT]
 
 
-def test_wrong_values_are_refused_by_name(device):
+def test_invalid_scale_or_mesh_index_is_refused(device):
     box = wc.meshes.box()
     model = scene_of([box, box]).build(envs=2, device=device)
     single = scene_of(box).build(device=device)

@@ -51,7 +51,7 @@ def bare(tmp_path):
 
 
 @pytest.mark.parametrize("k", [0.0, 0.5, 1.0, 2.0])
-def test_the_exponent_of_a_power_law_is_found(load, k):
+def test_power_law_exponent_is_fitted(load, k):
     fits = load("fits")
     values = np.geomspace(1, 1e6, 9)
     noise = np.array([1.0, 1.01, 0.99, 1.0, 1.01, 0.99, 1.0, 1.01, 0.99])
@@ -63,7 +63,7 @@ def test_the_exponent_of_a_power_law_is_found(load, k):
     assert fits.upper_exponent(np.array([1, 2, 1000]), [7.0, 1.0, 500**k]) == pytest.approx(k)
 
 
-def test_what_a_decade_adds_is_found(load):
+def test_growth_per_decade_is_fitted(load):
     fits = load("fits")
     values = np.geomspace(1e3, 1e6, 7)
     slope, explained = fits.per_decade(values, 40.0 + 12.5 * np.log10(values))
@@ -73,13 +73,13 @@ def test_what_a_decade_adds_is_found(load):
     assert fits.per_decade(values, values)[1] < 0.7  # linear growth is no logarithm
 
 
-def test_a_fit_needs_two_values(load):
+def test_fit_requires_two_positive_values(load):
     for values, costs in (([1, 1], [1, 2]), ([1], [1]), ([1, 2], [1, 2, 3]), ([0, 1], [1, 2]), ([1, 2], [0, 1])):
         with pytest.raises(ValueError, match="two or more positive values"):
             load("fits").exponent(values, costs)
 
 
-def test_growth_is_fitted_along_every_line(load):
+def test_growth_is_fitted_for_every_series(load):
     def entry(series, line, value, envs, cost):
         return {
             "series": series,
@@ -109,7 +109,7 @@ def test_growth_is_fitted_along_every_line(load):
     assert len(scaling.lines(list(found.values()))) == len(found) == 4
 
 
-def test_series_vary_one_thing(load):
+def test_scaling_series_vary_one_quantity(load):
     series = load("series")
     sizes = series.Sizes("cpu", 256, 512, 10**6, 6)
     found = {name: series.cases(name, sizes) for name in series.SERIES}
@@ -130,7 +130,7 @@ def test_series_vary_one_thing(load):
     assert max(case.envs for case in series.cases("environments", gpu)) == 4**10
 
 
-def test_points_are_added_to_the_corners_of_the_box(load):
+def test_scaling_points_are_added_to_the_box_corners(load):
     for count in (8, 9, 64):
         points = load("series").spread_points(count)
         assert points.shape == (count, 3)
@@ -139,7 +139,7 @@ def test_points_are_added_to_the_corners_of_the_box(load):
 
 
 @pytest.mark.slow
-def test_scaling_runs_and_draws(device, tmp_path):
+def test_scaling_benchmark_runs_and_plots(device, tmp_path):
     out, picture = tmp_path / "figures.json", tmp_path / "picture.svg"
     done = run("scaling.py", *TINY, "--device", device, "--out", out, "--plot", picture)
     assert done.returncode == 0, done.stderr
@@ -159,7 +159,7 @@ def test_scaling_runs_and_draws(device, tmp_path):
 
 
 @pytest.mark.slow
-def test_scaling_runs_where_only_the_engine_is_and_is_drawn_elsewhere(device, tmp_path, bare):
+def test_scaling_benchmark_runs_without_matplotlib_and_is_plotted_elsewhere(device, tmp_path, bare):
     out = tmp_path / "figures.json"
     words = [*TINY, "--device", device, "--series", "environments", "--out", out]
     done = run("scaling.py", *words, **bare)
@@ -170,18 +170,18 @@ def test_scaling_runs_where_only_the_engine_is_and_is_drawn_elsewhere(device, tm
     assert (tmp_path / "picture.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_stages_run_where_only_the_engine_is(device, tmp_path, bare):
+def test_stage_benchmark_runs_with_minimal_dependencies(device, tmp_path, bare):
     out = tmp_path / "stages.json"
     words = ["--device", device, "--envs", "2", "--works", "W2p8", "--at", "3", "--repeats", "1", "--out", out]
     done = run("stages.py", *words, **bare)
     assert done.returncode == 0, done.stderr
     costs = json.loads(out.read_text())["stages"]["W2p8"]["2"]["ns_per_env_after_steps"]["3"]
     assert {"bare query", "copy of state"} < costs.keys()
-    assert costs.keys() & {"meet_sets", "step_alone", "closest_point"}
+    assert costs.keys() & {"update_sets", "fused_step", "closest_point"}
 
 
 @pytest.mark.slow
-def test_start_runs_where_only_the_engine_is(device, tmp_path, bare):
+def test_startup_benchmark_runs_with_minimal_dependencies(device, tmp_path, bare):
     out = tmp_path / "start.json"
     words = ["--device", device, "--rounds", "1", "--envs", "2", "--at-least", "1e-6", "--out", out]
     done = run("start.py", *words, **bare)

@@ -7,7 +7,7 @@ import pytest
 from scenes import dropped_sphere, square
 
 import warpcontact as wc
-from warpcontact.checks import look_up
+from warpcontact.checks import find_entry
 
 pytestmark = pytest.mark.installed
 
@@ -86,12 +86,12 @@ BAD = [
 
 
 @pytest.mark.parametrize(("make", "message"), BAD, ids=[message[:40] for _, message in BAD])
-def test_bad_input_is_refused_with_a_message_that_names_it(make, message):
+def test_invalid_scene_input_is_refused_with_its_name(make, message):
     with pytest.raises((ValueError, TypeError), match=re.escape(message)):
         make()
 
 
-def test_both_sides_of_a_contact_may_not_be_fixed_together():
+def test_contact_of_two_fixed_sides_is_refused():
     scene = scene_with()
     surface = scene.add_surface(square())
     with pytest.raises(ValueError, match="points and surface are both fixed to the world"):
@@ -112,7 +112,7 @@ def test_elements_of_another_scene_are_refused():
 
 
 @pytest.mark.parametrize("key", ["enabled", "visible", "swept"])
-def test_what_is_neither_true_nor_false_is_refused(key):
+def test_non_boolean_option_is_refused(key):
     scene = scene_with()
     point, surface = scene.add_point(scene.bodies[0], (0, 0, 0)), scene.add_surface(square())
     with pytest.raises(ValueError, match=f"touch.{key} must be True or False, got 'no'"):
@@ -120,7 +120,7 @@ def test_what_is_neither_true_nor_false_is_refused(key):
     assert scene.add_contact(point, surface, HOOKE, name="touch", **{key: np.bool_(False)}).name == "touch"
 
 
-def test_names_are_made_up_when_not_given():
+def test_names_are_generated_if_not_given():
     scene = wc.Scene()
     names = [scene.add_body(1.0, (1, 1, 1)).name for _ in range(3)]
     assert names == ["body", "body_2", "body_3"]
@@ -143,7 +143,7 @@ PARAMETERS = [
 
 
 @pytest.mark.parametrize(("name", "value", "message"), PARAMETERS, ids=[f"{n}={v}" for n, v, _ in PARAMETERS])
-def test_bad_parameter_values_are_refused_and_change_nothing(name, value, message):
+def test_invalid_parameter_values_are_refused_without_changes(name, value, message):
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e3), envs=4)
     before = model[name].copy()
     with pytest.raises(ValueError, match=re.escape(message)):
@@ -151,7 +151,7 @@ def test_bad_parameter_values_are_refused_and_change_nothing(name, value, messag
     np.testing.assert_array_equal(model[name], before)
 
 
-def test_an_inertia_that_could_mean_two_things_is_refused():
+def test_ambiguous_inertia_shape_is_refused():
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e3), envs=3)
     moments = np.array([(1.0, 2.0, 2.5), (1.0, 1.0, 1.0), (2.0, 2.0, 3.0)])
     with pytest.raises(ValueError, match=r"of shape \(3, 3\) may be meant for all environments or one row"):
@@ -177,9 +177,9 @@ def test_unknown_names_suggest_the_nearest():
     with pytest.raises(KeyError, match=r"no sensor 'touch\.zzzzzz'; there are: (touch\.\w+, )+touch\.\w+\"$"):
         model.sensor("touch.zzzzzz")
     with pytest.raises(KeyError, match=r"no sensor 'touch\.gap'; there are: e0\.\*, (e\d+\.\*, ){19}…\"$"):
-        look_up("sensor", "touch.gap", {f"e{i}.value": None for i in range(21)})
+        find_entry("sensor", "touch.gap", {f"e{i}.value": None for i in range(21)})
     with pytest.raises(KeyError, match=r"no catenary 'c'; there are: line, rope\"$"):
-        look_up("catenary", "c", {"line": None, "rope": None})
+        find_entry("catenary", "c", {"line": None, "rope": None})
     with pytest.raises(KeyError, match=r"'touch\.gap' is a sensor, not a parameter; use model\.sensor"):
         model["touch.gap"] = 0.5
     law = wc.laws.HuntCrossley(stiffness=1e3, restitution=0.5)
@@ -187,7 +187,7 @@ def test_unknown_names_suggest_the_nearest():
         dropped_sphere(law)["touch.law.damping"] = 0.5
 
 
-def test_parameters_of_every_kind_take_one_value_or_one_per_environment():
+def test_parameters_accept_one_value_or_one_per_environment():
     scene = scene_with()
     surface = scene.add_surface(square(), name="ground")
     points = scene.add_points(scene.bodies[0], np.eye(3), name="corners")
@@ -210,7 +210,7 @@ def test_parameters_of_every_kind_take_one_value_or_one_per_environment():
     np.testing.assert_allclose(model["corners.position"][4], np.arange(9.0).reshape(3, 3))
 
 
-def test_the_initial_state_follows_its_parameters_until_the_first_step():
+def test_initial_state_follows_its_parameters_until_the_first_step():
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e3), envs=2)
     sim = wc.Simulation(model, dt=1e-3)
     model["ball.position"] = [(0, 0, 1), (0, 0, 2)]
@@ -222,7 +222,7 @@ def test_the_initial_state_follows_its_parameters_until_the_first_step():
     np.testing.assert_allclose(model.sensor("ball.position")[:, 2], [5, 5])
 
 
-def test_a_model_does_not_change_with_its_scene():
+def test_model_does_not_change_with_its_scene():
     scene = scene_with()
     model = scene.build()
     scene.add_body(1.0, (1, 1, 1), name="later")
@@ -230,7 +230,7 @@ def test_a_model_does_not_change_with_its_scene():
     assert model.body_count == 1
 
 
-def test_one_scene_holds_several_laws():
+def test_one_scene_can_have_several_laws():
     scene = wc.Scene(gravity=(0, 0, 0))
     ground = scene.add_surface(square(), name="ground")
     materials = [
@@ -263,13 +263,13 @@ def test_one_scene_holds_several_laws():
         (lambda m: m.reset([1]), "env_mask must be 1 booleans"),
     ],
 )  # fmt: skip
-def test_bad_simulation_input_is_refused(make, message):
+def test_invalid_simulation_input_is_refused(make, message):
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e3))
     with pytest.raises((ValueError, TypeError), match=re.escape(message)):
         make(model)
 
 
-def test_a_mesh_whose_faces_vanish_in_float32_is_refused():
+def test_mesh_with_faces_without_area_in_float32_is_refused():
     scene = scene_with()
     big, far = (0, 0, 0), 5e5
     corners = [(far, 0, 0), (far + 1e-3, 0, 0), (far, 1e-3, 0), big, (1, 0, 0), (0, 1, 0)]
@@ -280,7 +280,7 @@ def test_a_mesh_whose_faces_vanish_in_float32_is_refused():
         scene.build()
 
 
-def test_a_scene_tells_what_is_in_it():
+def test_repr_of_a_scene_lists_its_elements():
     assert repr(wc.Scene()) == "<Scene of nothing yet>"
     scene = wc.Scene()
     ground = scene.add_surface(wc.meshes.grid((1, 1)), name="ground")
@@ -290,7 +290,7 @@ def test_a_scene_tells_what_is_in_it():
     assert repr(scene) == "<Scene of bodies: ball; surfaces: ground; points: centre; contacts: touch>"
 
 
-def test_an_entry_that_is_refused_is_named_by_what_there_are_several_of(device):
+def test_refused_entry_is_named_with_its_index_if_there_are_several(device):
     scene = wc.Scene()
     scene.add_body(1.0, (1, 1, 1), name="ball")
     model = scene.build(envs=3, device=device)

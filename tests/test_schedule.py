@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 import warp as wp
-from like_a_gpu import cells_everywhere, with_queues
+from like_a_gpu import build_all_face_grids, use_work_queues
 
 import warpcontact as wc
 from warpcontact import crew, schedule, stepping
@@ -97,20 +97,20 @@ SCENES = {
     "sphere on terrain": terrain_with([[0.02, 0.01, 0.0]], radius=0.08),
     "box of points on terrain": terrain_with(cloud(60, 0.2)),
     "one with a limited depth": terrain_with(cloud(20, 0.2), max_depth=0.05),
-    "one that sees little": terrain_with(cloud(20, 0.2), radius=0.01, search_radius=0.06),
+    "small search radius": terrain_with(cloud(20, 0.2), radius=0.01, search_radius=0.06),
     "on a ball": falling_on(SHELL),
     "on a mesh in another unit": falling_on(wc.meshes.icosphere(4.0, 3), surface={"scale": 0.1}),
     "on the inner side of a ball": falling_on(SHELL.flipped(), height=0.1),
     "beside a plate": falling_on(PLATE),
-    "over its rim": falling_on(PLATE, boundary="outer"),
+    "over the boundary": falling_on(PLATE, boundary="outer"),
     "latched": falling_on(PLATE, entry="latched"),
     "latched on a ball": falling_on(SHELL, entry="latched"),
-    "latched, and seeing little": falling_on(SHELL, entry="latched", search_radius=0.15),
+    "latched with small search radius": falling_on(SHELL, entry="latched", search_radius=0.15),
     "swept": falling_on(SHELL, swept=True),
     "a fold that hides a side": falling_on(FOLDED),
     "partly active": falling_on(SHELL, surface=half_active(SHELL)),
     "the active part": falling_on(SHELL, surface=half_active(SHELL), search="active"),
-    "with memory": falling_on(SHELL, material=STUCK),
+    "with history": falling_on(SHELL, material=STUCK),
     "two bodies": two_bodies,
     # Lists of up to 25, and of up to 48 faces, which is not enough.
     "a sphere of 3 edges": falling_on(FINE, radius=0.18),
@@ -157,30 +157,30 @@ def assert_same(left, right):
 
 @PRECISIONS
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
-@pytest.mark.parametrize("few", [True, False], ids=["", "as of many"])
+@pytest.mark.parametrize("few", [True, False], ids=["small", "large"])
 @pytest.mark.parametrize("name", SCENES)
-def test_what_is_known_of_distances_changes_nothing(name, few, precision, device, monkeypatch):
+def test_distance_cache_does_not_change_results(name, few, precision, device, monkeypatch):
     if not few:
         if device == "cpu":
             pytest.skip("a CPU does the same for few and many")
-        monkeypatch.setattr(schedule, "FEW", 0)
-    known, pushed = run(name, precision, device)
-    afresh, _ = run(name, precision, device, distance_cache=False, capture_graphs=False, threads=1)
+        monkeypatch.setattr(schedule, "SMALL_LAUNCH", 0)
+    with_cache, pushed = run(name, precision, device)
+    uncached, _ = run(name, precision, device, distance_cache=False, capture_graphs=False, threads=1)
     assert pushed.sum() >= 3
-    assert_same(known, afresh)
+    assert_same(with_cache, uncached)
 
 
 @pytest.fixture(params=["blocks", "queues", "queues and cells"])
-def looked_at(request, monkeypatch):
+def detection(request, monkeypatch):
     """Contacts are looked at as on a CPU, or as on a GPU."""
     if request.param != "blocks":
-        with_queues(monkeypatch)
+        use_work_queues(monkeypatch)
     if request.param == "queues and cells":
-        cells_everywhere(monkeypatch)
+        build_all_face_grids(monkeypatch)
 
 
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
-def test_what_was_seen_before_a_step_is_taken_again_is_not_forgotten(looked_at):
+def test_latch_armed_in_a_repeated_step_is_preserved(detection):
     """A point is armed while the step is taken again, sleeps, and is looked at next when it touches."""
 
     def run(distance_cache):
@@ -214,9 +214,9 @@ def test_what_was_seen_before_a_step_is_taken_again_is_not_forgotten(looked_at):
         # Turned over in between, so that of two points another comes into sight first: armed there.
         (0.03, [(0.28, 0), (0.28, 1), *((z, 1) for z in np.arange(0.27, -0.05, -0.026))], [True, True]),
     ],
-    ids=["out of sight", "into sight"],
+    ids=["out_of_reach", "into_reach"],
 )
-def test_points_of_a_block_are_armed_where_they_are_seen(arm, places, touches, looked_at):
+def test_points_of_a_cluster_are_armed_when_detected(arm, places, touches, detection):
     def run(distance_cache):
         scene = wc.Scene(gravity=(0, 0, 0))
         ground = scene.add_surface(wc.meshes.grid((2, 2), (4, 4)), name="ground")
@@ -238,7 +238,7 @@ def test_points_of_a_block_are_armed_where_they_are_seen(arm, places, touches, l
 
 @pytest.mark.parametrize("points", [1, 3])
 @pytest.mark.parametrize("speed", [0.0, -0.1])
-def test_nor_does_it_when_a_contact_that_never_was_outside_is_enabled(points, speed, device):
+def test_distance_cache_does_not_change_a_contact_enabled_in_overlap(points, speed, device):
     """It has not moved yet, so that what remembers its way has no force in the first step."""
 
     def run(distance_cache):
@@ -263,17 +263,17 @@ def test_nor_does_it_when_a_contact_that_never_was_outside_is_enabled(points, sp
             states.append([model.sensor(f"body.{key}") for key in STATE])
         return states
 
-    cached, afresh = run(True), run(False)
+    cached, uncached = run(True), run(False)
     np.testing.assert_array_equal(cached[0][2][:, :2], np.float32([[0.5, 0.3]] * 2))
-    assert (afresh[1][2][:, 0] < 0.5).all()
-    for one, other in zip(cached, afresh, strict=True):
+    assert (uncached[1][2][:, 0] < 0.5).all()
+    for one, other in zip(cached, uncached, strict=True):
         for a, b in zip(one, other, strict=True):
             np.testing.assert_array_equal(a, b)
 
 
 @PRECISIONS
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
-def test_nor_does_it_when_bodies_are_put_elsewhere_or_parameters_change(precision, device):
+def test_distance_cache_does_not_change_results_after_state_or_parameter_changes(precision, device):
     """Between steps somebody sets the state, moves the surface, changes sizes or resets some environments."""
 
     def run(distance_cache):
@@ -288,15 +288,15 @@ def test_nor_does_it_when_bodies_are_put_elsewhere_or_parameters_change(precisio
         sim = wc.Simulation(model, dt=1e-3, distance_cache=distance_cache)
         rng = np.random.default_rng(8)
 
-        def put(near):
+        def replace_state(near):
             state = sim.state.body_position.numpy().copy()
             state[::3, 0] = near + rng.normal(0, 0.02, (len(state[::3]), 3))
             sim.state.body_position.assign(state)
 
         changes = [
-            lambda: put((0.0, 0.0, 0.25)),
-            lambda: put((0.0, 0.0, 5.0)),
-            lambda: put((0.0, 0.0, 0.65)),
+            lambda: replace_state((0.0, 0.0, 0.25)),
+            lambda: replace_state((0.0, 0.0, 5.0)),
+            lambda: replace_state((0.0, 0.0, 0.65)),
             lambda: model.__setitem__("ground.mesh", rng.integers(0, 2, ENVS)),
             lambda: model.__setitem__("ground.position", rng.normal(0, 0.1, (ENVS, 3))),
             lambda: model.__setitem__("ground.scale", rng.uniform(0.8, 1.3, ENVS)),
@@ -321,8 +321,8 @@ def test_nor_does_it_when_bodies_are_put_elsewhere_or_parameters_change(precisio
 
 @PRECISIONS
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
-@pytest.mark.parametrize("name", ["box of points on terrain", "with memory", "swept", "two bodies"])
-def test_captured_steps_are_the_launched_ones(name, precision, device):
+@pytest.mark.parametrize("name", ["box of points on terrain", "with history", "swept", "two bodies"])
+def test_captured_steps_equal_launched_steps(name, precision, device):
     """A graph of many steps, of two, of one and whatever they add up to."""
 
     def run(graphs):
@@ -340,12 +340,12 @@ def test_captured_steps_are_the_launched_ones(name, precision, device):
 
 
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
-@pytest.mark.parametrize("name", ["box of points on terrain", "with memory", "swept", "two bodies"])
+@pytest.mark.parametrize("name", ["box of points on terrain", "with history", "swept", "two bodies"])
 @pytest.mark.parametrize(("threads", "size"), [(2, 7), (3, 1), (5, 100)])
-def test_threads_and_slices_change_nothing(name, threads, size, device, monkeypatch):
+def test_threads_and_slices_do_not_change_results(name, threads, size, device, monkeypatch):
     alone, _ = run(name, "float32", device, threads=1)
-    monkeypatch.setattr(stepping, "LARGEST_SLICE", size)
-    monkeypatch.setattr(crew, "ALONE", 0)
+    monkeypatch.setattr(stepping, "MAX_SLICE", size)
+    monkeypatch.setattr(crew, "SERIAL_ENV_STEPS", 0)
     shared, _ = run(name, "float32", device, threads=threads)
     assert_same(alone, shared)
 
@@ -356,26 +356,26 @@ def test_threads_and_slices_change_nothing(name, threads, size, device, monkeypa
     ("celled", "few"),
     [
         pytest.param(False, False, id="of many", marks=pytest.mark.slow),
-        pytest.param(True, True, id="in cells-of few", marks=pytest.mark.slow),
-        pytest.param(False, True, id="of few", marks=pytest.mark.slow),
-        pytest.param(True, False, id="in cells-of many"),
+        pytest.param(True, True, id="grid-small", marks=pytest.mark.slow),
+        pytest.param(False, True, id="small", marks=pytest.mark.slow),
+        pytest.param(True, False, id="grid-large"),
     ],
 )
 # Cells about faces that are small beside spheres take a CPU long to fill.
 @pytest.mark.parametrize("name", [name for name in SCENES if not name.endswith("edges")])
-def test_queues_change_nothing(name, few, celled, precision, monkeypatch):
+def test_work_queues_do_not_change_results(name, few, celled, precision, monkeypatch):
     """As a GPU looks at contacts, here by one thread."""
     usual = usual_run(name, precision)
-    with_queues(monkeypatch)
+    use_work_queues(monkeypatch)
     if celled:
-        cells_everywhere(monkeypatch)
+        build_all_face_grids(monkeypatch)
     if not few:
-        monkeypatch.setattr(schedule, "FEW", 0)
+        monkeypatch.setattr(schedule, "SMALL_LAUNCH", 0)
     assert_same(run(name, precision, "cpu")[0], usual)
 
 
-def test_simulations_side_by_side_do_not_notice_each_other(device):
-    names = ["box of points on terrain", "with memory", "on a ball", "two bodies"]
+def test_concurrent_simulations_do_not_affect_each_other(device):
+    names = ["box of points on terrain", "with history", "on a ball", "two bodies"]
     alone = [run(name, "float32", device)[0] for name in names]
     # A GPU has one stream for all: there they take turns.
     with ThreadPoolExecutor(len(names) if device == "cpu" else 1) as pool:
@@ -386,7 +386,7 @@ def test_simulations_side_by_side_do_not_notice_each_other(device):
 
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
 @pytest.mark.parametrize("name", ["box of points on terrain", "two bodies"])
-def test_a_deterministic_run_repeats_to_the_bit(name, device):
+def test_deterministic_run_is_repeated_bitwise(name, device):
     first, _ = run(name, "float32", device, deterministic=True)
     second, _ = run(name, "float32", device, deterministic=True, capture_graphs=False)
     assert_same(first, second)
@@ -394,7 +394,7 @@ def test_a_deterministic_run_repeats_to_the_bit(name, device):
 
 @pytest.mark.parametrize("crossing_substeps", [1, 4])
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
-def test_an_interruption_leaves_all_environments_at_one_time(crossing_substeps, device):
+def test_interrupt_leaves_all_environments_at_one_time(crossing_substeps, device):
     """Ctrl-C, whenever it comes: whole steps were taken by everybody, and the clock tells how many."""
 
     def prepared():
@@ -418,16 +418,16 @@ def test_an_interruption_leaves_all_environments_at_one_time(crossing_substeps, 
         np.testing.assert_array_equal(sim.model.sensor(f"body.{key}"), other.model.sensor(f"body.{key}"))
 
 
-def test_steps_that_take_long_are_few_between_two_looks_at_ctrl_c():
+def test_slow_steps_are_split_into_small_chunks():
     """However long a step takes, and however many are asked for."""
 
     class Stepper:
         captured, device = False, wp.get_device("cpu")
 
-        def go_to(self, own):
+        def select(self, own):
             pass
 
-        def go_to_frame(self, number):
+        def set_frame(self, number):
             pass
 
         def capture(self, ways):
@@ -436,11 +436,11 @@ def test_steps_that_take_long_are_few_between_two_looks_at_ctrl_c():
         def step(self, ways):
             time.sleep(0.02 * sum(way.steps for way in ways))
 
-    assert list(crew.Crew([crew.Share([slice(0, 1)], [Stepper()])]).step(24)) == [8, 16, 24]
+    assert list(crew.WorkerPool([crew.DeviceShare([slice(0, 1)], [Stepper()])]).step(24)) == [8, 16, 24]
 
 
 @pytest.mark.parametrize("wrong", [0, -1, 1.5, True, "4"])
-def test_wrong_numbers_of_threads_are_refused_by_name(wrong, device):
+def test_invalid_number_of_threads_is_refused(wrong, device):
     model = SCENES["on a ball"]().build(device=device)
     with pytest.raises(ValueError, match=r"threads must be a whole number of at least 1"):
         wc.Simulation(model, dt=1e-3, threads=wrong)

@@ -99,7 +99,7 @@ def test_sensors_have_the_documented_value_at_each_status(model):
             assert "< 0" not in cell or found < 0.0
 
 
-def test_delta_is_a_name_of_penetration_on_input_only(model):
+def test_delta_is_an_alias_of_penetration_on_input_only(model):
     depth = model.sensor("touch.penetration")
     np.testing.assert_array_equal(model.sensor("touch.delta"), depth)
     assert model.find_sensor("touch.delta").name == "touch.penetration"
@@ -194,7 +194,7 @@ PROPOSALS = [
 
 
 @pytest.mark.parametrize(("name", "meant"), PROPOSALS, ids=[name for name, _ in PROPOSALS])
-def test_unknown_sensor_gets_the_name_of_this_library(name, meant, model):
+def test_unknown_sensor_suggests_the_name_of_this_library(name, meant, model):
     with pytest.raises(KeyError, match=f"no sensor '{name}'; did you mean '{meant}'"):
         model.sensor(name)
 
@@ -210,6 +210,6 @@ PARAMETERS = [
 
 
 @pytest.mark.parametrize(("name", "meant"), PARAMETERS, ids=[name for name, _ in PARAMETERS])
-def test_unknown_parameter_gets_the_name_of_this_library(name, meant, model):
+def test_unknown_parameter_suggests_the_name_of_this_library(name, meant, model):
     with pytest.raises(KeyError, match=f"no parameter '{name}'; did you mean '{meant}'"):
         model[name] = 1.0

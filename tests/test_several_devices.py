@@ -17,7 +17,7 @@ from warpcontact.cli import main
 # What is where
 
 
-def test_environments_are_side_by_side_and_spread_evenly(device):
+def test_environments_are_split_evenly_and_contiguously(device):
     model = scene().build(11, [device] * 4)
     assert isinstance(model, wc.SplitModel)
     assert [part.envs for part in model.parts] == [3, 3, 3, 2]
@@ -29,7 +29,7 @@ def test_environments_are_side_by_side_and_spread_evenly(device):
     )
 
 
-def test_no_device_is_left_without_an_environment(device):
+def test_every_device_has_at_least_one_environment(device):
     assert len(scene().build(2, [device] * 4).parts) == 2
     alone = scene().build(1, [device] * 4)
     assert isinstance(alone, wc.Model)
@@ -37,7 +37,7 @@ def test_no_device_is_left_without_an_environment(device):
     assert isinstance(scene().build(3, [device]), wc.Model)
 
 
-def test_all_gpus_are_those_that_cuda_shows(device):
+def test_cuda_device_means_all_visible_gpus(device):
     count = wp.get_cuda_device_count()
     if not count:
         pytest.skip("there is no GPU")
@@ -45,7 +45,7 @@ def test_all_gpus_are_those_that_cuda_shows(device):
     assert [str(where) for where in model.devices] == [f"cuda:{number}" for number in range(count)]
 
 
-def test_parts_share_their_state_without_a_copy(devices, device):
+def test_parts_share_their_state_without_copy(devices, device):
     _, model = both(device, devices)
     wc.Simulation(model, dt=1e-3).step(5)
     gathered = np.concatenate([part.state.body_position.numpy() for part in model.parts])
@@ -58,7 +58,7 @@ def test_parts_share_their_state_without_a_copy(devices, device):
     np.testing.assert_allclose(model.sensor("ball.position")[-1], (0, 0, 9), atol=1e-6)
 
 
-def test_environments_of_a_batch_are_numbered_through(device):
+def test_environments_of_a_batch_are_numbered_consecutively(device):
     model = scene().build(7, [device] * 3)
     assert [part.first_env for part in model.parts] == [0, 3, 5]
     model.first_env = 100
@@ -71,7 +71,7 @@ def test_environments_of_a_batch_are_numbered_through(device):
     assert recording["env"].values.tolist() == list(range(100, 107))
 
 
-def test_what_only_a_part_has_is_refused_with_where_it_is(device):
+def test_attributes_of_a_single_part_are_refused_with_a_remedy(device):
     model = scene().build(4, [device, device])
     with pytest.raises(AttributeError, match=r"has no one state: take model\.parts\[0\]\.state"):
         _ = model.state
@@ -93,19 +93,19 @@ def test_what_only_a_part_has_is_refused_with_where_it_is(device):
         (["auto"], r"device\[0\] must be one of cpu.*, got 'auto'"),
     ],
 )
-def test_devices_that_are_not_there_are_refused_with_those_that_are(wrong, message):
+def test_missing_devices_are_refused_with_available_ones(wrong, message):
     with pytest.raises(ValueError, match=message):
         scene().build(4, wrong)
 
 
-def test_all_gpus_of_a_machine_without_one_are_refused():
+def test_cuda_device_is_refused_without_a_gpu():
     if wp.is_cuda_available():
         pytest.skip("there is a GPU")
     with pytest.raises(ValueError, match=r"one of cpu on this machine, which has no GPU, .* got 'cuda'"):
         scene().build(4, "cuda")
 
 
-def test_what_is_measured_on_one_device_refuses_several(device):
+def test_bench_refuses_several_devices(device):
     with pytest.raises(ValueError, match=f"device must be a single one, got .*, which is {device}, {device}"):
         wc.bench([device, device])
 
@@ -122,11 +122,11 @@ def test_what_is_measured_on_one_device_refuses_several(device):
         {"distance_cache": False, "threads": 1},
         {"threads": 3, "integrator": wc.integrators.SemiImplicitEuler()},
     ],
-    ids=lambda options: " ".join(options) or "as it comes",
+    ids=lambda options: " ".join(options) or "default",
 )
 @pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
-def test_recordings_are_the_same_bits(options, precision, devices, device, monkeypatch):
-    monkeypatch.setattr(crew, "ALONE", 0)
+def test_recordings_on_several_devices_are_bitwise_identical(options, precision, devices, device, monkeypatch):
+    monkeypatch.setattr(crew, "SERIAL_ENV_STEPS", 0)
     recordings = []
     for model in both(device, devices, precision=precision):
         sim = wc.Simulation(model, dt=1e-3, deterministic=True, **options)
@@ -137,7 +137,7 @@ def test_recordings_are_the_same_bits(options, precision, devices, device, monke
     assert_same_recordings(*recordings)
 
 
-def test_frames_are_drained_from_a_small_ring_of_each_part(devices, device, monkeypatch):
+def test_frames_are_drained_from_a_small_ring_buffer_of_each_part(devices, device, monkeypatch):
     models = both(device, devices)
     large = wc.Simulation(models[0], dt=1e-3, deterministic=True).run(0.05, ["ball.position", "hull.gap"])
     monkeypatch.setattr("warpcontact.channels.RING_BYTES", 500)
@@ -145,7 +145,7 @@ def test_frames_are_drained_from_a_small_ring_of_each_part(devices, device, monk
     assert_same_recordings(large, small)
 
 
-def test_what_sets_environments_apart_is_recorded_with_one_on_each_device(device):
+def test_varied_parameters_are_recorded_with_one_environment_per_device(device):
     recordings = []
     for where in (device, [device, device]):
         model = scene().build(2, where)
@@ -158,7 +158,7 @@ def test_what_sets_environments_apart_is_recorded_with_one_on_each_device(device
     assert_same_recordings(*recordings)
 
 
-def test_readings_between_steps_and_evaluations_are_the_same(devices, device):
+def test_sensors_and_evaluations_on_several_devices_equal_one_device(devices, device):
     one, other = both(device, devices)
     assert one.sensor_names == other.sensor_names
     assert one.find_sensor("touch.gap").unit == other.find_sensor("touch.gap").unit
@@ -189,7 +189,7 @@ contact = [{ name = "touch", points = "centre", surface = "ground", material = "
 """
 
 
-def test_an_experiment_is_the_same_on_several_devices(devices, device, tmp_path):
+def test_experiment_on_several_devices_equals_one_device(devices, device, tmp_path):
     path = tmp_path / "study.toml"
     path.write_text(STUDY)
     experiment = wc.Experiment.from_toml(path)
@@ -204,7 +204,7 @@ def test_an_experiment_is_the_same_on_several_devices(devices, device, tmp_path)
     assert (tmp_path / "split/animation.usdc").exists()
 
 
-def test_the_command_line_takes_several_devices(device, tmp_path, capsys):
+def test_command_line_accepts_several_devices(device, tmp_path, capsys):
     path = tmp_path / "study.toml"
     path.write_text(STUDY)
     assert main(["run", str(path), "--out", str(tmp_path / "out"), "--device", f"{device},{device}"]) == 0

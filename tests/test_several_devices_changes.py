@@ -11,12 +11,12 @@ from split_models import ENVS, assert_same_recordings, assert_same_state, both, 
 
 import warpcontact as wc
 from warpcontact import advice, friction_advice
-from warpcontact.parameters import Upload
+from warpcontact.parameters import DeviceField
 
 # Parameters
 
 
-def test_parameters_are_the_same_shared_and_per_environment(devices, device):
+def test_parameters_on_several_devices_equal_one_device(devices, device):
     one, other = (scene().build(ENVS, where) for where in (device, devices))
     assert list(one) == list(other)
     rng = np.random.default_rng(4)
@@ -37,7 +37,7 @@ def test_parameters_are_the_same_shared_and_per_environment(devices, device):
     assert_same_state(one, other)
 
 
-def test_a_shape_that_may_mean_two_things_is_judged_by_all_environments(device):
+def test_ambiguous_shape_is_resolved_by_total_number_of_environments(device):
     """One row for each environment, or one for each point of a set, of as many as a part has environments."""
     points = 8
     one, other = (scene().build(2 * points, where) for where in (device, [device, device]))
@@ -58,7 +58,7 @@ def test_a_shape_that_may_mean_two_things_is_judged_by_all_environments(device):
 
 
 @pytest.mark.parametrize("name", ["box.mass", "ground.position", "hull.law.stiffness"])
-def test_a_value_that_does_not_fit_changes_nothing_on_any_part(name, devices, device):
+def test_invalid_value_changes_nothing_on_any_part(name, devices, device):
     _, model = both(device, devices)
     sim = wc.Simulation(model, dt=1e-3)
     sim.step(20)
@@ -78,20 +78,20 @@ def test_a_value_that_does_not_fit_changes_nothing_on_any_part(name, devices, de
         np.testing.assert_array_equal(model.sensor(sensor), kept, err_msg=sensor)
 
 
-def test_a_failure_on_the_way_to_the_last_device_changes_nothing_on_any(device, monkeypatch):
+def test_failed_upload_to_the_last_device_changes_nothing_on_any_part(device, monkeypatch):
     model = scene().build(6, [device] * 3)
     mass, energy = model["ball.mass"], model.sensor("ball.kinetic_energy")
-    send, left = Upload.send, 2
+    upload, left = DeviceField.upload, 2
 
-    def failing(upload, content, envs):
+    def failing(device_field, content, envs):
         nonlocal left
         left -= 1
         if left == -1:
             raise RuntimeError("Failed to allocate")
-        return send(upload, content, envs)
+        return upload(device_field, content, envs)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Upload, "send", failing)
+        patch.setattr(DeviceField, "send", failing)
         with pytest.raises(RuntimeError, match="Failed to allocate"):
             model["ball.mass"] = np.arange(1.0, 7.0)
     np.testing.assert_array_equal(model["ball.mass"], mass)
@@ -99,7 +99,7 @@ def test_a_failure_on_the_way_to_the_last_device_changes_nothing_on_any(device, 
     assert not model.varies("ball.mass")
 
 
-def test_unknown_names_and_wrong_masks_are_refused_as_always(device):
+def test_unknown_names_and_invalid_masks_are_refused_on_several_devices(device):
     one, other = (scene().build(4, where) for where in (device, [device, device]))
     for wrong in (
         lambda model: model["ball.mas"],
@@ -110,12 +110,12 @@ def test_unknown_names_and_wrong_masks_are_refused_as_always(device):
         lambda model: model.reset([True, False]),
         lambda model: wc.Simulation(model, dt=1e-50),
     ):
-        said = []
+        warnings_of = []
         for model in (one, other):
             with pytest.raises((KeyError, ValueError)) as caught:
                 wrong(model)
-            said.append((caught.type, str(caught.value)))
-        assert said[0] == said[1]
+            warnings_of.append((caught.type, str(caught.value)))
+        assert warnings_of[0] == warnings_of[1]
     assert "ball.mas" not in other
     with pytest.raises(TypeError, match=r"model must come from Scene\.build"):
         wc.Simulation(scene(), dt=1e-3)
@@ -124,7 +124,7 @@ def test_unknown_names_and_wrong_masks_are_refused_as_always(device):
 # Resets and failures
 
 
-def test_resets_by_mask_reach_the_right_environments(devices, device):
+def test_masked_resets_reach_the_right_environments_on_several_devices(devices, device):
     one, other = both(device, devices)
     sims = [wc.Simulation(model, dt=1e-3, deterministic=True) for model in (one, other)]
     rng = np.random.default_rng(5)
@@ -147,7 +147,7 @@ def test_resets_by_mask_reach_the_right_environments(devices, device):
     assert_same_state(one, other)
 
 
-def test_an_environment_that_diverges_is_reported_by_its_number_in_all(devices, device):
+def test_diverged_environment_is_reported_with_its_global_number(devices, device):
     def made(where):
         scene = wc.Scene()
         ground = scene.add_surface(square(), name="ground")
@@ -173,11 +173,11 @@ def test_an_environment_that_diverges_is_reported_by_its_number_in_all(devices, 
 
 
 @pytest.mark.parametrize("looked_at", [4096, 5])
-def test_warnings_come_once_and_number_environments_in_all(looked_at, device, monkeypatch):
+def test_warnings_are_issued_once_with_global_environment_numbers(looked_at, device, monkeypatch):
     for module in (advice, friction_advice):
         monkeypatch.setattr(module, "LOOKED_AT", looked_at)
 
-    def said(where):
+    def warnings_of(where):
         model = dropped_sphere(
             wc.laws.Hooke(stiffness=1e3), friction=wc.friction.Tanh(mu=0.3), envs=6, device=where
         )
@@ -192,7 +192,7 @@ def test_warnings_come_once_and_number_environments_in_all(looked_at, device, mo
             sim.step()
         return [str(warning.message) for warning in caught]
 
-    alone, split = said(device), said([device] * 3)
+    alone, split = warnings_of(device), warnings_of([device] * 3)
     assert alone == split
     assert any("in environment 4" in sentence for sentence in split)
     assert any("in environment 5" in sentence for sentence in split) == (looked_at > 5)
@@ -200,7 +200,7 @@ def test_warnings_come_once_and_number_environments_in_all(looked_at, device, mo
 
 
 @pytest.mark.parametrize("crossing_substeps", [1, 4])
-def test_an_interruption_leaves_all_parts_at_one_time(crossing_substeps, devices, device):
+def test_interrupt_leaves_all_parts_at_one_time(crossing_substeps, devices, device):
     _, model = both(device, devices)
     sim = wc.Simulation(model, dt=1e-3, crossing_substeps=crossing_substeps)
     sim.step(64)

@@ -12,17 +12,17 @@ import pytest
 import xarray as xr
 import zarr
 from case_marks import slow_except
-from memory_scenes import MIB, with_room
+from memory_scenes import MIB, set_available_memory
 from test_experiment import EXAMPLE, content
 
 import warpcontact as wc
 from warpcontact import available
 from warpcontact.channels import Frame
-from warpcontact.draft import Draft
+from warpcontact.draft import ModelPlan
 from warpcontact.experiment import plan, shards, store
 from warpcontact.experiment.plan import shard_size
 from warpcontact.experiment.shards import ShardRunner
-from warpcontact.footprint import Need
+from warpcontact.footprint import MemoryItem
 from warpcontact.recorder import RecordingSize
 
 VARIED = {
@@ -58,7 +58,7 @@ def at_once(device, tmp_path_factory):
     ("shard", "shards"),
     slow_except([(1, 11), (2, 6), (4, 3), (10, 2), (11, 1), (1000, 1)], lambda case: case[0] in (4, 10, 1000)),
 )
-def test_shards_leave_the_same_results(shard, shards, at_once, device, tmp_path):
+def test_results_do_not_depend_on_shard_size(shard, shards, at_once, device, tmp_path):
     run = varied().run(tmp_path / "out", device=device, shard=shard)
     assert stored(run).identical(stored(at_once))
     assert list(stored(run)) == list(stored(at_once))
@@ -93,17 +93,19 @@ def animation(run):
     return layer.ExportToString()
 
 
-def test_the_plan_decides_on_shards(at_once, device, tmp_path, monkeypatch):
+def test_plan_selects_shard_size_by_memory(at_once, device, tmp_path, monkeypatch):
     from warpcontact import footprint
 
     plan = varied().plan(device=device)
     assert (plan.envs, plan.shard, plan.shards) == (11, 11, 1)
     assert "11 environments: all at once" in str(plan)
     # Room for some of them, in steps in which one environment counts.
-    monkeypatch.setattr(footprint, "COMFORTABLE", 0.85)
+    monkeypatch.setattr(footprint, "CAUTIOUS_FRACTION", 0.85)
     monkeypatch.setattr("warpcontact.experiment.plan.COMFORTABLE", 0.85)
-    place = plan.footprint.places[-1]
-    with_room(monkeypatch, int(varied().plan(device=device, shard=5).footprint.on(place) / 0.85) + 64)
+    place = plan.footprint.locations[-1]
+    set_available_memory(
+        monkeypatch, int(varied().plan(device=device, shard=5).footprint.bytes_at(place) / 0.85) + 64
+    )
     plan = varied().plan(device=device)
     assert 1 <= plan.shard <= 5
     assert f"11 environments: {plan.shards} shards of {plan.shard}, one after another" in str(plan)
@@ -115,17 +117,17 @@ def test_the_plan_decides_on_shards(at_once, device, tmp_path, monkeypatch):
     assert not (tmp_path / "more").exists()
 
 
-def test_a_plan_looks_at_all_devices(monkeypatch):
+def test_plan_considers_memory_of_all_devices(monkeypatch):
     """What fits on the first may be too much for the second."""
-    memory = Draft.memory
+    memory = ModelPlan.memory
 
     def with_gpus(draft, envs, *varied, **stepping):
         """Each part takes memory of a GPU of its own, too."""
         shares = enumerate(draft.shares(envs))
-        needs = [Need("state", f"cuda:{number}", own * MIB, MIB / 2) for number, (_, own) in shares]
-        return memory(draft, envs, *varied, **stepping).with_needs(needs)
+        needs = [MemoryItem("state", f"cuda:{number}", own * MIB, MIB / 2) for number, (_, own) in shares]
+        return memory(draft, envs, *varied, **stepping).with_items(needs)
 
-    monkeypatch.setattr(Draft, "memory", with_gpus)
+    monkeypatch.setattr(ModelPlan, "memory", with_gpus)
     monkeypatch.setattr(available, "_host", lambda: None)
     monkeypatch.setattr(available, "_device", {"cuda:0": 100 * MIB, "cuda:1": 4 * MIB}.get)
     plan = varied().plan(device=["cpu", "cpu"])
@@ -138,7 +140,7 @@ def test_a_plan_looks_at_all_devices(monkeypatch):
         varied().plan(device=["cpu", "cpu"], shard=11)
 
 
-def test_frozen_environments_keep_their_numbers(device, tmp_path):
+def test_frozen_environments_keep_their_numbers_in_shards(device, tmp_path):
     # A force beyond float32 in some environments, of several shards.
     stiffness = {"values": [1e4, 1e4, 1e38, 1e4, 1e38, 1e4, 1e38]}
     body = content()["body"][0] | {"position": [0, 0, 0.05]}
@@ -154,7 +156,7 @@ def test_frozen_environments_keep_their_numbers(device, tmp_path):
     assert "3 of 7 environments turned non-finite" in str(run)
 
 
-def test_an_environment_that_fills_up_the_last_batch_is_not_reported(device, tmp_path):
+def test_padding_environment_of_the_last_batch_is_not_reported(device, tmp_path):
     body = content()["body"][0] | {"position": [0, 0, 0.05]}
     stiffness = {"values": [1e4, 1e4, 1e4, 1e4, 1e38]}
     experiment = wc.Experiment(content(envs=5, body=[body], variation={"touch.law.stiffness": stiffness}))
@@ -164,7 +166,7 @@ def test_an_environment_that_fills_up_the_last_batch_is_not_reported(device, tmp
     assert run.recording.sizes["env"] == 5
 
 
-def test_sets_of_as_many_points_as_a_batch_has_environments(device, tmp_path):
+def test_point_set_with_as_many_points_as_a_shard_has_environments_is_unambiguous(device, tmp_path):
     """Of three environments, a value for each is no value for each of three points."""
     points = [{"name": "centre", "body": "ball", "positions": np.eye(3).tolist()}]
     values = {"touch.law.stiffness": {"linspace": [1e4, 2e4]}, "centre.position": {"uniform": [[0] * 3, [1] * 3]}}
@@ -175,7 +177,7 @@ def test_sets_of_as_many_points_as_a_batch_has_environments(device, tmp_path):
     assert stored(once)["touch.law.stiffness"].dims == ("env", "item")
 
 
-def test_warnings_name_environments_by_their_numbers_among_all(device, tmp_path):
+def test_warnings_in_shards_name_global_environment_numbers(device, tmp_path):
     stiffness = {"values": [1e3, 1e3, 1e3, 1e3, 1e7, 1e3]}
     experiment = wc.Experiment(content(envs=6, variation={"touch.law.stiffness": stiffness}))
     with pytest.warns(wc.ContactWarning, match="in environment 4, "):
@@ -189,7 +191,7 @@ def test_warnings_name_environments_by_their_numbers_among_all(device, tmp_path)
     assert sum("is too long" in line for line in run.summary["warnings"]) == 1
 
 
-def test_the_bar_counts_the_steps_of_all_shards(device, tmp_path, monkeypatch):
+def test_progress_bar_counts_steps_of_all_shards(device, tmp_path, monkeypatch):
     import tqdm
 
     bars = []
@@ -206,7 +208,7 @@ def test_the_bar_counts_the_steps_of_all_shards(device, tmp_path, monkeypatch):
     assert bars[0].desc.startswith("5 environments in 3 shards")
 
 
-def test_an_interrupted_run_keeps_what_was_done_and_goes_on(device, tmp_path, monkeypatch):
+def test_interrupted_run_keeps_finished_shards_and_resumes(device, tmp_path, monkeypatch):
     taken = []
     run = ShardRunner.run
 
@@ -234,7 +236,7 @@ def test_an_interrupted_run_keeps_what_was_done_and_goes_on(device, tmp_path, mo
     assert resumed.digest() == once.digest()
 
 
-def test_values_that_do_not_fit_are_found_before_anything_is_removed(device, tmp_path):
+def test_values_out_of_range_are_detected_before_files_are_removed(device, tmp_path):
     wc.Experiment(content()).run(tmp_path, device=device)
     scale = {"values": [1.0, 1.0, 1.0, 1e-60]}  # positive, and zero in float32
     experiment = wc.Experiment(content(variation={"touch.radius": {"value": 0.1}, "ground.scale": scale}))
@@ -244,7 +246,7 @@ def test_values_that_do_not_fit_are_found_before_anything_is_removed(device, tmp
 
 
 @pytest.mark.parametrize("shard", [0, -3, 1.5, "many", True])
-def test_wrong_shards_are_refused_by_name(shard, tmp_path):
+def test_invalid_shard_size_is_refused(shard, tmp_path):
     with pytest.raises(wc.ExperimentError, match=r"shard must be a whole number of at least 1, got"):
         wc.Experiment(content()).run(tmp_path / "out", shard=shard)
     with pytest.raises(wc.ExperimentError, match=r"shard must be a whole number of at least 1, got"):
@@ -252,7 +254,7 @@ def test_wrong_shards_are_refused_by_name(shard, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_shards_are_even_and_of_round_size():
+def test_shards_are_of_equal_and_round_size():
     rng = np.random.default_rng(0)
     for _ in range(2000):
         envs = int(np.exp(rng.uniform(0, 16)))
@@ -269,7 +271,7 @@ def test_shards_are_even_and_of_round_size():
     assert shard_size(7, 10) == 5
 
 
-def test_pieces_on_disk_are_parts_of_a_shard(device, tmp_path, monkeypatch):
+def test_chunks_on_disk_are_parts_of_a_shard(device, tmp_path, monkeypatch):
     monkeypatch.setattr("warpcontact.experiment.store.CHUNK", 700)  # a few environments of 21 frames
     run = wc.Experiment(content(envs=20)).run(tmp_path / "out", device=device, shard=8)
     group = zarr.open_group(run.files["data"], path="series", mode="r")
@@ -282,7 +284,7 @@ def test_pieces_on_disk_are_parts_of_a_shard(device, tmp_path, monkeypatch):
     assert stored(run).identical(stored(once))
 
 
-def test_a_recording_of_shards_is_read_where_it_is_asked_for(device, tmp_path):
+def test_recording_of_shards_is_read_lazily(device, tmp_path):
     run = wc.Experiment(content(envs=6)).run(tmp_path / "out", device=device, shard=2)
     assert not run.recording["ball.position"].variable._in_memory
     assert run.recording["touch.gap"].sel(env=5).values.shape == (21,)
@@ -291,7 +293,7 @@ def test_a_recording_of_shards_is_read_where_it_is_asked_for(device, tmp_path):
     assert "env_5" in (tmp_path / "two.usda").read_text()
 
 
-def test_command_runs_in_shards(device, tmp_path, capsys):
+def test_run_command_runs_in_shards(device, tmp_path, capsys):
     from warpcontact.cli import main
 
     (tmp_path / "study.toml").write_text(
@@ -336,7 +338,7 @@ print(told("VmHWM") - before, plan.footprint.host_bytes)
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="asks Linux how much memory a process has")
 @pytest.mark.parametrize("shard", [36864, 73728], ids=["shards", "at once"])
-def test_the_plan_of_an_experiment_is_what_its_run_takes(shard, tmp_path):
+def test_experiment_plan_matches_memory_of_its_run(shard, tmp_path):
     """Within 15 %, from the start to the picture, of two shards as of one.
 
     There are so many environments that what threads leave with the allocator, which varies by 15 MB, is little.
@@ -360,17 +362,17 @@ def test_the_plan_of_an_experiment_is_what_its_run_takes(shard, tmp_path):
         (1, 0, 1),
     ],
 )
-def test_frames_are_written_in_blocks_that_are_neither_large_nor_small(envs, frames, block):
+def test_blocks_of_frames_have_bounded_size(envs, frames, block):
     size = RecordingSize((Frame("ball.speed", 8, 8),), 100, frozenset())
-    assert plan.block_of(size, envs, frames) == block
+    assert plan.block_size(size, envs, frames) == block
     assert plan.blocks_at_once(frames, block) == 1 + (frames > block)
-    (need, _) = size.needs("cpu", envs, block, plan.blocks_at_once(frames, block))
+    (need, _) = size.memory_items("cpu", envs, block, plan.blocks_at_once(frames, block))
     assert need.size == envs * 8 * block * (1 + (frames > block))
 
 
-def test_who_asks_to_stop_at_the_end_of_a_shard_is_heard(device, tmp_path, monkeypatch):
+def test_stop_request_at_the_end_of_a_shard_is_handled(device, tmp_path, monkeypatch):
     """Where a shard takes no time, nearly every Ctrl-C comes between the last look and the commit."""
-    finish = shards._Attempt._finish
+    finish = shards._ShardAttempt._finish
     finished = []
 
     def interrupted(self):
@@ -378,7 +380,7 @@ def test_who_asks_to_stop_at_the_end_of_a_shard_is_heard(device, tmp_path, monke
         finished.append(self.shard.number)
         return finish(self)
 
-    monkeypatch.setattr(shards._Attempt, "_finish", interrupted)
+    monkeypatch.setattr(shards._ShardAttempt, "_finish", interrupted)
     with pytest.raises(KeyboardInterrupt):
         wc.Experiment(content(envs=6)).run(tmp_path, device=device, shard=2)
     assert finished == [0]
@@ -387,7 +389,7 @@ def test_who_asks_to_stop_at_the_end_of_a_shard_is_heard(device, tmp_path, monke
     assert wc.Experiment(content(envs=6)).run(tmp_path, device=device, resume=True).finished
 
 
-def test_an_error_ends_a_run_that_goes_on_later(device, tmp_path, monkeypatch):
+def test_failed_run_can_be_resumed(device, tmp_path, monkeypatch):
     run = ShardRunner.run
 
     def fails(self, shard, *args):
@@ -408,7 +410,7 @@ def test_an_error_ends_a_run_that_goes_on_later(device, tmp_path, monkeypatch):
     assert "error" not in resumed.summary
 
 
-def test_results_that_nobody_committed_count_for_nothing(device, tmp_path):
+def test_uncommitted_results_are_ignored(device, tmp_path):
     experiment = wc.Experiment(
         content(outcome={"never": {"type": "FirstTime", "of": "touch.normal_force", "above": 1e9}})
     )
@@ -420,9 +422,9 @@ def test_results_that_nobody_committed_count_for_nothing(device, tmp_path):
     assert again.digest() == run.digest()
 
 
-def test_pieces_of_a_prime_number_of_environments_are_few():
-    assert store.largest_part(1000, 300) == 250
-    assert store.largest_part(997, 500) == 997
-    assert store.largest_part(2 * 997, 500) == 997
-    assert store.largest_part(7, 100) == 7
-    assert store.largest_part(7, 0) == 1
+def test_prime_number_of_environments_has_few_chunks():
+    assert store.largest_divisor(1000, 300) == 250
+    assert store.largest_divisor(997, 500) == 997
+    assert store.largest_divisor(2 * 997, 500) == 997
+    assert store.largest_divisor(7, 100) == 7
+    assert store.largest_divisor(7, 0) == 1

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 import warp as wp
-from warpcontact.kernels.simd import WIDTH, as_near
+from warpcontact.kernels.simd import WIDTH, candidates_within
 from warpcontact.kernels.types import structs
 
 
 @pytest.mark.parametrize("real", [wp.float32, wp.float64])
-def test_which_faces_may_be_as_near_is_told_of_those_that_are_there(real, device):
+def test_tied_faces_are_found_among_stored_faces_only(real, device):
     """And are not the first, wherever in a row of lists one begins, and whatever lies in places without a face."""
-    vec3, tell = structs(real).vec3, as_near(real)
+    vec3, tell = structs(real).vec3, candidates_within(real)
 
     @wp.kernel(module="unique", enable_backward=False)
     def tell_all(

@@ -20,7 +20,7 @@ def gallery(monkeypatch):
     del sys.modules["gallery"]
 
 
-def test_every_example_has_a_place_a_picture_and_what_it_prints(gallery):
+def test_every_example_has_gallery_entry_picture_and_output(gallery):
     examples = gallery.examples()  # refuses one that has no place, and a place of none
     assert {example.name for example in examples} == {
         file.stem for file in gallery.EXAMPLES.iterdir() if file.suffix in (".py", ".toml")
@@ -32,13 +32,13 @@ def test_every_example_has_a_place_a_picture_and_what_it_prints(gallery):
         assert gallery.page(example).count("literalinclude") == len(example.files)
 
 
-def test_pictures_are_small(gallery):
+def test_gallery_pictures_are_small(gallery):
     sizes = {example.name: example.picture.stat().st_size for example in gallery.examples()}
     assert max(sizes.values()) <= 150_000, max(sizes, key=sizes.get)
     assert sum(sizes.values()) <= 2_000_000
 
 
-def test_an_example_without_a_place_is_named(gallery, tmp_path, monkeypatch):
+def test_example_without_gallery_entry_is_reported(gallery, tmp_path, monkeypatch):
     examples = tmp_path / "examples"
     examples.mkdir()
     (examples / "swing.py").write_text('"""A swing."""\n', encoding="utf-8")
@@ -52,7 +52,7 @@ def test_an_example_without_a_place_is_named(gallery, tmp_path, monkeypatch):
         gallery.examples()
 
 
-def test_stories_and_commands_are_those_of_the_files(gallery):
+def test_gallery_text_and_commands_match_the_example_files(gallery):
     examples = {example.name: example for example in gallery.examples()}
     drop = examples["terrain_drop"]
     assert drop.summary.startswith("1024 spheres of different mass")
@@ -71,7 +71,7 @@ def test_every_public_name_is_in_the_reference():
     assert sorted(listed) == sorted(set(wc.__all__) - {"__version__"})
 
 
-def test_every_page_is_listed_once():
+def test_every_documentation_page_is_listed_once():
     index = (DOCS / "index.md").read_text(encoding="utf-8")
     listed = re.findall(r"^- \[[^\]]+\]\((?!\.\.)([^)]+)\)", index, re.MULTILINE)
     pages = [path.relative_to(DOCS).as_posix() for path in (*DOCS.glob("*.md"), *DOCS.glob("api/*.rst"))]

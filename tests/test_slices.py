@@ -6,7 +6,7 @@ from test_schedule import MATERIAL
 
 import warpcontact as wc
 from warpcontact import patches
-from warpcontact.stepping import LARGEST_SLICE, SMALLEST_FOR_FACES, cut, slice_sizes
+from warpcontact.stepping import MAX_SLICE, MIN_SLICE_FOR_FACES, cut_slices, slice_sizes
 
 # Square metres of a face of a square of 4 m.
 CELLS = 40
@@ -15,7 +15,7 @@ FACE = 16.0 / (2 * CELLS**2)
 
 @pytest.fixture(autouse=True)
 def many_faces(monkeypatch):
-    monkeypatch.setattr(patches, "MANY_FACES", 2 * CELLS**2 - 1)
+    monkeypatch.setattr(patches, "LARGE_MESH_FACES", 2 * CELLS**2 - 1)
 
 
 def square(cells=CELLS, size=4.0):
@@ -40,7 +40,7 @@ def read(*arguments, **options):
     return model_of(*arguments, **options).arrays.faces_read
 
 
-def test_faces_are_counted_as_far_as_a_sphere_reaches():
+def test_faces_read_by_a_sphere_are_counted_within_its_reach():
     assert read(radius=0.5) == round(np.pi * 0.5**2 / FACE)
     assert read(radius=0.5, bodies=3) == pytest.approx(3 * read(radius=0.5), abs=2)
     # A point reads a face at least, and nobody reads more than there are.
@@ -48,7 +48,7 @@ def test_faces_are_counted_as_far_as_a_sphere_reaches():
     assert read(radius=1e160) == 2 * CELLS**2
 
 
-def test_faces_are_counted_in_the_unit_of_their_mesh_and_points_in_that_of_theirs():
+def test_faces_are_counted_in_units_of_their_mesh_and_carrier():
     assert read(radius=0.5, scale=0.1) == read(radius=5.0)
     assert read(radius=0.5, scale=1e-160) == 2 * CELLS**2
     points = [(-0.4, 0, 0), (0.4, 0, 0)]
@@ -57,23 +57,23 @@ def test_faces_are_counted_in_the_unit_of_their_mesh_and_points_in_that_of_their
     assert small == round(np.pi * 0.2**2 / FACE)
 
 
-def test_of_a_surface_with_several_meshes_one_counts_and_none_that_is_small():
+def test_one_large_mesh_of_a_surface_is_counted():
     meshes = [square(), square(size=3.9), square(CELLS // 2)]
     assert read(meshes, radius=0.5) == round(np.pi * 0.5**2 * 2 * CELLS**2 / 3.9**2)
     assert read(square(CELLS // 2), radius=0.5) == 0
 
 
-def test_slices_are_smaller_where_many_faces_are_read():
+def test_slices_are_smaller_if_many_faces_are_read():
     few, many = model_of(square(CELLS // 2)), model_of(square(200), radius=0.3)
     envs = 10**6
-    assert slice_sizes([(few, envs)], 2) == [LARGEST_SLICE]
+    assert slice_sizes([(few, envs)], 2) == [MAX_SLICE]
     (size,) = slice_sizes([(many, envs)], 2)
-    assert SMALLEST_FOR_FACES <= size < LARGEST_SLICE
-    assert slice_sizes([(model_of(square(200), radius=2.0), envs)], 2) == [SMALLEST_FOR_FACES]
+    assert MIN_SLICE_FOR_FACES <= size < MAX_SLICE
+    assert slice_sizes([(model_of(square(200), radius=2.0), envs)], 2) == [MIN_SLICE_FOR_FACES]
     # So many slices that no thread is without.
     assert slice_sizes([(many, 8)], 4) == [2]
 
 
-def test_slices_are_side_by_side():
-    assert cut(5, 2) == [slice(0, 2), slice(2, 4), slice(4, 5)]
-    assert cut(4, 4) == [slice(0, 4)]
+def test_slices_are_contiguous():
+    assert cut_slices(5, 2) == [slice(0, 2), slice(2, 4), slice(4, 5)]
+    assert cut_slices(4, 4) == [slice(0, 4)]

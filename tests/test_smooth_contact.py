@@ -32,7 +32,7 @@ def oracle(shared):
 
 
 @pytest.mark.parametrize(("precision", "tolerance"), [("float32", 2e-6), ("float64", 1e-12)])
-def test_two_tilted_ellipsoids_are_the_worked_numbers(oracle, device, precision, tolerance):
+def test_tilted_ellipsoids_match_reference(oracle, device, precision, tolerance):
     scene = wc.Scene(gravity=(0, 0, 0))
     i, j = (scene.add_body(1.0, (1.0, 1.0, 1.0), name=name) for name in "ij")
     first = scene.add_shape(i, wc.shapes.Ellipsoid((1.0, 0.6, 0.4)))
@@ -47,8 +47,8 @@ def test_two_tilted_ellipsoids_are_the_worked_numbers(oracle, device, precision,
         model[f"{body}.linear_velocity"] = velocity[f"v_{body}"]
         model[f"{body}.angular_velocity"] = velocity[f"w_{body}"]
     for quantity, key in (("gap", "gap"), ("point_a", "P_j"), ("point_b", "P_i"), ("normal", "n_i")):
-        known = [oracle[name][key] for name in NAMES]
-        np.testing.assert_allclose(model.sensor(f"touch.{quantity}"), known, rtol=0, atol=tolerance)
+        expected_value = [oracle[name][key] for name in NAMES]
+        np.testing.assert_allclose(model.sensor(f"touch.{quantity}"), expected_value, rtol=0, atol=tolerance)
     # Approach at K is that of the points, whichever: they lie on one normal.
     rates = [-oracle[name]["velocity"]["gap_rate"] for name in NAMES[1:]]
     np.testing.assert_allclose(model.sensor("touch.approach_speed")[1:], rates, rtol=0, atol=tolerance)
@@ -64,14 +64,14 @@ def test_two_tilted_ellipsoids_are_the_worked_numbers(oracle, device, precision,
 
 
 @pytest.mark.slow
-def test_derivatives_are_differences_of_the_readings(device):
+def test_pose_derivatives_match_differences_of_sensors(device):
     model = two_ellipsoids(device, "float64", envs=1)
     model["b.position"] = (0.05, 0.03, 0.29)
     for quantity in ("gap", "normal", "point_a", "point_b"):
         # By what carries the first shape, b: positions, then turns about its centre of mass.
         for key, given in (("position", model["b.position"]), ("orientation", model["b.orientation"])):
             by = "position" if key == "position" else "rotation"
-            known = model.sensor(f"touch.{quantity}_by_{by}_a")[0]
+            expected_value = model.sensor(f"touch.{quantity}_by_{by}_a")[0]
             for axis, way in enumerate(np.eye(3)):
                 ends = []
                 for step in (-1e-5, 1e-5):
@@ -84,7 +84,7 @@ def test_derivatives_are_differences_of_the_readings(device):
                 model[f"b.{key}"] = given
                 # Central differences: the square of the step, and the rounding of a sensor over it.
                 difference = (ends[1] - ends[0]) / 2e-5
-                np.testing.assert_allclose(known[..., axis], difference, rtol=1e-6, atol=1e-7)
+                np.testing.assert_allclose(expected_value[..., axis], difference, rtol=1e-6, atol=1e-7)
     axes = model["shape_a.semi_axes"]
     for axis, way in enumerate(np.eye(3)):
         ends = []
@@ -92,8 +92,8 @@ def test_derivatives_are_differences_of_the_readings(device):
             model["shape_a.semi_axes"] = axes + step * way
             ends.append(model.sensor("touch.gap")[0])
         model["shape_a.semi_axes"] = axes
-        known = model.sensor("touch.gap_by_semi_axes_b")[0, axis]
-        assert known == pytest.approx((ends[1] - ends[0]) / 2e-5, rel=1e-6, abs=1e-7)
+        expected_value = model.sensor("touch.gap_by_semi_axes_b")[0, axis]
+        assert expected_value == pytest.approx((ends[1] - ends[0]) / 2e-5, rel=1e-6, abs=1e-7)
     recording = wc.Simulation(model, dt=1e-4).run(
         1e-3, ["touch.point_a_by_rotation_b", "touch.gap_by_semi_axes_a"]
     )
@@ -126,7 +126,7 @@ def sphere_on_plane(smooth, device, precision, envs=1, bullet=False):
     return model
 
 
-def test_a_sphere_on_a_plane_is_that_on_a_flat_mesh(device):
+def test_sphere_shape_on_plane_matches_flat_mesh(device):
     runs = []
     for smooth in (True, False):
         sim = wc.Simulation(sphere_on_plane(smooth, device, "float64"), dt=2e-4)
@@ -154,7 +154,7 @@ def spheres(positions, velocities, radius, device, material=STEEL, precision="fl
     return scene.build(envs, device, precision)
 
 
-def test_the_impact_of_two_spheres_keeps_momentum_and_gives_the_restitution(device):
+def test_impact_of_two_sphere_shapes_conserves_momentum_and_has_restitution(device):
     model = spheres((-0.1001, 0.1001), (1.0, -0.5), 0.1, device, envs=3)
     wanted = np.array([1.0, 0.7, 0.3])
     model["touch_0.law.restitution"] = wanted
@@ -169,7 +169,7 @@ def test_the_impact_of_two_spheres_keeps_momentum_and_gives_the_restitution(devi
     np.testing.assert_allclose(model.sensor("scene.kinetic_energy")[0], energy[0], rtol=1e-4)
 
 
-def test_a_chain_of_spheres_keeps_momentum_and_energy(device):
+def test_chain_of_sphere_shapes_conserves_momentum_and_energy(device):
     radius = 0.1
     model = spheres(2 * radius * np.arange(5) - [1e-4, 0, 0, 0, 0], (1.0, 0, 0, 0, 0), radius, device)
     sim = wc.Simulation(model, dt=5e-6)
@@ -196,7 +196,7 @@ def chain_of_hertz_springs(count):
     return solve_ivp(rates, (0.0, 0.1), start, rtol=1e-10, atol=1e-13, max_step=1e-4).y[count:, -1]
 
 
-def test_meshes_of_a_sphere_come_to_the_smooth_one(device):
+def test_meshed_spheres_converge_to_the_sphere_shape(device):
     errors = []
     place = np.array([0.2, 0.15, 1.09])
     for level in (2, 3, 4):
@@ -245,7 +245,7 @@ def state_of(model):
     return {name: array.numpy().copy() for name, array in vars(model.state).items()}
 
 
-def test_forces_are_equal_and_opposite(device):
+def test_shape_contact_conserves_momentum(device):
     model = two_ellipsoids(device, "float64")
     names = ("linear_momentum", "angular_momentum")
     before = {name: model.sensor(f"scene.{name}") for name in names}
@@ -257,7 +257,7 @@ def test_forces_are_equal_and_opposite(device):
     np.testing.assert_allclose(model.sensor("scene.angular_momentum"), before["angular_momentum"], atol=1e-4)
 
 
-def test_graphs_slices_and_threads_do_not_matter(device):
+def test_shape_contact_results_do_not_depend_on_graphs_slices_and_threads(device):
     runs = []
     for options in ({}, {"capture_graphs": False}, {"threads": 1}, {"threads": 2, "distance_cache": False}):
         model = two_ellipsoids(device, envs=5)
@@ -273,7 +273,7 @@ def test_graphs_slices_and_threads_do_not_matter(device):
     np.testing.assert_array_equal(state_of(alone)["body_position"][0], runs[0]["body_position"][-1])
 
 
-def test_a_reset_forgets_in_the_environments_of_the_mask(device):
+def test_reset_clears_shape_contact_history_of_masked_environments(device):
     model = two_ellipsoids(device)
     sim = wc.Simulation(model, dt=1e-4)
     sim.step(1075)
@@ -291,7 +291,7 @@ def test_a_reset_forgets_in_the_environments_of_the_mask(device):
 
 
 @pytest.mark.slow
-def test_parts_on_several_devices_run_as_one(device):
+def test_shape_contacts_on_several_devices_equal_one_device(device):
     """What is remembered, found and counted of each environment is that of the model that is not split."""
     runs = []
     for where in (device, [device, device]):
@@ -318,7 +318,7 @@ def test_parts_on_several_devices_run_as_one(device):
     assert split.unsolved_contacts()["touch"].shape == (5,)
 
 
-def test_steps_taken_again_in_parts_remember_as_those_of_a_mesh(device):
+def test_shape_contact_with_substeps_has_the_history_of_mesh_contact(device):
     """Where a bullet crosses plates, its steps do the same to a shape contact as to that of a mesh."""
     names = [f"touch.{name}" for name in (*SENSORS, "friction.spring")]
     runs = []
@@ -340,7 +340,7 @@ def test_steps_taken_again_in_parts_remember_as_those_of_a_mesh(device):
     assert np.abs(force[:, 0] - force[:, 1]).max() > 1e-6 * force.max()
 
 
-def test_sets_have_a_contact_each(device):
+def test_shape_contact_of_sets_has_one_contact_per_item(device):
     scene = wc.Scene()
     grains = scene.add_bodies([(x, 0.0, 0.1) for x in range(4)], mass=1.0, inertia=(1.0, 1.0, 1.0), name="grains")
     others = scene.add_bodies([(x, 0.1, 0.1) for x in range(4)], mass=1.0, inertia=(1.0, 1.0, 1.0))
@@ -365,7 +365,7 @@ def test_sets_have_a_contact_each(device):
     wc.Simulation(model, dt=1e-3).run(0.01, ["pairs.gap", "on_floor.point"])
 
 
-def test_status_tells_what_is_not_counted(device):
+def test_shape_contact_status_has_documented_codes(device):
     model = sphere_on_plane(True, device, "float32", envs=4)
     model["ball.position"] = [(0, 0, 0.06), (0, 0, 0.045), (0, 0, 0.01), (0, 0, 0.045)]
     model["touch.max_depth"] = 0.02
@@ -381,7 +381,7 @@ def test_status_tells_what_is_not_counted(device):
     np.testing.assert_allclose(model.sensor("touch.gap"), [0.01, -0.005, -0.04, np.nan], rtol=1e-5)
 
 
-def test_places_far_from_the_origin_keep_the_gap(device):
+def test_shape_contact_gap_is_invariant_far_from_the_origin(device):
     gaps = []
     for far in (0.0, 3.0e6):
         model = sphere_on_plane(True, device, "float32")
@@ -393,7 +393,7 @@ def test_places_far_from_the_origin_keep_the_gap(device):
     assert gaps[1] == pytest.approx(gaps[0], abs=2e-8)
 
 
-def test_a_step_too_long_and_a_start_in_overlap_are_warned_of():
+def test_shape_contact_warns_of_too_long_step_and_initial_overlap():
     model = sphere_on_plane(True, "cpu", "float32", envs=2)
     model["ball.position"] = [(0, 0, 0.06), (0, 0, 0.03)]
     with pytest.warns(wc.ContactWarning) as said:
@@ -403,7 +403,7 @@ def test_a_step_too_long_and_a_start_in_overlap_are_warned_of():
     assert any("touch: starts 0.02 m deep in the surface in environment 1" in text for text in texts)
 
 
-def test_hertz_takes_the_curvatures_of_crossed_cylinders(device):
+def test_hertz_stiffness_of_crossed_cylinder_shapes_matches_closed_form(device):
     scene = wc.Scene(gravity=(0, 0, 0))
     law = wc.laws.HertzElastic(modulus=1e9)
     depth, quarter = 1e-4, (0.5**0.5, 0, 0, 0.5**0.5)
@@ -416,8 +416,8 @@ def test_hertz_takes_the_curvatures_of_crossed_cylinders(device):
         scene.add_shape_contact(upper, lower, wc.ContactMaterial(law=law), name=f"touch_{number}")
     model = scene.build(1, device, "float64")
     # Of equal radii at right angles the gap is that of a sphere on a plane.
-    known = 4 / 3 * 1e9 * np.sqrt(0.1) * depth**1.5
-    assert model.sensor("touch_0.normal_force")[0] == pytest.approx(known, rel=1e-6)
+    expected_value = 4 / 3 * 1e9 * np.sqrt(0.1) * depth**1.5
+    assert model.sensor("touch_0.normal_force")[0] == pytest.approx(expected_value, rel=1e-6)
     # A + B and B − A of the two, after Johnson, Contact Mechanics (4.3).
     first, second = 1 / 0.1, 1 / 0.05
     apart = np.sqrt(first**2 + second**2 + 2 * first * second * np.cos(2 * np.pi / 3))
@@ -449,7 +449,7 @@ class Odd(wc.shapes.Shape):
         return wp.float64(0.0)
 
     @wp.func
-    def rolling(p: Any):
+    def rolling_ball_radius(p: Any):
         return wp.float64(0.0)
 
     @wp.func
@@ -457,15 +457,15 @@ class Odd(wc.shapes.Shape):
         return wp.vec3d(p.radius, p.radius, p.radius)
 
     @wp.func
-    def centre(p: Any):
+    def inscribed_center(p: Any):
         return wp.vec3d()
 
     @wp.func
-    def inner(p: Any):
+    def inscribed_radius(p: Any):
         return p.radius
 
 
-def test_what_is_not_found_gives_no_force_and_is_told(device):
+def test_unconverged_shape_contact_has_no_force_and_warns(device):
     scene = wc.Scene(gravity=(0, 0, 0))
     body = scene.add_body(1.0, (1.0, 1.0, 1.0), (0.1, 0.05, 0.3), name="body")
     egg = scene.add_shape(body, wc.shapes.Ellipsoid((0.3, 0.2, 0.1)), name="egg")
@@ -487,7 +487,7 @@ def test_what_is_not_found_gives_no_force_and_is_told(device):
     assert model.sensor("touch.failures").tolist() == [0, 0]
 
 
-def test_input_is_refused_with_its_name():
+def test_invalid_shape_input_is_refused_with_its_name():
     scene = wc.Scene()
     body = scene.add_body(1.0, (1.0, 1.0, 1.0), name="body")
     grains = scene.add_bodies(np.zeros((3, 3)), mass=1.0, inertia=(1.0, 1.0, 1.0), name="grains")

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 import warp as wp
-from curved_pairs import Quadric, meetings, packed, signed_distance
+from curved_pairs import Quadric, packed, shape_contacts, signed_distance
 from warpcontact.kernels.formula import coefficient_struct
 from warpcontact.kernels.laws.elliptic import stiffness_per_modulus
 from warpcontact.kernels.laws.hertz import elliptic_stiffness
 from warpcontact.kernels.smooth import shapes
-from warpcontact.kernels.smooth.base import Curvature, Meeting
-from warpcontact.kernels.smooth.curvature import Bent, curvature, relative
-from warpcontact.kernels.smooth.meet import meet
+from warpcontact.kernels.smooth.base import Curvature, ShapeContactPoint
+from warpcontact.kernels.smooth.curvature import PairCurvature, curvature, pair_curvature
+from warpcontact.kernels.smooth.meet import pair_function
 from warpcontact.kernels.smooth.torus import Torus
 
 S = shapes
@@ -61,7 +61,7 @@ SMOOTH = [S.Sphere(0.3), S.Ellipsoid((0.5, 0.3, 0.2)), S.Capsule(0.15, 0.3), Tor
 
 
 @pytest.mark.parametrize("shape", SMOOTH, ids=lambda shape: type(shape).__name__)
-def test_curvature_is_the_second_difference_of_the_distance(shape, device):
+def test_curvature_matches_second_difference_of_distance(shape, device):
     points, n = surface_points(shape)
     found = curvatures(shape, points, n, device)
     h = 1e-4
@@ -73,7 +73,7 @@ def test_curvature_is_the_second_difference_of_the_distance(shape, device):
     assert (found["k_1"] <= found["k_2"]).all()
 
 
-def test_faces_edges_and_tips(device):
+def test_curvatures_of_faces_edges_and_tips_are_correct(device):
     up, out, slanted = np.array([0, 0, 1.0]), np.array([1.0, 0, 0]), np.array([0.6, 0, 0.8])
 
     def pair(shape, point, n):
@@ -105,7 +105,7 @@ def test_faces_edges_and_tips(device):
     assert pair(S.RoundedBox((0.3, 0.2, 0.25)), (0.3, 0, 0.25), slanted)[0] == (0, INF)
 
 
-def test_a_superellipsoid_bends_as_its_equation_says(device):
+def test_superellipsoid_curvature_matches_its_equation(device):
     shape = S.Superellipsoid((0.5, 0.4, 0.3), (0.7, 1.3))
     e_1, e_2 = shape.exponents
     random = np.random.default_rng(12)
@@ -141,9 +141,7 @@ def test_a_superellipsoid_bends_as_its_equation_says(device):
         ((1.3, 0.6), (INF, INF), (0.0, INF), 0.0),
     ],
 )
-def test_a_superellipsoid_bends_in_its_planes_of_symmetry_as_beside_them(
-    exponents, at_pole, at_side, between, device
-):
+def test_superellipsoid_curvature_is_continuous_at_symmetry_planes(exponents, at_pole, at_side, between, device):
     a, b, c = 0.5, 0.4, 0.3
     shape = S.Superellipsoid((a, b, c), exponents)
 
@@ -168,7 +166,7 @@ def test_a_superellipsoid_bends_in_its_planes_of_symmetry_as_beside_them(
     np.testing.assert_allclose(found, sorted((section, other)), rtol=1e-9)
 
 
-def test_a_patch_is_hollow_or_a_saddle(device):
+def test_parametric_surface_curvature_is_correct_for_hollows_and_saddles(device):
     sheet = Quadric(k_x=0.8, k_y=-0.5)
     u = np.array([[0.0, 0.0], [0.5, 0.3]])
     x, y = u.T
@@ -187,37 +185,38 @@ def test_a_patch_is_hollow_or_a_saddle(device):
 
 def bent(a, b, x, q, device):
     """Returns the meetings of a pair, its curvatures, and K/E* of Hertz contact from them."""
-    of_pair, of_curves = meet(type(a), type(b)), relative(type(a), type(b))
+    of_pair, of_curves = pair_function(type(a), type(b)), pair_curvature(type(a), type(b))
     P_a, P_b = (coefficient_struct(type(s), wp.float64) for s in (a, b))
-    met = meetings(a, b, x, q, device, of_pair)
+    contact = shape_contacts(a, b, x, q, device, of_pair)
 
     @wp.kernel(module="unique", enable_backward=False)
     def each(
         p_a: P_a, p_b: P_b, x: wp.array(dtype=wp.vec3d), q: wp.array(dtype=wp.quatd),
-        met: wp.array(dtype=Meeting), out: wp.array(dtype=Bent), stiffness: wp.array(dtype=wp.float64),
+        contact: wp.array(dtype=ShapeContactPoint), out: wp.array(dtype=PairCurvature),
+        stiffness: wp.array(dtype=wp.float64),
     ):  # fmt: skip
         i = wp.tid()
-        found = of_curves(p_a, p_b, x[i], q[i], met[i])
+        found = of_curves(p_a, p_b, x[i], q[i], contact[i])
         out[i] = found
         stiffness[i] = stiffness_per_modulus(found.relative.k_1, found.relative.k_2)
 
-    out = wp.zeros(len(x), dtype=Bent, device=device)
+    out = wp.zeros(len(x), dtype=PairCurvature, device=device)
     stiffness = wp.zeros(len(x), dtype=wp.float64, device=device)
     held = [wp.array(x, dtype=wp.vec3d, device=device), wp.array(q, dtype=wp.quatd, device=device)]
-    held.append(wp.array(met, dtype=Meeting, device=device))
+    held.append(wp.array(contact, dtype=ShapeContactPoint, device=device))
     wp.launch(each, len(x), inputs=[packed(a), packed(b), *held, out, stiffness], device=device)
-    return met, out.numpy(), stiffness.numpy()
+    return contact, out.numpy(), stiffness.numpy()
 
 
-def test_crossed_cylinders_have_the_stiffness_of_the_closed_form(device):
+def test_crossed_cylinder_stiffness_matches_closed_form(device):
     """At an angle φ: A + B = ½ (1/R₁ + 1/R₂), B − A = ½ √(1/R₁² + 1/R₂² + 2 cos 2φ/(R₁ R₂)) (Johnson 4.1)."""
     a, b = S.Cylinder(0.2, 1.0), S.Cylinder(0.5, 1.0)
     angle = np.radians([90.0, 60.0, 30.0, 10.0])
     # Both lie level, a across b in the middle: a's axis turned to the horizontal plane of b's frame.
     x = np.tile([0.69, 0.0, 0.0], (4, 1))
     q = np.column_stack([np.sin(angle / 2), 0 * angle, 0 * angle, np.cos(angle / 2)])
-    met, found, stiffness = bent(a, b, x, q, device)
-    np.testing.assert_allclose(met["gap"], -0.01, atol=1e-12)
+    contact, found, stiffness = bent(a, b, x, q, device)
+    np.testing.assert_allclose(contact["gap"], -0.01, atol=1e-12)
     total, apart = 5.0 + 2.0, np.sqrt(25.0 + 4.0 + 20.0 * np.cos(2 * angle))
     k_1, k_2 = 0.5 * (total - apart), 0.5 * (total + apart)
     np.testing.assert_allclose(found["relative"]["k_1"], k_1, rtol=1e-9)
@@ -226,7 +225,7 @@ def test_crossed_cylinders_have_the_stiffness_of_the_closed_form(device):
     np.testing.assert_allclose(stiffness, exact, rtol=1e-9)
 
 
-def test_ellipsoids_tip_on_tip_have_the_stiffness_of_the_closed_form(device):
+def test_ellipsoid_tip_stiffness_matches_closed_form(device):
     """Along x they touch at the ends: radii b²/a and c²/a of each, turned against each other by φ."""
     a, b = S.Ellipsoid((0.3, 0.4, 0.2)), S.Ellipsoid((0.5, 0.3, 0.25))
     angle = np.radians([0.0, 25.0, 90.0])

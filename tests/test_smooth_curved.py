@@ -8,18 +8,18 @@ import warp as wp
 from case_marks import slow_except
 from curved_pairs import (
     Quadric,
-    backward,
-    meetings,
+    inverse_rotation,
+    largest_separation,
     packed,
     random_rotations,
     rotated,
+    shape_contacts,
     signed_distance,
-    widest_way,
 )
 from scipy.spatial import cKDTree
 from warpcontact.kernels.formula import coefficient_struct, parameter
 from warpcontact.kernels.smooth import curved, nearest, shapes
-from warpcontact.kernels.smooth.patch import ParametricSurface, jet_of_patch
+from warpcontact.kernels.smooth.patch import ParametricSurface, parametric_jet
 from warpcontact.kernels.smooth.torus import Torus
 from warpcontact.kernels.types import MET, NOT_CONVERGED, OUTSIDE
 
@@ -34,14 +34,14 @@ PIERCED = (S.Ellipsoid, S.Cylinder, S.RoundedBox, S.Cone)
 names = {"ids": lambda shape: type(shape).__name__}
 
 
-def check_facing(met, a, b, x, q, tolerance=1e-9):
+def check_facing(contact, a, b, x, q, tolerance=1e-9):
     """The points lie on the surfaces, on a line along the normal, as far apart as the gap."""
-    n, gap = met["normal"], met["gap"]
-    np.testing.assert_allclose(met["point_a"] - met["point_b"], gap[:, None] * n, atol=tolerance)
+    n, gap = contact["normal"], contact["gap"]
+    np.testing.assert_allclose(contact["point_a"] - contact["point_b"], gap[:, None] * n, atol=tolerance)
     np.testing.assert_allclose(np.linalg.norm(n, axis=1), 1.0, atol=1e-12)
     for shape, points, outward in (
-        (a, rotated(backward(q), met["point_a"] - x), rotated(backward(q), -n)),
-        (b, met["point_b"], n),
+        (a, rotated(inverse_rotation(q), contact["point_a"] - x), rotated(inverse_rotation(q), -n)),
+        (b, contact["point_b"], n),
     ):
         np.testing.assert_allclose(signed_distance(shape, points), 0.0, atol=tolerance)
         # The distance grows at the rate 1 along the normal of the surface, and of an edge.
@@ -67,19 +67,19 @@ def ring_case(other, count, seed, angles=600):
 
 def check_ring(other, count, seed, device, angles=600):
     x, q, least = ring_case(other, count, seed, angles)
-    met = meetings(RING, other, x, q, device)
-    gap = met["gap"]
+    contact = shape_contacts(RING, other, x, q, device)
+    gap = contact["gap"]
     thick = 2 * RING.minor_radius
     wanted = (least > -0.6 * thick) & (least < 2.0 * thick)
     assert wanted.sum() > 0.15 * count
     # Sampling sees no place lower, beyond rounding. And what is found is a place of the circle, so none is higher
     # than the best by more than samples can be off: by the kink of a cone's tip, half a step of R.
-    good = met["status"] == MET
+    good = contact["status"] == MET
     assert (gap[good] <= least[good] + 1e-11).all()
     smooth = good & (least > RING.minor_radius * -0.9)
     step = RING.major_radius * np.pi / angles
     assert (gap[smooth] >= least[smooth] - step).all()
-    check_facing(met[good], RING, other, x[good], q[good])
+    check_facing(contact[good], RING, other, x[good], q[good])
     return (~good).sum()
 
 
@@ -88,7 +88,7 @@ def check_ring(other, count, seed, device, angles=600):
     slow_except(SOLIDS, lambda shape: type(shape) in (S.Cylinder, S.Ellipsoid)),
     **names,
 )
-def test_a_torus_meets_solids_where_its_core_circle_is_deepest(other, device):
+def test_torus_contact_is_at_the_deepest_point_of_its_core_circle(other, device):
     assert check_ring(other, 1000, 4, device) == 0
 
 
@@ -97,22 +97,22 @@ def test_a_torus_meets_solids_where_its_core_circle_is_deepest(other, device):
     slow_except([shape for shape in SOLIDS if type(shape) in PIERCED], lambda shape: type(shape) is S.Cylinder),
     **names,
 )
-def test_a_ring_that_a_body_pierces_leaves_it_on_the_shortest_way(other, device):
+def test_pierced_torus_separates_along_the_shortest_direction(other, device):
     x, q, least = ring_case(other, 2000, 11)
-    met = meetings(RING, other, x, q, device)
-    assert (met["status"] == MET).all()
-    check_facing(met, RING, other, x, q)
+    contact = shape_contacts(RING, other, x, q, device)
+    assert (contact["status"] == MET).all()
+    check_facing(contact, RING, other, x, q)
     # Where the way to the core's deepest place is not across the tube, the contact is another one.
-    pierced = np.flatnonzero(met["gap"] < least - 3e-3)[:40]
+    pierced = np.flatnonzero(contact["gap"] < least - 3e-3)[:40]
     assert len(pierced) == 40
-    grid = [widest_way(RING, other, x[i], q[i]) for i in pierced]
+    grid = [largest_separation(RING, other, x[i], q[i]) for i in pierced]
     # Cells are 0.065 apart: of an edge of g, as steep as the body is wide, half of that is missed.
-    np.testing.assert_allclose(met["gap"][pierced], grid, atol=0.012)
+    np.testing.assert_allclose(contact["gap"][pierced], grid, atol=0.012)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("other", SOLIDS, **names)
-def test_many_tori(other, times, device):
+def test_torus_contact_is_correct_for_many_random_pairs(other, times, device):
     """20 000, or 100 000 with --thorough."""
     assert check_ring(other, 20_000 * times, 5, device, angles=150) == 0
 
@@ -128,26 +128,26 @@ def sizes(kind, random):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", PIERCED, ids=lambda kind: kind.__name__)
-def test_bodies_of_any_size_leave_a_ring(kind, times, device):
+def test_torus_contact_is_correct_for_bodies_of_any_size(kind, times, device):
     """Plates and rods that are wider than the ring, too, from just apart to all but centred in it."""
     random = np.random.default_rng(12)
     missed = 0
     for seed in range(4 * times):
         other = sizes(kind, random)
         x, q, least = ring_case(other, 5000, seed, angles=20)
-        met = meetings(RING, other, x, q, device)
-        good = met["status"] == MET
+        contact = shape_contacts(RING, other, x, q, device)
+        good = contact["status"] == MET
         missed += (~good).sum()
         # Not above a place of the circle, and what that is as near to.
-        assert (met["gap"][good] <= least[good] + 1e-9).all()
-        check_facing(met[good], RING, other, x[good], q[good])
+        assert (contact["gap"][good] <= least[good] + 1e-9).all()
+        check_facing(contact[good], RING, other, x[good], q[good])
     # Of slender ones about one in 100 000 is told to be missed: of boxes 5 in 600 000, which were 64 in 100 000.
     # Here, more than two would be another rate.
     assert missed <= 2
 
 
 @pytest.mark.parametrize("axes", [(0.5, 0.3, 0.2), (0.54, 0.09, 0.06), (0.2, 0.5, 0.5), (0.5, 0.2, 0.2)])
-def test_the_middle_of_an_ellipsoid_is_as_far_from_it_as_places_beside(axes, device):
+def test_distance_from_ellipsoid_center_is_continuous(axes, device):
     """Distances change by no more than places do, also where a component is rounding."""
     random = np.random.default_rng(13)
     body = S.Ellipsoid(axes)
@@ -155,7 +155,7 @@ def test_the_middle_of_an_ellipsoid_is_as_far_from_it_as_places_beside(axes, dev
     near = 10.0 ** random.uniform(-20.0, -9.0, far.shape)
     off = random.random(far.shape) < 0.5
     x = np.where(off, near, far)
-    of_place, P = nearest.nearest(S.Ellipsoid), coefficient_struct(S.Ellipsoid, wp.float64)
+    of_place, P = nearest.signed_distance(S.Ellipsoid), coefficient_struct(S.Ellipsoid, wp.float64)
 
     @wp.kernel(module="unique", enable_backward=False)
     def each(p: P, x: wp.array(dtype=wp.vec3d), gap: wp.array(dtype=wp.float64)):
@@ -169,7 +169,7 @@ def test_the_middle_of_an_ellipsoid_is_as_far_from_it_as_places_beside(axes, dev
 
 
 @pytest.mark.parametrize("passing", [1e-2, 1e-5, 1e-8, 1e-10, 1e-12, 1e-15, 0.0])
-def test_rings_whose_core_circles_all_but_cross_meet_there(passing, device):
+def test_tori_with_nearly_crossing_core_circles_contact_there(passing, device):
     """The gap is how far the circles pass each other, less both tubes, at whatever angle they cross."""
     random = np.random.default_rng(3)
     count, other = 2000, Torus(0.4, 0.1)
@@ -179,36 +179,36 @@ def test_rings_whose_core_circles_all_but_cross_meet_there(passing, device):
     along = np.cross(rotated(q, circle(a + np.pi / 2)), circle(b + np.pi / 2))
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     x = other.major_radius * circle(b) + passing * along - RING.major_radius * rotated(q, circle(a))
-    met = meetings(RING, other, x, q, device)
-    assert (met["status"] == MET).all()
+    contact = shape_contacts(RING, other, x, q, device)
+    assert (contact["status"] == MET).all()
     least = passing - RING.minor_radius - other.minor_radius
     # Some cross elsewhere as well, and nearer.
-    assert (met["gap"] <= least + 1e-14).all()
-    there = np.abs(met["gap"] - least) < 1e-14
+    assert (contact["gap"] <= least + 1e-14).all()
+    there = np.abs(contact["gap"] - least) < 1e-14
     assert there.mean() > 0.9
     # Across both circles, to the side of the ring; where they cross there is none, or two. Some cross twice, or at
     # a small angle, within which rounding turns the normal.
-    to_side = np.einsum("pk,pk->p", met["normal"], along)[there]
+    to_side = np.einsum("pk,pk->p", contact["normal"], along)[there]
     to_side = to_side if passing > 1e-14 else np.abs(to_side)
     assert (to_side > 1 - 1e-9).mean() > 0.99
 
 
 @pytest.mark.parametrize(("x", "turned"), [((0.3, 0.0, 0.0), 0.0), ((0.9, 0.0, 0.0), 90.0)])
-def test_rings_whose_core_circles_cross_part_across_both(x, turned, device):
+def test_tori_with_crossing_core_circles_separate_across_both(x, turned, device):
     """Flat on each other, across their plane; upright and touching from outside, the circles meet end to end."""
     half = np.radians(turned) / 2
     q = np.array([[np.sin(half), 0.0, 0.0, np.cos(half)]])
-    met = meetings(RING, Torus(0.4, 0.1), np.array([x]), q, device)[0]
-    assert met["status"] == MET
-    np.testing.assert_allclose(met["gap"], -0.22, atol=1e-14)
+    contact = shape_contacts(RING, Torus(0.4, 0.1), np.array([x]), q, device)[0]
+    assert contact["status"] == MET
+    np.testing.assert_allclose(contact["gap"], -0.22, atol=1e-14)
     across = [0.0, 0.0, 1.0] if turned == 0.0 else [1.0, 0.0, 0.0]
-    np.testing.assert_allclose(np.abs(met["normal"]), across, atol=1e-7)
+    np.testing.assert_allclose(np.abs(contact["normal"]), across, atol=1e-7)
 
 
-def test_the_order_of_a_pair_does_not_matter(device):
+def test_torus_contact_is_symmetric_in_the_pair(device):
     x, q, _ = ring_case(SOLIDS[2], 100, 6)
-    one = meetings(RING, SOLIDS[2], x, q, device)
-    other = meetings(SOLIDS[2], RING, rotated(backward(q), -x), backward(q), device)
+    one = shape_contacts(RING, SOLIDS[2], x, q, device)
+    other = shape_contacts(SOLIDS[2], RING, rotated(inverse_rotation(q), -x), inverse_rotation(q), device)
     np.testing.assert_array_equal(other["status"], one["status"])
     assert (one["status"] == MET).all()
     np.testing.assert_allclose(other["gap"], one["gap"], atol=1e-12)
@@ -216,17 +216,19 @@ def test_the_order_of_a_pair_does_not_matter(device):
     np.testing.assert_allclose(rotated(q, other["normal"]), -one["normal"], atol=1e-9)
 
 
-def test_a_ball_lies_in_the_hole(device):
+def test_sphere_inside_torus_hole_has_correct_gap(device):
     """It touches the inner side all around and fits: the gap is R − r − its radius, not that from the hull."""
-    met = meetings(S.Sphere(0.3), RING, np.array([[0.0, 0.0, 0.0]]), np.array([[0, 0, 0, 1.0]]), device)[0]
-    np.testing.assert_allclose(met["gap"], 0.5 - 0.12 - 0.3, atol=1e-15)
+    contact = shape_contacts(S.Sphere(0.3), RING, np.array([[0.0, 0.0, 0.0]]), np.array([[0, 0, 0, 1.0]]), device)[
+        0
+    ]
+    np.testing.assert_allclose(contact["gap"], 0.5 - 0.12 - 0.3, atol=1e-15)
 
 
-def test_linked_rings_meet_as_their_core_circles_do(device):
+def test_linked_tori_contact_at_their_core_circles(device):
     """Two circles of radius 0.5, linked like a chain: each through the middle of the other, 0.5 apart."""
     q = np.array([[np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)]])
-    met = meetings(RING, RING, np.array([[0.5, 0.0, 0.0]]), q, device)[0]
-    np.testing.assert_allclose(met["gap"], 0.5 - 2 * 0.12, atol=1e-12)
+    contact = shape_contacts(RING, RING, np.array([[0.5, 0.0, 0.0]]), q, device)[0]
+    np.testing.assert_allclose(contact["gap"], 0.5 - 2 * 0.12, atol=1e-12)
 
 
 # Patches
@@ -249,11 +251,11 @@ def height(sheet, x, y):
 def sheet_case(sheet, count, seed):
     random = np.random.default_rng(seed)
     at = random.uniform(-0.5, 0.5, (count, 2))
-    foot = np.column_stack([at, height(sheet, *at.T)])
+    closest_point = np.column_stack([at, height(sheet, *at.T)])
     n = np.column_stack([-sheet.k_x * at[:, 0], -sheet.k_y * at[:, 1], np.ones(count)])
     n /= np.linalg.norm(n, axis=1, keepdims=True)
     # Centres from 0.1 below the surface to 0.6 above: −60 % of 0.5 and more deep, and well apart.
-    return foot + random.uniform(-0.1, 0.6, (count, 1)) * n, random_rotations(random, count)
+    return closest_point + random.uniform(-0.1, 0.6, (count, 1)) * n, random_rotations(random, count)
 
 
 def cloud(body, random, count=1500):
@@ -277,7 +279,7 @@ def cloud(body, random, count=1500):
 
 
 @pytest.mark.parametrize("body", BODIES, **names)
-def test_a_body_meets_a_patch_where_it_is_deepest(body, device):
+def test_parametric_surface_contact_is_at_the_deepest_point(body, device):
     """Its deepest point below the patch, or the nearest: by a cloud on the body and a grid on the patch."""
     random = np.random.default_rng(7)
     grid = np.linspace(-1, 1, 121)
@@ -285,8 +287,8 @@ def test_a_body_meets_a_patch_where_it_is_deepest(body, device):
     on_body = cloud(body, random)
     for sheet in SHEETS.values():
         x, q = sheet_case(sheet, 30, 8)
-        met = meetings(body, sheet, x, q, device)
-        assert (met["status"] == MET).all()
+        contact = shape_contacts(body, sheet, x, q, device)
+        assert (contact["status"] == MET).all()
         tree = cKDTree(np.column_stack([u, v, height(sheet, u, v)]))
         points = x[:, None] + rotated(q[:, None], on_body)
         distance, _ = tree.query(points)
@@ -294,18 +296,18 @@ def test_a_body_meets_a_patch_where_it_is_deepest(body, device):
         # What is below by no more than the grid is off, is not known to be below.
         signed = np.where(below, -distance, distance)
         # The cloud is 0.02 apart, and the surfaces have radii of 0.1: 0.02²/0.1 and, of the edges, less than 0.02.
-        np.testing.assert_allclose(met["gap"], signed.min(1), atol=0.01)
-        facing = met["point_a"] - met["point_b"] - met["gap"][:, None] * met["normal"]
+        np.testing.assert_allclose(contact["gap"], signed.min(1), atol=0.01)
+        facing = contact["point_a"] - contact["point_b"] - contact["gap"][:, None] * contact["normal"]
         np.testing.assert_allclose(facing, 0.0, atol=1e-8)
-        local = rotated(backward(q), met["point_a"] - x)
+        local = rotated(inverse_rotation(q), contact["point_a"] - x)
         np.testing.assert_allclose(signed_distance(body, local), 0.0, atol=1e-9)
-        on = met["point_b"]
+        on = contact["point_b"]
         np.testing.assert_allclose(on[:, 2], height(sheet, on[:, 0], on[:, 1]), atol=1e-14)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("body", [*BODIES, S.Sphere(0.25), S.Capsule(0.1, 0.2), S.Cone(0.2, 0.4)], **names)
-def test_many_bodies_on_patches_meet(body, times, device):
+def test_parametric_surface_contact_converges_for_many_random_bodies(body, times, device):
     """20 000, or 100 000 with --thorough: all of them converge, with facing normals.
 
     Of hundreds, or thousands, sampling sees no deeper or nearer place.
@@ -316,34 +318,36 @@ def test_many_bodies_on_patches_meet(body, times, device):
     sampled = (40 if isinstance(body, S.Ellipsoid) else 600) * times
     for sheet in SHEETS.values():
         x, q = sheet_case(sheet, 6667 * times, 9)
-        met = meetings(body, sheet, x, q, device)
-        assert (met["status"] == NOT_CONVERGED).sum() <= 1
-        good = met["status"] == MET
-        off = met["point_a"] - met["point_b"] - met["gap"][:, None] * met["normal"]
+        contact = shape_contacts(body, sheet, x, q, device)
+        assert (contact["status"] == NOT_CONVERGED).sum() <= 1
+        good = contact["status"] == MET
+        off = contact["point_a"] - contact["point_b"] - contact["gap"][:, None] * contact["normal"]
         np.testing.assert_allclose(off[good], 0.0, atol=1e-8)
         places = np.column_stack([u, v, height(sheet, u, v)])
         for some in np.array_split(np.flatnonzero(good)[:sampled], 10):
-            seen = signed_distance(body, rotated(backward(q[some])[:, None], places - x[some][:, None])).min(1)
-            assert (met["gap"][some] <= seen + 1e-9).all()
+            seen = signed_distance(
+                body, rotated(inverse_rotation(q[some])[:, None], places - x[some][:, None])
+            ).min(1)
+            assert (contact["gap"][some] <= seen + 1e-9).all()
 
 
-def test_a_sphere_in_a_paraboloid_bowl_has_the_closed_form(device):
+def test_sphere_in_paraboloid_bowl_matches_closed_form(device):
     """Deeper than its middle, too: where the nearest way out is no longer the one back."""
     sheet = Quadric(k_x=0.9, k_y=0.9)
     z = np.array([0.5, 0.2, 0.05, -0.05, -0.15])
     x = np.column_stack([0 * z, 0 * z, z])
-    met = meetings(S.Sphere(0.2), sheet, x, np.tile([0, 0, 0, 1.0], (5, 1)), device)
-    np.testing.assert_allclose(met["gap"], z - 0.2, atol=1e-12)
-    np.testing.assert_allclose(met["normal"], np.tile([0, 0, 1.0], (5, 1)), atol=1e-7)
+    contact = shape_contacts(S.Sphere(0.2), sheet, x, np.tile([0, 0, 0, 1.0], (5, 1)), device)
+    np.testing.assert_allclose(contact["gap"], z - 0.2, atol=1e-12)
+    np.testing.assert_allclose(contact["normal"], np.tile([0, 0, 1.0], (5, 1)), atol=1e-7)
 
 
-def test_a_patch_is_open(device):
+def test_parametric_surface_is_open_at_its_boundary(device):
     sheet = Quadric(k_x=0.0, k_y=0.0)
     # Over the middle, just inside and just outside of the edge, wholly behind.
     x = np.array([[0.0, 0.0, 0.1], [0.99, 0.0, 0.1], [1.01, 0.0, 0.1], [0.0, 0.0, -0.21], [0.0, 0.0, -0.19]])
-    met = meetings(S.Sphere(0.2), sheet, x, np.tile([0, 0, 0, 1.0], (5, 1)), device)
-    assert met["status"].tolist() == [MET, MET, OUTSIDE, OUTSIDE, MET]
-    np.testing.assert_allclose(met["gap"][[0, 1, 4]], (-0.1, -0.1, -0.39), atol=1e-14)
+    contact = shape_contacts(S.Sphere(0.2), sheet, x, np.tile([0, 0, 0, 1.0], (5, 1)), device)
+    assert contact["status"].tolist() == [MET, MET, OUTSIDE, OUTSIDE, MET]
+    np.testing.assert_allclose(contact["gap"][[0, 1, 4]], (-0.1, -0.1, -0.39), atol=1e-14)
 
 
 class Tube(ParametricSurface):
@@ -360,16 +364,16 @@ class Tube(ParametricSurface):
         return wp.vec3d(p.radius * wp.cos(u), p.radius * wp.sin(u), v)
 
 
-Bar, jet_of_bar = coefficient_struct(Tube, wp.float64), jet_of_patch(Tube)
+Bar, jet_of_bar = coefficient_struct(Tube, wp.float64), parametric_jet(Tube)
 
 
-def test_a_closed_patch_has_no_seam_and_differences_do_for_derivatives(device):
+def test_closed_parametric_surface_has_no_seam_with_numerical_derivatives(device):
     angle = np.linspace(-0.3, 0.3, 21)
     x = np.column_stack([1.1 * np.cos(angle), 1.1 * np.sin(angle), 0.3 * angle])
-    met = meetings(S.Sphere(0.2), Tube(radius=1.0), x, np.tile([0, 0, 0, 1.0], (21, 1)), device)
-    assert (met["status"] == MET).all()
-    np.testing.assert_allclose(met["gap"], -0.1, atol=1e-12)
-    np.testing.assert_allclose(met["normal"][:, :2], x[:, :2] / 1.1, atol=1e-9)
+    contact = shape_contacts(S.Sphere(0.2), Tube(radius=1.0), x, np.tile([0, 0, 0, 1.0], (21, 1)), device)
+    assert (contact["status"] == MET).all()
+    np.testing.assert_allclose(contact["gap"], -0.1, atol=1e-12)
+    np.testing.assert_allclose(contact["normal"][:, :2], x[:, :2] / 1.1, atol=1e-9)
 
 
 @wp.kernel(enable_backward=False)
@@ -385,7 +389,7 @@ def differences(radius: wp.float64, angle: wp.array(dtype=wp.float64), jets: wp.
     jets[i, 4] = jet.vv
 
 
-def test_differences_are_as_good_as_derivatives(device):
+def test_numerical_derivatives_match_analytic_derivatives(device):
     """To what is cut off and rounded at steps of 0.03 and 0.01: 1e-16/0.01² of the second ones."""
     u = np.linspace(0.1, 6.0, 40)
     jets = wp.zeros((40, 5), dtype=wp.vec3d, device=device)
@@ -399,7 +403,7 @@ def test_differences_are_as_good_as_derivatives(device):
     np.testing.assert_allclose(jets.numpy()[:, 2:], wanted[:, 2:], atol=1e-10)
 
 
-def test_wrong_contracts_are_told():
+def test_invalid_parametric_surface_class_is_refused():
     with pytest.raises(TypeError, match=r"Upside\.u_range must be two increasing numbers, got \(1, 0\)"):
         type("Upside", (ParametricSurface,), {"u_range": (1, 0), "v_range": (0, 1)})
     with pytest.raises(TypeError, match=r"Coarse\.scan must be two whole numbers of at least 4, got \(2, 9\)"):
@@ -411,6 +415,6 @@ def test_wrong_contracts_are_told():
     with pytest.raises(TypeError, match=r"Steep\.derivatives must be a wp\.func of \(p, u, v\)"):
         type("Steep", (ParametricSurface,), {"derivatives": 1})
     with pytest.raises(TypeError, match=r"two patches, Tube and Quadric, cannot touch"):
-        curved.meet(Tube, Quadric)
+        curved.pair_function(Tube, Quadric)
     with pytest.raises(ValueError, match=r"Torus\.minor_radius must be less than the major radius, got 0\.5 m"):
         Torus(0.5, 0.5)

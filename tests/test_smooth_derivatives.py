@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 import warp as wp
-from curved_pairs import Quadric, backward, meetings, packed, random_rotations, rotated
+from curved_pairs import Quadric, inverse_rotation, packed, random_rotations, rotated, shape_contacts
 from warpcontact.kernels.formula import coefficient_struct
 from warpcontact.kernels.smooth import derivatives, shapes
-from warpcontact.kernels.smooth.base import Meeting
-from warpcontact.kernels.smooth.curvature import relative
+from warpcontact.kernels.smooth.base import ShapeContactPoint
+from warpcontact.kernels.smooth.curvature import pair_curvature
 from warpcontact.kernels.smooth.derivatives import Gradients
-from warpcontact.kernels.smooth.meet import meet
+from warpcontact.kernels.smooth.meet import pair_function
 from warpcontact.kernels.smooth.torus import Torus
 
 S = shapes
@@ -22,24 +22,24 @@ PAIRS = [
 ]
 
 
-def gradients_of(a, b, x, q, met, device):
+def gradients_of(a, b, x, q, contact, device):
     """Returns the derivatives in the frame of b, rotations about the origins of the shapes."""
-    bent = relative(type(a), type(b))
+    bent = pair_curvature(type(a), type(b))
     P_a, P_b = (coefficient_struct(type(s), wp.float64) for s in (a, b))
 
     @wp.kernel(module="unique", enable_backward=False)
     def each(
         p_a: P_a, p_b: P_b, x: wp.array(dtype=wp.vec3d), q: wp.array(dtype=wp.quatd),
-        met: wp.array(dtype=Meeting), out: wp.array(dtype=Gradients),
+        contact: wp.array(dtype=ShapeContactPoint), out: wp.array(dtype=Gradients),
     ):  # fmt: skip
         i = wp.tid()
-        m = met[i]
+        m = contact[i]
         k = bent(p_a, p_b, x[i], q[i], m)
         out[i] = derivatives.gradients(m.normal, m.gap, m.point_a, m.point_b, k.a, k.b, x[i], wp.vec3d())
 
     out = wp.zeros(len(x), dtype=Gradients, device=device)
     given = [wp.array(x, dtype=wp.vec3d, device=device), wp.array(q, dtype=wp.quatd, device=device)]
-    held = wp.array(met, dtype=Meeting, device=device)
+    held = wp.array(contact, dtype=ShapeContactPoint, device=device)
     wp.launch(each, len(x), inputs=[packed(a), packed(b), *given, held, out], device=device)
     return out.numpy()
 
@@ -73,10 +73,10 @@ def product(p, q):
 
 
 @pytest.mark.parametrize(("a", "b"), PAIRS, ids=lambda shape: type(shape).__name__)
-def test_derivatives_by_the_poses_are_central_differences(a, b, device):
+def test_shape_pose_derivatives_match_central_differences(a, b, device):
     random = np.random.default_rng(2)
     x, q = poses(a, b, random)
-    of_pair = meet(type(a), type(b)) if a.convex and b.convex else None
+    of_pair = pair_function(type(a), type(b)) if a.convex and b.convex else None
     # Where b goes, everything is seen from: 1 pose as it is, and 24 that are moved a little.
     moved_x, moved_q, b_place, b_turn = [x], [q], [np.zeros(3)], [np.array([0, 0, 0, 1.0])]
     for motion in range(12):
@@ -93,16 +93,16 @@ def test_derivatives_by_the_poses_are_central_differences(a, b, device):
                 now_x = x - at
             else:
                 by = turn(axis, step)
-                now_x, now_q = rotated(backward(by), x), product(backward(by), q)
+                now_x, now_q = rotated(inverse_rotation(by), x), product(inverse_rotation(by), q)
             moved_x.append(now_x), moved_q.append(now_q), b_place.append(at), b_turn.append(by)
-    met = meetings(a, b, np.concatenate(moved_x), np.concatenate(moved_q), device, of_pair)
-    assert (met["status"] == 0).all()
-    met = met.reshape(25, COUNT)
-    exact = gradients_of(a, b, x, q, met[0], device)
+    contact = shape_contacts(a, b, np.concatenate(moved_x), np.concatenate(moved_q), device, of_pair)
+    assert (contact["status"] == 0).all()
+    contact = contact.reshape(25, COUNT)
+    exact = gradients_of(a, b, x, q, contact[0], device)
     assert (exact["determined"] == 1).all()
     b_place, b_turn = np.array(b_place)[:, None], np.array(b_turn)[:, None]
-    seen = {name: b_place + rotated(b_turn, met[name]) for name in ("point_a", "point_b")}
-    seen["normal"] = rotated(b_turn, met["normal"])
+    seen = {name: b_place + rotated(b_turn, contact[name]) for name in ("point_a", "point_b")}
+    seen["normal"] = rotated(b_turn, contact["normal"])
 
     def differences(values):
         pairs = values[1:].reshape(12, 2, *values.shape[1:])
@@ -110,7 +110,7 @@ def test_derivatives_by_the_poses_are_central_differences(a, b, device):
 
     # Differences of the gap, to 1e-15, by 2e-5; of the points, which are known to 1e-12 or so; and 1e-10 of the
     # third derivative, which is up to 1/(curvature)² on sharp ends.
-    np.testing.assert_allclose(exact["gap"], differences(met["gap"]).T, atol=1e-8)
+    np.testing.assert_allclose(exact["gap"], differences(contact["gap"]).T, atol=1e-8)
     for name, values in seen.items():
         expected = np.moveaxis(differences(values), 0, -1)
         np.testing.assert_allclose(exact[name], expected, atol=2e-6 * np.abs(expected).max(), err_msg=name)
@@ -123,27 +123,27 @@ SIZED = [
 
 
 @pytest.mark.parametrize("shape", SIZED, ids=lambda shape: type(shape).__name__)
-def test_derivatives_by_the_sizes_are_central_differences(shape, device):
+def test_shape_size_derivatives_match_central_differences(shape, device):
     """Of a small sphere and the shape, by the sizes of the shape."""
     random = np.random.default_rng(3)
     x, q = random.normal(size=(COUNT, 3)), random_rotations(random, COUNT)
     x /= np.linalg.norm(x, axis=1, keepdims=True)
     ball = S.Sphere(0.1)
-    names, outward = derivatives.growth(type(shape))
+    names, outward = derivatives.size_gradient(type(shape))
     P = coefficient_struct(type(shape), wp.float64)
     count = sum(np.size(getattr(shape, name)) for name in names)
 
     @wp.kernel(module="unique", enable_backward=False)
-    def each(p: P, met: wp.array(dtype=Meeting), out: wp.array2d(dtype=wp.float64)):
+    def each(p: P, contact: wp.array(dtype=ShapeContactPoint), out: wp.array2d(dtype=wp.float64)):
         i = wp.tid()
-        grown = outward(p, met[i].point_b, met[i].normal)
+        grown = outward(p, contact[i].point_b, contact[i].normal)
         for k in range(wp.static(count)):
             out[i, k] = -grown[k]
 
-    of_pair = meet(S.Sphere, type(shape)) if shape.convex else None
-    met = meetings(ball, shape, x, q, device, of_pair)
+    of_pair = pair_function(S.Sphere, type(shape)) if shape.convex else None
+    contact = shape_contacts(ball, shape, x, q, device, of_pair)
     out = wp.zeros((COUNT, count), dtype=wp.float64, device=device)
-    held = wp.array(met, dtype=Meeting, device=device)
+    held = wp.array(contact, dtype=ShapeContactPoint, device=device)
     wp.launch(each, COUNT, inputs=[packed(shape), held, out], device=device)
     expected = []
     for name in names:
@@ -154,16 +154,16 @@ def test_derivatives_by_the_sizes_are_central_differences(shape, device):
                 changed = value.copy().reshape(-1)
                 changed[k] += sign * STEP
                 other = dict(shape.parameters(), **{name: tuple(changed) if value.ndim else float(changed[0])})
-                gaps.append(meetings(ball, type(shape)(**other), x, q, device, of_pair)["gap"])
+                gaps.append(shape_contacts(ball, type(shape)(**other), x, q, device, of_pair)["gap"])
             expected.append((gaps[0] - gaps[1]) / (2 * STEP))
     np.testing.assert_allclose(out.numpy(), np.transpose(expected), atol=1e-8)
 
 
-def test_a_flat_face_on_a_flat_face_determines_no_points(device):
+def test_face_on_face_contact_has_undetermined_points(device):
     box, plane = S.RoundedBox((0.3, 0.2, 0.25), 0.05), S.Plane()
     x, q = np.array([[0.0, 0.0, 0.24]]), np.array([[0.0, 0.0, 0.0, 1.0]])
-    met = meetings(box, plane, x, q, device, meet(S.RoundedBox, S.Plane))
-    found = gradients_of(box, plane, x, q, met, device)[0]
+    contact = shape_contacts(box, plane, x, q, device, pair_function(S.RoundedBox, S.Plane))
+    found = gradients_of(box, plane, x, q, contact, device)[0]
     np.testing.assert_allclose(found["gap"][:3], (0, 0, 1))
     assert found["determined"] == 0
     assert np.isnan(found["point_a"]).all()

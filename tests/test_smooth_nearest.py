@@ -6,11 +6,11 @@ import warp as wp
 from convex_pairs import random_shapes
 from warpcontact.kernels.formula import coefficient_struct
 from warpcontact.kernels.smooth import shapes as S
-from warpcontact.kernels.smooth.nearest import nearest, nearest_within
+from warpcontact.kernels.smooth.nearest import signed_distance, signed_distance_within
 
 
 @pytest.mark.slow
-def test_distances_from_superellipsoids_are_exact_where_they_are_asked(device):
+def test_superellipsoid_distances_are_exact_below_the_requested_bound(device):
     """Of places that are farther than asked any normal is enough that tells so."""
     count, random = 2000, np.random.default_rng(3)
     sizes = random_shapes(S.Superellipsoid, count, random)
@@ -19,7 +19,7 @@ def test_distances_from_superellipsoids_are_exact_where_they_are_asked(device):
     start /= np.linalg.norm(start, axis=1, keepdims=True)
     enough = random.uniform(-0.5, 0.5, count) * sizes["semi_axes"].min(axis=1)
     Of = coefficient_struct(S.Superellipsoid, wp.float64)
-    of_place, within = nearest(S.Superellipsoid), nearest_within(S.Superellipsoid)
+    of_place, within = signed_distance(S.Superellipsoid), signed_distance_within(S.Superellipsoid)
 
     @wp.kernel(module="unique")
     def ask(

@@ -64,7 +64,7 @@ def equations(case, u):
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_the_oracle_to_rounding(name, oracle, solve):
+def test_ellipsoid_newton_matches_reference(name, oracle, solve):
     case = oracle[name]
     root = solve(case, case["q0"])[0]
     assert root["kind"] == ROOT_FACING
@@ -73,12 +73,12 @@ def test_the_oracle_to_rounding(name, oracle, solve):
     np.testing.assert_allclose(A @ root["normal"], case["n_i"], rtol=0, atol=1e-12)
     np.testing.assert_allclose(A @ root["point_b"], case["P_i"], rtol=0, atol=1e-12)
     np.testing.assert_allclose(A @ root["point_a"], case["P_j"], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(root["facing"], -1.0, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(root["normal_cosine"], -1.0, rtol=0, atol=1e-14)
     if root["pole_a"] == 2 and root["pole_b"] == 2:
         np.testing.assert_allclose(root["u"], case["q"], rtol=0, atol=1e-12)
 
 
-def test_newton_follows_the_published_history_and_is_quadratic(oracle, solve):
+def test_ellipsoid_newton_matches_published_residuals_and_converges_quadratically(oracle, solve):
     case = oracle["separated"]
     history = [equations(case, solve(case, case["q0"], most)[0]["u"]) for most in range(5)]
     # The last but one is rounding of 1e-10 to one part in 1e6; then nothing is left.
@@ -90,7 +90,7 @@ def test_newton_follows_the_published_history_and_is_quadratic(oracle, solve):
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_all_four_roots_are_found_and_told_apart(name, oracle, solve):
+def test_ellipsoid_newton_finds_and_classifies_all_four_roots(name, oracle, solve):
     case = oracle[name]
     random = np.random.default_rng(1)
     longitude, sine = random.uniform(-np.pi, np.pi, (2, 400)), random.uniform(-1, 1, (2, 400))

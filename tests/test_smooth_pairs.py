@@ -18,8 +18,8 @@ from convex_pairs import (
     widths,
 )
 from scipy.spatial.transform import Rotation
-from warpcontact.kernels.smooth.base import Seed
-from warpcontact.kernels.smooth.meet import meet
+from warpcontact.kernels.smooth.base import WarmStart
+from warpcontact.kernels.smooth.meet import pair_function
 from warpcontact.kernels.types import MET
 
 import warpcontact as wc
@@ -55,7 +55,7 @@ def placed(case):
 
 
 @pytest.mark.parametrize("name", ["separated", "penetrating", "deep"])
-def test_ellipsoids_meet_as_in_the_oracle(oracle, name, device):
+def test_ellipsoid_pair_matches_reference(oracle, name, device):
     case = oracle[name]
     A_i = np.array(case["A_i"])
     found = solved(sh.Ellipsoid, sh.Ellipsoid, AXES_J, AXES_I, *placed(case), device=device)[0]
@@ -68,15 +68,15 @@ def test_ellipsoids_meet_as_in_the_oracle(oracle, name, device):
 
 
 @pytest.mark.parametrize("name", ["separated", "penetrating", "deep"])
-def test_the_right_one_of_four_roots_is_found_from_any_start(oracle, name, device):
+def test_ellipsoid_pair_finds_the_correct_root_from_any_warm_start(oracle, name, device):
     case = oracle[name]
     roots = np.array(case["roots"])
     assert len(roots) == 4
     right = roots[roots[:, 2] < 0.0, 0].max()
-    seeds = np.zeros(1000, dtype=Seed.numpy_dtype())
+    seeds = np.zeros(1000, dtype=WarmStart.numpy_dtype())
     seeds["normal"] = np.random.default_rng(0).normal(size=(1000, 3))
     seeds["normal"] /= np.linalg.norm(seeds["normal"], axis=1, keepdims=True)
-    seeds["known"] = 1
+    seeds["valid"] = 1
     x, q = placed(case)
     found = solved(
         sh.Ellipsoid, sh.Ellipsoid, AXES_J, AXES_I, np.broadcast_to(x, (1000, 3)), q, seeds, device=device
@@ -87,7 +87,7 @@ def test_the_right_one_of_four_roots_is_found_from_any_start(oracle, name, devic
 
 
 @pytest.mark.parametrize("name", ["separated", "penetrating", "deep"])
-def test_the_gap_changes_as_the_points_move_in_the_oracle(oracle, name, device):
+def test_ellipsoid_gap_rate_matches_reference(oracle, name, device):
     case = oracle[name]
     v, A_i = case["velocity"], np.array(case["A_i"])
     found = solved(sh.Ellipsoid, sh.Ellipsoid, AXES_J, AXES_I, *placed(case), device=device)[0]
@@ -99,7 +99,7 @@ def test_the_gap_changes_as_the_points_move_in_the_oracle(oracle, name, device):
 # Closed forms
 
 
-def test_spheres(device):
+def test_sphere_pair_gap_is_exact(device):
     x = np.random.default_rng(1).normal(size=(100, 3))
     found = solved(sh.Sphere, sh.Sphere, {"radius": 0.3}, {"radius": 0.5}, x, UPRIGHT, device=device)
     distance = np.linalg.norm(x, axis=1)
@@ -109,7 +109,7 @@ def test_spheres(device):
 
 
 @pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: shape.__name__)
-def test_a_shape_on_a_plane_touches_it_with_its_lowest_point(shape, device):
+def test_shape_contacts_plane_at_its_lowest_point(shape, device):
     rng = np.random.default_rng(2)
     values, q, x = random_shapes(shape, 200, rng), random_rotations(200, rng), rng.normal(size=(200, 3))
     found = solved(shape, sh.Plane, values, {}, x, q, device=device)
@@ -125,9 +125,9 @@ def test_a_shape_on_a_plane_touches_it_with_its_lowest_point(shape, device):
     np.testing.assert_allclose(other["normal"], -back.apply([0.0, 0.0, 1.0]), atol=1e-14)
 
 
-def test_two_planes_are_refused():
+def test_plane_plane_pair_is_refused():
     with pytest.raises(TypeError, match="two planes"):
-        meet(sh.Plane, sh.Plane)
+        pair_function(sh.Plane, sh.Plane)
 
 
 # Brute force
@@ -142,7 +142,7 @@ def test_two_planes_are_refused():
     ],
     ids=names,
 )
-def test_the_gap_is_the_largest_of_all_directions(pair, device):
+def test_gap_is_the_maximum_over_all_directions(pair, device):
     shapes = random_pairs(*pair, 1000, seed=3)
     check(*pair, shapes, solved(*pair, *shapes, device=device), count=1000)
 
@@ -156,7 +156,7 @@ INACTIVE = [
 
 
 @pytest.mark.parametrize(("A", "B", "seed", "which"), INACTIVE)
-def test_a_hidden_way_apart_is_found(A, B, seed, which, device):
+def test_global_separation_direction_is_found_if_hidden(A, B, seed, which, device):
     a, b, x, q = random_pairs(A, B, 20_000, seed=seed)
     pair = (A, B, *(chosen(values, [which]) for values in (a, b)), x[[which]], q[[which]])
     found = solved(*pair, device=device)[0]
@@ -164,7 +164,7 @@ def test_a_hidden_way_apart_is_found(A, B, seed, which, device):
     assert found["gap"] == pytest.approx(brute_force(*pair, rounds=60)[0], abs=1e-9)
 
 
-def test_a_tip_within_a_tip_slides_out(device):
+def test_cone_tips_in_overlap_converge_quickly(device):
     """As long as tips are all that touch, g is as curved one way as the other, but for rounding."""
     a, b, x, q = random_pairs(sh.Cone, sh.Cone, 20_000, seed=100)
     pair = (sh.Cone, sh.Cone, *(chosen(values, [14490]) for values in (a, b)), x[[14490]], q[[14490]])
@@ -182,10 +182,10 @@ SOME = [
 
 
 @pytest.mark.parametrize("pair", SOME, ids=names)
-def test_no_start_leads_to_another_answer(pair, device):
+def test_gap_does_not_depend_on_the_warm_start(pair, device):
     shapes = random_pairs(*pair, 1000, seed=4)
     cold = solved(*pair, *shapes, device=device)
-    seeds = cold["seed"].copy()
+    seeds = cold["warm_start"].copy()
     seeds["normal"] = np.random.default_rng(5).normal(size=(1000, 3))
     seeds["normal"] /= np.linalg.norm(seeds["normal"], axis=1, keepdims=True)
     found = solved(*pair, *shapes, seeds, device=device)
@@ -194,10 +194,10 @@ def test_no_start_leads_to_another_answer(pair, device):
 
 
 @pytest.mark.parametrize("pair", SOME, ids=names)
-def test_from_the_answer_little_is_left_to_do(pair, device):
+def test_warm_start_at_the_solution_needs_few_iterations(pair, device):
     shapes = random_pairs(*pair, 1000, seed=4)
     cold = solved(*pair, *shapes, device=device)
-    warm = solved(*pair, *shapes, cold["seed"], device=device)
+    warm = solved(*pair, *shapes, cold["warm_start"], device=device)
     np.testing.assert_allclose(warm["gap"], cold["gap"], atol=1e-11)
     apart = cold["gap"] > 0.0
     steep = sh.Superellipsoid in pair
@@ -205,7 +205,7 @@ def test_from_the_answer_little_is_left_to_do(pair, device):
 
 
 @pytest.mark.parametrize("pair", SOME, ids=names)
-def test_the_gap_changes_as_the_points_move(pair, device):
+def test_gap_rate_matches_point_velocities(pair, device):
     a, b, x, q = random_pairs(*pair, 300, seed=6, exponents=(0.5, 1.5))
     rng = np.random.default_rng(7)
     v, w = rng.normal(size=(2, 300, 3))
@@ -228,7 +228,7 @@ def test_the_gap_changes_as_the_points_move(pair, device):
 
 
 @pytest.mark.parametrize("pair", SOME, ids=names)
-def test_a_and_b_can_be_exchanged(pair, device):
+def test_shape_pair_is_symmetric(pair, device):
     A, B = pair
     a, b, x, q = random_pairs(A, B, 300, seed=8)
     found = solved(A, B, a, b, x, q, device=device)
@@ -246,7 +246,7 @@ LENGTHS = ("radius", "half_length", "height", "semi_axes", "half_extents")
 
 @pytest.mark.parametrize("scale", [1e-6, 1e6])
 @pytest.mark.parametrize("pair", SOME, ids=names)
-def test_sizes_do_not_matter(pair, scale, device):
+def test_shape_pair_gap_is_invariant_to_scale(pair, scale, device):
     a, b, x, q = random_pairs(*pair, 300, seed=9)
     found = solved(*pair, a, b, x, q, device=device)
     large = [{name: v * scale if name in LENGTHS else v for name, v in values.items()} for values in (a, b)]
@@ -255,7 +255,7 @@ def test_sizes_do_not_matter(pair, scale, device):
     np.testing.assert_allclose(other["gap"] / scale, found["gap"], atol=1e-11)
 
 
-def test_a_grain_on_a_boulder(device):
+def test_gap_is_accurate_for_size_ratio_of_a_million(device):
     """Sizes that differ by a million: the gap is as fine as rounding of the large one."""
     rng = np.random.default_rng(10)
     small = {"semi_axes": 1e-6 * rng.uniform(0.5, 1.0, (300, 3))}
@@ -263,11 +263,11 @@ def test_a_grain_on_a_boulder(device):
     n = rng.normal(size=(300, 3))
     n /= np.linalg.norm(n, axis=1, keepdims=True)
     q = random_rotations(300, rng)
-    foot = large["semi_axes"] ** 2 * n / heights(sh.Ellipsoid, large, n[:, None])
+    contact_point = large["semi_axes"] ** 2 * n / heights(sh.Ellipsoid, large, n[:, None])
     reach = heights(sh.Ellipsoid, small, to_a(Rotation.from_quat(q).as_matrix(), -n[:, None]))
     own = Rotation.from_quat(q)
     grain = own.apply(small["semi_axes"] ** 2 * own.inv().apply(-n)) / reach
-    found = solved(sh.Ellipsoid, sh.Ellipsoid, small, large, foot + 2e-7 * n - grain, q, device=device)
+    found = solved(sh.Ellipsoid, sh.Ellipsoid, small, large, contact_point + 2e-7 * n - grain, q, device=device)
     assert (found["status"] == MET).all()
     np.testing.assert_allclose(found["gap"], 2e-7, atol=1e-14)
 
@@ -311,7 +311,7 @@ ALIGNED = [
 
 
 @pytest.mark.parametrize(("A", "B", "a", "b", "x", "q", "gap", "normal"), ALIGNED)
-def test_aligned_shapes_meet_in_closed_form(A, B, a, b, x, q, gap, normal, device):
+def test_aligned_shapes_match_closed_form(A, B, a, b, x, q, gap, normal, device):
     found = solved(A, B, a, b, x, q, device=device)[0]
     assert found["status"] == MET
     assert found["gap"] == pytest.approx(gap, abs=1e-13)
@@ -320,7 +320,7 @@ def test_aligned_shapes_meet_in_closed_form(A, B, a, b, x, q, gap, normal, devic
     np.testing.assert_allclose(found["point_a"] - found["point_b"], found["gap"] * found["normal"], atol=1e-13)
 
 
-def test_parallel_faces_touch_within_both(device):
+def test_parallel_faces_contact_within_both_faces(device):
     """Displaced bodies touch at a point common to both faces, aligned ones in the middle."""
     x = np.array([[0.0, 0.0, 1.35], [0.4, 0.0, 1.35], [0.9, -1.1, 1.35]])
     found = solved(sh.RoundedBox, sh.RoundedBox, BOX, BOX, x, UPRIGHT, device=device)
@@ -335,7 +335,7 @@ def test_parallel_faces_touch_within_both(device):
 
 @pytest.mark.parametrize("angle", [1e-15, 1e-12, 1e-9, 1e-6, 1e-3])
 @pytest.mark.parametrize("pair", [(sh.Cylinder, CYLINDER), (sh.RoundedBox, BOX)], ids=["cylinder", "box"])
-def test_nearly_parallel_faces_meet_at_an_edge(pair, angle, device):
+def test_nearly_parallel_faces_contact_at_an_edge(pair, angle, device):
     """Tilted a little, the lowest corner or point of the rim is what touches."""
     shape, values = pair
     q = Rotation.from_rotvec([0.0, angle, 0.0]).as_quat()
@@ -351,7 +351,7 @@ def test_nearly_parallel_faces_meet_at_an_edge(pair, angle, device):
 # Parameters
 
 
-def test_shapes_take_parameters_by_position_or_name():
+def test_shapes_accept_parameters_by_position_or_name():
     assert sh.Sphere(0.1) == sh.Sphere(radius=0.1)
     assert sh.Ellipsoid((1.0, 0.6, 0.4)).semi_axes == (1.0, 0.6, 0.4)
     assert sh.RoundedBox((1.0, 1.0, 1.0)).radius == 0.0
@@ -374,6 +374,6 @@ def test_shapes_take_parameters_by_position_or_name():
         (lambda: sh.Cone(1.0, np.inf), r"Cone.height must be greater than 0, got inf m"),
     ],
 )
-def test_bad_parameters_are_named(make, message):
+def test_invalid_shape_parameters_are_refused(make, message):
     with pytest.raises(ValueError, match=message):
         make()

@@ -13,7 +13,7 @@ COMBINATIONS = list(itertools.combinations_with_replacement(SHAPES, 2))
 
 @pytest.mark.slow
 @pytest.mark.parametrize("pair", COMBINATIONS, ids=lambda pair: "-".join(shape.__name__ for shape in pair))
-def test_no_pair_of_many_is_wrong(pair, times, device):
+def test_many_random_convex_pairs_match_brute_force(pair, times, device):
     """20 000, or 100 000 with --thorough."""
     A, B = pair
     for seed in range(times):

@@ -2,7 +2,7 @@
 
 import pytest
 from convex_pairs import solved
-from patch_pairs import PATCHES, Bore, Quadric, Tube, Waves, check_points, judged, random_pairs
+from patch_pairs import PATCHES, Bore, Quadric, Tube, Waves, check_points, classify_contacts, random_pairs
 from patch_reference import SIZES
 from warpcontact.kernels.smooth import shapes as S
 from warpcontact.kernels.smooth.torus import Torus
@@ -15,8 +15,8 @@ names = {"ids": lambda pair: "-".join(kind.__name__ for kind in pair)}
 def check(A, P, count, seed, device):
     pairs = random_pairs(A, P, count, seed)
     met = solved(A, P, *pairs[:4], device=device)
-    told = judged(A, P, pairs, met, device)
-    counts = {name: mask.sum() for name, mask in told.items()}
+    verdict = classify_contacts(A, P, pairs, met, device)
+    counts = {name: mask.sum() for name, mask in verdict.items()}
     assert counts["wrong"] == counts["lost"] == counts["missed"] == 0, counts
     check_points(A, P, pairs, met)
     return counts
@@ -26,7 +26,7 @@ def check(A, P, count, seed, device):
 @pytest.mark.parametrize(
     "pair", [(S.RoundedBox, Quadric), (S.Cylinder, Bore), (Torus, Waves), (S.Cone, Tube)], **names
 )
-def test_contacts_of_shapes_and_patches_are_the_deepest_or_the_nearest(pair, device):
+def test_parametric_surface_contact_is_the_deepest_or_nearest(pair, device):
     counts = check(*pair, 2000, 7, device)
     assert counts["met"] > 1900
     assert counts["deep"] > 800
@@ -36,7 +36,7 @@ def test_contacts_of_shapes_and_patches_are_the_deepest_or_the_nearest(pair, dev
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("P", "row"), [(Quadric, 1096), (Quadric, 14853), (Waves, 3301), (Bore, 16094)])
-def test_normals_of_superellipsoids_are_exact_where_distances_tell_no_more(P, row):
+def test_superellipsoid_normal_on_parametric_surface_is_exact_below_distance_rounding(P, row):
     """Where a step changes the distance by less than rounding, normals were off by 6e-10 to 9e-8."""
     a, b, x, q, _ = random_pairs(S.Superellipsoid, P, 25_000, 100)
     own = slice(row, row + 1)
@@ -51,14 +51,14 @@ def test_normals_of_superellipsoids_are_exact_where_distances_tell_no_more(P, ro
 @pytest.mark.parametrize(
     "P", [Quadric, pytest.param(Waves, marks=pytest.mark.slow)], ids=lambda kind: kind.__name__
 )
-def test_planes_meet_patches_or_are_nearest_to_their_edges(P, device):
+def test_plane_contact_with_parametric_surface_is_at_the_deepest_point_or_edge(P, device):
     counts = check(S.Plane, P, 2000, 7, device)
     assert counts["met"] > 100
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("pair", COMBINATIONS, **names)
-def test_no_pair_of_many_is_wrong(pair, times, device):
+def test_many_random_shape_and_parametric_surface_pairs_match_reference(pair, times, device):
     """20 000 of each shape on four patches, or 100 000 with --thorough."""
     count = 5000 * times
     counts = check(*pair, count, 100, device)
@@ -69,13 +69,13 @@ def test_no_pair_of_many_is_wrong(pair, times, device):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("P", [Quadric, Waves], ids=lambda kind: kind.__name__)
-def test_no_plane_of_many_is_wrong(P, times, device):
+def test_many_random_planes_on_parametric_surfaces_match_reference(P, times, device):
     check(S.Plane, P, 10_000 * times, 100, device)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("P", PATCHES, ids=lambda kind: kind.__name__)
-def test_no_superellipsoid_on_a_patch_is_wrong(P, device):
+def test_superellipsoids_on_parametric_surfaces_match_reference(P, device):
     """The reference takes 0.4 s of a core for a pair, 20 times the solver. 25 000 were judged once: none wrong."""
     counts = check(S.Superellipsoid, P, 100, 100, device)
     assert counts["met"] > 95

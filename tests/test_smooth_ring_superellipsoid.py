@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import warp as wp
 from convex_pairs import directions, heights, random_rotations, random_shapes, solved
-from curved_pairs import backward, rotated, widest_way
+from curved_pairs import inverse_rotation, largest_separation, rotated
 from patch_pairs import support
-from superellipsoid_distance import at_least, beyond
+from superellipsoid_distance import distance_lower_bound, separation
 from warpcontact.kernels.smooth import shapes as S
 from warpcontact.kernels.smooth.torus import Torus
 from warpcontact.kernels.types import MET
@@ -18,7 +18,7 @@ ANGLES = wp.constant(wp.int32(300))
 
 
 @wp.kernel(module="unique", enable_backward=False)
-def look_around(
+def search_neighborhood(
     axes: wp.array(dtype=wp.vec3d),
     exponents: wp.array(dtype=wp.vec2d),
     radius: wp.array(dtype=wp.float64),
@@ -26,7 +26,7 @@ def look_around(
     q: wp.array(dtype=wp.quatd),
     normal: wp.array(dtype=wp.vec3d),
     center: wp.array(dtype=wp.vec3d),
-    told: wp.array(dtype=wp.float64),
+    reported: wp.array(dtype=wp.float64),
     shortfall: wp.array(dtype=wp.float64),
     there: wp.array(dtype=wp.float64),
 ):
@@ -36,11 +36,11 @@ def look_around(
     for k in range(ANGLES):
         angle = wp.float64(2.0 * wp.pi) * wp.float64(k) / wp.float64(ANGLES)
         y = x[i] + wp.quat_rotate(q[i], radius[i] * wp.vec3d(wp.cos(angle), wp.sin(angle), wp.float64(0.0)))
-        if beyond(axes[i], exponents[i], normal[i], y) < told[i]:
-            value, m = at_least(axes[i], exponents[i], n, y, told[i])
+        if separation(axes[i], exponents[i], normal[i], y) < reported[i]:
+            value, m = distance_lower_bound(axes[i], exponents[i], n, y, reported[i])
             n = m
-            shortfall[i] = wp.max(shortfall[i], told[i] - value)
-    value, m = at_least(axes[i], exponents[i], normal[i], center[i], wp.float64(wp.inf))
+            shortfall[i] = wp.max(shortfall[i], reported[i] - value)
+    value, m = distance_lower_bound(axes[i], exponents[i], normal[i], center[i], wp.float64(wp.inf))
     there[i] = value
 
 
@@ -50,7 +50,7 @@ def measure(
 ):
     """Signed distances of places."""
     i = wp.tid()
-    value, _n = at_least(axes, exponents, UP, y[i], wp.float64(wp.inf))
+    value, _n = distance_lower_bound(axes, exponents, UP, y[i], wp.float64(wp.inf))
     distance[i] = value
 
 
@@ -64,7 +64,8 @@ def random_poses(count, seed):
     n = random.normal(size=(count, 3))
     n /= np.linalg.norm(n, axis=1, keepdims=True)
     reach = (
-        support(Torus, a, rotated(backward(q), -n)[:, None])[:, 0] + heights(S.Superellipsoid, b, n[:, None])[:, 0]
+        support(Torus, a, rotated(inverse_rotation(q), -n)[:, None])[:, 0]
+        + heights(S.Superellipsoid, b, n[:, None])[:, 0]
     )
     own = directions(64)[None]
     size = 2.0 * np.minimum(support(Torus, a, own).mean(axis=1), heights(S.Superellipsoid, b, own).mean(axis=1))
@@ -75,26 +76,26 @@ def random_poses(count, seed):
 
 def check(count, seed, device):
     a, b, x, q = random_poses(count, seed)
-    met = solved(Torus, S.Superellipsoid, a, b, x, q, device=device)
-    assert (met["status"] == MET).all()
-    n, gap = met["normal"], met["gap"]
+    contact = solved(Torus, S.Superellipsoid, a, b, x, q, device=device)
+    assert (contact["status"] == MET).all()
+    n, gap = contact["normal"], contact["gap"]
     # On the surface of both: what touches the body across n, and what is r from the core circle, square to it.
-    along = np.sum(n * met["point_b"], axis=1) - heights(S.Superellipsoid, b, n[:, None])[:, 0]
+    along = np.sum(n * contact["point_b"], axis=1) - heights(S.Superellipsoid, b, n[:, None])[:, 0]
     np.testing.assert_allclose(along, 0.0, atol=TIE)
     np.testing.assert_allclose(np.linalg.norm(n, axis=1), 1.0, atol=1e-12)
-    np.testing.assert_allclose(np.sum(n * (met["point_a"] - met["point_b"]), axis=1), gap, atol=TIE)
-    center = met["point_a"] + a["minor_radius"][:, None] * n
-    local, m = rotated(backward(q), center - x), rotated(backward(q), n)
+    np.testing.assert_allclose(np.sum(n * (contact["point_a"] - contact["point_b"]), axis=1), gap, atol=TIE)
+    center = contact["point_a"] + a["minor_radius"][:, None] * n
+    local, m = rotated(inverse_rotation(q), center - x), rotated(inverse_rotation(q), n)
     np.testing.assert_allclose(np.hypot(local[:, 0], local[:, 1]), a["major_radius"], atol=TIE)
     np.testing.assert_allclose(local[:, 2], 0.0, atol=TIE)
     np.testing.assert_allclose(local[:, 0] * m[:, 1], local[:, 1] * m[:, 0], atol=TIE)
     # What rounding of the normal does to points goes by powers of it, to 1/19.
-    beside = met["point_a"] - met["point_b"] - gap[:, None] * n
+    beside = contact["point_a"] - contact["point_b"] - gap[:, None] * n
     assert np.abs(beside).max() < 1e-5
 
     shortfall, there = (wp.zeros(count, dtype=wp.float64, device=device) for _ in range(2))
-    told = gap + a["minor_radius"]
-    numbers = [wp.array(values, dtype=wp.float64, device=device) for values in (a["major_radius"], told - TIE)]
+    reported = gap + a["minor_radius"]
+    numbers = [wp.array(values, dtype=wp.float64, device=device) for values in (a["major_radius"], reported - TIE)]
     vectors = [wp.array(values, dtype=wp.vec3d, device=device) for values in (x, n, center)]
     inputs = [
         wp.array(b["semi_axes"], dtype=wp.vec3d, device=device),
@@ -102,26 +103,26 @@ def check(count, seed, device):
         numbers[0], vectors[0], wp.array(q, dtype=wp.quatd, device=device), *vectors[1:], numbers[1],
         shortfall, there,
     ]  # fmt: skip
-    wp.launch(look_around, count, inputs=inputs, device=device)
+    wp.launch(search_neighborhood, count, inputs=inputs, device=device)
     # No place of the circle is nearer, and the one that is told is as near as that; or farther, and pierced.
     assert (shortfall.numpy() <= 0.0).all()
-    pierced = there.numpy() > told + TIE
-    assert (told[pierced] < 0.0).all()
+    pierced = there.numpy() > reported + TIE
+    assert (reported[pierced] < 0.0).all()
     assert 0.05 < pierced.mean() < 0.3
     slopes = []
     for i in np.flatnonzero(pierced)[:10]:
         ring = Torus(a["major_radius"][i], a["minor_radius"][i])
         body = S.Superellipsoid(tuple(b["semi_axes"][i]), tuple(b["exponents"][i]))
-        slopes.append(min(slopes_beside_the_least(ring, body, x[i], q[i], device)))
+        slopes.append(min(slopes_near_the_minimum(ring, body, x[i], q[i], device)))
         # Cells are 0.065 apart: of an edge of g, as steep as both are wide, half of that is missed.
         steep = np.linalg.norm(body.semi_axes) + ring.major_radius
-        np.testing.assert_allclose(gap[i], widest_way(ring, body, x[i], q[i]), atol=0.033 * steep)
+        np.testing.assert_allclose(gap[i], largest_separation(ring, body, x[i], q[i]), atol=0.033 * steep)
     # There are two ways out of the body, neither of them across the circle: one may be so by little.
     assert np.median(slopes) > 0.01
     assert min(slopes) > 1e-5
 
 
-def slopes_beside_the_least(ring, body, x, q, device):
+def slopes_near_the_minimum(ring, body, x, q, device):
     """Returns by how much the distance of the core circle grows to both sides of its least value, per length."""
     middle, width = 0.0, np.pi
     for count in (300, 60, 60):
@@ -139,13 +140,13 @@ def slopes_beside_the_least(ring, body, x, q, device):
 
 
 @pytest.mark.slow
-def test_rings_meet_superellipsoids_where_their_core_circle_is_deepest(device):
+def test_torus_and_superellipsoid_contact_is_at_the_deepest_core_point(device):
     check(500, 1, device)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("first", range(10, 14))
-def test_no_ring_of_many_is_wrong(first, times, device):
+def test_many_random_torus_and_superellipsoid_pairs_match_reference(first, times, device):
     """20 000 in all, or 100 000 with --thorough."""
     for seed in range(first, first + 4 * times, 4):
         check(5000, seed, device)

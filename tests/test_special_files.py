@@ -12,7 +12,7 @@ from test_experiment import content
 
 import warpcontact as wc
 from warpcontact import checkpoint
-from warpcontact.available import Room
+from warpcontact.available import AvailableMemory
 from warpcontact.cli import main
 from warpcontact.experiment import rows_file
 from warpcontact.experiment.rows_file import read_rows
@@ -79,7 +79,7 @@ def test_special_file_of_the_user_is_refused(name, kind, tmp_path):
 
 
 @pytest.mark.parametrize("command", ["run", "plan", "view", "build-kernels"])
-def test_pipe_on_the_command_line_is_refused(command, tmp_path, capsys):
+def test_named_pipe_on_the_command_line_is_refused(command, tmp_path, capsys):
     if command == "view":
         pytest.importorskip("viser")
     os.mkfifo(tmp_path / "study.toml")
@@ -88,7 +88,7 @@ def test_pipe_on_the_command_line_is_refused(command, tmp_path, capsys):
 
 
 @pytest.mark.parametrize("name", ["study.toml", "laws.py"])
-def test_text_of_the_user_that_is_far_too_large_is_refused(name, tmp_path):
+def test_too_large_text_file_is_refused(name, tmp_path):
     with (tmp_path / name).open("wb") as file:
         file.truncate(2**30)
     with pytest.raises(wc.ExperimentError, match="must have at most 512 MiB, has 1 GiB"):
@@ -97,15 +97,15 @@ def test_text_of_the_user_that_is_far_too_large_is_refused(name, tmp_path):
 
 @pytest.mark.parametrize("name", ["rows.npy", "rows.csv"])
 def test_rows_that_do_not_fit_into_memory_are_refused(name, tmp_path, monkeypatch):
-    monkeypatch.setattr(rows_file, "find_room", lambda place: Room(place, 100))
+    monkeypatch.setattr(rows_file, "available_memory", lambda place: AvailableMemory(place, 100))
     with (tmp_path / name).open("wb") as file:
         file.truncate(101)
     with pytest.raises(ValueError, match=f"{name}' cannot be read: must have at most 100 B, has 101 B"):
         read_rows(tmp_path / name)
 
 
-def test_rows_are_read_where_the_size_of_memory_is_unknown(tmp_path, monkeypatch):
-    monkeypatch.setattr(rows_file, "find_room", lambda place: None)
+def test_rows_are_read_if_the_memory_size_is_unknown(tmp_path, monkeypatch):
+    monkeypatch.setattr(rows_file, "available_memory", lambda place: None)
     np.save(tmp_path / "rows.npy", np.ones((2, 3)))
     np.testing.assert_array_equal(read_rows(tmp_path / "rows.npy"), np.ones((2, 3)))
 
@@ -114,7 +114,7 @@ def test_rows_are_read_where_the_size_of_memory_is_unknown(tmp_path, monkeypatch
     "name",
     ["run.json", "experiment.toml", "commit/store.json", "commit/shard_000001.json", "progress/shard_000001.json"],
 )
-def test_record_of_a_run_that_is_far_too_large_is_refused(name, part_run, tmp_path):
+def test_too_large_commit_record_is_refused(name, part_run, tmp_path):
     folder = tmp_path / "run"
     shutil.copytree(part_run, folder)
     (folder / name).parent.mkdir(exist_ok=True)

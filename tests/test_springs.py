@@ -41,7 +41,7 @@ def oracle(shared):
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_linear_spring_of_the_specification(oracle, precision, device):
+def test_linear_spring_matches_specification(oracle, precision, device):
     cases = {
         "linear": ((0.3, 0.4, 1.2), (0.0, -0.2, 0.5), (0.1, 0.0, 0.0)),
         "linear_compressed": ((0.0, 0.0, 0.8), (0.0, 0.0, -0.5), (0.0, 0.0, 0.0)),
@@ -82,7 +82,7 @@ def force_at(spring, lengths, device, precision="float64", rest_length=1.0, **pa
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_polynomial_of_the_specification(oracle, precision, device):
+def test_polynomial_spring_matches_specification(oracle, precision, device):
     case = oracle["polynomial"]
     table = np.array(case["table"])
     spring = wc.springs.Polynomial(a=case["a"], b=case["b"], c=case["c"])
@@ -109,7 +109,7 @@ def test_polynomial_of_the_specification(oracle, precision, device):
         assert force[0] / (1.3 - float(rest)) == pytest.approx(secant, rel=2.0e-6, abs=2.0e-4)
 
 
-def test_stiffness_is_integrated_exactly_and_held_beyond_its_table(device):
+def test_stiffness_table_is_integrated_exactly_and_constant_beyond_its_ends(device):
     pairs = [(0.5, 100.0), (1.0, 300.0), (2.0, 200.0)]
     lengths = np.array([0.2, 0.5, 0.8, 1.0, 1.5, 2.0, 3.0])
     # From rest at 1 m, by hand: ∫ k over each piece.
@@ -133,7 +133,7 @@ def test_stiffness_is_integrated_exactly_and_held_beyond_its_table(device):
         np.testing.assert_allclose(force, np.array(expected) - 137.5 + 7.0, rtol=1e-13, atol=1e-12)
 
 
-def test_a_table_of_the_stiffness_of_the_specification_gives_its_force(oracle, device):
+def test_stiffness_table_force_matches_specification(oracle, device):
     case = oracle["polynomial"]
     table = np.array(case["table"])
 
@@ -146,14 +146,14 @@ def test_a_table_of_the_stiffness_of_the_specification_gives_its_force(oracle, d
     np.testing.assert_allclose(force_at(spring, table[:, 0], device)[0], table[:, 2], rtol=0, atol=6.1e-4)
 
 
-def test_force_table_and_its_scale_in_each_environment(device):
+def test_force_table_is_scaled_per_environment(device):
     spring = wc.springs.ForceTable(table=[(0.0, -10.0), (1.0, 0.0), (2.0, 40.0)])
     force, status = force_at(spring, np.array([0.5, 1.25, 5.0]), device, **{"spring.scale": [1.0, 2.0, 3.0]})
     np.testing.assert_allclose(force, [-5.0, 20.0, 120.0], rtol=1e-13)
     assert status.tolist() == [0, 0, wc.CouplingStatus.OUTSIDE]
 
 
-def test_a_spring_of_ones_own_in_float32(oracle, device):
+def test_custom_spring_in_float32_matches_reference(oracle, device):
     case = oracle["f_e_given"]
     # But for the place a micrometre from rest, which float32 does not tell from a tenth more.
     table = np.array([row for row in case["table"] if abs(row[0] - 1.0) > 1.0e-3])
@@ -162,7 +162,7 @@ def test_a_spring_of_ones_own_in_float32(oracle, device):
     np.testing.assert_allclose(force, table[:, 2], rtol=TOLERANCE["float32"])
 
 
-def test_a_spring_of_ones_own(oracle, device):
+def test_custom_spring_matches_reference(oracle, device):
     case = oracle["f_e_given"]
     table = np.array(case["table"])
     force, _ = force_at(Sinh(force_scale=case["F0"], length_scale=case["L"]), table[:, 0], device)
@@ -180,16 +180,16 @@ def test_a_spring_of_ones_own(oracle, device):
         (wc.springs.PolynomialDamping(a=-3.0), 0.0),
         (wc.springs.DampingTable(table=[(1.0, 2.0), (2.0, 4.0)]), 6.0),
     ],
-    ids=["viscous", "polynomial", "no negative damping", "table"],
+    ids=["viscous", "polynomial", "no_negative_damping", "table"],
 )
-def test_damping(damper, expected, device):
+def test_damper_force_matches_closed_form(damper, expected, device):
     scene, end_1, end_2 = pair(position=(0.0, 1.5, 0.0), velocity=(5.0, 2.0, 0.0))
     scene.add_spring_damper(end_1, end_2, stiffness=0.0, damper=damper, rest_length=1.0, name="spring")
     model = scene.build(1, device, "float64")
     np.testing.assert_allclose(model.sensor("spring.force"), expected, rtol=1e-13)
 
 
-def test_two_masses_swing_with_the_frequency_and_decay_of_the_closed_form(oracle, device):
+def test_two_masses_oscillate_with_closed_form_frequency_and_decay(oracle, device):
     case = oracle["two_mass"]
     scene, end_1, end_2 = pair(position=(1.1, 0.0, 0.0), masses=(case["m1"], case["m2"]))
     scene.add_spring_damper(end_1, end_2, stiffness=case["k"], damping=case["kd"], rest_length=1.0, name="spring")
@@ -210,7 +210,7 @@ def test_two_masses_swing_with_the_frequency_and_decay_of_the_closed_form(oracle
     np.testing.assert_allclose(model.sensor("scene.linear_momentum"), 0.0, atol=1e-13)
 
 
-def test_springs_off_centre_keep_momentum_and_angular_momentum(device):
+def test_off_center_springs_conserve_momentum_and_angular_momentum(device):
     scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
     one = scene.add_body(2.0, (0.1, 0.2, 0.15), angular_velocity=(1.0, 2.0, -1.0), name="one")
     two = scene.add_body(1.0, (0.05, 0.06, 0.1), (1.0, 0.2, 0.0), linear_velocity=(0.0, 1.0, 0.0), name="two")
@@ -230,7 +230,7 @@ def test_springs_off_centre_keep_momentum_and_angular_momentum(device):
     np.testing.assert_allclose(after[1], before[1], atol=1e-12)
 
 
-def test_a_rope_pulls_and_does_not_push(device):
+def test_rope_pulls_and_does_not_push(device):
     scene, end_1, end_2 = pair()
     scene.add_spring_damper(
         end_1, end_2, stiffness=100.0, damping=5.0, rest_length=1.0, tension_only=True, name="rope"
@@ -243,7 +243,7 @@ def test_a_rope_pulls_and_does_not_push(device):
     assert model.sensor("rope.status").tolist() == [0, slack, slack, 0]
 
 
-def test_a_broken_spring_stays_broken_until_reset(device):
+def test_broken_spring_stays_broken_until_reset(device):
     scene, end_1, end_2 = pair(position=(1.5, 0.0, 0.0), velocity=(6.0, 0.0, 0.0))
     scene.add_spring_damper(end_1, end_2, stiffness=100.0, rest_length=1.0, break_force=60.0, name="spring")
     model = scene.build(2, device, "float64")
@@ -262,7 +262,7 @@ def test_a_broken_spring_stays_broken_until_reset(device):
     assert model.sensor("spring.status").tolist() == [0, 0]
 
 
-def test_ends_in_one_place(oracle, device):
+def test_spring_with_coincident_ends_has_no_direction(oracle, device):
     scene, end_1, end_2 = pair(position=(0.0, 0.0, 0.0))
     scene.add_spring_damper(end_1, end_2, stiffness=2000.0, rest_length=1.0, name="spring")
     model = scene.build(1, device, "float64")
@@ -271,7 +271,7 @@ def test_ends_in_one_place(oracle, device):
     assert model.sensor("spring.status") == wc.CouplingStatus.NO_DIRECTION
 
 
-def test_a_spring_remembers_where_it_pointed(device):
+def test_spring_keeps_its_last_direction_if_ends_coincide(device):
     scene, end_1, end_2 = pair(position=(0.0, 0.01, 0.0))
     scene.add_spring_damper(end_1, end_2, stiffness=10.0, rest_length=1.0, name="spring")
     model = scene.build(1, device, "float64")
@@ -281,7 +281,7 @@ def test_a_spring_remembers_where_it_pointed(device):
     assert model.sensor("spring.status") == 0
 
 
-def test_a_spring_of_no_length_is_smooth_through_its_centre(device):
+def test_zero_length_spring_is_smooth_through_its_center(device):
     scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
     ball = scene.add_body(1.0, UNIT, (1.0, 0.0, 0.0), name="ball")
     ends = scene.add_point(None, (0, 0, 0)), scene.add_point(ball, (0, 0, 0))
@@ -293,7 +293,7 @@ def test_a_spring_of_no_length_is_smooth_through_its_centre(device):
     np.testing.assert_allclose(model.sensor("ball.position"), [[-1.0, 0.0, 0.0]], atol=dt)
 
 
-def test_far_from_the_origin_a_spring_is_as_fine_as_at_home(device):
+def test_spring_precision_is_invariant_far_from_the_origin(device):
     lengths = []
     for home in (0.0, 1000.0):
         scene = wc.Scene(gravity=(0.0, 0.0, -9.81))
@@ -306,7 +306,7 @@ def test_far_from_the_origin_a_spring_is_as_fine_as_at_home(device):
     assert lengths[1] == pytest.approx(lengths[0], abs=3e-7)
 
 
-def test_schedule_threads_and_devices_change_no_bit(device):
+def test_couplings_are_bitwise_identical_for_any_schedule_threads_and_devices(device):
     def final(device, **options):
         scene = wc.Scene()
         ball = scene.add_body(1.0, (0.1, 0.2, 0.15), (0.3, 0.0, -1.0), name="ball")
@@ -327,7 +327,7 @@ def test_schedule_threads_and_devices_change_no_bit(device):
             np.testing.assert_array_equal(a, b)
 
 
-def test_forces_from_outside(device):
+def test_external_forces_accelerate_bodies(device):
     scene = wc.Scene()
     for name in ("ball", "other"):
         scene.add_body(2.0, (0.1, 0.1, 0.1), name=name)
@@ -350,7 +350,7 @@ def test_forces_from_outside(device):
     np.testing.assert_allclose(model.sensor("ball.linear_velocity")[:, 0], [0.0, 0.0, 0.1], atol=1e-12)
 
 
-def test_a_bushing_swings_along_and_about_its_axes(device):
+def test_bushing_oscillates_along_and_about_its_axes(device):
     # 90° about z: the axes x and y of the bushing are y and −x of the world.
     turned = (0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5))
     scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
@@ -449,20 +449,20 @@ BAD = [
 
 
 @pytest.mark.parametrize(("make", "message"), BAD)
-def test_bad_couplings_are_refused(make, message):
+def test_invalid_couplings_are_refused(make, message):
     scene, end_1, end_2 = pair()
     with pytest.raises(ValueError, match=message):
         make(scene, end_1, end_2)
     assert not scene.couplings
 
 
-def test_a_damper_is_no_spring():
+def test_damper_as_spring_is_refused():
     scene, end_1, end_2 = pair()
     with pytest.raises(TypeError, match=r"spring must be an instance of wc\.Spring"):
         scene.add_spring_damper(end_1, end_2, spring=wc.springs.Viscous(damping=1.0))
 
 
-def test_parameters_say_what_they_are_of():
+def test_parameter_errors_name_the_spring_class():
     scene, end_1, end_2 = pair()
     scene.add_spring_damper(end_1, end_2, spring=wc.springs.Polynomial(a=1.0), damping=2.0, name="spring")
     model = scene.build(2, "cpu")
@@ -474,7 +474,7 @@ def test_parameters_say_what_they_are_of():
         model["spring.rest_length"] = [1.0, -1.0]
 
 
-def test_steps_too_long_for_a_spring_are_warned_of(device):
+def test_too_long_step_for_a_spring_warns(device):
     def spring(**options):
         scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
         rod = scene.add_body(1.0, (0.01, 0.01, 0.01), name="rod")
@@ -495,7 +495,7 @@ def test_steps_too_long_for_a_spring_are_warned_of(device):
         spring(stiffness=10000.0, damping=100.0).step()
 
 
-def test_estimates_follow_the_motion_of_a_body(device):
+def test_spring_period_estimate_uses_the_joint_of_a_body(device):
     # A bar on a hinge: 0.5 + 2·1² = 2.5 kg·m² about it, and the spring pulls at 2 m: ω = 2 √(k/2.5).
     def bar(motion):
         scene = wc.Scene(gravity=(0.0, 0.0, 0.0))

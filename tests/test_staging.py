@@ -14,8 +14,8 @@ import xarray as xr
 import zarr
 
 from warpcontact.experiment import store
-from warpcontact.experiment.chunks import Chunk, Chunks, compressors
-from warpcontact.experiment.expected import Extent
+from warpcontact.experiment.chunks import Chunk, ChunkEncoder, compressors
+from warpcontact.experiment.expected import RunExtent
 from warpcontact.experiment.records import RunDataError
 from warpcontact.run_folder import RunPath
 
@@ -49,11 +49,11 @@ def series(values):
 
 
 @pytest.mark.parametrize(("threads", "most"), [(1, 1), (2, 2), (64, store.WRITERS), (None, store.WRITERS)])
-def test_no_more_chunks_are_in_memory_than_the_plan_counts(threads, most, made, monkeypatch):
+def test_chunks_in_memory_do_not_exceed_the_plan(threads, most, made, monkeypatch):
     folder, values = made
     lock, busy = threading.Lock(), []
     count = 0
-    put = Chunk.write
+    write_chunk = Chunk.write
 
     def counted(chunk, path):
         nonlocal count
@@ -62,7 +62,7 @@ def test_no_more_chunks_are_in_memory_than_the_plan_counts(threads, most, made, 
             busy.append(count)
         # Long enough for others to begin, if they can.
         time.sleep(0.05)
-        entry = put(chunk, path)
+        entry = write_chunk(chunk, path)
         with lock:
             count -= 1
         return entry
@@ -75,7 +75,7 @@ def test_no_more_chunks_are_in_memory_than_the_plan_counts(threads, most, made, 
 
 
 @pytest.mark.parametrize("shard", [store.Shard(1, 32, 64), store.Shard(2, 64, 91)], ids=str)
-def test_a_shard_writes_its_environments_and_no_others(shard, made):
+def test_shard_writes_its_own_environments_only(shard, made):
     folder, values = made
     staging = write(folder, values, shard)
     assert len(staging.written) == -(-shard.envs // 4)
@@ -100,7 +100,7 @@ def test_a_shard_writes_its_environments_and_no_others(shard, made):
     ],
     ids=str,
 )
-def test_chunks_are_to_the_byte_those_that_zarr_writes(dims, dtype, tmp_path):
+def test_chunks_are_bitwise_identical_to_those_of_zarr(dims, dtype, tmp_path):
     """Also the last of them, which are not full; of what is empty there is none."""
     sizes = {"time": 10, "env": 22, "axis": 3, "item": 5, "event": 2}
     pieces = {**sizes, "time": 4, "env": 8}
@@ -117,12 +117,12 @@ def test_chunks_are_to_the_byte_those_that_zarr_writes(dims, dtype, tmp_path):
         dimension_names=dims,
         compressors=compressors(material),
     )
-    chunks = Chunks(array)
+    chunks = ChunkEncoder(array)
     frames = range(0, 10, 4) if "time" in dims else [0]
     own = [
         chunk
         for first in frames
-        for chunk in chunks.cut(values[first : first + 4] if "time" in dims else values, 0, 22, first)
+        for chunk in chunks.split(values[first : first + 4] if "time" in dims else values, 0, 22, first)
     ]
     array[:] = values
     files = {path.relative_to(tmp_path / "x").as_posix(): path for path in (tmp_path / "x" / "c").rglob("*")}
@@ -134,7 +134,7 @@ def test_chunks_are_to_the_byte_those_that_zarr_writes(dims, dtype, tmp_path):
         assert (size, sha) == (len(content), hashlib.sha256(content).hexdigest())
 
 
-def test_chunks_without_values_have_no_file_and_are_named(made):
+def test_chunks_without_values_have_no_file_and_are_listed(made):
     folder, values = made
     values = values.copy()
     values[:, 4:8] = np.nan
@@ -148,18 +148,18 @@ def test_labels_of_a_single_environment_have_a_file(tmp_path):
     (tmp_path / store.COMMITS).mkdir()
     store.create(tmp_path, {"params": material}, 1, np.zeros(0), 1, {})
     assert (tmp_path / store.DATA / "params" / "env" / "c" / "0").is_file()
-    store.Ledger(tmp_path).check(Extent(envs=1, shard=1, steps=1), contents=True)
+    store.Ledger(tmp_path).check(RunExtent(envs=1, shard=1, steps=1), contents=True)
 
 
-def test_arrays_that_are_compressed_otherwise_are_refused(tmp_path):
+def test_arrays_with_another_compressor_are_refused(tmp_path):
     group = zarr.open_group(tmp_path, mode="w", zarr_format=3)
     array = group.create_array("x", shape=(4,), chunks=(4,), dtype="f4", compressors=zarr.codecs.GzipCodec())
     with pytest.raises(RunDataError, match="gzip"):
-        Chunks(array)
+        ChunkEncoder(array)
 
 
 @pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="this system does not tell what is waited for")
-def test_what_is_to_be_committed_is_on_the_disk_with_its_names(made, monkeypatch):
+def test_files_to_commit_are_synchronized_to_disk(made, monkeypatch):
     folder, values = made
     synced = set()
     usual = os.fsync
@@ -179,15 +179,15 @@ def test_what_is_to_be_committed_is_on_the_disk_with_its_names(made, monkeypatch
         assert files | folders <= synced
 
 
-def test_a_block_is_written_while_its_writer_goes_on(made, monkeypatch):
+def test_block_is_written_concurrently_with_the_next(made, monkeypatch):
     folder, values = made
     begun, go_on = threading.Event(), threading.Event()
-    put = Chunk.write
+    write_chunk = Chunk.write
 
     def held(chunk, path):
         begun.set()
         assert go_on.wait(60)
-        return put(chunk, path)
+        return write_chunk(chunk, path)
 
     monkeypatch.setattr(Chunk, "write", held)
     with store.Ledger(folder).staging(store.Shard(0, 0, 32)) as staging:
@@ -203,7 +203,7 @@ def test_a_block_is_written_while_its_writer_goes_on(made, monkeypatch):
 
 
 @pytest.mark.parametrize("asks", ["write", "wait"])
-def test_who_comes_next_hears_that_a_block_could_not_be_written(asks, made, monkeypatch):
+def test_failed_block_write_raises_at_the_next_call(asks, made, monkeypatch):
     folder, values = made
 
     def full(chunk, path):
@@ -219,13 +219,13 @@ def test_who_comes_next_hears_that_a_block_could_not_be_written(asks, made, monk
         staging.wait()
 
 
-def test_nobody_writes_any_more_when_a_shard_is_left(made, monkeypatch):
+def test_no_write_is_running_after_a_shard_is_closed(made, monkeypatch):
     folder, values = made
-    put, ended = Chunk.write, []
+    write_chunk, ended = Chunk.write, []
 
     def slow(chunk, path):
         time.sleep(0.05)
-        entry = put(chunk, path)
+        entry = write_chunk(chunk, path)
         ended.append(chunk)
         return entry
 
@@ -239,7 +239,7 @@ def test_nobody_writes_any_more_when_a_shard_is_left(made, monkeypatch):
     assert len(ended) == 8
 
 
-def test_an_error_beside_another_is_told_with_it(made, monkeypatch):
+def test_write_error_is_added_to_another_exception(made, monkeypatch):
     folder, values = made
 
     def full(chunk, path):

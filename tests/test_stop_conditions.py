@@ -27,7 +27,7 @@ def landed(**options):
     return wc.StopCondition("ball.position", component="z", below=0.15, **options)
 
 
-def test_an_environment_is_held_bitwise_at_the_first_state_at_which_the_condition_holds(device):
+def test_stopped_environment_keeps_the_first_state_that_meets_the_condition_bitwise(device):
     model = falling(device=device)
     sim = wc.Simulation(model, DT, stop={"landed": landed()})
     free = wc.Simulation(falling(device=device), DT)
@@ -55,7 +55,7 @@ def test_an_environment_is_held_bitwise_at_the_first_state_at_which_the_conditio
     assert str(health) == "0 of 4 environments are active; 4 are stopped"
 
 
-def test_both_buffers_of_the_state_hold_it():
+def test_both_state_buffers_have_the_stopped_state():
     # Stopped after an odd and an even number of steps, whatever buffer that ends in.
     model = falling()
     sim = wc.Simulation(model, DT, stop={"landed": landed()})
@@ -71,7 +71,7 @@ def test_both_buffers_of_the_state_hold_it():
         assert (own == own[0]).all()
 
 
-def test_lasting_conditions_begin_anew_after_a_break():
+def test_lasting_stop_condition_restarts_after_an_interruption():
     model = falling()
     lasting = 0.15
     sim = wc.Simulation(model, DT, stop={"rest": landed(lasting=lasting)})
@@ -88,7 +88,7 @@ def test_lasting_conditions_begin_anew_after_a_break():
     assert (low.argmax(axis=0) < expected - round(lasting / DT)).any(), "no break to begin anew after"
 
 
-def test_the_first_condition_in_order_wins_and_outcomes_keep_their_results():
+def test_first_stop_condition_in_order_is_reported_and_outcomes_are_kept():
     model = falling()
     stops = {
         "never": wc.StopCondition("ball.position", component="z", above=9.0),
@@ -114,7 +114,7 @@ def test_the_first_condition_in_order_wins_and_outcomes_keep_their_results():
         np.testing.assert_array_equal(again[name], found[name])
 
 
-def test_a_reset_lets_a_stopped_environment_go_on():
+def test_reset_restarts_a_stopped_environment():
     model = falling()
     sim = wc.Simulation(model, DT, stop={"landed": landed(lasting=0.01)})
     sim.step(400)
@@ -127,7 +127,7 @@ def test_a_reset_lets_a_stopped_environment_go_on():
     np.testing.assert_array_equal(sim.outcomes()["end_time"], before["end_time"])
 
 
-def test_others_are_not_touched():
+def test_stop_condition_does_not_change_other_environments():
     both = wc.Simulation(
         falling(), DT, stop={"high": wc.StopCondition("ball.position", component="z", above=0.45)}
     )
@@ -141,7 +141,7 @@ def test_others_are_not_touched():
     assert found[3, 2] == 0.5
 
 
-def test_hard_contacts_stop_as_well():
+def test_nonsmooth_contact_supports_stop_conditions():
     scene = wc.Scene()
     ground = scene.add_surface(square(), name="ground")
     ball = scene.add_body(mass=1.0, inertia=(0.01,) * 3, position=(0, 0, 0.3), name="ball")
@@ -157,7 +157,7 @@ def test_hard_contacts_stop_as_well():
     assert (model.sensor("ball.linear_velocity")[:, 2] > 0.9).all()
 
 
-def test_divided_steps_stop_once():
+def test_stop_condition_with_substeps_is_reported_once():
     scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
     ground = scene.add_surface(square(), name="ground")
     ball = scene.add_body(
@@ -200,6 +200,6 @@ def test_divided_steps_stop_once():
         (lambda: wc.StopCondition(3, below=0), r"StopCondition\.of must be the name of a sensor"),
     ],
 )
-def test_what_cannot_be_looked_at_is_refused(make, problem):
+def test_invalid_stop_condition_is_refused(make, problem):
     with pytest.raises((KeyError, TypeError, ValueError), match=problem):
         wc.Simulation(falling(1), DT, stop={"x": make()})

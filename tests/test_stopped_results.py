@@ -46,7 +46,7 @@ def run(tmp_path_factory, titles):
         return report_runs.run(tmp_path_factory.mktemp("fall") / "run", FALL)
 
 
-def test_stopped_environments_are_held_in_a_fan_or_leave_it(run, tmp_path):
+def test_stopped_environments_are_held_or_dropped_in_a_quantile_fan(run, tmp_path):
     energy = run.series["scene.kinetic_energy"]
     ends = run.outcome["end_time"].values
     well = [0, 1, 2, 3, 4]
@@ -67,20 +67,20 @@ def test_stopped_environments_are_held_in_a_fan_or_leave_it(run, tmp_path):
         wc.quantile_fan(run, energy.name, stopped="no")
 
 
-def test_pictures_and_reports_count_the_stopped_environments_in_their_bands(run, titles, tmp_path):
+def test_pictures_and_reports_count_stopped_environments(run, titles, tmp_path):
     held = "4 stopped and 1 frozen (dotted), shown as they were to the end"
     assert titles == [f"fall: 6 environments, 0.5 s, float32; {held}"]
-    page = report_runs.Parsed(wc.report(run, tmp_path / "report.html").read_text(encoding="utf-8"))
+    page = report_runs.ParsedPage(wc.report(run, tmp_path / "report.html").read_text(encoding="utf-8"))
     assert "4 stopped ones stay in them as they were." in " ".join(page.text.split())
 
 
-def test_the_summary_says_how_many_each_condition_stopped(run):
-    told = "and are frozen at the last state before: 5; 4 are stopped (down 3, late 1)"
-    assert told in str(run)
-    assert told in str(wc.open_run(run.folder).health)
+def test_summary_counts_environments_per_stop_condition(run):
+    expected_text = "and are frozen at the last state before: 5; 4 are stopped (down 3, late 1)"
+    assert expected_text in str(run)
+    assert expected_text in str(wc.open_run(run.folder).health)
 
 
-def test_tables_have_words_for_codes_and_nothing_where_there_is_none(run, tmp_path):
+def test_tables_have_names_for_codes_and_empty_cells_for_none(run, tmp_path):
     stopped_by = ["down", "down", "down", "late", None, None]
     status = ["STOPPED"] * 4 + ["ACTIVE", "FROZEN"]
     causes = ["NONE"] * 5 + ["TOO_FAST"]
@@ -99,8 +99,8 @@ def test_tables_have_words_for_codes_and_nothing_where_there_is_none(run, tmp_pa
     np.testing.assert_array_equal(run.table()["stopped_by"], [1, 1, 1, 2, -1, -1])
 
 
-def test_the_table_of_a_report_shows_nothing_where_no_condition_stopped(run, tmp_path):
-    page = report_runs.Parsed(wc.report(run, tmp_path / "report.html").read_text(encoding="utf-8"))
+def test_report_table_has_empty_cells_without_stop_condition(run, tmp_path):
+    page = report_runs.ParsedPage(wc.report(run, tmp_path / "report.html").read_text(encoding="utf-8"))
     columns = {column["name"]: column for column in page.blocks["environments"]["columns"]}
     assert columns["stopped_by"]["values"] == [1, 1, 1, 2, None, None]
     assert columns["cause"]["values"] == [0, 0, 0, 0, 0, 2]

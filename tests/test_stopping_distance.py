@@ -6,9 +6,7 @@ from example_files import load
 
 
 @pytest.mark.slow
-def test_speed_and_friction_share_the_variance_of_the_stopping_distance_as_the_closed_form_has_it(
-    device, tmp_path, capsys
-):
+def test_stopping_distance_example_indices_match_closed_form(device, tmp_path, capsys):
     options = ["--envs", "2048", "--device", device, "--out", str(tmp_path / "out")]
     result = load("stopping_distance").main(options)
     assert "largest deviation of an index from its closed form" in capsys.readouterr().out
@@ -22,7 +20,7 @@ def test_speed_and_friction_share_the_variance_of_the_stopping_distance_as_the_c
 
 
 @pytest.mark.parametrize("ranges", [((1.0, 4.0), (0.2, 0.6)), ((2.0, 2.1), (0.1, 1.0))])
-def test_the_closed_form_of_the_indices_is_that_of_their_definition(ranges):
+def test_closed_form_indices_match_their_definition(ranges):
     example = load("stopping_distance")
     first, total = example.closed_form(*ranges)
     # By quadrature over the ranges; distances up to a factor.

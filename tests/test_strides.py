@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import warp as wp
-from like_a_gpu import cells_everywhere
-from warpcontact.kernels.strides import in_records, telling
+from like_a_gpu import build_all_face_grids
+from warpcontact.kernels.strides import assume_strides, record_fields
 
 import warpcontact as wc
 
@@ -26,7 +26,7 @@ def layout_of(instance, tell):
     @wp.func_native("\n".join(lines))
     def report(one: wp.ref[struct], out: wp.array(dtype=wp.int64)): ...
 
-    told = telling(struct)
+    told = assume_strides(struct)
 
     @wp.kernel(module="unique", enable_backward=False)
     def look(one: struct, out: wp.array(dtype=wp.int64)):
@@ -61,16 +61,24 @@ def nothing_that_touches(scene, _):
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 @pytest.mark.parametrize("celled", [False, True])
 @pytest.mark.parametrize("fill", [one_sphere, boxes_with_friction, nothing_that_touches])
-def test_arrays_lie_as_they_are_told_to(fill, celled, precision, monkeypatch):
+def test_array_strides_match_the_declared_layout(fill, celled, precision, monkeypatch):
     if celled:
-        cells_everywhere(monkeypatch)
+        build_all_face_grids(monkeypatch)
     scene = wc.Scene()
     fill(scene, scene.add_surface(wc.meshes.sinusoidal_terrain((2, 2), (10, 10), 0.1, 1.0)))
     model = scene.build(envs=3, device="cpu", precision=precision)
     sim = wc.Simulation(model, dt=1e-4)
     sim.step(2)
     own = model.arrays
-    instances = [own.model, own.state, sim._buffers[0].other, own.history, own.contacts, own.near, own.cache]
+    instances = [
+        own.model,
+        own.state,
+        sim._buffers[0].other,
+        own.history,
+        own.contacts,
+        own.active_contacts,
+        own.cache,
+    ]
     instances += [group.coefficients for group in model.groups]
     for instance in instances:
         found, told = layout_of(instance, False), layout_of(instance, True)
@@ -86,13 +94,18 @@ def test_arrays_lie_as_they_are_told_to(fill, celled, precision, monkeypatch):
             assert found[name][leads].tolist() == told[name][leads].tolist(), key
 
 
-def test_what_a_core_reads_together_lies_together():
+def test_arrays_read_together_are_adjacent_in_memory():
     scene = wc.Scene()
     boxes_with_friction(scene, scene.add_surface(wc.meshes.sinusoidal_terrain((2, 2), (10, 10), 0.1, 1.0)))
     own = scene.build(envs=2, device="cpu").arrays
-    for instance, sizes in ((own.history, [32]), (own.contacts, [96]), (own.near, [64]), (own.cache, [64, 64])):
+    for instance, sizes in (
+        (own.history, [32]),
+        (own.contacts, [96]),
+        (own.active_contacts, [64]),
+        (own.cache, [64, 64]),
+    ):
         lies = layout_of(instance, False)
-        for names, size in zip(in_records(instance._cls), sizes, strict=True):
+        for names, size in zip(record_fields(instance._cls), sizes, strict=True):
             begins = [lies[name][0] for name in names]
             assert max(begins) - min(begins) < size
             assert {lies[name][2] for name in names} == {size}

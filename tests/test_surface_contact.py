@@ -58,7 +58,7 @@ def force(device, **options):
 
 
 @pytest.mark.parametrize("samples", ["centroids", "vertices"])
-def test_a_meshed_sphere_pressed_into_a_plane_converges_to_the_bed_on_its_surface(samples, device):
+def test_meshed_sphere_on_plane_converges_to_elastic_foundation(samples, device):
     errors = [abs(force(device, samples=samples, subdivisions=n) / SPHERE_BED - 1.0) for n in (3, 4, 5)]
     assert errors[-1] < 0.007
     # Of second order in the edges of the mesh, which halve each time.
@@ -66,7 +66,7 @@ def test_a_meshed_sphere_pressed_into_a_plane_converges_to_the_bed_on_its_surfac
     assert order > 1.8
 
 
-def test_blue_noise_on_the_sphere_converges_to_the_same(device):
+def test_blue_noise_samples_converge_to_elastic_foundation(device):
     errors = []
     for count in (250, 1000, 4000):
         values = [force(device, samples=count, seed=seed, subdivisions=6) / SPHERE_BED - 1.0 for seed in range(3)]
@@ -77,7 +77,7 @@ def test_blue_noise_on_the_sphere_converges_to_the_same(device):
     assert errors[2] < 0.2 * errors[0]
 
 
-def test_points_of_the_plane_converge_to_the_bed_on_the_plane(device):
+def test_samples_of_the_plane_converge_to_elastic_foundation_on_the_plane(device):
     errors = [abs(force(device, swap=True, samples=4000, subdivisions=n) / PLANE_BED - 1.0) for n in (3, 4, 5)]
     assert errors[-1] < 0.006
     # The facets lie inside of the sphere, by the square of their edges.
@@ -86,7 +86,7 @@ def test_points_of_the_plane_converge_to_the_bed_on_the_plane(device):
     assert abs(force(device, swap=True, samples=250) / PLANE_BED - 1.0) < errors[-1] + 0.005
 
 
-def test_the_average_is_the_mean_of_both_beds_which_agree_in_shallow_contact(device):
+def test_average_of_sides_is_the_mean_of_both(device):
     options = {"samples": 2000, "subdivisions": 4}
     first = force(device, **options)
     second = force(device, swap=True, **options)
@@ -96,7 +96,7 @@ def test_the_average_is_the_mean_of_both_beds_which_agree_in_shallow_contact(dev
 
 
 @pytest.mark.parametrize("samples", [(500, 500), (500, 2000), (500, 8000)])
-def test_both_bookkeepings_agree_on_flat_faces_as_points_grow(samples, device):
+def test_one_sided_and_averaged_contact_agree_on_flat_faces(samples, device):
     side, depth = 0.1, 1.0e-3
     found = {}
     for sides in ("first", "average"):
@@ -117,7 +117,7 @@ def test_both_bookkeepings_agree_on_flat_faces_as_points_grow(samples, device):
 
 
 @pytest.mark.parametrize("sides", ["first", "average"])
-def test_a_free_collision_of_two_meshes_conserves_momentum(sides, device):
+def test_free_collision_of_two_meshes_conserves_momentum(sides, device):
     scene = wc.Scene(gravity=(0, 0, 0))
     block = scene.add_body(2.0, (0.02, 0.03, 0.04), (0.1, 0, 0), (0.1, 0.2, 0.3, np.sqrt(0.86)), name="block")
     ball = scene.add_body(
@@ -146,7 +146,7 @@ def test_a_free_collision_of_two_meshes_conserves_momentum(sides, device):
     assert abs(model.sensor("block.linear_velocity")[0, 0]) > 0.1
 
 
-def test_a_share_divides_all_that_acts(device):
+def test_force_scale_applies_to_all_forces_and_torques(device):
     material = wc.ContactMaterial(
         law=laws.KelvinVoigt(stiffness=1e5, damping=10.0),
         # Not in proportion to N, so that a share of N alone would not divide it.
@@ -194,7 +194,7 @@ def areas_scene(material, **points):
         (Suction(pressure=1e5, depth=1e-3), 1e8),
     ],
 )
-def test_a_law_takes_the_areas_of_the_points(law, pressure, device):
+def test_law_uses_areas_of_the_points(law, pressure, device):
     areas = np.array([1e-4, 3e-4])
     model = areas_scene(wc.ContactMaterial(law=law), areas=areas).build(envs=2, device=device, precision="float64")
     depth = np.array([1e-3, 2e-3])
@@ -208,19 +208,19 @@ def test_a_law_takes_the_areas_of_the_points(law, pressure, device):
     wc.Simulation(model, dt=1e-6).step(2)
 
 
-def test_an_area_of_the_law_comes_before_those_of_the_points(device):
+def test_area_of_the_law_overrides_areas_of_the_points(device):
     material = wc.ContactMaterial(law=laws.ElasticFoundation(stiffness=1e8, area=1e-2))
     model = areas_scene(material, areas=[1e-4, 3e-4]).build(device=device)
     np.testing.assert_allclose(model["press.law.area"], 1e-2)
 
 
-def test_a_friction_may_leave_its_area_to_the_points(device):
+def test_friction_uses_areas_of_the_points(device):
     material = wc.ContactMaterial(law=laws.Hooke(stiffness=1.0), friction=Felt(drag=1e3))
     model = areas_scene(material, areas=[1e-4, 3e-4]).build(device=device, precision="float64")
     np.testing.assert_allclose(model.sensor("press.friction_force")[0, :, 0], [-0.1, -0.3], rtol=1e-12)
 
 
-def test_points_without_areas_are_refused_by_name():
+def test_points_without_areas_are_refused():
     message = r"press: the law of its material, Suction, was given no area \[m²\], and the points 'pads' have none"
     with pytest.raises(ValueError, match=message):
         areas_scene(wc.ContactMaterial(law=Suction(pressure=1.0, depth=1.0)))
@@ -234,7 +234,7 @@ def test_points_without_areas_are_refused_by_name():
     np.testing.assert_array_equal(scene.add_points(None, samples, name="hull").areas, samples.areas)
 
 
-def test_laws_and_frictions_per_area_can_be_compared(device):
+def test_laws_and_friction_models_per_area_can_be_compared(device):
     bed = laws.ElasticFoundation(stiffness=1e9, damping=0.1)
     given = {"bed": bed, "with": laws.ElasticFoundation(stiffness=1e9, damping=0.1, area=1e-4)}
     impacts = wc.compare.impacts(given, [0.5], device=device)
@@ -280,7 +280,7 @@ def test_points_of_a_surface_move_with_it(device):
 @pytest.mark.parametrize(
     "law", [laws.ElasticFoundation(stiffness=1e8), laws.ElasticFoundation(stiffness=1e8, area=1e-3)]
 )
-def test_areas_grow_with_the_scale_of_their_surface(law, device):
+def test_areas_scale_with_their_surface(law, device):
     """A box of 2 m, a box of 1 m twice as large, and one made so in one environment: the same force."""
     found = {}
     for size, scale in ((2.0, 1.0), (1.0, 2.0), (1.0, 1.0)):
@@ -306,7 +306,7 @@ def test_areas_grow_with_the_scale_of_their_surface(law, device):
     np.testing.assert_allclose(found[1.0, 1.0][:, [0, 2]], [[-1.0, smaller], [-4.0, exact]], rtol=1e-9)
 
 
-def test_names_and_samples_of_both_sides():
+def test_surface_contact_creates_named_points_and_contacts_of_both_sides():
     scene = wc.Scene()
     body = scene.add_body(1.0, [1.0] * 3, name="body")
     ground = scene.add_surface(wc.meshes.grid(), active_faces=[1], name="ground")
@@ -326,7 +326,7 @@ def test_names_and_samples_of_both_sides():
     assert (only.name, only.points.name, only.count) == ("contact", "contact_points", 7)
 
 
-def test_of_several_meshes_each_has_points_of_its_own(device):
+def test_each_mesh_of_a_surface_has_its_own_points(device):
     """What the message says to do: a box in one environment, a ball in the other, pressed 1 mm."""
     scene = wc.Scene(gravity=(0, 0, 0))
     ground = scene.add_surface(square(), name="ground")
@@ -346,7 +346,7 @@ def test_of_several_meshes_each_has_points_of_its_own(device):
     assert 0 < force[1] < 0.01 * force[0]
 
 
-def test_what_cannot_be_added_leaves_the_scene_as_it_was():
+def test_invalid_surface_contact_leaves_scene_unchanged():
     scene = wc.Scene()
     body = scene.add_body(1.0, [1.0] * 3, name="body")
     ground = scene.add_surface(wc.meshes.grid(), name="ground")

@@ -13,7 +13,7 @@ SPRING = wc.laws.Hooke(stiffness=1e3)
 BOUNCE = np.pi * np.sqrt(1.0 / 1e3)
 
 
-def shots(
+def shoot_balls(
     mesh, start, velocity, *, dt, precision, device, carrier=None, crossing_substeps=1, law=SPRING, **contact
 ):
     """Returns a simulation of one ball of 1 kg per environment, shot at a surface in free space.
@@ -64,9 +64,9 @@ def fan_of_shots(count, side, seed=1):
 @pytest.mark.parametrize("radius", [0.0, 1e-3])
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize("entry", ["literal", "latched"])
-def test_nothing_leaks_through_a_thin_plate(entry, side, radius, dt, precision, device):
+def test_fast_spheres_do_not_pass_through_a_thin_plate_with_swept(entry, side, radius, dt, precision, device):
     start, velocity, _ = fan_of_shots(600, side)
-    sim = shots(
+    sim = shoot_balls(
         hard_cases.plate(), start, velocity, dt=dt, precision=precision, device=device, radius=radius, entry=entry
     )
     sim.step(round((0.02 + BOUNCE + 0.03) / dt))
@@ -81,9 +81,11 @@ def test_nothing_leaks_through_a_thin_plate(entry, side, radius, dt, precision, 
 
 
 @PRECISIONS
-def test_without_it_they_do(precision, device):
+def test_fast_spheres_pass_through_a_plate_without_swept(precision, device):
     start, velocity, _ = fan_of_shots(600, 1.0)
-    sim = shots(hard_cases.plate(), start, velocity, dt=1e-2, precision=precision, device=device, swept=False)
+    sim = shoot_balls(
+        hard_cases.plate(), start, velocity, dt=1e-2, precision=precision, device=device, swept=False
+    )
     sim.step(16)
     assert (sim.model.sensor("ball.position")[:, 2] < 0).mean() > 0.5
 
@@ -91,7 +93,7 @@ def test_without_it_they_do(precision, device):
 @PRECISIONS
 def test_crossings_are_counted_and_timed(precision, device):
     start, velocity, aims = fan_of_shots(300, 1.0)
-    sim = shots(hard_cases.plate(), start, velocity, dt=1e-2, precision=precision, device=device)
+    sim = shoot_balls(hard_cases.plate(), start, velocity, dt=1e-2, precision=precision, device=device)
     assert np.isnan(sim.model.sensor("touch.crossing_time")).all()
     assert (sim.model.sensor("touch.crossings") == 0).all()
     sim.step(20)
@@ -102,10 +104,10 @@ def test_crossings_are_counted_and_timed(precision, device):
     np.testing.assert_allclose(sim.model.sensor("touch.crossing_time"), due, rtol=0, atol=exact)
 
 
-def test_late_crossings_are_timed_to_the_last_digit(device):
+def test_crossing_times_late_in_a_run_are_precise(device):
     """The clock runs in float64: what is left of a step is taken from that, and rounded once."""
     start, velocity, aims = fan_of_shots(300, 1.0)
-    sim = shots(hard_cases.plate(), start, velocity, dt=1e-2, precision="float32", device=device)
+    sim = shoot_balls(hard_cases.plate(), start, velocity, dt=1e-2, precision="float32", device=device)
     late = 1000.3
     sim.model.arrays.time.fill_(late)
     sim.step(20)
@@ -115,9 +117,9 @@ def test_late_crossings_are_timed_to_the_last_digit(device):
 
 
 @PRECISIONS
-def test_a_reset_forgets_crossings_and_what_was_touched(precision, device):
+def test_reset_clears_crossings_and_latched_faces(precision, device):
     start, velocity, _ = fan_of_shots(30, 1.0)
-    sim = shots(hard_cases.plate(), start, velocity, dt=1e-2, precision=precision, device=device)
+    sim = shoot_balls(hard_cases.plate(), start, velocity, dt=1e-2, precision=precision, device=device)
     names = ("ball.position", "touch.crossings", "touch.crossing_time")
 
     def run():
@@ -136,11 +138,11 @@ def test_a_reset_forgets_crossings_and_what_was_touched(precision, device):
 
 @PRECISIONS
 @pytest.mark.parametrize("radius", [0.0, 1e-3])
-def test_nothing_leaks_through_a_plate_that_turns_and_moves(radius, precision, device):
+def test_fast_points_do_not_pass_through_a_rotating_moving_plate(radius, precision, device):
     start, velocity, _ = fan_of_shots(600, 1.0)
     # The plate flies towards the balls and spins in its plane; it wobbles about the other axes as well.
     carrier = {"linear_velocity": (0.5, -0.3, 3.0), "angular_velocity": (0.4, -0.3, 5.0)}
-    sim = shots(
+    sim = shoot_balls(
         hard_cases.plate((6.0, 6.0), cells=(24, 24)),
         start,
         velocity,
@@ -151,12 +153,12 @@ def test_nothing_leaks_through_a_plate_that_turns_and_moves(radius, precision, d
         radius=radius,
     )
     sim.step(20)
-    outside = seen_from(sim.model, "carrier", "ball")
+    outside = position_in_frame_of(sim.model, "carrier", "ball")
     assert (outside[:, 2] > 0).all(), f"{(outside[:, 2] <= 0).sum()} went through"
     assert (sim.model.sensor("touch.crossings") == 1).all()
 
 
-def seen_from(model, body, other):
+def position_in_frame_of(model, body, other):
     """Position of another body in the frame of ``body`` (envs, 3)."""
     away = (model.sensor(f"{other}.position") - model.sensor(f"{body}.position")).astype(np.float64)
     q = model.sensor(f"{body}.orientation").astype(np.float64)
@@ -165,11 +167,11 @@ def seen_from(model, body, other):
 
 
 @PRECISIONS
-def test_a_point_that_came_far_is_held_by_where_it_is_over(precision, device):
+def test_swept_point_with_long_step_contacts_the_face_it_ends_over(precision, device):
     """A step of a metre over a hundred cells: the walk from the face it crossed is as long."""
     mesh = hard_cases.plate((2.0, 0.2), cells=(200, 20))
     start, velocity = np.array([[-0.8, 0.013, 0.05]]), np.array([[130.0, 0.3, -10.0]])
-    sim = shots(mesh, start, velocity, dt=1e-2, precision=precision, device=device)
+    sim = shoot_balls(mesh, start, velocity, dt=1e-2, precision=precision, device=device)
     sim.step()
     np.testing.assert_allclose(sim.model.sensor("touch.gap"), -0.051, atol=1e-6)
     np.testing.assert_allclose(sim.model.sensor("touch.normal"), [[0, 0, 1]], atol=1e-6)
@@ -178,9 +180,9 @@ def test_a_point_that_came_far_is_held_by_where_it_is_over(precision, device):
 @PRECISIONS
 @pytest.mark.parametrize("parts", [1, 4])
 @pytest.mark.parametrize("entry", ["literal", "latched"])
-def test_a_search_radius_does_not_lose_what_has_crossed(entry, parts, precision, device):
+def test_search_radius_does_not_hide_a_crossing(entry, parts, precision, device):
     """It has never been near enough to be seen."""
-    sim = shots(
+    sim = shoot_balls(
         hard_cases.plate(), [[0.1, 0.2, 0.05]], [[0, 0, -10.0]], dt=1e-2, precision=precision, device=device,
         search_radius=0.03, entry=entry, crossing_substeps=parts,
     )  # fmt: skip
@@ -190,7 +192,7 @@ def test_a_search_radius_does_not_lose_what_has_crossed(entry, parts, precision,
 
 
 @PRECISIONS
-def test_what_is_known_to_be_on_the_wrong_side_is_not_armed_by_a_crossing(precision, device):
+def test_point_on_the_inner_side_is_not_armed_by_a_crossing(precision, device):
     """From between the faces of a thick plate into a plate under it, in one step."""
     thick, under = hard_cases.plate(thickness=0.1), hard_cases.moved(hard_cases.plate(), (0, 0, -0.1))
     both = wc.Mesh(
@@ -198,7 +200,7 @@ def test_what_is_known_to_be_on_the_wrong_side_is_not_armed_by_a_crossing(precis
         np.concatenate([thick.faces, under.faces + len(thick.vertices)]),
     )
     for start, status in ((0.02, ContactStatus.WRONG_SIDE), (0.0, ContactStatus.FAR)):
-        sim = shots(
+        sim = shoot_balls(
             both, [[0.1, 0.2, start]], [[0, 0, -15.0]], dt=1e-2, precision=precision, device=device,
             search_radius=0.04, entry="latched",
         )  # fmt: skip
@@ -210,7 +212,7 @@ def test_what_is_known_to_be_on_the_wrong_side_is_not_armed_by_a_crossing(precis
 
 @PRECISIONS
 @pytest.mark.parametrize("gap", [0.02, 0.05, 0.09])
-def test_a_ball_between_two_plates_stays_there(gap, precision, device):
+def test_ball_between_two_plates_stays_between_them(gap, precision, device):
     """It may come out of one and go into the other within one step."""
     lower, upper = (hard_cases.moved(hard_cases.plate(cells=(2, 2)), (0, 0, z)) for z in (0.0, gap))
     both = wc.Mesh(
@@ -219,7 +221,7 @@ def test_a_ball_between_two_plates_stays_there(gap, precision, device):
     )
     start = np.column_stack([np.zeros((50, 2)), np.linspace(0.002, gap - 0.002, 50)])
     velocity = np.tile([0.0, 0.0, -10.0], (50, 1))
-    sim = shots(
+    sim = shoot_balls(
         both, start, velocity, dt=1e-2, precision=precision, device=device, law=wc.laws.Hooke(stiffness=8e3)
     )
     seen = 0
@@ -234,7 +236,7 @@ def test_a_ball_between_two_plates_stays_there(gap, precision, device):
 
 
 @PRECISIONS
-def test_a_rolling_ball_does_not_leak_through_a_wall_of_its_own(precision, device):
+def test_rolling_ball_does_not_pass_through_a_wall_of_the_same_surface(precision, device):
     """It touches the floor all the time, and the wall is a part of the same surface, but not joined to it."""
     floor, wall = wc.meshes.grid((4.0, 4.0), (4, 4)), hard_cases.plate((0.5, 2.0), cells=(2, 2))
     upright = np.column_stack([wall.vertices[:, 2] + 1.0, wall.vertices[:, 1], 0.3 - wall.vertices[:, 0]])
@@ -243,7 +245,7 @@ def test_a_rolling_ball_does_not_leak_through_a_wall_of_its_own(precision, devic
     )
     x = np.linspace(0.7, 0.8, 40)
     start = np.column_stack([x, 0 * x, np.full(40, 0.09)])
-    sim = shots(
+    sim = shoot_balls(
         both, start, np.tile([20.0, 0, 0], (40, 1)), dt=1e-2, precision=precision, device=device, radius=0.1
     )
     sim.step(40)
@@ -251,7 +253,7 @@ def test_a_rolling_ball_does_not_leak_through_a_wall_of_its_own(precision, devic
 
 
 @PRECISIONS
-def test_hidden_faces_let_through(precision, device):
+def test_inactive_faces_let_points_pass(precision, device):
     mesh = hard_cases.plate()
     middle = mesh.vertices[mesh.faces].mean(axis=1)
     right = np.flatnonzero(middle[:, 0] > 0)
@@ -271,8 +273,8 @@ def test_hidden_faces_let_through(precision, device):
 
 
 @PRECISIONS
-def test_a_disabled_contact_lets_through_and_counts_nothing(precision, device):
-    sim = shots(
+def test_disabled_contact_lets_points_pass_and_counts_no_crossing(precision, device):
+    sim = shoot_balls(
         hard_cases.plate(), [[0.1, 0.2, 0.05]] * 2, [[0, 0, -10.0]] * 2, dt=1e-2, precision=precision,
         device=device,
     )  # fmt: skip
@@ -283,10 +285,10 @@ def test_a_disabled_contact_lets_through_and_counts_nothing(precision, device):
 
 
 @PRECISIONS
-def test_what_leaves_over_the_rim_is_free(precision, device):
+def test_point_leaving_over_the_boundary_is_open(precision, device):
     """It crosses a centimetre from the rim and is beyond it when the step ends."""
     start, velocity = np.array([[0.98, 0.1, 0.011]]), np.array([[10.0, 0.0, -10.0]])
-    sim = shots(hard_cases.plate(), start, velocity, dt=1e-2, precision=precision, device=device)
+    sim = shoot_balls(hard_cases.plate(), start, velocity, dt=1e-2, precision=precision, device=device)
     sim.step(20)
     np.testing.assert_allclose(sim.model.sensor("ball.linear_velocity"), velocity)
     assert sim.model.sensor("touch.crossings").tolist() == [1]

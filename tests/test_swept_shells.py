@@ -3,7 +3,7 @@
 import hard_cases
 import numpy as np
 import pytest
-from test_swept import PRECISIONS, shots
+from test_swept import PRECISIONS, shoot_balls
 
 import warpcontact as wc
 from warpcontact import ContactStatus
@@ -36,12 +36,12 @@ def all_around(rng):
     return rng.uniform(-0.4, 0.4, (COUNT, 3)), aim / np.linalg.norm(aim, axis=1)[:, None]
 
 
-def fired(mesh, start, aim, speed, stiffness, steps, *, within, **options):
+def assert_contained(mesh, start, aim, speed, stiffness, steps, *, within, **options):
     """Shoots from within, and asserts that what is not within at any time is held by the side it came from."""
     away = aim - start
     velocity = speed * away / np.linalg.norm(away, axis=1)[:, None]
     law = wc.laws.Hooke(stiffness=stiffness)
-    sim = shots(shell(mesh), start, velocity, dt=1e-2, law=law, **options)
+    sim = shoot_balls(shell(mesh), start, velocity, dt=1e-2, law=law, **options)
     for _ in range(steps // 10):
         sim.step(10)
         place = sim.model.sensor("ball.position")
@@ -55,8 +55,8 @@ def fired(mesh, start, aim, speed, stiffness, steps, *, within, **options):
 @PRECISIONS
 @ENTRIES
 @pytest.mark.parametrize("parts", [1, 16])
-def test_nothing_leaks_out_of_a_hollow_box(parts, entry, precision, device):
-    fired(
+def test_points_do_not_leave_a_hollow_box(parts, entry, precision, device):
+    assert_contained(
         wc.meshes.box((2.0, 2.0, 2.0)), *at_edges_and_corners(np.random.default_rng(0)), 20.0, 1e3, 60,
         within=lambda place: np.abs(place).max(axis=1) < 1.0 - 1e-3,
         crossing_substeps=parts, entry=entry, precision=precision, device=device,
@@ -66,8 +66,8 @@ def test_nothing_leaks_out_of_a_hollow_box(parts, entry, precision, device):
 @PRECISIONS
 @ENTRIES
 @pytest.mark.parametrize(("speed", "stiffness", "steps"), [(20.0, 1e3, 60), (20.0, 1e4, 60), (5.0, 1e3, 200)])
-def test_nothing_leaks_out_of_a_hollow_ball(speed, stiffness, steps, entry, precision, device):
-    fired(
+def test_points_do_not_leave_a_hollow_sphere(speed, stiffness, steps, entry, precision, device):
+    assert_contained(
         wc.meshes.icosphere(1.0, 2), *all_around(np.random.default_rng(0)), speed, stiffness, steps,
         within=lambda place: np.linalg.norm(place, axis=1) < 1.0,
         entry=entry, precision=precision, device=device,
@@ -77,7 +77,7 @@ def test_nothing_leaks_out_of_a_hollow_ball(speed, stiffness, steps, entry, prec
 @PRECISIONS
 @ENTRIES
 @pytest.mark.parametrize("stiffness", [1e3, 1e4])
-def test_nothing_leaks_where_walls_meet_at_an_acute_angle(stiffness, entry, precision, device):
+def test_points_do_not_pass_walls_at_an_acute_angle(stiffness, entry, precision, device):
     """From beyond such an edge, the face that was left looks as near as the one that was come over."""
     mesh = hard_cases.moved(hard_cases.tetrahedron(), np.full(3, -0.25))
     rng = np.random.default_rng(0)
@@ -89,14 +89,14 @@ def test_nothing_leaks_where_walls_meet_at_an_acute_angle(stiffness, entry, prec
     start = start[inside(start, 0.9)][:COUNT]
     weights = rng.dirichlet([0.4, 0.4, 0.4], COUNT)
     aim = np.einsum("ni,nij->nj", weights, mesh.vertices[mesh.faces[rng.integers(4, size=COUNT)]])
-    fired(
+    assert_contained(
         mesh, start, aim, 20.0, stiffness, 60, within=inside, entry=entry, precision=precision, device=device
     )  # fmt: skip
 
 
 @PRECISIONS
 @ENTRIES
-def test_a_corner_that_is_passed_through_does_not_hide_the_wall_behind_it(entry, precision, device):
+def test_crossed_box_does_not_hide_the_wall_behind_it(entry, precision, device):
     """In by the top of a box, out by its side, and into the plate under it: all in one step."""
     box, plate = wc.meshes.box((0.2, 0.2, 0.2)), hard_cases.moved(hard_cases.plate(), (0, 0, -0.2))
     both = wc.Mesh(
@@ -104,7 +104,7 @@ def test_a_corner_that_is_passed_through_does_not_hide_the_wall_behind_it(entry,
         np.concatenate([box.faces, plate.faces + len(box.vertices)]),
     )
     start, velocity = np.array([[0.05, 0.01, 0.12]]), np.array([[10.0, 0.0, -40.0]])
-    sim = shots(
+    sim = shoot_balls(
         both, start, velocity, dt=1e-2, precision=precision, device=device, entry=entry,
         law=wc.laws.Hooke(stiffness=1e4),
     )  # fmt: skip

@@ -5,14 +5,14 @@ import functools
 import numpy as np
 import pytest
 import warp as wp
-from warpcontact.kernels import foot as feet
+from warpcontact.kernels import foot as closest_points
 from warpcontact.kernels import near
 from warpcontact.kernels import tree as trees
-from warpcontact.kernels.closest_point import WHOLE
+from warpcontact.kernels.closest_point import DETECT_ALL
 from warpcontact.kernels.types import structs
 
 import warpcontact as wc
-from warpcontact.tree import BRANCHES, make_tree, node_count, place_count
+from warpcontact.tree import BRANCHES, build_bvh, face_capacity, node_count
 
 
 def faces_of(mesh):
@@ -54,14 +54,14 @@ MESHES = {
 
 
 @pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
-def test_a_tree_has_every_face_once_and_bounds_what_is_below(mesh):
+def test_bvh_has_every_face_once_and_valid_bounds(mesh):
     corner, normal = faces_of(mesh)
     count = len(corner)
     # Off the origin, where float32 rounds the corners of tables.
     corner = corner + np.array([3.0, -200.0, 17.0])
-    tree = make_tree(corner, normal)
+    tree = build_bvh(corner, normal)
     assert tree.bounds.shape == (node_count(count), 8, BRANCHES)
-    assert tree.faces.shape == (place_count(count),)
+    assert tree.faces.shape == (face_capacity(count),)
     found = tree.faces[below(tree, 0)]
     np.testing.assert_array_equal(np.sort(found[found < count]), np.arange(count))
     in_table = corner.astype(np.float32).astype(np.float64)
@@ -84,12 +84,12 @@ def test_a_tree_has_every_face_once_and_bounds_what_is_below(mesh):
                 assert (lateral <= radius).all()
 
 
-def test_disks_of_a_smooth_surface_are_as_thin_as_it_is_flat():
+def test_bvh_disks_of_a_smooth_surface_thin_quadratically():
     """Half as large, a quarter as thick: so a search of a fine mesh looks at few."""
     thick = []
     for cells in (32, 64):
         corner, normal = faces_of(wc.meshes.sinusoidal_terrain((4, 4), (cells, cells), 0.2, 2.5))
-        tree, last = make_tree(corner, normal), place_count(len(corner)) // BRANCHES
+        tree, last = build_bvh(corner, normal), face_capacity(len(corner)) // BRANCHES
         of_faces, of_eight = tree.bounds[-last:, 7], tree.bounds[-last - last // BRANCHES : -last, 7]
         # A face is flat, but for what widens all.
         assert of_faces.max() < 1e-5
@@ -111,8 +111,8 @@ def over(mesh, real, points=((0.0, 0.0, 0.0),)):
 def searcher(real):
     """Returns the kernel that searches from given faces on, and among all."""
     t = structs(real)
-    model_type, vec3, foot_on = t.Model, t.vec3, feet.functions(real).foot_on
-    nearest = trees.functions(real).nearest
+    model_type, vec3, closest_on_face = t.Model, t.vec3, closest_points.functions(real).closest_on_face
+    nearest = trees.functions(real).closest_in_bvh
 
     @wp.kernel(module="unique", enable_backward=False)
     def search(
@@ -125,12 +125,12 @@ def searcher(real):
     ):
         point = wp.tid()
         p = places[point]
-        foot = nearest(model, 0, p, hints[point])
-        found[point] = foot.distance
-        span[point] = foot.span
+        closest = nearest(model, 0, p, hints[point])
+        found[point] = closest.distance
+        span[point] = closest.span
         best = real(wp.inf)
         for face in range(model.face_corner.shape[0]):
-            best = wp.min(best, foot_on(model, face, p).distance)
+            best = wp.min(best, closest_on_face(model, face, p).distance)
         least[point] = best
 
     return search
@@ -148,7 +148,7 @@ def searched(model, real, points, hints):
 
 @pytest.mark.parametrize("real", [wp.float32, wp.float64])
 @pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
-def test_the_nearest_of_a_tree_is_that_of_all_faces(mesh, real):
+def test_bvh_nearest_face_matches_brute_force(mesh, real):
     """Near the surface and far away, wherever one begins; of a point that is no number it is where one began."""
     rng = np.random.default_rng(3)
     count = 2000
@@ -161,24 +161,24 @@ def test_the_nearest_of_a_tree_is_that_of_all_faces(mesh, real):
     hints = rng.integers(-1, len(mesh.faces) + 1, count)
     found, span, least = searched(over(mesh, real), real, points, hints)
     assert np.isnan(found[5])
-    known = np.arange(count) != 5
+    is_finite = np.arange(count) != 5
     # One that is taken may be tied with the nearest.
-    tie = feet.TIE * np.finfo(found.dtype).eps * span
-    assert (found[known] >= least[known]).all()
-    assert (found[known] <= (least + tie)[known]).all()
+    tie = closest_points.TIE * np.finfo(found.dtype).eps * span
+    assert (found[is_finite] >= least[is_finite]).all()
+    assert (found[is_finite] <= (least + tie)[is_finite]).all()
 
 
 @pytest.mark.parametrize("real", [wp.float32, wp.float64])
 @pytest.mark.parametrize("height", [np.nan, np.inf, 1e20, 1e200])
-def test_nothing_is_known_of_a_block_that_is_nowhere(height, real):
+def test_cluster_with_non_finite_pose_has_no_clearance(height, real):
     """What is no number, or whose square is none, is not free to move as far as it likes."""
-    t, of_near = structs(real), near.functions(real, False, WHOLE)
+    t, of_near = structs(real), near.functions(real, False, DETECT_ALL)
     model_type, state_type, cache_type = t.Model, t.State, t.Cache
-    probe, view_of = of_near.probe, of_near.view_of
+    probe, frames_of_set = of_near.cluster_clearance, of_near.frames_of_set
 
     @wp.kernel(module="unique", enable_backward=False)
     def probe_first(model: model_type, state: state_type, cache: cache_type, free: wp.array(dtype=real)):
-        free[0] = probe(model, view_of(model, state, 0, 0), cache, 0, 0)
+        free[0] = probe(model, frames_of_set(model, state, 0, 0), cache, 0, 0)
 
     # A box is closed: nothing but the distance limits how far one can move.
     model = over(wc.meshes.box((1.0, 1.0, 1.0)), real, np.eye(3) * 0.1)
@@ -194,7 +194,7 @@ def test_nothing_is_known_of_a_block_that_is_nowhere(height, real):
         return free.numpy()[0]
 
     # Above the top, at 0.5, and less by what coordinates round.
-    above = 3.0 + arrays.model.block_center.numpy()[0, 0, 2] - 0.5
+    above = 3.0 + arrays.model.cluster_center.numpy()[0, 0, 2] - 0.5
     assert above * (1.0 - 100 * np.finfo(free.numpy().dtype).eps) < probed(3.0) <= above
     with np.errstate(over="ignore"):
         squared = np.array(height, dtype=wp.dtype_to_numpy(real)) ** 2

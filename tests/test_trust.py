@@ -70,17 +70,17 @@ def run(made, tmp_path):
 
 
 @pytest.fixture
-def strange(run, monkeypatch, tmp_path):
+def foreign_run(run, monkeypatch, tmp_path):
     """The same, from another user."""
     monkeypatch.setenv("LOCALAPPDATA" if os.name == "nt" else "XDG_STATE_HOME", str(tmp_path / "mine"))
     return run
 
 
-def ran(folder):
+def has_run_code(folder):
     return (folder / "ran").exists()
 
 
-def acts(folder):
+def commands(folder):
     """All that reads the scene or the experiment of a run folder, by names."""
     text, file = str(folder), str(folder / "experiment.toml")
     return {
@@ -98,55 +98,60 @@ def acts(folder):
 
 def test_run_of_the_same_user_is_resumed_and_read_without_a_flag(run):
     (run / "ran").unlink(missing_ok=True)
-    assert main(acts(run)["resume"]) == 0
-    assert ran(run)
+    assert main(commands(run)["resume"]) == 0
+    assert has_run_code(run)
     assert wc.open_run(run).scene.contacts[0].material.law.stiffness == 1e4
     assert wc.open_run(run).experiment.settings.outcome
-    assert main(acts(run)["report"]) == 0
+    assert main(commands(run)["report"]) == 0
 
 
-@pytest.mark.parametrize("act", acts(trust.Path("run")))
-def test_run_from_elsewhere_runs_no_code_and_names_its_files(act, strange, capsys):
+@pytest.mark.parametrize("act", commands(trust.Path("run")))
+def test_run_of_another_user_runs_no_code_and_lists_its_files(act, foreign_run, capsys):
     if act.startswith("view"):
         pytest.importorskip("viser")
-    assert main(acts(strange)[act]) == 2
-    told = capsys.readouterr().err
-    lines = [line for line in told.splitlines() if "--trust" in line]
+    assert main(commands(foreign_run)[act]) == 2
+    error_output = capsys.readouterr().err
+    lines = [line for line in error_output.splitlines() if "--trust" in line]
     assert lines == [
-        f"warpcontact: {strange}: would run laws.py, outcomes.py, Python code that no run of this user has "
+        f"warpcontact: {foreign_run}: would run laws.py, outcomes.py, Python code that no run of this user has "
         "written there; read it, then run it with --trust (Python: trust=True)"
     ]
-    assert not ran(strange)
+    assert not has_run_code(foreign_run)
     assert not trust.records().exists()
 
 
-@pytest.mark.parametrize("act", acts(trust.Path("run")))
+@pytest.mark.parametrize("act", commands(trust.Path("run")))
 def test_trust_is_an_option_of_each_command_that_may_need_it(act, capsys):
     with pytest.raises(SystemExit) as ended:
-        main([acts(trust.Path("run"))[act][0], "--help"])
+        main([commands(trust.Path("run"))[act][0], "--help"])
     assert ended.value.code == 0
     assert "--trust" in capsys.readouterr().out
 
 
-def test_results_from_elsewhere_are_read_without_trust(strange, tmp_path, capsys):
-    seen = wc.open_run(strange, verify=True)
+def test_results_of_another_user_are_read_without_trust(foreign_run, tmp_path, capsys):
+    seen = wc.open_run(foreign_run, verify=True)
     assert seen.to_dataframe()["deepest"].notna().all()
-    for words in (["status", str(strange)], ["export", str(strange), "--csv", str(tmp_path / "a.csv")]):
+    for words in (["status", str(foreign_run)], ["export", str(foreign_run), "--csv", str(tmp_path / "a.csv")]):
         assert main(words) == 0
     print(seen)
     capsys.readouterr()
-    for read in (lambda: seen.scene, lambda: seen.settings, lambda: seen.experiment, lambda: wc.report(strange)):
+    for read in (
+        lambda: seen.scene,
+        lambda: seen.settings,
+        lambda: seen.experiment,
+        lambda: wc.report(foreign_run),
+    ):
         with pytest.raises(wc.ExperimentError, match=r"would run laws\.py, outcomes\.py, Python code"):
             read()
-    assert not ran(strange)
+    assert not has_run_code(foreign_run)
 
 
-def test_what_was_trusted_once_needs_no_flag_again(strange):
-    assert wc.open_run(strange, trust=True).scene.contacts
-    assert ran(strange)
+def test_trusted_run_needs_no_flag_again(foreign_run):
+    assert wc.open_run(foreign_run, trust=True).scene.contacts
+    assert has_run_code(foreign_run)
     assert len(list(trust.records().iterdir())) == 2
-    assert wc.open_run(strange).scene.contacts
-    moved = shutil.copytree(strange, strange.parent / "moved")
+    assert wc.open_run(foreign_run).scene.contacts
+    moved = shutil.copytree(foreign_run, foreign_run.parent / "moved")
     assert wc.Experiment.from_toml(moved / "experiment.toml").settings.outcome
     with (moved / "outcomes.py").open("a") as file:
         file.write("# changed\n")
@@ -154,34 +159,36 @@ def test_what_was_trusted_once_needs_no_flag_again(strange):
         wc.Experiment.from_toml(moved / "experiment.toml")
 
 
-def test_files_are_trusted_by_their_content(strange):
-    digests = [hashlib.sha256((strange / name).read_bytes()).hexdigest() for name in ("laws.py", "outcomes.py")]
-    assert wc.open_run(strange, trust=digests).settings.outcome
+def test_files_are_trusted_by_their_content(foreign_run):
+    digests = [
+        hashlib.sha256((foreign_run / name).read_bytes()).hexdigest() for name in ("laws.py", "outcomes.py")
+    ]
+    assert wc.open_run(foreign_run, trust=digests).settings.outcome
     assert not trust.records().exists()
     with pytest.raises(wc.ExperimentError, match=r"would run outcomes\.py, Python"):
-        _ = wc.open_run(strange, trust=digests[:1]).settings
+        _ = wc.open_run(foreign_run, trust=digests[:1]).settings
 
 
-def test_worker_of_a_cluster_runs_the_files_of_the_run_that_it_is_part_of(strange):
+def test_cluster_worker_runs_the_files_of_its_run(foreign_run):
     """Also where the user of the worker has no record of them."""
-    digests = tuple(trust.digest_of((strange / name).read_bytes()) for name in ("laws.py", "outcomes.py"))
-    summary = read_summary(strange)
+    digests = tuple(trust.digest_of((foreign_run / name).read_bytes()) for name in ("laws.py", "outcomes.py"))
+    summary = read_summary(foreign_run)
     with pytest.raises(wc.ExperimentError, match=r"would run outcomes\.py, Python"):
-        cluster._runner(strange, summary, "cpu", 1, 60.0, digests[:1])
-    assert not ran(strange)
-    assert cluster._runner(strange, summary, "cpu", 1, 60.0, digests).settings.outcome
+        cluster._runner(foreign_run, summary, "cpu", 1, 60.0, digests[:1])
+    assert not has_run_code(foreign_run)
+    assert cluster._runner(foreign_run, summary, "cpu", 1, 60.0, digests).settings.outcome
 
 
-def test_study_of_the_user_needs_no_flag(study, strange, capsys):
+def test_study_of_the_user_needs_no_flag(study, foreign_run, capsys):
     """Also one whose run is from elsewhere: what is run is the file next to the study."""
     (study / "ran").unlink(missing_ok=True)
-    (strange / "laws.py").write_text("raise AssertionError\n")
-    assert main(["run", str(study / "study.toml"), "--resume", "--out", str(strange), "--device", "cpu"]) == 0
+    (foreign_run / "laws.py").write_text("raise AssertionError\n")
+    assert main(["run", str(study / "study.toml"), "--resume", "--out", str(foreign_run), "--device", "cpu"]) == 0
     capsys.readouterr()
 
 
 @pytest.mark.filterwarnings("ignore:the files with laws:RuntimeWarning")
-def test_run_just_made_is_read_without_a_state_folder(study, tmp_path, monkeypatch):
+def test_new_run_is_read_without_a_state_folder(study, tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("LOCALAPPDATA" if os.name == "nt" else "XDG_STATE_HOME", str(tmp_path / "file"))
     made = wc.Experiment.from_toml(study / "study.toml").run(tmp_path / "out", device="cpu")
@@ -191,23 +198,23 @@ def test_run_just_made_is_read_without_a_state_folder(study, tmp_path, monkeypat
         _ = wc.open_run(tmp_path / "out").settings
 
 
-def test_trust_in_a_run_lasts_when_its_view_is_refreshed(strange, monkeypatch):
-    digests = [trust.digest_of((strange / name).read_bytes()) for name in ("laws.py", "outcomes.py")]
-    runs.change(strange / "run.json", state="unfinished")
-    source = RunSource(strange, trust=digests)
-    runs.change(strange / "run.json", wall_time=1.0)  # as if more were committed
+def test_trust_in_a_run_is_kept_when_its_view_is_refreshed(foreign_run, monkeypatch):
+    digests = [trust.digest_of((foreign_run / name).read_bytes()) for name in ("laws.py", "outcomes.py")]
+    runs.change(foreign_run / "run.json", state="unfinished")
+    source = RunSource(foreign_run, trust=digests)
+    runs.change(foreign_run / "run.json", wall_time=1.0)  # as if more were committed
     assert source.refresh()
     assert source.run.settings.outcome
     assert not trust.records().exists()
 
 
-def test_missing_state_folder_is_warned_of(tmp_path, monkeypatch):
+def test_missing_state_folder_causes_a_warning(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("LOCALAPPDATA" if os.name == "nt" else "XDG_STATE_HOME", str(tmp_path / "file"))
     with pytest.warns(
         wc.RunWarning, match="could not be recorded as trusted: Not a directory; to resume or draw"
-    ) as heard:
+    ) as caught:
         trust.record([b"code"])
-    assert heard[0].message.level is wc.WarningLevel.CAUTION
-    assert heard[0].filename == __file__
+    assert caught[0].message.level is wc.WarningLevel.CAUTION
+    assert caught[0].filename == __file__
     assert not trust.may_run(b"code", trust=False)

@@ -9,7 +9,7 @@ from warpcontact.unilateral import EventDriven
 from warpcontact.unilateral.rigid.segments import closest_on_segments
 
 
-def test_closest_points_of_segments_are_nearest():
+def test_closest_points_of_segments_match_brute_force():
     rng = np.random.default_rng(3)
     d, g, h = rng.normal(size=(3, 200, 3))
     g[:20], h[10:30] = 0.0, 0.0
@@ -36,7 +36,7 @@ def capsules(gap):
     return scene.build(device="cpu", precision="float64")
 
 
-def test_pairs_of_a_mutual_contact_are_where_the_engine_has_them():
+def test_assembled_particle_pairs_match_the_engine():
     model = capsules(gap=-0.01)
     seen = model.contact_pairs("rods")
     own = wc.unilateral.assemble(model)
@@ -51,7 +51,7 @@ def test_pairs_of_a_mutual_contact_are_where_the_engine_has_them():
     assert wc.unilateral.assemble(apart, closed=1.0).gap.min() > 0.0
 
 
-def test_coefficients_are_those_of_the_environment():
+def test_assembled_coefficients_are_those_of_the_environment():
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     ground = scene.add_surface(wc.meshes.grid((4.0, 4.0), (1, 1)), name="ground")
     body = scene.add_body(mass=1.0, inertia=[0.1] * 3, name="body")
@@ -76,7 +76,7 @@ def test_coefficients_are_those_of_the_environment():
     np.testing.assert_allclose(np.diag(W[3:, 3:]), [11.0, 1.0, 11.0], atol=1e-14)
 
 
-def test_an_environment_of_float32_is_read_to_its_precision():
+def test_assembled_float32_environment_is_accurate_to_its_precision():
     model = ball(height=1e-7)
     wide = wc.unilateral.assemble(model)
     narrow = wc.unilateral.assemble(model.scene.build(device="cpu", precision="float32"))
@@ -84,7 +84,7 @@ def test_an_environment_of_float32_is_read_to_its_precision():
     np.testing.assert_allclose(narrow.H, wide.H, atol=1e-7)
 
 
-def test_contact_couplings_are_loads():
+def test_contact_couplings_are_assembled_as_loads():
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     ground = scene.add_surface(wc.meshes.grid((4.0, 4.0), (1, 1)), name="ground")
     brick = scene.add_body(mass=3.0, inertia=[0.1] * 3, position=(0.1, 0, 0.11), name="brick")
@@ -100,7 +100,7 @@ def test_contact_couplings_are_loads():
     assert own.force[2] != weight[2]
 
 
-def test_a_mass_on_a_spring_strikes_a_stop():
+def test_event_driven_mass_on_spring_hits_a_stop_at_closed_form_times():
     scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
     wall = scene.add_shape(None, wc.shapes.Plane(), name="wall")
     mass = scene.add_body(
@@ -120,7 +120,7 @@ def test_a_mass_on_a_spring_strikes_a_stop():
     assert second.approach_speed == pytest.approx(0.5 * rate, abs=1e-10)
 
 
-def test_a_point_that_slides_off_a_table_leaves_it():
+def test_event_driven_point_sliding_off_a_table_lifts_off():
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     table = scene.add_surface(wc.meshes.grid((1.0, 1.0), (1, 1)), name="table")
     puck = scene.add_body(
@@ -143,7 +143,7 @@ def test_a_point_that_slides_off_a_table_leaves_it():
     assert run["puck.position"].values[-1, 2] == pytest.approx(falls, abs=1e-10)
 
 
-def test_static_friction_lets_go_at_its_own_coefficient():
+def test_event_driven_stick_slip_uses_static_and_dynamic_friction():
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     ground = scene.add_shape(None, wc.shapes.Plane(), name="ground")
     block = scene.add_body(
@@ -174,5 +174,5 @@ def test_static_friction_lets_go_at_its_own_coefficient():
     time = sticks.time - start
     speed = 0.5 - 0.5 * np.cos(rate * time) + jump * rate * np.sin(rate * time)
     assert speed == pytest.approx(0.0, abs=1e-9)
-    way = 0.5 * time - 0.5 / rate * np.sin(rate * time) + jump * (1.0 - np.cos(rate * time))
-    assert run["block.position"].values[-1, 0] == pytest.approx(way, abs=1e-10)
+    expected_displacement = 0.5 * time - 0.5 / rate * np.sin(rate * time) + jump * (1.0 - np.cos(rate * time))
+    assert run["block.position"].values[-1, 0] == pytest.approx(expected_displacement, abs=1e-10)

@@ -72,7 +72,7 @@ def many(seed, real, *, rank=3):
     return [x.astype(dtype).astype(float) for x in (W, b, mu)]
 
 
-def test_one_contact_is_the_oracle(of_cone, shared):
+def test_single_contact_solution_matches_reference(of_cone, shared):
     data = json.loads((shared / "spec" / "oracle_signorini.json").read_text())["contact3d"]
     W = np.array(data["W"])
     cases = [data[name] for name in ("open", "stick", "slip")]
@@ -84,7 +84,7 @@ def test_one_contact_is_the_oracle(of_cone, shared):
 
 
 @BOTH
-def test_tangents_are_orthonormal_and_right_handed(of_cone, real):
+def test_contact_tangents_are_orthonormal_and_right_handed(of_cone, real):
     W, b, mu = many(1, real)
     b[:6] = [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0, -1, 0), (1e-20, 0, -1), (1, 0, -1e-20)]
     tangents = of_cone(real)(W, b, mu)[0]
@@ -95,7 +95,7 @@ def test_tangents_are_orthonormal_and_right_handed(of_cone, real):
 
 
 @BOTH
-def test_the_projection_splits_into_cone_and_polar_cone(of_cone, real):
+def test_cone_projection_splits_into_cone_and_polar_cone(of_cone, real):
     W, z, mu = many(2, real)
     nearest = of_cone(real)(W, z, mu)[1]
     size, rest = np.linalg.norm(z, axis=1), z - nearest
@@ -113,7 +113,7 @@ def test_the_projection_splits_into_cone_and_polar_cone(of_cone, real):
 
 @BOTH
 @pytest.mark.parametrize("rank", [3, 2, 1, "fixed across", "fixed one way", "alike"])
-def test_one_contact_keeps_its_law(of_cone, real, rank):
+def test_single_contact_solution_satisfies_the_contact_law(of_cone, real, rank):
     W, b, mu = many(3, real, rank=rank if isinstance(rank, int) else 3)
     if rank == "fixed across":
         W[:, 1:, :] = W[:, :, 1:] = 0.0
@@ -151,7 +151,7 @@ def test_one_contact_keeps_its_law(of_cone, real, rank):
         assert np.mean(~stuck & (lam[:, 0] > 0.0)) > 0.1
 
 
-def test_a_contact_that_cannot_move_carries_nothing(of_cone):
+def test_cone_impulse_is_zero_without_normal_mobility(of_cone):
     W, b = np.zeros((2, 3, 3)), np.array([(-1.0, 2.0, 0.0), (-1.0, 0.0, 0.0)])
     W[1, 1, 1] = 1.0
     np.testing.assert_array_equal(of_cone(wp.float64)(W, b, [0.5, 0.5])[2], 0.0)

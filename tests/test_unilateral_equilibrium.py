@@ -22,7 +22,7 @@ FORCE = 1.0e-9
     ],
     ids=["rests", "slides", "tips"],
 )
-def test_a_pushed_block_rests_slides_or_tips(push, height, mu, sums, acceleration, turning):
+def test_pushed_block_equilibrium_rests_slides_or_tips(push, height, mu, sums, acceleration, turning):
     result = wc.unilateral.equilibrium(block(push, height, mu))
     assert result.holds is (acceleration == (0.0, 0.0))
     np.testing.assert_allclose(result.linear_acceleration[0, [0, 2]], acceleration, atol=FORCE)
@@ -40,7 +40,7 @@ def test_a_pushed_block_rests_slides_or_tips(push, height, mu, sums, acceleratio
     assert result.residual < 1e-12
 
 
-def test_the_text_of_a_result_says_what_holds_and_what_moves():
+def test_equilibrium_text_states_forces_and_accelerations():
     rests, slides = (wc.unilateral.equilibrium(block(push, 0.5, 0.5)) for push in (20.0, 60.0))
     assert str(rests).startswith("in equilibrium: 4 closed contacts")
     assert "feet[0]: STICK" in str(rests)
@@ -52,7 +52,7 @@ def test_the_text_of_a_result_says_what_holds_and_what_moves():
 
 
 @pytest.mark.parametrize("slope", np.radians([5.0, 15.0, 20.0]))
-def test_a_block_on_a_slope_holds_up_to_the_angle_of_friction(slope):
+def test_block_on_slope_is_in_equilibrium_up_to_friction_angle(slope):
     threshold = math.tan(slope)
     holds = wc.unilateral.equilibrium(block(slope=slope, mu=threshold * (1.0 + 1e-4)))
     assert holds.holds
@@ -64,7 +64,7 @@ def test_a_block_on_a_slope_holds_up_to_the_angle_of_friction(slope):
     assert down == pytest.approx(G * (math.sin(slope) - mu * math.cos(slope)), abs=FORCE)
 
 
-def test_a_ladder_against_a_smooth_wall_holds_by_the_friction_of_its_foot():
+def test_ladder_equilibrium_matches_closed_form_friction():
     angle = math.radians(60.0)
     # Moments about the foot: N_wall = m g/(2 tan θ), which the foot holds by friction.
     threshold = 1.0 / (2.0 * math.tan(angle))
@@ -76,7 +76,7 @@ def test_a_ladder_against_a_smooth_wall_holds_by_the_friction_of_its_foot():
     assert not wc.unilateral.equilibrium(ladder(threshold * (1.0 - 1e-4), angle)).holds
 
 
-def test_three_balls_hold_if_friction_between_them_is_the_tangent_of_half_the_angle():
+def test_three_ball_equilibrium_requires_closed_form_friction():
     model, sine = three_balls(mu_between=0.5, mu_ground=0.5)
     threshold = math.tan(0.5 * math.asin(sine))
     model["balls.friction.mu"] = threshold * (1.0 + 1e-6)
@@ -122,12 +122,12 @@ def bars():
 
 
 @pytest.fixture(scope="module")
-def held_bars():
+def jointed_bars():
     return bars()
 
 
-def test_motions_carry_what_contacts_need_not(held_bars):
-    result = wc.unilateral.equilibrium(held_bars, env=1)
+def test_joints_carry_load_in_equilibrium(jointed_bars):
+    result = wc.unilateral.equilibrium(jointed_bars, env=1)
     assert result.holds
     weight = 4.0 * G
     expected = {"hinged": 0.5, "on_ball": 0.5, "on_rail": 1.0, "in_plane": 1.0, "upright": 1.0, "fixed": 0.0}
@@ -137,7 +137,7 @@ def test_motions_carry_what_contacts_need_not(held_bars):
         assert (result.determined[result.assembly.names == name] == own).all(), name
 
 
-def test_the_inverse_mass_of_a_motion_answers_as_a_step_does(held_bars):
+def test_joint_inverse_mass_matches_a_step(jointed_bars):
     # A short step under a force and a torque: velocities change by M⁻¹ F dt.
     model = bars()
     rng = np.random.default_rng(1)
@@ -155,7 +155,7 @@ def test_the_inverse_mass_of_a_motion_answers_as_a_step_does(held_bars):
     np.testing.assert_allclose(after / dt, own.free_acceleration, atol=1e-6 * np.abs(own.free_acceleration).max())
 
 
-def test_velocities_of_contacts_are_those_of_the_engine():
+def test_assembled_contact_velocities_match_the_engine():
     model = block(velocity=1.5, lift=-1e-9)
     model["box.angular_velocity"] = (0.3, -0.2, 0.7)
     own = wc.unilateral.assemble(model)
@@ -169,7 +169,7 @@ def test_velocities_of_contacts_are_those_of_the_engine():
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_results_leave_the_model_as_it_was_to_the_bit(precision):
+def test_equilibrium_leaves_the_model_bitwise_unchanged(precision):
     model = block(20.0, velocity=0.7, slope=0.3).scene.build(envs=2, device="cpu", precision=precision)
     state = model.arrays.state
     # As rounding in steps leaves them: a quaternion of not quite unit length, a position with a remainder.
@@ -187,7 +187,7 @@ def test_results_leave_the_model_as_it_was_to_the_bit(precision):
     np.testing.assert_array_equal(model.arrays.time.numpy(), 0.0)
 
 
-def test_couplings_are_loads():
+def test_couplings_are_loads_in_equilibrium():
     def pulled(tension, mu=0.5):
         scene = wc.Scene(gravity=(0.0, 0.0, -G))
         ground = scene.add_shape(None, wc.shapes.Plane(), name="ground")
@@ -211,7 +211,7 @@ def test_couplings_are_loads():
     assert slides.linear_acceleration[0, 0] == pytest.approx(5.0 - 0.5 * G, abs=FORCE)
 
 
-def test_what_it_cannot_take_is_named():
+def test_equilibrium_raises_for_unsupported_input():
     def model(material, **options):
         scene = wc.Scene()
         ground = scene.add_surface(wc.meshes.grid((4.0, 4.0)))

@@ -28,21 +28,21 @@ def check(method, count, contacts, dim, freedoms, device, seed=1, shared=1):
 @pytest.mark.parametrize("contacts", SIZES)
 @pytest.mark.parametrize("dim", [1, 2, 3])
 @pytest.mark.parametrize("freedoms", [1.5, 0.75], ids=["regular", "hyperstatic"])
-def test_the_default_method_solves_almost_all(freedoms, dim, contacts, device):
+def test_projection_method_solves_almost_all_random_problems(freedoms, dim, contacts, device):
     assert check("projection", SIZES[contacts], contacts, dim, freedoms, device) <= UNSOLVED["projection"]
 
 
 @pytest.mark.parametrize("contacts", [1, 2, 4, 8, 16])
 @pytest.mark.parametrize("dim", [1, 2, 3])
 @pytest.mark.parametrize("method", ["energy", "prox", "gauss_seidel"])
-def test_the_other_methods_solve_most(method, dim, contacts, device):
+def test_other_methods_solve_most_random_problems(method, dim, contacts, device):
     assert check(method, 60, contacts, dim, 1.5, device) <= UNSOLVED[method]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("contacts", SIZES)
 @pytest.mark.parametrize("dim", [1, 2, 3])
-def test_many_of_each_size(dim, contacts, times, device):
+def test_projection_method_solves_many_random_problems_of_each_size(dim, contacts, times, device):
     """2000, or 10 000 with --thorough."""
     missed = []
     # Large ones have W in common, each 250 of them: it would take longer to make as many than to solve them.
@@ -56,13 +56,13 @@ def test_many_of_each_size(dim, contacts, times, device):
 @pytest.mark.slow
 @pytest.mark.parametrize("contacts", [32, 64])
 @pytest.mark.parametrize("method", ["energy", "prox", "gauss_seidel"])
-def test_the_other_methods_solve_most_of_the_large(method, contacts, device):
+def test_other_methods_solve_most_large_random_problems(method, contacts, device):
     assert check(method, 40, contacts, 3, 1.5, device) <= UNSOLVED[method]
 
 
 @pytest.mark.parametrize("contacts", [1, 2, 4, 8])
 @pytest.mark.parametrize("dim", [1, 2, 3])
-def test_all_methods_agree_where_the_solution_is_unique(dim, contacts, device):
+def test_all_methods_agree_if_the_solution_is_unique(dim, contacts, device):
     W, q, mu = problems(5, 40, contacts, dim, 3.0)
     # Below this friction the solution is unique.
     block = np.einsum("biaia->bi", W.reshape(-1, contacts, dim, contacts, dim)) / dim
@@ -83,7 +83,7 @@ def test_all_methods_agree_where_the_solution_is_unique(dim, contacts, device):
 
 
 @pytest.mark.parametrize("method", ["projection", "gauss_seidel"])
-def test_one_alone_is_what_it_is_among_many(method, device):
+def test_problem_alone_has_the_solution_it_has_in_a_batch(method, device):
     W, q, mu = problems(6, 200, 4, 2, 0.75)
     many = wc.unilateral.solve_delassus(W, q, mu, method, device=device)
     # Those that took longest, where Newton's method started again, and some others.

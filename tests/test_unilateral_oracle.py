@@ -28,7 +28,7 @@ def chain(size, stiffness=1000.0):
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("case", ["open", "closed", "grazing", "pull"])
-def test_one_mass_at_a_wall(oracle, case, method):
+def test_one_mass_at_a_wall_matches_reference(oracle, case, method):
     c = oracle["one_dof"][case]
     solution = wc.unilateral.solve(c["k"], c["f"], 1.0, c["d"], method=method, tolerance=TIGHT)
     np.testing.assert_allclose([solution.u[0], solution.lam[0]], c["closed"], **EXACT)
@@ -38,14 +38,14 @@ def test_one_mass_at_a_wall(oracle, case, method):
 
 @pytest.mark.parametrize("case", ["open", "closed", "grazing", "pull"])
 @pytest.mark.parametrize("c", [1.0, 1e3, 1e6])
-def test_newtons_method_ends_in_two_steps_whatever_its_parameter(oracle, case, c):
+def test_newton_converges_in_two_steps_for_any_parameter(oracle, case, c):
     given = oracle["one_dof"][case]
     solution = wc.unilateral.solve(given["k"], given["f"], 1.0, given["d"], parameter=c)
     np.testing.assert_allclose([solution.u[0], solution.lam[0]], given["closed"], **EXACT)
     assert solution.iterations <= 2
 
 
-def test_a_spring_that_pushes_away_has_no_solution_one_or_two(oracle):
+def test_negative_spring_has_zero_one_or_two_solutions(oracle):
     for load, expected in oracle["negative_k"].items():
         problem = wc.unilateral.Problem(-1000.0, float(load), 1.0, 0.01)
         found = sorted([one.u[0], one.lam[0]] for one in problem.all_solutions())
@@ -61,7 +61,7 @@ def test_a_spring_that_pushes_away_has_no_solution_one_or_two(oracle):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_chain_with_one_stop(oracle, method):
+def test_chain_with_one_stop_matches_reference(oracle, method):
     c = oracle["chain_single"]
     G = np.zeros((1, 5))
     G[0, 4] = 1.0
@@ -72,7 +72,7 @@ def test_a_chain_with_one_stop(oracle, method):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_chain_with_a_stop_at_each_mass(oracle, method):
+def test_chain_with_a_stop_at_each_mass_matches_reference(oracle, method):
     c = oracle["chain_stops"]
     # The chain softens what the residual, relative to 162 N/m × 0.1 m, leaves of the forces.
     solution = wc.unilateral.solve(chain(5), c["f"], np.eye(5), c["d"], method=method, tolerance=1e-15,
@@ -84,7 +84,7 @@ def test_a_chain_with_a_stop_at_each_mass(oracle, method):
     assert solution.residual < 1e-14
 
 
-def test_one_state_of_the_chain_is_admissible_and_active_sets_find_it_in_two_steps(oracle):
+def test_chain_has_one_admissible_state_found_in_two_steps(oracle):
     c = oracle["chain_stops"]
     problem = wc.unilateral.Problem(chain(5), c["f"], np.eye(5), c["d"])
     assert len(problem.all_solutions()) == 1
@@ -93,7 +93,7 @@ def test_one_state_of_the_chain_is_admissible_and_active_sets_find_it_in_two_ste
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("case", ["open", "stick", "slip"])
-def test_static_friction_in_the_plane(oracle, case, method):
+def test_planar_static_friction_matches_reference(oracle, case, method):
     k_n, k_t, f_n, f_t, d, mu, previous = oracle["static_friction_2d"][case]["args"]
     *numbers, state = oracle["static_friction_2d"][case]["result"]
     problem = wc.unilateral.Problem(np.diag([k_n, k_t]), [f_n, f_t], np.eye(2)[None], [d], mu, previous)
@@ -105,7 +105,7 @@ def test_static_friction_in_the_plane(oracle, case, method):
 
 @pytest.mark.parametrize("method", FRICTIONAL_3D)
 @pytest.mark.parametrize("case", ["open", "stick", "slip"])
-def test_one_contact_in_space(oracle, case, method):
+def test_spatial_contact_matches_reference(oracle, case, method):
     c = oracle["contact3d"]
     solution = wc.unilateral.solve_delassus(c["W"], [c[case]["b"]], c[case]["mu"], method, tolerance=TIGHT)
     np.testing.assert_allclose(solution.lam[0], c[case]["l"], **EXACT)
@@ -123,7 +123,7 @@ def block(force, height, mass=10.0, width=1.0, tall=2.0, g=9.81):
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("case", ["stick", "slip", "tip"])
-def test_a_rigid_block_rests_slides_or_tips(oracle, case, method):
+def test_rigid_block_matches_reference_in_rest_slip_and_tipping(oracle, case, method):
     c = oracle["block"][case]
     H, inverse, applied = block(c["F"], c["z"])
     q = (H @ inverse @ applied).reshape(2, 2)
@@ -141,7 +141,7 @@ def test_a_rigid_block_rests_slides_or_tips(oracle, case, method):
 
 
 @pytest.mark.parametrize("offset", [-1e-6, 1e-6])
-def test_a_block_slips_and_tips_beyond_its_thresholds(offset):
+def test_block_slips_and_tips_beyond_its_thresholds(offset):
     weight = 98.1
     H, inverse, applied = block(0.5 * weight * (1.0 + offset), 0.5)
     sliding = wc.unilateral.solve_delassus(H @ inverse @ H.T, (H @ inverse @ applied).reshape(2, 2), 0.5)

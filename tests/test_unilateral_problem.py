@@ -39,7 +39,7 @@ def frictional(seed=0, count=None, n=9, contacts=3, dim=3):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_solution_keeps_equilibrium_gaps_and_friction(method):
+def test_solution_satisfies_equilibrium_gaps_and_friction(method):
     given = frictional()
     solution = solve(**given, method=method, tolerance=1e-12)
     K, G = given["K"], given["G"].reshape(-1, 9)
@@ -65,7 +65,7 @@ def test_a_solution_keeps_equilibrium_gaps_and_friction(method):
     assert solution.active.tolist() == (solution.lam[:, 0] > 0.0).tolist()
 
 
-def test_a_solve_that_is_cut_short_says_so():
+def test_solve_with_iteration_limit_is_not_converged():
     for method in METHODS:
         solution = solve(**frictional(2), method=method, iterations=1, tolerance=1e-12)
         assert not solution.converged
@@ -73,7 +73,7 @@ def test_a_solve_that_is_cut_short_says_so():
 
 
 @pytest.mark.parametrize("mu", [1e6, 1e12, 1e100])
-def test_no_friction_is_so_strong_that_a_gap_stays_closed_past(mu):
+def test_gap_closes_for_any_friction_coefficient(mu):
     problem = Problem(np.diag([1000.0, 500.0]), [25.0, 6.0], np.eye(2)[None], [0.01], mu)
     for method in ("projection", "gauss_seidel", "enumeration"):
         solution = problem.solve(method)
@@ -84,7 +84,7 @@ def test_no_friction_is_so_strong_that_a_gap_stays_closed_past(mu):
         assert not problem.solve(method, iterations=1000).converged
 
 
-def test_a_soft_contact_beside_a_stiff_one_is_judged_by_its_own_force():
+def test_soft_contact_next_to_stiff_one_is_judged_by_its_own_force():
     # 5e11 N at the stiff one, 4 N at the soft one.
     problem = Problem(np.diag([1e12, 1.0]), [1e12, 5.0], np.eye(2), [0.5, 1.0])
     for method in ("enumeration", *METHODS):
@@ -96,7 +96,7 @@ def test_a_soft_contact_beside_a_stiff_one_is_judged_by_its_own_force():
 
 @pytest.mark.parametrize("dim", [1, 2])
 @pytest.mark.parametrize("seed", range(3))
-def test_where_all_contacts_graze_rounding_is_no_force(seed, dim):
+def test_grazing_contacts_have_no_force_from_rounding(seed, dim):
     # Loaded until all gaps are just closed: q is rounding of what it is the difference of.
     random = np.random.default_rng(seed)
     A, u, G = random.normal(size=(6, 6)), random.normal(size=6), random.normal(size=(3, dim, 6))
@@ -115,7 +115,7 @@ def test_where_all_contacts_graze_rounding_is_no_force(seed, dim):
     assert Problem(-3.0, -0.3, 1.0, 0.1).diagnose().unique_lam
 
 
-def test_a_start_at_the_solution_needs_no_iterations():
+def test_warm_start_at_the_solution_needs_no_iterations():
     given = frictional(4)
     first = solve(**given, tolerance=1e-9)
     for method in METHODS:
@@ -124,7 +124,7 @@ def test_a_start_at_the_solution_needs_no_iterations():
         np.testing.assert_allclose(again.lam, first.lam, atol=1e-9)
 
 
-def test_tangents_without_friction_change_nothing():
+def test_tangents_without_friction_do_not_change_the_solution():
     given = frictional(5) | {"mu": 0.0, "previous": 0.0}
     with_tangents = solve(**given, dim=3)
     without = solve(given["K"], given["f"], given["G"][:, 0], given["d"])
@@ -137,7 +137,7 @@ def test_tangents_without_friction_change_nothing():
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_many_problems_are_each_as_alone(method):
+def test_batch_of_problems_equals_single_problems(method):
     given = frictional(6, count=5)
     many = solve(**given, method=method)
     assert many.u.shape == (5, 9)
@@ -148,7 +148,7 @@ def test_many_problems_are_each_as_alone(method):
         assert one.residual == pytest.approx(many.residual[k], abs=1e-12)
 
 
-def test_any_argument_may_be_one_for_each_problem():
+def test_any_argument_can_vary_by_problem():
     given = frictional(7)
     expected = solve(**given, tolerance=1e-12)
     for name in given:
@@ -157,7 +157,7 @@ def test_any_argument_may_be_one_for_each_problem():
         np.testing.assert_allclose(many.lam, np.stack([expected.lam] * 3), atol=1e-12)
 
 
-def test_a_sparse_stiffness_and_many_loads():
+def test_sparse_stiffness_matches_dense_stiffness_for_many_loads():
     random = np.random.default_rng(8)
     K, loads = chain(300), 10.0 * random.normal(size=(20, 300))
     G = np.eye(300)[::40]
@@ -169,7 +169,7 @@ def test_a_sparse_stiffness_and_many_loads():
     np.testing.assert_allclose(thin.u, dense.u, atol=1e-10 * np.abs(dense.u).max())
 
 
-def test_gaps_of_three_axes_are_read_as_problems_or_as_tangents():
+def test_three_axis_gap_matrix_is_read_by_dim():
     G = np.random.default_rng(9).normal(size=(2, 2, 4))
     f = np.ones(4)
     assert Problem(chain(), f, G, [0.1, 0.1]).count == 2
@@ -178,7 +178,7 @@ def test_gaps_of_three_axes_are_read_as_problems_or_as_tangents():
     assert Problem(chain(), f, G, [[0.1, 0.1]], mu=0.3).count == 1
 
 
-def test_a_contact_that_nothing_can_close_is_open_or_unsolvable():
+def test_immovable_contact_is_open_or_unsolvable():
     G = np.eye(4)[:2] * [[1.0], [0.0]]
     for method in METHODS:
         assert solve(chain(), 100.0 * np.ones(4), G, [0.1, 0.1], method=method).converged
@@ -187,7 +187,7 @@ def test_a_contact_that_nothing_can_close_is_open_or_unsolvable():
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("dim", [1, 3])
-def test_contacts_of_which_nothing_gives_way_have_no_solution(method, dim):
+def test_immovable_contacts_have_no_solution(method, dim):
     q = np.array([[-1.0, 0.2, 0.0], [1.0, 0.0, 0.0]])[:, :dim]
     W, mu = np.zeros((2 * dim, 2 * dim)), 0.3 * (dim > 1)
     solution = solve_delassus(W, q if dim > 1 else q[:, 0], mu, method, iterations=50)
@@ -196,7 +196,7 @@ def test_contacts_of_which_nothing_gives_way_have_no_solution(method, dim):
     assert np.isfinite(solution.lam).all()
 
 
-def test_no_contacts_at_all():
+def test_problem_without_contacts_is_solved():
     solution = solve(chain(), np.ones(4), np.zeros((0, 4)), np.zeros(0))
     np.testing.assert_allclose(solution.u, np.linalg.solve(chain(), np.ones(4)))
     assert solution.converged
@@ -246,13 +246,13 @@ BAD = [
 
 
 @pytest.mark.parametrize(("change", "message"), BAD, ids=[re.sub(r"\W+", "_", text)[:40] for _, text in BAD])
-def test_bad_arguments_are_named(change, message):
+def test_invalid_problem_arguments_are_refused(change, message):
     given = {"K": chain(), "f": np.ones(4), "G": np.eye(4)[:2], "d": [0.1, 0.2]}
     with pytest.raises(ValueError, match=re.escape(message)):
         solve(**given | change)
 
 
-def test_enumeration_says_what_it_cannot_do():
+def test_enumeration_raises_for_unsupported_problems():
     with pytest.raises(ValueError, match="at most 16 of them, got 17"):
         solve(chain(17), np.ones(17), np.eye(17), np.ones(17), method="enumeration")
     with pytest.raises(ValueError, match="infinitely many ways to slip"):
@@ -270,7 +270,7 @@ def test_enumeration_says_what_it_cannot_do():
         (np.eye(2), [np.nan, 0.0], 0.0, "q[0] must be finite, got nan"),
     ],
 )
-def test_bad_arguments_in_the_contacts_alone_are_named(W, q, mu, message):
+def test_invalid_delassus_arguments_are_refused(W, q, mu, message):
     with pytest.raises(ValueError, match=re.escape(message)):
         solve_delassus(W, q, mu)
 
@@ -279,7 +279,7 @@ def test_bad_arguments_in_the_contacts_alone_are_named(W, q, mu, message):
 
 
 @pytest.mark.parametrize("case", ["dense", "sparse", "many", "ambiguous", "frictionless"])
-def test_a_problem_comes_back_from_its_file(case, tmp_path):
+def test_problem_file_round_trips(case, tmp_path):
     given = frictional(10, count=4 if case == "many" else None, contacts=2, dim=2)
     if case == "sparse":
         given["K"] = sparse.csc_array(given["K"])
@@ -297,7 +297,7 @@ def test_a_problem_comes_back_from_its_file(case, tmp_path):
         np.testing.assert_array_equal(getattr(again, name), getattr(problem, name))
 
 
-def test_files_that_are_none_are_named(tmp_path):
+def test_invalid_problem_files_are_refused(tmp_path):
     problem = Problem(chain(), np.ones(4), np.eye(4)[:2], [0.1, 0.2])
     with pytest.raises(ValueError, match=r"path must end in \.npz"):
         problem.save(tmp_path / "problem.txt")
@@ -359,7 +359,7 @@ def saved(path, entries):
         ({"K_shape": None}, "lacks K_shape"),
     ],
 )
-def test_sparse_matrices_in_files_are_checked(change, message, tmp_path):
+def test_sparse_matrices_in_problem_files_are_validated(change, message, tmp_path):
     K = sparse.csc_array(chain())
     good = Problem(K, np.ones(4), np.eye(4)[:2], [0.1, 0.2]).save(tmp_path / "good.npz")
     with np.load(good) as archive:
@@ -369,7 +369,7 @@ def test_sparse_matrices_in_files_are_checked(change, message, tmp_path):
         Problem.load(saved(tmp_path / "bad.npz", entries | change))
 
 
-def test_a_byte_that_was_changed_is_found(tmp_path):
+def test_changed_byte_in_a_problem_file_is_detected(tmp_path):
     path = Problem(chain(), np.ones(4), np.eye(4)[:2], [0.1, 0.2]).save(tmp_path / "problem.npz")
     with zipfile.ZipFile(path) as archive:
         start = archive.getinfo("f.npy").header_offset
@@ -383,7 +383,7 @@ def test_a_byte_that_was_changed_is_found(tmp_path):
 # Diagnosis
 
 
-def test_a_regular_problem_without_friction_has_one_solution():
+def test_regular_problem_without_friction_has_one_solution():
     diagnosis = Problem(chain(), np.ones(4), np.eye(4)[:2], [0.1, 0.2]).diagnose()
     assert (diagnosis.exists, diagnosis.unique_u, diagnosis.unique_lam) == (True, True, True)
     assert diagnosis.stiffness == "positive definite"
@@ -391,7 +391,7 @@ def test_a_regular_problem_without_friction_has_one_solution():
     assert "λ is unique." in str(diagnosis)
 
 
-def test_two_walls_in_one_place_share_their_load_in_any_way():
+def test_coincident_walls_have_a_unique_total_force_only():
     problem = Problem(chain(), 50.0 * np.ones(4), np.eye(4)[[3, 3]], [0.1, 0.1])
     diagnosis = problem.diagnose()
     assert diagnosis.rank == 1
@@ -405,7 +405,7 @@ def test_two_walls_in_one_place_share_their_load_in_any_way():
         diagnosis.unique_sum([1.0])
 
 
-def test_walls_that_leave_no_room_have_no_solution():
+def test_conflicting_walls_have_no_solution():
     # u ≤ −0.1 and u ≥ 0.1.
     problem = Problem(1000.0 * np.eye(1), [0.0], [[1.0], [-1.0]], [-0.1, -0.1])
     diagnosis = problem.diagnose()
@@ -415,7 +415,7 @@ def test_walls_that_leave_no_room_have_no_solution():
         assert not problem.solve(method, iterations=500).converged
 
 
-def test_how_a_block_shares_friction_is_not_unique_its_sum_is():
+def test_friction_of_two_feet_has_a_unique_sum_only():
     # The mass matrix in place of K, accelerations in place of displacements: G = −H.
     H = np.array([[0, 1, -0.5], [1, 0, 1.0], [0, 1, 0.5], [1, 0, 1.0]])
     K = np.diag([10.0, 10.0, 10.0 * 5.0 / 12.0])
@@ -441,7 +441,7 @@ def test_friction_below_the_bound_has_one_solution():
         assert len(problem.all_solutions()) == 1
 
 
-def test_much_friction_may_have_several_solutions():
+def test_large_friction_can_have_several_solutions():
     # W = [[1, 0.9], [0.9, 1]] and q = (0.2, 1): open, λ = 0; sticking, λ = −W⁻¹ q; or slipping with λ_t = −2 λ_n,
     # where friction presses more than pressing parts, 0.2 + (1 − 1.8) λ_n = 0.
     K = np.linalg.inv([[1.0, 0.9], [0.9, 1.0]])
@@ -462,7 +462,7 @@ def test_much_friction_may_have_several_solutions():
 
 
 @pytest.mark.parametrize("k", [0.0, -1000.0])
-def test_stiffness_that_is_not_positive_is_looked_at_by_states(k):
+def test_non_positive_stiffness_is_diagnosed_by_enumeration(k):
     problem = Problem(k, 5.0, 1.0, 0.01)
     diagnosis = problem.diagnose()
     assert diagnosis.exists
@@ -474,7 +474,7 @@ def test_stiffness_that_is_not_positive_is_looked_at_by_states(k):
     assert not Problem(0.0, -5.0, 1.0, 0.01).solve("enumeration").converged
 
 
-def test_a_load_that_nothing_holds_is_no_solution():
+def test_unopposed_load_has_no_solution():
     # The contact has no hold on u, or there is none.
     for G, d in ((0.0, 1.0), (np.zeros((0, 1)), [])):
         solution = Problem(0.0, 5.0, G, d).solve("enumeration")
@@ -484,7 +484,7 @@ def test_a_load_that_nothing_holds_is_no_solution():
         assert Problem(0.0, 5.0, G, d).all_solutions() == []
 
 
-def test_one_contact_with_tangents_and_no_friction_is_one_contact():
+def test_contact_with_tangents_without_friction_is_frictionless():
     solution = solve_delassus(np.eye(3), [[-1.0, 2.0, 0.0]])
     np.testing.assert_allclose(solution.lam, [[1.0, 0.0, 0.0]])
     assert solution.status.tolist() == [wc.ContactMode.SLIP]

@@ -97,7 +97,7 @@ def compare(seed, count, kind, dim, methods):
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("dim", [1, 2])
-def test_solution_is_one_of_all_solutions_or_reported_as_none(kind, dim):
+def test_solution_is_one_of_all_solutions_or_reported_as_missing(kind, dim):
     solved = compare(0, 12, kind, dim, METHODS)
     # Without friction the energy is convex, and every method finds its minimum.
     if dim == 1 and kind == "definite":

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from warpcontact.unilateral import Problem, solve
-from warpcontact.unilateral.residual import Judge
+from warpcontact.unilateral.residual import ResidualEvaluator
 
 METHODS = ["projection", "gauss_seidel", "energy", "prox", "enumeration"]
 
@@ -14,7 +14,7 @@ METHODS = ["projection", "gauss_seidel", "energy", "prox", "enumeration"]
 def residual(problem, u, lam):
     """Residual of one problem at given displacements and forces."""
     lam = np.reshape(np.asarray(lam, dtype=float), (problem.contacts, problem.dim))
-    return Judge.of(problem).residual(np.array([u], dtype=float), lam[None])[0]
+    return ResidualEvaluator.of(problem).residual(np.array([u], dtype=float), lam[None])[0]
 
 
 # A spring of 1000 N/m, 25 N against a wall at 10 mm: u = 0.01 m, λ = 15 N.
@@ -51,7 +51,7 @@ def test_friction_violation_is_the_share_outside_of_the_cone_or_against_slip():
 
 
 @pytest.mark.parametrize("shared", [True, False])
-def test_force_scale_is_the_least_over_the_rows_that_a_contact_enters(shared):
+def test_residual_force_scale_is_the_minimum_over_the_rows_of_a_contact(shared):
     rng = np.random.default_rng(5)
     problems, contacts, n = 4, 6, 9
     G = rng.normal(size=(1 if shared else problems, contacts, 2, n))
@@ -59,7 +59,7 @@ def test_force_scale_is_the_least_over_the_rows_that_a_contact_enters(shared):
     G[:, 1] = 0.0  # enters no row
     G[:, 2, :, :3], G[:, 2, :, 3:] = 1.0, 1e-12  # rounding of zero
     K, f = np.eye(n)[None], rng.normal(size=(problems, n))
-    judge = Judge(K, f, G, np.zeros((1, contacts, 2)), np.full((1, contacts), 0.3))
+    evaluator = ResidualEvaluator(K, f, G, np.zeros((1, contacts, 2)), np.full((1, contacts), 0.3))
     u, lam = rng.normal(size=(problems, n)), rng.normal(size=(problems, contacts, 2))
     sizes = np.broadcast_to(np.abs(G), (problems, *G.shape[1:]))
     terms = np.abs(f) + np.abs(u) + np.einsum("pmdn,pmd->pn", sizes, np.abs(lam))
@@ -68,21 +68,23 @@ def test_force_scale_is_the_least_over_the_rows_that_a_contact_enters(shared):
         entries = sizes[p].max(axis=1)
         for i in range(contacts):
             for row in range(n):
-                scaled = entries[i] * judge.scale[p % len(judge.scale)]
+                scaled = entries[i] * evaluator.scale[p % len(evaluator.scale)]
                 if scaled[row] > 1e-6 * scaled.max():
                     expected[p, i] = min(expected[p, i], terms[p, row] / entries[i, row])
     expected[:, 1] = expected[:, [0, 2, 3, 4, 5]].max(axis=1)
-    np.testing.assert_allclose(judge.scales(u, lam).force, expected, rtol=1e-12)
+    np.testing.assert_allclose(evaluator.scales(u, lam).force, expected, rtol=1e-12)
 
 
-def test_number_of_calls_of_a_residual_does_not_grow_with_contacts():
+def test_cost_of_the_residual_does_not_grow_with_contacts():
     def calls(contacts):
         one, nothing = np.eye(contacts), np.zeros((1, contacts))
-        judge = Judge(one[None], np.ones((1, contacts)), one[None, :, None], nothing[..., None], nothing)
+        evaluator = ResidualEvaluator(
+            one[None], np.ones((1, contacts)), one[None, :, None], nothing[..., None], nothing
+        )
         profile, found = sys.getprofile(), []
         sys.setprofile(lambda frame, event, arg: found.append(event))
         try:
-            judge.residual(np.ones((1, contacts)), np.ones((1, contacts, 1)))
+            evaluator.residual(np.ones((1, contacts)), np.ones((1, contacts, 1)))
         finally:
             sys.setprofile(profile)
         return len(found)
@@ -92,7 +94,7 @@ def test_number_of_calls_of_a_residual_does_not_grow_with_contacts():
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("dim", [1, 2])
-def test_result_does_not_depend_on_units(method, dim):
+def test_residual_does_not_depend_on_units(method, dim):
     # Displacements in mm and rad, mm and degrees; loads in kN.
     rng = np.random.default_rng(3)
     A = rng.normal(size=(6, 6))
@@ -128,7 +130,7 @@ def test_gap_below_the_tolerance_of_the_deflection_is_not_converged(method):
 
 
 @pytest.mark.parametrize("method", METHODS[:4])
-def test_residual_is_that_of_the_returned_solution_after_a_cut_search(method):
+def test_residual_after_iteration_limit_is_that_of_the_returned_solution(method):
     rng = np.random.default_rng(2)
     A, G = rng.normal(size=(9, 9)), rng.normal(size=(3, 3, 9))
     problem = Problem(A @ A.T + np.eye(9), 20.0 * G[:, 0].sum(axis=0), G, 0.1 * np.ones(3), 0.4)

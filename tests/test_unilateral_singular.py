@@ -65,7 +65,7 @@ def test_redundant_supports_share_a_load_and_displacements_are_unique(method):
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("stiffness", [0.0, 1.0])
-def test_uneven_supports_carry_on_three_of_four_legs(method, stiffness):
+def test_uneven_supports_carry_load_on_three_of_four_legs(method, stiffness):
     # One leg is shorter by 0.1 mm, or by rounding.
     for short in (1e-4, 1e-17):
         K = stiffness * np.diag([10.0, 1.0, 1.0])
@@ -102,7 +102,7 @@ def test_buckled_column_leans_on_a_stop():
 # Uniqueness and existence
 
 
-def test_load_that_nothing_opposes_is_unbounded_along_its_direction():
+def test_unopposed_load_is_unbounded_along_its_direction():
     for method in METHODS:
         solution = solve(np.zeros((3, 3)), [-100.0, 100.0, 2.0], table(CORNERS), 0.01 * np.ones(4), method=method)
         assert solution.termination == Termination.UNBOUNDED
@@ -113,7 +113,7 @@ def test_load_that_nothing_opposes_is_unbounded_along_its_direction():
         assert np.abs(solution.direction).max() == 1.0
 
 
-def test_displacement_that_nothing_holds_is_reported_as_not_unique():
+def test_unconstrained_displacement_is_reported_as_not_unique():
     # A block that presses down on the ground and may slide along it without friction.
     for method in METHODS:
         solution = solve(np.diag([0.0, 0.0]), [0.0, -10.0], [[0.0, -1.0]], [0.02], method=method)
@@ -138,14 +138,14 @@ def test_grazing_contacts_restrain_without_force():
     np.testing.assert_allclose(one.direction, [-1.0])
 
 
-def test_walls_without_room_are_infeasible():
+def test_conflicting_walls_are_infeasible():
     for method in METHODS:
         for K in (0.0, 1000.0, -1000.0):
             solution = solve(K, 0.0, [[1.0], [-1.0]], [-0.1, -0.1], method=method)
             assert solution.termination == Termination.INFEASIBLE
 
 
-def test_spring_that_pushes_away_from_all_states_has_no_solution():
+def test_unstable_spring_has_no_solution():
     assert solve(-1000.0, -20.0, 1.0, 0.01).termination == Termination.NO_SOLUTION
     assert solve(-1000.0, -20.0, 1.0, 0.01, method="enumeration").termination == Termination.NO_SOLUTION
     assert solve(-1000.0, -20.0, 1.0, 0.01, method="gauss_seidel").termination == Termination.NOT_CONVERGED
@@ -167,7 +167,7 @@ def test_diagnosis_of_redundant_supports_finds_unique_displacements_and_sums():
 
 
 @pytest.mark.parametrize("method", METHODS[:4])
-def test_free_block_is_held_by_friction_in_space(method):
+def test_free_block_in_space_is_held_by_friction(method):
     # Three translations on a floor with μ = 0.5, pushed with 3 and 4 N under 20 N.
     rows = -np.eye(3)[[2, 0, 1]][None]
     solution = solve(np.zeros((3, 3)), [3.0, 4.0, -20.0], rows, [0.001], mu=0.5, method=method)
@@ -203,7 +203,7 @@ def free_chain(n, stiffness=1e5):
 
 @pytest.mark.parametrize("method", METHODS[:4])
 @pytest.mark.parametrize("n", [40, 200])
-def test_free_chain_held_by_walls_at_both_ends(method, n):
+def test_free_chain_between_two_walls_is_solved(method, n):
     # Springs in series share a load between walls like a lever. At each end are two walls, in the same place.
     K, G = free_chain(n)
     at = 5
@@ -223,7 +223,7 @@ def test_long_free_chain_pulled_off_its_walls_is_unbounded():
     np.testing.assert_allclose(solution.direction, -1.0, rtol=1e-9)
 
 
-def test_many_problems_are_each_solved_as_alone():
+def test_batch_of_singular_problems_equals_single_problems():
     K, f = np.array([0.0, 1000.0, 0.0, -1000.0])[:, None, None], np.array([1.0, 300.0, -1.0, -20.0])[:, None]
     many = solve(K, f, [[1.0]], [0.1])
     # The last one is open, at u = 0.02.
@@ -238,7 +238,7 @@ def test_many_problems_are_each_solved_as_alone():
         np.testing.assert_array_equal(one.lam, many.lam[k])
 
 
-def test_limit_of_iterations_holds_for_singular_stiffness():
+def test_iteration_limit_applies_to_singular_stiffness():
     problem = Problem(np.zeros((3, 3)), [-100.0, 1.0, 2.0], table(CORNERS), 0.01 * np.ones(4))
     cut = problem.solve("prox", iterations=2)
     assert cut.termination == Termination.NOT_CONVERGED

@@ -99,7 +99,7 @@ def assert_solved(step, result, tolerance):
 
 @both
 @pytest.mark.parametrize("case", ["slip", "stick", "open"])
-def test_one_contact_of_the_oracle(shared, solver, case):
+def test_nonsmooth_solver_matches_reference_for_one_contact(shared, solver, case):
     oracle = json.loads((shared / "spec" / "oracle_signorini.json").read_text())["contact3d"]
     # A body that opposes to an impulse through its centre of mass what the oracle has as W.
     inverse = np.zeros((6, 6))
@@ -115,7 +115,7 @@ def test_one_contact_of_the_oracle(shared, solver, case):
 
 @both
 @precisions
-def test_a_block_rests_slides_and_tips(solver, real):
+def test_nonsmooth_solver_block_rests_slides_or_tips(solver, real):
     atol = close(real)
     rests = block(force=20.0, height=1.0).solve(solver, real)
     left, right = rests.impulse[:2].sum(0) / DT, rests.impulse[2:].sum(0) / DT
@@ -139,14 +139,14 @@ def test_a_block_rests_slides_and_tips(solver, real):
 
 @both
 @pytest.mark.parametrize("hinges", [False, True])
-def test_random_systems_keep_their_law(solver, hinges):
+def test_random_systems_satisfy_the_contact_law(solver, hinges):
     for seed in range(20):
         step = random_step(seed, hinges=hinges)
         assert_solved(step, step.solve(solver, tolerance=1e-11, iterations=20000), 1e-11)
 
 
 @both
-def test_random_systems_keep_their_law_in_float32(solver):
+def test_random_systems_satisfy_the_contact_law_in_float32(solver):
     for seed in range(20):
         step = random_step(seed)
         result = step.solve(solver, wp.float32)
@@ -156,7 +156,7 @@ def test_random_systems_keep_their_law_in_float32(solver):
 
 
 @pytest.mark.parametrize("hinges", [False, True])
-def test_solvers_agree_on_velocities(hinges):
+def test_nonsmooth_solvers_agree_on_velocities(hinges):
     """With little friction the solution is unique in velocities, however contacts share the impulses."""
     for seed in range(10):
         step = random_step(100 + seed, bodies=4, contacts=12, mu=0.2, hinges=hinges)
@@ -167,7 +167,7 @@ def test_solvers_agree_on_velocities(hinges):
 
 
 @both
-def test_contact_between_bodies_keeps_momentum(solver):
+def test_contact_between_bodies_conserves_momentum(solver):
     step = random_step(3)
     step.rows = [row for row in step.rows if WORLD not in (row.first, row.second)]
     for row in step.rows:  # at one place in the world: bodies at the origin
@@ -182,7 +182,7 @@ def test_contact_between_bodies_keeps_momentum(solver):
 
 
 @both
-def test_a_contact_parts_at_its_bounce(solver):
+def test_contact_separates_at_its_bounce_velocity(solver):
     result = ball([0.0, 0.0, -3.0], bounce=2.4).solve(solver)
     np.testing.assert_allclose(result.velocity[0], [0, 0, 2.4, 0, 0, 0], atol=1e-12)
     np.testing.assert_allclose(result.impulse[0], [0, 0, 2.0 * 5.4], atol=1e-11)
@@ -193,7 +193,7 @@ def test_a_contact_parts_at_its_bounce(solver):
 
 
 @both
-def test_a_ball_that_slides_gets_spin(solver):
+def test_sliding_ball_gains_spin(solver):
     result = ball([1.0, 0.0, -0.1], mu=0.3).solve(solver)
     # P = m (−μ 0.1, 0, 0.1), and r × P over 2/5 m r².
     expected = [0.97, 0.0, 0.0, 0.0, 2.5 * 0.03 / 0.1, 0.0]
@@ -206,7 +206,7 @@ def test_a_ball_that_slides_gets_spin(solver):
 @pytest.mark.slow
 @both
 @precisions
-def test_rolling_and_spinning_are_held_to_their_limits(solver, real):
+def test_rolling_and_torsional_friction_are_bounded(solver, real):
     mass, radius, rolling, spinning = 2.0, 0.1, 2e-3, 1e-3
     inertia, pressed = 0.4 * mass * radius**2, mass * 0.1
     about = inertia + mass * radius**2
@@ -233,7 +233,7 @@ def test_rolling_and_spinning_are_held_to_their_limits(solver, real):
 @both
 @precisions
 @pytest.mark.parametrize("other_mass", [1e-6, 1e8])
-def test_a_ball_beside_one_of_another_mass_moves_as_it_does_alone(solver, real, other_mass):
+def test_ball_next_to_one_of_another_mass_moves_as_alone(solver, real, other_mass):
     alone = ball([1.0, 0.0, -0.02], mu=0.3)
     other = ball([0.0, 0.0, -0.02], mass=other_mass, mu=0.3)
     other.rows[0].first = 1
@@ -248,7 +248,7 @@ def test_a_ball_beside_one_of_another_mass_moves_as_it_does_alone(solver, real, 
 
 
 @precisions
-def test_a_light_cube_on_a_heavy_one_rests(real):
+def test_light_cube_on_heavy_one_rests(real):
     result = tower([1e5, 1e-2]).solve("accelerated", real)
     assert result.converged
     # To the velocity that gravity gives in a step, whatever the mass.
@@ -256,7 +256,7 @@ def test_a_light_cube_on_a_heavy_one_rests(real):
 
 
 @both
-def test_a_door_is_stopped_and_thrown_back(solver):
+def test_door_is_stopped_and_rebounds(solver):
     axis, arm = UP, np.array([0.5, 0.0, 0.0])
     inertia = np.diag([0.1, 0.2, 0.3])
     about = 0.3 + 4.0 * 0.25
@@ -271,7 +271,7 @@ def test_a_door_is_stopped_and_thrown_back(solver):
 
 
 @both
-def test_what_cannot_move_takes_no_impulse(solver):
+def test_immovable_body_has_no_impulse(solver):
     step = random_step(5, hinges=True)
     step.inverse[0] = 0.0
     step.rows.append(Row(0, WORLD, np.ones(3), np.ones(3), UP, 0.5, impulse=np.ones(3)))
@@ -285,7 +285,7 @@ def test_what_cannot_move_takes_no_impulse(solver):
 
 
 @both
-def test_without_rows_nothing_changes(solver):
+def test_step_without_rows_changes_nothing(solver):
     step = random_step(1)
     step.rows = []
     result = step.solve(solver)
@@ -294,7 +294,7 @@ def test_without_rows_nothing_changes(solver):
 
 
 @both
-def test_environments_that_are_not_active_are_left_alone(solver):
+def test_inactive_environments_are_unchanged(solver):
     step = random_step(2)
     for row in step.rows:
         row.rolling = row.spinning = 0.1
@@ -317,7 +317,7 @@ def _values(arrays, name):
 
 
 @both
-def test_what_is_not_finite_is_not_solved(solver):
+def test_non_finite_system_is_not_converged(solver):
     for place in ("velocity", "impulse"):
         step = random_step(2)
         if place == "velocity":
@@ -330,7 +330,7 @@ def test_what_is_not_finite_is_not_solved(solver):
 
 
 @both
-def test_a_good_guess_is_kept_and_a_fair_one_saves_iterations(solver):
+def test_good_warm_start_is_kept_and_fair_one_saves_iterations(solver):
     step = tower([1.0, 1.0])
     cold = step.solve(solver, tolerance=1e-8)
     step.guess(cold.impulse)
@@ -346,7 +346,7 @@ def test_a_good_guess_is_kept_and_a_fair_one_saves_iterations(solver):
 
 
 @both
-def test_float32_does_not_see_how_fast_bodies_are_together(solver):
+def test_float32_solution_is_invariant_to_common_velocity(solver):
     """A tower in a train at 1000 m/s, where velocities are rounded to more than the tolerance."""
     step = tower([1.0, 1.0])
     still = step.solve(solver, wp.float32)
@@ -361,7 +361,7 @@ def test_float32_does_not_see_how_fast_bodies_are_together(solver):
 
 
 @both
-def test_what_is_not_converged_is_said(solver):
+def test_residual_is_reported_if_not_converged(solver):
     step = tower([1.0, 1.0, 1.0], push=0.3)
     result = step.solve(solver, tolerance=1e-12, iterations=5)
     assert not result.converged
@@ -373,7 +373,7 @@ def test_what_is_not_converged_is_said(solver):
 
 @both
 @precisions
-def test_a_tolerance_beyond_rounding_ends_the_search(solver, real):
+def test_tolerance_below_rounding_ends_the_iteration(solver, real):
     result = block(force=20.0).solve(solver, real, tolerance=1e-30, iterations=100000)
     assert not result.converged
     assert result.iterations < 2000
@@ -381,7 +381,7 @@ def test_a_tolerance_beyond_rounding_ends_the_search(solver, real):
 
 
 @both
-def test_much_friction_on_arms_in_all_directions(solver):
+def test_systems_with_large_friction_and_joints_are_solved(solver):
     """Up to μ = 2, where exact steps of Gauss–Seidel go in circles, and hinges, where they grow without end.
 
     Solutions exist: there are velocities at which all contacts part.
@@ -394,7 +394,7 @@ def test_much_friction_on_arms_in_all_directions(solver):
         assert_solved(step, step.solve(solver, tolerance=1e-9, iterations=3000), 1e-9)
 
 
-def test_a_second_solver_goes_on_where_the_first_goes_in_circles():
+def test_second_solver_converges_if_the_first_cycles():
     step = random_step(1054, mu=2.0)
     alone = step.solve("gauss_seidel", tolerance=1e-10, iterations=3000)
     assert not alone.converged
@@ -405,7 +405,7 @@ def test_a_second_solver_goes_on_where_the_first_goes_in_circles():
     assert 100 < result.iterations < 1100
 
 
-def test_the_second_solver_leaves_alone_what_the_first_has_solved():
+def test_second_solver_keeps_the_solution_of_the_first():
     step = random_step(3)
     one = step.solve("gauss_seidel", tolerance=1e-10)
     two = step.solve_in_turn(["gauss_seidel", "accelerated"], 1e-10, (1000, 1000))
@@ -414,7 +414,7 @@ def test_the_second_solver_leaves_alone_what_the_first_has_solved():
     assert one.iterations == two.iterations
 
 
-def test_hyperstatic_towers_need_the_accelerated_solver():
+def test_accelerated_solver_converges_for_hyperstatic_towers():
     """Ten cubes on four feet each: Gauss–Seidel needs more than 1000 sweeps, this less than 200 iterations."""
     step = tower([1.0] * 10)
     slow = step.solve("gauss_seidel", tolerance=1e-10, iterations=400)
@@ -425,13 +425,13 @@ def test_hyperstatic_towers_need_the_accelerated_solver():
 
 
 @both
-def test_a_heavy_body_on_a_light_one(solver):
+def test_heavy_body_on_light_one_is_solved(solver):
     """A thousand to one, pushed so that contacts slip: thousands of iterations, and solved by both."""
     step = tower([1.0, 1000.0], push=0.1)
     assert_solved(step, step.solve(solver, tolerance=1e-9, iterations=20000), 1e-9)
 
 
-def test_a_good_guess_is_left_to_the_second_solver():
+def test_warm_start_is_passed_to_the_second_solver():
     step = tower([1.0, 10.0, 100.0, 1000.0], push=0.1)
     solved = step.solve("accelerated", tolerance=1e-9, iterations=20000)
     for row, impulse in zip(step.rows, solved.impulse, strict=True):
@@ -446,7 +446,7 @@ def test_a_good_guess_is_left_to_the_second_solver():
 @pytest.mark.slow
 @pytest.mark.parametrize("hinges", [False, True])
 @pytest.mark.parametrize("mu", [0.2, 0.7, 2.0])
-def test_many_random_systems_are_solved_or_said_not_to_be(hinges, mu):
+def test_random_systems_are_solved_or_reported_as_not_converged(hinges, mu):
     """One solver after the other; where both fail the residual is what they say. Without motion all rows hold."""
     failed = 0
     for seed in range(1000):
@@ -461,7 +461,7 @@ def test_many_random_systems_are_solved_or_said_not_to_be(hinges, mu):
 
 
 @pytest.mark.slow
-def test_the_accelerated_solver_is_steady_on_tall_towers():
+def test_accelerated_solver_converges_for_tall_towers():
     """Thirty cubes: an iteration carries news from one cube to the next alone, so that it takes some hundreds."""
     step = tower([1.0] * 30)
     assert_solved(step, step.solve("accelerated", tolerance=1e-9, iterations=1500), 1e-9)

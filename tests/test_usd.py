@@ -23,7 +23,7 @@ def stage(recording, tmp_path_factory):
 
 
 @pytest.mark.smoke
-def test_metadata(recording, stage):
+def test_usd_stage_metadata_is_complete(recording, stage):
     layer = stage.GetRootLayer()
     assert stage.GetDefaultPrim().GetPath() == "/World"
     assert UsdGeom.GetStageUpAxis(stage) == "Z"
@@ -42,7 +42,7 @@ def test_metadata(recording, stage):
 
 
 @pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usd"])
-def test_no_validator_finds_anything(recording, tmp_path, suffix):
+def test_usd_stage_passes_all_validators(recording, tmp_path, suffix):
     stage = export(recording, tmp_path, suffix)
     assert [error.GetErrorAsString() for error in findings(stage)] == []
     stage.GetRootLayer().ClearDefaultPrim()
@@ -50,7 +50,7 @@ def test_no_validator_finds_anything(recording, tmp_path, suffix):
 
 
 @pytest.mark.parametrize("body", ["ball", "cube"])
-def test_bodies_move_as_recorded(recording, stage, body):
+def test_usd_bodies_move_as_recorded(recording, stage, body):
     for env in range(ENVS):
         for frame in range(recording.sizes["time"]):
             rotation, translation = world(stage, f"/World/env_{env}/{body}", frame)
@@ -63,7 +63,7 @@ def test_bodies_move_as_recorded(recording, stage, body):
     np.testing.assert_array_equal(start, recording[f"{body}.position"].values[0, 1])
 
 
-def test_spheres_have_the_radius_of_their_environment(recording, stage, tmp_path):
+def test_usd_spheres_have_the_radius_of_their_environment(recording, stage, tmp_path):
     for env, radius in enumerate(RADII):
         sphere = UsdGeom.Sphere(stage.GetPrimAtPath(f"/World/env_{env}/ball/touch"))
         assert sphere.GetRadiusAttr().Get() == radius
@@ -77,7 +77,7 @@ def test_spheres_have_the_radius_of_their_environment(recording, stage, tmp_path
     assert value(nominal, "/World/env_3/ball/touch", "radius") == 0.05
 
 
-def test_spheres_of_a_set_have_the_radius_of_their_item(recording, tmp_path):
+def test_usd_spheres_of_a_set_have_the_radius_of_their_item(recording, tmp_path):
     radii = np.linspace(0.01, 0.02, 2 * ENVS).reshape(ENVS, 2)
     changed = recording.assign({"pin.radius": (("env", "pin.item"), radii)})
     stage = export(changed, tmp_path, scene=recording.scene)
@@ -88,7 +88,7 @@ def test_spheres_of_a_set_have_the_radius_of_their_item(recording, tmp_path):
     np.testing.assert_array_equal(world(stage, "/World/env_1/FixedPoints/pin/item_1", 3)[1], [0, 0, 9])
 
 
-def test_point_set_is_drawn_as_points(stage):
+def test_usd_point_set_is_drawn_as_points(stage):
     points = UsdGeom.Points(stage.GetPrimAtPath("/World/env_1/cube/cube_floor"))
     np.testing.assert_allclose(points.GetPointsAttr().Get(), CORNERS, rtol=1e-6)
     (width,) = points.GetWidthsAttr().Get()
@@ -96,7 +96,7 @@ def test_point_set_is_drawn_as_points(stage):
     np.testing.assert_allclose(np.array(points.GetExtentAttr().Get())[1], CORNERS[-1] + width / 2, rtol=1e-6)
 
 
-def test_a_sphere_of_two_contacts_is_drawn_once(device, tmp_path):
+def test_usd_sphere_of_two_contacts_is_drawn_once(device, tmp_path):
     model = scenes.dropped_sphere(wc.laws.Hooke(stiffness=1e4), device=device)
     scene = model.scene
     wall = scene.add_surface(scenes.square(), name="wall")
@@ -108,7 +108,7 @@ def test_a_sphere_of_two_contacts_is_drawn_once(device, tmp_path):
     assert found == {"touch": ["touch", "again"], "larger": ["larger"]}
 
 
-def test_surface_is_written_as_it_is(recording, stage):
+def test_usd_surface_equals_its_mesh(recording, stage):
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/World/Surfaces/floor"))
     surface = recording.scene.surfaces[0]
     np.testing.assert_array_equal(mesh.GetPointsAttr().Get(), surface.mesh.vertices.astype(np.float32))
@@ -127,14 +127,14 @@ def test_surface_is_written_as_it_is(recording, stage):
     assert UsdGeom.Imageable(mesh).ComputeVisibility() == "inherited"
 
 
-def test_invisible_surface_is_hidden_and_turned(stage):
+def test_invisible_surface_is_hidden_and_oriented_in_usd(stage):
     hidden = UsdGeom.Imageable(stage.GetPrimAtPath("/World/Surfaces/hidden"))
     assert hidden.ComputeVisibility() == "invisible"
     rotation = world(stage, "/World/Surfaces/hidden", 0)[0]
     np.testing.assert_allclose(rotation, Rotation.from_quat(TILT).as_matrix(), atol=1e-7)
 
 
-def test_carried_surface_follows_its_body(recording, stage):
+def test_usd_surface_of_a_body_follows_it(recording, stage):
     vertices = np.array(UsdGeom.Mesh(stage.GetPrimAtPath("/World/env_2/cube/hull")).GetPointsAttr().Get())
     at = {"time": 25, "env": 2}
     turn = Rotation.from_quat(recording["cube.orientation"].isel(at).values)
@@ -146,7 +146,7 @@ def test_carried_surface_follows_its_body(recording, stage):
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_readings_are_attributes(recording, device, tmp_path, precision):
+def test_sensors_are_usd_attributes(recording, device, tmp_path, precision):
     if precision != "float32":
         recording = simulate(device, precision)
     stage = export(recording, tmp_path)
@@ -169,12 +169,12 @@ def test_readings_are_attributes(recording, device, tmp_path, precision):
 
 
 @pytest.mark.parametrize("suffix", [".usda", ".usdc"])
-def test_gap_of_a_disabled_contact_stays_nan(recording, tmp_path, suffix):
+def test_gap_of_disabled_contact_is_nan_in_usd(recording, tmp_path, suffix):
     stage = export(recording, tmp_path, suffix)
     assert np.isnan(value(stage, "/World/env_0/contacts/pin", "warpcontact:gap", 5)).all()
 
 
-def test_arrows_show_the_force_on_the_body(recording, stage, tmp_path):
+def test_usd_arrows_equal_the_force_on_the_body(recording, stage, tmp_path):
     scaled = export(recording, tmp_path, force_scale=0.01)
     scale = stage.GetRootLayer().customLayerData["warpcontact"]["forceScale"]
     longest = 0.0
@@ -201,12 +201,12 @@ def test_arrows_show_the_force_on_the_body(recording, stage, tmp_path):
     assert "0.01 m for 1 N" in scaled.GetPrimAtPath(path).GetDocumentation()
 
 
-def test_invisible_contact_is_hidden(recording, stage):
+def test_invisible_contact_is_hidden_in_usd(recording, stage):
     assert UsdGeom.Imageable(stage.GetPrimAtPath("/World/env_0/contacts/pin")).ComputeVisibility() == "invisible"
     assert UsdGeom.Imageable(stage.GetPrimAtPath("/World/env_0/contacts/touch")).ComputeVisibility() == "inherited"
 
 
-def test_rigid_bodies_have_mass_only_if_recorded(recording, tmp_path):
+def test_usd_bodies_have_mass_only_if_recorded(recording, tmp_path):
     bare = recording.drop_vars(["cube.mass", "cube.inertia"])
     stage = export(bare, tmp_path, scene=recording.scene)
     mass = UsdPhysics.MassAPI(stage.GetPrimAtPath("/World/env_0/cube"))
@@ -217,8 +217,8 @@ def test_rigid_bodies_have_mass_only_if_recorded(recording, tmp_path):
     axes = Rotation.from_rotvec([0.3, -0.5, 1.1]).as_matrix()
     tensors = np.array([factor * axes @ np.diag([1.0, 2.0, 2.5]) @ axes.T for factor in (1, 2, 3, 4)])
     dims = ("env", "row", "column")
-    known = recording.assign({"cube.mass": ("env", [1.0, 2.0, 3.0, 4.0]), "cube.inertia": (dims, tensors)})
-    stage = export(known, tmp_path, scene=recording.scene)
+    with_mass = recording.assign({"cube.mass": ("env", [1.0, 2.0, 3.0, 4.0]), "cube.inertia": (dims, tensors)})
+    stage = export(with_mass, tmp_path, scene=recording.scene)
     mass = UsdPhysics.MassAPI(stage.GetPrimAtPath("/World/env_2/cube"))
     assert mass.GetMassAttr().Get() == 3.0
     quaternion = mass.GetPrincipalAxesAttr().Get()
@@ -227,14 +227,14 @@ def test_rigid_bodies_have_mass_only_if_recorded(recording, tmp_path):
     np.testing.assert_allclose(found, tensors[2], atol=1e-5)
 
 
-def test_velocities_are_in_degrees(recording, stage):
+def test_usd_angular_velocities_are_in_degrees(recording, stage):
     body = UsdPhysics.RigidBodyAPI(stage.GetPrimAtPath("/World/env_1/cube"))
     expected = np.degrees(recording["cube.angular_velocity"].values[11, 1].astype(np.float64))
     np.testing.assert_allclose(body.GetAngularVelocityAttr().Get(11), expected, rtol=1e-6)
     np.testing.assert_array_equal(body.GetVelocityAttr().Get(11), recording["cube.linear_velocity"].values[11, 1])
 
 
-def test_environments_touch_themselves_and_what_they_share(recording, stage, tmp_path):
+def test_usd_environments_collide_with_themselves_and_shared_surfaces_only(recording, stage, tmp_path):
     def table(stage):
         groups = UsdPhysics.CollisionGroup.ComputeCollisionGroupTable(stage)
         return [[groups.IsCollisionEnabled(a, b) for b in groups.GetGroups()] for a in groups.GetGroups()]
@@ -245,7 +245,7 @@ def test_environments_touch_themselves_and_what_they_share(recording, stage, tmp
     np.testing.assert_array_equal(table(export(recording, tmp_path, spacing=(3, 3))), np.eye(ENVS))
 
 
-def test_surfaces_that_differ_are_in_their_environment(device, tmp_path):
+def test_surfaces_that_vary_are_written_per_environment(device, tmp_path):
     scene = wc.Scene()
     ground = scene.add_surface([scenes.square(), wc.meshes.box()], active_faces=[[0], None], name="ground")
     body = scene.add_body(1.0, (1, 1, 1), position=(0, 0, 2), name="cube")
@@ -278,7 +278,7 @@ def test_surfaces_that_differ_are_in_their_environment(device, tmp_path):
 
 
 @pytest.mark.parametrize("radius", [0.0, 0.05])
-def test_points_of_a_surface_are_drawn_where_it_is_in_their_environment(radius, device, tmp_path):
+def test_usd_points_of_a_surface_follow_it_in_each_environment(radius, device, tmp_path):
     scene = wc.Scene()
     ground = scene.add_surface(scenes.square(5.0), name="ground")
     body = scene.add_body(1.0, (1, 1, 1), position=(0, 0, 2), name="cube")
@@ -321,7 +321,7 @@ def test_points_of_a_surface_are_drawn_where_it_is_in_their_environment(radius, 
     assert [error.GetErrorAsString() for error in findings(stage)] == []
 
 
-def test_forces_are_drawn_by_the_size_that_bodies_have(device, tmp_path):
+def test_usd_arrow_length_is_relative_to_body_size(device, tmp_path):
     """Of the largest in any environment, whichever mesh it has there."""
     longest = {}
     for factor in (1.0, 4.0):

@@ -9,7 +9,7 @@ import warpcontact as wc
 
 
 @pytest.fixture(scope="module")
-def kept_apart(device):
+def coupled_recording(device):
     scene = wc.Scene()
     ground = scene.add_surface(scenes.square(5.0), name="ground")
     body = scene.add_body(1.0, (1, 1, 1), position=(0, 0, 0.505), name="cube")
@@ -21,26 +21,28 @@ def kept_apart(device):
     return wc.Simulation(scene.build(2, device, "float64"), 1e-3).run(5e-3, record)
 
 
-def test_a_contact_coupling_pushes_the_body_of_its_first_surface(kept_apart, tmp_path):
-    bare = kept_apart.drop_vars("keep_first.normal_force")
-    stage = export(bare, tmp_path, scene=kept_apart.scene, force_scale=0.01)
+def test_contact_coupling_arrow_acts_on_the_body_of_its_first_surface(coupled_recording, tmp_path):
+    bare = coupled_recording.drop_vars("keep_first.normal_force")
+    stage = export(bare, tmp_path, scene=coupled_recording.scene, force_scale=0.01)
     for code in range(6):
         start, force = arrows(stage, "/World/env_1/contacts/keep/force", code)
-        np.testing.assert_allclose(start, kept_apart["cube.position"].values[code, 1:2], atol=1e-6)
-        np.testing.assert_allclose(force[0] / 0.01, kept_apart["keep.force"].values[code, 1], rtol=1e-5, atol=1e-4)
+        np.testing.assert_allclose(start, coupled_recording["cube.position"].values[code, 1:2], atol=1e-6)
+        np.testing.assert_allclose(
+            force[0] / 0.01, coupled_recording["keep.force"].values[code, 1], rtol=1e-5, atol=1e-4
+        )
     head = stage.GetPrimAtPath("/World/env_1/contacts/keep/force/head")
     np.testing.assert_array_equal(head.GetAttribute("primvars:displayColor").Get(), [(0, 0, 1)])
 
 
-def test_it_is_drawn_point_by_point_where_that_was_recorded(kept_apart, tmp_path):
-    stage = export(kept_apart, tmp_path, force_scale=0.01)
+def test_contact_coupling_arrows_are_drawn_per_point_if_recorded(coupled_recording, tmp_path):
+    stage = export(coupled_recording, tmp_path, force_scale=0.01)
     assert not stage.GetPrimAtPath("/World/env_0/contacts/keep/force")
     _, force = arrows(stage, "/World/env_0/contacts/keep_first/force", 3)
     total = np.nansum(force, axis=0) / 0.01
-    np.testing.assert_allclose(total, kept_apart["keep.force"].values[3, 0], rtol=1e-4, atol=1e-3)
+    np.testing.assert_allclose(total, coupled_recording["keep.force"].values[3, 0], rtol=1e-4, atol=1e-3)
 
 
-def test_a_mutual_contact_pushes_every_shape(device, tmp_path):
+def test_particle_contact_arrows_are_drawn_for_every_shape(device, tmp_path):
     scene = wc.Scene(gravity=(0, 0, 0))
     places = [(0.0, 0.0, 0.0), (0.19, 0.0, 0.0), (1.0, 0.0, 0.0)]
     grains = scene.add_bodies(places, mass=1.0, inertia=(1, 1, 1), name="grains")

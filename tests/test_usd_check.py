@@ -12,7 +12,7 @@ FORCE = "/World/env_0/contacts/touch/force"
 
 
 @pytest.fixture(scope="module")
-def sound(device, tmp_path_factory):
+def valid_stage(device, tmp_path_factory):
     path = tmp_path_factory.mktemp("sound") / "stage.usdc"
     return wc.export_usd(simulate(device), path, envs=[0, 1])
 
@@ -215,15 +215,15 @@ DEFECTS = {
 }
 
 
-def test_a_sound_stage_has_no_findings(sound):
-    assert wc.check_usd(sound) == []
+def test_valid_stage_has_no_findings(valid_stage):
+    assert wc.check_usd(valid_stage) == []
 
 
 @pytest.mark.parametrize("defect", DEFECTS)
 @pytest.mark.parametrize("suffix", [".usda", ".usdc"])
-def test_every_defect_is_found_and_named(sound, tmp_path, defect, suffix):
+def test_every_stage_defect_is_reported(valid_stage, tmp_path, defect, suffix):
     spoil, prim, message = DEFECTS[defect]
-    stage = Usd.Stage.Open(str(sound))
+    stage = Usd.Stage.Open(str(valid_stage))
     copy = Sdf.Layer.CreateAnonymous(suffix)
     copy.TransferContent(stage.GetRootLayer())
     edited = Usd.Stage.Open(copy)
@@ -234,7 +234,7 @@ def test_every_defect_is_found_and_named(sound, tmp_path, defect, suffix):
     assert any(one.startswith(f"{prim}: ") and message in one for one in found), found
 
 
-def test_what_changes_as_a_whole_over_time_is_sound(tmp_path):
+def test_consistently_time_varying_mesh_has_no_findings(tmp_path):
     stage = Usd.Stage.CreateNew(str(tmp_path / "grows.usda"))
     UsdGeom.SetStageUpAxis(stage, "Z")
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
@@ -258,9 +258,9 @@ def test_what_changes_as_a_whole_over_time_is_sound(tmp_path):
     assert wc.check_usd(tmp_path / "grows.usda") == []
 
 
-def test_zeros_of_a_mass_and_moments_are_not_given(sound, tmp_path):
+def test_zero_mass_and_moments_count_as_not_given(valid_stage, tmp_path):
     layer = Sdf.Layer.CreateAnonymous(".usda")
-    layer.TransferContent(Sdf.Layer.FindOrOpen(str(sound)))
+    layer.TransferContent(Sdf.Layer.FindOrOpen(str(valid_stage)))
     stage = Usd.Stage.Open(layer)
     api = UsdPhysics.MassAPI(stage.GetPrimAtPath(BALL))
     api.CreateMassAttr(0.0)
@@ -271,10 +271,10 @@ def test_zeros_of_a_mass_and_moments_are_not_given(sound, tmp_path):
     assert wc.check_usd(tmp_path / "zeros.usda") == []
 
 
-def test_a_time_that_is_none_is_found(sound, tmp_path):
+def test_non_finite_time_sample_is_reported(valid_stage, tmp_path):
     """Layers keep times sorted, whatever order a file has them in; they may hold any number, though."""
     layer = Sdf.Layer.CreateAnonymous(".usda")
-    layer.TransferContent(Sdf.Layer.FindOrOpen(str(sound)))
+    layer.TransferContent(Sdf.Layer.FindOrOpen(str(valid_stage)))
     layer.SetTimeSample(f"{BALL}.physics:mass", 3.0, 1.0)
     layer.SetTimeSample(f"{BALL}.physics:mass", 1.0, 1.0)
     assert layer.ListTimeSamplesForPath(f"{BALL}.physics:mass") == [1.0, 3.0]
@@ -284,7 +284,7 @@ def test_a_time_that_is_none_is_found(sound, tmp_path):
     assert found.startswith("/: time samples must be at finite times, got inf in bad.usdc")
 
 
-def test_what_is_no_stage_is_named(tmp_path):
+def test_invalid_stage_file_is_refused(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"missing\.usda is no file"):
         wc.check_usd(tmp_path / "missing.usda")
     (tmp_path / "broken.usdc").write_bytes(b"PXR-USDC" + bytes(80))

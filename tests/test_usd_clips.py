@@ -32,7 +32,7 @@ def content(folder):
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def test_every_attribute_is_that_of_the_single_file_at_every_time(folder):
+def test_clip_attributes_equal_the_single_file_at_every_time(folder):
     one, clips = (Usd.Stage.Open(str(folder / name)) for name in ("one.usdc", "run.usdc"))
     everything = Usd.PrimAllPrimsPredicate
     paths = [[prim.GetPath() for prim in Usd.PrimRange.Stage(stage, everything)] for stage in (one, clips)]
@@ -54,13 +54,13 @@ def test_every_attribute_is_that_of_the_single_file_at_every_time(folder):
     assert one.GetRootLayer().customLayerData == clips.GetRootLayer().customLayerData
 
 
-def test_it_is_sound_and_in_blocks(folder):
+def test_clip_stage_is_valid_and_split_into_blocks(folder):
     assert wc.check_usd(folder / "run.usdc") == []
     names = sorted(path.name for path in (folder / "run.usdc.clips").iterdir())
     clips = [f"clip_{number:06d}.usdc" for number in range(5)]
     assert names == [*clips, "clips.json", "manifest.usdc", "topology.usdc"]
-    told = json.loads((folder / "run.usdc.clips" / "clips.json").read_text())
-    assert [entry["records"] for entry in told["clips"]] == [[0, 7], [7, 14], [14, 21], [21, 28], [28, 31]]
+    index = json.loads((folder / "run.usdc.clips" / "clips.json").read_text())
+    assert [entry["records"] for entry in index["clips"]] == [[0, 7], [7, 14], [14, 21], [21, 28], [28, 31]]
 
 
 def export_again(folder, recording, monkeypatch, **options):
@@ -79,7 +79,7 @@ def export_again(folder, recording, monkeypatch, **options):
     return [name for name in written if name.startswith("clip_")]
 
 
-def test_an_interrupted_export_goes_on_and_gives_the_same_bytes(recording, folder, tmp_path, monkeypatch):
+def test_interrupted_clip_export_resumes_with_bitwise_identical_files(recording, folder, tmp_path, monkeypatch):
     from warpcontact.usd import clips
 
     save = clips.save_layer
@@ -99,7 +99,7 @@ def test_an_interrupted_export_goes_on_and_gives_the_same_bytes(recording, folde
     assert content(tmp_path) == {name: data for name, data in expected.items() if name != "one.usdc"}
 
 
-def test_clips_that_are_not_of_this_export_are_written_again(recording, folder, tmp_path, monkeypatch):
+def test_outdated_clips_are_written_again(recording, folder, tmp_path, monkeypatch):
     shutil.copytree(folder / "run.usdc.clips", tmp_path / "run.usdc.clips")
     with monkeypatch.context() as context:
         assert export_again(tmp_path, recording, context) == []
@@ -127,7 +127,7 @@ def test_clips_of_a_longer_export_are_removed(recording, tmp_path):
     assert wc.check_usd(tmp_path / "run.usdc") == []
 
 
-def test_stages_of_one_name_and_two_formats_have_clips_of_their_own(recording, tmp_path):
+def test_stages_of_equal_name_and_different_format_have_separate_clips(recording, tmp_path):
     wc.export_usd(recording, tmp_path / "run.usda", clip_frames=5, envs=0)
     before = content(tmp_path)
     wc.export_usd(recording, tmp_path / "run.usdc", clip_frames=20, envs=2)
@@ -136,7 +136,7 @@ def test_stages_of_one_name_and_two_formats_have_clips_of_their_own(recording, t
         assert wc.check_usd(tmp_path / name) == []
 
 
-def test_clips_of_another_stage_are_refused_and_stay(recording, tmp_path):
+def test_clips_of_another_stage_are_refused_and_kept(recording, tmp_path):
     wc.export_usd(recording, tmp_path / "run.usdc", clip_frames=5, envs=0)
     (tmp_path / "run.usdc.clips").rename(tmp_path / "other.usdc.clips")
     before = content(tmp_path)
@@ -147,7 +147,7 @@ def test_clips_of_another_stage_are_refused_and_stay(recording, tmp_path):
     assert content(tmp_path) == before
 
 
-def test_a_stage_is_not_there_while_its_clips_are_replaced(recording, tmp_path, monkeypatch):
+def test_stage_is_absent_while_its_clips_are_replaced(recording, tmp_path, monkeypatch):
     from warpcontact.usd import clips
 
     path, save, seen = tmp_path / "run.usdc", clips.save_layer, []
@@ -176,7 +176,7 @@ def test_a_stage_is_not_there_while_its_clips_are_replaced(recording, tmp_path, 
         assert one == clip
 
 
-def test_what_cannot_be_exported_leaves_the_stage(recording, tmp_path):
+def test_failed_clip_export_keeps_the_existing_stage(recording, tmp_path):
     wc.export_usd(recording, tmp_path / "run.usdc", clip_frames=FRAMES, envs=0)
     before = content(tmp_path)
     bad = recording.copy(deep=True)
@@ -186,7 +186,7 @@ def test_what_cannot_be_exported_leaves_the_stage(recording, tmp_path):
     assert content(tmp_path) == before
 
 
-def test_springs_do_not_jump_from_clip_to_clip(device, tmp_path):
+def test_springs_are_continuous_between_clips(device, tmp_path):
     scene = wc.Scene()
     ball = scene.add_body(1.0, (0.1, 0.2, 0.15), (0.5, 0, -1), name="ball", linear_velocity=(1, 0, -2))
     ends = scene.add_point(None, (0, 0, 0)), scene.add_point(ball, (0, 0.1, 0.2))
@@ -203,11 +203,11 @@ def test_springs_do_not_jump_from_clip_to_clip(device, tmp_path):
 
 
 @pytest.mark.parametrize("frames", [0, -1, 1.5, True, "7"])
-def test_a_number_of_records_that_is_none_is_named(recording, tmp_path, frames):
+def test_invalid_number_of_clip_frames_is_refused(recording, tmp_path, frames):
     with pytest.raises(ValueError, match="clip_frames must be a whole number of records"):
         wc.export_usd(recording, tmp_path / "a.usdc", clip_frames=frames)
 
 
-def test_a_package_holds_no_clips(recording, tmp_path):
+def test_clips_are_refused_for_a_package(recording, tmp_path):
     with pytest.raises(ValueError, match=r"clip_frames is not for \.usdz"):
         wc.export_usd(recording, tmp_path / "a.usdz", clip_frames=3)

@@ -24,7 +24,7 @@ def folder(device, tmp_path_factory):
 
 
 @pytest.mark.smoke
-def test_environments_and_colours(folder, tmp_path, capsys):
+def test_export_command_selects_environments_and_colors(folder, tmp_path, capsys):
     path = tmp_path / "a.usdc"
     assert main(["export", str(folder), "--usd", str(path), "--envs", "1", "3", "--color-by", "end_time"]) == 0
     assert capsys.readouterr().out.strip() == str(path)
@@ -43,7 +43,7 @@ def test_environments_and_colours(folder, tmp_path, capsys):
     np.testing.assert_array_equal(found, run.params["ball.mass"].values)
 
 
-def test_an_outcome_of_any_name_colours(device, tmp_path):
+def test_export_command_colors_by_an_outcome_of_any_name(device, tmp_path):
     text = STUDY.replace("[record]", '[outcome]\n_ = { type = "Max", of = "touch.gap" }\n[record]')
     (tmp_path / "study.toml").write_text(text)
     wc.Experiment.from_toml(tmp_path / "study.toml").run(tmp_path / "out", device=device)
@@ -53,7 +53,7 @@ def test_an_outcome_of_any_name_colours(device, tmp_path):
     np.testing.assert_array_equal(found, wc.open_run(tmp_path / "out").outcome["_"].values)
 
 
-def test_clips_show_what_a_single_file_shows(folder, tmp_path):
+def test_export_command_clips_equal_a_single_file(folder, tmp_path):
     for path, clips in (("one.usda", []), ("run.usda", ["--clips", "30"])):
         assert main(["export", str(folder), "--usd", str(tmp_path / path), "--envs", "2", *clips]) == 0
     assert len(list((tmp_path / "run.usda.clips").glob("clip_*"))) == 7
@@ -68,7 +68,7 @@ def test_clips_show_what_a_single_file_shows(folder, tmp_path):
             np.testing.assert_array_equal(value(one, path, name, code), value(several, path, name, code))
 
 
-def test_spacing(folder, tmp_path):
+def test_export_command_spacing_offsets_environments(folder, tmp_path):
     options = ["--spacing", "2", "0", "--envs", "0", "1"]
     assert main(["export", str(folder), "--usd", str(tmp_path / "a.usda"), *options]) == 0
     stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
@@ -85,7 +85,7 @@ def test_csv_of_a_minus_is_written_to_standard_output(folder, tmp_path, monkeypa
 
 
 @pytest.mark.parametrize("kind", ["csv", "usd"])
-def test_a_pipe_reads_what_was_asked_for_alone(folder, tmp_path, kind):
+def test_export_command_prints_only_the_path(folder, tmp_path, kind):
     path = tmp_path / f"a.{kind}"
     words = [sys.executable, "-m", "warpcontact", "export", str(folder), f"--{kind}", str(path)]
     assert subprocess.run(words, capture_output=True, text=True, check=True).stdout == f"{path}\n"
@@ -106,7 +106,7 @@ def test_a_pipe_reads_what_was_asked_for_alone(folder, tmp_path, kind):
         (["--usd", "a.usdc", "--envs", "77"], "environment 77 is not in the recording"),
     ],
 )
-def test_what_cannot_be_exported_is_named(folder, tmp_path, monkeypatch, capsys, options, message):
+def test_invalid_export_arguments_are_reported(folder, tmp_path, monkeypatch, capsys, options, message):
     monkeypatch.chdir(tmp_path)
     assert main(["export", str(folder), *options]) == 2
     assert message in capsys.readouterr().err

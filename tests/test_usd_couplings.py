@@ -6,7 +6,7 @@ from pxr import Usd, UsdGeom
 from usd_stages import findings
 
 import warpcontact as wc
-from warpcontact.replay.couplings import LINE_POINTS, PER_TURN, TURNS, Coil, coiled
+from warpcontact.replay.couplings import LINE_POINTS, PER_TURN, TURNS, Coil, coil_points
 
 
 @pytest.fixture(scope="module")
@@ -35,11 +35,11 @@ def curve(stage, env, name):
     return UsdGeom.BasisCurves(stage.GetPrimAtPath(f"/World/env_{env}/couplings/{name}/shape"))
 
 
-def test_no_validator_finds_anything(stage):
+def test_usd_couplings_pass_all_validators(stage):
     assert [error.GetErrorAsString() for error in findings(stage)] == []
 
 
-def test_curves_lead_from_end_to_end(recording, stage):
+def test_usd_coupling_curves_connect_their_ends(recording, stage):
     for env in range(2):
         shape = curve(stage, env, "spring")
         for code, length in enumerate(recording["spring.length"].values[:, env]):
@@ -53,7 +53,7 @@ def test_curves_lead_from_end_to_end(recording, stage):
     np.testing.assert_allclose(rope.GetPointsAttr().Get(0)[1], (0.5, 0.1, -0.8), rtol=1e-6)
 
 
-def test_a_broken_rope_is_gone(recording, stage):
+def test_broken_rope_is_invisible_in_usd(recording, stage):
     broken = recording["rope.status"].values == wc.CouplingStatus.BROKEN
     assert broken[:, 0].any()
     assert not broken[:, 1].any()
@@ -63,7 +63,7 @@ def test_a_broken_rope_is_gone(recording, stage):
         assert seen == (~broken[:, env]).tolist()
 
 
-def test_readings_colour_and_visibility(recording, stage):
+def test_usd_couplings_have_sensors_color_and_visibility(recording, stage):
     prim = stage.GetPrimAtPath("/World/env_1/couplings/spring")
     values = [prim.GetAttribute("warpcontact:force").Get(code) for code in range(6)]
     np.testing.assert_array_equal(values, recording["spring.force"].values[:, 1])
@@ -77,11 +77,11 @@ def test_readings_colour_and_visibility(recording, stage):
     assert hidden.ComputeVisibility() == "invisible"
 
 
-def test_a_coil_keeps_its_radius_and_does_not_jump():
+def test_coil_has_constant_radius_and_is_continuous():
     angle = np.linspace(0.0, 2.0 * np.pi, 200)
     ends = np.stack([np.cos(angle), np.sin(angle), np.full_like(angle, 0.3)], axis=-1)
     start = np.zeros_like(ends)
-    points = coiled(start, ends, Coil.of(start, ends))
+    points = coil_points(start, ends, Coil.of(start, ends))
     assert np.isfinite(points).all()
     along = ends / np.linalg.norm(ends, axis=-1, keepdims=True)
     inner = points[:, 1:-1]
@@ -91,10 +91,10 @@ def test_a_coil_keeps_its_radius_and_does_not_jump():
     # A turn of 2π/199 moves points by no more than some of that.
     assert np.linalg.norm(np.diff(points, axis=0), axis=-1).max() < 3.0 * 2.0 * np.pi / 199
     nowhere = np.zeros((1, 3))
-    assert np.isfinite(coiled(nowhere, nowhere, Coil.of(nowhere, nowhere))).all()
+    assert np.isfinite(coil_points(nowhere, nowhere, Coil.of(nowhere, nowhere))).all()
 
 
-def test_a_catenary_hangs_as_it_did(device, tmp_path):
+def test_usd_catenary_matches_recorded_shape(device, tmp_path):
     scene = wc.Scene()
     buoy = scene.add_body(
         500.0, (50.0, 50.0, 50.0), (30.0, 0.0, 0.0), name="buoy", linear_velocity=(2.0, 1.0, 0.0)
@@ -118,7 +118,7 @@ def test_a_catenary_hangs_as_it_did(device, tmp_path):
     assert (resting == -10.0).sum() > 3
 
 
-def test_a_folded_catenary_is_not_taken_for_a_broken_spring(device, tmp_path):
+def test_folded_catenary_is_visible_in_usd(device, tmp_path):
     """Codes of lines are others than those of springs."""
     scene = wc.Scene(gravity=(0, 0, -9.81))
     load = scene.add_body(1.0, (1.0, 1.0, 1.0), (0.0, 0.0, -3.0), name="load")

@@ -11,9 +11,9 @@ import warpcontact as wc
 from warpcontact.usd.author import identifiers
 from warpcontact.usd.catalogue import LIBRARY
 from warpcontact.usd.description import read_description, write_description
-from warpcontact.usd.words import words_of
+from warpcontact.usd.words import element_calls
 
-SCENES = {"touching": scenes.touching, "shaped": scenes.shaped, "own": scenes.own}
+SCENES = {"touching": scenes.contact_scene, "shaped": scenes.shape_scene, "own": scenes.custom_law_scene}
 
 
 def written(scene):
@@ -47,28 +47,29 @@ def flat(value):
     return getattr(value, "name", value)
 
 
-def said(scene):
+def as_calls(scene):
     words = [
-        (one.kind, one.name, {key: flat(value) for key, value in one.arguments.items()}) for one in words_of(scene)
+        (one.kind, one.name, {key: flat(value) for key, value in one.arguments.items()})
+        for one in element_calls(scene)
     ]
     return [flat(scene.gravity), scene.max_speed, scene.max_distance, *words]
 
 
 @pytest.mark.parametrize("suffix", [".usda", ".usdc"])
 @pytest.mark.parametrize("name", SCENES)
-def test_every_argument_of_every_element_is_read_as_it_was_written(name, suffix, tmp_path):
+def test_scene_description_round_trips_every_argument(name, suffix, tmp_path):
     scene = SCENES[name]()
     found = read_description(reread(written(scene), tmp_path, suffix), custom_types=[scenes.Cubic])
-    assert said(found) == said(scene)
+    assert as_calls(found) == as_calls(scene)
     assert found.element_names() == scene.element_names()
     for key in ("bodies", "surfaces", "points", "contacts", "couplings", "contact_couplings", "shapes"):
         assert [one.name for one in getattr(found, key)] == [one.name for one in getattr(scene, key)]
 
 
-def test_the_scenes_of_these_tests_have_every_kind_of_element():
+def test_test_scenes_cover_every_kind_of_element():
     from warpcontact.usd.words import ADDERS
 
-    assert {one.kind for make in SCENES.values() for one in words_of(make())} == set(ADDERS)
+    assert {one.kind for make in SCENES.values() for one in element_calls(make())} == set(ADDERS)
 
 
 def history(scene, precision, device):
@@ -84,7 +85,7 @@ def history(scene, precision, device):
 @pytest.mark.slow
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 @pytest.mark.parametrize("name", SCENES)
-def test_a_scene_that_was_read_moves_like_the_one_that_was_written_to_the_bit(name, precision, device, tmp_path):
+def test_scene_read_from_description_moves_bitwise_identically(name, precision, device, tmp_path):
     scene = SCENES[name]()
     found = read_description(reread(written(scene), tmp_path, ".usdc"), custom_types=[scenes.Cubic])
     first, second = (history(one, precision, device) for one in (scene, found))
@@ -98,31 +99,31 @@ def test_a_scene_that_was_read_moves_like_the_one_that_was_written_to_the_bit(na
 
 
 @pytest.mark.parametrize("kind", [kind for kinds in LIBRARY.values() for kind in kinds], ids=lambda k: k.__name__)
-def test_every_parameter_of_every_class_of_the_library_has_a_name_of_its_own_in_usd(kind):
+def test_every_class_parameter_has_a_unique_usd_name(kind):
     names = [field.name for field in dataclasses.fields(kind)]
     assert identifiers(names) == {name: name for name in names}
 
 
-def test_names_that_fall_together_are_told_apart_by_the_next_free_number():
+def test_colliding_usd_names_get_the_next_free_number():
     found = identifiers(["a-b", "a.b", "a_b_2", "a b", "c"], reserved=["a_b", "c_1", "c"])
     assert found == {"a_b_2": "a_b_2", "c": "c_2", "a-b": "a_b_1", "a.b": "a_b_3", "a b": "a_b_4"}
 
 
-def test_a_stage_without_a_description_has_none():
+def test_stage_without_description_returns_none():
     assert read_description(Usd.Stage.CreateInMemory()) is None
 
 
-def test_a_stage_that_the_description_is_part_of_passes_all_validators():
+def test_stage_with_description_passes_all_validators():
     from usd_stages import findings
 
-    stage = written(scenes.touching())
+    stage = written(scenes.contact_scene())
     UsdGeom.SetStageUpAxis(stage, "Z")
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     assert [error.GetErrorAsString() for error in findings(stage)] == []
 
 
-def test_nothing_of_it_is_drawn():
-    stage = written(scenes.shaped())
+def test_scene_description_is_not_drawn():
+    stage = written(scenes.shape_scene())
     assert not [prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Gprim)]
 
 
@@ -162,14 +163,14 @@ ELEMENTS = "/World/Description/Elements"
         ("touching", ".warpcontact:elements", [f"{ELEMENTS}/ball"], "must be all its elements once"),
     ],
 )  # fmt: skip
-def test_a_description_that_was_changed_is_refused_by_name(name, path, value, message):
+def test_changed_description_is_refused_with_the_attribute(name, path, value, message):
     with pytest.raises(wc.UsdError) as raised:
         read_description(changed(name, path, value))
     assert message in str(raised.value)
 
 
-def test_a_law_of_ones_own_must_be_handed_in():
-    stage = written(scenes.own())
+def test_custom_law_class_must_be_passed_to_the_reader():
+    stage = written(scenes.custom_law_scene())
     with pytest.raises(
         wc.UsdError, match=r"Materials/material_0: 'Cubic' is a law of one's own.*custom_types=\[Cubic\]"
     ):
@@ -178,7 +179,7 @@ def test_a_law_of_ones_own_must_be_handed_in():
         read_description(stage, custom_types=[dict])
 
 
-def test_an_orientation_that_was_scaled_to_length_one_does_not_change_again():
+def test_normalized_quaternion_is_unchanged_by_normalization():
     from warpcontact.checks import unit_quaternions
 
     given = np.random.default_rng(3).normal(size=(100000, 4))
@@ -188,15 +189,15 @@ def test_an_orientation_that_was_scaled_to_length_one_does_not_change_again():
 
 
 @pytest.mark.parametrize("suffix", [".usda", ".usdc"])
-def test_what_was_exported_is_read_and_goes_on_as_it_was_simulated(suffix, device, tmp_path):
+def test_exported_scene_is_read_and_simulated_identically(suffix, device, tmp_path):
     def fall(scene):
         sim = wc.Simulation(scene.build(envs=2, device=device), dt=5e-4)
         return sim.run(duration=0.2, record=["ball.position", "contact.normal_force"], every=0.01)
 
-    scene = scenes.own()
+    scene = scenes.custom_law_scene()
     first = fall(scene)
     found = wc.Scene.from_usd(wc.export_usd(first, tmp_path / f"recorded{suffix}"), custom_types=[scenes.Cubic])
-    assert said(found) == said(scene)
+    assert as_calls(found) == as_calls(scene)
     second = fall(found)
     for name in first.data_vars:
         np.testing.assert_array_equal(second[name], first[name])
@@ -204,7 +205,7 @@ def test_what_was_exported_is_read_and_goes_on_as_it_was_simulated(suffix, devic
 
 
 def test_stage_with_a_description_of_an_earlier_schema_is_imported_as_usd_physics(device, tmp_path):
-    simulation = wc.Simulation(scenes.touching().build(device=device), dt=1e-4)
+    simulation = wc.Simulation(scenes.contact_scene().build(device=device), dt=1e-4)
     path = wc.export_usd(simulation.run(1e-3, record=["ball.position", "ball.orientation"]), tmp_path / "a.usda")
     stage = Usd.Stage.Open(str(path))
     for name, value in (("schema", 1), ("version", "0.0.1")):

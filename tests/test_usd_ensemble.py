@@ -31,7 +31,7 @@ def instances(stage, name, code):
 
 
 @pytest.mark.parametrize("body", ["ball", "cube"])
-def test_instances_are_where_the_bodies_of_all_environments_are(recording, stage, body):
+def test_usd_instances_are_at_body_poses_of_all_environments(recording, stage, body):
     for frame in (0, 17, 30):
         found = instances(stage, body, frame)
         at = recording.isel(time=frame)
@@ -41,7 +41,7 @@ def test_instances_are_where_the_bodies_of_all_environments_are(recording, stage
         np.testing.assert_allclose(found[:, :3, :3] / scales, turns.transpose(0, 2, 1), atol=1e-6)
 
 
-def test_ids_are_environments_and_chosen_ones_are_masked(stage):
+def test_usd_instance_ids_are_environments_and_drawn_ones_are_masked(stage):
     for body in ("ball", "cube"):
         np.testing.assert_array_equal(value(stage, f"/World/Ensemble/{body}", "ids"), [0, 1, 2, 3])
         np.testing.assert_array_equal(value(stage, f"/World/Ensemble/{body}", "invisibleIds"), [1, 3])
@@ -53,7 +53,7 @@ def test_ids_are_environments_and_chosen_ones_are_masked(stage):
     ]
 
 
-def test_spheres_have_the_size_that_they_have_in_each_environment(recording, tmp_path):
+def test_usd_instances_have_the_size_of_their_environment(recording, tmp_path):
     """One radius of one body: multiples of one sphere. A cube beside it that does not grow: as many looks."""
     stage = export(recording, tmp_path, envs=0, ensemble=True)
     first = UsdGeom.Sphere(stage.GetPrimAtPath("/World/Ensemble/ball/look_0/touch_0")).GetRadiusAttr().Get()
@@ -69,7 +69,7 @@ def test_spheres_have_the_size_that_they_have_in_each_environment(recording, tmp
     np.testing.assert_allclose(hull.GetPointsAttr().Get(), recording.scene.surfaces[2].mesh.vertices, rtol=1e-6)
 
 
-def test_sizes_that_grow_with_everything_else_are_scales(device, tmp_path):
+def test_common_size_ratio_is_an_instance_scale(device, tmp_path):
     scene = wc.Scene()
     ground = scene.add_surface(scenes.square(5.0), name="ground")
     body = scene.add_body(1.0, (1, 1, 1), position=(0, 0, 2), name="ball")
@@ -81,12 +81,14 @@ def test_sizes_that_grow_with_everything_else_are_scales(device, tmp_path):
     np.testing.assert_allclose(value(stage, "/World/Ensemble/ball", "scales")[:, 0], [1.0, 2.0, 0.5], rtol=1e-6)
 
 
-def test_colours_follow_a_reading_over_time(recording, stage):
+def test_usd_instance_colors_follow_a_sensor_over_time(recording, stage):
     energies = recording["scene.kinetic_energy"].values.astype(np.float64)
     low, high = energies.min(), energies.max()
     root = stage.GetPrimAtPath("/World/Ensemble")
-    told = {key: root.GetCustomDataByKey(f"warpcontact:{key}") for key in ("colorBy", "unit", "low", "high")}
-    assert told == {"colorBy": "scene.kinetic_energy", "unit": "J", "low": low, "high": high}
+    custom_data = {
+        key: root.GetCustomDataByKey(f"warpcontact:{key}") for key in ("colorBy", "unit", "low", "high")
+    }
+    assert custom_data == {"colorBy": "scene.kinetic_energy", "unit": "J", "low": low, "high": high}
     for frame in (0, 9, 30):
         np.testing.assert_array_equal(
             value(stage, "/World/Ensemble/ball", "primvars:warpcontact:scene:kineticEnergy", frame),
@@ -102,7 +104,7 @@ def test_colours_follow_a_reading_over_time(recording, stage):
         assert not prim.GetAttribute("primvars:displayColor").HasAuthoredValue()
 
 
-def test_an_outcome_colours_the_environments_that_have_one(recording, tmp_path):
+def test_outcome_colors_environments_with_a_value(recording, tmp_path):
     outcome = xr.DataArray([5.0, 1.0, np.nan], dims="env", coords={"env": [2, 0, 3]}, name="stop_distance")
     stage = export(recording, tmp_path, envs=1, color_by=outcome)
     values = value(stage, "/World/Ensemble/ball", "primvars:warpcontact:stopDistance")
@@ -125,7 +127,7 @@ def test_an_outcome_colours_the_environments_that_have_one(recording, tmp_path):
         ("颜色", "______"),
     ],
 )
-def test_whatever_colours_has_a_name_that_usd_allows(recording, tmp_path, name, expected):
+def test_color_source_gets_a_valid_usd_name(recording, tmp_path, name, expected):
     outcome = xr.DataArray([1.0, 2.0], dims="env", coords={"env": [0, 1]}, name=name)
     stage = export(recording.isel(time=[0, 1]), tmp_path, scene=recording.scene, envs=1, color_by=outcome)
     values = value(stage, "/World/Ensemble/ball", f"primvars:warpcontact:{expected}")
@@ -133,28 +135,28 @@ def test_whatever_colours_has_a_name_that_usd_allows(recording, tmp_path, name, 
     assert stage.GetPrimAtPath("/World/Ensemble").GetCustomDataByKey("warpcontact:colorBy") == name
 
 
-def test_without_an_outcome_bodies_have_their_own_colours(recording, tmp_path):
+def test_usd_instances_without_color_source_have_body_colors(recording, tmp_path):
     stage = export(recording, tmp_path, envs=1)
     ball = value(stage, "/World/Ensemble/ball/look_0/touch_0", "primvars:displayColor")
     np.testing.assert_array_equal(ball, [[1, 0, 0]])
     assert not stage.GetPrimAtPath("/World/Ensemble/ball").GetAttribute("primvars:displayColor")
 
 
-def test_nothing_of_it_collides(stage):
+def test_usd_instances_have_no_collision(stage):
     for prim in stage.GetPrimAtPath("/World/Ensemble").GetAllChildren():
         for one in (prim, *prim.GetAllChildren()):
             apis = (UsdPhysics.RigidBodyAPI, UsdPhysics.CollisionAPI, UsdPhysics.MassAPI)
             assert not any(one.HasAPI(api) for api in apis), one.GetPath()
 
 
-def test_it_is_there_where_environments_are_left(recording, tmp_path):
+def test_usd_instances_exist_if_environments_are_omitted(recording, tmp_path):
     assert not export(recording, tmp_path).GetPrimAtPath("/World/Ensemble")
     assert not export(recording, tmp_path, envs=0, ensemble=False).GetPrimAtPath("/World/Ensemble")
     assert not export(recording, tmp_path, envs=0, spacing=(1, 1)).GetPrimAtPath("/World/Ensemble")
     assert export(recording, tmp_path, ensemble=True).GetPrimAtPath("/World/Ensemble")
 
 
-def test_an_environment_without_poses_is_left_out(recording, tmp_path):
+def test_environment_with_non_finite_poses_is_omitted(recording, tmp_path):
     bad = recording.copy(deep=True)
     bad["cube.position"].values[7:, 2] = np.nan
     stage = export(bad, tmp_path, scene=recording.scene, envs=0)
@@ -163,7 +165,7 @@ def test_an_environment_without_poses_is_left_out(recording, tmp_path):
     assert wc.check_usd(tmp_path / "stage.usda") == []
 
 
-def test_bodies_of_a_set_have_ids_of_their_own(device, tmp_path):
+def test_bodies_of_a_set_have_separate_instance_ids(device, tmp_path):
     scene = wc.Scene()
     places = [(x, 0.0, 1.0) for x in range(3)]
     grains = scene.add_bodies(places, mass=1.0, inertia=(1, 1, 1), name="grains")
@@ -182,7 +184,7 @@ def test_bodies_of_a_set_have_ids_of_their_own(device, tmp_path):
     assert wc.check_usd(tmp_path / "stage.usda") == []
 
 
-def test_a_shape_may_have_the_name_that_centres_of_a_set_have(device, tmp_path):
+def test_shape_can_have_the_name_of_body_set_points(device, tmp_path):
     scene = wc.Scene()
     grains = scene.add_bodies([(0, 0, 1), (1, 0, 1)], mass=1.0, inertia=(1, 1, 1), name="grains")
     scene.add_shape(grains, wc.shapes.Sphere(0.1), name="centres")
@@ -194,7 +196,7 @@ def test_a_shape_may_have_the_name_that_centres_of_a_set_have(device, tmp_path):
     assert shape.GetCustomDataByKey("warpcontact:name") == "centres"
 
 
-def test_a_sphere_leaves_elements_their_names(device, tmp_path):
+def test_contact_sphere_name_does_not_collide_with_elements(device, tmp_path):
     scene = wc.Scene()
     ground = scene.add_surface(scenes.square(5.0), name="ground")
     body = scene.add_body(1.0, (1, 1, 1), position=(0, 0, 2), name="body")
@@ -207,8 +209,8 @@ def test_a_sphere_leaves_elements_their_names(device, tmp_path):
     assert found == {"touch_0": "Mesh", "touch_0_1": "Cylinder", "touch_0_2": "Sphere"}
 
 
-def test_of_very_many_environments_some_that_are_evenly_spread(recording, tmp_path, monkeypatch):
-    monkeypatch.setattr("warpcontact.replay.ensemble.MOST_POSES", 2 * 31 * 2)
+def test_many_environments_are_subsampled_evenly(recording, tmp_path, monkeypatch):
+    monkeypatch.setattr("warpcontact.replay.ensemble.MAX_POSES", 2 * 31 * 2)
     stage = export(recording, tmp_path, envs=1)
     np.testing.assert_array_equal(value(stage, "/World/Ensemble/ball", "ids"), [0, 3])
     np.testing.assert_array_equal(
@@ -216,7 +218,7 @@ def test_of_very_many_environments_some_that_are_evenly_spread(recording, tmp_pa
     )
 
 
-def test_a_parameter_of_a_set_colours_where_its_items_agree(recording, tmp_path):
+def test_parameter_of_a_set_is_a_color_source_if_its_items_are_equal(recording, tmp_path):
     friction = xr.DataArray(
         [[0.1] * 3, [0.4] * 3, [0.2] * 3, [np.nan] * 3],
         dims=("env", "item"),
@@ -231,7 +233,7 @@ def test_a_parameter_of_a_set_colours_where_its_items_agree(recording, tmp_path)
         export(recording, tmp_path, envs=1, color_by=friction)
 
 
-def test_colours_do_not_take_the_name_of_what_instances_have(recording, tmp_path):
+def test_color_source_with_reserved_name_is_refused(recording, tmp_path):
     number = xr.DataArray(np.arange(4.0), coords={"env": recording["env"]}, name="environment")
     with pytest.raises(ValueError, match="another name than 'environment', which instances have already"):
         export(recording, tmp_path, color_by=number)
@@ -247,6 +249,6 @@ def test_colours_do_not_take_the_name_of_what_instances_have(recording, tmp_path
         ({"color_by": 3}, TypeError, "name or an xarray.DataArray, got int"),
     ],
 )
-def test_what_cannot_be_shown_is_named(recording, tmp_path, options, error, message):
+def test_invalid_color_source_is_refused(recording, tmp_path, options, error, message):
     with pytest.raises(error, match=message):
         wc.export_usd(recording, tmp_path / "a.usda", **options)

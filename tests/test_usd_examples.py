@@ -12,7 +12,7 @@ DURATION = {"buoy": 2.0}
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(path.stem for path in FOLDER.glob("*.toml") if path.stem not in WITHOUT))
-def test_an_example_leaves_a_sound_animation_in_every_format(name, device, tmp_path):
+def test_example_animation_is_valid_in_every_usd_format(name, device, tmp_path):
     experiment = wc.Experiment.from_toml(FOLDER / f"{name}.toml")
     run = experiment.changed(duration=DURATION.get(name, 0.3)).run(tmp_path / "out", device=device)
     assert wc.check_usd(run.files["animation"]) == []

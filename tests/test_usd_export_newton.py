@@ -109,7 +109,7 @@ def test_material_has_the_values_of_law_rolling_and_torsion(tmp_path, options, e
     assert ("NewtonMaterialAPI" in applied) == bool(expected)
 
 
-def test_values_that_differ_between_environments_are_in_each(tmp_path):
+def test_material_values_that_vary_are_written_per_environment(tmp_path):
     scene = ball_on()
     data = recording(scene, envs=2)
     data["touch.law.stiffness"] = ("env", [1e4, 3e4])
@@ -156,7 +156,7 @@ def test_newton_reads_the_values_of_the_scene(tmp_path):
         )
 
 
-def test_gravity_that_is_switched_off_later_is_a_change_of_the_stage(tmp_path):
+def test_gravity_disabled_after_export_is_reported_as_a_change(tmp_path):
     path = exported(tmp_path, ball_on())
     stage = Usd.Stage.Open(str(path))
     stage.GetPrimAtPath("/World/PhysicsScene").CreateAttribute(

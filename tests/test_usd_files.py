@@ -20,7 +20,7 @@ def recording(device):
 
 @pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usd", ".usdz"])
 @pytest.mark.parametrize("envs", [[0, 2], None])
-def test_every_format_is_sound_and_holds_the_same(recording, tmp_path, suffix, envs):
+def test_every_usd_format_is_valid_and_has_equal_content(recording, tmp_path, suffix, envs):
     stage = export(recording, tmp_path, suffix, envs=envs)
     found = world(stage, "/World/env_2/ball", 17)[1]
     np.testing.assert_array_equal(found, recording["ball.position"].values[17, 2])
@@ -28,12 +28,12 @@ def test_every_format_is_sound_and_holds_the_same(recording, tmp_path, suffix, e
     assert [file.name for file in tmp_path.iterdir()] == [f"stage{suffix}"]
 
 
-def test_a_package_holds_one_binary_file(recording, tmp_path):
+def test_usdz_package_has_one_binary_file(recording, tmp_path):
     export(recording, tmp_path, ".usdz")
     assert zipfile.ZipFile(tmp_path / "stage.usdz").namelist() == ["stage.usdc"]
 
 
-def test_the_same_recording_gives_the_same_bytes(recording, tmp_path):
+def test_repeated_export_is_bitwise_identical(recording, tmp_path):
     for suffix in (".usda", ".usdc"):
         first, second = (tmp_path / name for name in (f"a{suffix}", f"b{suffix}"))
         for path in (first, second):
@@ -42,7 +42,7 @@ def test_the_same_recording_gives_the_same_bytes(recording, tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usdz"])
-def test_a_disk_that_is_full_is_named_and_leaves_what_was_there(recording, tmp_path, suffix):
+def test_full_disk_is_reported_and_keeps_the_existing_stage(recording, tmp_path, suffix):
     """A limit on the size of files stands for it."""
     path = tmp_path / f"stage{suffix}"
     wc.export_usd(recording, path, envs=0)
@@ -60,14 +60,14 @@ try:
 except OSError as error:
     print("named:", error)
 """
-    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert f"named: cannot write {path}: " in told.stdout, told.stderr
+    completed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert f"named: cannot write {path}: " in completed.stdout, completed.stderr
     assert path.read_bytes() == before
     assert [file.name for file in tmp_path.iterdir()] == [path.name]
 
 
 @pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usdz"])
-def test_a_place_where_nothing_can_be_is_named(recording, tmp_path, suffix):
+def test_unwritable_path_is_reported(recording, tmp_path, suffix):
     (tmp_path / "file").write_text("")
     for path in (tmp_path / "file" / f"a{suffix}", tmp_path / f"folder{suffix}"):
         if path.parent == tmp_path:
@@ -77,19 +77,19 @@ def test_a_place_where_nothing_can_be_is_named(recording, tmp_path, suffix):
     assert sorted(file.name for file in tmp_path.iterdir()) == ["file", f"folder{suffix}"]
 
 
-def test_no_partial_file_is_seen_meanwhile(recording, tmp_path, monkeypatch):
+def test_usd_export_is_atomic(recording, tmp_path, monkeypatch):
     """Whoever looks finds the old stage or the new one."""
     path = tmp_path / "stage.usdc"
     wc.export_usd(recording, path, envs=0)
     seen = []
     replace = os.replace
 
-    def look(source, target, **folders):
+    def observe(source, target, **folders):
         stage = Usd.Stage.Open(str(path))
         seen.append(stage.GetPrimAtPath("/World/env_0").IsValid())
         replace(source, target, **folders)
 
-    monkeypatch.setattr("pathlib.os.replace", look)
+    monkeypatch.setattr("pathlib.os.replace", observe)
     wc.export_usd(recording, path, envs=2)
     assert seen == [True]
     stage = Usd.Stage.Open(str(path))

@@ -29,7 +29,7 @@ def one(tmp_path, content, **metadata):
     return found
 
 
-def test_a_body_has_the_mass_and_inertia_that_the_stage_says_about_axes_that_it_says(tmp_path):
+def test_imported_body_has_mass_and_inertia_of_the_stage(tmp_path):
     weight = f"{WEIGHT}\nquatf physics:principalAxes = (0.9238795325, 0, 0, 0.3826834324)"  # 45° about z
     found = one(tmp_path, body(content=weight, pose=moved(1, 2, 3, turn=(0, 0, 90))))
     assert found.mass == pytest.approx(2.0, rel=SINGLE)
@@ -39,7 +39,7 @@ def test_a_body_has_the_mass_and_inertia_that_the_stage_says_about_axes_that_it_
     np.testing.assert_allclose(Rotation.from_quat(found.orientation).as_rotvec(), (0, 0, np.pi / 2), atol=1e-12)
 
 
-def test_the_frame_of_a_body_sits_at_its_centre_of_mass_which_is_scaled_with_the_prim(tmp_path):
+def test_imported_body_frame_is_at_its_scaled_center_of_mass(tmp_path):
     weight = f"{WEIGHT}\npoint3f physics:centerOfMass = (0.5, 0, 0)"
     ball = prim("Sphere", "ball", COLLIDER, "double radius = 0.25")
     content = body(content=weight + "\n" + ball, pose=moved(1, 2, 3, turn=(0, 0, 90), scale=(2, 2, 2)))
@@ -50,7 +50,7 @@ def test_the_frame_of_a_body_sits_at_its_centre_of_mass_which_is_scaled_with_the
     np.testing.assert_allclose(shape.positions[0], (-1, 0, 0), atol=1e-12)
 
 
-def test_stage_units_and_up_axis_are_turned_into_si_and_z_up(tmp_path):
+def test_stage_units_and_up_axis_are_converted_to_si_and_z_up(tmp_path):
     content = prim("PhysicsScene", "scene") + body(
         content="float physics:mass = 2000\nfloat3 physics:diagonalInertia = (1e6, 2e6, 2.5e6)\n"
         "vector3f physics:velocity = (0, 100, 0)\nvector3f physics:angularVelocity = (0, 180, 0)",
@@ -69,14 +69,14 @@ def test_stage_units_and_up_axis_are_turned_into_si_and_z_up(tmp_path):
     np.testing.assert_allclose(Rotation.from_quat(found.orientation).apply((0, 1, 0)), (0, 0, 1), atol=1e-12)
 
 
-def test_a_stage_that_does_not_say_its_unit_is_in_centimetres_and_that_is_said(tmp_path):
+def test_stage_without_unit_is_in_centimeters_with_a_warning(tmp_path):
     scene = read(tmp_path, body(content=WEIGHT, pose=moved(100, 0, 0)), metadata={"metres": None})
     np.testing.assert_allclose(scene.bodies[0].position, (1, 0, 0))
     assert any("its unit is 0.01 m" in remark for remark in scene.import_warnings)
 
 
 @pytest.mark.parametrize(
-    ("said", "expected"),
+    ("scene_attributes", "expected"),
     [
         ("", (0, 0, -9.81)),
         ("float physics:gravityMagnitude = 3", (0, 0, -3)),
@@ -85,8 +85,8 @@ def test_a_stage_that_does_not_say_its_unit_is_in_centimetres_and_that_is_said(t
         ("vector3f physics:gravityDirection = (0, 2, 0)", (0, 9.81, 0)),
     ],
 )
-def test_gravity_is_that_of_the_physics_scene(tmp_path, said, expected):
-    scene = read(tmp_path, prim("PhysicsScene", "scene", content=said) + body(content=WEIGHT))
+def test_imported_gravity_matches_the_physics_scene(tmp_path, scene_attributes, expected):
+    scene = read(tmp_path, prim("PhysicsScene", "scene", content=scene_attributes) + body(content=WEIGHT))
     np.testing.assert_allclose(scene.gravity, expected, atol=1e-12)
 
 
@@ -114,7 +114,7 @@ SOLIDS = {  # volume and principal moments over the mass, of closed forms
 
 
 @pytest.mark.parametrize("kind", SOLIDS)
-def test_a_body_without_a_mass_weighs_what_its_colliders_do(tmp_path, kind):
+def test_body_without_mass_has_the_mass_of_its_colliders(tmp_path, kind):
     sizes, volume, moments = SOLIDS[kind]
     found = one(tmp_path, body(content=solid(kind, sizes), apis=BODY.replace(', "PhysicsMassAPI"', "")))
     assert found.mass == pytest.approx(1000 * volume, rel=SINGLE)
@@ -124,7 +124,7 @@ def test_a_body_without_a_mass_weighs_what_its_colliders_do(tmp_path, kind):
         np.testing.assert_allclose(found.position, (0, 0, -0.15), atol=1e-9)
 
 
-def test_a_capsule_weighs_like_the_points_in_it(tmp_path):
+def test_capsule_inertia_matches_sampling(tmp_path):
     found = one(tmp_path, body(content=solid("Capsule", SOLIDS["Capsule"][0]), apis=BODY))
     random = np.random.default_rng(0).uniform((-0.2, -0.5, -0.2), (0.2, 0.5, 0.2), (2_000_000, 3))
     axis = np.clip(random[:, 1], -0.3, 0.3)
@@ -135,7 +135,7 @@ def test_a_capsule_weighs_like_the_points_in_it(tmp_path):
     np.testing.assert_allclose(found.inertia / found.mass, expected, atol=2e-3 * expected.max())
 
 
-def test_scaled_colliders_weigh_and_collide_as_they_are(tmp_path):
+def test_scaled_colliders_have_scaled_mass_and_shape(tmp_path):
     box = prim("Cube", "box", COLLIDER, "double size = 1\n" + moved(0, 0, 1, scale=(0.2, 0.4, -0.6)))
     egg = prim("Sphere", "egg", COLLIDER, "double radius = 1\n" + moved(0, 0, -1, scale=(0.1, 0.2, 0.3)))
     scene = read(tmp_path, body(content=box + egg, apis=BODY))
@@ -157,7 +157,7 @@ def test_scaled_colliders_weigh_and_collide_as_they_are(tmp_path):
         ("body material collider", 500.0),
     ],
 )
-def test_collider_density_overrides_body_density_and_body_density_that_of_a_material(tmp_path, parts, density):
+def test_collider_density_overrides_material_and_body_density(tmp_path, parts, density):
     material = prim(
         "Material", "stuff", 'prepend apiSchemas = ["PhysicsMaterialAPI"]', "float physics:density = 700"
     )
@@ -165,12 +165,12 @@ def test_collider_density_overrides_body_density_and_body_density_that_of_a_mate
     own = "double size = 1\n"
     own += "float physics:density = 500\n" if "collider" in parts else ""
     own += "rel material:binding:physics = </stuff>\n" if "material" in parts else ""
-    said = "float physics:density = 300\n" if "body" in parts else ""
-    scene = read(tmp_path, material + body(content=said + prim("Cube", "part", apis, own)))
+    scene_attributes = "float physics:density = 300\n" if "body" in parts else ""
+    scene = read(tmp_path, material + body(content=scene_attributes + prim("Cube", "part", apis, own)))
     assert scene.bodies[0].mass == pytest.approx(density, rel=SINGLE)
 
 
-def test_the_mass_of_a_body_comes_before_those_of_its_colliders(tmp_path):
+def test_body_mass_overrides_collider_masses(tmp_path):
     apis = 'prepend apiSchemas = ["PhysicsCollisionAPI", "PhysicsMassAPI"]'
     parts = "".join(
         prim("Cube", f"part_{i}", apis, f"double size = 1\nfloat physics:mass = {i}\n" + moved(2 * i, 0, 0))
@@ -180,12 +180,12 @@ def test_the_mass_of_a_body_comes_before_those_of_its_colliders(tmp_path):
     assert alone.mass == pytest.approx(4.0)
     np.testing.assert_allclose(alone.position, (5, 0, 0))  # (1·2 + 3·6)/4
     np.testing.assert_allclose(np.diag(alone.inertia), (4 / 6, 4 / 6 + 12, 4 / 6 + 12), rtol=1e-12)
-    told = one(tmp_path, body(content="float physics:mass = 8\n" + parts))
-    np.testing.assert_allclose(told.inertia, 2 * alone.inertia, rtol=1e-6)
-    np.testing.assert_allclose(told.position, (5, 0, 0))
+    with_mass = one(tmp_path, body(content="float physics:mass = 8\n" + parts))
+    np.testing.assert_allclose(with_mass.inertia, 2 * alone.inertia, rtol=1e-6)
+    np.testing.assert_allclose(with_mass.position, (5, 0, 0))
 
 
-def test_velocities_are_in_the_frame_of_the_parent(tmp_path):
+def test_imported_velocities_are_in_the_frame_of_the_parent(tmp_path):
     inner = body(
         content=f"{WEIGHT}\nvector3f physics:velocity = (1, 0, 0)\nvector3f physics:angularVelocity = (90, 0, 0)"
     )
@@ -194,7 +194,7 @@ def test_velocities_are_in_the_frame_of_the_parent(tmp_path):
     np.testing.assert_allclose(found.angular_velocity, (0, PI / 2, 0), atol=1e-12)
 
 
-def test_kinematic_bodies_stay_or_keep_their_velocity(tmp_path):
+def test_kinematic_bodies_are_fixed_or_keep_their_velocity(tmp_path):
     still = body("still", "bool physics:kinematicEnabled = 1")
     going = body("going", "bool physics:kinematicEnabled = 1\nvector3f physics:velocity = (1, 0, 0)")
     scene = read(tmp_path, still + going)
@@ -202,7 +202,7 @@ def test_kinematic_bodies_stay_or_keep_their_velocity(tmp_path):
 
 
 @pytest.mark.smoke
-def test_materials_become_law_and_friction_by_the_mean_of_both(tmp_path):
+def test_material_pair_is_averaged_to_law_and_friction(tmp_path):
     def material(name, static, dynamic, restitution):
         api = 'prepend apiSchemas = ["PhysicsMaterialAPI"]'
         values = {"staticFriction": static, "dynamicFriction": dynamic, "restitution": restitution}
@@ -237,7 +237,7 @@ def three(more="", filtered=""):
 EVERY = [("box_0", "box_1"), ("box_0", "floor"), ("box_1", "floor")]
 
 
-def test_every_two_colliders_on_different_bodies_touch_if_one_of_them_moves(tmp_path):
+def test_all_collider_pairs_of_different_bodies_contact_if_one_moves(tmp_path):
     assert names(read(tmp_path, three())) == EVERY
     fixed = prim("Cube", "wall", COLLIDER, "double size = 1") + body(
         "held", "bool physics:kinematicEnabled = 1\n" + prim("Cube", "lid", COLLIDER, "double size = 1")
@@ -281,11 +281,11 @@ def group(name, *members, filtered="", more=""):
     ],
     ids=["itself", "another", "inverted", "merged", "nowhere", "inverted and ungrouped"],
 )  # fmt: skip
-def test_collision_groups_keep_colliders_apart(tmp_path, more, left):
+def test_collision_groups_exclude_contacts(tmp_path, more, left):
     assert names(read(tmp_path, three(more))) == left
 
 
-def test_filtered_pairs_keep_all_below_two_prims_apart(tmp_path):
+def test_filtered_pairs_exclude_contacts_below_both_prims(tmp_path):
     apis = BODY.replace('"PhysicsMassAPI"', '"PhysicsMassAPI", "PhysicsFilteredPairsAPI"')
     content = three(filtered="rel physics:filteredPairs = </body_1>\n").replace(BODY, apis, 1)
     assert names(read(tmp_path, content)) == EVERY[1:]
@@ -318,13 +318,13 @@ FLOOR_OF = {
 @pytest.mark.slow
 @pytest.mark.parametrize("floor", FLOOR_OF)
 @pytest.mark.parametrize("part", CUBE_OF)
-def test_a_body_comes_to_rest_on_a_floor_whatever_both_are_made_of(tmp_path, part, floor):
+def test_imported_body_comes_to_rest_for_every_pair_of_collider_types(tmp_path, part, floor):
     # It sinks in by g (T/π)² at most with a contact time T of 0.01 s, 0.1 mm; twice that where each side of two
     # meshes carries half. Half a second is enough for a fall of 1 mm to end.
     assert drop(tmp_path, CUBE_OF[part], FLOOR_OF[floor]) == pytest.approx(0.3, abs=2.5e-4)
 
 
-def test_many_spheres_of_one_material_are_a_pile(tmp_path):
+def test_many_spheres_of_one_material_become_particle_contact(tmp_path):
     ball = prim("Sphere", "ball", COLLIDER, "double radius = 0.1")
     scene = read(tmp_path, "".join(body(f"grain_{i}", ball, moved(0.3 * i, 0, 0)) for i in range(40)))
     (pile,) = scene.particle_contacts
@@ -332,7 +332,7 @@ def test_many_spheres_of_one_material_are_a_pile(tmp_path):
 
 
 @pytest.mark.parametrize("approximation", ["convexHull", "boundingCube", "boundingSphere", "none", "sdf"])
-def test_meshes_collide_as_their_approximation_says(tmp_path, approximation):
+def test_mesh_collider_follows_its_approximation(tmp_path, approximation):
     apis = 'prepend apiSchemas = ["PhysicsCollisionAPI", "PhysicsMeshCollisionAPI"]'
     own = mesh(more=f'uniform token physics:approximation = "{approximation}"')
     scene = read(tmp_path, body(content=WEIGHT + "\n" + prim("Mesh", "part", apis, own)))
@@ -347,7 +347,7 @@ def test_meshes_collide_as_their_approximation_says(tmp_path, approximation):
 
 @pytest.mark.parametrize("scale", [(1, 1, 1), (-1, 1, 1), (-1, -1, -1)])
 @pytest.mark.parametrize("hand", ["rightHanded", "leftHanded"])
-def test_meshes_look_outward_whatever_their_hand_and_mirrors(tmp_path, scale, hand):
+def test_imported_mesh_is_outward_for_any_handedness_and_mirroring(tmp_path, scale, hand):
     indices = SIDES
     if hand == "leftHanded":
         quads = [part.split(",") for part in SIDES.split(", ")]
@@ -358,7 +358,7 @@ def test_meshes_look_outward_whatever_their_hand_and_mirrors(tmp_path, scale, ha
     assert not [remark for remark in scene.import_warnings if "turned" in remark]
 
 
-def test_instances_are_read_where_they_are(tmp_path):
+def test_instances_are_imported_at_their_poses(tmp_path):
     (tmp_path / "part.usda").write_text(
         '#usda 1.0\n(defaultPrim = "part")\n'
         + prim("Xform", "part", "", prim("Cube", "box", COLLIDER, "double size = 1"))
@@ -369,7 +369,7 @@ def test_instances_are_read_where_they_are(tmp_path):
     assert names(scene) == [("box", "box_2")]
 
 
-def test_names_of_elements_are_those_of_prims_made_valid_and_told_apart(tmp_path):
+def test_element_names_are_valid_unique_prim_names(tmp_path):
     ball = prim("Sphere", "part", COLLIDER, "double radius = 0.1")
     long = "a" * 10_000
     content = "".join(body(name, ball, moved(i, 0, 0)) for i, name in enumerate(["scene", "part", long, "größe"]))
@@ -378,7 +378,7 @@ def test_names_of_elements_are_those_of_prims_made_valid_and_told_apart(tmp_path
     assert [one.name for one in scene.shapes] == ["part_2", "part_3", "part_4", "part_5"]
 
 
-def test_what_is_for_looks_and_what_is_switched_off_is_said(tmp_path):
+def test_render_only_shapes_and_disabled_colliders_are_reported(tmp_path):
     look = prim("Sphere", "look", "", "double radius = 1")
     off = prim("Sphere", "off", COLLIDER, "double radius = 1\nbool physics:collisionEnabled = 0")
     scene = read(tmp_path, body(content=WEIGHT + "\n" + look + off))
@@ -387,7 +387,7 @@ def test_what_is_for_looks_and_what_is_switched_off_is_said(tmp_path):
     assert not scene.shapes
 
 
-def test_the_same_scene_runs_with_hard_contact(tmp_path):
+def test_imported_scene_runs_with_nonsmooth_contact(tmp_path):
     content = body(content="float physics:mass = 1\n" + CUBE_OF["Cube"], pose=moved(0, 0, 0.3)) + FLOOR_OF["Plane"]
     sim = wc.Simulation(
         read(tmp_path, content).build(device="cpu"), dt=2e-3, integrator=wc.integrators.MoreauJean()
@@ -397,14 +397,14 @@ def test_the_same_scene_runs_with_hard_contact(tmp_path):
     assert sim.state.body_position.numpy()[0, 0, 2] == pytest.approx(0.3, abs=1e-5)
 
 
-def test_a_package_is_read(tmp_path):
+def test_usdz_package_is_imported(tmp_path):
     path = stage(tmp_path, body(content=WEIGHT))
     package = tmp_path / "stage.usdz"
     assert UsdUtils.CreateNewUsdzPackage(str(path), str(package))
     assert [one.name for one in wc.Scene.from_usd(package).bodies] == ["body"]
 
 
-def test_the_process_that_reads_does_not_import_warp():
+def test_usd_reader_process_does_not_import_warp():
     root = Path(wc.__file__).parent
     folders = {"warpcontact": root, "warpcontact.meshes": root / "meshes", "warpcontact.usd": root / "usd"}
     packages = {name: str(folder) for name, folder in folders.items()}

@@ -49,13 +49,13 @@ def edit(path, change):
 @pytest.mark.parametrize(
     "options", [{}, {"spacing": (3.0, 0.0)}, {"clip_frames": 1}, {"envs": [1], "ensemble": True}]
 )
-def test_a_stage_that_nobody_changed_has_nothing_to_be_left_out(recording, tmp_path, options):
+def test_unchanged_export_is_imported_without_warnings(recording, tmp_path, options):
     path = wc.export_usd(recording, tmp_path / "ours.usdc", **options)
     assert wc.Scene.from_usd(path, trusted="clip_frames" in options).remarks == ()
 
 
-def test_a_stage_whose_environments_differ_has_nothing_to_be_left_out(tmp_path):
-    scene = described_scenes.touching()
+def test_export_with_varied_environments_is_imported_without_warnings(tmp_path):
+    scene = described_scenes.contact_scene()
     model = scene.build(3, "cpu")
     model["scene.gravity"] = np.linspace((0, 0, -1.0), (1, 0, -9.0), 3)
     path = wc.export_usd(wc.Simulation(model, dt=1e-5).run(2e-5), tmp_path / "ours.usdc")
@@ -69,7 +69,7 @@ def added(opened, path):
 
 
 @pytest.mark.parametrize("place", ["/World/more", "/World/env_0/more", "/World/Surfaces/more", "/more"])
-def test_a_body_that_was_added_is_listed(path, place):
+def test_added_body_is_reported(path, place):
     problems = edit(path, lambda opened: added(opened, place))
     assert problems == tuple(
         f"{place}: {what}, which the description does not have (not supported)"
@@ -77,7 +77,7 @@ def test_a_body_that_was_added_is_listed(path, place):
     )
 
 
-def test_a_collider_that_was_added_to_a_body_is_listed(path):
+def test_added_collider_is_reported(path):
     def change(opened):
         UsdPhysics.CollisionAPI.Apply(UsdGeom.Cube.Define(opened, "/World/env_1/box/bump").GetPrim())
 
@@ -85,7 +85,7 @@ def test_a_collider_that_was_added_to_a_body_is_listed(path):
     assert problem.startswith("/World/env_1/box/bump: a collider")
 
 
-def test_a_copy_of_an_element_is_listed_under_whatever_name(path):
+def test_copied_element_is_reported_under_any_name(path):
     def change(opened):
         layer = opened.GetRootLayer()
         assert Sdf.CopySpec(layer, "/World/Prototype/box", layer, "/World/env_0/box_2")
@@ -99,7 +99,7 @@ def test_a_copy_of_an_element_is_listed_under_whatever_name(path):
     }
 
 
-def test_a_surface_that_was_made_a_body_and_a_joint_are_listed(path):
+def test_surface_made_a_body_and_added_joint_are_reported(path):
     def change(opened):
         UsdPhysics.RigidBodyAPI.Apply(opened.GetPrimAtPath("/World/Surfaces/floor"))
         UsdPhysics.FixedJoint.Define(opened, "/World/env_0/joints/weld")
@@ -112,7 +112,7 @@ def test_a_surface_that_was_made_a_body_and_a_joint_are_listed(path):
 
 
 @pytest.mark.parametrize("value", [9.81, 0.0, -1.0, float("nan")])
-def test_a_gravity_that_was_changed_is_listed(path, value):
+def test_changed_gravity_is_reported(path, value):
     def change(opened):
         UsdPhysics.Scene(opened.GetPrimAtPath("/World/PhysicsScene")).GetGravityMagnitudeAttr().Set(value)
 
@@ -120,7 +120,7 @@ def test_a_gravity_that_was_changed_is_listed(path, value):
     assert problem.startswith("/World/PhysicsScene: a gravity of [")
 
 
-def test_a_direction_of_gravity_that_was_changed_is_listed(path):
+def test_changed_gravity_direction_is_reported(path):
     def change(opened):
         scene = UsdPhysics.Scene(opened.GetPrimAtPath("/World/PhysicsScene"))
         scene.GetGravityDirectionAttr().Set(Gf.Vec3f(1, 0, 0))
@@ -129,7 +129,7 @@ def test_a_direction_of_gravity_that_was_changed_is_listed(path):
     assert "a gravity of [3.7, 0.0, 0.0] m/s²" in problem
 
 
-def test_a_stage_that_refers_to_one_of_ours_among_other_bodies_lists_these(path, tmp_path):
+def test_referenced_export_with_other_bodies_reports_them(path, tmp_path):
     ball = prim("Sphere", "other", BODY.replace("PhysicsMassAPI", "PhysicsCollisionAPI"), "double radius = 1")
     outer = stage(tmp_path, prim("Xform", "run", "prepend references = @ours.usda@") + ball + body("third"))
     with pytest.raises(wc.UsdError) as raised:
@@ -142,7 +142,7 @@ def test_a_stage_that_refers_to_one_of_ours_among_other_bodies_lists_these(path,
     assert len(wc.Scene.from_usd(outer, skip_unsupported=True).remarks) == 3
 
 
-def test_what_is_no_physics_may_be_added(path):
+def test_added_non_physics_prims_are_allowed(path):
     opened = Usd.Stage.Open(str(path))
     UsdGeom.Sphere.Define(opened, "/World/env_0/ball_1/look")
     opened.GetRootLayer().Save()

@@ -51,7 +51,7 @@ def test_nested_body_has_its_own_pose_mass_and_colliders(tmp_path, reset):
     assert sum(NESTED in remark for remark in scene.import_warnings) == (not reset)
 
 
-def test_one_remark_counts_all_nested_bodies(tmp_path):
+def test_one_warning_counts_all_nested_bodies(tmp_path):
     content = cube("box_4")
     for i in (3, 2, 1):
         content = cube(f"box_{i}") + body(f"link_{i}", content, moved(2, 0, 0))
@@ -78,7 +78,7 @@ def test_filtered_pair_of_outer_body_does_not_filter_nested_body(tmp_path):
     ]
 
 
-def test_colliders_of_a_body_that_is_left_out_are_left_out(tmp_path):
+def test_colliders_of_a_skipped_body_are_skipped(tmp_path):
     led = body(
         "led",
         "bool physics:kinematicEnabled = 1\n" + cube("led_box") + body("inner", cube("inner_box")),

@@ -78,7 +78,7 @@ def test_unauthored_coefficient_of_friction_is_not_zero(tmp_path, values, expect
     assert mixed.friction.mu_static >= mixed.friction.mu_dynamic
 
 
-def test_torsional_friction_is_the_arm_of_torsion(tmp_path):
+def test_torsional_friction_is_the_torsion_radius(tmp_path):
     found, scene = pair(tmp_path, material(newton_torsionalFriction=0.02))
     (contact,) = scene.shape_contacts
     assert found.torsion.mu_dynamic * float(contact.torsion_radius) == pytest.approx(0.02, rel=SINGLE)
@@ -101,7 +101,7 @@ def test_torsional_friction_is_the_arm_of_torsion(tmp_path):
         (ball("Mesh", mesh()), floor(), None),
     ],
 )  # fmt: skip
-def test_rolling_friction_needs_a_radius_and_is_else_named(tmp_path, one, other, radius):
+def test_rolling_friction_without_radius_is_reported(tmp_path, one, other, radius):
     found, scene = pair(tmp_path, material(newton_rollingFriction=0.01), one=one, other=other)
     named = [
         remark for remark in scene.import_warnings if "newton:rollingFriction is not used in 1 contacts" in remark
@@ -138,7 +138,7 @@ def test_units_of_materials_are_those_of_the_stage(tmp_path):
     assert float(scene.shape_contacts[0].torsion_radius) == pytest.approx(0.02, rel=SINGLE)
 
 
-def test_each_value_without_a_counterpart_is_named(tmp_path):
+def test_each_value_without_a_counterpart_is_reported(tmp_path):
     given = {
         "physics_restitution": 0.5,
         "newton_contactDamping": 67.0,
@@ -149,14 +149,14 @@ def test_each_value_without_a_counterpart_is_named(tmp_path):
         '"PhysicsCollisionAPI"', '"NewtonCollisionAPI"'
     )
     _, scene = pair(tmp_path, material(**given), one=skin)
-    told = "\n".join(scene.import_warnings)
+    warnings_text = "\n".join(scene.import_warnings)
     for sentence in (
         "/m: newton:contactFrictionGain 1000 is not used",
         "/m: newton:contactAdhesion 0.001 is not used",
         "/ball/skin: newton:contactMargin 0.002 is not used",
         "1 contacts take newton:contactDamping and not physics:restitution",
     ):
-        assert sentence in told
+        assert sentence in warnings_text
 
 
 @pytest.mark.parametrize(
@@ -179,7 +179,7 @@ def scene_of(tmp_path, settings, apis='"NewtonSceneAPI"'):
     return read(tmp_path, physics + body(content=WEIGHT))
 
 
-def test_time_step_and_iterations_of_the_stage_are_suggestions_of_the_scene(tmp_path):
+def test_time_step_and_iterations_of_the_stage_are_suggested_by_the_scene(tmp_path):
     settings = "uniform int newton:timeStepsPerSecond = 400\nuniform int newton:maxSolverIterations = 50"
     scene = scene_of(tmp_path, settings)
     assert (scene.suggested_dt, scene.suggested_iterations) == (0.0025, 50)
@@ -190,7 +190,7 @@ def test_time_step_and_iterations_of_the_stage_are_suggestions_of_the_scene(tmp_
         scene_of(tmp_path, "uniform int newton:timeStepsPerSecond = 0")
 
 
-def test_gravity_that_is_switched_off_is_zero(tmp_path):
+def test_disabled_gravity_is_zero(tmp_path):
     scene = scene_of(tmp_path, "bool newton:gravityEnabled = 0")
     np.testing.assert_array_equal(scene.gravity, 0.0)
     assert any("newton:gravityEnabled is off" in remark for remark in scene.import_warnings)
@@ -220,14 +220,14 @@ def test_schemas_of_newton_include_those_of_usd_physics(tmp_path):
         ("[1, 1, 1, 2, 0, 0]", "must have positive principal moments"),
     ],
 )
-def test_inertia_tensor_that_makes_no_sense_is_refused(tmp_path, tensor, message):
+def test_unphysical_inertia_tensor_is_refused(tmp_path, tensor, message):
     apis = 'prepend apiSchemas = ["PhysicsRigidBodyAPI", "NewtonMassAPI"]'
     content = f"double[] newton:inertia = {tensor}\n{prim('Cube', 'part', COLLIDER, 'double size = 1')}"
     with pytest.raises(wc.UsdError, match=f"/box: newton:inertia {message}"):
         read(tmp_path, body("box", content, apis=apis))
 
 
-def test_mass_of_a_shell_is_refused_or_that_of_a_solid(tmp_path):
+def test_mass_of_a_shell_is_refused_or_replaced_by_that_of_a_solid(tmp_path):
     apis = 'prepend apiSchemas = ["NewtonCollisionAPI", "NewtonMassAPI"]'
     content = body(
         "box", prim("Cube", "part", apis, 'double size = 1\nuniform token newton:massModel = "shell"\n')

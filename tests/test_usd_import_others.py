@@ -51,7 +51,7 @@ def scene_file(name):
 
 
 @pytest.mark.parametrize("name", [name for name, reason in SCENES.items() if reason is None])
-def test_a_scene_of_bodies_and_colliders_runs(name, device):
+def test_third_party_usd_scene_runs(name, device):
     scene = wc.Scene.from_usd(scene_file(name))
     model = scene.build(device=device)
     sim = wc.Simulation(model, dt=1e-4)
@@ -61,13 +61,13 @@ def test_a_scene_of_bodies_and_colliders_runs(name, device):
 
 
 @pytest.mark.parametrize("name", [name for name, reason in SCENES.items() if reason is not None])
-def test_a_scene_with_what_there_is_no_counterpart_for_is_refused_with_a_list(name):
+def test_unsupported_third_party_usd_scene_is_refused_with_a_list(name):
     with pytest.raises(wc.UsdError) as raised:
         wc.Scene.from_usd(scene_file(name))
     assert any(SCENES[name] in problem for problem in raised.value.problems), raised.value
 
 
-def test_a_box_comes_to_rest_on_the_plate_that_it_lies_on(device):
+def test_third_party_box_comes_to_rest_on_its_plate(device):
     scene = wc.Scene.from_usd(scene_file("tests/assets/kamino/basics/box_on_plane.usda"))
     model = scene.build(device=device, precision="float64")
     sim = wc.Simulation(model, dt=2e-4)

@@ -72,7 +72,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("what", WRONG)
-def test_what_makes_no_sense_is_refused_by_prim_and_value_even_if_what_is_unsupported_is_skipped(tmp_path, what):
+def test_invalid_prim_is_refused_with_its_value_even_if_unsupported_prims_are_skipped(tmp_path, what):
     content, message = WRONG[what]
     for skip in (False, True):
         found = problems(stage(tmp_path, content), skip_unsupported=skip, trusted=True)
@@ -87,7 +87,7 @@ def test_what_makes_no_sense_is_refused_by_prim_and_value_even_if_what_is_unsupp
         ({"header": "kilogramsPerUnit = -1\n"}, "kilogramsPerUnit must be positive and finite, got -1"),
     ],
 )
-def test_units_that_are_none_are_refused(tmp_path, metadata, message):
+def test_invalid_stage_units_are_refused(tmp_path, metadata, message):
     assert message in problems(stage(tmp_path, body(content=WEIGHT), **metadata), trusted=True)[0]
 
 
@@ -131,7 +131,7 @@ UNSUPPORTED = {
 
 
 @pytest.mark.parametrize("what", UNSUPPORTED)
-def test_what_there_is_no_counterpart_for_is_refused_or_skipped_and_listed(tmp_path, what):
+def test_unsupported_prim_is_refused_or_skipped_with_a_warning(tmp_path, what):
     content, message = UNSUPPORTED[what]
     path = stage(tmp_path, body(content=WEIGHT + "\n" + BALL) + content)
     (found,) = problems(path, trusted=True)
@@ -142,7 +142,7 @@ def test_what_there_is_no_counterpart_for_is_refused_or_skipped_and_listed(tmp_p
     assert any(remark.startswith("left out: ") and message in remark for remark in scene.import_warnings)
 
 
-def test_all_problems_are_listed_at_once(tmp_path):
+def test_all_import_problems_are_listed(tmp_path):
     content = "".join(joint(name=f"joint_{i}") for i in range(70)) + weighing("float physics:mass = -1")
     path = stage(tmp_path, content)
     assert len(problems(path)) == 71
@@ -171,20 +171,20 @@ def test_long_names_are_shortened_in_messages(tmp_path):
         ("scene.gltf", "{}", "the extension '.gltf' is not one of .usd, .usda"),
     ],
 )
-def test_files_that_are_no_stages_are_refused(tmp_path, name, content, message):
+def test_invalid_stage_files_are_refused(tmp_path, name, content, message):
     path = tmp_path / name
     path.write_text(content)
     assert re.fullmatch(f".*{message}.*", problems(path)[0])
     assert not re.search(r"pxr|::|\n", problems(path)[0])
 
 
-def test_what_is_not_there_is_refused(tmp_path):
+def test_missing_stage_file_is_refused(tmp_path):
     assert problems(tmp_path / "none.usda") == ("it does not exist",)
     (tmp_path / "folder.usda").mkdir()
     assert problems(tmp_path / "folder.usda") == ("it is not a regular file",)
 
 
-def test_files_out_of_the_folder_are_read_on_trust_only(tmp_path):
+def test_files_outside_the_folder_are_read_only_if_trusted(tmp_path):
     (tmp_path / "outer.usda").write_text(text(body(content=WEIGHT), header='defaultPrim = "body"\n'))
     (tmp_path / "in").mkdir()
     path = stage(tmp_path / "in", prim("Xform", "all", "prepend references = @../outer.usda@"))
@@ -192,7 +192,7 @@ def test_files_out_of_the_folder_are_read_on_trust_only(tmp_path):
     assert [one.name for one in wc.Scene.from_usd(path, trusted=True).bodies] == ["all"]
 
 
-def test_a_file_that_ends_the_reader_ends_in_an_error(tmp_path):
+def test_reader_crash_is_reported_as_an_error(tmp_path):
     # The parser of USD recurses into dictionaries until its stack is used up.
     deep = "dictionary a = {" * 50_000 + "}" * 50_000
     path = tmp_path / "deep.usda"
@@ -201,7 +201,7 @@ def test_a_file_that_ends_the_reader_ends_in_an_error(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_file_that_takes_too_long_is_given_up(tmp_path):
+def test_slow_stage_is_refused_after_the_time_limit(tmp_path):
     doubling = "".join(
         prim("Xform", f"p{i}", "", "".join(prim("Xform", n, f"prepend references = </p{i - 1}>") for n in "ab"))
         for i in range(1, 24)
@@ -210,7 +210,7 @@ def test_a_file_that_takes_too_long_is_given_up(tmp_path):
     assert "takes more than 3 s of processor time" in problems(path, limits=Limits(seconds=3.0))[0]
 
 
-def test_meshes_have_a_limit(tmp_path):
+def test_number_of_triangles_is_limited(tmp_path):
     assert "allowed: 5 triangles" in problems(stage(tmp_path, part()), limits=Limits(faces=5))[0]
 
 
@@ -224,20 +224,20 @@ def test_meshes_have_a_limit(tmp_path):
         ({"limits": 3}, TypeError, "limits must be a Limits or None"),
     ],
 )
-def test_arguments_out_of_range_are_refused(tmp_path, options, error, message):
+def test_invalid_import_arguments_are_refused(tmp_path, options, error, message):
     with pytest.raises(error, match=message):
         wc.Scene.from_usd(stage(tmp_path, body(content=WEIGHT)), **options)
 
 
-def test_a_stage_that_describes_several_scenes_is_refused(tmp_path):
+def test_stage_with_several_descriptions_is_refused(tmp_path):
     scopes = "".join(prim("Scope", name, "", "custom int64 warpcontact:schema = 2") for name in "ab")
     assert "a stage describes one scene, got descriptions at /a, /b" in problems(stage(tmp_path, scopes))[0]
 
 
 @pytest.mark.slow
-def test_damaged_descriptions_end_in_a_scene_or_an_error_with_a_reason(tmp_path):
+def test_damaged_description_is_read_or_refused_with_a_reason(tmp_path):
     stage = Usd.Stage.CreateInMemory()
-    scene = described_scenes.touching()
+    scene = described_scenes.contact_scene()
     write_description(stage, scene, identifiers(scene.element_names()))
     content = stage.GetRootLayer().ExportToString().encode()
     random = np.random.default_rng(6)
@@ -256,7 +256,7 @@ def test_damaged_descriptions_end_in_a_scene_or_an_error_with_a_reason(tmp_path)
 
 
 @pytest.mark.slow
-def test_damaged_stages_end_in_a_scene_or_an_error_with_a_reason(tmp_path):
+def test_damaged_stage_is_read_or_refused_with_a_reason(tmp_path):
     content = text(three_kinds()).encode()
     random = np.random.default_rng(5)
     reasons = []

@@ -136,11 +136,11 @@ class Both:
 
 
 @pytest.mark.parametrize("name", STAGES)
-def test_bodies_and_shapes_are_those_that_newton_reads(tmp_path, name):
+def test_imported_bodies_and_shapes_match_newton(tmp_path, name):
     Both(tmp_path, STAGES[name]).check()
 
 
-def test_units_and_up_axis_are_those_that_newton_reads(tmp_path):
+def test_imported_units_and_up_axis_match_newton(tmp_path):
     content = prim("PhysicsScene", "physics") + body(
         "one", cube("box", moved(10, 0, 0, scale=(10, 20, 30))), moved(100, 200, 300, turn=(0, 90, 0))
     )
@@ -150,7 +150,7 @@ def test_units_and_up_axis_are_those_that_newton_reads(tmp_path):
     np.testing.assert_allclose(both.scene.gravity, 0.01 * np.array(both.builder.gravity), atol=1e-5)
 
 
-def test_mass_and_center_of_mass_of_the_body_shift_the_inertia_which_newton_leaves(tmp_path):
+def test_given_mass_and_center_shift_the_inertia_unlike_newton(tmp_path):
     both = Both(
         tmp_path, body("one", "float physics:mass = 3\npoint3f physics:centerOfMass = (0.2, 0, 0)\n" + cube("box"))
     )
@@ -161,7 +161,7 @@ def test_mass_and_center_of_mass_of_the_body_shift_the_inertia_which_newton_leav
     np.testing.assert_allclose(np.diag(both.scene.bodies[0].inertia), (0.5, 0.62, 0.62), rtol=SINGLE)
 
 
-def test_mass_of_the_body_scales_those_of_its_colliders_which_newton_takes_as_equally_dense(tmp_path):
+def test_given_mass_scales_collider_masses_unlike_newton(tmp_path):
     parts = "".join(
         cube(name, f"float physics:mass = {mass}\n" + moved(place, 0, 0), WITH_MASS)
         for name, mass, place in (("a", 1, 1), ("b", 3, -1))
@@ -173,7 +173,7 @@ def test_mass_of_the_body_scales_those_of_its_colliders_which_newton_takes_as_eq
     np.testing.assert_allclose(np.diag(both.inertia("one")), (8 / 6, 8 / 6 + 8, 8 / 6 + 8), rtol=SINGLE)
 
 
-def test_velocity_is_in_the_space_of_the_transform_and_newton_turns_it_with_the_body(tmp_path):
+def test_imported_velocity_is_in_the_transform_frame_unlike_newton(tmp_path):
     velocity = "vector3f physics:velocity = (1, 0, 0)\nvector3f physics:angularVelocity = (0, 180, 0)\n"
     for turn, same in ((0, True), (90, False)):
         folder = tmp_path / str(turn)
@@ -186,13 +186,13 @@ def test_velocity_is_in_the_space_of_the_transform_and_newton_turns_it_with_the_
         assert np.allclose(np.array(both.builder.body_qd[0]), ours, atol=1e-5) == same
 
 
-def test_disabled_body_is_static_and_newton_has_it_without_colliders(tmp_path):
+def test_disabled_body_is_static_unlike_newton(tmp_path):
     both = Both(tmp_path, body("off", "bool physics:rigidBodyEnabled = 0\n" + cube("box")))
     both.check_shapes()
     assert (both.scene.bodies, list(both.body_numbers)) == ([], ["off"])
 
 
-def test_material_values_are_those_that_newton_reads(tmp_path):
+def test_imported_material_values_match_newton(tmp_path):
     values = {
         "physics_dynamicFriction": 0.4,
         "physics_staticFriction": 0.6,
@@ -219,7 +219,7 @@ def test_material_values_are_those_that_newton_reads(tmp_path):
         assert ours == pytest.approx(theirs, rel=SINGLE)
 
 
-def test_friction_that_is_not_authored_is_not_zero_as_in_newton(tmp_path):
+def test_unauthored_friction_is_not_zero_unlike_newton(tmp_path):
     # Newton takes the fallback of UsdPhysics, 0, if a material gives its density only.
     ball = prim("Sphere", "ball", BOUND, "double radius = 0.1\nrel material:binding:physics = </stuff>\n")
     floor = prim("Plane", "floor", COLLIDER, 'uniform token axis = "Z"\n')
@@ -231,6 +231,6 @@ def test_friction_that_is_not_authored_is_not_zero_as_in_newton(tmp_path):
 
 
 @pytest.mark.parametrize("name", TOUCHING)
-def test_pairs_that_may_touch_are_those_of_newton(tmp_path, name):
+def test_contact_pairs_match_newton(tmp_path, name):
     ours, theirs = Both(tmp_path, TOUCHING[name]).pairs()
     assert ours == theirs

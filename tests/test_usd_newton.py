@@ -55,7 +55,7 @@ def bodies(loaded):
     return builder, [paths[f"ball_{i}"] for i in range(len(MASSES))]
 
 
-def test_masses_and_inertia_are_those_of_the_scene(loaded):
+def test_newton_reads_exported_masses_and_inertia(loaded):
     builder, numbers = bodies(loaded)
     assert [builder.body_mass[i] for i in numbers] == pytest.approx(MASSES)
     for mass, i in zip(MASSES, numbers, strict=True):
@@ -64,7 +64,7 @@ def test_masses_and_inertia_are_those_of_the_scene(loaded):
         np.testing.assert_allclose(np.array(builder.body_com[i]), 0.0, atol=1e-7)
 
 
-def test_poses_are_those_at_the_start(loaded):
+def test_newton_reads_exported_initial_poses(loaded):
     builder, numbers = bodies(loaded)
     for i, number in enumerate(numbers):
         pose = np.array(builder.body_q[number])
@@ -72,12 +72,12 @@ def test_poses_are_those_at_the_start(loaded):
         np.testing.assert_allclose(pose[3:], (0, 0, np.sin(0.2 * i), np.cos(0.2 * i)), atol=1e-6)
 
 
-def test_gravity_is_that_of_the_scene(loaded):
+def test_newton_reads_exported_gravity(loaded):
     builder, _ = loaded
     assert np.linalg.norm(np.asarray(builder.gravity)) == pytest.approx(3.7)
 
 
-def test_friction_and_restitution_are_those_of_the_template(loaded):
+def test_newton_reads_exported_friction_and_restitution(loaded):
     builder, numbers = bodies(loaded)
     for number in numbers:
         (shape,) = builder.body_shapes[number]
@@ -98,7 +98,7 @@ WEIGHING = (
 
 
 @pytest.mark.parametrize("name", WEIGHING)
-def test_bodies_of_scenes_of_others_weigh_and_lie_as_newton_reads_them(name):
+def test_third_party_bodies_have_mass_and_pose_as_in_newton(name):
     import newton
     from test_usd_import_others import scene_file
 

@@ -42,14 +42,14 @@ def balls(device, materials, **parameters):
         (None, 0.0, 0.0),
     ],
 )
-def test_both_sides_of_a_contact_have_its_friction_and_restitution(device, tmp_path, friction, static, dynamic):
+def test_both_sides_of_a_contact_have_its_usd_material(device, tmp_path, friction, static, dynamic):
     stage = export(balls(device, [wc.ContactMaterial(law=STIFF, friction=friction)]), tmp_path)
     for path in ("/World/env_2/ball_0/touch_0", "/World/Surfaces/ground"):
         assert bound_material(stage, path) == pytest.approx([static, dynamic, 0.6])
     assert wc.check_usd(tmp_path / "stage.usda") == []
 
 
-def test_friction_that_was_varied_is_that_of_each_environment(device, tmp_path):
+def test_varied_friction_is_written_per_environment(device, tmp_path):
     material = wc.ContactMaterial(law=STIFF, friction=wc.friction.Tanh(mu=0.3, velocity_scale=0.01))
     recording = balls(device, [material], touch_0__friction__mu=[0.1, 0.2, 0.7])
     stage = export(recording, tmp_path)
@@ -60,14 +60,14 @@ def test_friction_that_was_varied_is_that_of_each_environment(device, tmp_path):
     assert wc.check_usd(tmp_path / "stage.usda") == []
 
 
-def test_friction_that_was_set_alike_is_not_that_of_the_scene(device, tmp_path):
+def test_friction_set_for_all_environments_overrides_the_scene(device, tmp_path):
     material = wc.ContactMaterial(law=STIFF, friction=wc.friction.Tanh(mu=0.3, velocity_scale=0.01))
     recording = balls(device, [material], touch_0__friction__mu=0.8, touch_0__law__restitution=0.5)
     stage = export(recording, tmp_path)
     assert bound_material(stage, "/World/Surfaces/ground") == pytest.approx([0.8, 0.8, 0.5])
 
 
-def test_bodies_in_contacts_of_their_own_have_materials_of_their_own(device, tmp_path):
+def test_bodies_in_different_contacts_have_different_usd_materials(device, tmp_path):
     materials = [
         wc.ContactMaterial(law=STIFF, friction=wc.friction.Tanh(mu=m, velocity_scale=0.01)) for m in (0.2, 0.9)
     ]
@@ -80,7 +80,7 @@ def test_bodies_in_contacts_of_their_own_have_materials_of_their_own(device, tmp
     ]
 
 
-def test_shapes_have_materials_and_convex_meshes(device, tmp_path):
+def test_usd_shapes_have_materials_and_convex_meshes(device, tmp_path):
     scene = wc.Scene()
     floor = scene.add_shape(None, wc.shapes.Plane(), name="floor")
     body = scene.add_body(1.0, (1, 1, 1), position=(0, 0, 1), name="egg")
@@ -94,7 +94,7 @@ def test_shapes_have_materials_and_convex_meshes(device, tmp_path):
     assert shell.GetApproximationAttr().Get() == "convexHull"
 
 
-def test_masses_are_those_of_the_scene_where_nobody_changed_them(device, tmp_path):
+def test_unchanged_masses_equal_those_of_the_scene(device, tmp_path):
     scene = wc.Scene()
     for name in ("one", "other"):
         scene.add_body(2.0, (1.0, 1.5, 2.0), name=name)
@@ -145,7 +145,7 @@ def joint_frame(stage, path, side, code):
 
 @pytest.mark.parametrize("spacing", [(0, 0), (3, 2)])
 @pytest.mark.parametrize("name", JOINTS)
-def test_joints_hold_at_all_times(joined, tmp_path, name, spacing):
+def test_usd_joint_frames_coincide_at_all_times(joined, tmp_path, name, spacing):
     stage = export(joined, tmp_path, spacing=spacing)
     path = f"/World/env_1/joints/{name}"
     assert stage.GetPrimAtPath(path).GetTypeName() == JOINTS[name][1]
@@ -168,7 +168,7 @@ def test_joints_hold_at_all_times(joined, tmp_path, name, spacing):
     assert max(moved, turned) > 0.01, "it must have moved"
 
 
-def test_what_a_joint_takes_away_is_locked(joined, tmp_path):
+def test_usd_joints_lock_the_constrained_axes(joined, tmp_path):
     stage = export(joined, tmp_path)
     locked = {"planar": {"transX", "rotY", "rotZ"}, "translation": {"rotX", "rotY", "rotZ"}}
     for name, freedoms in locked.items():
@@ -183,7 +183,7 @@ def test_what_a_joint_takes_away_is_locked(joined, tmp_path):
     assert wc.check_usd(tmp_path / "stage.usda") == []
 
 
-def test_gravity_is_that_of_each_environment(device, tmp_path):
+def test_gravity_is_written_per_environment(device, tmp_path):
     scene = wc.Scene()
     scene.add_body(1.0, (1, 1, 1), name="ball")
     model = scene.build(2, device)
@@ -203,7 +203,7 @@ def test_gravity_is_that_of_each_environment(device, tmp_path):
 
 
 @pytest.mark.parametrize("spacing", [(0, 0), (3, 2)])
-def test_the_camera_has_all_bodies_in_view_and_there_is_light(joined, tmp_path, spacing):
+def test_usd_camera_frames_all_bodies_and_the_stage_is_lit(joined, tmp_path, spacing):
     stage = export(joined, tmp_path, spacing=spacing)
     camera = UsdGeom.Camera(stage.GetPrimAtPath("/World/Camera")).GetCamera()
     frustum = camera.frustum
@@ -222,7 +222,7 @@ def test_the_camera_has_all_bodies_in_view_and_there_is_light(joined, tmp_path, 
         assert all(a <= b for a, b in zip(low, high, strict=True))
 
 
-def test_what_the_whole_says_of_itself(joined, tmp_path):
+def test_stage_custom_data_describes_the_export(joined, tmp_path):
     stage = export(joined, tmp_path)
     notes = stage.GetRootLayer().customLayerData["warpcontact"]
     assert notes["schema"] == 1

@@ -16,7 +16,7 @@ def recording(device):
     return simulate(device)
 
 
-def test_chosen_environments_keep_their_numbers(recording, tmp_path):
+def test_selected_environments_keep_their_numbers(recording, tmp_path):
     stage = export(recording, tmp_path, envs=[3, np.int32(1), 3])
     names = {prim.GetName() for prim in stage.GetPrimAtPath("/World").GetChildren()}
     assert {name for name in names if name.startswith("env_")} == {"env_1", "env_3"}
@@ -27,7 +27,7 @@ def test_chosen_environments_keep_their_numbers(recording, tmp_path):
     np.testing.assert_array_equal(world(stage, "/World/env_3/ball", 9)[1], recording["ball.position"].values[9, 3])
 
 
-def test_the_first_16_environments_by_default(device, tmp_path):
+def test_first_16_environments_are_exported_by_default(device, tmp_path):
     model = scenes.dropped_sphere(wc.laws.Hooke(stiffness=1e4), envs=20, device=device)
     stage = export(wc.Simulation(model, dt=1e-3).run(duration=2e-3), tmp_path)
     numbers = [env for env in range(20) if stage.GetPrimAtPath(f"/World/env_{env}")]
@@ -42,7 +42,7 @@ def test_the_first_16_environments_by_default(device, tmp_path):
         ((0, 3), [(0, 0), (0, 3), (0, 6), (0, 9)]),
     ],
 )
-def test_spacing_lays_environments_out(recording, tmp_path, spacing, places):
+def test_spacing_offsets_environments(recording, tmp_path, spacing, places):
     stage = export(recording, tmp_path, spacing=spacing)
     assert not stage.GetPrimAtPath("/World/Surfaces")
     assert findings(stage) == []
@@ -66,7 +66,7 @@ def test_uneven_records_keep_their_times(recording, tmp_path):
     np.testing.assert_array_equal(translate.Get(layer.endTimeCode), recording["ball.position"].values[7, 0])
 
 
-def test_names_become_identifiers_that_differ(device, tmp_path):
+def test_names_become_unique_usd_identifiers(device, tmp_path):
     scene = wc.Scene()
     for name in ("a-b", "a_b", "contacts"):
         scene.add_body(mass=1.0, inertia=(1, 1, 1), name=name)
@@ -79,7 +79,7 @@ def test_names_become_identifiers_that_differ(device, tmp_path):
     assert names == expected
 
 
-def test_a_stage_that_is_open_shows_the_new_export(recording, tmp_path):
+def test_open_stage_shows_the_new_export(recording, tmp_path):
     stage = export(recording, tmp_path, ".usdc", envs=0)
     assert not stage.GetPrimAtPath("/World/env_2")
     wc.export_usd(recording, tmp_path / "stage.usdc", envs=2)
@@ -134,7 +134,7 @@ def spoiled(recording, name, index, number):
         (lambda r: r.assign({"ball.mass": ("time", np.ones(31))}), {}, ValueError, r"ball\.mass|env"),
     ],
 )
-def test_what_cannot_be_exported_is_named(recording, tmp_path, change, options, error, message):
+def test_invalid_export_request_is_refused(recording, tmp_path, change, options, error, message):
     target = tmp_path / options.pop("path", "a.usda")
     if change is not None:
         scene = recording.scene
@@ -146,18 +146,18 @@ def test_what_cannot_be_exported_is_named(recording, tmp_path, change, options, 
     assert not target.exists()
 
 
-def test_an_environment_that_failed_can_be_left_out(recording, tmp_path):
+def test_failed_environment_can_be_omitted(recording, tmp_path):
     bad = spoiled(recording, "ball.position", (7, 2, 1), np.nan)
     stage = export(bad, tmp_path, scene=recording.scene, envs=[0, 1, 3])
     assert stage.GetPrimAtPath("/World/env_3")
 
 
-def test_a_file_that_cannot_be_written_is_named(recording, tmp_path):
+def test_unwritable_usd_file_is_reported(recording, tmp_path):
     (tmp_path / "folder.usda").mkdir()
     with pytest.raises(OSError, match=r"folder\.usda"):
         wc.export_usd(recording, tmp_path / "folder.usda")
 
 
-def test_pxr_is_not_imported_before_it_is_needed():
+def test_import_of_usd_package_does_not_import_pxr():
     code = "import sys, warpcontact.usd; sys.exit('pxr' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -57,20 +57,20 @@ def bounds(prim):
         ("ring", "Mesh", (-0.25, -0.25, -0.05), (0.25, 0.25, 0.05)),
     ],
 )
-def test_shapes_have_the_size_of_their_form(stage, name, kind, low, high):
+def test_usd_shapes_have_the_size_of_their_parameters(stage, name, kind, low, high):
     prim = stage.GetPrimAtPath(f"/World/env_0/body_{name}/{name}")
     assert prim.GetTypeName() == kind
     # Shifted by 0.01 m; single precision.
     np.testing.assert_allclose(bounds(prim), np.add([low, high], (0, 0, 0.01)), atol=1e-6)
 
 
-def test_colliders_are_what_usd_allows(stage):
+def test_usd_shape_colliders_pass_all_validators(stage):
     validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
     errors = UsdValidation.ValidationContext(validators).Validate(stage)
     assert [error.GetErrorAsString() for error in errors] == []
 
 
-def test_sizes_are_those_of_each_environment(stage):
+def test_usd_shape_sizes_are_those_of_each_environment(stage):
     radii = [
         stage.GetPrimAtPath(f"/World/env_{env}/body_ball/ball").GetAttribute("radius").Get() for env in (0, 1)
     ]
@@ -83,7 +83,7 @@ def test_sizes_are_those_of_each_environment(stage):
     np.testing.assert_allclose(places[:, :2], [(0, 1), (1, 1), (2, 1)], atol=1e-6)
 
 
-def test_contacts_have_readings_and_arrows(stage):
+def test_usd_shape_contacts_have_sensors_and_arrows(stage):
     contact = stage.GetPrimAtPath("/World/env_1/contacts/touch")
     assert contact.GetAttribute("warpcontact:curvature2").Get(0.0) == pytest.approx(1 / 0.12)
     assert contact.GetAttribute("warpcontact:normalForce").Get(1.0) > 0.0
@@ -92,7 +92,7 @@ def test_contacts_have_readings_and_arrows(stage):
 
 
 @pytest.mark.parametrize("form", [*FORMS.values()], ids=[*FORMS])
-def test_triangles_look_outward_and_enclose_the_volume(form):
+def test_tessellated_shapes_are_outward_and_enclose_their_volume(form):
     vertices, faces = tessellate(type(form), {key: np.array(value) for key, value in form.parameters().items()})
     a, b, c = vertices[faces].transpose(1, 0, 2)
     volume = np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6

@@ -12,7 +12,7 @@ import urllib.request
 import numpy as np
 import pytest
 import runs
-from viewing import ball_on_ground, make_run, settle, until, viewing
+from viewing import ball_on_ground, make_run, poll_until, viewing, wait_for_thread
 
 import warpcontact as wc
 from warpcontact.cli import main
@@ -43,32 +43,32 @@ def listens(address, port):
 
 
 @pytest.mark.smoke
-def test_a_run_is_replayed_at_the_time_that_is_chosen(run):
+def test_run_is_replayed_at_the_selected_time(run):
     recorded = wc.open_run(run).recording["ball.position"]
     with viewing(run) as show:
         assert show.picker.env == 0
         # A page shows single precision, whatever was recorded.
         np.testing.assert_array_equal(place(show), recorded.sel(env=0).values[0].astype(np.float32))
         show.time_input.value = 0.1203
-        settle(show)
+        wait_for_thread(show)
         assert show.record == 120
         np.testing.assert_array_equal(place(show), recorded.sel(env=0).values[120].astype(np.float32))
         assert show.time_input.value == recorded["time"].values[120]
-        show.do(lambda: show._walk("Last"))
-        settle(show)
+        show.post(lambda: show._walk("Last"))
+        wait_for_thread(show)
         assert show.record == recorded.sizes["time"] - 1
-        show.do(lambda: show._walk("On"))
-        settle(show)
+        show.post(lambda: show._walk("On"))
+        wait_for_thread(show)
         assert show.record == recorded.sizes["time"] - 1
         assert show.problem == ""
 
 
-def test_another_environment_is_shown_at_the_same_time(run):
+def test_selected_environment_is_shown_at_the_same_time(run):
     recorded = wc.open_run(run)
     with viewing(run) as show:
         show.time_input.value = 0.05
         show.picker.input.value = 7
-        settle(show)
+        wait_for_thread(show)
         assert show.picker.env == 7
         np.testing.assert_array_equal(
             place(show), recorded.recording["ball.position"].sel(env=7).values[50].astype(np.float32)
@@ -77,42 +77,42 @@ def test_another_environment_is_shown_at_the_same_time(run):
         assert f"{mass:.6g} kg" in show._facts["Parameters"].content
         assert "ACTIVE" in show._facts["Outcomes"].content
         show.picker.input.value = 10
-        settle(show)
+        wait_for_thread(show)
         assert show.problem == "there is no environment 10; there are 0 to 9"
         assert show.picker.env == 7
-        show.do(lambda: show.picker._go("Next"))
-        show.do(lambda: show.picker._go("Next"))
-        show.do(lambda: show.picker._go("Next"))
-        settle(show)
+        show.post(lambda: show.picker._go("Next"))
+        show.post(lambda: show.picker._go("Next"))
+        show.post(lambda: show.picker._go("Next"))
+        wait_for_thread(show)
         assert show.picker.env == 0
         assert show.problem == ""
 
 
-def test_playing_goes_on_to_the_end_and_begins_anew(run):
+def test_playback_stops_at_the_end_and_restarts(run):
     with viewing(run, speed=10.0) as show:
-        show.do(show.toggle)
-        until(lambda: not show.playing and show.record > 0)
+        show.post(show.toggle)
+        poll_until(lambda: not show.playing and show.record > 0)
         assert show.record == 200
         assert show.problem == ""
         show.speed_input.value = "0.001"
-        show.do(show.toggle)
-        settle(show)
+        show.post(show.toggle)
+        wait_for_thread(show)
         assert show.playing
         assert show.record < 100
-        show.do(show.toggle)
-        settle(show)
+        show.post(show.toggle)
+        wait_for_thread(show)
         assert not show.playing
         show.speed_input.value = "1e9"
-        settle(show)
+        wait_for_thread(show)
         assert show.problem == "the speed must be from 0.001 to 1000, got 1e+09"
 
 
 @pytest.mark.slow
-def test_a_running_run_is_followed(tmp_path):
+def test_view_follows_a_running_run(tmp_path):
     path = runs.study(tmp_path)
     folder = tmp_path / "run"
     words = (path, "--out", folder, "--shard", 4, "--device", "cpu", "--checkpoint", 0)
-    code, _, err = runs.run(*words, first=runs.ending_after(5))
+    code, _, err = runs.run(*words, first=runs.kill_at_commit(5))
     assert code == -signal.SIGKILL, err
     frames = runs.records(folder)[0]["frames"]
     assert 0 < frames < 201
@@ -120,37 +120,37 @@ def test_a_running_run_is_followed(tmp_path):
         assert show.source.envs.tolist() == [0, 1, 2, 3]
         assert len(show._drawing.times) == frames
         assert "stopped" in show._status.content
-        show.do(lambda: show._walk("Last"))
-        settle(show)
+        show.post(lambda: show._walk("Last"))
+        wait_for_thread(show)
         code, _, err = runs.run("--resume", "--out", folder)
         assert code == 0, err
-        until(lambda: show.source.state == "finished")
-        settle(show)
+        poll_until(lambda: show.source.state == "finished")
+        wait_for_thread(show)
         assert show.source.envs.tolist() == list(range(10))
         assert len(show._drawing.times) == 201
         # Who looked at the last record looks at the last one there is now.
         assert show.record == 200
         show.picker.input.value = 9
-        settle(show)
+        wait_for_thread(show)
         assert show.picker.env == 9
         assert show.problem == ""
 
 
 @pytest.mark.slow
-def test_a_run_of_which_nothing_is_committed_is_waited_for(tmp_path):
+def test_view_waits_for_the_first_commit(tmp_path):
     folder = tmp_path / "run"
     path = runs.study(tmp_path)
     code, _, err = runs.run(
-        path, "--out", folder, "--shard", 4, "--device", "cpu", first=runs.ending_after(1, "before")
+        path, "--out", folder, "--shard", 4, "--device", "cpu", first=runs.kill_at_commit(1, "before")
     )
     assert code == -signal.SIGKILL, err
     with viewing(folder) as show:
         assert show.picker.env is None
         assert "nothing is committed" in show._status.content
-        show.do(show.toggle)
-        show.do(show._look)
-        show.do(lambda: show.picker._go("Next"))
-        settle(show)
+        show.post(show.toggle)
+        show.post(show._look)
+        show.post(lambda: show.picker._go("Next"))
+        wait_for_thread(show)
         assert show.problem == "there are none yet"
 
 
@@ -165,21 +165,21 @@ def test_failed_environments_are_marked(tmp_path):
     assert wc.open_run(tmp_path / "run").health.frozen.tolist() == [3, 8]
     with viewing(tmp_path / "run") as show:
         for env in (3, 8, 3):
-            show.do(lambda: show.picker._go("Next frozen"))
-            settle(show)
+            show.post(lambda: show.picker._go("Next frozen"))
+            wait_for_thread(show)
             assert show.picker.env == env
             assert "TOO_FAST" in show.picker._text.content
             assert "2 frozen" in show.picker._text.content
 
 
-def test_a_recording_is_replayed():
+def test_recording_is_replayed():
     simulation = ball_on_ground()
     recording = simulation.run(0.05, record=["touch.gap", "touch.normal_force", "touch.normal", "touch.point"])
     with viewing(recording) as show:
         show.picker.input.value = 2
         show.gaps_input.value = True
         show.time_input.value = 0.05
-        settle(show)
+        wait_for_thread(show)
         arrows, _ = show.stage._touches[0]
         assert arrows.visible
         start, end = arrows.points[0]
@@ -190,40 +190,40 @@ def test_a_recording_is_replayed():
         red, green, blue = ball.nodes[0].batched_colors[0].tolist()
         assert red > green > blue  # it lies in the ground a little
         show.forces_input.value = False
-        settle(show)
+        wait_for_thread(show)
         assert not arrows.visible
         assert show.problem == ""
     with pytest.raises(ValueError, match="does not know its scene"):
         wc.view(recording.isel(env=[0]), port=0, block=False)
 
 
-def test_a_simulation_goes_on_with_a_parameter_that_was_changed():
+def test_simulation_continues_with_a_changed_parameter():
     simulation = ball_on_ground()
     with viewing(simulation) as show:
-        show.do(show.toggle)
-        until(lambda: simulation.time > 0.3)
-        show.do(show.pause)
-        settle(show)
+        show.post(show.toggle)
+        poll_until(lambda: simulation.time > 0.3)
+        show.post(show.pause)
+        wait_for_thread(show)
 
         def force():
             found = []
-            show.do(lambda: found.append(simulation.model.sensor("touch.normal_force")))
-            settle(show)
+            show.post(lambda: found.append(simulation.model.sensor("touch.normal_force")))
+            wait_for_thread(show)
             return found[0]
 
         # It came to rest: a damped oscillation of 20 periods.
         np.testing.assert_allclose(force(), WEIGHT, rtol=1e-6)
         show.picker.input.value = 1
-        settle(show)
-        show.do(lambda: show.parameters._choose(_label(show, "ball.mass")))
-        settle(show)
+        wait_for_thread(show)
+        show.post(lambda: show.parameters._choose(_label(show, "ball.mass")))
+        wait_for_thread(show)
         assert show.parameters.field.value == "1"
         show.parameters.field.value = "3"
-        show.do(show.parameters._set_one)
-        show.do(show.toggle)
-        until(lambda: simulation.time > 0.8)
-        show.do(show.pause)
-        settle(show)
+        show.post(show.parameters._set_one)
+        show.post(show.toggle)
+        poll_until(lambda: simulation.time > 0.8)
+        show.post(show.pause)
+        wait_for_thread(show)
         np.testing.assert_allclose(force(), [WEIGHT, 3 * WEIGHT, WEIGHT], rtol=1e-5)
         assert f"{3 * WEIGHT:.5}"[:4] in show._sensors.content
         assert "environment 1: ball.mass = 3" in show.parameters._result.content
@@ -234,60 +234,60 @@ def _label(show, name):
     return next(label for label, own in show.parameters._names.items() if own == name)
 
 
-def test_a_bad_value_is_told_and_the_simulation_goes_on():
+def test_invalid_value_is_reported_and_the_simulation_continues():
     simulation = ball_on_ground()
     with viewing(simulation) as show:
-        show.do(show.toggle)
-        show.do(lambda: show.parameters._choose(_label(show, "ball.mass")))
-        settle(show)
+        show.post(show.toggle)
+        show.post(lambda: show.parameters._choose(_label(show, "ball.mass")))
+        wait_for_thread(show)
         show.parameters.field.value = "-<b>1"
-        show.do(show.parameters._set_one)
-        settle(show)
+        show.post(show.parameters._set_one)
+        wait_for_thread(show)
         assert show.problem == "ball.mass must be numbers, got '-<b>1'"
         assert "<b>" not in show._problem_text.content
         show.parameters.field.value = "-1"
-        show.do(show.parameters._set_one)
-        settle(show)
+        show.post(show.parameters._set_one)
+        wait_for_thread(show)
         assert show.problem.startswith("ball.mass must be greater than 0")
         before = simulation.time
-        until(lambda: simulation.time > before + 0.05)
+        poll_until(lambda: simulation.time > before + 0.05)
         assert show.playing
         np.testing.assert_array_equal(simulation.model["ball.mass"], 1.0)
 
 
-def test_steps_and_resets_are_of_what_was_asked_for():
+def test_step_and_reset_buttons_affect_the_selection():
     simulation = ball_on_ground()
     with viewing(simulation) as show:
         assert simulation.steps == 0
         for _ in range(3):
-            show.do(show._step)
-        settle(show)
+            show.post(show._step)
+        wait_for_thread(show)
         assert simulation.steps == 3
         assert not show.playing
         first = np.array(simulation.state.body_position.numpy())
         show.picker.input.value = 1
-        show.do(lambda: show._reset("This one"))
-        settle(show)
+        show.post(lambda: show._reset("This one"))
+        wait_for_thread(show)
         now = simulation.state.body_position.numpy()
         np.testing.assert_array_equal(now[[0, 2]], first[[0, 2]])
         assert (now[1] != first[1]).any()
-        show.do(lambda: show._reset("All"))
-        settle(show)
+        show.post(lambda: show._reset("All"))
+        wait_for_thread(show)
         assert simulation.steps == 0
         np.testing.assert_array_equal(simulation.state.body_position.numpy(), now[[1, 1, 1]])
 
 
-def test_time_follows_the_speed_that_was_asked_for():
+def test_simulated_time_follows_the_requested_speed():
     simulation = ball_on_ground(1)
     with viewing(simulation, speed=0.01) as show:
-        show.do(show.toggle)
-        until(lambda: simulation.steps >= 5)
+        show.post(show.toggle)
+        poll_until(lambda: simulation.steps >= 5)
         # Steps of 1 ms at a hundredth of the real time: 0.1 s on the wall for each, and they cannot be ahead.
         assert simulation.time < 0.5
         assert show.problem == ""
 
 
-def test_an_experiment_is_stepped_with_a_few_environments(tmp_path):
+def test_experiment_is_viewed_with_few_environments(tmp_path):
     path = runs.study(tmp_path, envs=40)
     with viewing(path) as show:
         model = show.simulation.model
@@ -298,8 +298,8 @@ def test_an_experiment_is_stepped_with_a_few_environments(tmp_path):
         )
         show.parameters.fields["ball.mass"].value = "7"
         show.parameters.fields["ball.linear_velocity"].value = "0, oops, 0"
-        show.do(show.parameters._set_all)
-        settle(show)
+        show.post(show.parameters._set_all)
+        wait_for_thread(show)
         assert show.problem == "ball.linear_velocity must be numbers, got '0, oops, 0'"
         assert model["ball.mass"][0] == 7.0
         assert "touch.gap" in show._sensors.content
@@ -307,24 +307,24 @@ def test_an_experiment_is_stepped_with_a_few_environments(tmp_path):
         assert show.simulation.model.envs == 3
 
 
-def test_what_stops_a_simulation_is_told(tmp_path):
+def test_stopped_simulation_states_its_cause(tmp_path):
     path = runs.study(tmp_path, envs=2)
     path.write_text(path.read_text() + '\n[quarantine]\npolicy = "raise"\nmax_speed = 5\n')
     with viewing(path) as show:
         show.parameters.fields["ball.linear_velocity"].value = "0, 0, 40"
-        show.do(show.parameters._set_all)
-        show.do(show.toggle)
-        until(lambda: show.problem)
-        settle(show)
+        show.post(show.parameters._set_all)
+        show.post(show.toggle)
+        poll_until(lambda: show.problem)
+        wait_for_thread(show)
         assert "environment 0 failed" in show.problem
         assert "TOO_FAST" in show.problem
         assert not show.playing
-        show.do(lambda: show.picker._go("Next frozen"))
-        settle(show)
+        show.post(lambda: show.picker._go("Next frozen"))
+        wait_for_thread(show)
         assert show.picker.env == 0
 
 
-def test_long_names_are_shown_shortened():
+def test_long_names_are_shortened_in_the_view():
     name = "x" * 200
     scene = wc.Scene()
     ground = scene.add_surface(wc.meshes.grid((4.0, 4.0)), name="ground")
@@ -333,18 +333,18 @@ def test_long_names_are_shown_shortened():
     scene.add_contact(scene.add_point(ball, (0, 0, 0), name="centre"), ground, soft, radius=0.1, name="touch")
     simulation = wc.Simulation(scene.build(1, "cpu"), dt=1e-3)
     with viewing(simulation) as show:
-        show.do(lambda: show.parameters._choose(_label(show, f"{name}.mass")))
-        settle(show)
+        show.post(lambda: show.parameters._choose(_label(show, f"{name}.mass")))
+        wait_for_thread(show)
         show.parameters.field.value = "bad"
-        show.do(show.parameters._set_one)
-        settle(show)
+        show.post(show.parameters._set_one)
+        wait_for_thread(show)
         assert "must be numbers" in show.problem
         for handle in (show._problem_text, show._sensors, show._status, show.parameters._result):
             assert len(handle.content) < 5_000
         assert max(map(len, show.parameters._names)) < 100
 
 
-def test_a_simulation_goes_on_from_the_state_that_it_is_in():
+def test_view_starts_from_the_current_state():
     simulation = wc.Simulation(two_on_ground(), dt=1e-3)
     moved = simulation.state.body_position.numpy()
     moved[:, 0, 2] = 5.0
@@ -364,7 +364,7 @@ def two_on_ground():
     return scene.build(2, "cpu")
 
 
-def test_the_page_is_on_this_machine_alone(run):
+def test_view_server_listens_on_localhost_only(run):
     with viewing(run) as show:
         port = show.server.get_port()
         assert show.server.url == f"http://127.0.0.1:{port}"
@@ -377,7 +377,7 @@ def test_the_page_is_on_this_machine_alone(run):
     assert not listens("127.0.0.1", port)
 
 
-def test_connections_that_ask_for_nothing_are_not_told_of(run, monkeypatch):
+def test_connections_without_request_are_not_logged(run, monkeypatch):
     # Browsers open some ahead; other servers of the same library still tell.
     from websockets.exceptions import InvalidMessage
 
@@ -400,7 +400,7 @@ def test_connections_that_ask_for_nothing_are_not_told_of(run, monkeypatch):
     assert not logger.filters
 
 
-def test_pages_of_others_may_not_connect(run):
+def test_connections_from_other_origins_are_refused(run):
     import msgspec
     import viser
     from viser._messages import GuiUpdateMessage
@@ -410,9 +410,9 @@ def test_pages_of_others_may_not_connect(run):
     protocol = f"viser-v{viser.__version__}"
     said = {"type": "GuiUpdateMessage", "uuid": "nobody", "updates": {"value": 1.0}}
     message = msgspec.msgpack.encode(said)
-    heard = []
+    received = []
     with viewing(run) as show:
-        show.server._websock_server.register_handler(GuiUpdateMessage, lambda _, told: heard.append(told))
+        show.server._websock_server.register_handler(GuiUpdateMessage, lambda _, message: received.append(message))
         address, port = show.server.url.replace("http", "ws"), show.server.get_port()
 
         def talk():
@@ -425,7 +425,7 @@ def test_pages_of_others_may_not_connect(run):
 
         with pytest.raises(ConnectionClosed) as caught:
             talk()
-        assert not heard
+        assert not received
         assert caught.value.rcvd.code == 1008
         with connect(
             address, subprotocols=[protocol], origin=f"http://127.0.0.1:{port}", proxy=None, max_size=None
@@ -433,7 +433,7 @@ def test_pages_of_others_may_not_connect(run):
             assert own.recv(timeout=20)
 
 
-def test_a_missing_extra_is_named_with_what_installs_it(run, monkeypatch, capsys):
+def test_missing_view_extra_is_reported_with_install_command(run, monkeypatch, capsys):
     monkeypatch.setattr(opening.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(ImportError, match=r"pip install 'warpcontact\[view\]'"):
         wc.view(run)
@@ -442,7 +442,7 @@ def test_a_missing_extra_is_named_with_what_installs_it(run, monkeypatch, capsys
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "expected_error"),
     [
         (["nowhere"], "nowhere"),
         (["--port", "70000"], "--port must be a whole number from 0 to 65535, got 70000"),
@@ -451,13 +451,13 @@ def test_a_missing_extra_is_named_with_what_installs_it(run, monkeypatch, capsys
         (["--envs", "3"], "--envs is of an experiment, got 3"),
     ],
 )
-def test_what_is_wrong_with_a_command_is_told(run, words, told, capsys):
+def test_invalid_view_arguments_are_reported(run, words, expected_error, capsys):
     target = [] if words[0] == "nowhere" else [str(run)]
     assert main(["view", *target, *words, "--no-open"]) == 2
-    assert told in capsys.readouterr().err
+    assert expected_error in capsys.readouterr().err
 
 
-def test_a_run_without_series_says_so(tmp_path, capsys):
+def test_view_of_a_run_without_series_is_refused(tmp_path, capsys):
     path = runs.study(tmp_path)
     path.write_text(path.read_text().replace("[record]\n", "[record]\nseries = false\n"))
     wc.Experiment.from_toml(path).run(tmp_path / "run", device="cpu", progress=False)
@@ -467,7 +467,7 @@ def test_a_run_without_series_says_so(tmp_path, capsys):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("live", [False, True])
-def test_ctrl_c_ends_the_command_cleanly(run, live, tmp_path):
+def test_view_command_exits_cleanly_on_interrupt(run, live, tmp_path):
     target = runs.study(tmp_path) if live else run
     command = [
         sys.executable,

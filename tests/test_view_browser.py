@@ -9,7 +9,7 @@ import pytest
 import runs
 from browser import DESKTOP, PHONE, browser
 from matplotlib.image import imread
-from viewing import ball_on_ground, settle, until, viewing
+from viewing import ball_on_ground, poll_until, viewing, wait_for_thread
 
 import warpcontact as wc
 
@@ -75,7 +75,7 @@ def check_harmless(page, url):
 
 
 @pytest.mark.smoke
-def test_a_run_is_looked_at_by_its_page(run, open_page):
+def test_view_page_replays_a_run(run, open_page):
     with viewing(run) as show, open_page(show.server.url) as page:
         ready(page)
         assert "<img src=x" in page.text()
@@ -87,7 +87,7 @@ def test_a_run_is_looked_at_by_its_page(run, open_page):
         start = page.place(slider)
         left, width = page.evaluate(f"(r => [r.x, r.width])({slider}.parentElement.getBoundingClientRect())")
         page.drag(start, (left + 0.5 * width, start[1]))
-        until(lambda: 80 <= show.record <= 120)
+        poll_until(lambda: 80 <= show.record <= 120)
         page.wait_for(f"document.body.innerText.includes('record {show.record + 1} of 201')")
         assert float(page.evaluate(f"{slider}.ariaValueNow")) == pytest.approx(show.time_input.value, abs=1e-6)
         assert np.abs(picture(page) - first).max() > 0.3, "what moved is drawn where it was"
@@ -96,8 +96,8 @@ def test_a_run_is_looked_at_by_its_page(run, open_page):
         (client,) = show.server.get_clients().values()
         place, look_at = client.camera.position, client.camera.look_at
         page.click(button("Next"))
-        until(lambda: show.picker.env == 1)
-        settle(show)
+        poll_until(lambda: show.picker.env == 1)
+        wait_for_thread(show)
         balls = wc.open_run(run).recording["ball.position"].values[[0, show.record], [0, 1]]
         np.testing.assert_allclose(client.camera.look_at - look_at, balls[1] - balls[0], atol=1e-6)
         np.testing.assert_allclose(client.camera.position - place, balls[1] - balls[0], atol=1e-6)
@@ -107,26 +107,26 @@ def test_a_run_is_looked_at_by_its_page(run, open_page):
 
         # Play, and pause.
         page.click(button("First"))
-        until(lambda: show.record == 0)
+        poll_until(lambda: show.record == 0)
         show.speed = 0.01
         page.click(button("Play"))
-        until(lambda: show.record > 1)
+        poll_until(lambda: show.record > 1)
         page.click(button("Pause"))
-        until(lambda: not show.playing)
+        poll_until(lambda: not show.playing)
         assert show.problem == ""
         check_harmless(page, show.server.url)
 
 
-def test_arrows_and_colours_are_seen(open_page):
+def test_view_page_draws_arrows_and_colors(open_page):
     simulation = ball_on_ground()
     simulation.step(400)
     with viewing(simulation) as show, open_page(show.server.url) as page:
         ready(page)
         show.length_input.value = 3.0
-        settle(show)
+        wait_for_thread(show)
         arrow = picture(page)
         page.click(labelled("Forces"))
-        until(lambda: not show.stage.forces)
+        poll_until(lambda: not show.stage.forces)
         bare = picture(page)
         gone = np.abs(arrow - bare).max(axis=2) > 0.1
         # An arrow upwards, out of the ball in the middle of the picture: higher than wide.
@@ -135,7 +135,7 @@ def test_arrows_and_colours_are_seen(open_page):
         red, green, blue = np.median(arrow[gone], axis=0)
         assert red > green > blue
         page.click(labelled("Gaps"))
-        until(lambda: show.stage.gaps)
+        poll_until(lambda: show.stage.gaps)
         colored = picture(page)
         ball = np.abs(colored - bare).max(axis=2) > 0.1
         # It touches: from blue to pale red.
@@ -147,15 +147,15 @@ def test_arrows_and_colours_are_seen(open_page):
 
 
 @pytest.mark.smoke
-def test_a_parameter_is_changed_on_the_page_and_the_simulation_goes_on(tmp_path, open_page):
+def test_view_page_changes_a_parameter_of_a_running_simulation(tmp_path, open_page):
     path = runs.study(tmp_path, envs=3)
     with viewing(path) as show, open_page(show.server.url) as page:
         model = show.simulation.model
         ready(page)
         page.click(button("Play"))
-        until(lambda: show.simulation.time > 0.1)
+        poll_until(lambda: show.simulation.time > 0.1)
         page.click(button("Next"))
-        until(lambda: show.picker.env == 1)
+        poll_until(lambda: show.picker.env == 1)
 
         def enter(text, answer):
             # A field that the page has just made anew may lose what is typed: a user types again.
@@ -170,17 +170,17 @@ def test_a_parameter_is_changed_on_the_page_and_the_simulation_goes_on(tmp_path,
 
         enter("heavy", "ball.mass must be numbers")
         before = show.simulation.time
-        until(lambda: show.simulation.time > before)
+        poll_until(lambda: show.simulation.time > before)
         enter("25", "environment 1: ball.mass = 25")
         assert model["ball.mass"][1] == 25.0
         assert (np.delete(model["ball.mass"], 1) < 2.0).all()
         assert "must be numbers" not in page.text()
         before = show.simulation.time
-        until(lambda: show.simulation.time > before)
+        poll_until(lambda: show.simulation.time > before)
         # The energy that the page tells is that of the new mass.
         page.click(button("Pause"))
-        until(lambda: not show.playing)
-        settle(show)
+        poll_until(lambda: not show.playing)
+        wait_for_thread(show)
         energy = model.sensor("scene.kinetic_energy")[1]
         speed = np.linalg.norm(model.sensor("ball.linear_velocity")[1])
         spin = np.linalg.norm(model.sensor("ball.angular_velocity")[1])
@@ -189,12 +189,12 @@ def test_a_parameter_is_changed_on_the_page_and_the_simulation_goes_on(tmp_path,
         page.wait_for(f"document.body.innerText.includes('{energy:.6g} J')")
         steps = show.simulation.steps
         page.click(button("Step"))
-        until(lambda: show.simulation.steps == steps + 1)
+        poll_until(lambda: show.simulation.steps == steps + 1)
         check_harmless(page, show.server.url)
 
 
 @pytest.mark.parametrize("size", [DESKTOP, PHONE])
-def test_a_page_can_be_read_at_any_size(run, size, open_page):
+def test_view_page_fits_any_screen_size(run, size, open_page):
     with viewing(run) as show, open_page(show.server.url, size=size) as page:
         ready(page)
         assert page.evaluate("document.documentElement.scrollWidth") <= size[0]

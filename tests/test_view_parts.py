@@ -9,12 +9,12 @@ from warpcontact.replay.colors import GAPS, gap_colors
 from warpcontact.replay.drawing import Shape
 from warpcontact.viewer.page import LONGEST, gap_legend, is_own, message, shortened, table
 from warpcontact.viewer.stage import by_color, is_same
-from warpcontact.viewer.values import ParameterText, spoken
+from warpcontact.viewer.values import ParameterText, value_text
 
 HOSTILE = ("<script>alert(1)</script>", '"><img src=x onerror=alert(1)>', "[a](javascript:alert(1))", "🦀\u202e\0")
 
 
-def test_gaps_are_red_inside_pale_in_touch_blue_away_and_grey_where_unknown():
+def test_gap_colors_are_red_in_overlap_pale_in_contact_blue_apart_and_gray_if_unknown():
     inside, touching, away, unknown = gap_colors(np.array([-1.0, 0.0, 10.0, np.nan]), 0.02, 0.5)
     assert inside[0] > 0.65 > 0.2 > inside[1:].max()
     assert touching.min() > 0.95
@@ -25,14 +25,14 @@ def test_gaps_are_red_inside_pale_in_touch_blue_away_and_grey_where_unknown():
     assert np.abs(np.diff(along, axis=0)).max() <= 2 / 255
 
 
-def test_the_legend_of_gaps_has_its_colours_and_ends():
+def test_gap_legend_has_its_colors_and_ends():
     legend = gap_legend(0.004, 0.2)
     assert all(f"rgb{color}" in legend for _, color in GAPS)
     assert "−0.004 m" in legend
     assert "0.2 m" in legend
 
 
-def test_a_shape_of_several_colours_is_drawn_with_all_its_faces():
+def test_multicolored_shape_is_drawn_with_all_faces():
     mesh = wc.meshes.grid((1.0, 1.0), (3, 2))
     red, blue = np.array([1.0, 0, 0]), np.array([0, 0, 1.0])
     colors = np.where(np.arange(len(mesh.faces))[:, None] < 5, red, blue)
@@ -43,7 +43,7 @@ def test_a_shape_of_several_colours_is_drawn_with_all_its_faces():
     assert {len(faces) for _, faces, _ in parts} == {5, len(mesh.faces) - 5}
 
 
-def test_shapes_are_the_same_by_what_they_look_like():
+def test_shapes_are_compared_by_their_geometry_and_colors():
     mesh = wc.meshes.icosphere(1.0, 1)
     shape = Shape(mesh.vertices, mesh.faces)
     assert is_same(shape, Shape(mesh.vertices.copy(), mesh.faces.copy()))
@@ -53,21 +53,21 @@ def test_shapes_are_the_same_by_what_they_look_like():
 
 
 @pytest.mark.parametrize("text", HOSTILE)
-def test_text_on_a_page_is_only_text(text):
+def test_page_text_is_escaped(text):
     for written in (table([(text, text)]), message(text), message(text, bad=True)):
         assert "<script" not in written
         assert "<img" not in written
         assert written.count("<") == written.count(">")
 
 
-def test_long_text_is_cut():
+def test_long_text_is_truncated():
     long = "<b>" * 4000
     assert len(shortened(long)) == LONGEST
     assert len(table([(long, long)])) < 1500
     assert shortened("a\n b\tc") == "a b c"
 
 
-def test_only_the_page_itself_may_connect():
+def test_only_connections_of_the_page_itself_are_accepted():
     assert is_own("127.0.0.1:8080", "http://127.0.0.1:8080")
     assert is_own("localhost:9000", "http://localhost:9000")  # through a tunnel of the user's
     assert is_own("127.0.0.1:8080", None)  # no browser
@@ -80,15 +80,15 @@ def test_only_the_page_itself_may_connect():
     assert not is_own(None, None)
 
 
-def test_values_are_told_in_words():
-    assert spoken(0.1) == "0.1"
-    assert spoken(np.array([1.0, 2.5, -3e-7])) == "1, 2.5, -3e-07"
-    assert spoken(np.arange(100.0)) == "100 numbers, 0 to 99"
-    assert spoken(np.array([np.nan] * 20)) == "20 numbers"
-    assert spoken(np.int32(1), {"flag_values": [0, 1], "flag_meanings": "OPEN CONTACT"}) == "CONTACT"
+def test_values_are_formatted_as_text():
+    assert value_text(0.1) == "0.1"
+    assert value_text(np.array([1.0, 2.5, -3e-7])) == "1, 2.5, -3e-07"
+    assert value_text(np.arange(100.0)) == "100 numbers, 0 to 99"
+    assert value_text(np.array([np.nan] * 20)) == "20 numbers"
+    assert value_text(np.int32(1), {"flag_values": [0, 1], "flag_meanings": "OPEN CONTACT"}) == "CONTACT"
 
 
-def test_a_parameter_of_one_environment_is_set_and_no_other():
+def test_parameter_text_sets_one_environment_only():
     model = ball_on_ground().model
     mass = ParameterText(model, "ball.mass")
     before = model["ball.mass"].copy()
@@ -104,7 +104,7 @@ def test_a_parameter_of_one_environment_is_set_and_no_other():
     assert not mass.is_initial
 
 
-def test_inertia_is_written_as_a_diagonal_or_in_full():
+def test_inertia_text_is_a_diagonal_or_a_full_tensor():
     model = ball_on_ground().model  # three environments: the shape of one tensor is that of a diagonal of each
     inertia = ParameterText(model, "ball.inertia")
     inertia.write(0, "1e-3 2e-3 2.5e-3")
@@ -115,7 +115,7 @@ def test_inertia_is_written_as_a_diagonal_or_in_full():
     assert inertia.read(1).count(",") == 8
 
 
-def test_what_was_read_is_the_same_when_written():
+def test_parameter_text_round_trips():
     model = ball_on_ground().model
     value = 1.0 / 3.0 + 2.0**-50
     model["ball.mass"] = value
@@ -125,7 +125,7 @@ def test_what_was_read_is_the_same_when_written():
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "expected_error"),
     [
         ("heavy", "ball.mass must be numbers, got 'heavy'"),
         ("", "ball.mass must be 1 number, got 0"),
@@ -135,15 +135,15 @@ def test_what_was_read_is_the_same_when_written():
         ("<b>" * 4000, "ball.mass must be numbers"),
     ],
 )
-def test_bad_values_are_told_and_change_nothing(text, told):
+def test_invalid_parameter_text_is_refused_without_changes(text, expected_error):
     model = ball_on_ground().model
-    with pytest.raises(ValueError, match=told.replace("(", r"\(")) as caught:
+    with pytest.raises(ValueError, match=expected_error.replace("(", r"\(")) as caught:
         ParameterText(model, "ball.mass").write(1, text)
     assert len(str(caught.value)) < 300
     np.testing.assert_array_equal(model["ball.mass"], [1.0, 1.0, 1.0])
 
 
-def test_items_of_a_set_are_set_one_by_one_or_all():
+def test_items_of_a_set_are_edited_individually_or_together():
     scene = wc.Scene()
     body = scene.add_body(1.0, (1.0, 1.0, 1.0), name="body")
     scene.add_points(body, np.eye(3), name="feet")

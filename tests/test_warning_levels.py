@@ -9,9 +9,9 @@ from scenes import dropped_sphere
 
 import warpcontact as wc
 from warpcontact.contact_warning import labeled, split_label
-from warpcontact.experiment.notices import Notices
+from warpcontact.experiment.notices import WarningLog
 from warpcontact.meshes.report import MeshReport, RepairStep
-from warpcontact.remarks import HARMLESS, MISSED, Remarks
+from warpcontact.remarks import MAX_HARMLESS_RESIDUAL, MAX_TOLERABLE_RESIDUAL, RunWarnings
 from warpcontact.run_report import facts
 
 NOTE, CAUTION, ERROR = wc.WarningLevel.NOTE, wc.WarningLevel.CAUTION, wc.WarningLevel.ERROR
@@ -67,7 +67,7 @@ class Solved:
         # The first environment has one without a failure.
         return np.array([0.9, self.residual])
 
-    def forget_residuals(self):
+    def reset_residuals(self):
         pass
 
 
@@ -75,14 +75,14 @@ class Solved:
     ("residual", "level", "advice"),
     [
         (1e-6, NOTE, "0.0001 % of their size, which is harmless; a larger tolerance"),
-        (HARMLESS, NOTE, "0.1 % of their size, which is harmless"),
-        (2 * HARMLESS, CAUTION, "0.2 % of their size. Give the integrator more iterations"),
-        (2 * MISSED, ERROR, "20 % of their size. Give the integrator more iterations"),
+        (MAX_HARMLESS_RESIDUAL, NOTE, "0.1 % of their size, which is harmless"),
+        (2 * MAX_HARMLESS_RESIDUAL, CAUTION, "0.2 % of their size. Give the integrator more iterations"),
+        (2 * MAX_TOLERABLE_RESIDUAL, ERROR, "20 % of their size. Give the integrator more iterations"),
     ],
 )
 def test_missed_tolerance_is_rated_by_the_largest_residual(residual, level, advice):
     model = Solved(residual)
-    remarks = Remarks(model)
+    remarks = RunWarnings(model)
     assert remarks.new() == []
     model.failures = np.array([0, 5], np.int32)
     (warning,) = remarks.new()
@@ -92,22 +92,22 @@ def test_missed_tolerance_is_rated_by_the_largest_residual(residual, level, advi
     assert advice in str(warning)
 
 
-def test_notices_of_a_run_have_levels():
-    told = []
-    notices = Notices(told.append)
+def test_run_warnings_have_levels():
+    messages = []
+    notices = WarningLog(messages.append)
     step = RepairStep("merge", 2, 0.0, "2 vertices were joined")
     notices.add_mesh("a.obj", MeshReport("a", repairs=(step,), warnings=("the surface is open",)))
     notices.add(wc.RunWarning("1 of 2 environments turned non-finite", ERROR))
     notices.add(wc.RunWarning("1 of 2 environments turned non-finite", ERROR))
-    assert told == notices.lines
-    assert told == [
+    assert messages == notices.lines
+    assert messages == [
         "note: mesh file 'a.obj': 2 vertices were joined",
         "caution: mesh file 'a.obj': the surface is open",
         "error: 1 of 2 environments turned non-finite",
     ]
 
 
-def test_report_labels_warnings_and_those_of_earlier_versions():
+def test_report_labels_warning_levels_including_earlier_versions():
     summary = {"envs": 1, "warnings": ["error: <b>frozen</b>", "touch: of an earlier version", {"no": "text"}]}
     page = str(facts.notices(summary, SimpleNamespace(state="finished")))
     assert "<b>Error: </b>&lt;b&gt;frozen" in page

@@ -9,14 +9,14 @@ from scipy.spatial import ConvexHull, KDTree
 from scipy.special import gamma
 from warpcontact.kernels.laws.undamped import contact_time, greatest_penetration
 from warpcontact.kernels.roots import root_between
-from warpcontact.kernels.types import SIDES_ABOVE
+from warpcontact.kernels.types import SIDE_KNOWN_INSIDE_WALLS
 
 from warpcontact.meshes import Mesh
-from warpcontact.meshes.topology import components, meets_another
-from warpcontact.patches import make_patch
+from warpcontact.meshes.topology import components, has_near_neighbor
+from warpcontact.patches import make_query_mesh
 
 
-def test_roots_are_those_of_scipy_to_the_bit():
+def test_bracketed_roots_are_bitwise_identical_to_scipy():
     power = np.linspace(0.3, 9.0, 1001)
     for lower, upper in ((0.0, 4.0), (0.0, power + 2.0), (1.0 / (power + 1.0), 100.0)):
 
@@ -30,7 +30,7 @@ def test_roots_are_those_of_scipy_to_the_bit():
     assert root_between("root", lambda x: x - 1.0, 0.0, 1.0) == 1.0  # at an end
 
 
-def test_there_is_no_root_without_a_change_of_sign():
+def test_bracketed_root_requires_a_change_of_sign():
     with pytest.raises(
         RuntimeError, match="no depth found between 0 and 1: the values there are -2 and -1, and must"
     ):
@@ -39,7 +39,7 @@ def test_there_is_no_root_without_a_change_of_sign():
         root_between("depth", lambda x: np.full_like(x, np.nan), 0.0, 1.0)
 
 
-def test_contact_times_are_those_with_the_gamma_function_of_scipy():
+def test_contact_times_match_gamma_function_of_scipy():
     n = np.random.default_rng(0).uniform(1.0, 4.0, (7, 5))
     factor = 2.0 * np.sqrt(np.pi) * gamma(1.0 + 1.0 / (n + 1.0)) / gamma(0.5 + 1.0 / (n + 1.0))
     expected = factor * greatest_penetration(1e5, n, 0.3, 2.0) / 2.0
@@ -50,7 +50,7 @@ def test_contact_times_are_those_with_the_gamma_function_of_scipy():
 
 @pytest.mark.parametrize("count", [1, 2, 50, 3000])
 @pytest.mark.parametrize("share", [0.0, 0.4, 0.6, 2.0])
-def test_connected_parts_are_those_of_scipy_and_numbered_by_their_first_items(count, share):
+def test_connected_components_match_scipy_in_order_of_first_items(count, share):
     rng = np.random.default_rng(count)
     chain = rng.permutation(count)
     star = np.column_stack([np.full(count, count - 1), np.arange(count)])  # about its last item
@@ -65,7 +65,7 @@ def test_connected_parts_are_those_of_scipy_and_numbered_by_their_first_items(co
 
 @pytest.mark.parametrize("offset", [0.0, 1e5])
 @pytest.mark.parametrize("seed", range(10))
-def test_points_near_another_are_those_of_a_tree(seed, offset):
+def test_close_points_match_kd_tree(seed, offset):
     rng = np.random.default_rng(seed)
     points = rng.uniform(size=(40 * seed + 2, 3)).round(2)  # many of them level with another
     near = points[:: rng.integers(1, 9)]
@@ -73,25 +73,29 @@ def test_points_near_another_are_those_of_a_tree(seed, offset):
     distances, _ = KDTree(points).query(points, k=2, distance_upper_bound=2e-6)
     expected = np.isfinite(distances[:, 1])
     assert 0 < expected.sum() < len(expected)
-    np.testing.assert_array_equal(meets_another(points, 2e-6), expected)
-    assert not meets_another(points[:0], 1.0).any()
+    np.testing.assert_array_equal(has_near_neighbor(points, 2e-6), expected)
+    assert not has_near_neighbor(points[:0], 1.0).any()
 
 
 @pytest.mark.parametrize("corners", [3, 4, 100])
-def test_walls_over_a_rim_are_the_hull_of_it(corners):
+def test_walls_over_a_polygonal_boundary_are_its_hull(corners):
     # A bowl over a polygon, in any position; the sides of the polygon have more vertices than its ends.
     angle = 2.0 * np.pi * np.arange(corners) / corners
     ring = np.column_stack([np.cos(angle), np.sin(angle)])
-    rim = np.concatenate([a + t * (b - a) for a, b in zip(ring, np.roll(ring, -1, axis=0), strict=True)
+    boundary_points = np.concatenate([a + t * (b - a) for a, b in zip(ring, np.roll(ring, -1, axis=0), strict=True)
                           for t in ((0.0,), (0.3,), (0.8,))]).reshape(-1, 2)  # fmt: skip
     turned = np.linalg.qr(np.random.default_rng(corners).normal(size=(3, 3)))[0]
     turned *= np.sign(np.linalg.det(turned))
-    vertices = np.column_stack([np.vstack([rim, np.zeros(2)]), np.append(np.zeros(len(rim)), -0.3)])
+    vertices = np.column_stack(
+        [np.vstack([boundary_points, np.zeros(2)]), np.append(np.zeros(len(boundary_points)), -0.3)]
+    )
     vertices = vertices @ turned.T + (3.0, -2.0, 5.0)
-    start = np.arange(len(rim))
-    bowl = Mesh(vertices, np.column_stack([start, np.roll(start, -1), np.full(len(rim), len(rim))]))
-    sides = make_patch(bowl, np.ones(len(rim), dtype=bool), np.zeros(3), only_active=False).sides
-    assert sides.kind == SIDES_ABOVE
+    start = np.arange(len(boundary_points))
+    bowl = Mesh(
+        vertices, np.column_stack([start, np.roll(start, -1), np.full(len(boundary_points), len(boundary_points))])
+    )
+    sides = make_query_mesh(bowl, np.ones(len(boundary_points), dtype=bool), np.zeros(3), only_active=False).sides
+    assert sides.kind == SIDE_KNOWN_INSIDE_WALLS
     assert len(sides.normal) == corners
 
     flat = (vertices[:-1] - (3.0, -2.0, 5.0)) @ turned[:, :2]
@@ -121,9 +125,9 @@ def terrain(size, noise, turns):
 @pytest.mark.parametrize("noise", [0.0, 1e-17, 1e-16, 1e-15, 1e-14])
 @pytest.mark.parametrize("turns", [(), (0.25 * np.pi,) * 2, (np.pi / 6, -np.pi / 6), (0.3,)])
 @pytest.mark.parametrize("size", [3, 8, 21])
-def test_sides_of_a_rim_may_be_straight_but_for_rounding(size, turns, noise):
+def test_nearly_straight_boundary_has_four_sides(size, turns, noise):
     """Also along the axes, where rounding alone tells which vertex is first."""
     mesh = terrain(size, noise, turns)
-    sides = make_patch(mesh, np.ones(len(mesh.faces), dtype=bool), np.zeros(3), only_active=False).sides
-    assert sides.kind == SIDES_ABOVE
+    sides = make_query_mesh(mesh, np.ones(len(mesh.faces), dtype=bool), np.zeros(3), only_active=False).sides
+    assert sides.kind == SIDE_KNOWN_INSIDE_WALLS
     assert len(sides.normal) == 4

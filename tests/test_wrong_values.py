@@ -125,34 +125,34 @@ def refused(call, name, *context):
 
 
 @pytest.mark.parametrize("name", OF_SCENE)
-def test_scene_refuses_values_that_are_no_numbers(name, scene):
+def test_scene_refuses_non_numeric_values(name, scene):
     assert refused(OF_SCENE[name], name, scene) == []
 
 
 @pytest.mark.parametrize("name", OTHERS)
-def test_formulas_and_meshes_refuse_values_that_are_no_numbers(name):
+def test_formulas_and_meshes_refuse_non_numeric_values(name):
     assert refused(OTHERS[name], name) == []
 
 
 @pytest.mark.parametrize("name", OF_MODEL)
-def test_model_refuses_values_that_are_no_numbers(name, model):
+def test_model_refuses_non_numeric_values(name, model):
     assert refused(OF_MODEL[name], name, model) == []
 
 
 @pytest.mark.parametrize("value", [np.array(2.0), np.float32(2.0), np.int64(2), [np.array(2)], 2])
-def test_numbers_of_numpy_are_numbers(value, model):
+def test_numpy_scalars_are_accepted(value, model):
     model["ball.mass"] = value
     assert model["ball.mass"] == 2.0
 
 
 @pytest.mark.parametrize("value", [True, [True], np.array(True), 1, 1.0])
-def test_switches_take_booleans_and_numbers(value, model):
+def test_boolean_parameters_accept_booleans_and_numbers(value, model):
     model["touch.enabled"] = value
     assert model["touch.enabled"] == 1.0
 
 
 @pytest.mark.parametrize("value", [True, np.array(True), np.array(object()), 1.0j, "1", [[0]], 0.5])
-def test_numbers_of_environments_are_whole_numbers(value, model, tmp_path):
+def test_environment_numbers_must_be_integers(value, model, tmp_path):
     recording = wc.Simulation(model, 1e-3).run(2e-3, ["touch.gap"])
     for draw in (wc.export_usd, wc.render):
         with pytest.raises((TypeError, ValueError), match=r"^envs? must be "):
@@ -160,27 +160,27 @@ def test_numbers_of_environments_are_whole_numbers(value, model, tmp_path):
 
 
 @pytest.mark.parametrize("value", [None, "1", 2, [1.0, True], [[True], [True, False]]])
-def test_switches_refuse_other_values(value, model):
+def test_boolean_parameters_refuse_other_values(value, model):
     with pytest.raises(ValueError, match=r"^touch\.enabled(\[\])? must be "):
         model["touch.enabled"] = value
 
 
 @pytest.mark.parametrize("name", [3, None, ["ball.mass"], ("ball", "mass"), slice(2)])
-def test_names_that_are_no_strings_are_refused(name, model):
+def test_names_that_are_not_strings_are_refused(name, model):
     for call in (model.__getitem__, model.sensor, lambda one: model.__setitem__(one, 1.0)):
         with pytest.raises(TypeError, match=r"^name of a (parameter|sensor) must be a string, .*got "):
             call(name)
 
 
 @pytest.mark.parametrize("copied", [pickle.dumps, copy.copy, copy.deepcopy])
-def test_models_and_simulations_refuse_copies(copied, model):
+def test_models_and_simulations_cannot_be_pickled_or_copied(copied, model):
     with pytest.raises(TypeError, match=r"^a Model must not be pickled or copied, .*scene\.build"):
         copied(model)
     with pytest.raises(TypeError, match=r"^a Simulation must not be pickled or copied, .*simulation\.save"):
         copied(wc.Simulation(model, 1e-3))
 
 
-def test_scenes_are_pickled(model):
+def test_scenes_can_be_pickled(model):
     built = pickle.loads(pickle.dumps(model.scene)).build(envs=2, device=str(model.device))
     assert list(built) == list(model)
     np.testing.assert_array_equal(built["touch.law.stiffness"], 1e4)

@@ -21,21 +21,21 @@ def make_run(folder, **replaced):
 def viewing(target, **options):
     """Shows ``target`` on a page; yields what is behind it, when it has begun."""
     with wc.view(target, port=0, block=False, device="cpu", **options) as viewer:
-        settle(viewer.show)
+        wait_for_thread(viewer.show)
         yield viewer.show
 
 
-def settle(show):
+def wait_for_thread(show):
     """Waits until the thread has done all that it was asked so far, and shows it."""
     done = threading.Event()
     show.do(done.set)
     # The first time it compiles, on whatever machine.
     assert done.wait(900.0), "the thread of the page does not answer"
     seen = show.pictures
-    until(lambda: show.pictures > seen)
+    poll_until(lambda: show.pictures > seen)
 
 
-def until(holds, timeout=60.0):
+def poll_until(holds, timeout=60.0):
     """Waits until ``holds()``."""
     end = time.monotonic() + timeout
     while not holds():

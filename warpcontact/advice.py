@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpcontact.checks import Array
-from warpcontact.clearance import is_clear
-from warpcontact.contact_coupling_advice import contact_coupling_advice
-from warpcontact.couplings.advice import coupling_advice
-from warpcontact.friction_advice import LOOKED_AT, USUAL_SPEED, friction_advice
+from warpcontact.clearance import starts_clear
+from warpcontact.contact_coupling_advice import contact_coupling_warnings
+from warpcontact.couplings.advice import coupling_warnings
+from warpcontact.friction_advice import MAX_CHECKED_ENVS, TYPICAL_SPEED, friction_warnings
 from warpcontact.kernels.laws.undamped import contact_time, greatest_penetration
 from warpcontact.kernels.types import CONTACT
-from warpcontact.mobility import LEAST_MOBILITY, mobility_of
+from warpcontact.mobility import MIN_MOBILITY, mobility_of
 
 if TYPE_CHECKING:
     from warpcontact.elements import Body
@@ -20,15 +20,15 @@ if TYPE_CHECKING:
     from warpcontact.piles.elements import ParticleContact
     from warpcontact.scene import Contact
     from warpcontact.smooth.elements import ShapeContact
-    from warpcontact.unilateral.hard_contacts import HardContacts
+    from warpcontact.unilateral.hard_contacts import NonsmoothContacts
 
 # Steps per contact time from which on the restitution of a smooth law is kept to about 1e-3.
-ENOUGH_STEPS = 20.0
+MIN_STEPS_PER_CONTACT = 20.0
 # Likewise in a pile, to about 1e-2: its impacts are many, and single ones matter less.
-ENOUGH_IN_PILES = 10.0
+MIN_STEPS_PER_PARTICLE_CONTACT = 10.0
 
 
-def level_outside() -> int:
+def caller_stacklevel() -> int:
     """Returns the ``stacklevel`` with which its caller warns of what was called from outside this package."""
     level, frame = 1, sys._getframe(1)
     while frame.f_back is not None and frame.f_globals["__name__"].partition(".")[0] == "warpcontact":
@@ -36,7 +36,9 @@ def level_outside() -> int:
     return level
 
 
-def to_search(model: "Environments", hard: "HardContacts | None") -> "frozenset[Contact] | None":
+def contacts_to_evaluate(
+    model: "Environments", nonsmooth: "NonsmoothContacts | None"
+) -> "frozenset[Contact] | None":
     """Returns the contacts of points that ``advice`` searches for overlap; ``None``: it evaluates nothing at all.
 
     Left out are those that bounds tell to be clear, and those whose overlap is all the same.
@@ -45,60 +47,64 @@ def to_search(model: "Environments", hard: "HardContacts | None") -> "frozenset[
     found = frozenset(
         contact
         for contact in scene.contacts
-        if (envs := _envs_of(model, contact, hard)) and not is_clear(model, contact, envs)
+        if (envs := _evaluated_envs(model, contact, nonsmooth)) and not starts_clear(model, contact, envs)
     )
     # A sensor of a pile is one of the contacts of points as well.
     evaluated = scene.shape_contacts or scene.contact_couplings or (scene.particle_contacts and scene.contacts)
     return found if found or evaluated else None
 
 
-def _envs_of(model: "Environments", contact: "Contact", hard: "HardContacts | None") -> int:
+def _evaluated_envs(model: "Environments", contact: "Contact", nonsmooth: "NonsmoothContacts | None") -> int:
     """Returns in how many environments the overlap at the start is looked at."""
     if contact.facing is not None:
         return 0
-    if hard is not None and not hard.acts(contact.name):
-        return 0 if hard.recovery > 0.0 else model.envs
-    return model.envs if contact.count == 1 else min(model.envs, LOOKED_AT)
+    if nonsmooth is not None and not nonsmooth.is_compliant(contact.name):
+        return 0 if nonsmooth.recovery > 0.0 else model.envs
+    return model.envs if contact.count == 1 else min(model.envs, MAX_CHECKED_ENVS)
 
 
-def advice(model: "Environments", dt: float, hard: "HardContacts | None") -> list[str]:
+def scene_warnings(model: "Environments", dt: float, nonsmooth: "NonsmoothContacts | None") -> list[str]:
     """Returns what to say about the start of a model, a sentence or two per contact or coupling.
 
     Estimates from the elastic part of a law and the masses of the bodies, without their rotation, and from how
     steeply a friction rises; nothing is said of laws that do not tell their elastic part. Of a set of points as
-    many are taken to touch at once as do in a fall on a plane across an axis of their body: see ``_together``.
+    many are taken to touch at once as do in a fall on a plane across an axis of their body: see ``_simultaneous_stiffness``.
 
     Args:
         model: The model.
         dt: Time step [s].
-        hard: The contacts that have no force; of these all that matters is whether they start in overlap.
+        nonsmooth: The contacts that have no force; of these all that matters is whether they start in overlap.
     """
 
-    def acts(name: str) -> bool:
-        return hard is None or hard.acts(name)
+    def has_force(name: str) -> bool:
+        return nonsmooth is None or nonsmooth.is_compliant(name)
 
-    def about_overlap(name: str) -> list[str]:
-        return [] if hard is not None and hard.recovery > 0.0 else _about_rigid_overlap(model, name, dt)
+    def overlap_warnings(name: str) -> list[str]:
+        return (
+            []
+            if nonsmooth is not None and nonsmooth.recovery > 0.0
+            else _nonsmooth_overlap_warnings(model, name, dt)
+        )
 
     sentences = []
-    near = to_search(model, hard)
-    if near is None:
-        near = frozenset()
+    evaluated = contacts_to_evaluate(model, nonsmooth)
+    if evaluated is None:
+        evaluated = frozenset()
     else:
         model.evaluate()
     for coupling in model.scene.contact_couplings:
-        sentences += contact_coupling_advice(model, coupling, dt)
+        sentences += contact_coupling_warnings(model, coupling, dt)
     for contact in model.scene.contacts:
-        if not acts(contact.name):
-            sentences += about_overlap(f"{contact.name}.penetration") if contact in near else []
+        if not has_force(contact.name):
+            sentences += overlap_warnings(f"{contact.name}.penetration") if contact in evaluated else []
             continue
-        sentences += friction_advice(model, contact, dt)
+        sentences += friction_warnings(model, contact, dt)
         if contact.facing is not None:
             continue
-        envs = _envs_of(model, contact, hard)
+        envs = _evaluated_envs(model, contact, nonsmooth)
         mass, speed = (values[:envs] for values in _mass_and_speed(model, contact))
         if contact.swept:
-            sentences += _about_depth(model, contact, speed, dt)
+            sentences += _max_depth_warnings(model, contact, speed, dt)
         law = type(contact.material.law)
         values = {name: _column(model, f"{contact.name}.law.{name}")[:envs] for name in contact.parameters("law")}
         if (carrier := contact.area_carrier("law")) is not None:
@@ -107,9 +113,11 @@ def advice(model: "Environments", dt: float, hard: "HardContacts | None") -> lis
         if elastic is None:
             continue
         stiffness, exponent = (np.broadcast_to(part, (envs, contact.count)) for part in elastic)
-        together = _together(contact, stiffness, exponent, mass, speed)
-        sentences += _about_steps(model, contact.name, contact_time(together, exponent, mass, speed), dt)
-        if contact not in near:
+        group_stiffness = _simultaneous_stiffness(contact, stiffness, exponent, mass, speed)
+        sentences += _step_length_warnings(
+            model, contact.name, contact_time(group_stiffness, exponent, mass, speed), dt
+        )
+        if contact not in evaluated:
             continue
         depth = np.where(
             _sensor(model, contact, "status") == CONTACT, _sensor(model, contact, "penetration"), 0.0
@@ -118,18 +126,18 @@ def advice(model: "Environments", dt: float, hard: "HardContacts | None") -> lis
         if not contact.points.spread:
             energy = energy.sum(axis=1, keepdims=True)
         # The energy of all overlaps of a body, as speed.
-        sentences += _about_overlap(model, contact.name, depth, np.sqrt(2.0 * energy / mass), speed)
-    for touch in model.scene.shape_contacts:
-        if acts(touch.name):
-            sentences += _shape_contact_advice(model, touch, dt)
+        sentences += _overlap_warnings(model, contact.name, depth, np.sqrt(2.0 * energy / mass), speed)
+    for shape_contact in model.scene.shape_contacts:
+        if has_force(shape_contact.name):
+            sentences += _shape_contact_advice(model, shape_contact, dt)
         else:
-            sentences += about_overlap(f"{touch.name}.penetration")
-    for pile in model.scene.particle_contacts:
-        if acts(pile.name):
-            sentences += _pile_advice(model, pile, dt)
+            sentences += overlap_warnings(f"{shape_contact.name}.penetration")
+    for particle_contact in model.scene.particle_contacts:
+        if has_force(particle_contact.name):
+            sentences += _particle_contact_warnings(model, particle_contact, dt)
         else:
-            sentences += about_overlap(f"{pile.name}.max_penetration")
-    return sentences + coupling_advice(model, dt)
+            sentences += overlap_warnings(f"{particle_contact.name}.max_penetration")
+    return sentences + coupling_warnings(model, dt)
 
 
 def _shape_contact_advice(model: "Environments", contact: "ShapeContact", dt: float) -> list[str]:
@@ -140,14 +148,14 @@ def _shape_contact_advice(model: "Environments", contact: "ShapeContact", dt: fl
         return []
     mass, speed = _mass_and_speed(model, contact)
     stiffness, exponent = (np.broadcast_to(part, (model.envs, contact.count)) for part in elastic)
-    sentences = _about_steps(model, name, contact_time(stiffness, exponent, mass, speed), dt)
+    sentences = _step_length_warnings(model, name, contact_time(stiffness, exponent, mass, speed), dt)
     touching = _sensor(model, contact, "status") == CONTACT
     depth = np.where(touching, _sensor(model, contact, "penetration"), 0.0)
     energy = stiffness * depth ** (exponent + 1.0) / (exponent + 1.0)
-    return sentences + _about_overlap(model, name, depth, np.sqrt(2.0 * energy / mass), speed, latched=False)
+    return sentences + _overlap_warnings(model, name, depth, np.sqrt(2.0 * energy / mass), speed, latched=False)
 
 
-def _pile_advice(model: "Environments", contact: "ParticleContact", dt: float) -> list[str]:
+def _particle_contact_warnings(model: "Environments", contact: "ParticleContact", dt: float) -> list[str]:
     """Returns what to say about the start of a particle contact: of two of its bodies that are easiest to move."""
     name, law = contact.name, contact.material.law
     elastic = law.elastic({key: _column(model, f"{name}.law.{key}") for key in law.parameters()})
@@ -155,18 +163,22 @@ def _pile_advice(model: "Environments", contact: "ParticleContact", dt: float) -
         return []
     # A body with several shapes is one.
     bodies = dict.fromkeys(shape.body for shape in contact.shapes if shape.body is not None)
-    pushes = np.concatenate([mobility_of(model, contact, body).push for body in bodies], axis=1)
-    together = np.sort(pushes, axis=1)[:, -2:].sum(axis=1, keepdims=True)
-    mass = 1.0 / np.maximum(together, LEAST_MOBILITY)
+    mobilities = np.concatenate([mobility_of(model, contact, body).linear for body in bodies], axis=1)
+    group_stiffness = np.sort(mobilities, axis=1)[:, -2:].sum(axis=1, keepdims=True)
+    mass = 1.0 / np.maximum(group_stiffness, MIN_MOBILITY)
     speed = np.max([_speed(model, body).max(axis=1) for body in bodies], axis=0)[:, None]
     stiffness, exponent = (np.broadcast_to(part, (model.envs, 1)) for part in elastic)
-    sentences = _about_steps(model, name, contact_time(stiffness, exponent, mass, speed), dt, ENOUGH_IN_PILES)
+    sentences = _step_length_warnings(
+        model, name, contact_time(stiffness, exponent, mass, speed), dt, MIN_STEPS_PER_PARTICLE_CONTACT
+    )
     depth = model.sensor(f"{name}.max_penetration")[:, None]
     energy = stiffness * depth ** (exponent + 1.0) / (exponent + 1.0)
-    return sentences + _about_overlap(model, name, depth, np.sqrt(2.0 * energy / mass), speed, latched=False)
+    return sentences + _overlap_warnings(model, name, depth, np.sqrt(2.0 * energy / mass), speed, latched=False)
 
 
-def _together(contact: "Contact", stiffness: Array, exponent: Array, mass: Array, speed: Array) -> Array:
+def _simultaneous_stiffness(
+    contact: "Contact", stiffness: Array, exponent: Array, mass: Array, speed: Array
+) -> Array:
     """Returns the stiffness of the points that may touch at once, (envs, 1); (envs, items) on a set of bodies.
 
     The set falls on a plane, along each axis of its body in turn, both ways; the points down to which it then
@@ -187,21 +199,21 @@ def _together(contact: "Contact", stiffness: Array, exponent: Array, mass: Array
         return most
     places, surface = contact.points.places, contact.surface
     size = float(surface.scale * max(np.linalg.norm(np.ptp(mesh.bounds, axis=0)) for mesh in surface.meshes))
-    for down in (*np.eye(3), *-np.eye(3)):
-        height = -places @ down
+    for direction in (*np.eye(3), *-np.eye(3)):
+        height = -places @ direction
         order = np.argsort(height)
-        next_one = np.append(height[order][1:], np.inf) - height.min()
+        next_height = np.append(height[order][1:], np.inf) - height.min()
         spread = np.maximum.accumulate(places[order]) - np.minimum.accumulate(places[order])
         width = np.linalg.norm(spread, axis=1)
-        covered = np.where(width > size, size / np.maximum(width, size), 1.0) ** 2
-        total = np.maximum(np.cumsum(stiffness[:, order], axis=1) * covered, most)
-        sinks = greatest_penetration(total, exponent[:, order], mass, speed)
-        last = np.argmax(sinks <= next_one, axis=1)
+        covered_fraction = np.where(width > size, size / np.maximum(width, size), 1.0) ** 2
+        total = np.maximum(np.cumsum(stiffness[:, order], axis=1) * covered_fraction, most)
+        sinking = greatest_penetration(total, exponent[:, order], mass, speed)
+        last = np.argmax(sinking <= next_height, axis=1)
         most = np.maximum(most, np.take_along_axis(total, last[:, None], axis=1))
     return most
 
 
-def _about_depth(model: "Environments", contact: "Contact", speed: Array, dt: float) -> list[str]:
+def _max_depth_warnings(model: "Environments", contact: "Contact", speed: Array, dt: float) -> list[str]:
     deepest = _column(model, f"{contact.name}.max_depth")[: len(speed)]
     speed = np.broadcast_to(speed, deepest.shape)
     worst, item = np.unravel_index(int(np.argmax(speed * dt - deepest)), deepest.shape)
@@ -214,8 +226,8 @@ def _about_depth(model: "Environments", contact: "Contact", speed: Array, dt: fl
     ]
 
 
-def _about_steps(
-    model: "Environments", name: str, duration: Array, dt: float, enough: float = ENOUGH_STEPS
+def _step_length_warnings(
+    model: "Environments", name: str, duration: Array, dt: float, enough: float = MIN_STEPS_PER_CONTACT
 ) -> list[str]:
     shortest = np.min(duration, axis=1)
     worst = int(np.argmin(shortest))
@@ -228,27 +240,27 @@ def _about_steps(
     ]
 
 
-def _about_overlap(
-    model: "Environments", name: str, depth: Array, thrown: Array, speed: Array, *, latched: bool = True
+def _overlap_warnings(
+    model: "Environments", name: str, depth: Array, ejection_speed: Array, speed: Array, *, latched: bool = True
 ) -> list[str]:
     """Returns what to say about starts in overlap; ``latched`` says whether the contact can begin so."""
-    excess = thrown - 2.0 * speed
+    excess = ejection_speed - 2.0 * speed
     worst, body = np.unravel_index(int(np.argmax(excess)), excess.shape)
     if excess[worst, body] <= 0.0:
         return []
     item = int(np.argmax(depth[worst])) if excess.shape[1] == 1 else body
     return [
         f"{name}: starts {depth[worst, item]:.3g} m deep in the surface in environment {model.first_env + worst} "
-        f"and will be thrown out at about {thrown[worst, body]:.3g} m/s; start outside, or set max_depth"
+        f"and will be thrown out at about {ejection_speed[worst, body]:.3g} m/s; start outside, or set max_depth"
         + (" or entry='latched'" if latched else "")
     ]
 
 
-def _about_rigid_overlap(model: "Environments", name: str, dt: float) -> list[str]:
+def _nonsmooth_overlap_warnings(model: "Environments", name: str, dt: float) -> list[str]:
     """Returns what to say about a nonsmooth contact that starts deeper than bodies sink in within a step."""
     depth = model.sensor(name).reshape(model.envs, -1).max(axis=1)
     worst = int(np.argmax(depth))
-    if depth[worst] <= USUAL_SPEED * dt:
+    if depth[worst] <= TYPICAL_SPEED * dt:
         return []
     return [
         f"{name.rpartition('.')[0]}: starts {depth[worst]:.3g} m deep in environment {model.first_env + worst}, "
@@ -263,19 +275,19 @@ def _mass_and_speed(model: "Environments", contact: "Contact | ShapeContact") ->
     Of points on a set of bodies (envs, items).
     """
     mobility = np.zeros((model.envs, 1))
-    speed = np.full((model.envs, 1), USUAL_SPEED)
+    speed = np.full((model.envs, 1), TYPICAL_SPEED)
     for body in contact.bodies:
         if body is not None:
-            mobility = mobility + mobility_of(model, contact, body).push
+            mobility = mobility + mobility_of(model, contact, body).linear
             speed = np.maximum(speed, _speed(model, body))
     # Of bodies that no force moves a mass that nothing stops.
-    return 1.0 / np.maximum(mobility, LEAST_MOBILITY), speed
+    return 1.0 / np.maximum(mobility, MIN_MOBILITY), speed
 
 
 def _speed(model: "Environments", body: "Body") -> Array:
     """Returns the speed of a body, or a usual one if that is higher, (envs, 1), or (envs, n) of a set [m/s]."""
     velocity = np.linalg.norm(model[f"{body.name}.linear_velocity"], axis=-1)
-    return np.maximum(velocity.reshape(model.envs, body.count), USUAL_SPEED)
+    return np.maximum(velocity.reshape(model.envs, body.count), TYPICAL_SPEED)
 
 
 def _column(model: "Environments", name: str) -> Array:
@@ -285,5 +297,5 @@ def _column(model: "Environments", name: str) -> Array:
 
 
 def _sensor(model: "Environments", contact: "Contact | ShapeContact", quantity: str) -> Array:
-    values = model.measured(f"{contact.name}.{quantity}")
+    values = model.last_value(f"{contact.name}.{quantity}")
     return values[:, None] if values.ndim == 1 else values

@@ -61,7 +61,7 @@ class Allocation:
                 raise TypeError(f"{missing[0]}: integers that checkpoints store must have a range")
             self._ranges[name] = [(path, known[path]) for path in paths]
 
-    def made(self, memory: wp.array, shape: tuple[int, ...]) -> None:
+    def bind(self, memory: wp.array, shape: tuple[int, ...]) -> None:
         """Takes the allocated bytes (…, bytes of a record) of arrays of a shape."""
         self._memory, self.shape = memory, shape
 
@@ -71,7 +71,7 @@ class Allocation:
         assert self._memory is not None
         return self._memory
 
-    def _seen(self, content: NDArray[np.uint8]) -> NDArray[Any]:
+    def _as_records(self, content: NDArray[np.uint8]) -> NDArray[Any]:
         """Returns bytes as records, of the shape of the arrays."""
         # Arrays without items have the memory of a record.
         flat = content.reshape(-1, self._record.itemsize)[: prod(self.shape)]
@@ -81,7 +81,7 @@ class Allocation:
         """Returns the bytes of the arrays that checkpoints store, by name."""
         if not self.saved:
             return {}
-        records = self._seen(self.memory.numpy())
+        records = self._as_records(self.memory.numpy())
         return {name: np.ascontiguousarray(records[name]).reshape(-1).view(np.uint8) for name in self.saved}
 
     def checked(self, name: str, found: NDArray[Any]) -> NDArray[Any]:
@@ -106,7 +106,7 @@ class Allocation:
             self.memory.zero_()
             return
         content = np.zeros(self.memory.shape, dtype=np.uint8)
-        records = self._seen(content)
+        records = self._as_records(content)
         for name, own in values.items():
             records[name] = own
         self.memory.assign(content)

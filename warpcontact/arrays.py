@@ -9,11 +9,11 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.allocation import Allocation, Allowed
-from warpcontact.footprint import Need
+from warpcontact.footprint import MemoryItem
 from warpcontact.kernels import strides
 
 #: Purpose of what sensors are measured into.
-MEASURES = "measures"
+SENSOR_PURPOSE = "measures"
 
 #: Shape of an array for a number of environments.
 Shape = Callable[[int], tuple[int, ...]]
@@ -29,7 +29,7 @@ def fixed(*shape: int) -> Shape:
     return lambda _: shape
 
 
-class Layout:
+class AllocationPlan:
     """What is to lie on a device. Nothing is allocated before ``allocate``.
 
     Whatever is declared here is both counted and made from the same shape.
@@ -41,9 +41,9 @@ class Layout:
     def __init__(self, device: wp.Device) -> None:
         self.device = device
         self._sizes: list[tuple[str, Callable[[int], int]]] = []  # what for, bytes for a number of environments
-        self._missing: list[Callable[[int], None]] = []
+        self._pending: list[Callable[[int], None]] = []
         # Memory that steps write, by number and purpose.
-        self._written: dict[str, Allocation] = {}
+        self._step_memory: dict[str, Allocation] = {}
 
     def array(
         self,
@@ -58,16 +58,16 @@ class Layout:
     ) -> None:
         """Declares ``owner.name``, an array of zeros; ``transient`` and ``ranges``: see ``struct``."""
         size = wp.types.type_size_in_bytes(dtype)
-        saved = () if transient or purpose == MEASURES else (name,)
+        saved = () if transient or purpose == SENSOR_PURPOSE else (name,)
         written = Allocation({name: dtype}, {name: 0}, size, saved, ranges)
 
         def make(envs: int) -> None:
             array = wp.zeros(shape(envs), dtype=dtype, device=self.device)
             setattr(owner, name, array)
-            written.made(_bytes_of(array), shape(envs))
+            written.bind(_as_bytes(array), shape(envs))
 
         self._declare(purpose, lambda envs: size * prod(shape(envs)), make)
-        self._add_written(purpose, written)
+        self._add_step_memory(purpose, written)
 
     def struct(
         self,
@@ -101,11 +101,11 @@ class Layout:
         instance = struct()
         dtypes = {name: variable.type.dtype for name, variable in struct.vars.items()}
         omitted = (tuple(dtypes) if transient else ()) if isinstance(transient, bool) else tuple(transient)
-        kinds = strides.in_records(struct) if self.device.is_cpu else ()
-        if records and not kinds:
-            alike = tuple(name for name in dtypes if name not in others)
-            kinds = (alike,) if alike else ()
-        for names in kinds:
+        record_groups = strides.record_fields(struct) if self.device.is_cpu else ()
+        if records and not record_groups:
+            record_names = tuple(name for name in dtypes if name not in others)
+            record_groups = (record_names,) if record_names else ()
+        for names in record_groups:
             own = {name: dtypes.pop(name) for name in names}
             saved = [name for name in names if name not in omitted]
             self._records(purpose, instance, own, others.get(names[0], shape), saved, ranges)
@@ -124,8 +124,8 @@ class Layout:
         ranges: Mapping[str, Allowed] | None,
     ) -> None:
         """Declares arrays [env, item] of some types, interleaved in one piece of memory."""
-        offsets, record = strides.record_of(dtypes)
-        written = Allocation(dtypes, offsets, record, () if purpose == MEASURES else saved, ranges)
+        offsets, record = strides.record_layout(dtypes)
+        written = Allocation(dtypes, offsets, record, () if purpose == SENSOR_PURPOSE else saved, ranges)
 
         def number(envs: int) -> int:
             return max(1, prod(shape(envs)))
@@ -134,7 +134,7 @@ class Layout:
             # Of two dimensions, as each has less than 2³¹ elements, and a device may have more bytes.
             memory = wp.zeros((number(envs), record), dtype=wp.uint8, device=self.device)
             own = shape(envs)
-            written.made(memory, own)
+            written.bind(memory, own)
             for name, dtype in dtypes.items():
                 array = wp.array(
                     ptr=memory.ptr + offsets[name],
@@ -148,45 +148,47 @@ class Layout:
                 setattr(owner, name, array)
 
         self._declare(purpose, lambda envs: number(envs) * record, make)
-        self._add_written(purpose, written)
+        self._add_step_memory(purpose, written)
 
-    def _add_written(self, purpose: str, written: Allocation) -> None:
-        if purpose != MEASURES:  # measured again on each request
-            self._written[f"{len(self._written)}:{purpose}"] = written
+    def _add_step_memory(self, purpose: str, written: Allocation) -> None:
+        if purpose != SENSOR_PURPOSE:  # measured again on each request
+            self._step_memory[f"{len(self._step_memory)}:{purpose}"] = written
 
-    def written(self) -> Mapping[str, Allocation]:
+    def step_memory(self) -> Mapping[str, Allocation]:
         """Returns all memory that was declared as zeros, which is all that steps write, by number and purpose."""
-        return self._written
+        return self._step_memory
 
-    def content(self, purpose: str, owner: Any, name: str, values: Any, dtype: Any) -> None:
+    def constant(self, purpose: str, owner: Any, name: str, values: Any, dtype: Any) -> None:
         """Declares ``owner.name``, an array that holds ``values``, the same for all environments."""
         array = np.asarray(values, dtype=wp.dtype_to_numpy(_scalar(dtype)))
 
         def make(_: int) -> None:
             setattr(owner, name, wp.array(array, dtype=dtype, device=self.device))
 
-        self.other(purpose, array.nbytes, make)
+        self.custom(purpose, array.nbytes, make)
 
-    def other(self, purpose: str, size: int, make: Callable[[int], None]) -> None:
+    def custom(self, purpose: str, size: int, make: Callable[[int], None]) -> None:
         """Declares something of ``size`` bytes that ``make`` makes, given the number of environments."""
         self._declare(purpose, lambda _: size, make)
 
     def allocate(self, envs: int) -> None:
         """Makes what was declared since the last time."""
-        missing, self._missing = self._missing, []
-        for make in missing:
+        pending, self._pending = self._pending, []
+        for make in pending:
             make(envs)
 
-    def needs(self, envs: int) -> list[Need]:
+    def memory_items(self, envs: int) -> list[MemoryItem]:
         """Returns what all of it takes, made or not, for a number of environments."""
-        return [Need(purpose, str(self.device), size(envs), size(2) - size(1)) for purpose, size in self._sizes]
+        return [
+            MemoryItem(purpose, str(self.device), size(envs), size(2) - size(1)) for purpose, size in self._sizes
+        ]
 
     def _declare(self, purpose: str, size: Callable[[int], int], make: Callable[[int], None]) -> None:
         self._sizes.append((purpose, size))
-        self._missing.append(make)
+        self._pending.append(make)
 
 
-def _bytes_of(array: wp.array) -> wp.array:
+def _as_bytes(array: wp.array) -> wp.array:
     """Returns a contiguous array as bytes, those of an element along an axis more, in the same memory."""
     shape = (*array.shape, wp.types.type_size_in_bytes(array.dtype))
     view = wp.array(ptr=array.ptr, dtype=wp.uint8, shape=shape, device=array.device, copy=False)

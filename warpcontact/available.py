@@ -15,21 +15,21 @@ _CGROUPS = Path("/sys/fs/cgroup")
 
 
 @dataclass(frozen=True)
-class Room:
+class AvailableMemory:
     """Memory that is available now.
 
     Attributes:
-        place: ``"host"``, or the name of a device.
+        location: ``"host"``, or the name of a device.
         size: How much [bytes].
     """
 
-    place: str
+    location: str
     size: int
 
     @property
     def name(self) -> str:
         """What to call it."""
-        return "the memory of this machine" if self.place == HOST else f"the memory of {self.place}"
+        return "the memory of this machine" if self.location == HOST else f"the memory of {self.location}"
 
 
 def available_threads() -> int:
@@ -37,10 +37,10 @@ def available_threads() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def find_room(place: str) -> Room | None:
+def available_memory(location: str) -> AvailableMemory | None:
     """Returns what is available in a place, ``None`` if nobody knows."""
-    size = _host() if place == HOST else _device(place)
-    return None if size is None else Room(place, size)
+    size = _host() if location == HOST else _device(location)
+    return None if size is None else AvailableMemory(location, size)
 
 
 def _device(name: str) -> int | None:
@@ -54,13 +54,13 @@ def _device(name: str) -> int | None:
 
 def _host() -> int | None:
     """Returns what this process may still take of the memory of the machine."""
-    known = [size for size in (_free(), *_left_of_groups()) if size is not None]
-    return max(0, min(known)) if known else None
+    limits = [size for size in (_free(), *_cgroup_limits()) if size is not None]
+    return max(0, min(limits)) if limits else None
 
 
 def _free() -> int | None:
     """Returns the memory that is free or can be freed; where a system tells no more, all that it has."""
-    free = _told(_MEMINFO, "MemAvailable")
+    free = _read_kilobytes(_MEMINFO, "MemAvailable")
     if free is not None:
         return free
     for name in ("SC_AVPHYS_PAGES", "SC_PHYS_PAGES"):
@@ -73,12 +73,12 @@ def _free() -> int | None:
     return None
 
 
-def used() -> int | None:
+def used_memory() -> int | None:
     """Returns what this process has of the memory of the machine [bytes], ``None`` if the system does not tell."""
-    return _told(_STATUS, "VmRSS")
+    return _read_kilobytes(_STATUS, "VmRSS")
 
 
-def _told(path: Path, name: str) -> int | None:
+def _read_kilobytes(path: Path, name: str) -> int | None:
     """Returns a number of kB in a file of Linux [bytes]."""
     try:
         for line in path.read_text(encoding="utf-8").splitlines():
@@ -90,7 +90,7 @@ def _told(path: Path, name: str) -> int | None:
     return None
 
 
-def _left_of_groups() -> Iterator[int]:
+def _cgroup_limits() -> Iterator[int]:
     """Iterates over what is left of the limits of the control groups of this process, of either version."""
     try:
         lines = _CGROUP.read_text(encoding="utf-8", errors="surrogateescape").splitlines()
@@ -109,17 +109,17 @@ def _left_of_groups() -> Iterator[int]:
         # In a container the path may be that of the host outside, and its own group the top.
         group = top / path.strip("/")
         for folder in (group, *(parent for parent in group.parents if parent.is_relative_to(top))):
-            left = _left(folder, *files)
+            left = _remaining(folder, *files)
             if left is not None:
                 yield left
 
 
-def _left(folder: Path, limit: str, usage: str, reclaimable: str) -> int | None:
+def _remaining(folder: Path, limit: str, usage: str, reclaimable: str) -> int | None:
     """Returns what is left of the limit of one group, ``None`` if it has none."""
     try:
         allowed = int((folder / limit).read_text(encoding="utf-8"))  # "max": no limit
-        used = int((folder / usage).read_text(encoding="utf-8"))
+        used_memory = int((folder / usage).read_text(encoding="utf-8"))
         stat = dict(line.split() for line in (folder / "memory.stat").read_text(encoding="utf-8").splitlines())
-        return allowed - used + int(stat.get(reclaimable, 0))
+        return allowed - used_memory + int(stat.get(reclaimable, 0))
     except (OSError, ValueError):
         return None

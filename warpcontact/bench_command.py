@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from warpcontact.durable import check_place, writing
+from warpcontact.durable import check_writable, open_for_writing
 
 
 def add_to(commands: Any) -> None:
@@ -38,7 +38,7 @@ def run(arguments: argparse.Namespace) -> None:
         OSError: If writing fails.
     """
     if arguments.json:
-        check_place(Path(arguments.json))
+        check_writable(Path(arguments.json))
     import warp as wp
 
     wp.config.log_level = wp.LOG_ERROR
@@ -51,6 +51,6 @@ def run(arguments: argparse.Namespace) -> None:
     print(report)
     if arguments.json:
         text = json.dumps(report.to_dict(), indent=1, ensure_ascii=False)
-        with writing(Path(arguments.json)) as file:
+        with open_for_writing(Path(arguments.json)) as file:
             file.write(f"{text}\n".encode())
         print(f"figures: {arguments.json}")

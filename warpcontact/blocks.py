@@ -8,18 +8,18 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from warpcontact.arrays import Layout
+from warpcontact.arrays import AllocationPlan
 from warpcontact.checks import Array
 from warpcontact.kernels.types import WORLD
 from warpcontact.parameters import Parameters
 from warpcontact.scene import Contact
 
 # Contacts of a block: so few that looking through them costs little, so many that a block is worth it.
-LARGEST_BLOCK = 16
+MAX_CLUSTER_SIZE = 16
 
 
 @dataclass(frozen=True)
-class Blocks:
+class ContactClusters:
     """The blocks of all contacts.
 
     Attributes:
@@ -27,16 +27,16 @@ class Blocks:
         set_start: First block of each set of contacts, and the end, (sets + 1,).
         start: First place of each block in the list of contacts, and the end, (blocks + 1,).
         contact: Contacts by block, (contacts,).
-        body_start: First entry of each body in the next, and the end, (bodies + 1,).
-        of_bodies: The blocks of each body, each 2 × block + 0 as the points' body, 1 as the surface's.
+        body_cluster_start: First entry of each body in the next, and the end, (bodies + 1,).
+        body_clusters: The blocks of each body, each 2 × block + 0 as the points' body, 1 as the surface's.
     """
 
     set_contact: NDArray[np.int32]
     set_start: NDArray[np.int32]
     start: NDArray[np.int32]
     contact: NDArray[np.int32]
-    body_start: NDArray[np.int32]
-    of_bodies: NDArray[np.intp]
+    body_cluster_start: NDArray[np.int32]
+    body_clusters: NDArray[np.intp]
 
     @property
     def count(self) -> int:
@@ -49,9 +49,9 @@ class Blocks:
         return 1 << int(np.diff(self.start).max(initial=1) - 1).bit_length()
 
     @property
-    def most_of_a_body(self) -> int:
-        """Blocks of the body that has the most of them."""
-        return int(np.diff(self.body_start).max(initial=0))
+    def max_per_body(self) -> int:
+        """ContactClusters of the body that has the most of them."""
+        return int(np.diff(self.body_cluster_start).max(initial=0))
 
     @property
     def set_count(self) -> int:
@@ -59,47 +59,47 @@ class Blocks:
         return len(self.set_start) - 1
 
     @property
-    def of_set(self) -> NDArray[np.int32]:
+    def set_of_cluster(self) -> NDArray[np.int32]:
         """Set of each block, (blocks,)."""
         return np.repeat(np.arange(self.set_count, dtype=np.int32), np.diff(self.set_start))
 
-    def of_contacts(self, first: int, count: int) -> tuple[int, int]:
+    def range_of_contacts(self, first: int, count: int) -> tuple[int, int]:
         """Returns the first block, and the number of blocks, of contacts side by side that make up whole sets."""
         return _between(self.start, first, count)
 
-    def sets_of_contacts(self, first: int, count: int) -> tuple[int, int]:
+    def set_range_of_contacts(self, first: int, count: int) -> tuple[int, int]:
         """Returns the first set, and the number of sets, of such contacts."""
         return _between(self.set_contact, first, count)
 
 
-def make_blocks(contacts: list[Contact], body_count: int) -> Blocks:
+def make_clusters(contacts: list[Contact], body_count: int) -> ContactClusters:
     """Returns the blocks of contacts in the order of the device, among so many bodies."""
     empty = [np.zeros(0, dtype=np.intp)]
-    members, sizes, blocks_of_sets, sets = list(empty), list(empty), list(empty), list(empty)
+    members, sizes, clusters_of_sets, sets = list(empty), list(empty), list(empty), list(empty)
     first = 0
     for contact in contacts:
         if contact.points.spread:  # a set for each body
             ones = np.ones(contact.count, dtype=np.intp)
             members.append(first + np.arange(contact.count))
             sizes.append(ones)
-            blocks_of_sets.append(ones)
+            clusters_of_sets.append(ones)
             sets.append(ones)
         else:
-            own = _neighbourhoods(contact.points.places)
-            members += [first + block for block in own]
-            sizes.append(np.array([len(block) for block in own]))
-            blocks_of_sets.append(np.array([len(own)]))
+            neighborhoods = _split_spatially(contact.points.places)
+            members += [first + cluster for cluster in neighborhoods]
+            sizes.append(np.array([len(cluster) for cluster in neighborhoods]))
+            clusters_of_sets.append(np.array([len(neighborhoods)]))
             sets.append(np.array([contact.count]))
         first += contact.count
-    of_sets = np.concatenate(blocks_of_sets)
-    body_start, of_bodies = _blocks_by_body(of_sets, contacts, body_count)
-    return Blocks(
+    cluster_counts = np.concatenate(clusters_of_sets)
+    body_cluster_start, body_clusters = _clusters_by_body(cluster_counts, contacts, body_count)
+    return ContactClusters(
         set_contact=_starts(np.concatenate(sets)),
-        set_start=_starts(of_sets),
+        set_start=_starts(cluster_counts),
         start=_starts(np.concatenate(sizes)),
         contact=np.concatenate(members).astype(np.int32),
-        body_start=body_start,
-        of_bodies=of_bodies,
+        body_cluster_start=body_cluster_start,
+        body_clusters=body_clusters,
     )
 
 
@@ -113,92 +113,92 @@ def _starts(counts: NDArray[np.integer]) -> NDArray[np.int32]:
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
 
 
-def _neighbourhoods(positions: Array) -> list[NDArray[np.intp]]:
+def _split_spatially(positions: Array) -> list[NDArray[np.intp]]:
     """Cuts points across their longest direction until few enough are together; indices ascend in each."""
-    whole = [np.arange(len(positions))]
-    done: list[NDArray[np.intp]] = []
-    while whole:
-        some = whole.pop()
-        if len(some) <= LARGEST_BLOCK:
-            done.append(np.sort(some))
+    pending = [np.arange(len(positions))]
+    finished: list[NDArray[np.intp]] = []
+    while pending:
+        indices = pending.pop()
+        if len(indices) <= MAX_CLUSTER_SIZE:
+            finished.append(np.sort(indices))
             continue
-        along = int(np.ptp(positions[some], axis=0).argmax())
-        order = some[np.argsort(positions[some, along], kind="stable")]
+        along = int(np.ptp(positions[indices], axis=0).argmax())
+        order = indices[np.argsort(positions[indices, along], kind="stable")]
         # Halves of whole blocks, so that most are full.
-        middle = LARGEST_BLOCK * -(-len(order) // (2 * LARGEST_BLOCK))
-        whole += [order[middle:], order[:middle]]
-    return done
+        center = MAX_CLUSTER_SIZE * -(-len(order) // (2 * MAX_CLUSTER_SIZE))
+        pending += [order[center:], order[:center]]
+    return finished
 
 
-def upload_blocks(
-    blocks: Blocks,
+def upload_clusters(
+    clusters: ContactClusters,
     contacts: list[Contact],
     model: Any,
-    layout: Layout,
+    layout: AllocationPlan,
     parameters: Parameters,
     t: Any,
-    places: Callable[[], Array],
+    point_positions: Callable[[], Array],
 ) -> list[Any]:
     """Fills the sets and blocks of ``model``.
 
     Args:
-        blocks: What ``make_blocks`` returned for ``contacts``.
+        clusters: What ``make_clusters`` returned for ``contacts``.
         contacts: The contacts in the order of the device.
         model: The struct.
         layout: For what is the same in all environments.
         parameters: For the middle and extent of the sets, which follow the points.
         t: Structs.
-        places: Returns where all points are in their bodies, (1 or envs, points, 3).
+        point_positions: Returns where all points are in their bodies, (1 or envs, points, 3).
 
     Returns:
         The uploads that have to follow when points are moved.
     """
 
-    def send(name: str, values: Any) -> None:
-        layout.content("contacts", model, name, values, wp.int32)
+    def add_constant(name: str, values: Any) -> None:
+        layout.constant("contacts", model, name, values, wp.int32)
 
-    firsts, sizes = blocks.set_contact[:-1], np.diff(blocks.set_contact)
-    send("set_contact", firsts)
-    send("contact_set", np.repeat(np.arange(blocks.set_count), sizes))
-    send("set_block_start", blocks.set_start)
-    send("block_set", blocks.of_set)
-    send("block_start", blocks.start)
-    send("block_contact", blocks.contact)
-    send("body_block_start", blocks.body_start)
-    send("body_block", blocks.of_bodies)
+    firsts, sizes = clusters.set_contact[:-1], np.diff(clusters.set_contact)
+    add_constant("set_contact", firsts)
+    add_constant("contact_set", np.repeat(np.arange(clusters.set_count), sizes))
+    add_constant("set_cluster_start", clusters.set_start)
+    add_constant("cluster_set", clusters.set_of_cluster)
+    add_constant("cluster_start", clusters.start)
+    add_constant("cluster_contact", clusters.contact)
+    add_constant("body_cluster_start", clusters.body_cluster_start)
+    add_constant("body_cluster", clusters.body_clusters)
     empty = np.zeros(0, dtype=np.intp)
     points = [contact.points.start + np.arange(contact.count) for contact in contacts]
     by_set = np.concatenate([empty, *points])
-    by_block = by_set[blocks.contact]
+    by_cluster = by_set[clusters.contact]
 
-    def middles(points: NDArray[np.intp], starts: NDArray[np.int32]) -> Array:
+    def centers(points: NDArray[np.intp], starts: NDArray[np.int32]) -> Array:
         if not len(points):
             return np.zeros((1, 0, 3))
-        values = places()[:, points]
+        values = point_positions()[:, points]
         low, high = (end.reduceat(values, starts, axis=1) for end in (np.minimum, np.maximum))
         return np.asarray(0.5 * (low + high), dtype=np.float64)
 
     def extents() -> Array:
         if not len(by_set):
             return np.zeros((1, 0))
-        middle = np.repeat(middles(by_set, firsts), sizes, axis=1)
-        far = np.linalg.norm(places()[:, by_set] - middle, axis=2)
+        center = np.repeat(centers(by_set, firsts), sizes, axis=1)
+        distances = np.linalg.norm(point_positions()[:, by_set] - center, axis=2)
         # A little more, for the rounding of both.
-        return np.asarray((1.0 + 1.0e-5) * np.maximum.reduceat(far, firsts, axis=1), dtype=np.float64)
+        return np.asarray((1.0 + 1.0e-5) * np.maximum.reduceat(distances, firsts, axis=1), dtype=np.float64)
 
     return [
-        parameters.upload(model, "set_center", t.vec3, lambda: middles(by_set, firsts)),
-        parameters.upload(model, "set_extent", t.real, extents),
-        parameters.upload(model, "block_center", t.vec3, lambda: middles(by_block, blocks.start[:-1])),
+        parameters.device_field(model, "set_center", t.vec3, lambda: centers(by_set, firsts)),
+        parameters.device_field(model, "set_extent", t.real, extents),
+        parameters.device_field(model, "cluster_center", t.vec3, lambda: centers(by_cluster, clusters.start[:-1])),
     ]
 
 
-def _blocks_by_body(
-    of_sets: NDArray[np.intp], contacts: list[Contact], body_count: int
+def _clusters_by_body(
+    cluster_counts: NDArray[np.intp], contacts: list[Contact], body_count: int
 ) -> tuple[NDArray[np.int32], NDArray[np.intp]]:
     """Returns where the blocks of each body start in a list (bodies + 1), and the list of 2 × block + side.
 
-    ``of_sets`` is how many blocks each set has.
+    ``cluster_counts`` is how many blocks each set has.
     """
     empty = np.zeros(0, dtype=np.int32)
     on_points = [
@@ -208,7 +208,7 @@ def _blocks_by_body(
         np.full(contact.set_count, WORLD if contact.surface.body is None else contact.surface.body.index)
         for contact in contacts
     ]
-    of_set = np.stack([np.concatenate([empty, *on_points]), np.concatenate([empty, *on_surface])], axis=1)
-    bodies = np.repeat(of_set, of_sets, axis=0).ravel()
+    set_of_cluster = np.stack([np.concatenate([empty, *on_points]), np.concatenate([empty, *on_surface])], axis=1)
+    bodies = np.repeat(set_of_cluster, cluster_counts, axis=0).ravel()
     entries = np.argsort(bodies, kind="stable")
     return _starts(np.bincount(bodies[bodies >= 0], minlength=body_count)), entries[(bodies < 0).sum() :]

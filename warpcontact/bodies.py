@@ -11,7 +11,7 @@ from warpcontact.checks import limits
 from warpcontact.elements import MASS, Body
 from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.kernels.motions import Free, Motion
-from warpcontact.start import check_start
+from warpcontact.start import check_initial_velocity
 
 
 @explain_keywords_of
@@ -148,7 +148,7 @@ class Bodies:
         return self.bodies[-1].items.stop if self.bodies else 0
 
     def _include_body(self, body: Body) -> Body:
-        check_start(body)
+        check_initial_velocity(body)
         self.bodies.append(body)
         self._elements[body.name] = body
         return body

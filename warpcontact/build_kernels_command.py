@@ -110,18 +110,18 @@ def _build_experiments(files: Sequence[Path], arguments: argparse.Namespace, dev
     from warpcontact.kernel_build import ExperimentKernels, load_kernels
 
     found = [ExperimentKernels(_experiment(file, arguments), device) for file in files]
-    _say("compiling")
-    load_kernels([kernel for one in found for kernel in one.on_cpu], arguments.threads, _tell)
+    _print_stage("compiling")
+    load_kernels([kernel for one in found for kernel in one.on_cpu], arguments.threads, _print_progress)
     for file, one in zip(files, found, strict=True):
-        _say(f"{file}: first steps")
+        _print_stage(f"{file}: first steps")
         one.load_others()
 
 
 def _experiment(file: Path, arguments: argparse.Namespace) -> "Experiment":
     from warpcontact.experiment import Experiment, ExperimentError
 
-    _say(f"reading {file}")
-    experiment = Experiment.from_toml(file, on_stage=_say, trust=arguments.trust)
+    _print_stage(f"reading {file}")
+    experiment = Experiment.from_toml(file, on_stage=_print_stage, trust=arguments.trust)
     try:
         return experiment.changed(envs=arguments.envs)
     except ExperimentError as error:
@@ -133,13 +133,13 @@ def _build_bench(arguments: argparse.Namespace, device: str | Sequence[str]) -> 
 
     if not isinstance(device, str):
         raise ValueError(f"--device {arguments.device}: must be a single device without an experiment")
-    _say("compiling the kernels of warpcontact bench")
-    build_bench(device, arguments.envs, arguments.threads, _tell)
+    _print_stage("compiling the kernels of warpcontact bench")
+    build_bench(device, arguments.envs, arguments.threads, _print_progress)
 
 
-def _tell(done: int, total: int) -> None:
+def _print_progress(done: int, total: int) -> None:
     print(f"  {done} of {total} kernels", file=sys.stderr, flush=True)
 
 
-def _say(stage: str) -> None:
+def _print_stage(stage: str) -> None:
     print(f"{stage} …", file=sys.stderr, flush=True)

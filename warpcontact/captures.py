@@ -9,29 +9,29 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 # Held by who captures; who waits for the others lets go of it.
-_free = threading.Condition()
+_condition = threading.Condition()
 # Threads of the others.
-_others: list[int] = []
+_shared_holders: list[int] = []
 
 
 @contextmanager
-def capturing() -> Iterator[None]:
+def exclusive_capture_lock() -> Iterator[None]:
     """Waits for all that use Warp, and keeps others from it."""
-    with _free:
-        while _others:
-            _free.wait()
+    with _condition:
+        while _shared_holders:
+            _condition.wait()
         yield
 
 
 @contextmanager
-def beside_captures() -> Iterator[None]:
+def shared_capture_lock() -> Iterator[None]:
     """Waits for a capture of another thread; then none begins. Also to decorate a function."""
     own = threading.get_ident()
-    with _free:
-        _others.append(own)
+    with _condition:
+        _shared_holders.append(own)
     try:
         yield
     finally:
-        with _free:
-            _others.remove(own)
-            _free.notify_all()
+        with _condition:
+            _shared_holders.remove(own)
+            _condition.notify_all()

@@ -10,31 +10,31 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from warpcontact.arrays import Layout
-from warpcontact.kernels.cells import LISTED, PLACED
-from warpcontact.kernels.types import SIDES_NOWHERE
+from warpcontact.arrays import AllocationPlan
+from warpcontact.kernels.cells import LIST_ALIGNMENT, LIST_STRIDE
+from warpcontact.kernels.types import SIDE_KNOWN_NOWHERE
 from warpcontact.vectors import bounds
 
 if TYPE_CHECKING:
-    from warpcontact.patches import Patch, Patches
+    from warpcontact.patches import QueryMesh, QueryMeshes
 
 # Size of a cell, as part of a usual edge: the finest first, the coarsest last. Measured.
 FINEST, COARSEST = 0.25, 1.25
 # Cells beside those near the patch, where there is room for them.
-AROUND = 8.0
+MARGIN_CELLS = 8.0
 # Spheres that come to touch may be so much larger later, by their parameters; or so, where there is less room.
-GROWTHS = (2.0, 1.25)
+RADIUS_GROWTHS = (2.0, 1.25)
 # Room for the faces of a list on average, and so many more times the area of a cell in squares of a usual edge:
 # measured. Where it runs out, cells have none.
-LISTED_FEW, LISTED_MORE = 4.5, 11.0
+LIST_BASE, LIST_PER_AREA = 4.5, 11.0
 # Faces about a point from which on there are too many to tell them apart.
-CROWD = 120
+MAX_CANDIDATES = 120
 # What the cells of a patch may take, its lists, and all that of all patches [bytes].
-CELL_BYTES, LIST_BYTES, MOST_BYTES = 384 * 2**20, 640 * 2**20, 1024 * 2**20
+CELL_BYTES, LIST_BYTES, MAX_BYTES = 384 * 2**20, 640 * 2**20, 1024 * 2**20
 
 
 @dataclass(frozen=True)
-class Grid:
+class FaceGrid:
     """A grid about a patch, in the mesh's frame and unit.
 
     Attributes:
@@ -43,7 +43,7 @@ class Grid:
         size: Size of a cell.
         margin: From its boundary to the patch.
         places: Room for the faces that its cells list.
-        reach: How far points on the outer side are that may come to touch.
+        radius: How far points on the outer side are that may come to touch.
         bytes: What it takes.
     """
 
@@ -52,7 +52,7 @@ class Grid:
     size: float
     margin: float
     places: int
-    reach: float
+    radius: float
     bytes: int
 
     @property
@@ -61,93 +61,97 @@ class Grid:
         return int(np.prod(self.counts))
 
 
-def grids_about(made: "Patches", device: wp.Device, t: SimpleNamespace) -> list[Grid] | None:
+def make_grids(made: "QueryMeshes", device: wp.Device, t: SimpleNamespace) -> list[FaceGrid] | None:
     """Returns the grids about all patches; ``None`` where not all have one, or nothing is gained.
 
     On a CPU a search waits for little. Points beside a surface of several sheets, and those that are swept, are
     better remembered.
     """
-    if not device.is_cuda or any(contact.swept for contact in made.of_contact):
+    if not device.is_cuda or any(contact.swept for contact in made.first_of_contact):
         return None
-    grids: list[Grid] = []
-    for patch, reach in zip(made.patches, made.reaches(), strict=True):
-        grid = grid_about(patch, float(reach), t)
+    grids: list[FaceGrid] = []
+    for query_mesh, radius in zip(made.query_meshes, made.max_radii(), strict=True):
+        grid = make_grid(query_mesh, float(radius), t)
         if grid is None:
             return None
         grids.append(grid)
         # A list is told by a number.
         places = sum(one.places for one in grids)
-        if sum(one.bytes for one in grids) > MOST_BYTES or places // PLACED * LISTED >= 2**31:
+        if sum(one.bytes for one in grids) > MAX_BYTES or places // LIST_ALIGNMENT * LIST_STRIDE >= 2**31:
             return None
     return grids or None
 
 
-def grid_about(patch: "Patch", reach: float, t: SimpleNamespace) -> Grid | None:
+def make_grid(query_mesh: "QueryMesh", radius: float, t: SimpleNamespace) -> FaceGrid | None:
     """Returns the grid about a patch; ``None`` where it would take too much, or help too little.
 
     Args:
-        patch: The patch.
-        reach: Radius of the largest sphere that touches it, in the unit of the mesh.
+        query_mesh: The patch.
+        radius: Radius of the largest sphere that touches it, in the unit of the mesh.
         t: The structs of kernels.
     """
-    if patch.sides.kind == SIDES_NOWHERE:
+    if query_mesh.side_region.kind == SIDE_KNOWN_NOWHERE:
         return None
-    corner = patch.corner
+    corner = query_mesh.corner
     low, high = bounds(corner)
     of_cell = wp.types.type_size_in_bytes(t.Cell)
-    size = FINEST * patch.edge
-    while size <= COARSEST * patch.edge:
+    size = FINEST * query_mesh.edge
+    while size <= COARSEST * query_mesh.edge:
         # Faces that may be nearest before any other is held against them lie in a disk about the point.
-        crowd = np.pi * size * (2.0 * reach + size) * len(corner) / patch.area
-        if crowd > CROWD:
+        crowd = np.pi * size * (2.0 * radius + size) * len(corner) / query_mesh.area
+        if crowd > MAX_CANDIDATES:
             return None
-        listed = LISTED_FEW + LISTED_MORE * (size / patch.edge) ** 2
+        list_size = LIST_BASE + LIST_PER_AREA * (size / query_mesh.edge) ** 2
         # Cells beyond those that have a list tell how far it is.
-        for growth, beyond in product(GROWTHS, (AROUND, AROUND / 2.0, AROUND / 4.0, 1.0)):
-            far = growth * reach
-            margin = far + patch.skin + beyond * size
+        for radius_growth, margin_size in product(
+            RADIUS_GROWTHS, (MARGIN_CELLS, MARGIN_CELLS / 2.0, MARGIN_CELLS / 4.0, 1.0)
+        ):
+            far = radius_growth * radius
+            margin = far + query_mesh.skin + margin_size * size
             counts = np.ceil((high - low + 2.0 * margin) / size)
             cells = float(np.prod(counts))
             # Cells that have one lie within this of the area, a third more about a bend or beside a rim.
-            height = far + 2.0 * patch.skin + 3.0 * size
-            lists = min(1.35 * patch.area * height / size**3 + 1000.0, cells)
-            places = PLACED * int(listed * lists / PLACED)
+            height = far + 2.0 * query_mesh.skin + 3.0 * size
+            lists = min(1.35 * query_mesh.area * height / size**3 + 1000.0, cells)
+            places = LIST_ALIGNMENT * int(list_size * lists / LIST_ALIGNMENT)
             if cells * of_cell <= CELL_BYTES and 4 * places <= LIST_BYTES:
                 x, y, z = counts.astype(int).tolist()
-                return Grid(low - margin, (x, y, z), size, margin, places, far, int(cells) * of_cell + 4 * places)
+                return FaceGrid(
+                    low - margin, (x, y, z), size, margin, places, far, int(cells) * of_cell + 4 * places
+                )
         size *= 1.1
     return None
 
 
 def declare_grids(
-    grids: Sequence[Grid] | None, patches: int, model: Any, layout: Layout, t: SimpleNamespace
+    grids: Sequence[FaceGrid] | None, query_meshes: int, model: Any, layout: AllocationPlan, t: SimpleNamespace
 ) -> None:
     """Declares the grids of the patches of ``model``, to be filled when they are made."""
-    rows = grids or [Grid(np.zeros(3), (0, 0, 0), 1.0, 0.0, 0, 0.0, 0)] * patches
+    rows = grids or [FaceGrid(np.zeros(3), (0, 0, 0), 1.0, 0.0, 0, 0.0, 0)] * query_meshes
     first_cell = np.cumsum([0] + [grid.cells for grid in rows]).tolist()
     first_place = np.cumsum([0] + [grid.places for grid in rows]).tolist()
     counts = [(*grid.counts, start if grid.cells else -1) for grid, start in zip(rows, first_cell, strict=False)]
-    layout.content("surfaces", model, "patch_cells", np.array(counts).reshape(-1, 4), wp.vec4i)
+    layout.constant("surfaces", model, "query_mesh_grid", np.array(counts).reshape(-1, 4), wp.vec4i)
     origins = np.array([grid.origin for grid in rows]).reshape(-1, 3)
-    layout.content("surfaces", model, "patch_cells_origin", origins, t.vec3)
-    layout.content("surfaces", model, "patch_cells_size", [grid.size for grid in rows], t.real)
+    layout.constant("surfaces", model, "query_mesh_grid_origin", origins, t.vec3)
+    layout.constant("surfaces", model, "query_mesh_cell_size", [grid.size for grid in rows], t.real)
     # Rounding of the boundary, which is of single precision, takes none of it.
     margins = [grid.margin * (1.0 - 1e-4) - 1e-6 * float(np.abs(grid.origin).max()) for grid in rows]
-    layout.content("surfaces", model, "patch_cells_margin", margins, t.real)
+    layout.constant("surfaces", model, "query_mesh_grid_margin", margins, t.real)
 
     def make(_: int) -> None:
         device = layout.device
         model.cells = wp.empty(first_cell[-1], dtype=t.Cell, device=device)
-        model.listed_face = wp.empty(first_place[-1], dtype=wp.int32, device=device)
+        model.cell_face = wp.empty(first_place[-1], dtype=wp.int32, device=device)
         if grids is None:
             return
         # Warp parses functions as they are made: only where there are any.
         from warpcontact.kernels import fill_cells
 
         used = wp.zeros(len(grids), dtype=wp.int32, device=device)
-        for patch, grid in enumerate(grids):
-            own = used[patch : patch + 1]
-            inputs = [model, patch, grid.reach, first_place[patch], grid.places, own]
+        for query_mesh, grid in enumerate(grids):
+            own = used[query_mesh : query_mesh + 1]
+            inputs = [model, query_mesh, grid.radius, first_place[query_mesh], grid.places, own]
             wp.launch(fill_cells.kernel(t.real), grid.cells, inputs, device=device)
 
-    layout.other("surfaces", sum(grid.bytes for grid in rows), make)
+    layout.custom("surfaces", sum(grid.bytes for grid in rows), make)

@@ -15,10 +15,10 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.available import HOST
-from warpcontact.captures import beside_captures
-from warpcontact.copies import Copies
+from warpcontact.captures import shared_capture_lock
+from warpcontact.copies import FrameCopies
 from warpcontact.environments import Environments
-from warpcontact.footprint import Need
+from warpcontact.footprint import MemoryItem
 from warpcontact.model import Model
 
 # Frames wait on a GPU up to this size, then move to the host in one copy.
@@ -43,15 +43,17 @@ class Frame:
         """Returns how many frames wait on the device."""
         return min(frames, max(1, RING_BYTES // max(1, envs * self.device)))
 
-    def needs(self, device: str, envs: int, frames: int, blocks: int = 1) -> list[Need]:
+    def memory_items(self, device: str, envs: int, frames: int, blocks: int = 1) -> list[MemoryItem]:
         """Returns what a buffer on ``device``, if it is a GPU, and the results on the host, one a block, take."""
         slots, result = self.slots(envs, frames), blocks * frames * self.host
-        needs = [Need("recording", HOST, envs * result, result)]
+        memory_items = [MemoryItem("recording", HOST, envs * result, result)]
         if not wp.get_device(device).is_cpu:
             # A buffer of some frames is of about the same size however many environments there are.
             grows = slots in (1, frames)
-            needs.append(Need("buffers", device, slots * envs * self.device, slots * self.device if grows else 0))
-        return needs
+            memory_items.append(
+                MemoryItem("buffers", device, slots * envs * self.device, slots * self.device if grows else 0)
+            )
+        return memory_items
 
 
 class Channel:
@@ -74,8 +76,8 @@ class Channel:
         self.results = [self.result]
         self.rings: dict[Model, Ring] = {}
 
-    @beside_captures()
-    def allocate(self, frames: int, blocks: Sequence[Mapping[Model, Copies]]) -> None:
+    @shared_capture_lock()
+    def allocate(self, frames: int, blocks: Sequence[Mapping[Model, FrameCopies]]) -> None:
         """Makes room for ``frames`` frames of each block, which are to be taken of parts on the CPU by copies."""
         shape = (frames, self.model.envs, *self._sample.shape)
         self.results = [np.zeros(shape, dtype=self._sample.dtype) for _ in blocks]
@@ -90,14 +92,14 @@ class Channel:
     def begin(self, block: int) -> None:
         """Puts the frames that come next into a block, from its first on; what waits on a device is dropped."""
         self.result = self.results[block]
-        self.go_on_from(0)
+        self.continue_from(0)
 
     def drain(self) -> None:
         """Takes to the host what waits on a device."""
         for ring in self.rings.values():
             ring.drain(self.result)
 
-    def go_on_from(self, count: int) -> None:
+    def continue_from(self, count: int) -> None:
         """Takes the first ``count`` frames of the result for taken, and what waits for lost."""
         for ring in self.rings.values():
             ring.taken = ring.drained = count
@@ -122,7 +124,7 @@ class Ring:
         self.taken = 0
         self.drained = 0
 
-    @beside_captures()
+    @shared_capture_lock()
     def take(self, number: int, result: NDArray[Any]) -> None:
         """Copies a frame, and takes what waits to ``result`` when the buffer is full."""
         wp.copy(self.memory[number - self.drained], self.source)

@@ -1,6 +1,6 @@
 """State and history of a simulation as arrays, and as a file: what a run needs to continue bitwise identically.
 
-A ``Layout`` declares which arrays are stored, and the allowed values of their integers. Caches and arrays that
+A ``AllocationPlan`` declares which arrays are stored, and the allowed values of their integers. Caches and arrays that
 are computed before they are read are left out; loading sets them to zero, as in a new model. Tables that follow
 from the scene and from parameters are computed again. A file is an ``.npz`` of plain arrays with checksums, and
 contains no code.
@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact._version import __version__
-from warpcontact.arrays import Layout
-from warpcontact.captures import beside_captures
+from warpcontact.arrays import AllocationPlan
+from warpcontact.captures import shared_capture_lock
 from warpcontact.checkpoint_values import (
     CheckpointError,
     ParameterValues,
@@ -31,14 +31,14 @@ from warpcontact.checkpoint_values import (
     check_states,
     set_values,
 )
-from warpcontact.durable import replacing
-from warpcontact.hostile import shortened
+from warpcontact.durable import atomic_file
+from warpcontact.hostile import truncate
 from warpcontact.integrators.base import formulas_of
 from warpcontact.regular_files import UnsafeFileError
 from warpcontact.run_folder import RunPath, open_file
 
 if TYPE_CHECKING:
-    from warpcontact.outcomes.watch import Watch
+    from warpcontact.outcomes.watch import MonitorSettings
     from warpcontact.simulation import Simulation
 
 #: Goes up when files of earlier versions can no longer be read as they are.
@@ -52,7 +52,7 @@ def write(path: Path | RunPath, arrays: Mapping[str, NDArray[Any]], header: Mapp
     """Writes arrays and a header into a file, which is there as a whole or not at all."""
     content = {"program": f"warpcontact {__version__}", "schema": SCHEMA, **header}
     named: dict[str, Any] = {_HEADER: np.frombuffer(json.dumps(content).encode(), dtype=np.uint8), **arrays}
-    with replacing(path) as file:
+    with atomic_file(path) as file:
         np.savez(file, **named)
 
 
@@ -118,7 +118,7 @@ def identity(simulation: "Simulation") -> dict[str, Any]:
         "dt": simulation.dt,
         "integrator": repr(simulation.integrator),
         "crossing_substeps": simulation.crossing_substeps,
-        "watched": _watched(simulation.watch),
+        "watched": _monitored(simulation.monitor_settings),
         "parameters": list(model),
         "formulas": [
             f"{name}.{part} = {type(formula).__name__}"
@@ -133,27 +133,27 @@ def identity(simulation: "Simulation") -> dict[str, Any]:
     }
 
 
-def _watched(watch: "Watch") -> list[str]:
+def _monitored(settings: "MonitorSettings") -> list[str]:
     """Returns what is watched, in its order and with everything that tells one from another."""
-    named = [*watch.outcomes.items(), *watch.stops.items()]
+    named = [*settings.outcomes.items(), *settings.stops.items()]
     told = [f"{name}: {type(one).__name__} {sorted(vars(one).items())}" for name, one in named]
-    events = [] if watch.events is None else [f"events: {sorted(vars(watch.events).items())}"]
-    return [*told, *events, f"quarantine: {watch.quarantine}"]
+    events = [] if settings.events is None else [f"events: {sorted(vars(settings.events).items())}"]
+    return [*told, *events, f"quarantine: {settings.quarantine}"]
 
 
 def state_of(simulation: "Simulation") -> Arrays:
     """Returns the bytes of everything that steps of ``simulation`` need of earlier ones, by name."""
     arrays: Arrays = {}
     for place, layout in _layouts(simulation):
-        for name, memory in layout.written().items():
+        for name, memory in layout.step_memory().items():
             arrays |= {f"{place}/{name}:{array}": content for array, content in memory.content().items()}
     parts = simulation.model.parts
     arrays["elapsed"] = np.array([part.elapsed for part in parts], dtype=np.float64)
-    arrays["untouched"] = np.array([part.untouched for part in parts], dtype=bool)
+    arrays["is_initial"] = np.array([part.is_initial for part in parts], dtype=bool)
     return arrays
 
 
-@beside_captures()
+@shared_capture_lock()
 def restore(simulation: "Simulation", arrays: Mapping[str, NDArray[Any]]) -> None:
     """Sets state and history to those that ``state_of`` returned, and clears all caches.
 
@@ -163,15 +163,15 @@ def restore(simulation: "Simulation", arrays: Mapping[str, NDArray[Any]]) -> Non
     """
     restored = _checked(simulation, arrays)
     for place, layout in _layouts(simulation):
-        for name, memory in layout.written().items():
+        for name, memory in layout.step_memory().items():
             memory.restore(restored[place][name])
-    for part, elapsed, untouched in zip(
-        simulation.model.parts, arrays["elapsed"], arrays["untouched"], strict=True
+    for part, elapsed, is_initial in zip(
+        simulation.model.parts, arrays["elapsed"], arrays["is_initial"], strict=True
     ):
         if part.contact_count:
             # Zero would be a face.
             part.arrays.contacts.crossed_face.fill_(-1)
-        part.elapsed, part.untouched = float(elapsed), bool(untouched)
+        part.elapsed, part.is_initial = float(elapsed), bool(is_initial)
 
 
 def _checked(
@@ -184,8 +184,8 @@ def _checked(
     """
     restored: dict[str, dict[str, dict[str, NDArray[Any]]]] = {}
     for place, layout in _layouts(simulation):
-        restored[place] = {name: {} for name in layout.written()}
-        for name, memory in layout.written().items():
+        restored[place] = {name: {} for name in layout.step_memory()}
+        for name, memory in layout.step_memory().items():
             for array in memory.saved:
                 full = f"{place}/{name}:{array}"
                 if full not in arrays:
@@ -231,17 +231,17 @@ def load(simulation: "Simulation", path: str | os.PathLike[str]) -> None:
         raise CheckpointError(f"{path}: {error}") from None
 
 
-def _layouts(simulation: "Simulation") -> Iterator[tuple[str, Layout]]:
+def _layouts(simulation: "Simulation") -> Iterator[tuple[str, AllocationPlan]]:
     """Iterates over what is on the device of each part, by a name."""
     for number, (part, stepping) in enumerate(
-        zip(simulation.model.parts, simulation.stepping_layouts(), strict=True)
+        zip(simulation.model.parts, simulation.step_allocations(), strict=True)
     ):
         yield f"{number}/model", part.layout
         yield f"{number}/stepping", stepping
 
 
 def _shown(value: Any) -> str:
-    return f"{len(value)} of them" if isinstance(value, list) and len(value) > 3 else shortened(f"{value!r}", 200)
+    return f"{len(value)} of them" if isinstance(value, list) and len(value) > 3 else truncate(f"{value!r}", 200)
 
 
 def _difference(key: str, theirs: Any, own: Any) -> str:

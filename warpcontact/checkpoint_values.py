@@ -8,7 +8,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact import checks
-from warpcontact.hostile import VisibleError
+from warpcontact.hostile import SafeTextError
 from warpcontact.kernels.formula import check_values
 from warpcontact.kernels.types import ENV_FROZEN
 from warpcontact.parameters import Field, Parameter
@@ -23,20 +23,20 @@ CONVERTED_ROUNDING = 1.0e-9
 _EXTERNAL = ("force", "torque")
 
 
-class CheckpointError(VisibleError):
+class CheckpointError(SafeTextError):
     """A file that holds no checkpoint, a damaged one, or one of another simulation."""
 
 
 def check_clocks(arrays: Mapping[str, NDArray[Any]], parts: int) -> None:
     """Raises ``CheckpointError`` unless each part of the model has a time, and whether it was stepped."""
-    for name, dtype in (("elapsed", np.float64), ("untouched", np.bool_)):
+    for name, dtype in (("elapsed", np.float64), ("is_initial", np.bool_)):
         found = arrays.get(name)
         if found is None or found.dtype != dtype or found.shape != (parts,):
             got = "nothing" if found is None else f"{found.dtype} of shape {found.shape}"
             raise CheckpointError(
                 f"array {name!r} must be a {dtype.__name__} for each of {parts} devices, got {got}"
             )
-    _refuse_times("elapsed", arrays["elapsed"])
+    _check_times("elapsed", arrays["elapsed"])
 
 
 def check_states(found: Mapping[str, NDArray[Any]]) -> None:
@@ -48,22 +48,22 @@ def check_states(found: Mapping[str, NDArray[Any]]) -> None:
     Args:
         found: ``status`` and ``time`` (envs,), and the arrays of the state (envs, bodies, …), by name.
     """
-    _refuse_times("time", found["time"])
+    _check_times("time", found["time"])
     active = found["status"] != ENV_FROZEN
     for name, values in found.items():
         if name.startswith("body_"):
-            _refuse(name, values, ~np.isfinite(values).all(axis=-1) & active[:, None], "finite")
+            _raise_for_first(name, values, ~np.isfinite(values).all(axis=-1) & active[:, None], "finite")
     orientation = found["body_orientation"]
     with np.errstate(over="ignore", invalid="ignore"):
         long = np.abs(np.linalg.norm(orientation, axis=-1) - 1.0) > UNIT_ROUNDING
-    _refuse("body_orientation", orientation, long & active[:, None], "a unit quaternion (x, y, z, w)")
+    _raise_for_first("body_orientation", orientation, long & active[:, None], "a unit quaternion (x, y, z, w)")
 
 
-def _refuse_times(name: str, times: NDArray[Any]) -> None:
-    _refuse(name, times, ~(np.isfinite(times) & (times >= 0.0)), "a time of at least 0 s")
+def _check_times(name: str, times: NDArray[Any]) -> None:
+    _raise_for_first(name, times, ~(np.isfinite(times) & (times >= 0.0)), "a time of at least 0 s")
 
 
-def _refuse(name: str, values: NDArray[Any], bad: NDArray[np.bool_], condition: str) -> None:
+def _raise_for_first(name: str, values: NDArray[Any], bad: NDArray[np.bool_], condition: str) -> None:
     """Raises ``CheckpointError`` for the first of ``values`` that is ``bad``."""
     if bad.any():
         place = tuple(np.argwhere(bad)[0])
@@ -95,7 +95,7 @@ class ParameterValues:
     def saved(self) -> dict[str, NDArray[Any]]:
         """Returns the arrays of a file."""
         arrays: dict[str, NDArray[Any]] = {self._name(key): field.values for key, field in enumerate(self.fields)}
-        if self.part.handed_out:
+        if self.part.external_exposed:
             for name in _EXTERNAL:
                 arrays[self._external_name(name)] = self._external(name).numpy()
         return arrays
@@ -139,11 +139,11 @@ class ParameterValues:
             own = found.get(name)
             if own is None or own.dtype != real or own.shape != shape:
                 raise CheckpointError(f"array {self._external_name(name)!r} must be {real} of shape {shape}")
-            _refuse(self._external_name(name), own, ~np.isfinite(own).all(axis=-1), "finite")
+            _raise_for_first(self._external_name(name), own, ~np.isfinite(own).all(axis=-1), "finite")
         self.external = found
 
-    def put(self) -> None:
-        """Sets the fields on the host; ``send`` has to follow."""
+    def set_host_fields(self) -> None:
+        """Sets the fields on the host; ``upload`` has to follow."""
         for key, values in self.changed.items():
             field = self.fields[key]
             field.shared = len(values) == 1 and (self.part.envs > 1 or field.shared)
@@ -156,17 +156,17 @@ class ParameterValues:
             ValueError: If values do not fit each other, or the precision of the device.
         """
         changed = {id(self.fields[key]) for key in self.changed}
-        uploads = [
-            upload
+        device_fields = [
+            device_field
             for parameter in self.part.parameters.values()
             if id(parameter.field) in changed
-            for upload in parameter.uploads
+            for device_field in parameter.device_fields
         ]
-        return {upload: upload.content() for upload in dict.fromkeys(uploads)}
+        return {device_field: device_field.content() for device_field in dict.fromkeys(device_fields)}
 
-    def send(self, contents: Mapping[Any, NDArray[Any]]) -> None:
+    def upload(self, contents: Mapping[Any, NDArray[Any]]) -> None:
         """Sends ``contents`` and external forces to the device."""
-        self.part.send(contents.keys(), contents.values())
+        self.part.upload(contents.keys(), contents.values())
         for name, values in self.external.items():
             self._external(name).assign(values)
 
@@ -190,14 +190,14 @@ def set_values(parts: Iterable[ParameterValues]) -> None:
     before: list[tuple[Field, Field]] = [(field, field.copy()) for one in parts for field in one.fields]
     try:
         for one in parts:
-            one.put()
+            one.set_host_fields()
         contents = [one.contents() for one in parts]
     except ValueError as error:
         for field, earlier in before:
             field.restore(earlier)
         raise CheckpointError(str(error)) from None
     for one, content in zip(parts, contents, strict=True):
-        one.send(content)
+        one.upload(content)
 
 
 def _check_parameter(part: "Model", parameter: Parameter, values: NDArray[np.float64]) -> None:
@@ -205,7 +205,7 @@ def _check_parameter(part: "Model", parameter: Parameter, values: NDArray[np.flo
     try:
         check_values(parameter.name, values, parameter.limits)
         if parameter.whole:
-            checks.whole_numbers(parameter.name, values)
+            checks.integers(parameter.name, values)
         part.check_value(parameter.name, values)
         converted = parameter.convert(parameter.name, values) if parameter.convert else values
     except ValueError as error:

@@ -14,10 +14,10 @@ from warpcontact.kernels.names import suggestion
 Array = NDArray[np.float64]
 
 # More names than these are not listed in a message.
-LISTED = 20
+MAX_LISTED = 20
 
 #: Largest length of a name that becomes a part of the names of files [bytes of UTF-8].
-MOST_NAME = 200
+MAX_NAME_LENGTH = 200
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 
@@ -127,16 +127,16 @@ def switch(name: str, value: Any) -> bool:
     return bool(value)
 
 
-def whole(name: str, value: object, least: int = 1) -> int:
+def integer(name: str, value: object, least: int = 1) -> int:
     """Returns ``value`` if it is a whole number of at least so much, or raises ``ValueError``."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")
     return int(value)
 
 
-def whole_numbers(name: str, value: Array) -> Array:
+def integers(name: str, value: Array) -> Array:
     """Returns ``value`` if it is whole throughout, or raises ``ValueError``."""
-    _refuse(name, value, value != np.round(value), "a whole number")
+    _raise_for_first(name, value, value != np.round(value), "a whole number")
     return value
 
 
@@ -149,17 +149,17 @@ def inertia_tensors(name: str, value: Array) -> Array:
     """
     scale = np.abs(value).max(axis=(-2, -1))
     skew = np.abs(value - np.swapaxes(value, -2, -1)).max(axis=(-2, -1))
-    _refuse(name, value, skew > 1.0e-6 * scale, "symmetric")
+    _raise_for_first(name, value, skew > 1.0e-6 * scale, "symmetric")
     symmetric = 0.5 * (value + np.swapaxes(value, -2, -1))
     moments = np.linalg.eigvalsh(symmetric)
-    _refuse(name, value, moments[..., 0] <= 1.0e-9 * moments[..., 2], "positive definite [kg·m²]")
+    _raise_for_first(name, value, moments[..., 0] <= 1.0e-9 * moments[..., 2], "positive definite [kg·m²]")
     # The tolerance lets a thin plate pass, for which equality holds, whatever its rounding.
     too_large = moments[..., 2] > (moments[..., 0] + moments[..., 1]) * (1.0 + 1.0e-6)
-    _refuse(name, value, too_large, "physical: no principal moment may exceed the sum of the other two")
+    _raise_for_first(name, value, too_large, "physical: no principal moment may exceed the sum of the other two")
     return symmetric
 
 
-def _refuse(name: str, value: Array, bad: NDArray[np.bool_], allowed: str) -> None:
+def _raise_for_first(name: str, value: Array, bad: NDArray[np.bool_], allowed: str) -> None:
     where = np.argwhere(bad)
     if len(where):
         index = tuple(where[0])
@@ -205,7 +205,7 @@ def key(what: str, value: object) -> str:
     return value
 
 
-def check_length(what: str, name: str, most: int = MOST_NAME) -> None:
+def check_length(what: str, name: str, most: int = MAX_NAME_LENGTH) -> None:
     """Raises ``ValueError`` if a name is too long to be a part of the name of a file."""
     size = len(name.encode(errors="surrogatepass"))
     if size > most:
@@ -214,7 +214,7 @@ def check_length(what: str, name: str, most: int = MOST_NAME) -> None:
         )
 
 
-def look_up(
+def find_entry(
     kind: str,
     name: str,
     table: Mapping[str, Any],
@@ -245,17 +245,17 @@ def look_up(
 
 def similar(name: str, known: Collection[str]) -> str:
     """Returns the end of a message about an unknown name: the closest known name, or some of all names."""
-    return suggestion(name, known) or f"; {there_are(name, known)}"
+    return suggestion(name, known) or f"; {available_names(name, known)}"
 
 
-def there_are(name: str, known: Iterable[str]) -> str:
+def available_names(name: str, known: Iterable[str]) -> str:
     """Returns in words what there is in place of ``name``: names of its element, or elements that have some."""
     first = name.partition(".")[0]
     names = list(known)
     listed = [one for one in names if one.startswith(f"{first}.")]
     # Without dots the names are those of elements themselves.
     listed = listed or list(dict.fromkeys(one.partition(".")[0] + ".*" * ("." in one) for one in names))
-    return f"there are: {', '.join(listed[:LISTED]) or 'none'}{', …' * (len(listed) > LISTED)}"
+    return f"there are: {', '.join(listed[:MAX_LISTED]) or 'none'}{', …' * (len(listed) > MAX_LISTED)}"
 
 
 def element(value: Any) -> str:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpcontact.checks import Array
-from warpcontact.frames import inverse, placed
+from warpcontact.frames import inverse, transform_points
 
 if TYPE_CHECKING:
     from warpcontact.elements import Body, Surface
@@ -17,20 +17,20 @@ if TYPE_CHECKING:
 ROUNDING = 1.0e-5
 
 
-def is_clear(model: "Environments", contact: "Contact", envs: int) -> bool:
+def starts_clear(model: "Environments", contact: "Contact", envs: int) -> bool:
     """Returns whether no point of ``contact`` can be inside of its surface, in the first ``envs`` environments.
 
     It is so above the whole of a terrain or bowl, over its boundary, and beside the box about a solid. Of points that
     move together the ball about them is asked.
     """
     return all(
-        _is_clear_on(part, contact, min(envs - own.start, part.envs))
+        _starts_clear_on(part, contact, min(envs - own.start, part.envs))
         for part, own in model.shares()
         if own.start < envs
     )
 
 
-def _is_clear_on(part: "Model", contact: "Contact", envs: int) -> bool:
+def _starts_clear_on(part: "Model", contact: "Contact", envs: int) -> bool:
     points, surface = contact.points, contact.surface
 
     # All that follows is (1 or envs, items, …).
@@ -47,25 +47,25 @@ def _is_clear_on(part: "Model", contact: "Contact", envs: int) -> bool:
     middle, size = 0.5 * (low + high), 0.5 * np.linalg.norm(high - low, axis=-1)
     if points.surface is not None:
         scale = values(f"{points.surface.name}.scale")
-        middle, size = _out_of(scale[..., None] * middle, *pose_on_body(points.surface)), scale * size
-    far = _largest(middle)
+        middle, size = _to_parent_frame(scale[..., None] * middle, *pose_on_body(points.surface)), scale * size
+    far = _max_coordinate(middle)
     if points.body is not None:
         pose = _pose(part, points.body, envs)
-        middle = _out_of(middle, *pose)
-        far = far + _largest(pose[0]) + _largest(middle)
+        middle = _to_parent_frame(middle, *pose)
+        far = far + _max_coordinate(pose[0]) + _max_coordinate(middle)
     poses = [] if surface.body is None else [_pose(part, surface.body, envs)]
     for pose in (*poses, pose_on_body(surface)):
-        middle = _into(middle, *pose)
-        far = far + _largest(pose[0]) + _largest(middle)
+        middle = _to_local_frame(middle, *pose)
+        far = far + _max_coordinate(pose[0]) + _max_coordinate(middle)
     scale = values(f"{surface.name}.scale")
     far = far + scale * max(np.abs(mesh.bounds).max() for mesh in surface.meshes)
     radius = values(f"{contact.name}.radius").max(axis=1, keepdims=True)
-    needed = (size + radius + ROUNDING * far) / scale
+    required = (size + radius + ROUNDING * far) / scale
     seen = middle / scale[..., None] - surface.centre
-    return all(bool((sides.clearance(seen) > needed).all()) for sides in part.sides[contact])
+    return all(bool((side_region.clearance(seen) > required).all()) for side_region in part.side_regions[contact])
 
 
-def _largest(places: Array) -> Array:
+def _max_coordinate(places: Array) -> Array:
     """Returns the largest coordinate of each place."""
     return np.asarray(np.abs(places).max(axis=-1))
 
@@ -76,11 +76,11 @@ def _pose(part: "Model", body: "Body", envs: int) -> list[Array]:
     return [array[:envs, body.items].numpy().astype(np.float64) for array in whole]
 
 
-def _out_of(places: Array, position: Array, orientation: Array) -> Array:
+def _to_parent_frame(places: Array, position: Array, orientation: Array) -> Array:
     """Returns places of a frame, one of each, in the frame in which it has this pose."""
-    return placed(places[..., None, :], position, orientation)[..., 0, :]
+    return transform_points(places[..., None, :], position, orientation)[..., 0, :]
 
 
-def _into(places: Array, position: Array, orientation: Array) -> Array:
+def _to_local_frame(places: Array, position: Array, orientation: Array) -> Array:
     """Returns places in a frame, one in each, that has this pose where they are given."""
-    return _out_of(places - position, np.zeros(3), inverse(orientation))
+    return _to_parent_frame(places - position, np.zeros(3), inverse(orientation))

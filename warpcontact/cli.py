@@ -22,8 +22,8 @@ from warpcontact import (
     report_command,
     view_command,
 )
-from warpcontact.hostile import visible_output
-from warpcontact.signals import terminations
+from warpcontact.hostile import escape_output
+from warpcontact.signals import terminate_as_interrupt
 from warpcontact.trust_option import add_option
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ SHARDS_FAILED = 3  # some shards of a run; the others are finished
 INTERRUPTED = 130  # the shell's number for Ctrl-C
 
 
-@visible_output()
+@escape_output()
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command.
 
@@ -193,14 +193,14 @@ def _parser() -> argparse.ArgumentParser:
     build_kernels_command.add_to(commands)
     commands.choices["build-kernels"].set_defaults(command=_build_kernels)
     render_command.add_to(commands)
-    commands.choices["render"].set_defaults(command=_of_folder, work=render_command.run)
+    commands.choices["render"].set_defaults(command=_folder_command, work=render_command.run)
     folder_commands.add_to(commands)
-    commands.choices["status"].set_defaults(command=_of_folder, work=folder_commands.status)
-    commands.choices["export"].set_defaults(command=_of_folder, work=folder_commands.export)
+    commands.choices["status"].set_defaults(command=_folder_command, work=folder_commands.status)
+    commands.choices["export"].set_defaults(command=_folder_command, work=folder_commands.export)
     report_command.add_to(commands)
-    commands.choices["report"].set_defaults(command=_of_folder, work=report_command.run)
+    commands.choices["report"].set_defaults(command=_folder_command, work=report_command.run)
     view_command.add_to(commands)
-    commands.choices["view"].set_defaults(command=_of_folder, work=view_command.run)
+    commands.choices["view"].set_defaults(command=_folder_command, work=view_command.run)
     return parser
 
 
@@ -216,7 +216,7 @@ def _sentence(error: OSError) -> str:
 
 
 @dataclass
-class _Begun:
+class _RunContext:
     """What there is of a run, for who asks to stop it.
 
     Attributes:
@@ -248,16 +248,16 @@ class _Begun:
 def _run(arguments: argparse.Namespace) -> int:
     if arguments.file is None and not (arguments.resume and arguments.out):
         arguments.usage.error("the following arguments are required: FILE (unless --resume --out DIR)")
-    begun = _Begun(Path(arguments.out) if arguments.resume and arguments.out else None)
-    with terminations():
+    context = _RunContext(Path(arguments.out) if arguments.resume and arguments.out else None)
+    with terminate_as_interrupt():
         try:
-            return _run_experiment(arguments, begun)
+            return _run_experiment(arguments, context)
         except KeyboardInterrupt:
-            print(f"\nwarpcontact: interrupted{begun}", file=sys.stderr)
+            print(f"\nwarpcontact: interrupted{context}", file=sys.stderr)
             return INTERRUPTED
 
 
-def _run_experiment(arguments: argparse.Namespace, begun: _Begun) -> int:
+def _run_experiment(arguments: argparse.Namespace, context: _RunContext) -> int:
     import warnings
 
     import warp as wp
@@ -276,12 +276,12 @@ def _run_experiment(arguments: argparse.Namespace, begun: _Begun) -> int:
             check_usable(Path(arguments.out), overwrite=False, resume=True)
             arguments.file = Path(arguments.out) / EXPERIMENT
         folder = _results(arguments)
-        begun.resumed = folder if arguments.resume else None
+        context.resumed = folder if arguments.resume else None
         # Before the experiment is checked, for which kernels may have to be compiled.
         check_usable(folder, overwrite=arguments.overwrite, resume=arguments.resume)
         experiment = _experiment(arguments)
-        begun.before, begun.folder = read_summary(folder), folder
-        with warnings.catch_warnings(), _blaming_option(arguments, experiment):
+        context.before, context.folder = read_summary(folder), folder
+        with warnings.catch_warnings(), _name_option(arguments, experiment):
             # The summary says it.
             warnings.filterwarnings("ignore", message=".* and are frozen", category=RuntimeWarning)
             result = experiment.run(
@@ -293,7 +293,7 @@ def _run_experiment(arguments: argparse.Namespace, begun: _Begun) -> int:
                 shard=arguments.shard,
                 threads=arguments.threads,
                 checkpoint=arguments.checkpoint,
-                on_stage=_say,
+                on_stage=_print_stage,
                 on_warning=warn,
             )
     except (ExperimentError, RunDataError, QuarantineError) as error:
@@ -302,9 +302,9 @@ def _run_experiment(arguments: argparse.Namespace, begun: _Begun) -> int:
         code = _fail(_sentence(error))
         for note in getattr(error, "__notes__", ()):
             _fail(note)
-        if begun.folder is not None and (RunPath(begun.folder) / DATA).is_real_folder():
-            kept = "what was committed is kept" if has_commits(begun.folder) else "nothing is kept yet"
-            _fail(f"{kept}{_resume(begun.folder)}")
+        if context.folder is not None and (RunPath(context.folder) / DATA).is_real_folder():
+            kept = "what was committed is kept" if has_commits(context.folder) else "nothing is kept yet"
+            _fail(f"{kept}{_resume(context.folder)}")
         return code
     print(result)
     return SHARDS_FAILED if result.summary.get("failed") else 0
@@ -326,7 +326,7 @@ def _plan(arguments: argparse.Namespace) -> int:
 
     try:
         experiment = _experiment(arguments)
-        with _blaming_option(arguments, experiment):
+        with _name_option(arguments, experiment):
             plan = experiment.plan(device=_device(arguments), shard=arguments.shard, out=_results(arguments))
     except ExperimentError as error:
         return _fail(str(error))
@@ -335,7 +335,7 @@ def _plan(arguments: argparse.Namespace) -> int:
         return FAILED
     print(plan, flush=True)
     if plan.shard and arguments.probe:
-        _say("measuring")
+        _print_stage("measuring")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # a run tells
             try:
@@ -349,22 +349,24 @@ def _experiment(arguments: argparse.Namespace) -> "Experiment":
     """Reads the experiment of a command, with what its options change."""
     from warpcontact.experiment import Experiment
 
-    _say(f"reading {arguments.file}")
-    experiment = Experiment.from_toml(arguments.file, changes=arguments.set, on_stage=_say, trust=arguments.trust)
+    _print_stage(f"reading {arguments.file}")
+    experiment = Experiment.from_toml(
+        arguments.file, changes=arguments.set, on_stage=_print_stage, trust=arguments.trust
+    )
     for option in ("envs", "duration"):
         value = getattr(arguments, option)
-        with _blaming(f"--{option} {value}", experiment.source):
+        with _name_source(f"--{option} {value}", experiment.source):
             experiment = experiment.changed(**{option: value})
     return experiment
 
 
 def _results(arguments: argparse.Namespace) -> Path:
     """Returns the folder for the results of an experiment that was not read yet."""
-    from warpcontact.experiment.experiment import content_of
+    from warpcontact.experiment.experiment import read_content
 
     if arguments.out:
         return Path(arguments.out)
-    name = str(content_of(Path(arguments.file), arguments.set)["name"])
+    name = str(read_content(Path(arguments.file), arguments.set)["name"])
     return Path("results", re.sub(r"[^\w.-]+", "_", name).strip("._") or "experiment")
 
 
@@ -374,11 +376,11 @@ def _device(arguments: argparse.Namespace) -> str | list[str]:
     return name.split(",") if "," in name else name
 
 
-def _say(stage: str) -> None:
+def _print_stage(stage: str) -> None:
     print(f"{stage} …", file=sys.stderr, flush=True)
 
 
-def _blaming_option(arguments: argparse.Namespace, experiment: "Experiment") -> AbstractContextManager[None]:
+def _name_option(arguments: argparse.Namespace, experiment: "Experiment") -> AbstractContextManager[None]:
     """Names the option that is left to be wrong: the size of a shard, or the device."""
     given = vars(arguments)
     wrong = {
@@ -388,11 +390,11 @@ def _blaming_option(arguments: argparse.Namespace, experiment: "Experiment") -> 
     }
     option = next((f"--{name} {given[name]}" for name, is_wrong in wrong.items() if is_wrong), None)
     option = option or f"--device {arguments.device}"
-    return _blaming(option, experiment.source)
+    return _name_source(option, experiment.source)
 
 
 @contextmanager
-def _blaming(option: str, source: str) -> Iterator[None]:
+def _name_source(option: str, source: str) -> Iterator[None]:
     """Names ``option`` in place of the file: what is wrong was right before it."""
     from warpcontact.experiment import ExperimentError
 
@@ -441,7 +443,7 @@ def _laws(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _of_folder(arguments: argparse.Namespace) -> int:
+def _folder_command(arguments: argparse.Namespace) -> int:
     import warp as wp
 
     # Standard output has what was asked for, and nothing about kernels and devices.

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 
 @contextlib.contextmanager
-def paused() -> Iterator[None]:
+def gc_paused() -> Iterator[None]:
     """Lets nothing look for garbage meanwhile, which takes the longer the more there is that is none.
 
     What is there afterwards counts as old: it is not looked through before all is.

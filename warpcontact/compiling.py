@@ -10,28 +10,28 @@ import warp as wp
 from warpcontact.initialization import explaining, require_room
 
 # Threads that compile, at most: each compiles a header as well, and few kernels take long.
-COMPILERS = 4
+MAX_COMPILERS = 4
 
 
-def round_each_product(kernel: wp.Kernel, device: wp.Device) -> None:
+def disable_fma(kernel: wp.Kernel, device: wp.Device) -> None:
     """Has ``kernel`` round every product on a GPU; to be called before it is loaded there.
 
     Else the compiler chooses which of two products that are added is rounded, by what else the kernel computes of
     the same numbers. On a CPU it goes by each expression, and fused products save time.
     """
-    fused = not device.is_cuda
-    if kernel.module.options["fuse_fp"] != fused:
+    fma_flag = not device.is_cuda
+    if kernel.module.options["fuse_fp"] != fma_flag:
         # Not the entry alone: what is known already of its builds says the opposite.
-        wp.set_module_options({"fuse_fp": fused}, kernel.module)
+        wp.set_module_options({"fuse_fp": fma_flag}, kernel.module)
 
 
 def load(kernel: wp.Kernel, device: wp.Device) -> None:
     """Compiles ``kernel``, if it has to be, so that mistakes in what users wrote of it show at once."""
-    round_each_product(kernel, device)
-    load_as_launched(kernel, device)
+    disable_fma(kernel, device)
+    compile_as_launched(kernel, device)
 
 
-def load_as_launched(kernel: wp.Kernel, device: wp.Device) -> None:
+def compile_as_launched(kernel: wp.Kernel, device: wp.Device) -> None:
     """Compiles ``kernel``, if it has to be, for the blocks that launches have: of one thread on a CPU."""
     block_dim = None if device.is_cuda else 1
     with explaining():
@@ -53,8 +53,8 @@ def load_all(
         threads: Threads at most.
         on_loaded: Called by the thread that loaded a kernel, with the kernel.
     """
-    left = deque(dict.fromkeys(kernels))
-    others = min(len(left), COMPILERS, threads) - 1
+    remaining = deque(dict.fromkeys(kernels))
+    others = min(len(remaining), MAX_COMPILERS, threads) - 1
 
     def load_one(kernel: wp.Kernel) -> None:
         load(kernel, device)
@@ -63,21 +63,21 @@ def load_all(
 
     def load_next() -> None:
         try:
-            while left:
+            while remaining:
                 try:
-                    kernel = left.popleft()
+                    kernel = remaining.popleft()
                 except IndexError:  # others were faster
                     return
                 load_one(kernel)
         except BaseException:
             # Who waits for it, or interrupts it, waits for what is being compiled, and for nothing else.
-            left.clear()
+            remaining.clear()
             raise
 
     if others < 1:
         load_next()
         return
-    first = left.popleft()
+    first = remaining.popleft()
     with ThreadPoolExecutor(others) as pool:
         try:
             tasks = []
@@ -87,7 +87,7 @@ def load_all(
             load_one(first)
             load_next()
         except BaseException:
-            left.clear()
+            remaining.clear()
             raise
         for task in tasks:
             task.result()

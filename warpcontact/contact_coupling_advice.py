@@ -7,10 +7,10 @@ import numpy as np
 
 from warpcontact.checks import Array
 from warpcontact.contact_range import ExpectedImpact
-from warpcontact.friction_advice import LOOKED_AT, USUAL_SPEED, steepness_under
+from warpcontact.friction_advice import MAX_CHECKED_ENVS, TYPICAL_SPEED, steepest_slopes
 from warpcontact.kernels.friction import Frictionless
 from warpcontact.meshes.topology import area_vectors
-from warpcontact.mobility import LEAST_MOBILITY, mobility_of
+from warpcontact.mobility import MIN_MOBILITY, mobility_of
 from warpcontact.vectors import norm
 
 if TYPE_CHECKING:
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
     from warpcontact.environments import Environments
 
 # Steps of the time τ to a stop: the stopping distance is then right to a thousandth of the way.
-ENOUGH_STEPS = 20.0
+MIN_STEPS = 20.0
 # How much of the way to the closest distance a steady load may add before anything is said.
-OVERSHOOT = 0.01
+MAX_OVERSHOOT = 0.01
 # Faces whose normals are tried as the side that meets the other surface, the largest.
-LARGEST_FACES = 64
+MAX_FACES = 64
 
 
-def contact_coupling_advice(model: "Environments", coupling: "ContactCoupling", dt: float) -> list[str]:
+def contact_coupling_warnings(model: "Environments", coupling: "ContactCoupling", dt: float) -> list[str]:
     """Returns what to say about a contact coupling, a sentence for each of its problems.
 
     Contacts are those of the start. Masses are those of the bodies, without their rotation; the area is the
@@ -37,21 +37,21 @@ def contact_coupling_advice(model: "Environments", coupling: "ContactCoupling", 
         coupling: One of its couplings.
         dt: Time step [s].
     """
-    envs = min(model.envs, LOOKED_AT)
+    envs = min(model.envs, MAX_CHECKED_ENVS)
     reach = model[f"{coupling.name}.effective_range"][:envs]
     k1, k2 = (model[f"{coupling.name}.{key}"][:envs] for key in ("k1", "k2"))
     mass, speed = _mass_and_speed(model, coupling, envs)
     area = attainable_area(model, coupling, reach)
-    sentences = _about_steps(
+    sentences = _step_length_warnings(
         model, coupling, np.sqrt(area * k1 / mass), 0.5 * k2 * np.sqrt(area / (mass * k1)), dt
     )
     impact = coupling.range.impact
     if impact is not None:
-        sentences += _about_area(model, coupling, impact, area, reach)
-        sentences += _about_load(model, coupling, impact, k1, reach, mass)
+        sentences += _area_warnings(model, coupling, impact, area, reach)
+        sentences += _load_warnings(model, coupling, impact, k1, reach, mass)
         speed = np.maximum(speed, impact.speed)
-    sentences += _about_start(model, coupling, k1, mass, np.maximum(speed, USUAL_SPEED))
-    return sentences + _about_friction(model, coupling, np.sqrt(area * k1 * mass) * speed, mass, speed, dt)
+    sentences += _start_warnings(model, coupling, k1, mass, np.maximum(speed, TYPICAL_SPEED))
+    return sentences + _friction_warnings(model, coupling, np.sqrt(area * k1 * mass) * speed, mass, speed, dt)
 
 
 def attainable_area(model: "Environments", coupling: "ContactCoupling", reach: Array) -> Array:
@@ -75,7 +75,7 @@ def _largest_in_range(model: "Environments", contact: "Contact", reach: Array) -
     if points.areas is None or points.normals is None or carrier is None:
         raise RuntimeError(f"{contact.name}: the points of a coupling are those of a surface")
     scale = model[f"{carrier.name}.scale"][: len(reach)]
-    largest = points.normals[np.argsort(-points.areas)[:LARGEST_FACES]]
+    largest = points.normals[np.argsort(-points.areas)[:MAX_FACES]]
     found = np.zeros(len(reach))
     for direction in np.unique(np.round(np.vstack([np.eye(3), -np.eye(3), largest]), 6), axis=0):
         height = points.positions @ direction
@@ -97,17 +97,17 @@ def _mass_and_speed(model: "Environments", coupling: "ContactCoupling", envs: in
     mobility, velocity = np.zeros(envs), np.zeros((envs, 3))
     for body, sign in ((coupling.surface_a.body, 1.0), (coupling.surface_b.body, -1.0)):
         if body is not None:
-            mobility += mobility_of(model, coupling.contacts[0], body).push[:envs, 0]
+            mobility += mobility_of(model, coupling.contacts[0], body).linear[:envs, 0]
             velocity += sign * model[f"{body.name}.linear_velocity"][:envs]
-    return 1.0 / np.maximum(mobility, LEAST_MOBILITY), np.linalg.norm(velocity, axis=1)
+    return 1.0 / np.maximum(mobility, MIN_MOBILITY), np.linalg.norm(velocity, axis=1)
 
 
-def _about_steps(
+def _step_length_warnings(
     model: "Environments", coupling: "ContactCoupling", frequency: Array, ratio: Array, dt: float
 ) -> list[str]:
     tau = 0.5 * math.pi / frequency
     # Strong damping takes shorter steps to be stable at all.
-    limit = np.minimum(tau / ENOUGH_STEPS, 2.0 / frequency * (np.sqrt(1.0 + ratio**2) - ratio))
+    limit = np.minimum(tau / MIN_STEPS, 2.0 / frequency * (np.sqrt(1.0 + ratio**2) - ratio))
     worst = int(np.argmin(limit))
     if dt <= limit[worst] * (1.0 + 1.0e-9):
         return []
@@ -117,15 +117,15 @@ def _about_steps(
     ]
 
 
-def _about_area(
+def _area_warnings(
     model: "Environments", coupling: "ContactCoupling", impact: ExpectedImpact, area: Array, reach: Array
 ) -> list[str]:
     worst = int(np.argmin(area))
     # Faces add up to a sum with its rounding.
-    if area[worst] >= impact.area * (1.0 - OVERSHOOT):
+    if area[worst] >= impact.area * (1.0 - MAX_OVERSHOOT):
         return []
-    way = reach[worst] - impact.closest
-    stop = reach[worst] - way * math.sqrt(impact.area / area[worst])
+    distance = reach[worst] - impact.closest
+    stop = reach[worst] - distance * math.sqrt(impact.area / area[worst])
     result = f"it stops at {stop:.3g} m" if stop > 0.0 else "the surfaces meet"
     return [
         f"{coupling.name}: no more than {area[worst]:.3g} m² come into range at once in environment "
@@ -134,7 +134,7 @@ def _about_area(
     ]
 
 
-def _about_load(
+def _load_warnings(
     model: "Environments",
     coupling: "ContactCoupling",
     impact: ExpectedImpact,
@@ -146,16 +146,16 @@ def _about_load(
         return []  # bodies that fall together have no weight towards each other
     contact = coupling.contacts[0]
     envs = np.arange(len(reach))
-    gap = model.measured(f"{contact.name}.gap")[: len(reach)]
-    normal = model.measured(f"{contact.name}.normal")[: len(reach)]
+    gap = model.last_value(f"{contact.name}.gap")[: len(reach)]
+    normal = model.last_value(f"{contact.name}.normal")[: len(reach)]
     nearest = normal[envs, np.argmin(np.where(np.isnan(gap), np.inf, gap), axis=1)]
     pull = np.maximum(-(model["scene.gravity"][: len(reach)] * nearest).sum(axis=1), 0.0)
     squared = impact.area * k1 / mass
     stop = reach - pull / squared - np.sqrt((pull / squared) ** 2 + impact.speed**2 / squared)
     free = reach - impact.speed / np.sqrt(squared)
-    way = reach - free
-    worst = int(np.argmax((free - stop) / way))
-    if free[worst] - stop[worst] <= OVERSHOOT * way[worst] or stop[worst] >= impact.closest:
+    distance = reach - free
+    worst = int(np.argmax((free - stop) / distance))
+    if free[worst] - stop[worst] <= MAX_OVERSHOOT * distance[worst] or stop[worst] >= impact.closest:
         return []
     return [
         f"{coupling.name}: gravity presses the body on in environment {model.first_env + worst}: undamped, at "
@@ -163,7 +163,7 @@ def _about_load(
     ]
 
 
-def _about_start(
+def _start_warnings(
     model: "Environments", coupling: "ContactCoupling", k1: Array, mass: Array, speed: Array
 ) -> list[str]:
     squares = np.zeros(len(k1))
@@ -172,24 +172,26 @@ def _about_start(
         area = model[f"{contact.name}.law.area"][: len(k1)] * model[f"{contact.name}.force_scale"][: len(k1)]
         if (carrier := contact.area_carrier("law")) is not None:
             area = area * model[f"{carrier.name}.scale"][: len(k1), None] ** 2
-        inside = model.measured(f"{contact.name}.penetration")[: len(k1)].astype(np.float64)
+        initial_overlap = model.last_value(f"{contact.name}.penetration")[: len(k1)].astype(np.float64)
         if contact.facing == "projected":
             # What is looked away from the surface has no force, whatever its depth.
-            inside = np.where(model.measured(f"{contact.name}.normal_force")[: len(k1)] > 0.0, inside, 0.0)
-        squares += (area * inside**2).sum(axis=1)
-        depth = np.maximum(depth, inside.max(axis=1))
+            initial_overlap = np.where(
+                model.last_value(f"{contact.name}.normal_force")[: len(k1)] > 0.0, initial_overlap, 0.0
+            )
+        squares += (area * initial_overlap**2).sum(axis=1)
+        depth = np.maximum(depth, initial_overlap.max(axis=1))
     # The energy of all faces in range, as speed.
-    thrown = np.sqrt(k1 * squares / mass)
-    worst = int(np.argmax(thrown - 2.0 * speed))
-    if thrown[worst] <= 2.0 * speed[worst]:
+    ejection_speed = np.sqrt(k1 * squares / mass)
+    worst = int(np.argmax(ejection_speed - 2.0 * speed))
+    if ejection_speed[worst] <= 2.0 * speed[worst]:
         return []
     return [
         f"{coupling.name}: starts {depth[worst]:.3g} m within its range in environment "
-        f"{model.first_env + worst} and will be thrown off at about {thrown[worst]:.3g} m/s; start farther away"
+        f"{model.first_env + worst} and will be thrown off at about {ejection_speed[worst]:.3g} m/s; start farther away"
     ]
 
 
-def _about_friction(
+def _friction_warnings(
     model: "Environments", coupling: "ContactCoupling", force: Array, mass: Array, speed: Array, dt: float
 ) -> list[str]:
     """Under the largest force of an impact at the given speed; friction_advice looks at the weight."""
@@ -200,7 +202,7 @@ def _about_friction(
     part = contact.points.areas / contact.points.areas.sum()
     load = force[:, None] * part
     dashpot, spring = (
-        values.sum(axis=1) for values in steepness_under(model, contact, "friction", load, 0.0 * load)
+        values.sum(axis=1) for values in steepest_slopes(model, contact, "friction", load, 0.0 * load)
     )
     with np.errstate(divide="ignore"):
         limit = np.minimum(2.0 * mass / dashpot, 2.0 * np.sqrt(mass / np.maximum(spring, 0.0)))

@@ -9,12 +9,12 @@ import numpy as np
 import warp as wp
 
 from warpcontact import checks
-from warpcontact.arrays import Layout, per_env
+from warpcontact.arrays import AllocationPlan, per_env
 from warpcontact.checks import Array
 from warpcontact.elements import ENABLED, RANGE, Contact
-from warpcontact.frames import placed
+from warpcontact.frames import transform_points
 from warpcontact.kernels import contact_coupling as kernels
-from warpcontact.parameters import Field, Parameters, Upload
+from warpcontact.parameters import DeviceField, Field, Parameters
 
 if TYPE_CHECKING:
     from warpcontact.contact_coupling import ContactCoupling
@@ -43,7 +43,7 @@ class ContactCouplings:
         of = {contact: coupling for coupling in couplings for contact in coupling.contacts}
         return cls(tuple(dict.fromkeys(of[contact] for contact in contacts if contact in of)), of, contacts)
 
-    def of_contacts(self, contacts: Sequence[Contact]) -> tuple[int, int]:
+    def range_of_contacts(self, contacts: Sequence[Contact]) -> tuple[int, int]:
         """Returns the first coupling of ``contacts``, which lie side by side, and how many they are."""
         found = list(dict.fromkeys(self.of[contact] for contact in contacts if contact in self.of))
         return (self.all.index(found[0]) if found else 0), len(found)
@@ -74,30 +74,35 @@ class ContactCouplings:
         start_of: Mapping[Contact, int],
         fields: Mapping[str, Field],
         parameters: Parameters,
-        upload: Upload,
+        device_field: DeviceField,
     ) -> None:
         """Adds what couplings say once for all of their contacts, whose ``fields`` are there."""
         for coupling in self.all:
             first, last = coupling.contacts[0], coupling.contacts[-1]
             items = slice(start_of[first], start_of[last] + last.count)
-            parameters.add(f"{coupling.name}.effective_range", fields["radius"], items, RANGE, [upload])
+            parameters.add(f"{coupling.name}.effective_range", fields["radius"], items, RANGE, [device_field])
             parameters.add(
-                f"{coupling.name}.enabled", fields["enabled"], items, ENABLED, [upload], convert=checks.switches
+                f"{coupling.name}.enabled",
+                fields["enabled"],
+                items,
+                ENABLED,
+                [device_field],
+                convert=checks.switches,
             )
 
-    def declare(self, arrays: SimpleNamespace, layout: Layout, t: SimpleNamespace) -> None:
+    def declare(self, arrays: SimpleNamespace, layout: AllocationPlan, t: SimpleNamespace) -> None:
         """Declares what is kept of couplings, and which contacts they have; nothing if there are none."""
-        arrays.reached, arrays.coupling_contacts, arrays.contact_couplings = None, None, None
+        arrays.coupling_extremes, arrays.coupling_contacts, arrays.contact_couplings = None, None, None
         if not self.all:
             return
-        arrays.reached = layout.struct("contacts", t.Reached, per_env(len(self.all)))
-        arrays.coupling_contacts = kernels.Sets()
+        arrays.coupling_extremes = layout.struct("contacts", t.CouplingExtremes, per_env(len(self.all)))
+        arrays.coupling_contacts = kernels.CouplingSets()
         sets = np.cumsum([0] + [contact.set_count for contact in self.contacts])
         number = {contact: int(first) for contact, first in zip(self.contacts, sets, strict=False)}
         firsts = [number[coupling.contacts[0]] for coupling in self.all]
         counts = [len(coupling.contacts) for coupling in self.all]
-        layout.content("contacts", arrays.coupling_contacts, "first", firsts, wp.int32)
-        layout.content("contacts", arrays.coupling_contacts, "count", counts, wp.int32)
+        layout.constant("contacts", arrays.coupling_contacts, "first", firsts, wp.int32)
+        layout.constant("contacts", arrays.coupling_contacts, "count", counts, wp.int32)
 
     def upload_normals(self, model: object, point_count: int, parameters: Parameters, t: SimpleNamespace) -> None:
         """Adds the normals of all points, in their bodies, if some contact is weighed by them."""
@@ -114,10 +119,10 @@ class ContactCouplings:
             values = np.zeros((envs, point_count, 3))
             for points, own, turn in weighed:
                 items = slice(points.start, points.start + len(own))
-                values[:, items] = placed(own, np.zeros(3), turn.field.values[:, turn.items.start])
+                values[:, items] = transform_points(own, np.zeros(3), turn.field.values[:, turn.items.start])
             return values
 
-        upload = parameters.upload(model, "point_normal", t.vec3, normals)
+        device_field = parameters.device_field(model, "point_normal", t.vec3, normals)
         for _, _, turn in weighed:
-            if upload not in turn.uploads:
-                turn.uploads.append(upload)
+            if device_field not in turn.device_fields:
+                turn.device_fields.append(device_field)

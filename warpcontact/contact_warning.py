@@ -2,7 +2,7 @@
 
 import enum
 
-from warpcontact.hostile import visible
+from warpcontact.hostile import escape_controls
 
 
 class WarningLevel(enum.StrEnum):
@@ -26,7 +26,7 @@ class ContactWarning(UserWarning):
     """
 
     def __init__(self, message: str, level: WarningLevel = WarningLevel.CAUTION) -> None:
-        super().__init__(visible(message))
+        super().__init__(escape_controls(message))
         self.level = level
 
 
@@ -39,13 +39,13 @@ class RunWarning(RuntimeWarning):
     """
 
     def __init__(self, message: str, level: WarningLevel = WarningLevel.CAUTION) -> None:
-        super().__init__(visible(message))
+        super().__init__(escape_controls(message))
         self.level = level
 
 
 def labeled(warning: Warning | str) -> str:
     """Returns the text of a warning behind its level, such as ``caution: …``; without one it is a caution."""
-    return visible(f"{getattr(warning, 'level', WarningLevel.CAUTION)}: {warning}")
+    return escape_controls(f"{getattr(warning, 'level', WarningLevel.CAUTION)}: {warning}")
 
 
 def split_label(text: str) -> tuple[WarningLevel, str]:

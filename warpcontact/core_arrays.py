@@ -6,11 +6,11 @@ from typing import Any
 import warp as wp
 
 from warpcontact.allocation import COUNT, SWITCH
-from warpcontact.arrays import Layout, fixed, per_env
-from warpcontact.blocks import Blocks
+from warpcontact.arrays import AllocationPlan, fixed, per_env
+from warpcontact.blocks import ContactClusters
 from warpcontact.kernels import types
-from warpcontact.of_scene import MEASURES
-from warpcontact.patches import Patches
+from warpcontact.of_scene import SENSOR_ARRAYS
+from warpcontact.patches import QueryMeshes
 from warpcontact.scene import Scene
 
 #: Status of environments between steps; all others are those of a part of a step.
@@ -18,7 +18,13 @@ BETWEEN_STEPS = frozenset((types.ENV_ACTIVE, types.ENV_FROZEN, types.ENV_STOPPED
 
 
 def declare_arrays(
-    scene: Scene, t: SimpleNamespace, layout: Layout, blocks: Blocks, patches: Patches, *, celled: bool
+    scene: Scene,
+    t: SimpleNamespace,
+    layout: AllocationPlan,
+    clusters: ContactClusters,
+    query_meshes: QueryMeshes,
+    *,
+    uses_face_grid: bool,
 ) -> SimpleNamespace:
     """Declares the arrays of a model; those that follow from the scene are empty structs.
 
@@ -26,52 +32,62 @@ def declare_arrays(
         scene: The scene.
         t: Structs of the precision.
         layout: Where to declare them.
-        blocks: Clusters of contacts.
-        patches: Meshes that contacts search.
-        celled: Whether they are searched in grids, with no cached faces.
+        clusters: Clusters of contacts.
+        query_meshes: Meshes that contacts search.
+        uses_face_grid: Whether they are searched in grids, with no cached faces.
     """
-    contacts = len(blocks.contact)
+    contacts = len(clusters.contact)
     body_count = sum(body.count for body in scene.bodies)
     ends = 2 * (len(scene.couplings) + sum(contact.count for contact in scene.shape_contacts))
-    bodies, each, parts = per_env(body_count), per_env(contacts), per_env(blocks.count)
+    bodies, each, parts = per_env(body_count), per_env(contacts), per_env(clusters.count)
     records = contacts > 1  # a few of many contacts are near; of one contact neighbours are those of other envs
     arrays = SimpleNamespace(
         model=t.Model(),
         initial=t.State(),
         state=layout.struct("state", t.State, bodies),
         wrenches=layout.struct("state", t.Wrenches, bodies, transient=True),
-        ends=layout.struct("couplings", t.Ends, per_env(ends), transient=True),
+        coupling_wrenches=layout.struct("couplings", t.CouplingWrenches, per_env(ends), transient=True),
         history=layout.struct(
             "contacts",
             t.History,
             each,
             records=records,
-            ranges={"armed": SWITCH, "face": (-1, patches.face_count - 1), "crossings": COUNT},
+            ranges={"armed": SWITCH, "face": (-1, query_meshes.face_count - 1), "crossings": COUNT},
         ),
         contacts=layout.struct("contacts", t.Contacts, each, records=records, transient=True),
-        near=layout.struct("contacts", t.Near, parts, transient=True, contact=each, news=each),
-        cache=_cache(t, layout, blocks, records, None if celled else patches),
-        celled=celled,
-        faces_read=patches.faces_read(),
-        **dict.fromkeys(("status", "time", "instant", "constrained", "active")),  # allocated with the model
-        **dict.fromkeys(MEASURES),  # allocated by the first sensor that needs them
+        active_contacts=layout.struct(
+            "contacts", t.ActiveContacts, parts, transient=True, contact=each, needs_history=each
+        ),
+        cache=_cache(t, layout, clusters, records, None if uses_face_grid else query_meshes),
+        uses_face_grid=uses_face_grid,
+        faces_read=query_meshes.faces_read(),
+        **dict.fromkeys(
+            ("status", "time", "zero_step", "constrained", "active_status")
+        ),  # allocated with the model
+        **dict.fromkeys(SENSOR_ARRAYS),  # allocated by the first sensor that needs them
     )
     layout.array("state", arrays, "status", wp.int32, per_env(), ranges={"status": BETWEEN_STEPS})
     layout.array("state", arrays, "time", wp.float64, per_env())
     # Constants: a step of 0 s, and the status of active environments.
-    layout.array("state", arrays, "instant", t.real, fixed(1, 1), transient=True)
-    layout.array("state", arrays, "active", wp.int32, fixed(1), transient=True)
+    layout.array("state", arrays, "zero_step", t.real, fixed(1, 1), transient=True)
+    layout.array("state", arrays, "active_status", wp.int32, fixed(1), transient=True)
     return arrays
 
 
-def _cache(t: SimpleNamespace, layout: Layout, made: Blocks, records: bool, searched: Patches | None) -> Any:
-    blocks, contacts, queued = made.count, len(made.contact), layout.device.is_cuda
+def _cache(
+    t: SimpleNamespace,
+    layout: AllocationPlan,
+    made: ContactClusters,
+    records: bool,
+    query_mesh_set: QueryMeshes | None,
+) -> Any:
+    clusters, contacts, queued = made.count, len(made.contact), layout.device.is_cuda
     shapes = {name: per_env(made.set_count) for name in t.Cache.vars if name.startswith("set_")}
-    remembered = 0
-    if searched is not None:
-        remembered = types.REMEMBERED_IN_QUEUES if queued else searched.remembered()
-    faces = per_env(contacts * remembered)
-    room = per_env(0 if searched is not None and queued else contacts)
+    cached_faces = 0
+    if query_mesh_set is not None:
+        cached_faces = types.CACHED_FACES_GPU if queued else query_mesh_set.cached_face_count()
+    faces = per_env(contacts * cached_faces)
+    room = per_env(0 if query_mesh_set is not None and queued else contacts)
     return layout.struct(
         "cache",
         t.Cache,
@@ -81,12 +97,14 @@ def _cache(t: SimpleNamespace, layout: Layout, made: Blocks, records: bool, sear
         ranges=None,
         **shapes,
         # What blocks look through lies by contact.
-        wake=per_env(contacts),
-        faces=per_env(contacts),
-        **dict.fromkeys(("room", "room_place"), room),
-        **dict.fromkeys(("block_wake", "block_probe", "block_quiet"), per_env(blocks)),
-        waiting=fixed(types.QUEUES),
-        waiting_block=(lambda envs: (envs * blocks,)) if queued else fixed(1),
-        waiting_contact=(lambda envs: (types.QUEUES, envs * contacts)) if queued else fixed(types.QUEUES, 1),
-        **dict.fromkeys(("face", "distance", "direction"), faces),
+        safe_travel=per_env(contacts),
+        face_count=per_env(contacts),
+        **dict.fromkeys(("clearance", "clearance_center"), room),
+        **dict.fromkeys(("cluster_safe_travel", "cluster_probe_travel", "cluster_inactive"), per_env(clusters)),
+        queue_count=fixed(types.QUEUE_COUNT),
+        queue_clusters=(lambda envs: (envs * clusters,)) if queued else fixed(1),
+        queue_contacts=(lambda envs: (types.QUEUE_COUNT, envs * contacts))
+        if queued
+        else fixed(types.QUEUE_COUNT, 1),
+        **dict.fromkeys(("face", "distance", "gradient"), faces),
     )

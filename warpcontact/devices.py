@@ -73,7 +73,7 @@ def find_device(device: str) -> wp.Device:
     return found[0]
 
 
-def spread(count: int, parts: int) -> list[int]:
+def split_evenly(count: int, parts: int) -> list[int]:
     """Returns how many of ``count`` environments each of ``parts`` devices has, as equal as possible.
 
     There are no more parts than environments.

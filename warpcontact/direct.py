@@ -28,7 +28,7 @@ _UNABLE = (errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP)
 PIECE = 2**20
 
 # Of a thread, once it wrote: always the same memory.
-_own = threading.local()
+_thread_local = threading.local()
 
 
 class DirectFile:
@@ -46,7 +46,7 @@ class DirectFile:
 
     def __init__(self, create: Callable[[int], int]) -> None:
         self._piece = _piece()
-        self._held = 0
+        self._buffered = 0
         try:
             descriptor = create(getattr(os, "O_DIRECT", 0))
         except OSError as error:
@@ -69,22 +69,22 @@ class DirectFile:
         """Writes what has a buffer, such as bytes; some of it waits until there is more."""
         rest = np.frombuffer(content, dtype=np.uint8)
         while len(rest):
-            count = min(len(rest), len(self._piece) - self._held)
-            self._piece[self._held : self._held + count] = rest[:count]
-            self._held += count
+            count = min(len(rest), len(self._piece) - self._buffered)
+            self._piece[self._buffered : self._buffered + count] = rest[:count]
+            self._buffered += count
             rest = rest[count:]
-            if self._held == len(self._piece):
-                self._put(self._piece)
-                self._held = 0
+            if self._buffered == len(self._piece):
+                self._write_piece(self._piece)
+                self._buffered = 0
 
     def _end(self) -> None:
         """Writes what waits."""
-        whole = self._held // BLOCK * BLOCK
-        self._put(self._piece[:whole])
-        if self._held > whole:
-            self._put_indirectly(self._piece[whole : self._held])
+        whole = self._buffered // BLOCK * BLOCK
+        self._write_piece(self._piece[:whole])
+        if self._buffered > whole:
+            self._write_buffered(self._piece[whole : self._buffered])
 
-    def _put(self, content: NDArray[np.uint8]) -> None:
+    def _write_piece(self, content: NDArray[np.uint8]) -> None:
         while len(content) >= BLOCK and len(content) % BLOCK == 0:
             try:
                 content = content[self._file.write(content.data) :]
@@ -93,16 +93,16 @@ class DirectFile:
                 if error.errno not in _UNABLE:
                     raise
                 break
-        self._put_indirectly(content)
+        self._write_buffered(content)
 
-    def _put_indirectly(self, content: NDArray[np.uint8]) -> None:
+    def _write_buffered(self, content: NDArray[np.uint8]) -> None:
         if len(content):
-            _go_indirectly(self._file.fileno())
+            _disable_direct_io(self._file.fileno())
         while len(content):
             content = content[self._file.write(content.data) :]
 
 
-def _go_indirectly(descriptor: int) -> None:
+def _disable_direct_io(descriptor: int) -> None:
     """Lets what is written to a file from now on go the way of other files."""
     if hasattr(os, "O_DIRECT"):
         import fcntl
@@ -113,8 +113,8 @@ def _go_indirectly(descriptor: int) -> None:
 
 def _piece() -> NDArray[np.uint8]:
     """Returns memory of this thread that begins with a block."""
-    if not hasattr(_own, "piece"):
+    if not hasattr(_thread_local, "piece"):
         memory = np.empty(PIECE + BLOCK, dtype=np.uint8)
-        _own.piece = memory[-memory.ctypes.data % BLOCK :][:PIECE]
-    piece: NDArray[np.uint8] = _own.piece
+        _thread_local.piece = memory[-memory.ctypes.data % BLOCK :][:PIECE]
+    piece: NDArray[np.uint8] = _thread_local.piece
     return piece

@@ -7,30 +7,30 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from warpcontact.arrays import Layout
-from warpcontact.blocks import Blocks
-from warpcontact.captures import beside_captures
+from warpcontact.arrays import AllocationPlan
+from warpcontact.blocks import ContactClusters
+from warpcontact.captures import shared_capture_lock
 from warpcontact.couplings.coupling_set import CouplingSet
-from warpcontact.devices import spread
-from warpcontact.drives import Drive
-from warpcontact.footprint import Footprint, Need, require, total
-from warpcontact.groups import Group
+from warpcontact.devices import split_evenly
+from warpcontact.drives import PrescribedMotionSet
+from warpcontact.footprint import MemoryEstimate, MemoryItem, require, total
+from warpcontact.groups import ContactGroup
 from warpcontact.model import Model
-from warpcontact.of_scene import OfScene
-from warpcontact.parameters import Parameter, Parameters, needs_of
+from warpcontact.of_scene import SceneTraits
+from warpcontact.parameters import Parameter, Parameters, parameter_memory
 from warpcontact.scene import Contact, Scene
 from warpcontact.sensors import Sensor
-from warpcontact.sides import Sides
+from warpcontact.sides import SideRegion
 from warpcontact.split_model import SplitModel
-from warpcontact.stepping import stepping_footprint
+from warpcontact.stepping import stepping_memory
 
 if TYPE_CHECKING:
-    from warpcontact.piles.pile import Pile
+    from warpcontact.piles.pile import ParticleContactSet
     from warpcontact.smooth.contact_sets import ShapeContactSet
 
 
 @dataclass(frozen=True)
-class PartDraft(OfScene):
+class DeviceModelPlan(SceneTraits):
     """Everything of a model on one device but the number of environments, and no memory there yet.
 
     Attributes:
@@ -43,46 +43,48 @@ class PartDraft(OfScene):
         parameters: The parameters.
         groups: The contacts by the code of their laws and friction models.
         couplings: The couplings by their code.
-        smooth: The shape contacts by the code of their laws and friction models.
-        piles: The particle contacts.
-        drives: The bodies that follow functions of time, by class.
-        blocks: The contacts by what lies together.
+        shape_contact_sets: The shape contacts by the code of their laws and friction models.
+        particle_contact_sets: The particle contacts.
+        prescribed_motions: The bodies that follow functions of time, by class.
+        clusters: The contacts by what lies together.
         sensors: What can be measured.
-        sides: Where the surface of each contact keeps its sides apart, mesh by mesh.
+        side_regions: Where the surface of each contact keeps its sides apart, mesh by mesh.
         meshes: What is searched, once it is built.
-        no_step: What a model has as an array; see there.
-        bounces: Whether restitution is to be looked after, where it may come.
+        zero_step: What a model has as an array; see there.
+        has_restitution: Whether restitution is to be looked after, where it may come.
     """
 
     scene: Scene
     device: wp.Device
     precision: str
     types: SimpleNamespace
-    layout: Layout
+    layout: AllocationPlan
     arrays: SimpleNamespace
     parameters: Parameters
-    groups: list[Group]
+    groups: list[ContactGroup]
     couplings: list[CouplingSet]
-    smooth: "list[ShapeContactSet]"
-    piles: "list[Pile]"
-    drives: list[Drive]
-    blocks: Blocks
+    shape_contact_sets: "list[ShapeContactSet]"
+    particle_contact_sets: "list[ParticleContactSet]"
+    prescribed_motions: list[PrescribedMotionSet]
+    clusters: ContactClusters
     sensors: dict[str, Sensor]
-    sides: dict[Contact, list[Sides]]
+    side_regions: dict[Contact, list[SideRegion]]
     meshes: list[wp.Mesh]
-    no_step: None = None
-    bounces: bool = True
+    zero_step: None = None
+    has_restitution: bool = True
 
     @property
     def parameters_by_name(self) -> dict[str, Parameter]:
         """The parameters by their names."""
         return self.parameters.by_name
 
-    def needs(self, envs: int, varied: Collection[str] = ()) -> list[Need]:
+    def memory_items(self, envs: int, varied: Collection[str] = ()) -> list[MemoryItem]:
         """Returns what ``envs`` environments would take; ``varied`` are to have a value in each."""
-        return self.layout.needs(envs) + needs_of(self.parameters.by_name, self.parameters.uploads, envs, varied)
+        return self.layout.memory_items(envs) + parameter_memory(
+            self.parameters.by_name, self.parameters.device_fields, envs, varied
+        )
 
-    @beside_captures()
+    @shared_capture_lock()
     def build(self, envs: int) -> Model:
         """Returns the model of ``envs`` environments; once.
 
@@ -92,14 +94,14 @@ class PartDraft(OfScene):
         # What is the library's own does, and waits for whatever launches it.
         for group in self.groups:
             group.compile(self.device)
-        for contacts in self.smooth:
+        for contacts in self.shape_contact_sets:
             contacts.compile(self.device)
         for couplings in self.couplings:
             couplings.compile(self.device)
-        for pile in self.piles:
-            pile.compile(self.device)
-        for drive in self.drives:
-            drive.compile(self.device, self.types.real)
+        for particle_set in self.particle_contact_sets:
+            particle_set.compile(self.device)
+        for motion_set in self.prescribed_motions:
+            motion_set.compile(self.device, self.types.real)
         self.layout.allocate(envs)
         return Model(
             scene=self.scene,
@@ -110,44 +112,46 @@ class PartDraft(OfScene):
             layout=self.layout,
             arrays=self.arrays,
             parameters=self.parameters.by_name,
-            uploads=self.parameters.uploads,
+            device_fields=self.parameters.device_fields,
             groups=self.groups,
             couplings=self.couplings,
-            smooth=self.smooth,
-            piles=self.piles,
-            drives=self.drives,
-            blocks=self.blocks,
+            shape_contact_sets=self.shape_contact_sets,
+            particle_contact_sets=self.particle_contact_sets,
+            prescribed_motions=self.prescribed_motions,
+            clusters=self.clusters,
             sensors=self.sensors,
-            sides=self.sides,
+            side_regions=self.side_regions,
             meshes=self.meshes,
         )
 
 
 @dataclass(frozen=True)
-class Draft:
+class ModelPlan:
     """Everything of a model, on one device or several, but the number of environments.
 
     Attributes:
         parts: What is drawn up for each device.
     """
 
-    parts: tuple[PartDraft, ...]
+    parts: tuple[DeviceModelPlan, ...]
 
-    def shares(self, envs: int) -> list[tuple[PartDraft, int]]:
+    def shares(self, envs: int) -> list[tuple[DeviceModelPlan, int]]:
         """Returns the parts that ``envs`` environments are split over, each with how many it has."""
-        return list(zip(self.parts, spread(envs, len(self.parts)), strict=False))
+        return list(zip(self.parts, split_evenly(envs, len(self.parts)), strict=False))
 
-    def memory(self, envs: int, varied: Collection[str] = (), **stepping: Any) -> Footprint:
+    def memory(self, envs: int, varied: Collection[str] = (), **stepping: Any) -> MemoryEstimate:
         """Returns what ``envs`` environments would take, and a simulation that steps them.
 
         Args:
             envs: Number of environments.
             varied: Names of the parameters that are to have a value per environment.
-            stepping: Options of the simulation, see ``stepping_footprint``.
+            stepping: Options of the simulation, see ``stepping_memory``.
         """
         shares = self.shares(envs)
-        model = total(Footprint(own, str(part.device), tuple(part.needs(own, varied))) for part, own in shares)
-        return model.with_needs(stepping_footprint(shares, varied=varied, **stepping).needs)
+        model = total(
+            MemoryEstimate(own, str(part.device), tuple(part.memory_items(own, varied))) for part, own in shares
+        )
+        return model.with_items(stepping_memory(shares, varied=varied, **stepping).items)
 
     def build(self, envs: int) -> Model | SplitModel:
         """Returns the model of ``envs`` environments; once.

@@ -8,15 +8,15 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from warpcontact.arrays import Layout
+from warpcontact.arrays import AllocationPlan
 from warpcontact.checks import Array
 from warpcontact.compiling import load
 from warpcontact.elements import Body
-from warpcontact.formula_errors import of_users, told_by_warp
+from warpcontact.formula_errors import compile_error_text, has_user_code
 from warpcontact.kernels.formula import unit_vectors
 from warpcontact.kernels.motions import Motion, driven
-from warpcontact.kernels.types import DRIVEN, FREE, BodyMotion
-from warpcontact.parameters import Field, Parameters, Upload, pack, split
+from warpcontact.kernels.types import FREE, TIME_FUNCTION, BodyMotion
+from warpcontact.parameters import DeviceField, Field, Parameters, pack, split
 from warpcontact.scene import Scene
 
 #: What a joint may call its axis.
@@ -24,7 +24,7 @@ _AXES = ("axis", "normal")
 
 
 @dataclass(frozen=True)
-class Drive:
+class PrescribedMotionSet:
     """Bodies that follow functions of time of one class.
 
     Attributes:
@@ -48,12 +48,12 @@ class Drive:
         Raises:
             TypeError: If it does not compile.
         """
-        if not of_users([self.motion]):
+        if not has_user_code([self.motion]):
             return
         try:
             load(driven.follow(self.motion, real), device)
         except Exception as error:
-            text = told_by_warp(error, [self.motion])
+            text = compile_error_text(error, [self.motion])
             names = ", ".join(self.motion.device_names() or ("nothing",))
             hint = "\nConstants are float64 when written as wp.float64(1.5), and results are wp.vec3d."
             raise TypeError(
@@ -61,18 +61,20 @@ class Drive:
             ) from error
 
 
-def add_motions(scene: Scene, arrays: SimpleNamespace, layout: Layout, parameters: Parameters) -> list[Drive]:
+def add_motions(
+    scene: Scene, arrays: SimpleNamespace, layout: AllocationPlan, parameters: Parameters
+) -> list[PrescribedMotionSet]:
     """Adds the motions of the bodies of ``scene``, nothing if all are free; returns the functions of time."""
     bodies = scene.bodies
     if all(body.motion.kind == FREE for body in bodies):
         return []
     counts = [body.count for body in bodies]
     kinds = np.repeat([body.motion.kind for body in bodies], counts)[None]
-    constrained = np.flatnonzero((kinds[0] != FREE) & (kinds[0] != DRIVEN))
-    layout.content("state", arrays, "constrained", constrained, wp.int32)
+    constrained = np.flatnonzero((kinds[0] != FREE) & (kinds[0] != TIME_FUNCTION))
+    layout.constant("state", arrays, "constrained", constrained, wp.int32)
     axis = Field(np.zeros((sum(counts), 3)))
     anchor = Field(np.zeros((sum(counts), 3)))
-    anchored = np.repeat([_is_anchored(body.motion) for body in bodies], counts)
+    anchored = np.repeat([_has_world_anchor(body.motion) for body in bodies], counts)
     # One field of all bodies.
     position, orientation = (
         parameters.by_name[f"{bodies[0].name}.{key}"].field for key in ("position", "orientation")
@@ -90,21 +92,21 @@ def add_motions(scene: Scene, arrays: SimpleNamespace, layout: Layout, parameter
         }
         return pack(BodyMotion, columns)
 
-    upload = parameters.upload(arrays.model, "body_motion", BodyMotion, content)
+    device_field = parameters.device_field(arrays.model, "body_motion", BodyMotion, content)
     for body in bodies:
         for key in ("position", "orientation"):
-            uploads = parameters.by_name[f"{body.name}.{key}"].uploads
-            if upload not in uploads:  # bodies may share the list
-                uploads.append(upload)
+            device_fields = parameters.by_name[f"{body.name}.{key}"].device_fields
+            if device_field not in device_fields:  # bodies may share the list
+                device_fields.append(device_field)
     classes = dict.fromkeys(type(body.motion) for body in bodies if body.motion.kind != FREE)
-    drives = []
+    prescribed_motions = []
     for motion in classes:
         members = [body for body in bodies if type(body.motion) is motion]
         fields = {body: _fields_of(body, axis, anchor) for body in members}
         sends = []
-        if motion.kind == DRIVEN:
-            drive, send = _drive(motion, fields, layout, parameters)
-            drives.append(drive)
+        if motion.kind == TIME_FUNCTION:
+            motion_set, send = _add_prescribed_motions(motion, fields, layout, parameters)
+            prescribed_motions.append(motion_set)
             sends.append(send)
         for body, own in fields.items():
             for name, (field, items) in own.items():
@@ -114,15 +116,15 @@ def add_motions(scene: Scene, arrays: SimpleNamespace, layout: Layout, parameter
                     field,
                     items,
                     allowed,
-                    [*sends, upload] if field in (axis, anchor) else list(sends),
+                    [*sends, device_field] if field in (axis, anchor) else list(sends),
                     tail=allowed["shape"],
                     single=body.single,
                     convert=unit_vectors if allowed["direction"] else None,
                 )
-    return drives
+    return prescribed_motions
 
 
-def _is_anchored(motion: Motion) -> bool:
+def _has_world_anchor(motion: Motion) -> bool:
     """Whether a point of the world is given that the body turns about."""
     return "anchor" in motion.parameters() and motion.limits("anchor")["shape"] == (3,)
 
@@ -130,7 +132,7 @@ def _is_anchored(motion: Motion) -> bool:
 def _fields_of(body: Body, axis: Field, anchor: Field) -> dict[str, tuple[Field, slice]]:
     """Returns where the values of the parameters of a motion are; fills in those of the scene."""
     shared = {"anchor": anchor}
-    if body.motion.kind != DRIVEN:
+    if body.motion.kind != TIME_FUNCTION:
         shared |= dict.fromkeys(_AXES, axis)
     fields = {}
     for name, value in body.motion.parameters().items():
@@ -147,22 +149,22 @@ def _fields_of(body: Body, axis: Field, anchor: Field) -> dict[str, tuple[Field,
     return fields
 
 
-def _drive(
+def _add_prescribed_motions(
     motion: type[Motion],
     fields: dict[Body, dict[str, tuple[Field, slice]]],
-    layout: Layout,
+    layout: AllocationPlan,
     parameters: Parameters,
-) -> tuple[Drive, Upload]:
+) -> tuple[PrescribedMotionSet, DeviceField]:
     """Adds the bodies that follow functions of one class."""
     arrays = SimpleNamespace(members=None, coefficients=None, samples=None)
     struct = driven.coefficients_struct(motion)
-    layout.content("state", arrays, "members", [body.index for body in fields], wp.int32)
+    layout.constant("state", arrays, "members", [body.index for body in fields], wp.int32)
     # What may be left out is zero then.
     optional = {name: motion.limits(name)["shape"] for name in motion.varying()}
     tables = [body.motion.samples() for body in fields]
     starts = np.cumsum([0] + [len(table) for table in tables])
     rows = np.concatenate(tables) if motion.sampled else np.zeros((1, 1))
-    layout.content("state", arrays, "samples", rows, wp.float64)
+    layout.constant("state", arrays, "samples", rows, wp.float64)
 
     def columns_of(number: int, own: dict[str, tuple[Field, slice]], envs: int) -> dict[str, Array]:
         values = {name: field.values[:, items] for name, (field, items) in own.items()}
@@ -187,5 +189,5 @@ def _drive(
                 )
         return pack(struct, {name: np.hstack([values[name] for values in computed]) for name in names})
 
-    upload = parameters.upload(arrays, "coefficients", struct, content)
-    return Drive(motion, len(fields), arrays), upload
+    device_field = parameters.device_field(arrays, "coefficients", struct, content)
+    return PrescribedMotionSet(motion, len(fields), arrays), device_field

@@ -11,7 +11,7 @@ from typing import Any, BinaryIO
 from warpcontact.run_folder import RunPath, below_run, place_of
 
 
-def check_place(path: Path | RunPath) -> None:
+def check_writable(path: Path | RunPath) -> None:
     """Raises an error unless a file can be written at ``path``, which is tried.
 
     Raises:
@@ -45,13 +45,13 @@ def _try(place: Path) -> None:
         place.unlink()
 
 
-def replacing(path: Path | RunPath) -> contextlib.AbstractContextManager[BinaryIO]:
+def atomic_file(path: Path | RunPath) -> contextlib.AbstractContextManager[BinaryIO]:
     """Opens a new file that replaces ``path``, on the disk, when the block ends without an error."""
     return place_of(path).replacing()
 
 
 @contextlib.contextmanager
-def replaced(path: Path | RunPath) -> Iterator[Path]:
+def atomic_path(path: Path | RunPath) -> Iterator[Path]:
     """Yields the name of a new file, to be written, that replaces ``path`` when the block ends without an error.
 
     Raises:
@@ -62,7 +62,7 @@ def replaced(path: Path | RunPath) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def writing(path: Path | RunPath) -> Iterator[BinaryIO]:
+def open_for_writing(path: Path | RunPath) -> Iterator[BinaryIO]:
     """Opens a file of the user for writing: through a link, except below the folder of a run.
 
     There, a new file replaces what is at ``path`` when the block ends without an error.
@@ -78,5 +78,5 @@ def writing(path: Path | RunPath) -> Iterator[BinaryIO]:
 
 def write_json(path: Path | RunPath, content: Mapping[str, Any]) -> None:
     """Writes ``content`` as JSON."""
-    with replacing(path) as file:
+    with atomic_file(path) as file:
         file.write((json.dumps(content, indent=2, ensure_ascii=False) + "\n").encode())

@@ -13,7 +13,7 @@ from warpcontact.kernels.friction import Friction, Frictionless
 from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.kernels.laws import Law
 from warpcontact.kernels.motions import Motion
-from warpcontact.kernels.touch import Parts
+from warpcontact.kernels.touch import ContactModel
 from warpcontact.kernels.types import WORLD
 from warpcontact.meshes import Mesh
 from warpcontact.meshes.topology import seen_from
@@ -55,7 +55,7 @@ class ContactMaterial:
     torsion: Friction = field(default_factory=Frictionless)
 
     def __post_init__(self) -> None:
-        for name in Parts._fields:
+        for name in ContactModel._fields:
             kind = Law if name == "law" else Friction
             if name != "law" and getattr(self, name) is None:
                 object.__setattr__(self, name, Frictionless())
@@ -72,12 +72,12 @@ class ContactMaterial:
     @property
     def formulas(self) -> dict[str, Formula]:
         """The law and the friction models by the name of their part."""
-        return {name: getattr(self, name) for name in Parts._fields}
+        return {name: getattr(self, name) for name in ContactModel._fields}
 
     @property
-    def parts(self) -> Parts:
+    def parts(self) -> ContactModel:
         """Their classes: contacts that agree in them are computed by the same code."""
-        return Parts(*(type(formula) for formula in self.formulas.values()))
+        return ContactModel(*(type(formula) for formula in self.formulas.values()))
 
 
 def needs_radius(material: ContactMaterial, has_torsion_radius: bool) -> str | None:
@@ -201,7 +201,7 @@ class Points:
         if self.surface is None:
             return self.positions
         scaled = self.surface.scale * self.positions
-        return frames.placed(scaled, self.surface.position, self.surface.orientation)
+        return frames.transform_points(scaled, self.surface.position, self.surface.orientation)
 
 
 class ContactOptions(TypedDict, total=False):
@@ -255,7 +255,7 @@ class Contact:
         return self.points.body, self.surface.body
 
     @property
-    def code(self) -> tuple[Parts, bool]:
+    def code(self) -> tuple[ContactModel, bool]:
         """What its force kernel is chosen by: law and friction models, and whether it weighs by normals."""
         return self.material.parts, self.facing == "projected"
 

@@ -10,20 +10,20 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from warpcontact import checks
-from warpcontact.checks import Array, look_up
+from warpcontact.checks import Array, find_entry
 from warpcontact.couplings.elements import Catenary
-from warpcontact.devices import spread
-from warpcontact.footprint import Footprint, environments, require, total
+from warpcontact.devices import split_evenly
+from warpcontact.footprint import MemoryEstimate, env_count_text, require, total
 from warpcontact.health import Health
 from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.kernels.names import stored_name
 from warpcontact.kernels.renamed import explain_renamed
-from warpcontact.looks import EVALUATED
-from warpcontact.of_scene import MEASURES
+from warpcontact.looks import CONTACT_NEEDS
+from warpcontact.of_scene import SENSOR_ARRAYS
 from warpcontact.parameters import Parameter
 from warpcontact.scene import Scene
 from warpcontact.sensors import Sensor
-from warpcontact.stepping import stepping_footprint
+from warpcontact.stepping import stepping_memory
 from warpcontact.uncopied import Uncopied
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ class Environments(
 
     def shares_of(self, envs: int) -> list[tuple["Model", int]]:
         """Returns the parts over which ``envs`` environments would be split, each with how many it would have."""
-        return list(zip(self.parts, spread(envs, len(self.parts)), strict=False))
+        return list(zip(self.parts, split_evenly(envs, len(self.parts)), strict=False))
 
     @property
     def devices(self) -> tuple[wp.Device, ...]:
@@ -87,7 +87,7 @@ class Environments(
     @property
     def at_start(self) -> bool:
         """Whether the state is still the initial one, which then follows its parameters."""
-        return all(part.untouched for part in self.parts)
+        return all(part.is_initial for part in self.parts)
 
     def __getitem__(self, name: str) -> Array:
         """Returns a copy of parameter ``name``, (envs, …). That of a state is the initial one."""
@@ -129,23 +129,27 @@ class Environments(
                     parameter.items, values if shared else values[own], part.envs, shared=shared
                 )
             # All of it before any is sent: that a value does not fit the device shows here.
-            contents = [[upload.content() for upload in parameter.uploads] for _, parameter, _ in changed]
+            contents = [
+                [device_field.content() for device_field in parameter.device_fields] for _, parameter, _ in changed
+            ]
             for (part, parameter, _), content in zip(changed, contents, strict=True):
-                part.send(parameter.uploads, content)
+                part.upload(parameter.device_fields, content)
         except Exception:
             for (part, parameter, _), earlier in zip(changed, before, strict=True):
                 parameter.field.restore(earlier)
-                part.send(parameter.uploads, [upload.content() for upload in parameter.uploads])
+                part.upload(
+                    parameter.device_fields, [device_field.content() for device_field in parameter.device_fields]
+                )
             raise
-        if self.at_start and any(part.starts_from(parameter) for part, parameter, _ in changed):
+        if self.at_start and any(part.sets_initial_state(parameter) for part, parameter, _ in changed):
             self.reset()
 
     def _require_values(self, name: str) -> None:
         """Raises ``MemoryShortage`` if there is no room for a value of ``name`` in each environment."""
 
-        def footprint(envs: int) -> Footprint:
+        def footprint(envs: int) -> MemoryEstimate:
             return total(
-                Footprint(own, str(part.device), tuple(part.parameters[name].widening(own)))
+                MemoryEstimate(own, str(part.device), tuple(part.parameters[name].widening(own)))
                 for part, own in self.shares_of(envs)
             )
 
@@ -187,7 +191,7 @@ class Environments(
                         f"no parameter {name!r}: the {type(formula).__name__} of {owner!r} was made "
                         f"without {quantity}; it has {', '.join(formula.parameters())}"
                     )
-        return look_up("parameter", name, parameters)
+        return find_entry("parameter", name, parameters)
 
     def varies(self, name: str) -> bool:
         """Whether each environment has a value of its own of parameter ``name``, be they equal or not."""
@@ -211,16 +215,16 @@ class Environments(
                 )
         for part, own in self.shares():
             if mask[own].any():
-                part.restart(mask[own])
+                part.reset_state(mask[own])
         if mask.all():
             for part in self.parts:
-                part.untouched = True
+                part.is_initial = True
                 part.elapsed = 0.0
 
     def evaluate(self) -> None:
         """Computes contacts and wrenches of the current state; changes neither state nor history."""
         for part in self.parts:
-            part.prepare(EVALUATED)
+            part.evaluate_needs(CONTACT_NEEDS)
 
     def find_sensor(self, name: str) -> Sensor:
         """Returns the sensor with this name or alias; its array is that of the first part.
@@ -231,7 +235,7 @@ class Environments(
         from warpcontact.unilateral.hard_contacts import sensor_hint
 
         hint = partial(sensor_hint, scene=self.scene)
-        return look_up("sensor", name, self.parts[0].sensors, stored_name, hint)
+        return find_entry("sensor", name, self.parts[0].sensors, stored_name, hint)
 
     def find_sensors(self, names: Iterable[str]) -> list[Sensor]:
         """Returns the sensors with these names or aliases.
@@ -265,13 +269,13 @@ class Environments(
             MemoryError: If what it is measured into is more than there is.
         """
         needs = {*self.find_sensor(name).needs}
-        self.make_measures(needs)
+        self.ensure_sensor_arrays(needs)
         # All parts are at work before the first is waited for.
         for part in self.parts:
-            part.prepare(needs)
-        return self.measured(name)
+            part.evaluate_needs(needs)
+        return self.last_value(name)
 
-    def make_measures(self, needs: Set[str]) -> None:
+    def ensure_sensor_arrays(self, needs: Set[str]) -> None:
         """Allocates what sensors are measured into, by their ``needs``, if it is not there yet.
 
         Raises:
@@ -279,26 +283,26 @@ class Environments(
         """
         missing = [
             name
-            for name in MEASURES
+            for name in SENSOR_ARRAYS
             if name in needs and any(getattr(part.arrays, name) is None for part in self.parts)
         ]
         if not missing:
             return
 
-        def footprint(envs: int) -> Footprint:
+        def footprint(envs: int) -> MemoryEstimate:
             return total(
-                Footprint(own, str(part.device), tuple(part.measures_needs(part.device, missing, own)))
+                MemoryEstimate(own, str(part.device), tuple(part.sensor_memory(part.device, missing, own)))
                 for part, own in self.shares_of(envs)
             )
 
         require(footprint, self.envs, "to measure them, ")
         for part in self.parts:
-            part.add_measures(missing)
+            part.allocate_sensor_arrays(missing)
 
-    def measured(self, name: str) -> NDArray[Any]:
+    def last_value(self, name: str) -> NDArray[Any]:
         """Returns sensor ``name`` as it was computed last, in a new array."""
-        if "piles" in self.find_sensor(name).needs:
-            self.check_piles()
+        if "particles" in self.find_sensor(name).needs:
+            self.check_neighbor_lists()
         # On the CPU what is read is a view of memory that the next step overwrites; this copies it.
         sensor = self.find_sensor(name)
         values = [part.sensors[sensor.name].array(part.arrays).numpy() for part in self.parts]
@@ -317,9 +321,9 @@ class Environments(
         Raises:
             KeyError: If there is no such catenary.
         """
-        checks.whole("count", count, 2)
+        checks.integer("count", count, 2)
         self.evaluate()
-        return np.concatenate([lines.shape(part, item, count) for part, lines, item in self._lines(name)])
+        return np.concatenate([lines.shape(part, item, count) for part, lines, item in self._catenaries(name)])
 
     def catenary_stiffness(self, name: str) -> NDArray[np.float64]:
         """Returns the derivative of the force on end b of a catenary by the place of that end.
@@ -336,13 +340,13 @@ class Environments(
             KeyError: If there is no such catenary.
         """
         self.evaluate()
-        return np.concatenate([lines.stiffness(part, item) for part, lines, item in self._lines(name)])
+        return np.concatenate([lines.stiffness(part, item) for part, lines, item in self._catenaries(name)])
 
-    def _lines(self, name: str) -> "list[tuple[Model, CatenarySet, int]]":
+    def _catenaries(self, name: str) -> "list[tuple[Model, CatenarySet, int]]":
         """Returns each part with the set that has the catenary, and its place there."""
         from warpcontact.couplings.catenaries import CatenarySet
 
-        look_up("catenary", name, {one.name: one for one in self.scene.couplings if isinstance(one, Catenary)})
+        find_entry("catenary", name, {one.name: one for one in self.scene.couplings if isinstance(one, Catenary)})
         return [
             (part, lines, item)
             for part in self.parts
@@ -357,7 +361,7 @@ class Environments(
         counts = {}
         for one in self.scene.couplings:
             if isinstance(one, Catenary):
-                failures = [lines.failures(item) for _, lines, item in self._lines(one.name)]
+                failures = [lines.failures(item) for _, lines, item in self._catenaries(one.name)]
                 if failed := int(np.count_nonzero(np.concatenate(failures))):
                     counts[one.name] = failed
         return counts
@@ -372,7 +376,7 @@ class Environments(
                 [
                     own.failures(contact).max(axis=1)
                     for part in self.parts
-                    for own in part.smooth
+                    for own in part.shape_contact_sets
                     if contact in own.items
                 ]
             )
@@ -383,27 +387,29 @@ class Environments(
         """Returns in how many steps since reset the problem of nonsmooth contacts was not solved, (envs,)."""
         return np.concatenate(
             [
-                np.zeros(part.envs, np.int32) if part.hard is None else part.hard.account.failures.numpy()
+                np.zeros(part.envs, np.int32)
+                if part.nonsmooth is None
+                else part.nonsmooth.statistics.failures.numpy()
                 for part in self.parts
             ]
         )
 
     def largest_residuals(self) -> NDArray[np.float64]:
-        """Returns the largest residual of unsolved problems since reset or ``forget_residuals``, (envs,)."""
+        """Returns the largest residual of unsolved problems since reset or ``reset_residuals``, (envs,)."""
         return np.concatenate(
             [
                 np.zeros(part.envs)
-                if part.hard is None
-                else part.hard.account.largest_residual.numpy().astype(np.float64)
+                if part.nonsmooth is None
+                else part.nonsmooth.statistics.largest_residual.numpy().astype(np.float64)
                 for part in self.parts
             ]
         )
 
-    def forget_residuals(self) -> None:
+    def reset_residuals(self) -> None:
         """Sets ``largest_residuals`` to 0."""
         for part in self.parts:
-            if part.hard is not None:
-                part.hard.forget_residuals()
+            if part.nonsmooth is not None:
+                part.nonsmooth.reset_residuals()
 
     def contact_pairs(self, name: str) -> "xr.Dataset":
         """Returns which pairs of a particle contact touch at the current state.
@@ -423,27 +429,27 @@ class Environments(
         """
         from warpcontact.piles.contact_pairs import contact_pairs
 
-        look_up("particle contact", name, {contact.name: contact for contact in self.scene.particle_contacts})
+        find_entry("particle contact", name, {contact.name: contact for contact in self.scene.particle_contacts})
         self.evaluate()
-        self.check_piles()
+        self.check_neighbor_lists()
         return contact_pairs(
             [
-                (part, part.first_env - self.first_env, pile)
+                (part, part.first_env - self.first_env, particle_set)
                 for part in self.parts
-                for pile in part.piles
-                if pile.contact.name == name
+                for particle_set in part.particle_contact_sets
+                if particle_set.contact.name == name
             ]
         )
 
-    def check_piles(self) -> None:
+    def check_neighbor_lists(self) -> None:
         """Waits for the devices and looks whether all pairs of particle contacts were found.
 
         Raises:
             RuntimeError: If a list of partners was too short, in any environment since its reset.
         """
         for part in self.parts:
-            for pile in part.piles:
-                if problem := pile.shortage():
+            for particle_set in part.particle_contact_sets:
+                if problem := particle_set.overflow_message():
                     raise RuntimeError(problem)
 
     def health(self) -> Health:
@@ -452,7 +458,7 @@ class Environments(
         Raises:
             RuntimeError: If a list of partners of a particle contact was too short.
         """
-        self.check_piles()
+        self.check_neighbor_lists()
         parts = self.parts
         return Health.of(
             np.concatenate([part.arrays.status.numpy() for part in parts]),
@@ -460,23 +466,25 @@ class Environments(
             np.concatenate([part.arrays.time.numpy() for part in parts]),
         )
 
-    def memory(self) -> Footprint:
+    def memory(self) -> MemoryEstimate:
         """Returns what the environments take of memory as they are, and a simulation that steps them.
 
         That is the arrays of the model with what was measured so far, and a ``Simulation`` with default options;
         recordings come on top. ``print(model.memory())`` tells what for, where and how much.
         """
-        stepping = stepping_footprint([(part, part.envs) for part in self.parts])
-        return self.footprint().with_needs(stepping.needs)
+        stepping = stepping_memory([(part, part.envs) for part in self.parts])
+        return self.memory_estimate().with_items(stepping.items)
 
-    def footprint(self) -> Footprint:
+    def memory_estimate(self) -> MemoryEstimate:
         """Returns what the model alone takes of memory."""
-        return total(Footprint(part.envs, str(part.device), tuple(part.needs())) for part in self.parts)
+        return total(
+            MemoryEstimate(part.envs, str(part.device), tuple(part.memory_items())) for part in self.parts
+        )
 
     def __repr__(self) -> str:
         first = self.parts[0]
         return (
-            f"<{type(self).__name__} of {environments(self.envs)}: {first.body_count} bodies, "
-            f"{first.contact_count + first.smooth_count} contacts, {self.precision} on "
+            f"<{type(self).__name__} of {env_count_text(self.envs)}: {first.body_count} bodies, "
+            f"{first.contact_count + first.shape_contact_count} contacts, {self.precision} on "
             f"{', '.join(map(str, self.devices))}>"
         )

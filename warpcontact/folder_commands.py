@@ -70,10 +70,10 @@ def status(arguments: argparse.Namespace) -> int:
     """
     from warpcontact.experiment.records import RunDataError
     from warpcontact.experiment.run import open_run
-    from warpcontact.experiment.status import status_of
+    from warpcontact.experiment.status import run_status
     from warpcontact.experiment.store import Ledger
 
-    found = status_of(arguments.folder)
+    found = run_status(arguments.folder)
     print(found)
     if not arguments.verify:
         return 0
@@ -95,7 +95,7 @@ def export(arguments: argparse.Namespace) -> None:
         ValueError: If the folder holds no whole run, or not what was asked for, or the file cannot be written.
         OSError: If writing fails.
     """
-    from warpcontact.durable import check_place
+    from warpcontact.durable import check_writable
     from warpcontact.experiment.run import open_run
 
     for option in ("envs", "clips", "color_by", "spacing"):
@@ -103,7 +103,7 @@ def export(arguments: argparse.Namespace) -> None:
             raise ValueError(f"--{option.replace('_', '-')} is of --usd; a table has all environments")
     file = arguments.csv or arguments.parquet or arguments.usd
     if arguments.csv != "-":
-        check_place(Path(file))
+        check_writable(Path(file))
     run = open_run(arguments.folder, trust=arguments.trust)
     if not arguments.usd and not run.outcome.sizes["env"]:
         print(

@@ -18,16 +18,16 @@ from warpcontact.kernels.formula import Formula
 _STEP = re.compile(r'Error while parsing function "([^"]*)" at ([^\n]*):(\d+):\n([^\n]*)\n;?')
 _TYPE = re.compile(r"<class '(?:\w+\.)*(\w+)'>|wp::| \((?:[\w<>]+\.)+\w+\)")
 # Functions in these are no user's.
-_NOT_THEIRS = tuple(Path(str(package.__file__)).parent for package in (kernels, wp))
+_LIBRARY_ERRORS = tuple(Path(str(package.__file__)).parent for package in (kernels, wp))
 
 
-def of_users(formulas: Iterable[type[Formula]]) -> bool:
+def has_user_code(formulas: Iterable[type[Formula]]) -> bool:
     """Returns whether any of these is a user's, which may not compile."""
     return not all(formula.__module__.startswith("warpcontact.kernels.") for formula in formulas)
 
 
 @contextlib.contextmanager
-def explained(
+def explain_compile_errors(
     formulas: Mapping[str, type[Formula]],
     real: type,
     state: Callable[[str], tuple[str, Any]],
@@ -46,23 +46,25 @@ def explained(
     try:
         yield
     except Exception as error:
-        text = told_by_warp(
+        text = compile_error_text(
             error, formulas.values(), {formula: state(part)[1] for part, formula in formulas.items()}
         )
         hint = about_constants if mixes_types(text) else ""
         if _read(error)[1] is None:
             # Each function compiles: what it returns is not what its caller takes.
-            text = _returned(formulas.values()) or text
+            text = _return_types(formulas.values()) or text
             hint = about_results
         named = " with ".join(f"{part} {formula.__name__}" for part, formula in formulas.items())
         raise TypeError(
             f"{named} does not compile in {real.__name__}: {text}\n"
-            + "\n".join(_what_is_there(part, formula, *state(part)) for part, formula in formulas.items())
+            + "\n".join(_available_members(part, formula, *state(part)) for part, formula in formulas.items())
             + hint
         ) from error
 
 
-def told_by_warp(error: BaseException, formulas: Iterable[type], states: Mapping[type, Any] | None = None) -> str:
+def compile_error_text(
+    error: BaseException, formulas: Iterable[type], states: Mapping[type, Any] | None = None
+) -> str:
     """Returns the message of Warp about a user's function with file, line, source, and what to write instead.
 
     Args:
@@ -74,11 +76,13 @@ def told_by_warp(error: BaseException, formulas: Iterable[type], states: Mapping
     text, step = _read(error)
     if step is None:
         return text
-    theirs = [one for one in formulas if issubclass(one, Formula) and of_users([one])]
-    names, vectors, numbers = _members(theirs, states or {})
+    user_step = [one for one in formulas if issubclass(one, Formula) and has_user_code([one])]
+    names, vectors, numbers = _members(user_step, states or {})
     source = step.source.strip()
-    advised = advice(text, source, names, vectors, next(iter(numbers), ""))
-    return f"{_place(step, formulas)}: {text.removesuffix('.') if advised else text}{advised}\n    {source}"
+    with_advice = advice(text, source, names, vectors, next(iter(numbers), ""))
+    return (
+        f"{_place(step, formulas)}: {text.removesuffix('.') if with_advice else text}{with_advice}\n    {source}"
+    )
 
 
 def _members(
@@ -118,13 +122,13 @@ def _read(error: BaseException) -> tuple[str, _Step | None]:
     """Returns what is wrong, and where in functions of a user: of those that call others in the innermost."""
     text = "; ".join(map(str, error.args)) or str(error)
     steps = [_Step(name, file, int(line), source) for name, file, line, source in _STEP.findall(text)]
-    theirs = [step for step in steps if _is_theirs(step.file)]
+    user_step = [step for step in steps if _is_user_file(step.file)]
     text = _TYPE.sub(r"\1", _STEP.sub("", text)).strip().removeprefix("Error, ")
-    return text, theirs[-1] if theirs else None
+    return text, user_step[-1] if user_step else None
 
 
-def _is_theirs(file: str) -> bool:
-    return not any(Path(file).is_relative_to(folder) for folder in _NOT_THEIRS)
+def _is_user_file(file: str) -> bool:
+    return not any(Path(file).is_relative_to(folder) for folder in _LIBRARY_ERRORS)
 
 
 def _place(step: _Step, formulas: Iterable[type]) -> str:
@@ -135,7 +139,7 @@ def _place(step: _Step, formulas: Iterable[type]) -> str:
     """
     for function in _functions(formulas):
         code, lines = function.func.__code__, getattr(function.adj, "source_lines", ())
-        if code.co_name != step.function or not _is_theirs(code.co_filename):
+        if code.co_name != step.function or not _is_user_file(code.co_filename):
             continue
         for within in (step.line, step.line - code.co_firstlineno):
             if 0 <= within < len(lines) and lines[within].strip() == step.source.strip():
@@ -163,23 +167,23 @@ def _enclosed(function: Callable[..., Any]) -> Iterator[Any]:
             yield cell.cell_contents
 
 
-def _returned(formulas: Iterable[type[Formula]]) -> str:
+def _return_types(formulas: Iterable[type[Formula]]) -> str:
     """Returns what the functions of a user's formulas return, as far as Warp knows."""
-    told = []
+    return_types = []
     for formula in formulas:
         for name in formula.functions:
             function = getattr(formula, name)
-            if not _is_theirs(function.func.__code__.co_filename):
+            if not _is_user_file(function.func.__code__.co_filename):
                 continue
             made = [getattr(one.adj, "return_var", None) for one in (function, *function.user_overloads.values())]
             # What was made last is at hand.
             types = next((found for found in reversed(made) if found), ())
             names = ", ".join(wp.types.type_repr(variable.type) for variable in types)
-            told += [f"{formula.__name__}.{name} returns {names}"] * bool(names)
-    return "; ".join(told)
+            return_types += [f"{formula.__name__}.{name} returns {names}"] * bool(names)
+    return "; ".join(return_types)
 
 
-def _what_is_there(part: str, formula: type[Formula], letter: str, seen: Any) -> str:
+def _available_members(part: str, formula: type[Formula], letter: str, seen: Any) -> str:
     """Returns in words what the functions of ``formula`` are given."""
     given = _arguments(formula, letter, seen)
     parts = [f"{name} has {', '.join(names) or 'nothing'}" for name, names in given.items()]

@@ -6,7 +6,7 @@ from numpy.typing import ArrayLike
 from warpcontact.checks import Array
 
 
-def placed(points: Array, position: Array, orientation: Array) -> Array:
+def transform_points(points: Array, position: Array, orientation: Array) -> Array:
     """Returns points (…, n, 3) [m] of a frame in the frame that carries it.
 
     Args:

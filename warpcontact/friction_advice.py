@@ -10,22 +10,22 @@ from warpcontact.checks import Array
 from warpcontact.kernels import pull_off, steepness
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.friction import Frictionless
-from warpcontact.mobility import LEAST_MOBILITY, mobility_of
+from warpcontact.mobility import MIN_MOBILITY, mobility_of
 
 if TYPE_CHECKING:
     from warpcontact.environments import Environments
     from warpcontact.model import Model
     from warpcontact.scene import Contact
 
-KernelOf = Callable[[type[Formula], type], wp.Kernel]
+KernelFactory = Callable[[type[Formula], type], wp.Kernel]
 
 # Environments that are looked at, so that a warning does not take longer than the run.
-LOOKED_AT = 4096
+MAX_CHECKED_ENVS = 4096
 # Impact speed that estimates assume of bodies that start slower [m/s].
-USUAL_SPEED = 1.0
+TYPICAL_SPEED = 1.0
 
 
-def friction_advice(model: "Environments", contact: "Contact", dt: float) -> list[str]:
+def friction_warnings(model: "Environments", contact: "Contact", dt: float) -> list[str]:
     """Returns what to say about the friction models of a contact, a sentence for each whose step is too long.
 
     Under its share of the weight, and the pull-off force of a law that pulls, with the mass that slip, rolling or
@@ -36,7 +36,7 @@ def friction_advice(model: "Environments", contact: "Contact", dt: float) -> lis
         contact: One of its contacts.
         dt: Time step [s].
     """
-    envs = min(model.envs, LOOKED_AT)
+    envs = min(model.envs, MAX_CHECKED_ENVS)
     parts = {
         part: kind
         for part, kind in contact.material.parts._asdict().items()
@@ -45,7 +45,7 @@ def friction_advice(model: "Environments", contact: "Contact", dt: float) -> lis
     if not parts:
         return []
     mobility = {name: values[:envs] for name, values in _mobilities(model, contact).items()}
-    if (mobility["load"] < LEAST_MOBILITY).any():
+    if (mobility["load"] < MIN_MOBILITY).any():
         return []  # nothing rests here by its weight
     gravity = np.linalg.norm(model["scene.gravity"][:envs], axis=1)[:, None]
     # Each body of a set rests on its one contact.
@@ -55,13 +55,13 @@ def friction_advice(model: "Environments", contact: "Contact", dt: float) -> lis
     under = "its weight"
     if contact.material.law.pulls:
         mass = np.broadcast_to(1.0 / mobility["load"], load.shape)
-        (tension,) = _measured(model, contact, "law", pull_off.kernel, (mass, radius), outputs=1)
+        (tension,) = _run_kernel(model, contact, "law", pull_off.kernel, (mass, radius), outputs=1)
         load, under = load + tension, "its weight and pull-off force"
     # A sphere's patch under that load is a matter of the law; a depth of a thousandth of the radius is usual.
     patch = np.sqrt(1.0e-3) * radius
     sentences = []
     for part, kind in parts.items():
-        dashpot, spring = steepness_under(model, contact, part, load, patch)
+        dashpot, spring = steepest_slopes(model, contact, part, load, patch)
         with np.errstate(divide="ignore", over="ignore"):
             mass = 1.0 / mobility[part]
             limit = np.minimum(2.0 * mass / dashpot, 2.0 * np.sqrt(mass / np.maximum(spring, 0.0)))
@@ -76,7 +76,7 @@ def friction_advice(model: "Environments", contact: "Contact", dt: float) -> lis
     return sentences
 
 
-def steepness_under(
+def steepest_slopes(
     model: "Environments", contact: "Contact", part: str, load: Array, patch: Array
 ) -> tuple[Array, Array]:
     """Returns the steepest dashpot [N·s/m] and the spring [N/m] of a part, (env, item).
@@ -88,12 +88,17 @@ def steepness_under(
         load: Normal force of the first environments, (env, item) [N].
         patch: Radius of the patch of a sphere, likewise [m].
     """
-    dashpot, spring = _measured(model, contact, part, steepness.kernel, (load, patch), outputs=2)
+    dashpot, spring = _run_kernel(model, contact, part, steepness.kernel, (load, patch), outputs=2)
     return dashpot, spring
 
 
-def _measured(
-    model: "Environments", contact: "Contact", part: str, kernel: KernelOf, inputs: Sequence[Array], outputs: int
+def _run_kernel(
+    model: "Environments",
+    contact: "Contact",
+    part: str,
+    kernel: KernelFactory,
+    inputs: Sequence[Array],
+    outputs: int,
 ) -> list[Array]:
     """Returns what a kernel measures on a part of a contact in the first environments, each (env, item).
 
@@ -106,15 +111,15 @@ def _measured(
         outputs: Number of arrays that it writes.
     """
     measured = [
-        _measured_on(one, contact, part, kernel, [values[own] for values in inputs], outputs)
+        _run_kernel_on(one, contact, part, kernel, [values[own] for values in inputs], outputs)
         for one, own in model.shares()
         if own.start < len(inputs[0])
     ]
     return [np.concatenate(values) for values in zip(*measured, strict=True)]
 
 
-def _measured_on(
-    model: "Model", contact: "Contact", part: str, kernel: KernelOf, inputs: Sequence[Array], outputs: int
+def _run_kernel_on(
+    model: "Model", contact: "Contact", part: str, kernel: KernelFactory, inputs: Sequence[Array], outputs: int
 ) -> list[Array]:
     """Returns the same for the first environments of one device."""
     real, device, shape = model.types.real, model.device, inputs[0].shape
@@ -147,11 +152,11 @@ def _mobilities(model: "Environments", contact: "Contact") -> dict[str, Array]:
         if body is None:
             continue
         own = mobility_of(model, contact, body)
-        lever = reach if body is contact.points.body and own.turns_by_push else 0.0
-        total["load"] = total["load"] + own.push
-        total["friction"] = total["friction"] + own.push + lever**2 * own.turn
-        total["rolling"] = total["rolling"] + radius**2 * own.turn
-        total["torsion"] = total["torsion"] + arm**2 * own.turn
+        lever = reach if body is contact.points.body and own.rotates_with_force else 0.0
+        total["load"] = total["load"] + own.linear
+        total["friction"] = total["friction"] + own.linear + lever**2 * own.angular
+        total["rolling"] = total["rolling"] + radius**2 * own.angular
+        total["torsion"] = total["torsion"] + arm**2 * own.angular
     return {key: np.maximum(values, np.finfo(np.float64).tiny) for key, values in total.items()}
 
 

@@ -8,63 +8,63 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from warpcontact.arrays import Layout, fixed, per_env
-from warpcontact.blocks import Blocks
+from warpcontact.arrays import AllocationPlan, fixed, per_env
+from warpcontact.blocks import ContactClusters
 from warpcontact.compiling import load
 from warpcontact.contact_couplings import ContactCouplings
-from warpcontact.formula_errors import explained, of_users
+from warpcontact.formula_errors import explain_compile_errors, has_user_code
 from warpcontact.kernels import contact_force
 from warpcontact.kernels.formula import Formula, coefficient_struct
 from warpcontact.kernels.friction import Frictionless
 from warpcontact.kernels.memory import memory_struct
-from warpcontact.kernels.touch import Parts, group_structs
+from warpcontact.kernels.touch import ContactModel, group_structs
 from warpcontact.kernels.types import structs
 from warpcontact.parameters import Field, Parameters, pack
 from warpcontact.scene import Contact
 
 
 @dataclass(frozen=True)
-class Group:
+class ContactGroup:
     """Contacts side by side on the device that share the code of their law and friction models.
 
     Attributes:
         parts: The classes of law and friction models.
         projected: Whether its contacts are weighed by the normals of their points.
-        moves: Whether bodies that are not free oppose to its forces what their motions let them.
+        has_joints: Whether bodies that are not free oppose to its forces what their motions let them.
         real: Type of a real number.
         first: Index of the first contact.
         count: Number of contacts.
-        first_block: Index of their first block.
-        block_count: Number of their blocks.
+        first_cluster: Index of their first block.
+        cluster_count: Number of their blocks.
         first_set: Index of their first set.
         set_count: Number of their sets.
         first_coupling: Index of the first contact coupling that is made of them.
         coupling_count: Number of these.
         coefficients: Struct of arrays [env, contact of the group], one per part.
-        memory: Struct of such arrays: what each part remembers of the last accepted step.
-        kept: Likewise, what it will remember if the present step is accepted.
+        history_in: Struct of such arrays: what each part remembers of the last accepted step.
+        history_out: Likewise, what it will remember if the present step is accepted.
     """
 
-    parts: Parts
+    parts: ContactModel
     projected: bool
-    moves: bool
+    has_joints: bool
     real: type
     first: int
     count: int
-    first_block: int
-    block_count: int
+    first_cluster: int
+    cluster_count: int
     first_set: int
     set_count: int
     first_coupling: int
     coupling_count: int
     coefficients: Any
-    memory: Any
-    kept: Any
+    history_in: Any
+    history_out: Any
 
     @property
     def kernel(self) -> wp.Kernel:
         """Their force kernel. Where steps are taken in place it may never be needed."""
-        return contact_force.kernel(self.parts, self.real, self.moves, self.projected)
+        return contact_force.kernel(self.parts, self.real, self.has_joints, self.projected)
 
     def compile(self, device: wp.Device) -> None:
         """Compiles the force kernel of users' laws and friction models, so that a mistake in them shows at once.
@@ -72,24 +72,24 @@ class Group:
         Raises:
             TypeError: If one does not compile.
         """
-        compile_forces(self.parts, lambda: self.kernel, device, self.real)
+        compile_force_kernel(self.parts, lambda: self.kernel, device, self.real)
 
-    def of_memory(self, part: str, name: str) -> wp.array:
+    def history_of(self, part: str, name: str) -> wp.array:
         """Returns what ``part`` remembers as ``name``, a view (envs, contact of the group)."""
-        return memory_view(getattr(self.memory, part), name)
+        return history_view(getattr(self.history_in, part), name)
 
-    def memories(self) -> list[tuple[type[Formula], wp.array, wp.array]]:
+    def histories(self) -> list[tuple[type[Formula], wp.array, wp.array]]:
         """Returns (formula, memory, kept) of the parts that remember anything."""
         return [
-            (formula, getattr(self.memory, part), getattr(self.kept, part))
+            (formula, getattr(self.history_in, part), getattr(self.history_out, part))
             for part, formula in self.parts._asdict().items()
             if formula.memories
         ]
 
 
-def by_code(contacts: Sequence[Contact]) -> list[list[Contact]]:
+def group_by_model(contacts: Sequence[Contact]) -> list[list[Contact]]:
     """Sorts contacts into groups of the same code, in order of first appearance."""
-    groups: dict[tuple[Parts, bool], list[Contact]] = {}
+    groups: dict[tuple[ContactModel, bool], list[Contact]] = {}
     for contact in contacts:
         groups.setdefault(contact.code, []).append(contact)
     return list(groups.values())
@@ -99,72 +99,74 @@ def make_group(
     contacts: list[Contact],
     first: int,
     couplings: ContactCouplings,
-    blocks: Blocks,
-    layout: Layout,
+    clusters: ContactClusters,
+    layout: AllocationPlan,
     parameters: Parameters,
     real: type,
-    moves: bool,
-) -> Group:
+    has_joints: bool,
+) -> ContactGroup:
     """Adds the parameters of the laws and friction models of ``contacts``, and the memory that these have.
 
-    ``moves`` says whether any body of the scene is not free.
+    ``has_joints`` says whether any body of the scene is not free.
     """
     parts, projected = contacts[0].code
     Coefficients, Memory = group_structs(parts, real)
-    coefficients, memory, kept = Coefficients(), Memory(), Memory()
+    coefficients, history_in, history_out = Coefficients(), Memory(), Memory()
     count = sum(contact.count for contact in contacts)
     for part, formula in parts._asdict().items():
         _add_formula(contacts, part, formula, coefficients, couplings, parameters, real)
-        for target in (memory, kept):
+        for target in (history_in, history_out):
             # Never looked at if the formula remembers nothing.
             shape = per_env(count) if formula.memories else fixed(1, 1)
-            transient = target is kept or not formula.memories
+            transient = target is history_out or not formula.memories
             layout.array("contacts", target, part, memory_struct(formula, real), shape, transient=transient)
     # Only a mass depends on how bodies may move.
-    moves = moves and parts.law.needs_mass
-    return Group(
+    has_joints = has_joints and parts.law.needs_mass
+    return ContactGroup(
         parts,
         projected,
-        moves,
+        has_joints,
         real,
         first,
         count,
-        *blocks.of_contacts(first, count),
-        *blocks.sets_of_contacts(first, count),
-        *couplings.of_contacts(contacts),
+        *clusters.range_of_contacts(first, count),
+        *clusters.set_range_of_contacts(first, count),
+        *couplings.range_of_contacts(contacts),
         coefficients,
-        memory,
-        kept,
+        history_in,
+        history_out,
     )
 
 
-def memory_view(memory: wp.array, name: str) -> wp.array:
+def history_view(history_in: wp.array, name: str) -> wp.array:
     """Returns what is remembered as ``name`` in an array of the memory of a formula, a view of the same shape."""
-    offset = np.dtype(memory.dtype.numpy_dtype()).fields[name][1]
+    offset = np.dtype(history_in.dtype.numpy_dtype()).fields[name][1]
     return wp.array(
-        ptr=memory.ptr + offset,
-        dtype=memory.dtype.vars[name].type,
-        shape=memory.shape,
-        strides=memory.strides,
-        device=memory.device,
+        ptr=history_in.ptr + offset,
+        dtype=history_in.dtype.vars[name].type,
+        shape=history_in.shape,
+        strides=history_in.strides,
+        device=history_in.device,
         copy=False,
     )
 
 
-def compile_forces(parts: Parts, kernel: Callable[[], wp.Kernel], device: wp.Device, real: type) -> None:
+def compile_force_kernel(
+    parts: ContactModel, kernel: Callable[[], wp.Kernel], device: wp.Device, real: type
+) -> None:
     """Compiles a force kernel if any of its ``parts`` is a user's, so that a mistake in that shows at once.
 
     Raises:
         TypeError: If a law or friction does not compile.
     """
-    if not of_users(parts):
+    if not has_user_code(parts):
         return
     t = structs(real)
     present = {part: formula for part, formula in parts._asdict().items() if formula is not Frictionless}
-    with explained(
+    with explain_compile_errors(
         present,
         real,
-        lambda part: ("c", t.Touch) if part == "law" else ("s", t.Slip),
+        lambda part: ("c", t.NormalState) if part == "law" else ("s", t.TangentialState),
         "\nConstants, also those that a variable starts with, take the precision of the simulation when written "
         "as type(c.delta)(1.5) in a law, type(s.speed)(1.5) in a friction.",
         "\nThe force of a law is a number of the precision of the simulation, such as type(c.delta)(0.0), that of "
@@ -211,13 +213,13 @@ def _add_formula(
                 column.append(np.broadcast_to(computed[name], (envs, contact.count)))
         return pack(struct, {name: np.concatenate(parts, axis=1) for name, parts in columns.items()})
 
-    upload = parameters.upload(target, part, struct, content)
+    device_field = parameters.device_field(target, part, struct, content)
     for scale in scales.values():
-        if upload not in scale.uploads:
-            scale.uploads.append(upload)
+        if device_field not in scale.device_fields:
+            scale.device_fields.append(device_field)
     for contact, own in fields.items():
         for name, field in own.items():
             single = contact.points.single or field in common
             items = slice(0, field.values.shape[1])
             for full in (f"{contact.name}.{part}.{name}", *couplings.aliases(contact, part, name)):
-                parameters.add(full, field, items, formula.limits(name), [upload], single=single)
+                parameters.add(full, field, items, formula.limits(name), [device_field], single=single)

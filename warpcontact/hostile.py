@@ -12,24 +12,24 @@ from typing import Any, TextIO
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
 
 
-def visible(text: object) -> str:
+def escape_controls(text: object) -> str:
     """Returns a text with control characters other than newline and tab as escapes, such as those of Python."""
     return _CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode(), str(text))
 
 
-def visible_lines(lines: Iterable[object]) -> str:
+def escape_lines(lines: Iterable[object]) -> str:
     """Returns lines as one text; newlines within a line are escapes, too, so that quoted text adds no line."""
-    return "\n".join(visible(line).replace("\n", "\\n") for line in lines)
+    return "\n".join(escape_controls(line).replace("\n", "\\n") for line in lines)
 
 
-class VisibleError(ValueError):
+class SafeTextError(ValueError):
     """An error whose message may quote files: control characters in it are escapes."""
 
     def __init__(self, message: object) -> None:
-        super().__init__(visible(message))
+        super().__init__(escape_controls(message))
 
 
-class VisibleStream:
+class SafeTextStream:
     """A stream to a terminal that writes control characters as escapes.
 
     Args:
@@ -41,7 +41,7 @@ class VisibleStream:
 
     def write(self, text: str) -> int:
         """Writes a text; returns its length."""
-        self.stream.write(visible(text))
+        self.stream.write(escape_controls(text))
         return len(text)
 
     def writelines(self, lines: Iterable[str]) -> None:
@@ -54,7 +54,7 @@ class VisibleStream:
 
 
 @contextlib.contextmanager
-def visible_output() -> Iterator[None]:
+def escape_output() -> Iterator[None]:
     """Writes control characters to the output and error streams of this process as escapes.
 
     So are characters that the encoding of the streams does not have, which would otherwise be an error.
@@ -64,8 +64,8 @@ def visible_output() -> Iterator[None]:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     with (
-        contextlib.redirect_stdout(VisibleStream(out)),
-        contextlib.redirect_stderr(VisibleStream(err)),
+        contextlib.redirect_stdout(SafeTextStream(out)),
+        contextlib.redirect_stderr(SafeTextStream(err)),
     ):
         yield
 
@@ -73,10 +73,10 @@ def visible_output() -> Iterator[None]:
 def terminal() -> TextIO:
     """Returns the error stream as it is, for progress bars, which move the cursor by control characters."""
     stream: Any = sys.stderr
-    return stream.stream if isinstance(stream, VisibleStream) else stream
+    return stream.stream if isinstance(stream, SafeTextStream) else stream
 
 
-def shortened(text: str, most: int, *, middle: bool = False) -> str:
+def truncate(text: str, most: int, *, middle: bool = False) -> str:
     """Returns a text of at most ``most`` characters; … stands for what is left out.
 
     Args:
@@ -90,6 +90,6 @@ def shortened(text: str, most: int, *, middle: bool = False) -> str:
     return f"{text[: most - 1 - after]}…{text[len(text) - after :]}"
 
 
-def in_one_line(text: object) -> str:
+def single_line(text: object) -> str:
     """Returns a text with spaces for its white space, and other control characters as escapes."""
-    return visible(" ".join(str(text).split()))
+    return escape_controls(" ".join(str(text).split()))

@@ -16,7 +16,7 @@ import warp as wp
 
 from warpcontact.available import available_threads
 from warpcontact.compiling import load_all
-from warpcontact.looks import EVALUATED
+from warpcontact.looks import CONTACT_NEEDS
 
 if TYPE_CHECKING:
     from warpcontact.experiment import Experiment
@@ -42,19 +42,19 @@ class ExperimentKernels:
 
     def __init__(self, experiment: "Experiment", device: str | Sequence[str]) -> None:
         from warpcontact.experiment.experiment import CHECKPOINT
-        from warpcontact.experiment.shards import Frames, ShardRunner
+        from warpcontact.experiment.shards import SeriesSchedule, ShardRunner
         from warpcontact.experiment.store import Shards
 
         plan = experiment.plan(device=device)
         plan.require()
-        frames = Frames.of(experiment.settings, plan.block)
+        frames = SeriesSchedule.of(experiment.settings, plan.block)
         model = experiment.draft(device).build(plan.shard)
         self._runner = ShardRunner(model, experiment.settings, experiment.design, frames, Path(), CHECKPOINT)
         self._shards = Shards(plan.envs, plan.shard)
         self.on_cpu: list[wp.Kernel] = []
         # The values of a shard decide whether contacts at the start are evaluated.
         for shard in reversed(self._shards):
-            self._runner.take(shard)
+            self._runner.load_shard(shard)
             self.on_cpu += self._runner.kernels()
 
     def load_others(self) -> None:
@@ -64,7 +64,7 @@ class ExperimentKernels:
         """
         from warpcontact.usd import export_usd
 
-        recording = self._runner.rehearse(self._shards[0])
+        recording = self._runner.run_sample_steps(self._shards[0])
         if not self._runner.settings.record.series:
             return
         # Cables and shapes are computed by kernels when they are drawn. A run continues without them, too.
@@ -97,7 +97,7 @@ def build_bench(device: str, envs: int | None, threads: int | None, progress: Pr
     kernels: list[wp.Kernel] = []
     for sim in sims:
         looks = [frozenset(sim.model.find_sensor(POSITION).needs)]
-        kernels += sim.kernels_of_steps([*looks, EVALUATED] if sim.evaluates_start else looks)
+        kernels += sim.step_kernels([*looks, CONTACT_NEEDS] if sim.evaluates_start else looks)
     load_kernels(kernels, threads, progress)
     for sim in sims:
         sim.step()

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from warpcontact.experiment.own import OwnFiles
+    from warpcontact.experiment.own import UserFiles
 
 # Options of the pictures of the one and of the other.
 OF_LAWS = ("restitution", "mass", "speed", "depth")
@@ -52,12 +52,12 @@ def add_to(commands: Any) -> None:
 
 
 @dataclasses.dataclass(frozen=True)
-class Chosen:
+class SelectedFormula:
     """A law or friction as it was named, its class, and the file that it is from, if it is a user's."""
 
     name: str
     formula: Any
-    own: "OwnFiles | None" = None
+    own: "UserFiles | None" = None
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -75,12 +75,12 @@ def run(arguments: argparse.Namespace) -> None:
     options = {name: value for name, value in options.items() if value is not None}
     _check_words(arguments, options)
     names = list(dict.fromkeys(arguments.compare or ([arguments.name] if arguments.name else [])))
-    chosen = [_found(name) for name in names]
+    selected = [_find_formula(name) for name in names]
     if arguments.plot:
-        _plot(chosen, arguments.plot, _values(arguments.set or (), chosen), options)
+        _plot(selected, arguments.plot, _values(arguments.set or (), selected), options)
         print(f"picture: {arguments.plot}")
-    elif chosen:
-        print("\n".join(listing.entry(chosen[0].formula)))
+    elif selected:
+        print("\n".join(listing.entry(selected[0].formula)))
     else:
         print(listing.catalogue())
 
@@ -100,7 +100,7 @@ def _check_words(arguments: argparse.Namespace, options: dict[str, Any]) -> None
         raise ValueError(f"--{next(iter(options), 'set')} is of the picture: say where it goes by --plot FILE")
 
 
-def _found(name: str) -> Chosen:
+def _find_formula(name: str) -> SelectedFormula:
     """Returns the law or friction called ``name``, of the catalogue or as ``FILE.py:CLASS``.
 
     Who writes the name of a file here wants it run, as with ``python FILE.py``: it may lie anywhere.
@@ -109,32 +109,32 @@ def _found(name: str) -> Chosen:
 
     file, colon, class_name = name.rpartition(":")
     if not colon or not file.endswith(".py"):
-        return Chosen(name, listing.find(name))
+        return SelectedFormula(name, listing.find(name))
     from warpcontact import friction, laws
-    from warpcontact.experiment.own import OwnFiles
+    from warpcontact.experiment.own import UserFiles
 
     try:
         path = Path(file).resolve()
     except (OSError, ValueError, RuntimeError) as error:  # a loop of links, or a null character
         raise ValueError(f"{name}: {file!r} cannot be read: {error}") from None
-    own = OwnFiles(path.parent, lambda text: None, trusted=True)
+    own = UserFiles(path.parent, lambda text: None, trusted=True)
     try:
-        return Chosen(name, own.find(path.name, class_name, laws.Law, friction.Friction), own)
+        return SelectedFormula(name, own.find(path.name, class_name, laws.Law, friction.Friction), own)
     except ValueError as error:
         raise ValueError(f"{name}{error}") from None
 
 
-def _values(words: Sequence[str], chosen: Sequence[Chosen]) -> dict[str, float]:
+def _values(words: Sequence[str], selected: Sequence[SelectedFormula]) -> dict[str, float]:
     """Returns the parameters that ``--set`` gives, checked.
 
     Raises:
-        ValueError: If one is no ``NAME=VALUE``, is given twice, is of none of ``chosen``, or not allowed in one.
+        ValueError: If one is no ``NAME=VALUE``, is given twice, is of none of ``selected``, or not allowed in one.
     """
     from warpcontact import checks
     from warpcontact.kernels.names import suggestion
 
     values: dict[str, float] = {}
-    known = dict.fromkeys(name for entry in chosen for name in _parameters(entry))
+    known = dict.fromkeys(name for entry in selected for name in _parameters(entry))
     for word in words:
         name, equals, text = word.partition("=")
         if not equals:
@@ -142,7 +142,7 @@ def _values(words: Sequence[str], chosen: Sequence[Chosen]) -> dict[str, float]:
         if name not in known:
             hint = suggestion(name, known) or f"; there are: {', '.join(known) or 'none'}"
             raise ValueError(
-                f"--set {word}: no parameter of {' or '.join(e.name for e in chosen)} is so called{hint}"
+                f"--set {word}: no parameter of {' or '.join(e.name for e in selected)} is so called{hint}"
             )
         if name in values:
             raise ValueError(f"--set {name} is given twice")
@@ -150,17 +150,19 @@ def _values(words: Sequence[str], chosen: Sequence[Chosen]) -> dict[str, float]:
             values[name] = float(text)
         except ValueError:
             raise ValueError(f"--set {name} must be a number, got {text!r}") from None
-        for entry in chosen:
+        for entry in selected:
             if name in _parameters(entry):
                 checks.numbers(f"--set {name}", values[name], (), entry.formula.limits(name))
     return values
 
 
-def _parameters(entry: Chosen) -> list[str]:
+def _parameters(entry: SelectedFormula) -> list[str]:
     return [field.name for field in dataclasses.fields(entry.formula)]
 
 
-def _plot(chosen: Sequence[Chosen], file: str, values: dict[str, float], options: dict[str, Any]) -> None:
+def _plot(
+    selected: Sequence[SelectedFormula], file: str, values: dict[str, float], options: dict[str, Any]
+) -> None:
     """Draws laws or friction models.
 
     Raises:
@@ -169,8 +171,8 @@ def _plot(chosen: Sequence[Chosen], file: str, values: dict[str, float], options
     from warpcontact import compare, laws
     from warpcontact.compare import figures, samples
 
-    ours = [entry.name for entry in chosen if issubclass(entry.formula, laws.Law)]
-    others = [entry.name for entry in chosen if entry.name not in ours]
+    ours = [entry.name for entry in selected if issubclass(entry.formula, laws.Law)]
+    others = [entry.name for entry in selected if entry.name not in ours]
     if ours and others:
         raise ValueError(
             f"laws and friction models cannot be compared with each other: {', '.join(ours)} with {', '.join(others)}"
@@ -180,11 +182,11 @@ def _plot(chosen: Sequence[Chosen], file: str, values: dict[str, float], options
             kind = "friction models" if ours else "laws"
             raise ValueError(f"--{name} is an option of {kind}, and not of {', '.join(ours or others)}")
     _check_options(options)
-    entries = _entries(chosen, values)
+    entries = _entries(selected, values)
     figures.check_count("laws" if ours else "friction models", list(entries))
-    if "depth" in options and all(map(samples.has_modulus, entries.values())):
+    if "depth" in options and all(map(samples.is_modulus_given, entries.values())):
         raise ValueError("--depth is what stiffnesses are chosen for, and here all are given: leave it out")
-    with _blamed(chosen):
+    with _failure_message(selected):
         for entry in entries.values():
             # Whether it can be made, before anything is written or run.
             (samples.law if ours else samples.friction)(entry, 1.0, 1.0e-3)
@@ -194,14 +196,14 @@ def _plot(chosen: Sequence[Chosen], file: str, values: dict[str, float], options
         draw(entries, file, **options)
 
 
-def _entries(chosen: Sequence[Chosen], values: dict[str, float]) -> dict[str, Any]:
+def _entries(selected: Sequence[SelectedFormula], values: dict[str, float]) -> dict[str, Any]:
     """Returns what is drawn by its label: the name of the class, or all of it where two have the same."""
-    classes = [entry.formula.__name__ for entry in chosen]
+    classes = [entry.formula.__name__ for entry in selected]
     return {
         entry.name if classes.count(name) > 1 else name: functools.partial(
             entry.formula, **{key: value for key, value in values.items() if key in _parameters(entry)}
         )
-        for name, entry in zip(classes, chosen, strict=True)
+        for name, entry in zip(classes, selected, strict=True)
     }
 
 
@@ -217,21 +219,21 @@ def _check_options(options: dict[str, Any]) -> None:
 
 
 @contextlib.contextmanager
-def _blamed(chosen: Sequence[Chosen]) -> Iterator[None]:
+def _failure_message(selected: Sequence[SelectedFormula]) -> Iterator[None]:
     """Says in one sentence what is wrong with classes: values that they need, or what goes wrong in a file."""
     from warpcontact.compare.samples import MissingValues
 
     try:
         with contextlib.ExitStack() as stack:
-            for entry in chosen:
+            for entry in selected:
                 if entry.own is not None:
-                    stack.enter_context(entry.own.blamed())
+                    stack.enter_context(entry.own.named_errors())
             yield
     except MissingValues as error:
         given = " ".join(f"{name}=…" for name in error.parameters)
         raise ValueError(f"{error.kind} needs {' and '.join(error.parameters)}: add --set {given}") from None
     except TypeError as error:  # that it does not compile, which names its module
-        own = [entry.formula for entry in chosen if entry.own is not None]
+        own = [entry.formula for entry in selected if entry.own is not None]
         if not own or "does not compile" not in str(error):
             raise
         text = str(error)

@@ -7,102 +7,109 @@ import warp as wp
 
 from warpcontact.kernels import measures
 from warpcontact.kernels.motions.measures import coordinates
-from warpcontact.of_scene import SMOOTH
-from warpcontact.schedule import Span, force_stages
+from warpcontact.of_scene import SHAPE_CONTACT_MEASURES
+from warpcontact.schedule import ExecutionPlan, force_stages
 
 if TYPE_CHECKING:
-    from warpcontact.unilateral.hard_contacts import HardContacts
+    from warpcontact.unilateral.hard_contacts import NonsmoothContacts
 
 #: Needs of sensors that tell of surfaces that are far away as well.
-OF_FAR = ("distances", "points", "contact_couplings", *SMOOTH)
+NEEDS_ALL_DISTANCES = ("distances", "points", "contact_couplings", *SHAPE_CONTACT_MEASURES)
 #: Needs that can be computed of some environments apart from the others, and in every step.
-IN_PARTS = frozenset(("contacts", "wrenches", "distances", *measures.OF_BODIES, "points", "coordinates"))
+SLICE_NEEDS = frozenset(("contacts", "wrenches", "distances", *measures.BODY_MEASURES, "points", "coordinates"))
 
 #: What tells contacts and wrenches, of what is far away as well.
-EVALUATED = frozenset(("wrenches", "distances"))
+CONTACT_NEEDS = frozenset(("wrenches", "distances"))
 
 #: All needs.
-KNOWN = IN_PARTS.union(OF_FAR, ("reactions", "piles"))
+ALL_NEEDS = SLICE_NEEDS.union(NEEDS_ALL_DISTANCES, ("reactions", "particles"))
 
 
-def known_needs(needs: Iterable[str]) -> frozenset[str]:
+def check_needs(needs: Iterable[str]) -> frozenset[str]:
     """Returns ``needs``; raises ``ValueError`` if nothing tells how to compute one."""
-    wanted = frozenset(needs)
-    if unknown := wanted - KNOWN:
-        raise ValueError(f"needs {sorted(unknown)} are not known, there are {sorted(KNOWN)}")
-    return wanted
+    requested = frozenset(needs)
+    if unknown := requested - ALL_NEEDS:
+        raise ValueError(f"needs {sorted(unknown)} are not known, there are {sorted(ALL_NEEDS)}")
+    return requested
 
 
-def in_parts(device: wp.Device, hard: "HardContacts | None", needs: Set[str]) -> bool:
-    """Whether ``look_stages`` computes all that sensors with ``needs`` are of, and nobody waits for a device."""
-    return device.is_cpu and needs <= IN_PARTS and not (hard is not None and shows(needs))
+def can_evaluate_by_slice(device: wp.Device, nonsmooth: "NonsmoothContacts | None", needs: Set[str]) -> bool:
+    """Whether ``evaluation_stages`` computes all that sensors with ``needs`` are of, and nobody waits for a device."""
+    return device.is_cpu and needs <= SLICE_NEEDS and not (nonsmooth is not None and needs_contacts(needs))
 
 
-def shows(needs: Set[str]) -> bool:
+def needs_contacts(needs: Set[str]) -> bool:
     """Whether sensors with ``needs`` tell of contacts, of which hard ones have to be shown."""
-    return not needs.isdisjoint(("contacts", "wrenches", *OF_FAR))
+    return not needs.isdisjoint(("contacts", "wrenches", *NEEDS_ALL_DISTANCES))
 
 
-def looks_at_near(span: Span, needs: Set[str]) -> bool:
-    """Whether looks for sensors with ``needs`` leave contacts as a step of ``span`` from there finds them."""
-    return span.cached and span.model.device.is_cpu and shows(needs) and needs.isdisjoint(OF_FAR)
+def provides_contacts(plan: ExecutionPlan, needs: Set[str]) -> bool:
+    """Whether looks for sensors with ``needs`` leave contacts as a step of ``plan`` from there finds them."""
+    return (
+        plan.uses_cache
+        and plan.model.device.is_cpu
+        and needs_contacts(needs)
+        and needs.isdisjoint(NEEDS_ALL_DISTANCES)
+    )
 
 
-def look_span(
-    kind: type[Span],
+def evaluation_plan(
+    kind: type[ExecutionPlan],
     model: Any,
     count: int,
-    hard: "HardContacts | None",
+    nonsmooth: "NonsmoothContacts | None",
     needs: Set[str],
     own: wp.array | None = None,
-) -> Span:
+) -> ExecutionPlan:
     """Returns ``count`` environments, or the slice ``own`` of them, to be looked at.
 
     Forces are told of what may touch alone, unless a sensor is of what is far away: all is looked at then, and
     what is far is searched for, to the last digit. On a GPU steps alone leave out what cannot touch.
     """
-    cached = model.device.is_cpu and needs.isdisjoint(OF_FAR)
-    return kind(model, count, cached, ordered=True, hard=hard, slice=own)
+    cached = model.device.is_cpu and needs.isdisjoint(NEEDS_ALL_DISTANCES)
+    return kind(model, count, cached, ordered_sum=True, nonsmooth=nonsmooth, slice=own)
 
 
-def look_stages(span: Span, needs: Set[str], no_step: Any, all_active: Any) -> list[wp.Launch]:
+def evaluation_stages(plan: ExecutionPlan, needs: Set[str], zero_step: Any, active_status: Any) -> list[wp.Launch]:
     """Returns the launches that compute what sensors need, of frozen environments too.
 
     Args:
-        span: The environments.
+        plan: The environments.
         needs: Those of the sensors.
-        no_step: A step of 0 for each environment.
-        all_active: The status of an active one for each.
+        zero_step: A step of 0 for each environment.
+        active_status: The status of an active one for each.
     """
-    a = span.model.arrays
+    a = plan.model.arrays
     launches = []
-    if shows(needs):
+    if needs_contacts(needs):
         # On a GPU what adds up empties queues as well, and to what piles and nonsmooth contacts add has to be there.
-        added_to = span.model.device.is_cuda or span.model.piles or span.hard is not None
-        by_block = not added_to and "wrenches" not in needs
-        launches += force_stages(span, a.state, no_step, all_active, by_block=by_block)
-    return launches + measure_stages(span, needs, a.state, all_active)
+        others_add_wrenches = (
+            plan.model.device.is_cuda or plan.model.particle_contact_sets or plan.nonsmooth is not None
+        )
+        by_cluster = not others_add_wrenches and "wrenches" not in needs
+        launches += force_stages(plan, a.state, zero_step, active_status, by_cluster=by_cluster)
+    return launches + sensor_stages(plan, needs, a.state, active_status)
 
 
-def measure_stages(span: Span, needs: Set[str], state: Any, status: wp.array) -> list[wp.Launch]:
+def sensor_stages(plan: ExecutionPlan, needs: Set[str], state: Any, status: wp.array) -> list[wp.Launch]:
     """Returns the launches that measure what sensors need of ``state``, whose contacts are computed.
 
     Args:
-        span: The environments.
+        plan: The environments.
         needs: Those of the sensors.
         state: Their state.
         status: Of the environments [env]; left out are those that are not active.
     """
-    model = span.model
+    model = plan.model
     a, real = model.arrays, model.types.real
     launches = []
-    for name, (_, kernel) in measures.OF_BODIES.items():
+    for name, (_, kernel) in measures.BODY_MEASURES.items():
         if name in needs:
-            launches += span.prepare(kernel(real), model.body_count, [status, a.model, state, getattr(a, name)])
+            launches += plan.prepare(kernel(real), model.body_count, [status, a.model, state, getattr(a, name)])
     if "points" in needs:
         inputs = [status, a.model, state, a.contacts, a.points]
-        launches += span.prepare(measures.points(real), model.contact_count, inputs)
+        launches += plan.prepare(measures.points(real), model.contact_count, inputs)
     if "coordinates" in needs:
         inputs = [status, a.model, state, a.coordinates]
-        launches += span.prepare(coordinates(real), model.body_count, inputs)
+        launches += plan.prepare(coordinates(real), model.body_count, inputs)
     return launches

@@ -9,30 +9,30 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from warpcontact.arrays import Layout, broadcast
-from warpcontact.blocks import Blocks
-from warpcontact.captures import beside_captures
+from warpcontact.arrays import AllocationPlan, broadcast
+from warpcontact.blocks import ContactClusters
+from warpcontact.captures import shared_capture_lock
 from warpcontact.couplings.coupling_set import CouplingSet
-from warpcontact.drives import Drive
+from warpcontact.drives import PrescribedMotionSet
 from warpcontact.environments import Environments
-from warpcontact.footprint import Need
-from warpcontact.groups import Group
-from warpcontact.looks import look_span, look_stages, shows
-from warpcontact.of_scene import MEASURES, SMOOTH, OfScene
-from warpcontact.parameters import Parameter, Upload, needs_of
+from warpcontact.footprint import MemoryItem
+from warpcontact.groups import ContactGroup
+from warpcontact.looks import evaluation_plan, evaluation_stages, needs_contacts
+from warpcontact.of_scene import SENSOR_ARRAYS, SHAPE_CONTACT_MEASURES, SceneTraits
+from warpcontact.parameters import DeviceField, Parameter, parameter_memory
 from warpcontact.scene import Contact, Scene
-from warpcontact.schedule import Span
+from warpcontact.schedule import ExecutionPlan
 from warpcontact.sensors import Sensor
-from warpcontact.sides import Sides
+from warpcontact.sides import SideRegion
 
 if TYPE_CHECKING:
-    from warpcontact.outcomes.observer import Observer
-    from warpcontact.piles.pile import Pile
+    from warpcontact.outcomes.observer import Monitor
+    from warpcontact.piles.pile import ParticleContactSet
     from warpcontact.smooth.contact_sets import ShapeContactSet
-    from warpcontact.unilateral.hard_contacts import HardContacts
+    from warpcontact.unilateral.hard_contacts import NonsmoothContacts
 
 #: What is 0 of a contact that does not touch.
-WITHOUT_CONTACT = ("penetration", "approach_speed", "normal_force", "friction_force", "slip_speed", "torque")
+ZERO_WITHOUT_CONTACT = ("penetration", "approach_speed", "normal_force", "friction_force", "slip_speed", "torque")
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class External:
     torque: wp.array
 
 
-class Model(Environments, OfScene):
+class Model(Environments, SceneTraits):
     """Many environments of one scene on a device. Made by ``Scene.build``.
 
     ``model["ball.mass"]`` reads a parameter, (envs, …); ``model["ball.mass"] = values`` sets it, from one value
@@ -93,18 +93,18 @@ class Model(Environments, OfScene):
         device: wp.Device,
         precision: str,
         types: SimpleNamespace,
-        layout: Layout,
+        layout: AllocationPlan,
         arrays: SimpleNamespace,
         parameters: dict[str, Parameter],
-        uploads: list[Upload],
-        groups: list[Group],
+        device_fields: list[DeviceField],
+        groups: list[ContactGroup],
         couplings: list[CouplingSet],
-        smooth: "list[ShapeContactSet]",
-        piles: "list[Pile]",
-        drives: list[Drive],
-        blocks: Blocks,
+        shape_contact_sets: "list[ShapeContactSet]",
+        particle_contact_sets: "list[ParticleContactSet]",
+        prescribed_motions: list[PrescribedMotionSet],
+        clusters: ContactClusters,
         sensors: dict[str, Sensor],
-        sides: dict[Contact, list[Sides]],
+        side_regions: dict[Contact, list[SideRegion]],
         meshes: list[wp.Mesh],
     ) -> None:
         self.scene = scene
@@ -116,10 +116,10 @@ class Model(Environments, OfScene):
         self.arrays = arrays
         self.groups = groups
         self.couplings = couplings
-        self.smooth = smooth
-        self.piles = piles
-        self.drives = drives
-        self.blocks = blocks
+        self.shape_contact_sets = shape_contact_sets
+        self.particle_contact_sets = particle_contact_sets
+        self.prescribed_motions = prescribed_motions
+        self.clusters = clusters
         self.parameters = parameters
         self.first_env = 0
         # Goes up when a device array moves: whoever prepared launches prepares them again.
@@ -127,25 +127,25 @@ class Model(Environments, OfScene):
         # Simulated time since the last complete reset [s].
         self.elapsed = 0.0
         # Whether the state is still the initial one, which then follows its parameters.
-        self.untouched = True
+        self.is_initial = True
         self.sensors = sensors
-        self.sides = sides
+        self.side_regions = side_regions
         self._meshes = meshes  # kept alive: a kernel only holds their ids
         # Step of 0 [env, 0]: for the forces of an instant.
-        self.no_step = broadcast(arrays.instant, envs)
+        self.zero_step = broadcast(arrays.zero_step, envs)
         # Status [env] of environments that are all active: a frozen one can be measured as well.
-        self.all_active = broadcast(arrays.active, envs)
+        self.active_status = broadcast(arrays.active_status, envs)
         # Launches of all environments by what they are for, as of a revision.
-        self._looks: tuple[int, dict[frozenset[str], list[wp.Launch]]] = (-1, {})
+        self._evaluations: tuple[int, dict[frozenset[str], list[wp.Launch]]] = (-1, {})
         # Contacts that the last simulation solves for impulses, and what it watches.
-        self.hard: HardContacts | None = None
-        self.observer: Observer | None = None
+        self.nonsmooth: NonsmoothContacts | None = None
+        self.monitor: Monitor | None = None
         # Whether any of them has a restitution.
-        self.bounces = False
+        self.has_restitution = False
         # Whether forces from outside are written where they lie.
-        self.handed_out = False
-        self._uploads = uploads  # kept alive: broadcast arrays do not own their memory
-        self.send(uploads, (upload.content() for upload in uploads))
+        self.external_exposed = False
+        self._device_fields = device_fields  # kept alive: broadcast arrays do not own their memory
+        self.upload(device_fields, (device_field.content() for device_field in device_fields))
         self._state = State(**{name: getattr(arrays.state, name) for name in types.State.vars})
         self.reset()
 
@@ -166,8 +166,8 @@ class Model(Environments, OfScene):
         From the first look at them each environment has its own. To set ``<body>.external_force`` or
         ``<body>.external_torque`` afterwards writes all of its array anew.
         """
-        if not self.handed_out:
-            self.handed_out = True
+        if not self.external_exposed:
+            self.external_exposed = True
             for quantity in ("external_force", "external_torque"):
                 name = f"{self.scene.bodies[0].name}.{quantity}"
                 values = self[name]
@@ -175,84 +175,90 @@ class Model(Environments, OfScene):
         model = self.arrays.model
         return External(force=model.body_external_force, torque=model.body_external_torque)
 
-    def _look_for_bounces(self) -> None:
-        bounces = self.hard is not None and self.hard.bounces(self.parameters)
-        if self.bounces != bounces:
-            self.bounces = bounces
+    def _update_restitution_flag(self) -> None:
+        has_restitution = self.nonsmooth is not None and self.nonsmooth.has_restitution(self.parameters)
+        if self.has_restitution != has_restitution:
+            self.has_restitution = has_restitution
             self.revision += 1
 
-    def attach(self, hard: "HardContacts | None", observer: "Observer | None" = None) -> None:
-        """Lets contacts be those of the simulation that is to step: ``hard`` ones, or all with their forces.
+    def attach_simulation(self, nonsmooth: "NonsmoothContacts | None", monitor: "Monitor | None" = None) -> None:
+        """Lets contacts be those of the simulation that is to step: ``nonsmooth`` ones, or all with their forces.
 
         Hard ones remember nothing then: what they do may be of before a reset, or of a step of another simulation.
-        The ``observer`` of what it watches likewise begins anew.
+        The ``monitor`` of what it watches likewise begins anew.
 
         Raises:
             ValueError: If a parameter has a value that nonsmooth contact does not allow; nothing is changed then.
         """
-        if hard is not self.hard:
-            if hard is not None:
-                hard.check_shares(self.parameters)
-            self._exchange(hard)
-        if observer is not self.observer:
-            self.observer = observer
-            if observer is not None:
-                self._observe_anew(observer)
+        if nonsmooth is not self.nonsmooth:
+            if nonsmooth is not None:
+                nonsmooth.check_shares(self.parameters)
+            self._set_nonsmooth(nonsmooth)
+        if monitor is not self.monitor:
+            self.monitor = monitor
+            if monitor is not None:
+                self._restart_monitor(monitor)
 
     def check_value(self, name: str, values: NDArray[np.float64]) -> None:
         """Raises ``ValueError`` if nonsmooth contact does not allow ``values`` of parameter ``name``."""
-        if self.hard is not None:
-            self.hard.check_share(name, values)
+        if self.nonsmooth is not None:
+            self.nonsmooth.check_share(name, values)
 
-    @beside_captures()
-    def _observe_anew(self, observer: "Observer") -> None:
+    @shared_capture_lock()
+    def _restart_monitor(self, monitor: "Monitor") -> None:
         # Steps that nobody watched may have told nothing; contacts that touch are looked at in any case.
-        self._forget_touches()
-        observer.restart(wp.full(self.envs, True, dtype=wp.bool, device=self.device))
+        self._clear_contact_values()
+        monitor.reset_state(wp.full(self.envs, True, dtype=wp.bool, device=self.device))
 
-    @beside_captures()
-    def _exchange(self, hard: "HardContacts | None") -> None:
-        if self.hard is not None:
-            self.hard.let_go(self)
-            for own in self.hard.sensors():
+    @shared_capture_lock()
+    def _set_nonsmooth(self, nonsmooth: "NonsmoothContacts | None") -> None:
+        if self.nonsmooth is not None:
+            self.nonsmooth.deactivate(self)
+            for own in self.nonsmooth.sensors():
                 del self.sensors[own.name]
-        self.hard = self.arrays.hard = hard
-        if hard is not None:
-            hard.follow(self)
-            self.sensors.update((own.name, own) for own in hard.sensors())
-        self._look_for_bounces()
+        self.nonsmooth = self.arrays.nonsmooth = nonsmooth
+        if nonsmooth is not None:
+            nonsmooth.activate(self)
+            self.sensors.update((own.name, own) for own in nonsmooth.sensors())
+        self._update_restitution_flag()
         # Nobody writes what nonsmooth contacts would do to bodies by a force.
-        near, ends = self.arrays.near, self.arrays.ends
-        for array in (near.force, near.torque_1, near.torque_2, ends.force, ends.torque):
+        active_contacts, coupling_wrenches = self.arrays.active_contacts, self.arrays.coupling_wrenches
+        for array in (
+            active_contacts.force,
+            active_contacts.torque_1,
+            active_contacts.torque_2,
+            coupling_wrenches.force,
+            coupling_wrenches.torque,
+        ):
             array.zero_()
         # Nor what they showed is what a contact says that does not touch.
-        self._forget_touches()
+        self._clear_contact_values()
 
-    def _forget_touches(self) -> None:
+    def _clear_contact_values(self) -> None:
         """Has all contacts say what those do that do not touch."""
-        for name in WITHOUT_CONTACT:
+        for name in ZERO_WITHOUT_CONTACT:
             getattr(self.arrays.contacts, name).zero_()
-        self._looks = (-1, {})
+        self._evaluations = (-1, {})
 
     @property
     def parameters_by_name(self) -> Mapping[str, Parameter]:
         """The parameters by their names."""
         return self.parameters
 
-    def _is_pushed(self) -> bool:
+    def _has_external_force(self) -> bool:
         names = [f"{self.scene.bodies[0].name}.{quantity}" for quantity in ("external_force", "external_torque")]
-        return self.handed_out or any(bool(self.parameters[name].field.values.any()) for name in names)
+        return self.external_exposed or any(bool(self.parameters[name].field.values.any()) for name in names)
 
-    def starts_from(self, parameter: Parameter) -> bool:
+    def sets_initial_state(self, parameter: Parameter) -> bool:
         """Whether ``parameter`` says where the state begins."""
-        starts = [self.arrays.initial, *(drive.arrays for drive in self.drives)]
+        starts = [self.arrays.initial, *(motion_set.arrays for motion_set in self.prescribed_motions)]
         return any(
-            upload.attribute == "body_motion" or any(upload.struct is start for start in starts)
-            for upload in parameter.uploads
+            device_field.attribute == "body_motion" or any(device_field.struct is start for start in starts)
+            for device_field in parameter.device_fields
         )
 
-    @beside_captures()
-    def restart(self, mask: NDArray[np.bool_]) -> None:
+    @shared_capture_lock()
+    def reset_state(self, mask: NDArray[np.bool_]) -> None:
         """Puts the environments of ``mask`` (envs,) back to their initial state, with empty history."""
         from warpcontact.kernels import contact_coupling, reset
 
@@ -265,8 +271,8 @@ class Model(Environments, OfScene):
                 chosen,
                 self.body_count,
                 self.contact_count,
-                self.blocks.count,
-                self.blocks.set_count,
+                self.clusters.count,
+                self.clusters.set_count,
                 a.initial,
                 a.status,
                 a.guard.cause,
@@ -274,37 +280,37 @@ class Model(Environments, OfScene):
                 a.state,
                 a.history,
                 a.cache,
-                a.near,
+                a.active_contacts,
                 a.wrenches,
             ],
             device=self.device,
         )
-        if a.reached is not None:
+        if a.coupling_extremes is not None:
             wp.launch(
-                contact_coupling.forget(self.types.real),
+                contact_coupling.reset(self.types.real),
                 dim=(self.envs, len(self.scene.contact_couplings)),
-                inputs=[chosen, a.reached],
+                inputs=[chosen, a.coupling_extremes],
                 device=self.device,
             )
         for group in self.groups:
-            for formula, memory, _ in group.memories():
+            for formula, history_in, _ in group.histories():
                 wp.launch(
                     reset.memory(formula, self.types.real),
                     dim=(self.envs, group.count),
-                    inputs=[chosen, memory],
+                    inputs=[chosen, history_in],
                     device=self.device,
                 )
         for couplings in self.couplings:
-            couplings.restart(chosen, self.envs)
-        for contacts in self.smooth:
-            contacts.restart(chosen, self.envs)
-        for pile in self.piles:
-            pile.restart(chosen, self.envs)
-        if self.hard is not None:
-            self.hard.restart(chosen)
-        if self.observer is not None:
-            self.observer.restart(chosen)
-        if self.moves:
+            couplings.reset_state(chosen, self.envs)
+        for contacts in self.shape_contact_sets:
+            contacts.reset_state(chosen, self.envs)
+        for particle_set in self.particle_contact_sets:
+            particle_set.reset_state(chosen, self.envs)
+        if self.nonsmooth is not None:
+            self.nonsmooth.reset_state(chosen)
+        if self.monitor is not None:
+            self.monitor.reset_state(chosen)
+        if self.has_joints:
             self._start_motions(chosen)
 
     def _start_motions(self, chosen: wp.array) -> None:
@@ -314,84 +320,88 @@ class Model(Environments, OfScene):
         a, real = self.arrays, self.types.real
         shape = (self.envs, self.body_count)
         wp.launch(project.kernel(real), dim=shape, inputs=[chosen, a.model, a.state], device=self.device)
-        for drive in self.drives:
+        for motion_set in self.prescribed_motions:
             wp.launch(
-                driven.start(drive.motion, real),
-                dim=(self.envs, drive.count),
-                inputs=[chosen, a.time, a.model, *drive.inputs, a.state],
+                driven.start(motion_set.motion, real),
+                dim=(self.envs, motion_set.count),
+                inputs=[chosen, a.time, a.model, *motion_set.inputs, a.state],
                 device=self.device,
             )
 
-    @beside_captures()
-    def look(self, needs: Set[str], own: wp.array | None = None) -> list[wp.Launch]:
+    @shared_capture_lock()
+    def evaluation_launches(self, needs: Set[str], own: wp.array | None = None) -> list[wp.Launch]:
         """Returns the launches that compute what sensors need, of frozen environments too.
 
-        ``measure_all`` does the rest.
+        ``evaluate_remaining_needs`` does the rest.
 
         Args:
             needs: Those of the sensors.
             own: Of which environments, see ``Span.slice``; ``None``: of all.
         """
-        span = look_span(Span, self, self.envs, self.hard, needs, own)
-        return look_stages(span, needs, self.no_step, self.all_active)
+        plan = evaluation_plan(ExecutionPlan, self, self.envs, self.nonsmooth, needs, own)
+        return evaluation_stages(plan, needs, self.zero_step, self.active_status)
 
-    @beside_captures()
-    def prepare(self, needs: Set[str]) -> None:
+    @shared_capture_lock()
+    def evaluate_needs(self, needs: Set[str]) -> None:
         """Computes what sensors of the current state need, by their ``needs``; there is room to measure into."""
-        if self._looks[0] != self.revision:
-            self._looks = (self.revision, {})
-        known, wanted = self._looks[1], frozenset(needs)
-        if wanted not in known:
-            known[wanted] = self.look(wanted)
-        for launch in known[wanted]:
+        if self._evaluations[0] != self.revision:
+            self._evaluations = (self.revision, {})
+        cached, requested = self._evaluations[1], frozenset(needs)
+        if requested not in cached:
+            cached[requested] = self.evaluation_launches(requested)
+        for launch in cached[requested]:
             launch.launch()
-        self.measure_all(needs)
+        self.evaluate_remaining_needs(needs)
 
-    def measure_all(self, needs: Set[str]) -> None:
+    def evaluate_remaining_needs(self, needs: Set[str]) -> None:
         """Computes the rest of what sensors need, after the launches of ``look`` for all environments."""
-        if self.hard is not None and shows(needs):
-            self.hard.show(self)
+        if self.nonsmooth is not None and needs_contacts(needs):
+            self.nonsmooth.show(self)
         if "reactions" in needs:
-            self._measure_reactions()
+            self._evaluate_reactions()
         if "contact_couplings" in needs:
-            self._measure_contact_couplings()
-        for name in SMOOTH:
+            self._evaluate_contact_couplings()
+        for name in SHAPE_CONTACT_MEASURES:
             if name in needs:
                 from warpcontact.smooth.measures import measure
 
                 measure(name, self)
-        if "piles" in needs:
-            for pile in self.piles:
-                pile.measure(self.envs, self.device)
+        if "particles" in needs:
+            for particle_set in self.particle_contact_sets:
+                particle_set.measure(self.envs, self.device)
 
-    @beside_captures()
-    def add_measures(self, names: Collection[str]) -> None:
-        """Allocates those of ``MEASURES`` with ``names`` that are not there yet."""
-        made = {name: MEASURES[name](self.layout, self) for name in names if getattr(self.arrays, name) is None}
+    @shared_capture_lock()
+    def allocate_sensor_arrays(self, names: Collection[str]) -> None:
+        """Allocates those of ``SENSOR_ARRAYS`` with ``names`` that are not there yet."""
+        arrays_by_need = {
+            name: SENSOR_ARRAYS[name](self.layout, self) for name in names if getattr(self.arrays, name) is None
+        }
         self.layout.allocate(self.envs)
-        for name, arrays in made.items():
+        for name, arrays in arrays_by_need.items():
             setattr(self.arrays, name, arrays)
 
-    def needs(self) -> list[Need]:
+    def memory_items(self) -> list[MemoryItem]:
         """Returns what its arrays take, on the device and on the host."""
-        return self.layout.needs(self.envs) + needs_of(self.parameters, self._uploads, self.envs)
+        return self.layout.memory_items(self.envs) + parameter_memory(
+            self.parameters, self._device_fields, self.envs
+        )
 
-    def _measure_reactions(self) -> None:
+    def _evaluate_reactions(self) -> None:
         from warpcontact.kernels.motions import driven, measures
 
         a, real = self.arrays, self.types.real
-        for drive in self.drives:
+        for motion_set in self.prescribed_motions:
             wp.launch(
-                driven.accelerate(drive.motion, real),
-                dim=(self.envs, drive.count),
-                inputs=[a.time, a.model, *drive.inputs],
+                driven.accelerate(motion_set.motion, real),
+                dim=(self.envs, motion_set.count),
+                inputs=[a.time, a.model, *motion_set.inputs],
                 outputs=[a.reactions.linear, a.reactions.angular],
                 device=self.device,
             )
         inputs, shape = [a.model, a.state, a.wrenches], (self.envs, self.body_count)
         wp.launch(measures.reactions(real), dim=shape, inputs=inputs, outputs=[a.reactions], device=self.device)
 
-    def _measure_contact_couplings(self) -> None:
+    def _evaluate_contact_couplings(self) -> None:
         from warpcontact.kernels import contact_coupling
 
         a, shape = self.arrays, (self.envs, len(self.scene.contact_couplings))
@@ -399,27 +409,27 @@ class Model(Environments, OfScene):
         inputs = [a.model, a.state, a.contacts, a.coupling_contacts]
         wp.launch(kernel, dim=shape, inputs=inputs, outputs=[a.contact_couplings], device=self.device)
 
-    def group_of(self, contact: Contact) -> tuple[Group, int]:
+    def group_of(self, contact: Contact) -> tuple[ContactGroup, int]:
         """Returns the group that ``contact`` is computed in, and the index of its first item there."""
         own = [other for other in self.scene.contacts if other.code == contact.code]
         group = next(group for group in self.groups if (group.parts, group.projected) == contact.code)
         return group, sum(other.count for other in own[: own.index(contact)])
 
-    @beside_captures()
-    def send(self, uploads: Iterable[Upload], contents: Iterable[NDArray[Any]]) -> None:
-        """Puts the content of each of ``uploads`` into its array on the device."""
-        for upload, content in zip(uploads, contents, strict=True):
-            if upload.send(content, self.envs):
+    @shared_capture_lock()
+    def upload(self, device_fields: Iterable[DeviceField], contents: Iterable[NDArray[Any]]) -> None:
+        """Puts the content of each of ``device_fields`` into its array on the device."""
+        for device_field, content in zip(device_fields, contents, strict=True):
+            if device_field.upload(content, self.envs):
                 self.revision += 1
         # Steps without them do not look for them.
-        if self.pushed != (pushed := self._is_pushed()):
-            self.pushed = pushed
+        if self.has_external_forces != (pushed := self._has_external_force()):
+            self.has_external_forces = pushed
             self.revision += 1
-        self._look_for_bounces()
+        self._update_restitution_flag()
         # What was known of distances may not hold for other radii, poses or meshes.
         cache = self.arrays.cache
-        blocks = (cache.block_wake, cache.block_probe, cache.block_quiet)
-        for known in (cache.set_wake, *blocks, cache.wake, cache.faces, cache.room):
-            known.zero_()
-        for pile in self.piles:
-            pile.forget_lists()
+        clusters = (cache.cluster_safe_travel, cache.cluster_probe_travel, cache.cluster_inactive)
+        for cached in (cache.set_safe_travel, *clusters, cache.safe_travel, cache.face_count, cache.clearance):
+            cached.zero_()
+        for particle_set in self.particle_contact_sets:
+            particle_set.invalidate_lists()

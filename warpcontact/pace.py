@@ -10,37 +10,41 @@ if TYPE_CHECKING:
     from tqdm import tqdm
 
 # What is taken at a time is to take so long [s], or up to twice or half that.
-SECONDS = 0.1
+TARGET_SECONDS = 0.1
 
 
 @dataclass
-class Pace:
+class ChunkSizer:
     """A number of steps that follows the time that they take.
 
     Args:
         steps: How many are taken at first, and at least: whole graphs.
-        most: How many at most, where they are queued and no time tells; ``None``: as many as the time allows.
+        max_steps: How many at most, where they are queued and no time tells; ``None``: as many as the time allows.
     """
 
     steps: int
-    most: int | None = None
+    max_steps: int | None = None
 
     def __post_init__(self) -> None:
-        self._least = self.steps
+        self._min_steps = self.steps
 
-    def of(self, count: int) -> int:
+    def next(self, count: int) -> int:
         """Returns how many of ``count`` steps to take now: what is little more than that all at once."""
         return count if 2 * count < 3 * self.steps else min(count, self.steps)
 
-    def took(self, count: int, seconds: float) -> None:
+    def record(self, count: int, seconds: float) -> None:
         """Counts that ``count`` steps took so long [s]."""
-        if seconds < 0.5 * SECONDS and 2 * count > self.steps and (self.most is None or self.steps < self.most):
+        if (
+            seconds < 0.5 * TARGET_SECONDS
+            and 2 * count > self.steps
+            and (self.max_steps is None or self.steps < self.max_steps)
+        ):
             self.steps *= 2
-        elif seconds > 2.0 * SECONDS and self.steps > self._least:
+        elif seconds > 2.0 * TARGET_SECONDS and self.steps > self._min_steps:
             self.steps //= 2
 
 
-def bar_of(progress: Any, steps: int, what: str) -> "contextlib.AbstractContextManager[tqdm]":
+def progress_bar(progress: Any, steps: int, what: str) -> "contextlib.AbstractContextManager[tqdm]":
     """Returns the bar that ``steps`` steps move on: that of ``tqdm`` that is given, to stay open, or its own.
 
     Args:

@@ -1,7 +1,7 @@
 """Numeric parameters of a model: one value that all environments share, or one per environment.
 
 ``Field`` holds the values of one quantity for all items (all bodies' masses) on the host in float64;
-``Parameter`` is a named window on it (``ball.mass``); ``Upload`` puts what is computed from fields into an array
+``Parameter`` is a named window on it (``ball.mass``); ``DeviceField`` puts what is computed from fields into an array
 of a Warp struct; ``Parameters`` collects both while a model is built. A quantity that is shared is stored once on
 the device, with stride 0 over the environments.
 """
@@ -19,7 +19,7 @@ from warpcontact import checks
 from warpcontact.arrays import broadcast, row_bytes
 from warpcontact.available import HOST
 from warpcontact.checks import Array
-from warpcontact.footprint import Need
+from warpcontact.footprint import MemoryItem
 from warpcontact.kernels.formula import as_numbers, check_values
 
 
@@ -69,7 +69,7 @@ class Parameter:
         whole: Whether its values are whole numbers.
         convert: Turns checked values (..., *given) into those to store, or raises ``ValueError``.
         given: Shape of one value as a user writes it where it may differ from ``tail``.
-        uploads: What is to be sent to the device when it changes.
+        device_fields: What is to be sent to the device when it changes.
     """
 
     name: str
@@ -81,7 +81,7 @@ class Parameter:
     whole: bool = False
     convert: Callable[[str, Array], Array] | None = None
     given: tuple[tuple[int, ...], ...] = ()
-    uploads: "list[Upload]" = dataclasses.field(default_factory=list)
+    device_fields: "list[DeviceField]" = dataclasses.field(default_factory=list)
 
     @property
     def count(self) -> int:
@@ -130,7 +130,7 @@ class Parameter:
         if found:
             check_values(self.name, values, self.limits)
             if self.whole:
-                checks.whole_numbers(self.name, values)
+                checks.integers(self.name, values)
             return self.convert(self.name, found[0]) if self.convert else found[0]
         raise ValueError(
             f"{self.name} must have shape {' or '.join(str(s) for s in self._shapes(envs))}, got {values.shape}"
@@ -147,14 +147,16 @@ class Parameter:
         values = np.broadcast_to(self.values, (envs, *self.values.shape[1:]))
         return values[:, 0] if self.single else values
 
-    def widening(self, envs: int) -> list[Need]:
+    def widening(self, envs: int) -> list[MemoryItem]:
         """Returns what it takes to have a value in each of ``envs`` environments, shared so far."""
         row = row_bytes(self.field.values)
-        needs = [Need("parameters", HOST, envs * row, row)]
-        for upload in self.uploads:
-            if not upload.wide:
-                needs.append(Need("parameters", str(upload.device), *upload.size(envs, varied=True)))
-        return needs
+        memory_items = [MemoryItem("parameters", HOST, envs * row, row)]
+        for device_field in self.device_fields:
+            if not device_field.wide:
+                memory_items.append(
+                    MemoryItem("parameters", str(device_field.device), *device_field.size(envs, varied=True))
+                )
+        return memory_items
 
 
 def _as_switches(value: ArrayLike) -> NDArray[Any] | None:
@@ -166,7 +168,7 @@ def _as_switches(value: ArrayLike) -> NDArray[Any] | None:
     return given if given.dtype == bool else None
 
 
-class Upload:
+class DeviceField:
     """One device array of a struct, and how its content follows from fields.
 
     Args:
@@ -221,7 +223,7 @@ class Upload:
         """
         return np.ascontiguousarray(self.compute())
 
-    def send(self, content: NDArray[Any], envs: int) -> bool:
+    def upload(self, content: NDArray[Any], envs: int) -> bool:
         """Sends ``content`` to ``envs`` environments; returns whether the array moved.
 
         Prepared launches are stale then.
@@ -240,14 +242,14 @@ class ClosedGap:
 
     Attributes:
         field: Where they are [m].
-        upload: What sends them to the device.
+        device_field: What sends them to the device.
     """
 
     field: Field
-    upload: Upload
+    device_field: DeviceField
 
     def assign(self, items: NDArray[np.int_], gap: float) -> None:
-        """Sets ``items`` to ``gap`` [m]; ``upload`` has to be sent afterwards."""
+        """Sets ``items`` to ``gap`` [m]; ``device_field`` has to be sent afterwards."""
         self.field.values[:, items] = gap
 
 
@@ -263,16 +265,16 @@ class Parameters:
         self.device = device
         self.real = wp.dtype_to_numpy(real)
         self.by_name: dict[str, Parameter] = {}
-        self.uploads: list[Upload] = []
+        self.device_fields: list[DeviceField] = []
 
-    def upload(
+    def device_field(
         self,
         struct: Any,
         attribute: str,
         dtype: Any,
         compute: Callable[[], NDArray[Any]],
         items: int | None = None,
-    ) -> Upload:
+    ) -> DeviceField:
         """Adds an array of ``struct``; reals are rounded to the precision of the device.
 
         With ``items`` that many share the only one that is computed.
@@ -282,9 +284,9 @@ class Parameters:
             values = compute()
             return rounded(attribute, values, self.real) if values.dtype.kind == "f" else values
 
-        upload = Upload(struct, attribute, dtype, content, self.device, items)
-        self.uploads.append(upload)
-        return upload
+        device_field = DeviceField(struct, attribute, dtype, content, self.device, items)
+        self.device_fields.append(device_field)
+        return device_field
 
     def add(
         self,
@@ -292,34 +294,38 @@ class Parameters:
         field: Field,
         items: slice,
         allowed: Mapping[str, Any],
-        uploads: list[Upload],
+        device_fields: list[DeviceField],
         **options: Any,
     ) -> None:
         """Adds a parameter; ``options`` are those of ``Parameter``."""
-        self.by_name[name] = Parameter(name, field, items, allowed, uploads=uploads, **options)
+        self.by_name[name] = Parameter(name, field, items, allowed, device_fields=device_fields, **options)
 
 
-def needs_of(
-    parameters: Mapping[str, Parameter], uploads: list[Upload], envs: int, varied: Collection[str] = ()
-) -> list[Need]:
+def parameter_memory(
+    parameters: Mapping[str, Parameter], device_fields: list[DeviceField], envs: int, varied: Collection[str] = ()
+) -> list[MemoryItem]:
     """Returns what parameters take: their values on the host, and what follows from them on the device.
 
     Args:
         parameters: The parameters by name.
-        uploads: All arrays.
+        device_fields: All arrays.
         envs: Number of environments.
         varied: Names of the parameters that are to have values of their own in each environment.
     """
     fields = {id(parameter.field): parameter.field for parameter in parameters.values()}
     wide_fields = {id(parameters[name].field) for name in varied}
-    wide_uploads = {id(upload) for name in varied for upload in parameters[name].uploads}
-    needs = []
+    wide_uploads = {id(device_field) for name in varied for device_field in parameters[name].device_fields}
+    memory_items = []
     for key, field in fields.items():
         row, own = row_bytes(field.values), key in wide_fields or not field.shared
-        needs.append(Need("parameters", HOST, (envs if own else 1) * row, row if own else 0))
-    for upload in uploads:
-        needs.append(Need("parameters", str(upload.device), *upload.size(envs, id(upload) in wide_uploads)))
-    return needs
+        memory_items.append(MemoryItem("parameters", HOST, (envs if own else 1) * row, row if own else 0))
+    for device_field in device_fields:
+        memory_items.append(
+            MemoryItem(
+                "parameters", str(device_field.device), *device_field.size(envs, id(device_field) in wide_uploads)
+            )
+        )
+    return memory_items
 
 
 def pack(struct: Any, columns: Mapping[str, NDArray[Any]]) -> NDArray[Any]:

@@ -14,8 +14,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from warpcontact.arrays import Layout
-from warpcontact.cells import Grid, declare_grids
+from warpcontact.arrays import AllocationPlan
+from warpcontact.cells import FaceGrid, declare_grids
 from warpcontact.checks import Array
 from warpcontact.kernels.simd import WIDTH
 from warpcontact.kernels.types import FEATURE_ACTIVE, FEATURE_BOUNDARY, FEATURE_COUNT
@@ -23,22 +23,22 @@ from warpcontact.meshes import Mesh
 from warpcontact.meshes.examine import SLIVER_LIMIT
 from warpcontact.meshes.topology import angles, area_vectors, directions, slenderness
 from warpcontact.scene import Contact
-from warpcontact.sides import Sides, sides_of
-from warpcontact.tree import Tree, declare_trees, make_tree
+from warpcontact.sides import SideRegion, side_region_of
+from warpcontact.tree import FaceBvh, build_bvh, declare_bvhs
 from warpcontact.vectors import cross, dot, norm
 
 # Warp's queries skip triangles slimmer than the limit, which they compute in float32.
-SLIVER = 1.2 * SLIVER_LIMIT
+MIN_SLENDERNESS = 1.2 * SLIVER_LIMIT
 # Of the length of a usual edge: a list of few faces that serves for many steps.
 SKIN = 0.35
 # Faces that are remembered of a contact on a CPU; measured. More last longer, but take more of a cache.
-FEWEST_REMEMBERED, MOST_REMEMBERED = 16, 48
+MIN_CACHED_FACES, MAX_CACHED_FACES = 16, 48
 # Faces of a mesh that, with its tree, is larger than what cores have of caches; measured.
-MANY_FACES = 150_000
+LARGE_MESH_FACES = 150_000
 
 
 @dataclass(frozen=True)
-class Patch:
+class QueryMesh:
     """A set of faces to search, with its tables. Features: the face, edges 0-1, 1-2, 2-0, corners 0, 1, 2."""
 
     corner: NDArray[np.float64]  # (F, 3, 3), in the mesh's axes and unit, from the centre of the surface
@@ -47,25 +47,25 @@ class Patch:
     neighbor: NDArray[np.int32]  # (F, 3) 3 × face + edge across each edge; −1: none, or not one alone
     edge: float  # length of a usual edge
     area: float  # of all faces together
-    sides: Sides
+    side_region: SideRegion
 
     @cached_property
-    def tree(self) -> Tree:
+    def bvh(self) -> FaceBvh:
         """The tree that is searched on a CPU."""
-        return make_tree(self.corner, self.normal[:, 0])
+        return build_bvh(self.corner, self.normal[:, 0])
 
     @property
     def skin(self) -> float:
         """How much farther faces are remembered than the nearest."""
         return SKIN * self.edge
 
-    def faces_within(self, reach: float) -> float:
-        """Returns about how many faces lie within ``reach``, in the unit of the mesh, of one of them."""
-        disk = min(reach / np.sqrt(self.area), 1.0)
+    def faces_within(self, radius: float) -> float:
+        """Returns about how many faces lie within ``radius``, in the unit of the mesh, of one of them."""
+        disk = min(radius / np.sqrt(self.area), 1.0)
         return max(1.0, min(np.pi * disk**2, 1.0) * len(self.corner))
 
 
-def make_patch(mesh: Mesh, active: NDArray[np.bool_], centre: Array, *, only_active: bool) -> Patch:
+def make_query_mesh(mesh: Mesh, active: NDArray[np.bool_], centre: Array, *, only_active: bool) -> QueryMesh:
     """Returns the tables of a mesh, or of its active part as an open surface of its own.
 
     Args:
@@ -111,132 +111,143 @@ def make_patch(mesh: Mesh, active: NDArray[np.bool_], centre: Array, *, only_act
     assert normal.shape == (len(faces), FEATURE_COUNT, 3)
     neighbor = _neighbors(edge, ends)
     whole = len(faces) == len(mesh.faces)
-    return Patch(
+    return QueryMesh(
         corner=corner,
         normal=normal,
         flags=flags,
         neighbor=neighbor,
         edge=_median(norm(np.roll(corner, -1, axis=1) - corner).ravel()),
         area=0.5 * float(twice_area.sum()),
-        sides=sides_of(mesh, corner, ends, neighbor, whole=whole),
+        side_region=side_region_of(mesh, corner, ends, neighbor, whole=whole),
     )
 
 
 #: Patches by their mesh, its active faces, the origin of the tables, and whether the other faces are left out.
-Known = dict[tuple[Mesh, bytes, bytes, bool], Patch]
+QueryMeshCache = dict[tuple[Mesh, bytes, bytes, bool], QueryMesh]
 
 
 @dataclass(frozen=True)
-class Patches:
+class QueryMeshes:
     """The patches of all surfaces; contacts that search the same faces share one.
 
     Attributes:
-        patches: All of them, one for each mesh of a surface that is searched in one way.
+        query_meshes: All of them, one for each mesh of a surface that is searched in one way.
         surfaces: Index of the surface of each.
-        searched: For each, the number of its mesh for queries: patches that differ in what is active share one.
+        search_meshes: For each, the number of its mesh for queries: patches that differ in what is active share one.
         corners: Of the faces (F, 3, 3) of each of these meshes, in float32.
-        of_contact: First patch of each contact.
+        first_of_contact: First patch of each contact.
     """
 
-    patches: list[Patch]
+    query_meshes: list[QueryMesh]
     surfaces: list[int]
-    searched: list[int]
+    search_meshes: list[int]
     corners: list[NDArray[np.float32]]
-    of_contact: dict[Contact, int]
+    first_of_contact: dict[Contact, int]
 
-    def reaches(self) -> NDArray[np.float64]:
+    def max_radii(self) -> NDArray[np.float64]:
         """Returns the radius of the largest sphere that touches each patch, in the unit of its mesh."""
-        reach = np.zeros(len(self.patches))
-        for contact, first in self.of_contact.items():
+        radius = np.zeros(len(self.query_meshes))
+        for contact, first in self.first_of_contact.items():
             own = slice(first, first + len(contact.surface.meshes))
-            reach[own] = np.maximum(reach[own], contact.radius.max() / contact.surface.scale.min())
-        return reach
+            radius[own] = np.maximum(radius[own], contact.radius.max() / contact.surface.scale.min())
+        return radius
 
-    def sides(self) -> dict[Contact, list[Sides]]:
+    def side_regions(self) -> dict[Contact, list[SideRegion]]:
         """Returns where the surface of each contact keeps its sides apart, mesh by mesh."""
         return {
-            contact: [patch.sides for patch in self.patches[first : first + len(contact.surface.meshes)]]
-            for contact, first in self.of_contact.items()
+            contact: [
+                query_mesh.side_region
+                for query_mesh in self.query_meshes[first : first + len(contact.surface.meshes)]
+            ]
+            for contact, first in self.first_of_contact.items()
         }
 
     @property
     def face_count(self) -> int:
         """Number of rows of the tables of faces."""
-        return sum(len(patch.corner) for patch in self.patches)
+        return sum(len(query_mesh.corner) for query_mesh in self.query_meshes)
 
     def faces_read(self) -> int:
         """Returns about how many faces an environment reads, in some steps, of meshes too large for caches.
 
         Those around each body as far as its points and their radii reach, as they are in the scene.
         """
-        read = 0.0
-        for contact, first in self.of_contact.items():
+        face_total = 0.0
+        for contact, first in self.first_of_contact.items():
             points = contact.points
             scale = 1.0 if points.surface is None else float(points.surface.scale.max())
-            reach = float(contact.radius.max())
+            radius = float(contact.radius.max())
             if not points.spread:
-                reach += 0.5 * scale * float(np.linalg.norm(np.ptp(points.positions, axis=0)))
+                radius += 0.5 * scale * float(np.linalg.norm(np.ptp(points.positions, axis=0)))
             # Divided first: squares of what is accepted may overflow.
-            reach /= float(contact.surface.scale.min())
-            patches = self.patches[first : first + len(contact.surface.meshes)]
-            large = [patch for patch in patches if len(patch.corner) > MANY_FACES]
+            radius /= float(contact.surface.scale.min())
+            query_meshes = self.query_meshes[first : first + len(contact.surface.meshes)]
+            large = [query_mesh for query_mesh in query_meshes if len(query_mesh.corner) > LARGE_MESH_FACES]
             # Each environment has one mesh of a surface.
-            read += contact.set_count * max((patch.faces_within(reach) for patch in large), default=0.0)
-        return round(read)
+            face_total += contact.set_count * max(
+                (query_mesh.faces_within(radius) for query_mesh in large), default=0.0
+            )
+        return round(face_total)
 
-    def remembered(self) -> int:
+    def cached_face_count(self) -> int:
         """Returns how many faces are worth remembering of each contact on a CPU: of that with the most.
 
         Those that are farther from the middle of a sphere, where it touches a plane, than that by no more
         than the skin lie in a disk. As many more as fill up several at once.
         """
-        most = float(FEWEST_REMEMBERED)
-        for patch, reach in zip(self.patches, self.reaches(), strict=True):
-            disk = np.sqrt(patch.skin * (2.0 * reach + patch.skin)) + 0.5 * patch.edge
-            most = max(most, np.pi * disk**2 * len(patch.corner) / patch.area)
-        return WIDTH * math.ceil(min(most, MOST_REMEMBERED) / WIDTH)
+        max_count = float(MIN_CACHED_FACES)
+        for query_mesh, radius in zip(self.query_meshes, self.max_radii(), strict=True):
+            disk = np.sqrt(query_mesh.skin * (2.0 * radius + query_mesh.skin)) + 0.5 * query_mesh.edge
+            max_count = max(max_count, np.pi * disk**2 * len(query_mesh.corner) / query_mesh.area)
+        return WIDTH * math.ceil(min(max_count, MAX_CACHED_FACES) / WIDTH)
 
 
-def make_patches(contacts: list[Contact], known: Known | None = None) -> Patches:
+def make_query_meshes(contacts: list[Contact], mesh_cache: QueryMeshCache | None = None) -> QueryMeshes:
     """Returns the patches of ``contacts``.
 
     Args:
         contacts: The contacts.
-        known: Patches that are there already; those that are made here are added.
+        mesh_cache: Patches that are there already; those that are made here are added.
 
     Raises:
         ValueError: If a face has no area left in float32, in which queries search.
     """
-    known = {} if known is None else known
+    mesh_cache = {} if mesh_cache is None else mesh_cache
     rows: dict[tuple[int, bool], int] = {}
     numbers: dict[tuple[Any, ...], int] = {}
-    made = Patches([], [], [], [], {})
+    meshes_of_contacts = QueryMeshes([], [], [], [], {})
     for contact in contacts:
         surface = contact.surface
         only_active = contact.search == "active" and not all(active.all() for active in surface.active)
         key = (surface.index, only_active)
         if key not in rows:
-            rows[key] = len(made.patches)
+            rows[key] = len(meshes_of_contacts.query_meshes)
             for mesh, active in zip(surface.meshes, surface.active, strict=True):
-                what = (mesh, active.tobytes(), surface.centre.tobytes(), only_active)
-                patch = known.get(what)
-                if patch is None:
-                    patch = known[what] = make_patch(mesh, active, surface.centre, only_active=only_active)
-                made.patches.append(patch)
-                made.surfaces.append(surface.index)
+                mesh_key = (mesh, active.tobytes(), surface.centre.tobytes(), only_active)
+                query_mesh = mesh_cache.get(mesh_key)
+                if query_mesh is None:
+                    query_mesh = mesh_cache[mesh_key] = make_query_mesh(
+                        mesh, active, surface.centre, only_active=only_active
+                    )
+                meshes_of_contacts.query_meshes.append(query_mesh)
+                meshes_of_contacts.surfaces.append(surface.index)
                 # Meshes that differ in what is active alone are searched as one.
                 faces = (id(mesh), active.tobytes() if only_active else b"", surface.centre.tobytes())
                 if faces not in numbers:
-                    numbers[faces] = len(made.corners)
-                    given = np.flatnonzero(active) if only_active else np.arange(len(active))
-                    made.corners.append(_search_corners(surface.name, patch, given))
-                made.searched.append(numbers[faces])
-        made.of_contact[contact] = rows[key]
-    return made
+                    numbers[faces] = len(meshes_of_contacts.corners)
+                    face_numbers = np.flatnonzero(active) if only_active else np.arange(len(active))
+                    meshes_of_contacts.corners.append(_search_corners(surface.name, query_mesh, face_numbers))
+                meshes_of_contacts.search_meshes.append(numbers[faces])
+        meshes_of_contacts.first_of_contact[contact] = rows[key]
+    return meshes_of_contacts
 
 
-def upload_patches(
-    made: Patches, grids: list[Grid] | None, model: Any, layout: Layout, t: SimpleNamespace
+def upload_query_meshes(
+    meshes_of_contacts: QueryMeshes,
+    grids: list[FaceGrid] | None,
+    model: Any,
+    layout: AllocationPlan,
+    t: SimpleNamespace,
 ) -> list[wp.Mesh]:
     """Declares the patches of ``model``, with cells if there are ``grids``.
 
@@ -244,82 +255,88 @@ def upload_patches(
         The meshes, a list that is filled when they are made: a kernel holds only their ids, so somebody has to
         keep them.
     """
-    patches = made.patches
+    query_meshes = meshes_of_contacts.query_meshes
     meshes: list[wp.Mesh] = []
 
     def make_meshes(_: int) -> None:
-        meshes.extend(_search_mesh(own, layout.device) for own in made.corners)
-        ids = np.array([meshes[mesh].id for mesh in made.searched], dtype=np.uint64)
-        model.patch_mesh = wp.array(ids, dtype=wp.uint64, device=layout.device)
+        meshes.extend(_search_mesh(own, layout.device) for own in meshes_of_contacts.corners)
+        ids = np.array([meshes[mesh].id for mesh in meshes_of_contacts.search_meshes], dtype=np.uint64)
+        model.query_mesh_id = wp.array(ids, dtype=wp.uint64, device=layout.device)
 
-    mesh_bytes = sum(_mesh_bytes(len(own), layout.device) for own in made.corners)
-    layout.other("surfaces", mesh_bytes + 8 * len(made.searched), make_meshes)
-    starts = np.cumsum([0] + [len(patch.flags) for patch in patches])
+    mesh_bytes = sum(_mesh_bytes(len(own), layout.device) for own in meshes_of_contacts.corners)
+    layout.custom("surfaces", mesh_bytes + 8 * len(meshes_of_contacts.search_meshes), make_meshes)
+    starts = np.cumsum([0] + [len(query_mesh.flags) for query_mesh in query_meshes])
 
-    def send(name: str, values: Any, dtype: Any) -> None:
-        layout.content("surfaces", model, name, values, dtype)
+    def add_constant(name: str, values: Any, dtype: Any) -> None:
+        layout.constant("surfaces", model, name, values, dtype)
 
-    send("patch_surface", made.surfaces, wp.int32)
-    send("patch_face_start", starts, wp.int32)
-    errors = [_query_error(patch) for patch in patches]
-    send("patch_slack", [slack for slack, _ in errors], t.real)
-    send("patch_thin", [thin for _, thin in errors], t.real)
-    send("patch_skin", [patch.skin for patch in patches], t.real)
-    send("patch_sides", [patch.sides.kind for patch in patches], wp.int32)
-    walls = [patch.sides for patch in patches]
-    send("patch_wall_start", np.cumsum([0] + [len(own.offset) for own in walls]), wp.int32)
+    add_constant("query_mesh_surface", meshes_of_contacts.surfaces, wp.int32)
+    add_constant("query_mesh_face_start", starts, wp.int32)
+    errors = [_query_error(query_mesh) for query_mesh in query_meshes]
+    add_constant("query_mesh_error", [slack for slack, _ in errors], t.real)
+    add_constant("query_mesh_thin_length", [thin for _, thin in errors], t.real)
+    add_constant("query_mesh_skin", [query_mesh.skin for query_mesh in query_meshes], t.real)
+    add_constant("query_mesh_side_region", [query_mesh.side_region.kind for query_mesh in query_meshes], wp.int32)
+    regions = [query_mesh.side_region for query_mesh in query_meshes]
+    add_constant("query_mesh_wall_start", np.cumsum([0] + [len(own.offset) for own in regions]), wp.int32)
     none = np.zeros((0, 3))
-    send("wall_normal", np.concatenate([none, *(own.normal for own in walls)]), t.vec3)
-    send("wall_offset", np.concatenate([none[:, 0], *(own.offset for own in walls)]), t.real)
-    if patches:
+    add_constant("wall_normal", np.concatenate([none, *(own.normal for own in regions)]), t.vec3)
+    add_constant("wall_offset", np.concatenate([none[:, 0], *(own.offset for own in regions)]), t.real)
+    if query_meshes:
         # With its normal a face is in one place of the memory, which is what a search waits for.
-        shapes = [np.concatenate([patch.corner, patch.normal[:, :1]], axis=1) for patch in patches]
-        send("face_corner", np.concatenate(shapes), t.vec3)
-        flat = [_frames(patch) for patch in patches] if grids else [np.zeros((0, 4, 3))]
-        send("face_frame", np.concatenate(flat), t.vec3)
-        send("face_normal", np.concatenate([patch.normal for patch in patches]), t.vec3)
-        send("face_flags", np.concatenate([patch.flags for patch in patches]), wp.uint8)
-        shifted = [
-            np.where(patch.neighbor < 0, -1, patch.neighbor + 3 * start)
-            for patch, start in zip(patches, starts, strict=False)
+        shapes = [
+            np.concatenate([query_mesh.corner, query_mesh.normal[:, :1]], axis=1) for query_mesh in query_meshes
         ]
-        send("face_neighbor", np.concatenate(shifted), wp.int32)
-        first = [made.searched.index(mesh) for mesh in range(len(made.corners))]
-        own = [patches[number] for number in first]
-        counts = [len(patch.corner) for patch in own]
-        declare_trees(counts, lambda: [patch.tree for patch in own], made.searched, model, layout)
+        add_constant("face_corner", np.concatenate(shapes), t.vec3)
+        flat = [_face_frames(query_mesh) for query_mesh in query_meshes] if grids else [np.zeros((0, 4, 3))]
+        add_constant("face_frame", np.concatenate(flat), t.vec3)
+        add_constant("face_normal", np.concatenate([query_mesh.normal for query_mesh in query_meshes]), t.vec3)
+        add_constant("face_flags", np.concatenate([query_mesh.flags for query_mesh in query_meshes]), wp.uint8)
+        shifted = [
+            np.where(query_mesh.neighbor < 0, -1, query_mesh.neighbor + 3 * start)
+            for query_mesh, start in zip(query_meshes, starts, strict=False)
+        ]
+        add_constant("face_neighbor", np.concatenate(shifted), wp.int32)
+        first = [meshes_of_contacts.search_meshes.index(mesh) for mesh in range(len(meshes_of_contacts.corners))]
+        own = [query_meshes[number] for number in first]
+        counts = [len(query_mesh.corner) for query_mesh in own]
+        declare_bvhs(
+            counts, lambda: [query_mesh.bvh for query_mesh in own], meshes_of_contacts.search_meshes, model, layout
+        )
         # Last, as they are filled from all of this.
-        declare_grids(grids, len(patches), model, layout, t)
+        declare_grids(grids, len(query_meshes), model, layout, t)
     return meshes
 
 
 def _median(values: Array) -> float:
     """Returns the median of numbers (n,), without the masked arrays that NumPy imports for that."""
-    around = [(len(values) - 1) // 2, len(values) // 2]
-    return float(np.partition(values, around)[around].mean())
+    middle = [(len(values) - 1) // 2, len(values) // 2]
+    return float(np.partition(values, middle)[middle].mean())
 
 
-def _frames(patch: Patch) -> Array:
+def _face_frames(query_mesh: QueryMesh) -> Array:
     """Returns the axes of the faces in their planes, and where their corners are there: ``Model.face_frame``."""
-    a, b, c = patch.corner.swapaxes(0, 1)
-    edges = np.roll(patch.corner, -1, axis=1) - patch.corner
+    a, b, c = query_mesh.corner.swapaxes(0, 1)
+    edges = np.roll(query_mesh.corner, -1, axis=1) - query_mesh.corner
     squares = dot(edges, edges)
     length = np.sqrt(squares[:, 0])
     along = (b - a) / length[:, None]
-    across = cross(patch.normal[:, 0], along)
+    across = cross(query_mesh.normal[:, 0], along)
     last = [dot(c - a, axis) for axis in (along, across)]
     return np.stack([along, across, np.stack([length, *last], axis=1), 1.0 / squares], axis=1)
 
 
-def _search_corners(name: str, patch: Patch, given: NDArray[np.integer[Any]]) -> NDArray[np.float32]:
-    """Returns the corners (F, 3, 3) that queries search; ``given`` are the numbers of the faces in their mesh."""
+def _search_corners(
+    name: str, query_mesh: QueryMesh, face_numbers: NDArray[np.integer[Any]]
+) -> NDArray[np.float32]:
+    """Returns the corners (F, 3, 3) that queries search; ``face_numbers`` are the numbers of the faces in their mesh."""
     # The mesh is sound in float64; only float32 can still spoil it.
-    corner = patch.corner.astype(np.float32)
-    lost = np.flatnonzero(slenderness(corner.astype(np.float64)) < SLIVER)
+    corner = query_mesh.corner.astype(np.float32)
+    lost = np.flatnonzero(slenderness(corner.astype(np.float64)) < MIN_SLENDERNESS)
     if len(lost):
-        far = np.abs(patch.corner[lost[0]]).max()
+        far = np.abs(query_mesh.corner[lost[0]]).max()
         raise ValueError(
-            f"{name}: face {given[lost[0]]} has no area left in float32, in which surfaces are searched "
+            f"{name}: face {face_numbers[lost[0]]} has no area left in float32, in which surfaces are searched "
             f"({len(lost)} such faces): it is too slim, or too small for coordinates of up to {far:g} m. Remove "
             "it, or make parts that lie far apart surfaces of their own"
         )
@@ -372,12 +389,12 @@ def _neighbors(edge: NDArray[np.integer[Any]], ends: NDArray[np.integer[Any]]) -
     return neighbor.reshape(edge.shape)
 
 
-def _query_error(patch: Patch) -> tuple[float, float]:
+def _query_error(query_mesh: QueryMesh) -> tuple[float, float]:
     """Returns how far the float32 query may be off, and the longest edge of the faces where this is not rounding.
 
     The query's areas lose ε (length/height)² of the length along a triangle, and at most its height in distance.
     """
-    corner = patch.corner
+    corner = query_mesh.corner
     edges = np.roll(corner, -1, axis=1) - corner
     longest = norm(edges).max(axis=1)
     height = norm(cross(edges[:, 0], edges[:, 1])) / longest

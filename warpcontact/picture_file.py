@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
-from warpcontact.durable import check_place, writing
+from warpcontact.durable import check_writable, open_for_writing
 from warpcontact.run_folder import RunPath
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ def check_path(path: Any, suffixes: Sequence[str] = SUFFIXES) -> Path:
     file = Path(path)
     if file.suffix.lower() not in suffixes:
         raise ValueError(f"{path}: must end in {' or '.join(suffixes)}, got {file.suffix or 'no suffix'}")
-    check_place(file)
+    check_writable(file)
     return file
 
 
@@ -39,7 +39,7 @@ def save(figure: "Figure", path: Path | RunPath) -> None:
     with warnings.catch_warnings():
         # Names may have signs that no font here has; they are boxes then, and nobody can do anything about it.
         warnings.filterwarnings("ignore", r"Glyph .* missing from font", UserWarning)
-        with writing(path) as file:
+        with open_for_writing(path) as file:
             _save(mpl, figure, file, path.name)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from warpcontact.arrays import Layout, per_env
+from warpcontact.arrays import AllocationPlan, per_env
 from warpcontact.kernels import quarantine
 from warpcontact.kernels.types import ENV_FROZEN, NO_CAUSE, TOO_FAR
 from warpcontact.parameters import Field, Parameters, pack
@@ -15,16 +15,16 @@ from warpcontact.status import FailureCause
 
 if TYPE_CHECKING:
     from warpcontact.environments import Environments
-    from warpcontact.outcomes.observer import Observer
+    from warpcontact.outcomes.observer import Monitor
 
 #: Steps between two looks at which environments failed. In steps, so that results do not depend on the machine.
 CADENCE = 64
 
 
-def add_guard(scene: Scene, layout: Layout, parameters: Parameters, real: type) -> Any:
+def add_guard(scene: Scene, layout: AllocationPlan, parameters: Parameters, real: type) -> Any:
     """Returns the struct of what environments may not do, declared and with its parameters."""
-    of_guard = quarantine.guard(real)
-    guard = of_guard.Guard()
+    guard_functions = quarantine.guard(real)
+    guard = guard_functions.Guard()
     layout.array("state", guard, "cause", wp.int32, per_env(), ranges={"cause": (NO_CAUSE, TOO_FAR)})
     speed, distance = Field(np.array([scene.max_speed])), Field(np.array([scene.max_distance]))
     largest = float(np.finfo(wp.dtype_to_numpy(real)).max)
@@ -35,12 +35,16 @@ def add_guard(scene: Scene, layout: Layout, parameters: Parameters, real: type) 
         # Beyond what the device has numbers for, all others are within the limit.
         return {key: np.where(values > largest, np.inf, values) for key, values in of.items()}
 
-    uploads = [
-        parameters.upload(guard, "limits", of_guard.Limits, lambda: pack(of_guard.Limits, squares())),
-        parameters.upload(guard, "suspect", real, lambda: np.minimum(largest, np.minimum(*squares().values()))),
+    device_fields = [
+        parameters.device_field(
+            guard, "limits", guard_functions.Limits, lambda: pack(guard_functions.Limits, squares())
+        ),
+        parameters.device_field(
+            guard, "suspect", real, lambda: np.minimum(largest, np.minimum(*squares().values()))
+        ),
     ]
-    parameters.add("scene.max_speed", speed, slice(0, 1), MAX_SPEED, uploads)
-    parameters.add("scene.max_distance", distance, slice(0, 1), MAX_DISTANCE, uploads)
+    parameters.add("scene.max_speed", speed, slice(0, 1), MAX_SPEED, device_fields)
+    parameters.add("scene.max_distance", distance, slice(0, 1), MAX_DISTANCE, device_fields)
     return guard
 
 
@@ -81,12 +85,12 @@ def raise_failed(model: "Environments") -> None:
     )
 
 
-def reset_failed(model: "Environments", observers: "list[Observer]") -> None:
+def reset_failed(model: "Environments", monitors: "list[Monitor]") -> None:
     """Puts failed environments back to their initial state, with empty history and outcomes, and counts it."""
-    for part, observer in zip(model.parts, observers, strict=True):
+    for part, monitor in zip(model.parts, monitors, strict=True):
         failed = part.arrays.status.numpy() == ENV_FROZEN
         if failed.any():
-            resets = observer.resets.numpy().copy()
-            part.restart(failed)
+            resets = monitor.resets.numpy().copy()
+            part.reset_state(failed)
             resets[failed] += 1
-            observer.resets.assign(resets)
+            monitor.resets.assign(resets)

@@ -9,20 +9,20 @@ from numpy.typing import NDArray
 
 from warpcontact._version import __version__
 from warpcontact.arrays import row_bytes
-from warpcontact.available import HOST, Room
+from warpcontact.available import HOST, AvailableMemory
 from warpcontact.channels import Channel, Frame
-from warpcontact.copies import Copies
+from warpcontact.copies import FrameCopies
 from warpcontact.environments import Environments
 from warpcontact.footprint import (
-    Footprint,
+    MemoryEstimate,
+    MemoryItem,
     MemoryShortage,
-    Need,
-    readable,
-    rooms_of,
-    said,
+    available_memory_for,
+    format_bytes,
     shortage,
+    shortage_message,
     total,
-    usable,
+    usable_bytes,
 )
 from warpcontact.model import Model
 from warpcontact.parameters import Parameter
@@ -52,10 +52,10 @@ class RecordingSize:
     parameters: int
     measured: frozenset[str]
 
-    def needs(self, device: str, envs: int, count: int, blocks: int = 1) -> list[Need]:
+    def memory_items(self, device: str, envs: int, count: int, blocks: int = 1) -> list[MemoryItem]:
         """Returns what blocks of ``count`` frames of ``envs`` environments of a device take."""
-        needs = [need for frame in self.frames for need in frame.needs(device, envs, count, blocks)]
-        return [*needs, Need("recording", HOST, envs * self.parameters, self.parameters)]
+        needs = [need for frame in self.frames for need in frame.memory_items(device, envs, count, blocks)]
+        return [*needs, MemoryItem("recording", HOST, envs * self.parameters, self.parameters)]
 
     def on_host(self, envs: int, count: int) -> int:
         """Returns the size of the data set [bytes]."""
@@ -71,7 +71,7 @@ def item_dimension(scene: Scene, element: str) -> str:
     return "item" if len(sizes) == 1 else f"{element}.item"
 
 
-def moved_elements(model: Environments) -> list[str]:
+def replay_parameters(model: Environments) -> list[str]:
     """Returns the parameters that a replay takes from the scene and that are not those of it in environment 0."""
     scene = model.scene
     first = {
@@ -95,10 +95,10 @@ def moved_elements(model: Environments) -> list[str]:
         values["law.restitution"] = getattr(formulas["law"], "restitution", None)
         first |= {f"{contact.name}.{key}": value for key, value in values.items() if value is not None}
     known = model.parts[0].parameters
-    return [name for name, value in first.items() if name in known and not _is(model, name, value)]
+    return [name for name, value in first.items() if name in known and not _equals(model, name, value)]
 
 
-def _is(model: Environments, name: str, value: Any) -> bool:
+def _equals(model: Environments, name: str, value: Any) -> bool:
     """Whether a parameter has a value in environment 0."""
     part = model.parts[0]
     return bool((part.parameters[name].read(part.envs)[0] == value).all())
@@ -140,7 +140,7 @@ class Recorder:
         if poses:
             # What a replay needs beside the poses, and whatever sets the environments apart.
             needed = (".mass", ".inertia", ".radius")
-            moved = moved_elements(model)
+            moved = replay_parameters(model)
             self.kept += [
                 model.find_parameter(name)
                 for name in model
@@ -153,11 +153,11 @@ class Recorder:
         # By the names under which they are stored: two names of one sensor are one channel.
         sensors = {sensor.name: sensor for sensor in model.find_sensors(wanted)}
         self.needs = {need for sensor in sensors.values() for need in sensor.needs}
-        model.make_measures(self.needs)
+        model.ensure_sensor_arrays(self.needs)
         self.channels = [Channel(model, name) for name in sensors]
-        self.most, self._blocks = frames, blocks
+        self.capacity, self._blocks = frames, blocks
         # Of each block, once started: what takes its frames of parts on the CPU, and their times.
-        self._copies: list[dict[Model, Copies]] = [{}]
+        self._copies: list[dict[Model, FrameCopies]] = [{}]
         self._times = np.zeros((1, 0))
         self._block = 0
         self.taken = 0
@@ -170,7 +170,7 @@ class Recorder:
         return RecordingSize(frames, sum(parameters.values()), frozenset(self.needs))
 
     @property
-    def copies(self) -> dict[Model, Copies]:
+    def copies(self) -> dict[Model, FrameCopies]:
         """What takes frames of parts on the CPU now."""
         return self._copies[self._block]
 
@@ -180,52 +180,60 @@ class Recorder:
         return self._times[self._block]
 
     @property
-    def room(self) -> int:
+    def free_frames(self) -> int:
         """How many frames more it holds until it is rewound; none before it is started."""
         return len(self.times) - self.taken
 
     def require(self, frames: int) -> None:
         """Raises ``RuntimeError`` if it does not hold so many frames more."""
-        if frames > self.room:
+        if frames > self.free_frames:
             raise RuntimeError(
-                f"the recorder has room for {self.room} of {self.most} frames, not for {frames} more: "
+                f"the recorder has room for {self.free_frames} of {self.capacity} frames, not for {frames} more: "
                 "start it first, and rewind it for a new block"
             )
 
-    def start(self, beside: Iterable[Need] = ()) -> None:
+    def start(self, extra: Iterable[MemoryItem] = ()) -> None:
         """Allocates what the frames are put into.
 
         Args:
-            beside: What steps take more of memory for these frames.
+            extra: What steps take more of memory for these frames.
 
         Raises:
             MemoryError: If that is more than there is; says how many frames would fit.
         """
-        size, frames, blocks = self.size(), self.most, self._blocks
+        size, frames, blocks = self.size(), self.capacity, self._blocks
         footprint = total(
-            Footprint(part.envs, str(part.device), tuple(size.needs(str(part.device), part.envs, frames, blocks)))
+            MemoryEstimate(
+                part.envs, str(part.device), tuple(size.memory_items(str(part.device), part.envs, frames, blocks))
+            )
             for part in self.model.parts
-        ).with_needs(beside)
-        room = shortage(footprint, rooms_of(footprint))
+        ).with_items(extra)
+        room = shortage(footprint, available_memory_for(footprint))
         if room is not None:
-            raise MemoryShortage(self._too_much(footprint, room), footprint.on(room.place), usable(room))
+            raise MemoryShortage(
+                self._shortage_message(footprint, room), footprint.bytes_at(room.location), usable_bytes(room)
+            )
         on_cpu = [part for part in self.model.parts if part.device.is_cpu]
-        self._copies = [{part: Copies(part) for part in on_cpu} for _ in range(blocks)]
+        self._copies = [{part: FrameCopies(part) for part in on_cpu} for _ in range(blocks)]
         self._times, self._block, self.taken = np.zeros((blocks, frames)), 0, 0
         for channel in self.channels:
             channel.allocate(frames, self._copies)
 
-    def _too_much(self, footprint: Footprint, room: Room) -> str:
-        envs, frames = self.model.envs, self.most
+    def _shortage_message(self, footprint: MemoryEstimate, room: AvailableMemory) -> str:
+        envs, frames = self.model.envs, self.capacity
         sizes = {channel.frame.name: envs * frames * channel.frame.host for channel in self.channels}
         largest = sorted(sizes, key=lambda name: -sizes[name])[:3]
-        most = int(frames * usable(room) / footprint.on(room.place))
-        if most:
-            advice = f"at most {most} frames fit: make every {-(-frames // most)} times as long, or record less"
+        capacity = int(frames * usable_bytes(room) / footprint.bytes_at(room.location))
+        if capacity:
+            advice = (
+                f"at most {capacity} frames fit: make every {-(-frames // capacity)} times as long, or record less"
+            )
         else:
             advice = "not even one frame fits: record less, or of fewer environments"
-        named = ", ".join(f"{name} {readable(sizes[name])}" for name in largest)
-        return f"the recording of {frames} frames: {said(footprint, room)}; {advice} (largest: {named})"
+        named = ", ".join(f"{name} {format_bytes(sizes[name])}" for name in largest)
+        return (
+            f"the recording of {frames} frames: {shortage_message(footprint, room)}; {advice} (largest: {named})"
+        )
 
     def take(self, time: float) -> None:
         """Takes one frame of the current state at ``time`` [s].
@@ -236,12 +244,12 @@ class Recorder:
         self.require(1)
         # All parts are at work before the first is waited for.
         for part in self.model.parts:
-            part.prepare(self.needs)
+            part.evaluate_needs(self.needs)
         for part in self.model.parts:
-            self.take_of(part, slice(0, part.envs), self.taken)
+            self.take_part(part, slice(0, part.envs), self.taken)
         self.count([time])
 
-    def take_of(self, part: Model, own: slice, number: int) -> None:
+    def take_part(self, part: Model, own: slice, number: int) -> None:
         """Takes frame ``number`` of a part, what it needs being computed; ``own`` are all of its environments."""
         if part in self.copies:
             self.copies[part].take(number)
@@ -272,14 +280,14 @@ class Recorder:
             channel.drain()
         return {channel.frame.name: channel.result[: self.taken] for channel in self.channels}
 
-    def go_on_from(self, frames: Mapping[str, NDArray[Any]], times: NDArray[Any]) -> None:
+    def continue_from(self, frames: Mapping[str, NDArray[Any]], times: NDArray[Any]) -> None:
         """Takes over what ``frames`` returned of another recorder, and ``times`` [s] of these."""
         self.taken = 0
         self.require(len(times))
         self.count(times)
         for channel in self.channels:
             channel.result[: self.taken] = frames[channel.frame.name]
-            channel.go_on_from(self.taken)
+            channel.continue_from(self.taken)
 
     def rewind(self) -> None:
         """Begins a new block of frames, in place of the oldest."""

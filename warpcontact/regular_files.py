@@ -6,7 +6,7 @@ import stat
 from io import BufferedReader
 from pathlib import Path
 
-from warpcontact.footprint import readable
+from warpcontact.footprint import format_bytes
 
 #: Largest text that is read: JSON, TOML, Python [bytes].
 TEXT = 512 * 2**20
@@ -59,7 +59,7 @@ def check_regular(found: os.stat_result, path: object, most: int | None = None) 
         kind = _KINDS.get(stat.S_IFMT(found.st_mode), "a special file")
         raise refused(path, f"is not a regular file: it is {kind}")
     if most is not None and found.st_size > most:
-        raise refused(path, f"must have at most {readable(most)}, has {readable(found.st_size)}")
+        raise refused(path, f"must have at most {format_bytes(most)}, has {format_bytes(found.st_size)}")
 
 
 def open_regular(

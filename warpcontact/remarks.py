@@ -5,11 +5,11 @@ from warpcontact.environments import Environments
 
 # Residual of the contact problem, relative to impulses and impact velocities. Up to HARMLESS the error is below
 # that of the time step. Above MISSED the contact law is not satisfied.
-HARMLESS = 1.0e-3
-MISSED = 1.0e-1
+MAX_HARMLESS_RESIDUAL = 1.0e-3
+MAX_TOLERABLE_RESIDUAL = 1.0e-1
 
 
-class Remarks:
+class RunWarnings:
     """Compares a model with its state when this object was made; the largest residuals are those since then.
 
     Args:
@@ -22,19 +22,19 @@ class Remarks:
         self._failed = model.failed_catenaries()
         self._unsolved = model.unsolved_contacts()
         self._unfinished = model.unfinished_solves()
-        model.forget_residuals()
+        model.reset_residuals()
 
     def new(self) -> list[RunWarning]:
         """Returns the warnings since then, without that of frozen environments."""
-        return [*self._about_lines(), *self._about_unsolved(), *self._about_unfinished()]
+        return [*self._catenary_warnings(), *self._unsolved_warnings(), *self._solver_warnings()]
 
-    def about_frozen(self) -> list[RunWarning]:
+    def frozen_warnings(self) -> list[RunWarning]:
         """Returns a warning if more environments are frozen than then."""
         health = self.model.health()
         more = len(health.frozen) > self._frozen
         return [RunWarning(str(health), WarningLevel.ERROR)] if more else []
 
-    def _about_lines(self) -> list[RunWarning]:
+    def _catenary_warnings(self) -> list[RunWarning]:
         return [
             RunWarning(
                 f"catenary {line!r} was without a solution in some steps of {count} of {self.model.envs} "
@@ -44,7 +44,7 @@ class Remarks:
             if count > self._failed.get(line, 0)
         ]
 
-    def _about_unsolved(self) -> list[RunWarning]:
+    def _unsolved_warnings(self) -> list[RunWarning]:
         """Returns a warning for each contact of two shapes that was not found in more steps."""
         now = self.model.unsolved_contacts()
         warned = []
@@ -60,7 +60,7 @@ class Remarks:
                 warned.append(RunWarning(text, WarningLevel.ERROR))
         return warned
 
-    def _about_unfinished(self) -> list[RunWarning]:
+    def _solver_warnings(self) -> list[RunWarning]:
         """Returns a warning about contact problems that were not solved."""
         more = self.model.unfinished_solves() - self._unfinished
         count = int((more > 0).sum())
@@ -76,7 +76,7 @@ class Remarks:
             f"largest residual was {residual:.1e}, in {self.model.first_env + worst}: contact impulses and "
             f"velocities are wrong by about {100.0 * residual:.2g} % of their size"
         )
-        if residual <= HARMLESS:
+        if residual <= MAX_HARMLESS_RESIDUAL:
             return [
                 RunWarning(f"{text}, which is harmless; a larger tolerance takes less time", WarningLevel.NOTE)
             ]
@@ -84,6 +84,6 @@ class Remarks:
             RunWarning(
                 f"{text}. Give the integrator more iterations, solver='accelerated', or a shorter step; "
                 "scene.solve_failures has the number of such steps",
-                WarningLevel.CAUTION if residual <= MISSED else WarningLevel.ERROR,
+                WarningLevel.CAUTION if residual <= MAX_TOLERABLE_RESIDUAL else WarningLevel.ERROR,
             )
         ]

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from warpcontact.compiling import round_each_product
+from warpcontact.compiling import disable_fma
 from warpcontact.kernels import (
     alone,
     contact_coupling,
@@ -33,122 +33,157 @@ from warpcontact.kernels import (
     warps,
     wrenches,
 )
-from warpcontact.kernels.closest_point import CELL, KNOWN, LISTED, QUERY, RECALLED, SEARCH
-from warpcontact.kernels.types import Work
+from warpcontact.kernels.closest_point import (
+    DETECT_BVH,
+    DETECT_CACHED,
+    DETECT_CANDIDATES,
+    DETECT_FACE_CACHE,
+    DETECT_GRID,
+    DETECT_QUERY,
+)
+from warpcontact.kernels.types import LaunchRange
 from warpcontact.kernels.unique import QUICK
 
 if TYPE_CHECKING:
-    from warpcontact.groups import Group
+    from warpcontact.groups import ContactGroup
     from warpcontact.model import Model
-    from warpcontact.unilateral.hard_contacts import HardContacts
+    from warpcontact.unilateral.hard_contacts import NonsmoothContacts
 
 
 # Whether stages are fused into one kernel where results stay bitwise identical. Staged kernels compile faster.
-FUSES = not QUICK
+FUSE_STAGES = not QUICK
 # Most threads of a GPU that work off a queue, in whole warps, however long it is.
-LOOKING = 262144
-SEARCHING = 65536
+DETECTION_THREADS = 262144
+SEARCH_THREADS = 65536
 # Contacts, or threads, that are few for a GPU, at most.
-FEW = 131072
+SMALL_LAUNCH = 131072
 # Blocks of contacts that who integrates a body adds up on a GPU, at most.
-MOST_ADDED_UP = 16
+MAX_SUMMED_CLUSTERS = 16
 # Threads of a block: of kernels with many registers each, small blocks fill a processor better.
-FEW_TOGETHER, TOGETHER_IN_CELLS, MANY_TOGETHER = 64, 128, 256
+SMALL_BLOCK, GRID_BLOCK, LARGE_BLOCK = 64, 128, 256
 # Warps that fill the processors of a GPU; measured on an H200.
-WARPS = 2048
+FULL_WARPS = 2048
 
 
 @dataclass(frozen=True)
-class Span:
+class ExecutionPlan:
     """Environments of one model, and how their contacts are computed.
 
     Attributes:
         model: The model.
         count: How many, from the first on.
-        cached: Whether what is known of distances saves work: gap, normal and point are not told of what is far
+        uses_cache: Whether what is known of distances saves work: gap, normal and point are not told of what is far
             away then, which steps do without.
-        ordered: Whether wrenches are summed in one order, the same in every run.
-        queued: Whether threads share out contacts by what they need, not by blocks: for many threads.
-        hard: The contacts that are solved for impulses and have no force; ``None``: all have theirs.
-        looked_at: A state whose contacts are known, as nothing changed since they were looked at; ``None``: none.
-        watched: Whether anyone asks what contacts did in a step: else they need not tell.
+        ordered_sum: Whether wrenches are summed in one order, the same in every run.
+        uses_queues: Whether threads share out contacts by what they need, not by blocks: for many threads.
+        nonsmooth: The contacts that are solved for impulses and have no force; ``None``: all have theirs.
+        evaluated_state: A state whose contacts are known, as nothing changed since they were looked at; ``None``: none.
+        write_outputs: Whether anyone asks what contacts did in a step: else they need not tell.
         slice: Where launches read, when they run, which of these environments they are for, the first and how
             many, and how many steps those in place take of them; ``None``: for all.
     """
 
     model: "Model"
     count: int
-    cached: bool
-    ordered: bool
-    queued: bool = False
-    hard: "HardContacts | None" = None
-    looked_at: Any = None
-    watched: bool = True
+    uses_cache: bool
+    ordered_sum: bool
+    uses_queues: bool = False
+    nonsmooth: "NonsmoothContacts | None" = None
+    evaluated_state: Any = None
+    write_outputs: bool = True
     slice: wp.array | None = None
 
     @property
-    def sources(self) -> tuple[bool, bool]:
+    def other_forces(self) -> tuple[bool, bool]:
         """What acts on bodies beside contacts: couplings or shape contacts, and forces from outside."""
-        return bool(self.model.couplings or self.model.smooth), self.model.pushed
+        return bool(self.model.couplings or self.model.shape_contact_sets), self.model.has_external_forces
 
     @property
-    def few(self) -> bool:
+    def is_small(self) -> bool:
         """Whether contacts are so few that a launch less is worth more than threads that do the same."""
-        return self.count * self.model.contact_count <= FEW
+        return self.count * self.model.contact_count <= SMALL_LAUNCH
 
     @property
     def sums_by_body(self) -> bool:
         """Whether who integrates a body may add up few blocks, and touches of a pile: nothing comes between."""
         model = self.model
-        few = model.device.is_cpu or model.blocks.most_of_a_body <= MOST_ADDED_UP
-        return few and (not model.piles or (len(model.piles) == 1 and model.piles[0].sums_by_body))
+        few_clusters = model.device.is_cpu or model.clusters.max_per_body <= MAX_SUMMED_CLUSTERS
+        return few_clusters and (
+            not model.particle_contact_sets
+            or (len(model.particle_contact_sets) == 1 and model.particle_contact_sets[0].sums_by_body)
+        )
 
     @property
-    def meets(self) -> bool:
+    def fuses_contact(self) -> bool:
         """Whether who looks at a contact computes its force, and tells nobody: on a CPU, or of single contacts."""
         model = self.model
-        asked = self.watched or model.follows or self._coupled
-        celled, single = model.arrays.celled, model.blocks.width == 1 and len(model.groups) == 1
-        able = celled and single if self.queued else model.device.is_cpu and not celled
-        return FUSES and able and self.cached and self.hard is None and not asked
+        needs_outputs = self.write_outputs or model.has_latched_contacts or self._has_contact_couplings
+        uses_face_grid, single_contacts = (
+            model.arrays.uses_face_grid,
+            model.clusters.width == 1 and len(model.groups) == 1,
+        )
+        supported = (
+            uses_face_grid and single_contacts if self.uses_queues else model.device.is_cpu and not uses_face_grid
+        )
+        return FUSE_STAGES and supported and self.uses_cache and self.nonsmooth is None and not needs_outputs
 
     @property
-    def ends_by_body(self) -> bool:
+    def accepts_in_integrator(self) -> bool:
         """Whether who integrates a body may end the step of its environment: it has no other, and few contacts."""
         model = self.model
         # Of many environments of a GPU two launches, with fewer registers each, take less.
-        few = model.device.is_cpu or (model.blocks.count == 1 and self.few)
-        return FUSES and few and self._of_one and model.blocks.count > 0 and self.sums_by_body
+        few_clusters = model.device.is_cpu or (model.clusters.count == 1 and self.is_small)
+        return (
+            FUSE_STAGES and few_clusters and self._single_body and model.clusters.count > 0 and self.sums_by_body
+        )
 
     @property
-    def _coupled(self) -> bool:
+    def _has_contact_couplings(self) -> bool:
         """Whether contacts are those of contact couplings, which ask where each of them is."""
         return any(group.coupling_count for group in self.model.groups)
 
     @property
-    def _of_one(self) -> bool:
+    def _single_body(self) -> bool:
         """Whether environments have one body, which is free, and contacts that follow no surface."""
         model = self.model
-        return model.body_count == 1 and not (model.moves or model.drives or model.follows)
+        return model.body_count == 1 and not (
+            model.has_joints or model.prescribed_motions or model.has_latched_contacts
+        )
 
     @property
-    def alone(self) -> bool:
+    def fuses_step(self) -> bool:
         """Whether one launch takes a step: of bodies alone in their environments with one set of contacts."""
-        model, blocks = self.model, self.model.blocks
-        looks = self.queued and self.cached and model.arrays.celled and blocks.set_count == 1
-        return FUSES and looks and self._of_one and not self._else_acts and blocks.count <= MOST_ADDED_UP
+        model, clusters = self.model, self.model.clusters
+        detects = self.uses_queues and self.uses_cache and model.arrays.uses_face_grid and clusters.set_count == 1
+        return (
+            FUSE_STAGES
+            and detects
+            and self._single_body
+            and not self._has_other_forces
+            and clusters.count <= MAX_SUMMED_CLUSTERS
+        )
 
     @property
-    def in_place(self) -> bool:
+    def fuses_steps(self) -> bool:
         """Whether one launch takes any number of steps: on a CPU, of bodies alone with one kind of contacts."""
-        by_body = not self.queued and self.meets and self.ends_by_body
-        return by_body and len(self.model.groups) == 1 and not self._else_acts and self.looked_at is None
+        per_body = not self.uses_queues and self.fuses_contact and self.accepts_in_integrator
+        return (
+            per_body
+            and len(self.model.groups) == 1
+            and not self._has_other_forces
+            and self.evaluated_state is None
+        )
 
     @property
-    def _else_acts(self) -> bool:
+    def _has_other_forces(self) -> bool:
         """Whether other things act on bodies than contacts of points and forces from outside."""
         model = self.model
-        return bool(model.couplings or model.smooth or model.piles or self._coupled)
+        return bool(
+            model.couplings
+            or model.shape_contact_sets
+            or model.particle_contact_sets
+            or self._has_contact_couplings
+        )
 
     def prepare(
         self,
@@ -156,7 +191,7 @@ class Span:
         items: int,
         inputs: list[Any],
         threads: int | None = None,
-        together: int | None = None,
+        block_dim: int | None = None,
     ) -> list[wp.Launch]:
         """Returns the launch for some items per environment, recorded once; none if there is no work.
 
@@ -165,21 +200,21 @@ class Span:
             items: Items per environment.
             inputs: Its inputs after the work.
             threads: How many, on a GPU; one for each item if not given.
-            together: How many of them share the registers of a GPU block; so many that few are spread over all
+            block_dim: How many of them share the registers of a GPU block; so many that few are spread over all
                 processors if not given.
         """
         if items == 0:
             return []
         device = self.model.device
-        work = Work()
+        work = LaunchRange()
         work.envs, work.items = self.count, items
         work.threads = (threads or self.count * items) if device.is_cuda else 1
         if self.slice is not None:
             work.slice = self.slice
-        together = together or (FEW_TOGETHER if work.threads <= FEW else MANY_TOGETHER)
+        block_dim = block_dim or (SMALL_BLOCK if work.threads <= SMALL_LAUNCH else LARGE_BLOCK)
         inputs = [work, *inputs]
-        round_each_product(kernel, device)
-        return [wp.launch(kernel, work.threads, inputs, device=device, record_cmd=True, block_dim=together)]
+        disable_fma(kernel, device)
+        return [wp.launch(kernel, work.threads, inputs, device=device, record_cmd=True, block_dim=block_dim)]
 
 
 @dataclass(frozen=True)
@@ -187,134 +222,161 @@ class StepLength:
     """Length of a step [env, 0] [s].
 
     Attributes:
-        dynamic: In the precision of the model, for what forces do over it.
+        real: In the precision of the model, for what forces do over it.
         clock: In float64, for clocks and for motions that are functions of time.
         half_clock: Half of that.
     """
 
-    dynamic: wp.array
+    real: wp.array
     clock: wp.array
     half_clock: wp.array
 
 
 def force_stages(
-    span: Span, state: Any, step: wp.array, status: wp.array, *, by_block: bool = False
+    plan: ExecutionPlan, state: Any, step: wp.array, status: wp.array, *, by_cluster: bool = False
 ) -> list[wp.Launch]:
     """Returns the launches that compute contacts and wrenches of ``state``; they change nothing else.
 
     Args:
-        span: The environments.
+        plan: The environments.
         state: Their state.
         step: What the forces act over [env, 0] [s]; zeros for the forces of the instant.
         status: Of the environments [env]; left out are those that are not active.
-        by_block: Whether what blocks of contacts and touches of a pile do is left with them, to be added up by
+        by_cluster: Whether what blocks of contacts and touches of a pile do is left with them, to be added up by
             whoever comes next, or by nobody.
     """
-    model = span.model
+    model = plan.model
     a, real = model.arrays, model.types.real
-    ordered = span.ordered or by_block
-    known = state is span.looked_at
-    meets = span.meets and not known
-    launches = [] if known or meets else near_stages(span, state, status)
+    ordered_sum = plan.ordered_sum or by_cluster
+    evaluated = state is plan.evaluated_state
+    fuses_contact = plan.fuses_contact and not evaluated
+    launches = [] if evaluated or fuses_contact else detection_stages(plan, state, status)
     for couplings in model.couplings:
-        launches += couplings.force_stages(span, state, status)
-    for contacts in model.smooth:
-        launches += contacts.force_stages(span, state, step, status)
-    if not ordered:
-        kernel = wrenches.clear(real, *span.sources)
-        inputs = [status, a.cache.waiting, a.model, a.ends, a.wrenches]
-        launches += span.prepare(kernel, model.body_count, inputs)
+        launches += couplings.force_stages(plan, state, status)
+    for contacts in model.shape_contact_sets:
+        launches += contacts.force_stages(plan, state, step, status)
+    if not ordered_sum:
+        kernel = wrenches.clear(real, *plan.other_forces)
+        inputs = [status, a.cache.queue_count, a.model, a.coupling_wrenches, a.wrenches]
+        launches += plan.prepare(kernel, model.body_count, inputs)
     for group in model.groups:
-        if meets:
-            launches += _meet_stages(span, group, state, step, status, ordered=ordered)
+        if fuses_contact:
+            launches += _fused_contact_stages(plan, group, state, step, status, ordered_sum=ordered_sum)
             continue
-        blocks = [(group.first_block, group.block_count)]
-        for first_block, count in blocks if span.hard is None else span.hard.compliant_blocks(group):
-            inputs = [status, a.model, state, a.history, group.memory, step, first_block]
-            inputs += [group.first, group.coefficients, a.contacts, group.kept, a.near, span.watched, ordered]
+        clusters = [(group.first_cluster, group.cluster_count)]
+        for first_cluster, count in (
+            clusters if plan.nonsmooth is None else plan.nonsmooth.compliant_clusters(group)
+        ):
+            inputs = [status, a.model, state, a.history, group.history_in, step, first_cluster]
+            inputs += [
+                group.first,
+                group.coefficients,
+                a.contacts,
+                group.history_out,
+                a.active_contacts,
+                plan.write_outputs,
+                ordered_sum,
+            ]
             inputs += [a.wrenches]
-            launches += span.prepare(group.kernel, count, inputs)
-    if ordered and not by_block:
-        kernel = wrenches.add_up(real, *span.sources)
-        inputs = [status, a.cache.waiting, a.model, a.near, a.ends, a.wrenches]
-        launches += span.prepare(kernel, model.body_count, inputs)
-    for pile in model.piles:
-        launches += pile.force_stages(span, state, step, status, by_block=by_block)
+            launches += plan.prepare(group.kernel, count, inputs)
+    if ordered_sum and not by_cluster:
+        kernel = wrenches.sum_by_body(real, *plan.other_forces)
+        inputs = [status, a.cache.queue_count, a.model, a.active_contacts, a.coupling_wrenches, a.wrenches]
+        launches += plan.prepare(kernel, model.body_count, inputs)
+    for particle_set in model.particle_contact_sets:
+        launches += particle_set.force_stages(plan, state, step, status, by_cluster=by_cluster)
     return launches
 
 
-def _meet_stages(
-    span: Span, group: "Group", state: Any, step: wp.array, status: wp.array, *, ordered: bool
+def _fused_contact_stages(
+    plan: ExecutionPlan, group: "ContactGroup", state: Any, step: wp.array, status: wp.array, *, ordered_sum: bool
 ) -> list[wp.Launch]:
     """Returns the launches that look at the contacts of a group and compute what they do."""
-    model = span.model
-    a, codes = model.arrays, (group.parts, model.types.real, group.moves, group.projected)
-    whole = [a.model, state, a.history, group.memory, step]
-    found = [group.coefficients, group.kept, a.cache, a.contacts, a.near]
-    if not span.queued:
+    model = plan.model
+    a, codes = model.arrays, (group.parts, model.types.real, group.has_joints, group.projected)
+    state_inputs = [a.model, state, a.history, group.history_in, step]
+    contact_outputs = [group.coefficients, group.history_out, a.cache, a.contacts, a.active_contacts]
+    if not plan.uses_queues:
         kernel = meet.kernel(*codes)
-        return span.prepare(kernel, group.set_count, [status, *whole, group.first_set, group.first, *found])
-    inputs = [*whole, *found, ordered, a.wrenches]
-    kernel = meet_in_cells.kernel(*codes, span.few)
-    launches = span.prepare(kernel, group.block_count, [status, *inputs], None, TOGETHER_IN_CELLS)
-    if span.few:
+        return plan.prepare(
+            kernel, group.set_count, [status, *state_inputs, group.first_set, group.first, *contact_outputs]
+        )
+    inputs = [*state_inputs, *contact_outputs, ordered_sum, a.wrenches]
+    kernel = meet_in_cells.kernel(*codes, plan.is_small)
+    launches = plan.prepare(kernel, group.cluster_count, [status, *inputs], None, GRID_BLOCK)
+    if plan.is_small:
         return launches
-    threads = min(SEARCHING, _whole_warps(span.count * group.block_count))
-    return launches + span.prepare(meet_in_cells.rest(*codes), group.block_count, inputs, threads, FEW_TOGETHER)
+    threads = min(SEARCH_THREADS, _whole_warps(plan.count * group.cluster_count))
+    return launches + plan.prepare(
+        meet_in_cells.remaining(*codes), group.cluster_count, inputs, threads, SMALL_BLOCK
+    )
 
 
-def near_stages(span: Span, state: Any, status: wp.array) -> list[wp.Launch]:
+def detection_stages(plan: ExecutionPlan, state: Any, status: wp.array) -> list[wp.Launch]:
     """Returns the launches that look at what is near of points and meshes; arguments as in ``force_stages``.
 
     What adds up wrenches has to follow: it empties the queues.
     """
-    model = span.model
+    model = plan.model
     a, real = model.arrays, model.types.real
-    if span.cached and a.celled and (span.few or model.blocks.width == 1 or not span.queued):
-        return _cell_stages(span, state, status)
+    if (
+        plan.uses_cache
+        and a.uses_face_grid
+        and (plan.is_small or model.clusters.width == 1 or not plan.uses_queues)
+    ):
+        return _grid_detection_stages(plan, state, status)
     launches = []
-    if span.cached:
-        launches += span.prepare(travel.kernel(real), model.blocks.set_count, [status, a.model, state, a.cache])
-    if span.cached and span.queued:
-        return launches + _queue_stages(span, state, status)
-    inputs = [status, a.model, state, a.history, span.cached, a.cache, a.contacts, a.near]
-    return launches + span.prepare(near.kernel(real, model.follows), model.blocks.count, inputs)
+    if plan.uses_cache:
+        launches += plan.prepare(travel.kernel(real), model.clusters.set_count, [status, a.model, state, a.cache])
+    if plan.uses_cache and plan.uses_queues:
+        return launches + _queued_detection_stages(plan, state, status)
+    inputs = [status, a.model, state, a.history, plan.uses_cache, a.cache, a.contacts, a.active_contacts]
+    return launches + plan.prepare(near.kernel(real, model.has_latched_contacts), model.clusters.count, inputs)
 
 
-def _cell_stages(span: Span, state: Any, status: wp.array) -> list[wp.Launch]:
+def _grid_detection_stages(plan: ExecutionPlan, state: Any, status: wp.array) -> list[wp.Launch]:
     """Returns the launches that look at all contacts in the cells of meshes, and search for the rest."""
-    model = span.model
-    a, real, follows, blocks = model.arrays, model.types.real, model.follows, model.blocks.count
-    inputs = [a.model, state, a.history, a.cache, a.contacts, a.near]
+    model = plan.model
+    a, real, latched, clusters = model.arrays, model.types.real, model.has_latched_contacts, model.clusters.count
+    inputs = [a.model, state, a.history, a.cache, a.contacts, a.active_contacts]
     # On a CPU one thread looks at a whole block.
-    width = model.blocks.width if model.device.is_cuda else 0
-    whole = span.few or not span.queued
-    kernel = near_cells.kernel(real, follows, width, whole)
-    threads, together = _whole_warps(span.count * blocks * width), warps.LANES if whole else TOGETHER_IN_CELLS
-    launches = span.prepare(kernel, blocks, [status, *inputs], threads, together)
-    if whole:
+    width = model.clusters.width if model.device.is_cuda else 0
+    single_launch = plan.is_small or not plan.uses_queues
+    kernel = near_cells.kernel(real, latched, width, single_launch)
+    threads, block_dim = _whole_warps(plan.count * clusters * width), warps.LANES if single_launch else GRID_BLOCK
+    launches = plan.prepare(kernel, clusters, [status, *inputs], threads, block_dim)
+    if single_launch:
         return launches
-    threads = min(SEARCHING, _whole_warps(span.count * blocks))
-    return launches + span.prepare(near_cells.rest(real, follows), blocks, inputs, threads, FEW_TOGETHER)
+    threads = min(SEARCH_THREADS, _whole_warps(plan.count * clusters))
+    return launches + plan.prepare(near_cells.remaining(real, latched), clusters, inputs, threads, SMALL_BLOCK)
 
 
-def _queue_stages(span: Span, state: Any, status: wp.array) -> list[wp.Launch]:
+def _queued_detection_stages(plan: ExecutionPlan, state: Any, status: wp.array) -> list[wp.Launch]:
     """Returns the launches that look at what is near on a GPU, by what it takes."""
-    model = span.model
-    a, real, follows = model.arrays, model.types.real, model.follows
-    blocks, contacts = model.blocks.count, model.contact_count
-    inputs = [a.model, state, a.history, a.cache, a.contacts, a.near]
-    launches = span.prepare(queues.pick(real, follows), blocks, [contacts, status, a.model, a.cache])
-    if contacts > blocks:
-        kernel, threads = queues.probe(real, follows, a.celled), min(SEARCHING, _whole_warps(span.count * blocks))
-        launches += span.prepare(kernel, blocks, [contacts, *inputs], threads, FEW_TOGETHER)
-    parts = [CELL, QUERY] if a.celled else [RECALLED, SEARCH] if span.few else [KNOWN, LISTED, SEARCH]
+    model = plan.model
+    a, real, latched = model.arrays, model.types.real, model.has_latched_contacts
+    clusters, contacts = model.clusters.count, model.contact_count
+    inputs = [a.model, state, a.history, a.cache, a.contacts, a.active_contacts]
+    launches = plan.prepare(queues.enqueue(real, latched), clusters, [contacts, status, a.model, a.cache])
+    if contacts > clusters:
+        kernel, threads = (
+            queues.probe_clusters(real, latched, a.uses_face_grid),
+            min(SEARCH_THREADS, _whole_warps(plan.count * clusters)),
+        )
+        launches += plan.prepare(kernel, clusters, [contacts, *inputs], threads, SMALL_BLOCK)
+    parts = (
+        [DETECT_GRID, DETECT_QUERY]
+        if a.uses_face_grid
+        else [DETECT_FACE_CACHE, DETECT_BVH]
+        if plan.is_small
+        else [DETECT_CACHED, DETECT_CANDIDATES, DETECT_BVH]
+    )
     for part, next_part in zip(parts, [*parts[1:], parts[-1]], strict=True):
-        kernel = queues.work_off(real, follows, part, next_part)
-        most = SEARCHING if part in (SEARCH, QUERY) else LOOKING
-        threads = min(most, _whole_warps(span.count * contacts))
-        launches += span.prepare(kernel, contacts, inputs, threads, FEW_TOGETHER)
-    return launches + span.prepare(queues.gather(real), blocks, [status, a.model, a.cache, a.near])
+        kernel = queues.process(real, latched, part, next_part)
+        most = SEARCH_THREADS if part in (DETECT_BVH, DETECT_QUERY) else DETECTION_THREADS
+        threads = min(most, _whole_warps(plan.count * contacts))
+        launches += plan.prepare(kernel, contacts, inputs, threads, SMALL_BLOCK)
+    return launches + plan.prepare(queues.compact(real), clusters, [status, a.model, a.cache, a.active_contacts])
 
 
 def _whole_warps(threads: int) -> int:
@@ -322,29 +384,31 @@ def _whole_warps(threads: int) -> int:
 
 
 def accept_stages(
-    span: Span, dt: StepLength, state_in: Any, state_out: Any, *, ended: bool = False
+    plan: ExecutionPlan, dt: StepLength, state_in: Any, state_out: Any, *, accepted: bool = False
 ) -> list[wp.Launch]:
     """Returns the launches that accept a proposed step in all active environments.
 
-    ``ended``: whether clocks and the history of contacts have gone on already.
+    ``accepted``: whether clocks and the history of contacts have gone on already.
     """
-    if ended and span.alone:
+    if accepted and plan.fuses_step:
         # What formulas remember has as well, see ``Integrator.step_stages``.
         return []
-    model = span.model
+    model = plan.model
     a, real = model.arrays, model.types.real
     launches = []
-    if not ended:
-        at_once = model.blocks.count > 0 and not model.follows
+    if not accepted:
+        single_launch = model.clusters.count > 0 and not model.has_latched_contacts
         states = [model.body_count, state_in, state_out]
         inputs = [a.status, dt.clock, a.time, *states]
-        launches += [] if at_once else span.prepare(finish.kernel(real), 1, inputs)
-        inputs = [a.status, a.time, dt.dynamic, dt.clock, *states]
-        inputs += [a.model, a.contacts, a.near, a.history, a.cache]
-        launches += span.prepare(history.kernel(real, model.follows, at_once), model.blocks.count, inputs)
+        launches += [] if single_launch else plan.prepare(finish.kernel(real), 1, inputs)
+        inputs = [a.status, a.time, dt.real, dt.clock, *states]
+        inputs += [a.model, a.contacts, a.active_contacts, a.history, a.cache]
+        launches += plan.prepare(
+            history.kernel(real, model.has_latched_contacts, single_launch), model.clusters.count, inputs
+        )
     for group in model.groups:
         if group.coupling_count:
-            launches += span.prepare(
+            launches += plan.prepare(
                 contact_coupling.advance(group.parts.law, real, group.projected),
                 group.coupling_count,
                 [
@@ -352,64 +416,83 @@ def accept_stages(
                     a.model,
                     state_in,
                     a.contacts,
-                    a.near,
+                    a.active_contacts,
                     a.coupling_contacts,
                     group.first_coupling,
                     group.first,
                     group.coefficients.law,
-                    a.reached,
+                    a.coupling_extremes,
                 ],
             )
-        for formula, memory, kept in group.memories():
-            launches += span.prepare(
-                history.memory_kernel(formula, real),
-                group.block_count,
-                [a.status, a.model, a.near, group.first_block, group.first, kept, memory],
+        for formula, history_in, history_out in group.histories():
+            launches += plan.prepare(
+                history.material_history_kernel(formula, real),
+                group.cluster_count,
+                [a.status, a.model, a.active_contacts, group.first_cluster, group.first, history_out, history_in],
             )
     for couplings in model.couplings:
-        launches += couplings.accept_stages(span)
-    for contacts in model.smooth:
-        launches += contacts.accept_stages(span)
-    for pile in model.piles:
-        launches += pile.accept_stages(span)
-    if span.hard is not None:
-        launches += span.hard.accept_stages(span, dt.dynamic)
+        launches += couplings.accept_stages(plan)
+    for contacts in model.shape_contact_sets:
+        launches += contacts.accept_stages(plan)
+    for particle_set in model.particle_contact_sets:
+        launches += particle_set.accept_stages(plan)
+    if plan.nonsmooth is not None:
+        launches += plan.nonsmooth.accept_stages(plan, dt.real)
     return launches
 
 
-def alone_stages(span: Span, dt: StepLength, state_in: Any, state_out: Any) -> list[wp.Launch]:
+def fused_step_stages(plan: ExecutionPlan, dt: StepLength, state_in: Any, state_out: Any) -> list[wp.Launch]:
     """Returns the launch that takes an accepted semi-implicit Euler step of a span that is ``alone``."""
-    model, blocks = span.model, span.model.blocks
+    model, clusters = plan.model, plan.model.clusters
     a, real, (group,) = model.arrays, model.types.real, model.groups
     lanes = warps.LANES if model.device.is_cuda else 1
-    codes = group.parts, real, group.projected, model.pushed
-    kernel = alone.kernel(*codes, blocks.width, blocks.count, lanes)
+    codes = group.parts, real, group.projected, model.has_external_forces
+    kernel = alone.kernel(*codes, clusters.width, clusters.count, lanes)
     # Of many environments each thread has one; of few so many that all processors have warps. One contact is not
     # shared out.
-    own = lanes if model.contact_count == 1 else min(lanes, max(1, span.count // WARPS))
-    inputs = [own, a.status, dt.dynamic, dt.clock, a.time, a.model, a.guard, state_in, a.history, group.memory]
-    inputs += [group.coefficients, group.kept, a.contacts, a.near, a.cache, a.ends, state_out]
-    together = FEW_TOGETHER if span.few else MANY_TOGETHER
-    return span.prepare(kernel, 1, inputs, -(-span.count // own) * lanes, together)
+    envs_per_warp = lanes if model.contact_count == 1 else min(lanes, max(1, plan.count // FULL_WARPS))
+    inputs = [
+        envs_per_warp,
+        a.status,
+        dt.real,
+        dt.clock,
+        a.time,
+        a.model,
+        a.guard,
+        state_in,
+        a.history,
+        group.history_in,
+    ]
+    inputs += [
+        group.coefficients,
+        group.history_out,
+        a.contacts,
+        a.active_contacts,
+        a.cache,
+        a.coupling_wrenches,
+        state_out,
+    ]
+    block_dim = SMALL_BLOCK if plan.is_small else LARGE_BLOCK
+    return plan.prepare(kernel, 1, inputs, -(-plan.count // envs_per_warp) * lanes, block_dim)
 
 
-def in_place_stages(span: Span, dt: StepLength, state: Any) -> list[wp.Launch]:
+def multi_step_stages(plan: ExecutionPlan, dt: StepLength, state: Any) -> list[wp.Launch]:
     """Returns the launch that takes accepted semi-implicit Euler steps of a slice, if the span is ``in_place``."""
-    model, blocks = span.model, span.model.blocks
+    model, clusters = plan.model, plan.model.clusters
     a, (group,) = model.arrays, model.groups
-    kernel = in_place.kernel(group.parts, model.types.real, group.projected, model.pushed)
-    inputs = [a.status, dt.dynamic, dt.clock, a.time, a.model, a.guard, a.history, group.memory]
-    inputs += [group.coefficients, group.kept, a.contacts, a.near, a.cache, a.ends]
-    return span.prepare(kernel, 1, [*inputs, blocks.set_count, blocks.count, state])
+    kernel = in_place.kernel(group.parts, model.types.real, group.projected, model.has_external_forces)
+    inputs = [a.status, dt.real, dt.clock, a.time, a.model, a.guard, a.history, group.history_in]
+    inputs += [group.coefficients, group.history_out, a.contacts, a.active_contacts, a.cache, a.coupling_wrenches]
+    return plan.prepare(kernel, 1, [*inputs, clusters.set_count, clusters.count, state])
 
 
-def adopt_stage(span: Span, source: Any, target: Any) -> list[wp.Launch]:
+def copy_state_stage(plan: ExecutionPlan, source: Any, target: Any) -> list[wp.Launch]:
     """Returns the launch that copies the state of the active environments; a frozen one is left as it is."""
-    model = span.model
-    kernel = integrate.adopt(model.types.real)
-    return span.prepare(kernel, model.body_count, [model.arrays.status, source, target])
+    model = plan.model
+    kernel = integrate.copy_state(model.types.real)
+    return plan.prepare(kernel, model.body_count, [model.arrays.status, source, target])
 
 
-def turn_stage(span: Span, *, back: bool) -> list[wp.Launch]:
+def mask_substeps_stage(plan: ExecutionPlan, *, unmask: bool) -> list[wp.Launch]:
     """Returns the launch that lets environments with a crossing step and the others wait, or all step again."""
-    return span.prepare(sweep.turn(), 1, [span.model.arrays.status, int(back)])
+    return plan.prepare(sweep.mask_substeps(), 1, [plan.model.arrays.status, int(unmask)])

@@ -11,7 +11,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.contact_couplings import ContactCouplings
-from warpcontact.groups import Group
+from warpcontact.groups import ContactGroup
 from warpcontact.kernels import contact_coupling, measures
 from warpcontact.kernels.motions import Motion
 from warpcontact.kernels.motions.measures import Coordinates, Reactions
@@ -21,7 +21,7 @@ from warpcontact.status import ContactStatus
 
 if TYPE_CHECKING:
     from warpcontact.couplings.coupling_set import CouplingSet
-    from warpcontact.piles.pile import Pile
+    from warpcontact.piles.pile import ParticleContactSet
     from warpcontact.smooth.contact_sets import ShapeContactSet
 
 AXES = {3: ("axis", ["x", "y", "z"]), 4: ("component", ["x", "y", "z", "w"])}
@@ -101,7 +101,7 @@ class Sensor:
             ``"positions"``, ``"energies"`` and ``"momenta"``; contact ``"points"``, ``"distances"`` of what is
             far away; of motions ``"reactions"`` and ``"coordinates"``; the forces of ``"contact_couplings"``; of
             shape contacts ``"shape_points"``, ``"shape_curvatures"`` and ``"shape_gradients"``; or what is
-            measured of ``"piles"``.
+            measured of ``"particles"``.
         items: Number of items of a set, 0 if there is no item axis.
         total: Whether the item axis is summed over.
         codes: What its numbers stand for.
@@ -146,11 +146,11 @@ def sensors_of(
     scene: Scene,
     types: SimpleNamespace,
     start_of: Mapping[Contact, int],
-    groups: Sequence[Group],
+    groups: Sequence[ContactGroup],
     contact_couplings: ContactCouplings,
     couplings: "Sequence[CouplingSet]",
-    smooth: "Sequence[ShapeContactSet]",
-    piles: "Sequence[Pile]",
+    shape_contact_sets: "Sequence[ShapeContactSet]",
+    particle_contact_sets: "Sequence[ParticleContactSet]",
 ) -> dict[str, Sensor]:
     """Returns all sensors of a scene by name.
 
@@ -161,8 +161,8 @@ def sensors_of(
         groups: What its contacts are computed in.
         contact_couplings: Its contact couplings.
         couplings: Its other couplings.
-        smooth: Its shape contacts.
-        piles: Its particle contacts.
+        shape_contact_sets: Its shape contacts.
+        particle_contact_sets: Its particle contacts.
     """
     table: dict[str, Sensor] = {}
 
@@ -174,8 +174,8 @@ def sensors_of(
         "wrenches": types.Wrenches,
         "contacts": types.Contacts,
         "history": types.History,
-        "reached": types.Reached,
-        **{name: struct for name, (struct, _) in measures.OF_BODIES.items()},
+        "reached": types.CouplingExtremes,
+        **{name: struct for name, (struct, _) in measures.BODY_MEASURES.items()},
         "points": measures.Points,
         "reactions": Reactions,
         "coordinates": Coordinates,
@@ -231,7 +231,7 @@ def sensors_of(
                     name,
                     memory.unit,
                     meaning,
-                    lambda arrays, of=group.of_memory, part=part, key=key, own=own: of(part, key)[:, own],
+                    lambda arrays, of=group.history_of, part=part, key=key, own=own: of(part, key)[:, own],
                     items=count,
                     shape=(3,) if memory.tangent else (),
                 )
@@ -243,10 +243,10 @@ def sensors_of(
             add_column(f"{coupling.name}.{key}", unit, meaning, part, attribute, number, **options)
     for couplings_of_code in couplings:
         table.update((sensor.name, sensor) for sensor in couplings_of_code.sensors())
-    for contacts_of_code in smooth:
+    for contacts_of_code in shape_contact_sets:
         table.update((sensor.name, sensor) for sensor in contacts_of_code.sensors())
-    for pile in piles:
-        table.update((sensor.name, sensor) for sensor in pile.sensors())
+    for particle_set in particle_contact_sets:
+        table.update((sensor.name, sensor) for sensor in particle_set.sensors())
     for key, (need, unit, meaning) in _BODY_MEASURE.items():
         everything = slice(0, scene.bodies[-1].items.stop)
         options = {"needs": (need,), "total": True}

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.checks import Array
-from warpcontact.kernels.types import SIDES_ABOVE, SIDES_EVERYWHERE, SIDES_NOWHERE
+from warpcontact.kernels.types import SIDE_KNOWN_EVERYWHERE, SIDE_KNOWN_INSIDE_WALLS, SIDE_KNOWN_NOWHERE
 from warpcontact.meshes import Mesh
 from warpcontact.meshes.overlap import MOST_FACES
 from warpcontact.meshes.topology import area_vectors, components
@@ -24,23 +24,23 @@ _STRAIGHT = 1.0e-13
 
 
 @dataclass(frozen=True)
-class Sides:
+class SideRegion:
     """Where a surface keeps its sides apart.
 
     Attributes:
         kind: One of SIDES_*.
         normal: Unit normals of the walls of the region, into it, (n, 3), axes of the mesh.
         offset: Where they are along their normals, (n,), unit of the mesh, from the origin of the corners.
-        away: Unit normals of planes with the whole surface behind them, (m, 3): within the walls all that is
+        outer_normal: Unit normals of planes with the whole surface behind them, (m, 3): within the walls all that is
             before one of them is on the outer side.
-        reach: Where these are along their normals, (m,).
+        outer_offset: Where these are along their normals, (m,).
     """
 
-    kind: int = SIDES_NOWHERE
+    kind: int = SIDE_KNOWN_NOWHERE
     normal: Array = field(default_factory=lambda: np.zeros((0, 3)))
     offset: Array = field(default_factory=lambda: np.zeros(0))
-    away: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    reach: Array = field(default_factory=lambda: np.zeros(0))
+    outer_normal: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    outer_offset: Array = field(default_factory=lambda: np.zeros(0))
 
     def clearance(self, places: Array) -> Array:
         """Returns how far about places all is on the outer side, at least; negative if that is not known.
@@ -48,12 +48,12 @@ class Sides:
         Args:
             places: In axes and unit of the mesh, from the origin of the corners, (…, 3).
         """
-        before = (places @ self.away.T - self.reach).max(axis=-1, initial=-np.inf)
+        before = (places @ self.outer_normal.T - self.outer_offset).max(axis=-1, initial=-np.inf)
         within = (places @ self.normal.T - self.offset).min(axis=-1, initial=np.inf)
         return np.minimum(before, within)
 
 
-def bounds_a_region(mesh: Mesh) -> bool:
+def bounds_region(mesh: Mesh) -> bool:
     """Returns whether a mesh parts space into two regions, of which one sees its outer sides only, the other none.
 
     That is so of closed surfaces that do not cut themselves, each part of which faces the other way than the part
@@ -79,7 +79,7 @@ def bounds_a_region(mesh: Mesh) -> bool:
     return cuts == 0
 
 
-def sides_of_graph(corner: Array, ends: NDArray[np.integer], neighbor: NDArray[np.int32]) -> Sides:
+def height_field_region(corner: Array, ends: NDArray[np.integer], neighbor: NDArray[np.int32]) -> SideRegion:
     """Returns where an open surface keeps its sides apart: above it, if it has one height over each place.
 
     Seen along some direction it has to cover a convex region once, as terrains, plates and bowls do. From a point
@@ -94,26 +94,26 @@ def sides_of_graph(corner: Array, ends: NDArray[np.integer], neighbor: NDArray[n
     areas = area_vectors(corner)
     up = areas.sum(axis=0)
     if not np.linalg.norm(up) > 0.0:
-        return Sides()
+        return SideRegion()
     up /= np.linalg.norm(up)
     steep = areas @ up <= _TOLERANCE * norm(areas)
     inner = np.argwhere(neighbor >= 0)
     links = np.column_stack([inner[:, 0], neighbor[neighbor >= 0] // 3])
     if steep.any() or components(links, len(corner))[0] != 1:
-        return Sides()
+        return SideRegion()
 
     # Its rim, corner by corner: one loop.
     rim = np.argwhere(neighbor < 0)
     start, end = ends[rim[:, 0], rim[:, 1]].T
     if not len(start) or np.bincount(start).max() > 1:
-        return Sides()
+        return SideRegion()
     following = dict(zip(start.tolist(), end.tolist(), strict=True))
     place = dict(zip(start.tolist(), corner[rim[:, 0], rim[:, 1]], strict=True))
     loop = [int(start[0])]
     while (after := following.get(loop[-1])) is not None and after != loop[0] and len(loop) < len(start):
         loop.append(after)
     if len(loop) < len(start):
-        return Sides()
+        return SideRegion()
 
     across = np.linalg.svd(up[None])[2][1:]
     if np.linalg.det(np.vstack([across, up])) < 0.0:
@@ -123,7 +123,7 @@ def sides_of_graph(corner: Array, ends: NDArray[np.integer], neighbor: NDArray[n
     size = float(np.ptp(flat, axis=0).max())
     hull = _hull(flat, _STRAIGHT * size)
     if len(hull) < 3:
-        return Sides()
+        return SideRegion()
     after = np.roll(hull, -1, axis=0) - hull
     inward = np.column_stack([-after[:, 1], after[:, 0]]) / np.linalg.norm(after, axis=1, keepdims=True)
     offset = (inward * hull).sum(axis=1)
@@ -132,8 +132,10 @@ def sides_of_graph(corner: Array, ends: NDArray[np.integer], neighbor: NDArray[n
     covered = 0.5 * float((areas @ up).sum())
     equal = np.allclose([within, covered], _area(hull), rtol=_TOLERANCE, atol=0.0)
     if not equal or (beside > _TOLERANCE * size).any():
-        return Sides()
-    return Sides(SIDES_ABOVE, inward @ across, offset, up[None], (corner @ up).max(keepdims=True)[0])
+        return SideRegion()
+    return SideRegion(
+        SIDE_KNOWN_INSIDE_WALLS, inward @ across, offset, up[None], (corner @ up).max(keepdims=True)[0]
+    )
 
 
 def _area(loop: Array) -> float:
@@ -150,14 +152,14 @@ def _hull(points: Array, straight: float) -> Array:
         straight: A corner that is no farther than that from the line between those beside it is none.
     """
     ordered = points[np.lexsort(points.T[::-1])].tolist()
-    around = [place for half in (ordered, ordered[::-1]) for place in _turning(half, 0.0)[:-1]]
+    around = [place for half in (ordered, ordered[::-1]) for place in _left_turns(half, 0.0)[:-1]]
     # What is straight goes only now: of points in a line but for rounding, their order says nothing. The way
     # begins at a corner for sure.
     first = int(np.argmax(np.linalg.norm(np.array(around) - points.mean(axis=0), axis=1)))
-    return np.array(_turning([*around[first:], *around[: first + 1]], straight)[:-1])
+    return np.array(_left_turns([*around[first:], *around[: first + 1]], straight)[:-1])
 
 
-def _turning(places: list[list[float]], straight: float) -> list[list[float]]:
+def _left_turns(places: list[list[float]], straight: float) -> list[list[float]]:
     """Returns those of ``places`` where the way along them turns left, by more than ``straight``, and its ends."""
     way: list[list[float]] = []
     for x, y in places:
@@ -171,13 +173,17 @@ def _turning(places: list[list[float]], straight: float) -> list[list[float]]:
     return way
 
 
-def sides_of(
+def side_region_of(
     mesh: Mesh, corner: Array, ends: NDArray[np.integer], neighbor: NDArray[np.int32], *, whole: bool
-) -> Sides:
+) -> SideRegion:
     """Returns where a mesh, or with ``whole`` false a part of it that has these faces, keeps its sides apart."""
-    if whole and bounds_a_region(mesh):
+    if whole and bounds_region(mesh):
         if mesh.report.orientation != "outward":
-            return Sides(SIDES_EVERYWHERE)
+            return SideRegion(SIDE_KNOWN_EVERYWHERE)
         low, high = bounds(corner)
-        return Sides(SIDES_EVERYWHERE, away=np.vstack([np.eye(3), -np.eye(3)]), reach=np.append(high, -low))
-    return sides_of_graph(corner, ends, neighbor)
+        return SideRegion(
+            SIDE_KNOWN_EVERYWHERE,
+            outer_normal=np.vstack([np.eye(3), -np.eye(3)]),
+            outer_offset=np.append(high, -low),
+        )
+    return height_field_region(corner, ends, neighbor)

@@ -9,45 +9,45 @@ from typing import Any
 
 
 @dataclass
-class Asked:
+class StopRequest:
     """Whether somebody asked to stop."""
 
-    to_stop: bool = False
+    stop_requested: bool = False
 
 
 @contextlib.contextmanager
-def interruptions() -> Iterator[Asked]:
+def catch_interrupts() -> Iterator[StopRequest]:
     """Notes Ctrl-C, and the signal that ends a process, once; a second time they act as usual."""
-    asked = Asked()
+    request = StopRequest()
     if threading.current_thread() is not threading.main_thread():
-        yield asked
+        yield request
         return
     # What nobody hears is not to be heard here.
-    usual = {
+    previous_handlers = {
         number: handler
         for number in (signal.SIGINT, signal.SIGTERM)
         if (handler := signal.getsignal(number)) not in (None, signal.SIG_IGN)
     }
 
     def note(number: int, _: Any) -> None:
-        asked.to_stop = True
-        for one, handler in usual.items():
+        request.stop_requested = True
+        for one, handler in previous_handlers.items():
             signal.signal(one, handler)
 
-    for number in usual:
+    for number in previous_handlers:
         signal.signal(number, note)
     try:
-        yield asked
+        yield request
     finally:
-        for number, handler in usual.items():
+        for number, handler in previous_handlers.items():
             signal.signal(number, handler)
 
 
 @contextlib.contextmanager
-def terminations() -> Iterator[None]:
+def terminate_as_interrupt() -> Iterator[None]:
     """Lets the signal that ends a process do what Ctrl-C does, unless somebody else takes it meanwhile."""
-    usual = signal.getsignal(signal.SIGTERM)
-    if threading.current_thread() is not threading.main_thread() or usual in (None, signal.SIG_IGN):
+    previous_handlers = signal.getsignal(signal.SIGTERM)
+    if threading.current_thread() is not threading.main_thread() or previous_handlers in (None, signal.SIG_IGN):
         yield
         return
 
@@ -59,4 +59,4 @@ def terminations() -> Iterator[None]:
         yield
     finally:
         if signal.getsignal(signal.SIGTERM) is interrupt:
-            signal.signal(signal.SIGTERM, usual)
+            signal.signal(signal.SIGTERM, previous_handlers)

@@ -11,30 +11,30 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from warpcontact import checkpoint, checks
-from warpcontact.advice import advice, level_outside, to_search
-from warpcontact.arrays import Layout
+from warpcontact.advice import caller_stacklevel, contacts_to_evaluate, scene_warnings
+from warpcontact.arrays import AllocationPlan
 from warpcontact.available import HOST, available_threads
-from warpcontact.captures import beside_captures
+from warpcontact.captures import shared_capture_lock
 from warpcontact.compiling import load_all
 from warpcontact.contact_warning import ContactWarning, WarningLevel
-from warpcontact.crew import Crew, Share
+from warpcontact.crew import DeviceShare, WorkerPool
 from warpcontact.environments import Environments
-from warpcontact.footprint import Footprint, Need, environments, require
+from warpcontact.footprint import MemoryEstimate, MemoryItem, env_count_text, require
 from warpcontact.integrators import Integrator, SemiImplicitEuler
 from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.kernels.outcomes.base import Outcome
 from warpcontact.kernels.renamed import explain_renamed
-from warpcontact.looks import EVALUATED, in_parts, known_needs
+from warpcontact.looks import CONTACT_NEEDS, can_evaluate_by_slice, check_needs
 from warpcontact.model import Model, State
-from warpcontact.outcomes.watch import ContactEvents, StopCondition, Watch
-from warpcontact.pace import Pace, bar_of
+from warpcontact.outcomes.watch import ContactEvents, MonitorSettings, StopCondition
+from warpcontact.pace import ChunkSizer, progress_bar
 from warpcontact.parameters import rounded
 from warpcontact.quarantine import CADENCE, raise_failed, reset_failed
-from warpcontact.remarks import Remarks
-from warpcontact.schedule import Span
-from warpcontact.slices import Buffers, Frames, Stepper, Times
-from warpcontact.stepping import Tally, cut, kernels_of_steps, slice_sizes, stepping_footprint
-from warpcontact.taking import take_after, take_first
+from warpcontact.remarks import RunWarnings
+from warpcontact.schedule import ExecutionPlan
+from warpcontact.slices import FrameSchedule, StepBuffers, StepLengths, Stepper
+from warpcontact.stepping import KernelLister, cut_slices, slice_sizes, step_kernels, stepping_memory
+from warpcontact.taking import record_first_frame, record_frames
 from warpcontact.uncopied import Uncopied
 from warpcontact.whole_steps import frame_count, recorded_steps
 
@@ -46,8 +46,8 @@ if TYPE_CHECKING:
     from warpcontact.recording import Recording
 
 # Steps between two looks at the progress bar at least, whole graphs; and on a GPU, which queues them, at most.
-SHORTEST_PIECE = 8
-LONGEST_PIECE_QUEUED = 64
+MIN_CHUNK = 8
+MAX_CHUNK_GPU = 64
 
 
 @explain_renamed
@@ -107,36 +107,37 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         self.dt = float(checks.numbers("dt", dt, (), checks.limits("s", above=0.0)))
         integrator.check_step(self.dt)
         rounded("dt", np.array(self.dt), wp.dtype_to_numpy(model.parts[0].types.real))
-        self.crossing_substeps = checks.whole("crossing_substeps", crossing_substeps)
-        if self.crossing_substeps > 1 and not model.parts[0].sweeps:
+        self.crossing_substeps = checks.integer("crossing_substeps", crossing_substeps)
+        if self.crossing_substeps > 1 and not model.parts[0].has_swept_contacts:
             unused = f"crossing_substeps = {self.crossing_substeps} divides no step: no contact has swept=True"
-            warnings.warn(ContactWarning(unused, WarningLevel.NOTE), stacklevel=level_outside())
-        self.threads = available_threads() if threads is None else checks.whole("threads", threads)
+            warnings.warn(ContactWarning(unused, WarningLevel.NOTE), stacklevel=caller_stacklevel())
+        self.threads = available_threads() if threads is None else checks.integer("threads", threads)
         self.deterministic = bool(deterministic)
         self.distance_cache = bool(distance_cache)
         self.capture_graphs = bool(capture_graphs)
-        self.watch = Watch.of(outcomes, stop, events, quarantine)
+        self.monitor_settings = MonitorSettings.of(outcomes, stop, events, quarantine)
         # Whether the first step has nothing to warn of any more.
-        self.advised = False
-        require(self._stepping, model.envs, "to step them, ")
+        self.warned_at_start = False
+        require(self._stepping_memory, model.envs, "to step them, ")
         self._buffers = [
-            Buffers(part, integrator, self.dt, self.crossing_substeps, self.watch) for part in model.parts
+            StepBuffers(part, integrator, self.dt, self.crossing_substeps, self.monitor_settings)
+            for part in model.parts
         ]
-        self._observers = [own.observer for own in self._buffers if own.observer is not None]
-        if self._observers:
-            model.make_measures(self._observers[0].needs)
-            self.distance_cache = self.distance_cache and not self._observers[0].searches
+        self._monitors = [own.monitor for own in self._buffers if own.monitor is not None]
+        if self._monitors:
+            model.ensure_sensor_arrays(self._monitors[0].needs)
+            self.distance_cache = self.distance_cache and not self._monitors[0].needs_all_distances
         for part, buffers in zip(model.parts, self._buffers, strict=True):
             buffers.allocate(part.envs)
-            if buffers.hard is not None:
-                buffers.hard.begin(part, buffers.times.whole.dynamic)
-            if buffers.observer is not None:
-                buffers.observer.begin(part)
-        self._attach()
-        self._prepared: tuple[tuple[int, ...], Crew | None] = ((), None)
+            if buffers.nonsmooth is not None:
+                buffers.nonsmooth.attach_simulation(part, buffers.times.full.real)
+            if buffers.monitor is not None:
+                buffers.monitor.initialize(part)
+        self._attach_to_model()
+        self._prepared: tuple[tuple[int, ...], WorkerPool | None] = ((), None)
 
     @property
-    def times(self) -> Times:
+    def times(self) -> StepLengths:
         """Lengths of steps, on the device of the first part of the model."""
         return self._buffers[0].times
 
@@ -155,17 +156,17 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         """That time in steps of this simulation."""
         return round(self.model.time / self.dt)
 
-    def _attach(self) -> None:
+    def _attach_to_model(self) -> None:
         """Lets sensors tell what this simulation does with contacts, not another one of the same model."""
         for part, buffers in zip(self.model.parts, self._buffers, strict=True):
-            part.attach(buffers.hard, buffers.observer)
+            part.attach_simulation(buffers.nonsmooth, buffers.monitor)
 
     def check(self) -> list[str]:
         """Returns what there is to say about the model as it is, and this step for it.
 
         The first step from the start of the model warns of it.
         """
-        return advice(self.model, self.dt, self._buffers[0].hard)
+        return scene_warnings(self.model, self.dt, self._buffers[0].nonsmooth)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes state, history, clocks and parameters into a file, from which ``load`` goes on to the bit.
@@ -176,7 +177,7 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         Raises:
             OSError: If it cannot be written.
         """
-        self._attach()
+        self._attach_to_model()
         checkpoint.save(self, path)
 
     def load(self, path: str | os.PathLike[str]) -> None:
@@ -189,36 +190,40 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
             CheckpointError: If the file is damaged or of another simulation; names the entry. Nothing is changed.
             FileNotFoundError: If there is none.
         """
-        self._attach()
+        self._attach_to_model()
         checkpoint.load(self, path)
 
-    def stepping_layouts(self) -> list[Layout]:
+    def step_allocations(self) -> list[AllocationPlan]:
         """Returns what steps of each part of the model take on its device, beside the model."""
         return [buffers.layout for buffers in self._buffers]
 
-    def memory(self) -> Footprint:
+    def memory(self) -> MemoryEstimate:
         """Returns what the model and this simulation take of memory; recordings come on top."""
-        return self.model.footprint().with_needs(self._stepping(self.model.envs).needs)
+        return self.model.memory_estimate().with_items(self._stepping_memory(self.model.envs).items)
 
-    def needs_of_frames(self, needs: Set[str]) -> list[Need]:
+    def frame_memory(self, needs: Set[str]) -> list[MemoryItem]:
         """Returns what steps take more of memory if they are recorded, by what sensors need."""
-        alone, with_frames = (self._stepping(self.model.envs, looks) for looks in (None, frozenset(needs)))
-        return [Need("launches", HOST, with_frames.of("launches") - alone.of("launches"))]
+        without_frames, with_frames = (
+            self._stepping_memory(self.model.envs, recorded_needs) for recorded_needs in (None, frozenset(needs))
+        )
+        return [
+            MemoryItem("launches", HOST, with_frames.bytes_for("launches") - without_frames.bytes_for("launches"))
+        ]
 
-    def _stepping(self, envs: int, looks: frozenset[str] | None = None) -> Footprint:
+    def _stepping_memory(self, envs: int, recorded_needs: frozenset[str] | None = None) -> MemoryEstimate:
         """Returns what this simulation would take if it had ``envs`` environments, beside the model."""
-        return stepping_footprint(
+        return stepping_memory(
             self.model.shares_of(envs),
             self.integrator,
             crossing_substeps=self.crossing_substeps,
             threads=self.threads,
             distance_cache=self.distance_cache,
             capture_graphs=self.capture_graphs,
-            outcomes=self.watch.outcomes,
-            stop=self.watch.stops,
-            events=self.watch.events,
-            quarantine=self.watch.quarantine,
-            looks=looks,
+            outcomes=self.monitor_settings.outcomes,
+            stop=self.monitor_settings.stops,
+            events=self.monitor_settings.events,
+            quarantine=self.monitor_settings.quarantine,
+            recorded_needs=recorded_needs,
         )
 
     def outcomes(self) -> "xr.Dataset":
@@ -230,10 +235,10 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         Raises:
             RuntimeError: If another simulation of the model has taken over.
         """
-        self._require_watch()
+        self._require_monitors()
         from warpcontact.outcomes.report import outcomes_of
 
-        return outcomes_of(self.model, self.watch, self._observers)
+        return outcomes_of(self.model, self.monitor_settings, self._monitors)
 
     def events(self) -> "xr.Dataset":
         """Returns when contacts were made and lost, up to the last step (env, event).
@@ -242,15 +247,15 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
             ValueError: If no events are watched.
             RuntimeError: If another simulation of the model has taken over.
         """
-        self._require_watch()
+        self._require_monitors()
         from warpcontact.outcomes.report import events_of
 
-        return events_of(self.model, self.watch, self._observers)
+        return events_of(self.model, self.monitor_settings, self._monitors)
 
-    def _require_watch(self) -> None:
+    def _require_monitors(self) -> None:
         """Raises ``RuntimeError`` if the state is no longer what this simulation watched."""
-        watched = [part.observer for part in self.model.parts]
-        if self._observers and watched != self._observers:
+        part_monitors = [part.monitor for part in self.model.parts]
+        if self._monitors and part_monitors != self._monitors:
             raise RuntimeError(
                 "another simulation of the model has taken over since, and this one knows nothing of its steps; "
                 "when this one steps again, outcomes and events begin anew"
@@ -267,7 +272,7 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
             QuarantineError: If an environment failed and the quarantine is to raise.
             RuntimeError: If a neighbor list was too short. On a GPU the next evaluation raises it.
         """
-        if checks.whole("count", count, least=0):
+        if checks.integer("count", count, least=0):
             self._advance(count, None)
 
     def step_with_callback(
@@ -286,108 +291,122 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
             ValueError: If a number or a need is not allowed.
             QuarantineError, RuntimeError: As ``step``.
         """
-        count = checks.whole("frames", frames, least=0)
-        self.step_to_frames(count, Frames(checks.whole("every", every), known_needs(needs), take))
+        count = checks.integer("frames", frames, least=0)
+        self.step_to_frames(count, FrameSchedule(checks.integer("every", every), check_needs(needs), take))
 
-    def step_to_frames(self, count: int, frames: Frames) -> None:
+    def step_to_frames(self, count: int, frames: FrameSchedule) -> None:
         """Takes steps to ``count`` frames, and looks at each."""
-        self._attach()
+        self._attach_to_model()
         parts = self.model.parts
-        if self.looks_by_slice(frames.needs):
+        if self.evaluates_by_slice(frames.needs):
             self._advance(count * frames.every, frames)
             return
-        for number in range(frames.first, frames.first + count):
+        for number in range(frames.first_frame, frames.first_frame + count):
             self._advance(frames.every, None)
             # All parts are at work before the first is waited for.
             for part in parts:
-                part.prepare(frames.needs)
+                part.evaluate_needs(frames.needs)
             for part in parts:
-                frames.take(part, slice(0, part.envs), number)
+                frames.deliver_frame(part, slice(0, part.envs), number)
 
-    def looks_by_slice(self, needs: frozenset[str]) -> bool:
+    def evaluates_by_slice(self, needs: frozenset[str]) -> bool:
         """Whether frames are looked at slice by slice."""
         parts = self.model.parts
-        return self.watch.quarantine == "freeze" and all(in_parts(p.device, p.hard, needs) for p in parts)
+        return self.monitor_settings.quarantine == "freeze" and all(
+            can_evaluate_by_slice(p.device, p.nonsmooth, needs) for p in parts
+        )
 
-    def _advance(self, count: int, frames: Frames | None) -> None:
+    def _advance(self, count: int, frames: FrameSchedule | None) -> None:
         model = self.model
-        self._attach()
+        self._attach_to_model()
         self._compile(frozenset() if frames is None else frames.needs)
-        if model.at_start and not self.advised:
-            self.advised = True
+        if model.at_start and not self.warned_at_start:
+            self.warned_at_start = True
             for sentence in self.check():
-                warnings.warn(ContactWarning(sentence), stacklevel=level_outside())
+                warnings.warn(ContactWarning(sentence), stacklevel=caller_stacklevel())
         for part, buffers in zip(model.parts, self._buffers, strict=True):
-            part.untouched = False
-            if buffers.hard is not None:
-                buffers.hard.wake()
-        crew, done = self.crew(), 0
+            part.is_initial = False
+            if buffers.nonsmooth is not None:
+                buffers.nonsmooth.wake()
+        worker_pool, done = self.worker_pool(), 0
         while done < count:
-            some = count - done
-            if self.watch.quarantine != "freeze":
-                some = min(some, CADENCE - self.steps % CADENCE)
+            chunk = count - done
+            if self.monitor_settings.quarantine != "freeze":
+                chunk = min(chunk, CADENCE - self.steps % CADENCE)
             before = [part.elapsed for part in model.parts]
-            for taken in crew.step(some, frames):
+            for taken in worker_pool.step(chunk, frames):
                 for part, elapsed in zip(model.parts, before, strict=True):
                     part.elapsed = elapsed + taken * self.dt
-            done += some
-            if self.watch.quarantine == "raise":
+            done += chunk
+            if self.monitor_settings.quarantine == "raise":
                 raise_failed(model)
-            elif self.watch.quarantine == "reset" and self.steps % CADENCE == 0:
-                reset_failed(model, self._observers)
+            elif self.monitor_settings.quarantine == "reset" and self.steps % CADENCE == 0:
+                reset_failed(model, self._monitors)
         # A GPU is still at work, and is asked when it is waited for.
         if all(device.is_cpu for device in model.devices):
-            model.check_piles()
+            model.check_neighbor_lists()
 
-    def crew(self) -> Crew:
+    def worker_pool(self) -> WorkerPool:
         """Returns the worker pool for the model as it is built now."""
-        self._attach()
+        self._attach_to_model()
         revisions = tuple(part.revision for part in self.model.parts)
-        prepared, crew = self._prepared
-        if crew is None or prepared != revisions:
-            crew = Crew(self._shares())
-            self._prepared = (revisions, crew)
-        return crew
+        prepared, worker_pool = self._prepared
+        if worker_pool is None or prepared != revisions:
+            worker_pool = WorkerPool(self._device_shares())
+            self._prepared = (revisions, worker_pool)
+        return worker_pool
 
     def _compile(self, needs: Set[str]) -> None:
         """Compiles the CPU kernels of steps and of frames with ``needs``, unless steps were prepared before."""
         if self._prepared[1] is not None or not any(device.is_cpu for device in self.model.devices):
             return
-        with beside_captures():
-            first = [EVALUATED] if self.model.at_start and not self.advised and self.evaluates_start else []
-            load_all(self.kernels_of_steps([*first, needs]), wp.get_device("cpu"), self.threads)
+        with shared_capture_lock():
+            first = (
+                [CONTACT_NEEDS]
+                if self.model.at_start and not self.warned_at_start and self.evaluates_start
+                else []
+            )
+            load_all(self.step_kernels([*first, needs]), wp.get_device("cpu"), self.threads)
 
-    @beside_captures()
-    def kernels_of_steps(self, looks: Sequence[Set[str]]) -> list[wp.Kernel]:
-        """Returns the CPU kernels of steps and of frames, each once; ``looks``: needs of each kind of frame."""
+    @shared_capture_lock()
+    def step_kernels(self, recorded_needs: Sequence[Set[str]]) -> list[wp.Kernel]:
+        """Returns the CPU kernels of steps and of frames, each once; ``recorded_needs``: needs of each kind of frame."""
         own = zip(self.model.parts, self._buffers, strict=True)
-        on_cpu = [(part, self._stepper(part, buffers, Tally)) for part, buffers in own if part.device.is_cpu]
-        return list(dict.fromkeys(kernel for one in on_cpu for kernel in kernels_of_steps(*one, looks)))
+        on_cpu = [
+            (part, self._stepper(part, buffers, KernelLister)) for part, buffers in own if part.device.is_cpu
+        ]
+        return list(dict.fromkeys(kernel for pair in on_cpu for kernel in step_kernels(*pair, recorded_needs)))
 
     @property
     def evaluates_start(self) -> bool:
         """Whether ``advice`` evaluates contacts at the present state."""
-        return to_search(self.model, self._buffers[0].hard) is not None
+        return contacts_to_evaluate(self.model, self._buffers[0].nonsmooth) is not None
 
-    @beside_captures()
-    def _shares(self) -> list[Share]:
+    @shared_capture_lock()
+    def _device_shares(self) -> list[DeviceShare]:
         parts = [(part, part.envs) for part in self.model.parts]
         sizes = slice_sizes(parts, self.threads)
-        slices = [cut(envs, size) for (_, envs), size in zip(parts, sizes, strict=True)]
+        slices = [cut_slices(envs, size) for (_, envs), size in zip(parts, sizes, strict=True)]
         on_cpu = sum(len(own) for (part, _), own in zip(parts, slices, strict=True) if part.device.is_cpu)
-        members = min(self.threads, on_cpu)
+        thread_count = min(self.threads, on_cpu)
         return [
-            Share(own, [self._stepper(part, buffers) for _ in range(members if part.device.is_cpu else 1)])
+            DeviceShare(
+                own, [self._stepper(part, buffers) for _ in range(thread_count if part.device.is_cpu else 1)]
+            )
             for (part, _), own, buffers in zip(parts, slices, self._buffers, strict=True)
         ]
 
-    def _stepper(self, model: Model, buffers: Buffers, kind: type[Span] | None = None) -> Stepper:
+    def _stepper(self, model: Model, buffers: StepBuffers, kind: type[ExecutionPlan] | None = None) -> Stepper:
         # On the CPU a slice is stepped by one thread at a time, so the order is the same in any case.
-        queued = model.device.is_cuda
-        ordered = self.deterministic or not queued
-        own = None if queued else wp.array([0, model.envs, 0], dtype=wp.int32, device=model.device)
-        span = (kind or Span)(model, model.envs, self.distance_cache, ordered, queued, buffers.hard, slice=own)
-        return Stepper(span, self.integrator, buffers, parts=self.crossing_substeps, captured=self.capture_graphs)
+        uses_gpu = model.device.is_cuda
+        ordered = self.deterministic or not uses_gpu
+        own = None if uses_gpu else wp.array([0, model.envs, 0], dtype=wp.int32, device=model.device)
+        plan = (kind or ExecutionPlan)(
+            model, model.envs, self.distance_cache, ordered, uses_gpu, buffers.nonsmooth, slice=own
+        )
+        return Stepper(
+            plan, self.integrator, buffers, substeps=self.crossing_substeps, captured=self.capture_graphs
+        )
 
     def run(
         self,
@@ -423,24 +442,24 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         steps, stride = recorded_steps(duration, every, self.dt)
         if isinstance(record, str):
             raise TypeError(f"record must be a list of sensors, got the string {record!r}")
-        self._attach()
+        self._attach_to_model()
         from warpcontact.recorder import Recorder
 
         recorder = Recorder(
             self.model, record, frames=frame_count(steps, stride), poses=poses, parameters=parameters
         )
-        recorder.start(self.needs_of_frames(recorder.needs))
-        remarks = Remarks(self.model)
+        recorder.start(self.frame_memory(recorder.needs))
+        remarks = RunWarnings(self.model)
         start = self.time
-        with bar_of(progress, steps, environments(self.model.envs)) as bar:
+        with progress_bar(progress, steps, env_count_text(self.model.envs)) as bar:
             before = 0
             # Who gave a bar may look at the model when it moves.
-            alone = bar is not progress
-            for done in self.advance(recorder, steps, stride, start=start, alone=alone):
+            exclusive = bar is not progress
+            for done in self.advance(recorder, steps, stride, start=start, exclusive=exclusive):
                 bar.update(done - before)
                 before = done
-        for warning in (*remarks.about_frozen(), *remarks.new()):
-            warnings.warn(warning, stacklevel=level_outside())
+        for warning in (*remarks.frozen_warnings(), *remarks.new()):
+            warnings.warn(warning, stacklevel=caller_stacklevel())
         attributes = {
             "dt": self.dt,
             "integrator": type(self.integrator).__name__,
@@ -459,7 +478,7 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         start: float,
         done: int = 0,
         taken: int = 0,
-        alone: bool = False,
+        exclusive: bool = False,
     ) -> Iterator[int]:
         """Takes steps and records frames; yields the number of steps taken, at the start and after each chunk.
 
@@ -470,32 +489,32 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
             start: Time at the start [s].
             done: Number of steps taken before.
             taken: Number of frames taken before.
-            alone: Whether the caller leaves the model unchanged meanwhile. Steps then reuse contacts of a frame.
+            exclusive: Whether the caller leaves the model unchanged meanwhile. Steps then reuse contacts of a frame.
         """
-        follows, queued = False, any(device.is_cuda for device in self.model.devices)
-        pace = Pace(SHORTEST_PIECE, LONGEST_PIECE_QUEUED if queued else None)
+        follows_frame, uses_gpu = False, any(device.is_cuda for device in self.model.devices)
+        chunk_sizer = ChunkSizer(MIN_CHUNK, MAX_CHUNK_GPU if uses_gpu else None)
         self._compile(frozenset(recorder.needs))
         if done == taken * stride:
-            take_first(self, recorder, start + done * self.dt)
-            taken, follows = taken + 1, alone
+            record_first_frame(self, recorder, start + done * self.dt)
+            taken, follows_frame = taken + 1, exclusive
         while True:
             yield done
             if done >= steps:
                 return
             begin = time.perf_counter()
-            count = pace.of(steps - done)
+            count = chunk_sizer.next(steps - done)
             every = taken * stride - done
             # A frame that is not much farther is taken with its steps.
-            if every > min(2 * pace.steps, steps - done):
+            if every > min(2 * chunk_sizer.steps, steps - done):
                 self.step(count)
-                follows = False
+                follows_frame = False
             else:
                 # The first of a piece may be nearer than the others are apart.
-                most = min(recorder.room, (steps - done) // stride)
-                frames = max(1, pace.of(most * stride) // stride) if every == stride else 1
-                take_after(self, recorder, frames, every, start, done, follows)
-                count, taken, follows = frames * every, taken + frames, alone
-            pace.took(count, time.perf_counter() - begin)
+                max_frames = min(recorder.free_frames, (steps - done) // stride)
+                frames = max(1, chunk_sizer.next(max_frames * stride) // stride) if every == stride else 1
+                record_frames(self, recorder, frames, every, start, done, follows_frame)
+                count, taken, follows_frame = frames * every, taken + frames, exclusive
+            chunk_sizer.record(count, time.perf_counter() - begin)
             done += count
 
     def __repr__(self) -> str:

@@ -6,13 +6,13 @@ from warpcontact.checks import Array
 from warpcontact.elements import Body
 from warpcontact.kernels.formula import unit_vectors
 from warpcontact.kernels.motions import Motion
-from warpcontact.kernels.types import BALL, DRIVEN, FIXED, FREE, HINGE, PLANAR, PRESCRIBED, SLIDER
+from warpcontact.kernels.types import BALL, FIXED, FREE, HINGE, PLANAR, PRESCRIBED, SLIDER, TIME_FUNCTION
 
 # Of the velocity: more than any rounding of what a user computes.
 TOLERANCE = 1.0e-6
 
 
-def check_start(body: Body) -> None:
+def check_initial_velocity(body: Body) -> None:
     """Raises an error if ``body`` has no motion, or starts with velocities that it does not allow.
 
     Raises:
@@ -26,7 +26,7 @@ def check_start(body: Body) -> None:
         return
     v, w = body.rows("linear_velocity"), body.rows("angular_velocity")
     nothing = np.zeros_like(v)
-    if motion.kind == DRIVEN:
+    if motion.kind == TIME_FUNCTION:
         _refuse(body, "linear_velocity", v, nothing, "zero: it follows from")
         _refuse(body, "angular_velocity", w, nothing, "zero: it follows from")
         return

@@ -65,12 +65,12 @@ def _add(
         ]
     made = []
     for own, other, amount, label in runs:
-        points = scene.add_points(own, sample_of(own, amount, seed, f"{name}.samples"), name=f"{label}_points")
+        points = scene.add_points(own, sample_points(own, amount, seed, f"{name}.samples"), name=f"{label}_points")
         made.append(scene.add_contact(points, other, material, name=label, **options))
     return tuple(made)
 
 
-def sample_of(surface: Surface, amount: Any, seed: int, label: str) -> SurfaceSamples:
+def sample_points(surface: Surface, amount: Any, seed: int, label: str) -> SurfaceSamples:
     """Returns points of the active faces of a surface, in the frame of its mesh.
 
     Args:

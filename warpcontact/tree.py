@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from warpcontact.arrays import Layout
+from warpcontact.arrays import AllocationPlan
 from warpcontact.checks import Array
 
 #: Branches of a node.
@@ -20,13 +20,13 @@ BRANCHES = 8
 #: Numbers that bound a branch: centre, radius, unit normal, half the thickness.
 BOUND = 8
 # Points with which a branch is bounded; one with more by the corners of boxes about parts of it.
-MOST_POINTS = 24
+MAX_POINTS = 24
 # Branches that are bounded together: what they take stays in a cache.
-TOGETHER = 4096
+BATCH = 4096
 
 
 @dataclass(frozen=True)
-class Tree:
+class FaceBvh:
     """A tree of which all branches are equally long.
 
     Attributes:
@@ -49,7 +49,7 @@ def node_count(faces: int) -> int:
     return 1 + width * (BRANCHES**levels - 1) // (BRANCHES - 1)
 
 
-def place_count(faces: int) -> int:
+def face_capacity(faces: int) -> int:
     """Returns for how many faces a tree over that many has room."""
     width, levels = _shape(faces)
     return width * BRANCHES**levels
@@ -63,11 +63,11 @@ def _shape(faces: int) -> tuple[int, int]:
     return -(-faces // BRANCHES**levels), levels
 
 
-def make_tree(corner: NDArray[np.float64], normal: NDArray[np.float64]) -> Tree:
+def build_bvh(corner: NDArray[np.float64], normal: NDArray[np.float64]) -> FaceBvh:
     """Returns the tree over faces with corners (F, 3, 3) and unit normals (F, 3)."""
     count = len(corner)
     width, levels = _shape(count)
-    order = _halved(((corner[:, 0] + corner[:, 1] + corner[:, 2]) / 3.0).T, width, levels)
+    order = _split_faces(((corner[:, 0] + corner[:, 1] + corner[:, 2]) / 3.0).T, width, levels)
     empty, filled = order >= count, order.clip(max=count - 1)
     # What a table of corners in float32 may be off.
     off = 2.0 * float(np.finfo(np.float32).eps) * float(np.abs(corner).max())
@@ -84,9 +84,12 @@ def make_tree(corner: NDArray[np.float64], normal: NDArray[np.float64]) -> Tree:
             )
             normals = normals.reshape(3, -1, BRANCHES).sum(axis=2)
             empty = np.logical_and.reduce(empty.reshape(-1, BRANCHES), axis=1)
-        parts = [slice(k, k + TOGETHER) for k in range(0, len(empty), TOGETHER)]
-        boxed = BRANCHES * points.shape[1] > MOST_POINTS
-        own = [_disks(np.ascontiguousarray(points[:, :, part]), normals[:, part], off, boxed) for part in parts]
+        parts = [slice(k, k + BATCH) for k in range(0, len(empty), BATCH)]
+        boxed = BRANCHES * points.shape[1] > MAX_POINTS
+        own = [
+            _bounding_disks(np.ascontiguousarray(points[:, :, part]), normals[:, part], off, boxed)
+            for part in parts
+        ]
         disks = np.concatenate([part for part, _ in own], axis=1)
         disks[:, empty] = np.nan
         missing = -len(empty) % BRANCHES
@@ -94,10 +97,10 @@ def make_tree(corner: NDArray[np.float64], normal: NDArray[np.float64]) -> Tree:
         bounds.append(disks.reshape(BOUND, -1, BRANCHES).swapaxes(0, 1))
         if boxed:
             points = np.concatenate([boxes for _, boxes in own], axis=2)
-    return Tree(width, order.astype(np.int32), np.concatenate(bounds[::-1]))
+    return FaceBvh(width, order.astype(np.int32), np.concatenate(bounds[::-1]))
 
 
-def _halved(middle: Array, width: int, levels: int) -> NDArray[np.intp]:
+def _split_faces(middle: Array, width: int, levels: int) -> NDArray[np.intp]:
     """Returns numbers of faces with middles (3, F), and beyond, in the order of the branches.
 
     Each branch has those on one side of a median, along the axis along which they lie farthest apart.
@@ -122,7 +125,7 @@ def _halved(middle: Array, width: int, levels: int) -> NDArray[np.intp]:
     return order
 
 
-def _disks(points: Array, normals: Array, off: float, boxed: bool) -> tuple[NDArray[np.float32], Array]:
+def _bounding_disks(points: Array, normals: Array, off: float, boxed: bool) -> tuple[NDArray[np.float32], Array]:
     """Returns what bounds points (3, K, N), (8, N), and if asked the corners (3, 8, N) of boxes about them."""
     length = np.sqrt((normals**2).sum(axis=0))
     normal = np.where(length > 0.0, normals / np.where(length > 0.0, length, 1.0), [[0.0], [0.0], [1.0]])
@@ -152,31 +155,35 @@ def _dot(points: Array, axis: Array) -> Array:
     return np.asarray(sum(points[i] * axis[i] for i in range(3)))
 
 
-def declare_trees(
-    counts: Sequence[int], grow: Callable[[], list[Tree]], searched: Sequence[int], model: Any, layout: Layout
+def declare_bvhs(
+    counts: Sequence[int],
+    build: Callable[[], list[FaceBvh]],
+    search_meshes: Sequence[int],
+    model: Any,
+    layout: AllocationPlan,
 ) -> None:
     """Declares the trees of the patches of ``model``, on a CPU; a GPU has none.
 
     Args:
         counts: Number of faces of each mesh.
-        grow: Returns the tree of each.
-        searched: For each patch, the number of its mesh.
+        build: Returns the tree of each.
+        search_meshes: For each patch, the number of its mesh.
         model: What is to have them.
         layout: Where it lies.
     """
     if not layout.device.is_cpu:
         counts = ()
     nodes = np.cumsum([0, *map(node_count, counts)])
-    places = np.cumsum([0, *map(place_count, counts)])
-    rows = [(nodes[k], nodes[k + 1] - nodes[k], _shape(counts[k])[0], places[k]) for k in searched if counts]
-    layout.content("surfaces", model, "patch_tree", np.array(rows).reshape(-1, 4), wp.vec4i)
+    places = np.cumsum([0, *map(face_capacity, counts)])
+    rows = [(nodes[k], nodes[k + 1] - nodes[k], _shape(counts[k])[0], places[k]) for k in search_meshes if counts]
+    layout.constant("surfaces", model, "query_mesh_bvh", np.array(rows).reshape(-1, 4), wp.vec4i)
 
     def make(_: int) -> None:
-        trees = grow() if counts else []
-        none = Tree(0, np.zeros(0, dtype=np.int32), np.zeros((0, BOUND, BRANCHES), dtype=np.float32))
-        bounds = np.concatenate([tree.bounds for tree in (none, *trees)]).ravel()
-        faces = np.concatenate([tree.faces for tree in (none, *trees)])
-        model.tree_bound = wp.array(bounds, dtype=wp.float32, device=layout.device)
-        model.tree_face = wp.array(faces, dtype=wp.int32, device=layout.device)
+        bvhs = build() if counts else []
+        none = FaceBvh(0, np.zeros(0, dtype=np.int32), np.zeros((0, BOUND, BRANCHES), dtype=np.float32))
+        bounds = np.concatenate([tree.bounds for tree in (none, *bvhs)]).ravel()
+        faces = np.concatenate([tree.faces for tree in (none, *bvhs)])
+        model.bvh_bound = wp.array(bounds, dtype=wp.float32, device=layout.device)
+        model.bvh_face = wp.array(faces, dtype=wp.int32, device=layout.device)
 
-    layout.other("surfaces", int(4 * (BOUND * BRANCHES * nodes[-1] + places[-1])), make)
+    layout.custom("surfaces", int(4 * (BOUND * BRANCHES * nodes[-1] + places[-1])), make)

@@ -39,13 +39,13 @@ class Run:
             self.sim.step(count)
         wp.synchronize()
 
-    def quality(self, steps: int, looks: int = 20) -> dict[str, float]:
+    def quality(self, steps: int, samples: int = 20) -> dict[str, float]:
         """Returns figures of a run from the start, looked at now and then."""
         self.reset()
         residual, iterations, deepest = [], [], 0.0
         names = [name for name in self.model.sensor_names if name.endswith(".gap")]
-        for _ in range(looks):
-            self.step(steps // looks)
+        for _ in range(samples):
+            self.step(steps // samples)
             residual.append(self.model.sensor("scene.solve_residual"))
             iterations.append(self.model.sensor("scene.solve_iterations"))
             deepest = min(deepest, *(float(self.model.sensor(name).min()) for name in names))

@@ -74,7 +74,7 @@ class Run:
             state = self._states[:, -1].copy()
         return time.perf_counter() - begin
 
-    def quality(self, steps: int, looks: int = 20) -> dict[str, float]:
+    def quality(self, steps: int, samples: int = 20) -> dict[str, float]:
         """Returns figures of runs from the start of a few environments, looked at now and then."""
         m, d = self._model, self._data[0]
         residuals, iterations, deepest, speeds = [], [], 0.0, []
@@ -82,7 +82,7 @@ class Run:
             mujoco.mj_resetData(m, d)
             mujoco.mj_setState(m, d, start, mujoco.mjtState.mjSTATE_FULLPHYSICS)
             for step in range(steps):
-                if step % (steps // looks) == steps // looks - 1:
+                if step % (steps // samples) == steps // samples - 1:
                     residuals.append(self._residual())
                     iterations.append(int(d.solver_niter[0]))
                 else:

@@ -10,11 +10,11 @@ from warpcontact.kernels.types import (
     COUPLING_ACTIVE,
     COUPLING_DISABLED,
     ENV_ACTIVE,
-    Work,
-    env_of,
-    item_of,
+    LaunchRange,
     structs,
     task_count,
+    task_env,
+    task_item,
 )
 from warpcontact.kernels.unique import unique_kernel
 
@@ -54,7 +54,7 @@ def kernel(real: type) -> wp.Kernel:
     """
     t = structs(real)
     s = bushing_structs(real)
-    vec3, Model, State, Ends = t.vec3, t.Model, t.State, t.Ends
+    vec3, Model, State, CouplingWrenches = t.vec3, t.Model, t.State, t.CouplingWrenches
     Settings, Bushings = s.Settings, s.Bushings
     end = ends.functions(real)
     arm, separation, velocity = end.arm, end.separation, end.velocity
@@ -69,18 +69,18 @@ def kernel(real: type) -> wp.Kernel:
 
     @unique_kernel()
     def bushing_forces(
-        work: Work,
+        launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         model: Model,
         state: State,
         first: wp.int32,  # coupling
         settings: wp.array2d(dtype=Settings),
         bushings: Bushings,
-        ends: Ends,
+        ends: CouplingWrenches,
     ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            bushing = item_of(work, task)
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            bushing = task_item(launch, task)
             if status[env] != ENV_ACTIVE:
                 continue
             end_1 = 2 * (first + bushing)
@@ -88,37 +88,39 @@ def kernel(real: type) -> wp.Kernel:
             point_2 = model.end_point[end_1 + 1]
             body_1 = model.point_body[point_1]
             body_2 = model.point_body[point_2]
-            own = settings[env, bushing]
-            q_WF = orientation_to_world(state, env, body_1, own.orientation_1)
-            q_W2 = orientation_to_world(state, env, body_2, own.orientation_2)
+            bushing_settings = settings[env, bushing]
+            q_WF = orientation_to_world(state, env, body_1, bushing_settings.orientation_1)
+            q_W2 = orientation_to_world(state, env, body_2, bushing_settings.orientation_2)
             arm_1 = arm(model, state, env, point_1)
             arm_2 = arm(model, state, env, point_2)
-            apart = separation(model, state, env, point_1, point_2, arm_1, arm_2)
+            offset_W = separation(model, state, env, point_1, point_2, arm_1, arm_2)
             # Of the second end relative to the point of the first body that is there.
-            moving = velocity(model, state, env, point_2, arm_2) - velocity(
-                model, state, env, point_1, arm_1 + apart
+            relative_velocity = velocity(model, state, env, point_2, arm_2) - velocity(
+                model, state, env, point_1, arm_1 + offset_W
             )
-            turning = spin(state, env, body_2) - spin(state, env, body_1)
-            shift = wp.quat_rotate_inv(q_WF, apart)
-            turn = rotation_vector(wp.quat_inverse(q_WF) * q_W2)
-            force = -wp.cw_mul(own.stiffness, shift) - wp.cw_mul(own.damping, wp.quat_rotate_inv(q_WF, moving))
-            couple = -wp.cw_mul(own.turn_stiffness, turn) - wp.cw_mul(
-                own.turn_damping, wp.quat_rotate_inv(q_WF, turning)
+            relative_spin = spin(state, env, body_2) - spin(state, env, body_1)
+            offset_F = wp.quat_rotate_inv(q_WF, offset_W)
+            rotation_F = rotation_vector(wp.quat_inverse(q_WF) * q_W2)
+            force = -wp.cw_mul(bushing_settings.stiffness, offset_F) - wp.cw_mul(
+                bushing_settings.damping, wp.quat_rotate_inv(q_WF, relative_velocity)
             )
-            found = COUPLING_ACTIVE
-            if own.enabled == 0:
-                found = COUPLING_DISABLED
+            couple = -wp.cw_mul(bushing_settings.turn_stiffness, rotation_F) - wp.cw_mul(
+                bushing_settings.turn_damping, wp.quat_rotate_inv(q_WF, relative_spin)
+            )
+            coupling_status = COUPLING_ACTIVE
+            if bushing_settings.enabled == 0:
+                coupling_status = COUPLING_DISABLED
                 force = vec3()
                 couple = vec3()
-            bushings.displacement[env, bushing] = shift
-            bushings.rotation[env, bushing] = turn
+            bushings.displacement[env, bushing] = offset_F
+            bushings.rotation[env, bushing] = rotation_F
             bushings.force[env, bushing] = force
             bushings.torque[env, bushing] = couple
-            bushings.status[env, bushing] = found
+            bushings.status[env, bushing] = coupling_status
             force_W = wp.quat_rotate(q_WF, force)
             couple_W = wp.quat_rotate(q_WF, couple)
             ends.force[env, end_1] = -force_W
-            ends.torque[env, end_1] = wp.cross(arm_1 + apart, -force_W) - couple_W
+            ends.torque[env, end_1] = wp.cross(arm_1 + offset_W, -force_W) - couple_W
             ends.force[env, end_1 + 1] = force_W
             ends.torque[env, end_1 + 1] = wp.cross(arm_2, force_W) + couple_W
 

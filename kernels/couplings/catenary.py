@@ -11,7 +11,7 @@ import warp as wp
 from warpcontact.kernels import frames
 from warpcontact.kernels.couplings import ends
 from warpcontact.kernels.couplings.elastic_line import mean_tension, scale, size, solve
-from warpcontact.kernels.couplings.grounded_line import lift, solve_grounded
+from warpcontact.kernels.couplings.grounded_line import solve_grounded, suspended_weight
 from warpcontact.kernels.types import (
     ENV_ACTIVE,
     LINE_DISABLED,
@@ -22,11 +22,11 @@ from warpcontact.kernels.types import (
     LINE_LOOSE,
     LINE_SUNK,
     LINE_TAUT,
-    Work,
-    env_of,
-    item_of,
+    LaunchRange,
     structs,
     task_count,
+    task_env,
+    task_item,
 )
 from warpcontact.kernels.unique import unique_kernel
 
@@ -47,7 +47,7 @@ class Settings:
 
 
 @wp.struct
-class Held:
+class CatenarySolution:
     """The solution of a line."""
 
     horizontal: wp.array2d(dtype=wp.float64)  # [env, line] horizontal tension [N]
@@ -97,7 +97,7 @@ def placement(real: type, floored: bool) -> SimpleNamespace:
         sunk: wp.int32  # 1: an end lies below the floor
 
     @wp.func
-    def place(model: Model, state: State, env: int, point: int, arm_W: vec3):
+    def point_position(model: Model, state: State, env: int, point: int, arm_W: vec3):
         """Where ``point`` is, W."""
         body = model.point_body[point]
         if body < 0:
@@ -107,15 +107,15 @@ def placement(real: type, floored: bool) -> SimpleNamespace:
         )
 
     @wp.func
-    def upright_plane(gravity_W: vec3, place_a: wp.vec3d, place_b: wp.vec3d, own: Settings):
+    def vertical_plane(gravity_W: vec3, position_a: wp.vec3d, position_b: wp.vec3d, line_settings: Settings):
         """The plane of a line between two places."""
         plane = Plane()
         gravity = wide(gravity_W)
         strength = wp.length(gravity)
         if strength > zero:
             plane.up = -gravity / strength
-        plane.weight = own.mass_per_length * strength * own.length
-        apart = place_b - place_a
+        plane.weight = line_settings.mass_per_length * strength * line_settings.length
+        apart = position_b - position_a
         rise = wp.dot(apart, plane.up)
         flat = apart - rise * plane.up
         plane.run = wp.length(flat)
@@ -124,7 +124,7 @@ def placement(real: type, floored: bool) -> SimpleNamespace:
         raised_a = zero
         raised_b = zero
         if wp.static(floored) and plane.weight > zero:
-            height_a = wp.dot(place_a, plane.up) - own.floor
+            height_a = wp.dot(position_a, plane.up) - line_settings.floor
             height_b = height_a + rise
             raised_a = wp.max(-height_a, zero)
             raised_b = wp.max(-height_b, zero)
@@ -132,49 +132,49 @@ def placement(real: type, floored: bool) -> SimpleNamespace:
             plane.height = wp.max(wp.min(height_a, height_b), zero)
             plane.sunk = wp.where(raised_a + raised_b > zero, 1, 0)
         plane.rise = rise
-        plane.origin = place_a + raised_a * plane.up
+        plane.origin = position_a + raised_a * plane.up
         if rise < zero:
             plane.b_is_lower = 1
             plane.rise = -rise
             plane.along = -plane.along
-            plane.origin = place_b + raised_b * plane.up
+            plane.origin = position_b + raised_b * plane.up
         return plane
 
-    return SimpleNamespace(place=place, upright_plane=upright_plane)
+    return SimpleNamespace(point_position=point_position, vertical_plane=vertical_plane)
 
 
 @functools.cache
 def kernel(real: type, floored: bool) -> wp.Kernel:
     """Returns the kernel of the forces of lines; items: those of the set.
 
-    A pure function of model, state and ``held``, the solution of the last accepted step, from which the search
-    starts. The new one goes to ``found``.
+    A pure function of model, state and ``last_solution``, the solution of the last accepted step, which is the
+    initial guess. The result is written to ``new_solution``.
     """
     t = structs(real)
-    vec2, Model, State, Ends = wp.vec2d, t.Model, t.State, t.Ends
+    vec2, Model, State, CouplingWrenches = wp.vec2d, t.Model, t.State, t.CouplingWrenches
     Lines = line_structs(real).Lines
     placing = placement(real, floored)
-    place, upright_plane = placing.place, placing.upright_plane
+    point_position, vertical_plane = placing.point_position, placing.vertical_plane
     end = ends.functions(real)
     arm, pull = end.arm, end.pull
     narrow = frames.functions(real).narrow
 
     @unique_kernel()
     def line_forces(
-        work: Work,
+        launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         model: Model,
         state: State,
         first: wp.int32,  # coupling
         settings: wp.array2d(dtype=Settings),
-        held: Held,
-        found: Held,
+        last_solution: CatenarySolution,
+        new_solution: CatenarySolution,
         lines: Lines,
-        ends: Ends,
+        ends: CouplingWrenches,
     ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            line = item_of(work, task)
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            line = task_item(launch, task)
             if status[env] != ENV_ACTIVE:
                 continue
             end_a = 2 * (first + line)
@@ -182,57 +182,59 @@ def kernel(real: type, floored: bool) -> wp.Kernel:
             point_b = model.end_point[end_a + 1]
             arm_a = arm(model, state, env, point_a)
             arm_b = arm(model, state, env, point_b)
-            own = settings[env, line]
-            plane = upright_plane(
+            line_settings = settings[env, line]
+            plane = vertical_plane(
                 model.gravity[env, 0],
-                place(model, state, env, point_a, arm_a),
-                place(model, state, env, point_b, arm_b),
-                own,
+                point_position(model, state, env, point_a, arm_a),
+                point_position(model, state, env, point_b, arm_b),
+                line_settings,
             )
 
             # Without units: lengths by that of the line, forces by one like its tension.
-            x = plane.run / own.length
-            y = plane.rise / own.length
-            height = plane.height / own.length
+            x = plane.run / line_settings.length
+            y = plane.rise / line_settings.length
+            height = plane.height / line_settings.length
             chord = size(plane.run, plane.rise)
-            unit = scale(plane.weight, own.axial_stiffness, (chord - own.length) / own.length)
-            if own.enabled == 0:
+            unit = scale(
+                plane.weight, line_settings.axial_stiffness, (chord - line_settings.length) / line_settings.length
+            )
+            if line_settings.enabled == 0:
                 unit = zero
             weight = zero
             give = zero
             warm = vec2()
             if unit > zero:
                 weight = plane.weight / unit
-                give = unit / own.axial_stiffness
-                warm = vec2(held.horizontal[env, line] / unit, held.low[env, line] / unit)
+                give = unit / line_settings.axial_stiffness
+                warm = vec2(last_solution.horizontal[env, line] / unit, last_solution.low[env, line] / unit)
             h = zero
             low = zero
             high = zero
             lowest = zero  # below the lower end
             hanging = one  # part of the line
-            used = wp.int32(0)
+            evaluations = wp.int32(0)
             more = wp.int32(0)
-            met = wp.bool(True)
+            converged = wp.bool(True)
             grounded = wp.bool(False)
-            if wp.static(floored) and held.grounded[env, line] == 1 and weight > zero:
-                h, used, met = solve_grounded(warm[0], x, height, height + y, weight, give)
-                low = -lift(h, height, weight, give)[0]
-                high = lift(h, height + y, weight, give)[0]
+            if wp.static(floored) and last_solution.grounded[env, line] == 1 and weight > zero:
+                h, evaluations, converged = solve_grounded(warm[0], x, height, height + y, weight, give)
+                low = -suspended_weight(h, height, weight, give)[0]
+                high = suspended_weight(h, height + y, weight, give)[0]
                 # It is lifted off where more hangs than there is.
                 grounded = high - low <= weight
             if unit > zero and not grounded:
-                solution, more, met = solve(warm, x, y, weight, give)
-                used += more
+                solution, more, converged = solve(warm, x, y, weight, give)
+                evaluations += more
                 h = solution[0]
                 low = solution[1]
                 high = low + weight
                 if low < zero and high > zero:
                     lowest = low * low / weight * (one / (size(h, low) + h) + half * give)
                 if wp.static(floored) and lowest > height:
-                    h, more, met = solve_grounded(h, x, height, height + y, weight, give)
-                    used += more
-                    low = -lift(h, height, weight, give)[0]
-                    high = lift(h, height + y, weight, give)[0]
+                    h, more, converged = solve_grounded(h, x, height, height + y, weight, give)
+                    evaluations += more
+                    low = -suspended_weight(h, height, weight, give)[0]
+                    high = suspended_weight(h, height + y, weight, give)[0]
                     grounded = True
             tension_low = size(h, low)
             tension_high = size(h, high)
@@ -249,29 +251,29 @@ def kernel(real: type, floored: bool) -> wp.Kernel:
             elif tension_low + tension_high > zero:
                 mean = mean_tension(h, low, weight)
 
-            found_status = LINE_HANGING
-            if chord > own.length:
-                found_status = LINE_TAUT
+            line_status = LINE_HANGING
+            if chord > line_settings.length:
+                line_status = LINE_TAUT
             elif unit == zero:
-                found_status = LINE_LOOSE
+                line_status = LINE_LOOSE
             elif h == zero and low < zero:
-                found_status = LINE_FOLDED
+                line_status = LINE_FOLDED
             if grounded:
-                found_status = LINE_GROUNDED
+                line_status = LINE_GROUNDED
             if plane.sunk == 1:
-                found_status = LINE_SUNK
-            if not met:
-                found_status = LINE_FAILED
-            if own.enabled == 0:
-                found_status = LINE_DISABLED
-            found.horizontal[env, line] = h * unit
-            found.low[env, line] = low * unit
-            found.grounded[env, line] = wp.where(grounded, 1, 0)
+                line_status = LINE_SUNK
+            if not converged:
+                line_status = LINE_FAILED
+            if line_settings.enabled == 0:
+                line_status = LINE_DISABLED
+            new_solution.horizontal[env, line] = h * unit
+            new_solution.low[env, line] = low * unit
+            new_solution.grounded[env, line] = wp.where(grounded, 1, 0)
 
             along = h * unit * plane.along
             on_low = along + low * unit * plane.up
             on_high = -along - high * unit * plane.up
-            dip = lowest * own.length
+            dip = lowest * line_settings.length
             if plane.b_is_lower == 1:
                 pull(ends, env, end_a, arm_a, narrow(on_high))
                 pull(ends, env, end_a + 1, arm_b, narrow(on_low))
@@ -285,51 +287,57 @@ def kernel(real: type, floored: bool) -> wp.Kernel:
                 lines.tension_b[env, line] = real(tension_high * unit)
             lines.horizontal_tension[env, line] = real(h * unit)
             lines.dip[env, line] = real(dip)
-            lines.stretched_length[env, line] = real(own.length * (one + give * mean))
-            lines.grounded_length[env, line] = real(own.length * (one - hanging))
-            lines.iterations[env, line] = used
-            lines.status[env, line] = found_status
+            lines.stretched_length[env, line] = real(line_settings.length * (one + give * mean))
+            lines.grounded_length[env, line] = real(line_settings.length * (one - hanging))
+            lines.iterations[env, line] = evaluations
+            lines.status[env, line] = line_status
 
     return line_forces
 
 
 @functools.cache
-def remember(real: type) -> wp.Kernel:
+def accept(real: type) -> wp.Kernel:
     """Returns the kernel that ends an accepted step of lines; items: those of the set."""
     Lines = line_structs(real).Lines
 
     @unique_kernel()
-    def remember_lines(work: Work, status: wp.array(dtype=wp.int32), found: Held, held: Held, lines: Lines):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            line = item_of(work, task)
+    def accept_lines(
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        new_solution: CatenarySolution,
+        last_solution: CatenarySolution,
+        lines: Lines,
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            line = task_item(launch, task)
             if status[env] != ENV_ACTIVE:
                 continue
             if lines.status[env, line] == LINE_FAILED:
                 # It starts anew.
                 lines.failures[env, line] = lines.failures[env, line] + 1
-                held.horizontal[env, line] = zero
-                held.grounded[env, line] = 0
+                last_solution.horizontal[env, line] = zero
+                last_solution.grounded[env, line] = 0
                 continue
-            held.horizontal[env, line] = found.horizontal[env, line]
-            held.low[env, line] = found.low[env, line]
-            held.grounded[env, line] = found.grounded[env, line]
+            last_solution.horizontal[env, line] = new_solution.horizontal[env, line]
+            last_solution.low[env, line] = new_solution.low[env, line]
+            last_solution.grounded[env, line] = new_solution.grounded[env, line]
 
-    return remember_lines
+    return accept_lines
 
 
 @functools.cache
-def forget(real: type) -> wp.Kernel:
+def reset(real: type) -> wp.Kernel:
     """Returns the kernel that starts lines anew. Launch with dim (env, line)."""
     Lines = line_structs(real).Lines
 
     @unique_kernel()
-    def forget_lines(mask: wp.array(dtype=wp.bool), held: Held, lines: Lines):
+    def reset_lines(mask: wp.array(dtype=wp.bool), last_solution: CatenarySolution, lines: Lines):
         env, line = wp.tid()
         if mask[env]:
-            held.horizontal[env, line] = zero
-            held.low[env, line] = zero
-            held.grounded[env, line] = 0
+            last_solution.horizontal[env, line] = zero
+            last_solution.low[env, line] = zero
+            last_solution.grounded[env, line] = 0
             lines.failures[env, line] = 0
 
-    return forget_lines
+    return reset_lines

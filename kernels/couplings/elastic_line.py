@@ -30,9 +30,9 @@ zero, one, two, half = (wp.constant(real(value)) for value in (0.0, 1.0, 2.0, 0.
 # Where a span is as it should be, of the larger of length and chord; a last step follows, unchecked.
 CLOSE = wp.constant(real(1.0e-10))
 # A warm start that is farther off is not worth its while.
-HOPELESS = wp.constant(real(0.05))
+MAX_WARM_ERROR = wp.constant(real(0.05))
 # A line this upright hangs straight down: its horizontal tension is lost beside its weight.
-UPRIGHT = wp.constant(real(1.0e-100))
+VERTICAL = wp.constant(real(1.0e-100))
 # Slopes below which the difference of two integrals loses more than a quadrature.
 FLAT = wp.constant(real(3.0e-3))
 # Points and weights of Gauss over half of (−1, 1).
@@ -121,7 +121,7 @@ def steepness(h: real, v: real):
 
 
 @wp.func
-def yields(h: real, v: real, weight: real, give: real):
+def span_compliance(h: real, v: real, weight: real, give: real):
     """How the span changes: ∂x/∂h, ∂y/∂v, −∂x/∂v = −∂y/∂h; for tensions that vanish nowhere."""
     v_2 = v + weight
     t_1 = size(h, v)
@@ -150,7 +150,7 @@ def yields(h: real, v: real, weight: real, give: real):
 
 
 @wp.func
-def upright_force(y: real, weight: real, give: real):
+def vertical_force(y: real, weight: real, give: real):
     """``v`` of a line whose ends are above one another."""
     stretched = (y - one) / give - half * weight
     if stretched >= zero:
@@ -187,7 +187,7 @@ def start(x: real, y: real, chord: real, weight: real, give: real):
     if xi < real(0.25):
         # Shallow.
         return vec2(tension * (x / chord), tension * (y / chord) - half * weight)
-    v = upright_force(y, weight, give)
+    v = vertical_force(y, weight, give)
     if v < zero:
         length = one + half * give * (v * v + (v + weight) * (v + weight)) / weight
         tall = (length - y) * (length + y)
@@ -202,25 +202,25 @@ def start(x: real, y: real, chord: real, weight: real, give: real):
     length = one
     for _ in range(3):
         # Newton's method on the logarithm, over that of ξ; its tension stretches it.
-        fall = wp.exp(-two * xi)
-        coth = (one + fall) / (one - fall)
+        decay = wp.exp(-two * xi)
+        coth = (one + decay) / (one - decay)
         mean = size(y * coth, x / xi)
         length = one + half * weight * give * mean
         squared = (length - y) * (length + y)
         if squared > zero:
             change = (y * y * coth * (one - coth * coth) - x * x / (xi * xi * xi)) / mean
-            value = wp.log(squared / (x * x)) - two * (xi + wp.log((one - fall) / (two * xi)))
+            value = wp.log(squared / (x * x)) - two * (xi + wp.log((one - decay) / (two * xi)))
             rate = length * weight * give * change / squared - two * (coth - one / xi)
             xi *= wp.exp(wp.clamp(-value / (xi * rate), -one, one))
         else:
             xi *= half
-    fall = wp.exp(-two * xi)
-    coth = (one + fall) / (one - fall)
+    decay = wp.exp(-two * xi)
+    coth = (one + decay) / (one - decay)
     return vec2(half * weight * x / (xi * length), half * weight * (y * coth / length - one))
 
 
 @wp.func
-def descend(guess: vec2, x: real, y: real, chord: real, weight: real, give: real, hopeless: real, at_most: int):
+def newton(guess: vec2, x: real, y: real, chord: real, weight: real, give: real, max_error: real, at_most: int):
     """Newton's method from ``guess``: (h, v), the evaluations it took, whether the span is met."""
     h = guess[0]
     v = guess[1]
@@ -229,26 +229,26 @@ def descend(guess: vec2, x: real, y: real, chord: real, weight: real, give: real
     step_v = zero
     part = one
     slope = zero
-    used = wp.int32(0)
-    met = wp.bool(False)
-    while used < at_most and not met:
-        used += 1
+    evaluations = wp.int32(0)
+    converged = wp.bool(False)
+    while evaluations < at_most and not converged:
+        evaluations += 1
         reached = span(h, v, weight, give)
         off_x = reached[0] - x
         off_y = reached[1] - y
         off = size(off_x, off_y)
-        met = off <= allowed
-        if off > hopeless:
+        converged = off <= allowed
+        if off > max_error:
             break
         # How the convex function changes along the step just taken: too far if it rises.
         rise = off_x * step_h + off_y * step_v
-        if rise > real(0.9) * slope and used > 1 and not met:
+        if rise > real(0.9) * slope and evaluations > 1 and not converged:
             back = part * wp.max(slope / (slope + rise), real(0.1))
             h += (back - part) * step_h
             v += (back - part) * step_v
             part = back
             continue
-        rate = yields(h, v, weight, give)
+        rate = span_compliance(h, v, weight, give)
         determinant = rate[0] * rate[1] - rate[2] * rate[2]
         step_h = -(rate[1] * off_x + rate[2] * off_y) / determinant
         step_v = -(rate[2] * off_x + rate[0] * off_y) / determinant
@@ -258,10 +258,10 @@ def descend(guess: vec2, x: real, y: real, chord: real, weight: real, give: real
             # The horizontal tension stays above 0.
             part = real(-0.9) * h / step_h
         # A last step, which is not looked at, may only be small.
-        if not met or size(step_h, step_v) < real(0.03) * (h + wp.abs(v)):
+        if not converged or size(step_h, step_v) < real(0.03) * (h + wp.abs(v)):
             h += part * step_h
             v += part * step_v
-    return vec2(h, v), used, met
+    return vec2(h, v), evaluations, converged
 
 
 @wp.func
@@ -273,15 +273,15 @@ def solve(warm: vec2, x: real, y: real, weight: real, give: real):
     chord = size(x, y)
     if weight == zero and chord <= one:
         return vec2(), 0, True
-    if x <= UPRIGHT:
-        return vec2(zero, upright_force(y, weight, give)), 0, True
-    used = wp.int32(0)
+    if x <= VERTICAL:
+        return vec2(zero, vertical_force(y, weight, give)), 0, True
+    evaluations = wp.int32(0)
     if warm[0] > zero:
-        found, used, met = descend(
-            warm, x, y, chord, weight, give, HOPELESS * wp.max(chord, one), WARM_EVALUATIONS
+        found, evaluations, converged = newton(
+            warm, x, y, chord, weight, give, MAX_WARM_ERROR * wp.max(chord, one), WARM_EVALUATIONS
         )
-        if met and wp.isfinite(found[0]) and wp.isfinite(found[1]):
-            return found, used, met
+        if converged and wp.isfinite(found[0]) and wp.isfinite(found[1]):
+            return found, evaluations, converged
     guess = start(x, y, chord, weight, give)
-    found, more, met = descend(guess, x, y, chord, weight, give, real(wp.inf), EVALUATIONS - used)
-    return found, used + more, met
+    found, more, converged = newton(guess, x, y, chord, weight, give, real(wp.inf), EVALUATIONS - evaluations)
+    return found, evaluations + more, converged

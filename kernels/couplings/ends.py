@@ -15,9 +15,9 @@ def functions(real: type) -> SimpleNamespace:
     The arm of a point goes to it from the centre of mass of its body, or from its anchor in the world; W.
     """
     t = structs(real)
-    vec3, Model, State, Ends = t.vec3, t.Model, t.State, t.Ends
+    vec3, Model, State, CouplingWrenches = t.vec3, t.Model, t.State, t.CouplingWrenches
     frame = frames.functions(real)
-    turned, velocity_at = frame.turned, frame.velocity_at
+    turned, velocity_at = frame.rotate_to_world, frame.velocity_at
 
     @wp.func
     def arm(model: Model, state: State, env: int, point: int):
@@ -47,7 +47,7 @@ def functions(real: type) -> SimpleNamespace:
         return velocity_at(state, env, model.point_body[point], arm_W)
 
     @wp.func
-    def pull(ends: Ends, env: int, end: int, arm_W: vec3, force_W: vec3):
+    def pull(ends: CouplingWrenches, env: int, end: int, arm_W: vec3, force_W: vec3):
         """Lets a force act at an end."""
         ends.force[env, end] = force_W
         ends.torque[env, end] = wp.cross(arm_W, force_W)

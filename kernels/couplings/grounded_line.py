@@ -14,7 +14,7 @@ SHALLOW = wp.constant(real(0.1))
 
 
 @wp.func
-def lift(h: real, height: real, weight: real, give: real):
+def suspended_weight(h: real, height: real, weight: real, give: real):
     """V, the weight of the part that hangs from an end at ``height``, and T − h there."""
     taut = one + h * give
     lifted = height * weight
@@ -23,7 +23,7 @@ def lift(h: real, height: real, weight: real, give: real):
 
 
 @wp.func
-def shortfall(h: real, v: real):
+def slack(h: real, v: real):
     """V − h asinh(V/h): times 1/weight, how much shorter than itself a rising part reaches."""
     if v == zero:
         return zero
@@ -41,8 +41,8 @@ def shortfall(h: real, v: real):
 
 
 @wp.func
-def fall(h: real, hanging: vec2, give: real):
-    """−∂/∂h of ``shortfall`` at a constant height; h > 0."""
+def slack_slope(h: real, hanging: vec2, give: real):
+    """−∂/∂h of ``slack`` at a constant height; h > 0."""
     v = hanging[0]
     if v == zero:
         return zero
@@ -65,7 +65,7 @@ def solve_grounded(warm: real, x: real, height_1: real, height_2: real, weight: 
 
     ``weight`` must be above 0. A solution with more weight hanging than there is does not touch the floor.
     """
-    hanging = lift(zero, height_1, weight, give)[0] + lift(zero, height_2, weight, give)[0]
+    hanging = suspended_weight(zero, height_1, weight, give)[0] + suspended_weight(zero, height_2, weight, give)[0]
     if x <= one - hanging / weight:
         return zero, 0, True
     allowed = CLOSE * wp.max(x, one)
@@ -83,25 +83,25 @@ def solve_grounded(warm: real, x: real, height_1: real, height_2: real, weight: 
         if x < one:
             h = wp.min(h, bent / (one - x))
         h = low + h * h
-    used = wp.int32(0)
-    met = wp.int32(0)
-    while used < EVALUATIONS and met == 0:
-        used += 1
-        hanging_1 = lift(h, height_1, weight, give)
-        hanging_2 = lift(h, height_2, weight, give)
-        short = shortfall(h, hanging_1[0]) + shortfall(h, hanging_2[0])
-        off = one + h * give - short / weight - x
-        if wp.abs(off) <= allowed:
-            met = 1
-        if off < zero:
+    evaluations = wp.int32(0)
+    converged = wp.int32(0)
+    while evaluations < EVALUATIONS and converged == 0:
+        evaluations += 1
+        hanging_1 = suspended_weight(h, height_1, weight, give)
+        hanging_2 = suspended_weight(h, height_2, weight, give)
+        short = slack(h, hanging_1[0]) + slack(h, hanging_2[0])
+        residual = one + h * give - short / weight - x
+        if wp.abs(residual) <= allowed:
+            converged = 1
+        if residual < zero:
             low = h
         else:
             high = h
-        rate = give + (fall(h, hanging_1, give) + fall(h, hanging_2, give)) / weight
-        better = h - off / rate
+        rate = give + (slack_slope(h, hanging_1, give) + slack_slope(h, hanging_2, give)) / weight
+        better = h - residual / rate
         if better > low and better < high:
             # Once it is met, a last step that is not looked at.
             h = better
-        elif met == 0:
-            h = wp.where(off > zero, low + real(0.1) * (h - low), half * (low + high))
-    return h, used, met == 1
+        elif converged == 0:
+            h = wp.where(residual > zero, low + real(0.1) * (h - low), half * (low + high))
+    return h, evaluations, converged == 1

@@ -4,15 +4,15 @@ import functools
 
 import warp as wp
 from warpcontact.kernels.couplings import ends
-from warpcontact.kernels.couplings.catenary import Held, Settings, one, placement, zero
-from warpcontact.kernels.couplings.elastic_line import mean_slackness, scale, size, span, yields
-from warpcontact.kernels.couplings.grounded_line import fall, lift
+from warpcontact.kernels.couplings.catenary import CatenarySolution, Settings, one, placement, zero
+from warpcontact.kernels.couplings.elastic_line import mean_slackness, scale, size, span, span_compliance
+from warpcontact.kernels.couplings.grounded_line import slack_slope, suspended_weight
 from warpcontact.kernels.types import structs
 from warpcontact.kernels.unique import unique_kernel
 
 
 @wp.func
-def grounded_place(
+def grounded_point(
     s: wp.float64,
     x: wp.float64,
     h: wp.float64,
@@ -26,24 +26,24 @@ def grounded_place(
     from_high = high / weight
     if s < from_low:
         return s * span(h, -low, weight * s, give)
-    place = from_low * span(h, -low, low, give)
+    point_position = from_low * span(h, -low, low, give)
     rest = one - from_low - from_high
     lying = wp.min(s - from_low, rest)
     if h > zero:
-        place[0] += lying * (one + give * h)
+        point_position[0] += lying * (one + give * h)
     elif rest > zero:
         # More than it takes: drawn straight.
-        place[0] += x * lying / rest
+        point_position[0] += x * lying / rest
     rising = s - from_low - lying
     if rising > zero:
-        place += rising * span(h, zero, weight * rising, give)
-    return place
+        point_position += rising * span(h, zero, weight * rising, give)
+    return point_position
 
 
 @wp.func
 def free_stiffness(h: wp.float64, low: wp.float64, weight: wp.float64, give: wp.float64):
     """−∂F/∂p of either end: in the plane along, up and across these, and out of it."""
-    rate = yields(h, low, weight, give)
+    rate = span_compliance(h, low, weight, give)
     across = zero
     if rate[2] != zero:
         across = rate[2] / (rate[0] * rate[1] - rate[2] * rate[2])
@@ -61,7 +61,7 @@ def grounded_stiffness(
     h: wp.float64, x: wp.float64, own: wp.float64, other: wp.float64, weight: wp.float64, give: wp.float64
 ):
     """Likewise of the end at height ``own`` of a line on the floor, away from the other end and up."""
-    hanging = lift(h, own, weight, give)
+    hanging = suspended_weight(h, own, weight, give)
     v = hanging[0]
     tension = h + hanging[1]
     taut = one + give * tension
@@ -74,7 +74,11 @@ def grounded_stiffness(
     along = zero
     sideways = zero
     if h > zero:
-        along = one / (give + (fall(h, hanging, give) + fall(h, lift(h, other, weight, give), give)) / weight)
+        along = one / (
+            give
+            + (slack_slope(h, hanging, give) + slack_slope(h, suspended_weight(h, other, weight, give), give))
+            / weight
+        )
         sideways = h / x
     return wp.vec4d(along, lifts + leans * leans * along, leans * along, sideways)
 
@@ -88,7 +92,7 @@ def shapes(real: type, floored: bool) -> wp.Kernel:
     t = structs(real)
     Model, State = t.Model, t.State
     placing = placement(real, floored)
-    place, upright_plane = placing.place, placing.upright_plane
+    point_position, vertical_plane = placing.point_position, placing.vertical_plane
     arm = ends.functions(real).arm
 
     @unique_kernel()
@@ -98,33 +102,33 @@ def shapes(real: type, floored: bool) -> wp.Kernel:
         first: wp.int32,  # coupling
         line: wp.int32,
         settings: wp.array2d(dtype=Settings),
-        found: Held,
+        solution: CatenarySolution,
         points: wp.array2d(dtype=wp.vec3d),  # [env, point] W [m]
     ):
         env, number = wp.tid()
         point_a = model.end_point[2 * (first + line)]
         point_b = model.end_point[2 * (first + line) + 1]
-        place_a = place(model, state, env, point_a, arm(model, state, env, point_a))
-        place_b = place(model, state, env, point_b, arm(model, state, env, point_b))
+        position_a = point_position(model, state, env, point_a, arm(model, state, env, point_a))
+        position_b = point_position(model, state, env, point_b, arm(model, state, env, point_b))
         own = settings[env, line]
-        plane = upright_plane(model.gravity[env, 0], place_a, place_b, own)
+        plane = vertical_plane(model.gravity[env, 0], position_a, position_b, own)
         s = wp.float64(number) / wp.float64(points.shape[1] - 1)
         chord = size(plane.run, plane.rise)
         unit = scale(plane.weight, own.axial_stiffness, (chord - own.length) / own.length)
         if unit == zero or own.enabled == 0:
             # Without form: drawn straight.
-            points[env, number] = place_a + s * (place_b - place_a)
+            points[env, number] = position_a + s * (position_b - position_a)
             return
         if plane.b_is_lower == 1:
             s = one - s
         weight = plane.weight / unit
         give = unit / own.axial_stiffness
-        h = found.horizontal[env, line] / unit
-        low = found.low[env, line] / unit
+        h = solution.horizontal[env, line] / unit
+        low = solution.low[env, line] / unit
         where = wp.vec2d()
-        if found.grounded[env, line] == 1:
-            high = lift(h, (plane.height + plane.rise) / own.length, weight, give)[0]
-            where = grounded_place(s, plane.run / own.length, h, -low, high, weight, give)
+        if solution.grounded[env, line] == 1:
+            high = suspended_weight(h, (plane.height + plane.rise) / own.length, weight, give)[0]
+            where = grounded_point(s, plane.run / own.length, h, -low, high, weight, give)
         else:
             where = s * span(h, low, weight * s, give)
         points[env, number] = plane.origin + own.length * (where[0] * plane.along + where[1] * plane.up)
@@ -138,7 +142,7 @@ def stiffness(real: type, floored: bool) -> wp.Kernel:
     t = structs(real)
     Model, State = t.Model, t.State
     placing = placement(real, floored)
-    place, upright_plane = placing.place, placing.upright_plane
+    point_position, vertical_plane = placing.point_position, placing.vertical_plane
     arm = ends.functions(real).arm
 
     @unique_kernel()
@@ -148,16 +152,16 @@ def stiffness(real: type, floored: bool) -> wp.Kernel:
         first: wp.int32,  # coupling
         line: wp.int32,
         settings: wp.array2d(dtype=Settings),
-        found: Held,
+        solution: CatenarySolution,
         rates: wp.array(dtype=wp.mat33d),  # [env] W [N/m]
     ):
         env = wp.tid()
         point_a = model.end_point[2 * (first + line)]
         point_b = model.end_point[2 * (first + line) + 1]
-        place_a = place(model, state, env, point_a, arm(model, state, env, point_a))
-        place_b = place(model, state, env, point_b, arm(model, state, env, point_b))
+        position_a = point_position(model, state, env, point_a, arm(model, state, env, point_a))
+        position_b = point_position(model, state, env, point_b, arm(model, state, env, point_b))
         own = settings[env, line]
-        plane = upright_plane(model.gravity[env, 0], place_a, place_b, own)
+        plane = vertical_plane(model.gravity[env, 0], position_a, position_b, own)
         chord = size(plane.run, plane.rise)
         unit = scale(plane.weight, own.axial_stiffness, (chord - own.length) / own.length)
         if unit == zero or own.enabled == 0:
@@ -165,10 +169,10 @@ def stiffness(real: type, floored: bool) -> wp.Kernel:
             return
         weight = plane.weight / unit
         give = unit / own.axial_stiffness
-        h = found.horizontal[env, line] / unit
+        h = solution.horizontal[env, line] / unit
         along = plane.along
         rate = wp.vec4d()
-        if found.grounded[env, line] == 1:
+        if solution.grounded[env, line] == 1:
             low = plane.height / own.length
             high = (plane.height + plane.rise) / own.length
             x = plane.run / own.length
@@ -178,7 +182,7 @@ def stiffness(real: type, floored: bool) -> wp.Kernel:
             else:
                 rate = grounded_stiffness(h, x, high, low, weight, give)
         else:
-            rate = free_stiffness(h, found.low[env, line] / unit, weight, give)
+            rate = free_stiffness(h, solution.low[env, line] / unit, weight, give)
         up = plane.up
         in_plane = wp.outer(along, along) + wp.outer(up, up)
         total = rate[0] * wp.outer(along, along) + rate[1] * wp.outer(up, up)

@@ -19,16 +19,16 @@ from warpcontact.kernels.types import (
     COUPLING_OUTSIDE,
     COUPLING_SLACK,
     ENV_ACTIVE,
-    Work,
-    env_of,
-    item_of,
+    LaunchRange,
     structs,
     task_count,
+    task_env,
+    task_item,
 )
 from warpcontact.kernels.unique import unique_kernel
 
 
-class SpringParts(NamedTuple):
+class SpringModel(NamedTuple):
     """The formulas of a spring-damper, as classes: what the kernel is compiled from."""
 
     spring: type[Spring]
@@ -90,7 +90,7 @@ def spring_structs(real: type) -> SimpleNamespace:
 
 
 @functools.cache
-def coefficient_structs(parts: SpringParts, real: type) -> Any:
+def coefficient_structs(parts: SpringModel, real: type) -> Any:
     """Returns the struct of arrays [env, spring of the group]: coefficients of both parts, and settings."""
     elements = [(part, coefficient_struct(formula, real)) for part, formula in parts._asdict().items()]
     elements.append(("settings", spring_structs(real).Settings))
@@ -98,7 +98,7 @@ def coefficient_structs(parts: SpringParts, real: type) -> Any:
 
 
 @functools.cache
-def _of_formula(formula: type[Formula], real: type) -> tuple[wp.Function, wp.Function]:
+def _device_functions(formula: type[Formula], real: type) -> tuple[wp.Function, wp.Function]:
     """Returns the force of a formula, with the row of its table if it has one, and whether it is outside."""
     t = spring_structs(real)
     Row, Tables, Stretch = t.Row, t.Tables, t.Stretch
@@ -108,17 +108,17 @@ def _of_formula(formula: type[Formula], real: type) -> tuple[wp.Function, wp.Fun
     if formula.table_field() is None:
 
         @wp.func
-        def act(p: Coefficients, s: Stretch, tables: Tables, spring: int):
+        def evaluate(p: Coefficients, s: Stretch, tables: Tables, spring: int):
             return force(p, s)
 
         @wp.func
         def outside(length: real, tables: Tables, spring: int):
             return False
 
-        return act, outside
+        return evaluate, outside
 
     @wp.func
-    def act_by_table(p: Coefficients, s: Stretch, tables: Tables, spring: int):
+    def evaluate_with_table(p: Coefficients, s: Stretch, tables: Tables, spring: int):
         low = tables.first[spring]
         above = tables.first[spring + 1]
         # The last row that starts at or before the length; all before the table is its first.
@@ -128,12 +128,12 @@ def _of_formula(formula: type[Formula], real: type) -> tuple[wp.Function, wp.Fun
                 low = middle
             else:
                 above = middle
-        found = tables.rows[low]
+        coupling_status = tables.rows[low]
         row = Row()
-        row.start = found[0]
-        row.value = found[1]
-        row.slope = found[2]
-        row.integral = found[3]
+        row.start = coupling_status[0]
+        row.value = coupling_status[1]
+        row.slope = coupling_status[2]
+        row.integral = coupling_status[3]
         return force(p, s, row)
 
     @wp.func
@@ -142,11 +142,11 @@ def _of_formula(formula: type[Formula], real: type) -> tuple[wp.Function, wp.Fun
             length < tables.rows[tables.first[spring]][0] or length > tables.rows[tables.first[spring + 1] - 1][0]
         )
 
-    return act_by_table, outside_table
+    return evaluate_with_table, outside_table
 
 
 @functools.cache
-def kernel(parts: SpringParts, real: type) -> wp.Kernel:
+def kernel(parts: SpringModel, real: type) -> wp.Kernel:
     """Returns the kernel of the forces of spring-dampers; items: those of the group.
 
     A pure function of model, state and what was remembered: that it breaks, or where it pointed, is noted in
@@ -154,11 +154,11 @@ def kernel(parts: SpringParts, real: type) -> wp.Kernel:
     """
     t = structs(real)
     s = spring_structs(real)
-    Model, State, Ends = t.Model, t.State, t.Ends
+    Model, State, CouplingWrenches = t.Model, t.State, t.CouplingWrenches
     Springs, Stretch, Tables = s.Springs, s.Stretch, s.Tables
     Coefficients = coefficient_structs(parts, real)
-    spring_force, spring_outside = _of_formula(parts.spring, real)
-    damper_force, damper_outside = _of_formula(parts.damper, real)
+    spring_force, spring_outside = _device_functions(parts.spring, real)
+    damper_force, damper_outside = _device_functions(parts.damper, real)
     end = ends.functions(real)
     arm, separation, velocity, pull = end.arm, end.separation, end.velocity, end.pull
     # Below this part of what it is the difference of, a distance is rounding.
@@ -166,7 +166,7 @@ def kernel(parts: SpringParts, real: type) -> wp.Kernel:
 
     @unique_kernel()
     def spring_forces(
-        work: Work,
+        launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         model: Model,
         state: State,
@@ -175,11 +175,11 @@ def kernel(parts: SpringParts, real: type) -> wp.Kernel:
         spring_tables: Tables,
         damper_tables: Tables,
         springs: Springs,
-        ends: Ends,
+        ends: CouplingWrenches,
     ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            spring = item_of(work, task)
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            spring = task_item(launch, task)
             if status[env] != ENV_ACTIVE:
                 continue
             end_1 = 2 * (first + spring)
@@ -196,38 +196,38 @@ def kernel(parts: SpringParts, real: type) -> wp.Kernel:
             stretch.rest_length = settings.rest_length
             stretch.extension = stretch.length - settings.rest_length
             direction = springs.last_direction[env, spring]
-            found = COUPLING_ACTIVE
+            coupling_status = COUPLING_ACTIVE
             if stretch.length > rounding * (wp.length(arm_1) + wp.length(arm_2)):
                 direction = from_1_to_2 / stretch.length
             elif wp.length_sq(direction) == real(0.0):
-                found = COUPLING_NO_DIRECTION
+                coupling_status = COUPLING_NO_DIRECTION
             stretch.rate = wp.dot(direction, apart)
 
             force = spring_force(coefficients.spring[env, spring], stretch, spring_tables, spring)
             damping = damper_force(coefficients.damper[env, spring], stretch, damper_tables, spring)
             total = force + damping
             if spring_outside(stretch.length, spring_tables, spring):
-                found = wp.max(found, COUPLING_OUTSIDE)
+                coupling_status = wp.max(coupling_status, COUPLING_OUTSIDE)
             if damper_outside(stretch.length, damper_tables, spring):
-                found = wp.max(found, COUPLING_OUTSIDE)
+                coupling_status = wp.max(coupling_status, COUPLING_OUTSIDE)
             # A rope that is not stretched is nowhere: its damping does not act either.
             if settings.tension_only == 1:
                 if force <= real(0.0):
-                    found = COUPLING_SLACK
+                    coupling_status = COUPLING_SLACK
                     total = real(0.0)
                 elif total < real(0.0):
                     total = real(0.0)
             if wp.abs(total) > settings.break_force or springs.broken[env, spring] == 1:
-                found = COUPLING_BROKEN
+                coupling_status = COUPLING_BROKEN
                 total = real(0.0)
             if settings.enabled == 0:
-                found = COUPLING_DISABLED
+                coupling_status = COUPLING_DISABLED
                 total = real(0.0)
 
             springs.length[env, spring] = stretch.length
             springs.rate[env, spring] = stretch.rate
             springs.force[env, spring] = total
-            springs.status[env, spring] = found
+            springs.status[env, spring] = coupling_status
             springs.direction[env, spring] = direction
             pull(ends, env, end_1, arm_1, total * direction)
             pull(ends, env, end_1 + 1, arm_2, -total * direction)
@@ -236,36 +236,36 @@ def kernel(parts: SpringParts, real: type) -> wp.Kernel:
 
 
 @functools.cache
-def remember(real: type) -> wp.Kernel:
+def accept(real: type) -> wp.Kernel:
     """Returns the kernel that ends an accepted step of spring-dampers; items: those of the group."""
     Springs = spring_structs(real).Springs
 
     @unique_kernel()
-    def remember_springs(work: Work, status: wp.array(dtype=wp.int32), springs: Springs):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            spring = item_of(work, task)
+    def accept_springs(launch: LaunchRange, status: wp.array(dtype=wp.int32), springs: Springs):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            spring = task_item(launch, task)
             if status[env] != ENV_ACTIVE:
                 continue
             if springs.status[env, spring] == COUPLING_BROKEN:
                 springs.broken[env, spring] = 1
             springs.last_direction[env, spring] = springs.direction[env, spring]
 
-    return remember_springs
+    return accept_springs
 
 
 @functools.cache
-def forget(real: type) -> wp.Kernel:
+def reset(real: type) -> wp.Kernel:
     """Returns the kernel that mends spring-dampers at the start of a run. Launch with dim (env, spring)."""
     t = structs(real)
     vec3 = t.vec3
     Springs = spring_structs(real).Springs
 
     @unique_kernel()
-    def forget_springs(mask: wp.array(dtype=wp.bool), springs: Springs):
+    def reset_springs(mask: wp.array(dtype=wp.bool), springs: Springs):
         env, spring = wp.tid()
         if mask[env]:
             springs.broken[env, spring] = 0
             springs.last_direction[env, spring] = vec3()
 
-    return forget_springs
+    return reset_springs

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 from warpcontact.kernels.friction.base import Friction
-from warpcontact.kernels.on_demand import names_of
+from warpcontact.kernels.on_demand import lazy_names
 
 if TYPE_CHECKING:
     from warpcontact.kernels.friction.ambrosio import Ambrosio
@@ -83,6 +83,6 @@ __all__ = [
 ]
 
 if not TYPE_CHECKING:  # there it would know every name
-    __getattr__, __dir__ = names_of(
+    __getattr__, __dir__ = lazy_names(
         __name__, {**_CATALOGUE, **_RIGID}, {"CATALOGUE": tuple(_CATALOGUE), "RIGID": tuple(_RIGID)}
     )

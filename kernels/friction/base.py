@@ -29,7 +29,7 @@ class Friction(Formula):
     needs_radius: ClassVar[bool] = False
 
     @classmethod
-    def of_cone(cls) -> tuple[str, str] | None:
+    def cone_coefficients(cls) -> tuple[str, str] | None:
         """Returns the parameters that are its static and its dynamic coefficient of friction.
 
         ``None``: it has none, as an elliptic or a viscous one, and no cone of Coulomb stands for it.

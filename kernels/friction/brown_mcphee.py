@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 from warpcontact.kernels.formula import parameter
 from warpcontact.kernels.friction.base import Friction
-from warpcontact.kernels.friction.saturation import saturated
+from warpcontact.kernels.friction.saturation import fast_tanh
 
 
 class BrownMcPhee(Friction):
@@ -34,8 +34,8 @@ class BrownMcPhee(Friction):
         # Both terms divided by s: tanh(4r)/s → 4/v_t at rest.
         level = four / p.transition_speed
         if four * r > type(s.speed)(1.0e-3):
-            level = saturated(four * r) / s.speed
+            level = fast_tanh(four * r) / s.speed
         peak = type(s.speed)(1.0) / (p.transition_speed * bell * bell)
         gain = s.normal_force * (p.mu_dynamic * level + (p.mu_static - p.mu_dynamic) * peak)
-        viscous = p.viscosity * saturated(four * s.normal_force / p.transition_force)
+        viscous = p.viscosity * fast_tanh(four * s.normal_force / p.transition_force)
         return (-(gain + viscous)) * s.velocity

@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 from warpcontact.kernels.formula import history, parameter
 from warpcontact.kernels.friction.base import Friction
-from warpcontact.kernels.friction.lugre import bent
+from warpcontact.kernels.friction.lugre import advance_deflection
 
 
 class Dahl(Friction):
@@ -26,7 +26,7 @@ class Dahl(Friction):
 
     @wp.func
     def advance(p: Any, s: Any, m: Any):
-        m.deflection = bent(m.deflection, s, m.elapsed, p.stiffness * s.speed / p.mu)
+        m.deflection = advance_deflection(m.deflection, s, m.elapsed, p.stiffness * s.speed / p.mu)
         return m
 
     @wp.func

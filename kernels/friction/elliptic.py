@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 from warpcontact.kernels.formula import parameter
 from warpcontact.kernels.friction.base import Friction
-from warpcontact.kernels.friction.saturation import saturated
+from warpcontact.kernels.friction.saturation import fast_tanh
 
 
 class Elliptic(Friction):
@@ -41,5 +41,5 @@ class Elliptic(Friction):
         # tanh(r/r₀)/r → 1/r₀ at rest.
         gain = one / scale
         if r > type(s.speed)(1.0e-3) * scale:
-            gain = saturated(r / scale) / r
+            gain = fast_tanh(r / scale) / r
         return (-s.normal_force * gain) * (p.mu_1 * drag_1 * axis_1 + p.mu_2 * drag_2 * axis_2)

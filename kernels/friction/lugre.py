@@ -9,7 +9,7 @@ from warpcontact.kernels.friction.base import Friction
 
 
 @wp.func
-def bent(deflection: Any, s: Any, elapsed: Any, rate: Any):
+def advance_deflection(deflection: Any, s: Any, elapsed: Any, rate: Any):
     """Deflection z after dz/dt = v − rate·z at constant v: exact, so that no bristle is too stiff for a step."""
     one = type(s.speed)(1.0)
     x = rate * elapsed
@@ -71,7 +71,7 @@ class LuGre(Friction):
 
     @wp.func
     def advance(p: Any, s: Any, m: Any):
-        m.deflection = bent(m.deflection, s, m.elapsed, relaxation(p, s))
+        m.deflection = advance_deflection(m.deflection, s, m.elapsed, relaxation(p, s))
         return m
 
     @wp.func

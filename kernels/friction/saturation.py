@@ -8,7 +8,7 @@ import warp as wp
 
 
 @wp.func
-def saturated(x: wp.float32):
+def fast_tanh(x: wp.float32):
     """tanh(x)."""
     if wp.abs(x) < 0.625:
         z = x * x
@@ -18,6 +18,6 @@ def saturated(x: wp.float32):
 
 
 @wp.func
-def saturated(x: wp.float64):  # noqa: F811 - of the other precision
+def fast_tanh(x: wp.float64):  # noqa: F811 - of the other precision
     """tanh(x)."""
     return wp.tanh(x)

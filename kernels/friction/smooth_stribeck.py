@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 from warpcontact.kernels.formula import parameter
 from warpcontact.kernels.friction.base import Friction
-from warpcontact.kernels.friction.saturation import saturated
+from warpcontact.kernels.friction.saturation import fast_tanh
 
 
 class SmoothStribeck(Friction):
@@ -34,5 +34,5 @@ class SmoothStribeck(Friction):
         level = type(s.speed)(10.0) / p.breakaway_speed
         y = s.speed * level
         if y > type(s.speed)(1.0e-3):
-            level = saturated(y) / s.speed
+            level = fast_tanh(y) / s.speed
         return (-s.normal_force * (bell + p.mu_dynamic * level)) * s.velocity

@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 from warpcontact.kernels.formula import parameter
 from warpcontact.kernels.friction.base import Friction
-from warpcontact.kernels.friction.saturation import saturated
+from warpcontact.kernels.friction.saturation import fast_tanh
 
 
 class Stribeck(Friction):
@@ -33,5 +33,5 @@ class Stribeck(Friction):
         gain = type(s.speed)(1.0) / p.velocity_scale
         x = s.speed * gain
         if x > type(s.speed)(1.0e-3):
-            gain = saturated(x) / s.speed
+            gain = fast_tanh(x) / s.speed
         return (-(s.normal_force * mu * gain + p.viscosity)) * s.velocity

@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 from warpcontact.kernels.formula import parameter
 from warpcontact.kernels.friction.base import Friction
-from warpcontact.kernels.friction.saturation import saturated
+from warpcontact.kernels.friction.saturation import fast_tanh
 
 
 class Tanh(Friction):
@@ -28,5 +28,5 @@ class Tanh(Friction):
         gain = type(s.speed)(1.0) / p.velocity_scale
         x = s.speed * gain
         if x > type(s.speed)(1.0e-3):
-            gain = saturated(x) / s.speed
+            gain = fast_tanh(x) / s.speed
         return (-p.mu * s.normal_force * gain) * s.velocity

@@ -9,7 +9,7 @@ from warpcontact.kernels.laws.undamped import (
     greatest_penetration,
     recommended_dt,
 )
-from warpcontact.kernels.on_demand import names_of
+from warpcontact.kernels.on_demand import lazy_names
 
 if TYPE_CHECKING:
     from warpcontact.kernels.laws.anagnostopoulos import Anagnostopoulos
@@ -122,6 +122,6 @@ __all__ = [
 ]
 
 if not TYPE_CHECKING:  # there it would know every name
-    __getattr__, __dir__ = names_of(
+    __getattr__, __dir__ = lazy_names(
         __name__, {**_CATALOGUE, **_RIGID}, {"CATALOGUE": tuple(_CATALOGUE), "RIGID": tuple(_RIGID)}
     )

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 from warpcontact.kernels.motions.base import Motion
-from warpcontact.kernels.on_demand import names_of
+from warpcontact.kernels.on_demand import lazy_names
 
 if TYPE_CHECKING:
     from warpcontact.kernels.motions.joints import Ball, Fixed, Free, Hinge, Planar, Slider, Translation
@@ -45,4 +45,4 @@ __all__ = [
 ]
 
 if not TYPE_CHECKING:  # there it would know every name
-    __getattr__, __dir__ = names_of(__name__, _CATALOGUE, {"CATALOGUE": NAMES})
+    __getattr__, __dir__ = lazy_names(__name__, _CATALOGUE, {"CATALOGUE": NAMES})

@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 import numpy as np
 import warp as wp
 from warpcontact.kernels.formula import Formula
-from warpcontact.kernels.types import DRIVEN
+from warpcontact.kernels.types import TIME_FUNCTION
 
 
 @wp.func
@@ -48,7 +48,7 @@ class Motion(Formula):
     rotation: ClassVar[wp.Function] = still
 
     #: What it is, of the constants of ``types``.
-    kind: ClassVar[int] = DRIVEN
+    kind: ClassVar[int] = TIME_FUNCTION
     #: Whether its functions take rows of numbers as a third argument: see ``samples``.
     sampled: ClassVar[bool] = False
 
@@ -65,7 +65,7 @@ class Motion(Formula):
     @classmethod
     def missing_function(cls) -> str:
         """Returns the name of a device function that it lacks; one of the two is enough."""
-        lacks_both = cls.kind == DRIVEN and cls.displacement is still and cls.rotation is still
+        lacks_both = cls.kind == TIME_FUNCTION and cls.displacement is still and cls.rotation is still
         return "displacement" if lacks_both else super().missing_function()
 
     def samples(self) -> np.ndarray:

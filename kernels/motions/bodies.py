@@ -26,11 +26,11 @@ from warpcontact.kernels.types import (
 ONE = wp.constant(wp.float64(1.0))
 ZERO = wp.constant(wp.float64(0.0))
 # Least inverse mass [1/kg], of a body that nothing moves: a law that divides by it gets a number.
-LEAST = wp.constant(wp.float64(1.0e-20))
+MIN_INVERSE_MASS = wp.constant(wp.float64(1.0e-20))
 
 
 @wp.func
-def turn_about(axis: wp.vec3d, q: wp.quatd, q_initial: wp.quatd):
+def half_angle(axis: wp.vec3d, q: wp.quatd, q_initial: wp.quatd):
     """Sine and cosine of half the angle by which ``q`` is turned about ``axis`` from ``q_initial``."""
     turn = q * wp.quat_inverse(q_initial)
     sine = axis[0] * turn[0] + axis[1] * turn[1] + axis[2] * turn[2]
@@ -41,7 +41,7 @@ def turn_about(axis: wp.vec3d, q: wp.quatd, q_initial: wp.quatd):
 
 
 @wp.func
-def turned_on(sine: wp.float64, cosine: wp.float64, angle: wp.float64):
+def add_half_angle(sine: wp.float64, cosine: wp.float64, angle: wp.float64):
     """The same after another turn by ``angle``."""
     s = wp.sin(wp.float64(0.5) * angle)
     c = wp.cos(wp.float64(0.5) * angle)
@@ -84,7 +84,7 @@ def momentum_of(inertia_B: wp.mat33d, q: wp.quatd, w: wp.vec3d):
 def arm_of(motion: BodyMotion, q: wp.quatd):
     """From the anchor to the centre of mass of a body of orientation ``q`` on a hinge or a ball, W."""
     if motion.kind == HINGE:
-        sine, cosine = turn_about(motion.axis, q, motion.orientation)
+        sine, cosine = half_angle(motion.axis, q, motion.orientation)
         return wp.quat_rotate(quat_about(motion.axis, sine, cosine), motion.position - motion.anchor)
     return wp.quat_rotate(q, wp.quat_rotate_inv(motion.orientation, motion.position - motion.anchor))
 
@@ -97,11 +97,11 @@ def functions(real: type) -> SimpleNamespace:
     frame = frames.functions(real)
     wide, narrow = frame.wide, frame.narrow
     rotated = rotations.functions(wp.float64).rotated
-    of_guard = quarantine.guard(real)
-    Guard, cause_of = of_guard.Guard, of_guard.cause_of
+    guard_functions = quarantine.guard(real)
+    Guard, failure_cause = guard_functions.Guard, guard_functions.failure_cause
 
     @wp.func
-    def wide_matrix(m: mat33):
+    def matrix_to_float64(m: mat33):
         return wp.mat33d(
             wp.float64(m[0, 0]), wp.float64(m[0, 1]), wp.float64(m[0, 2]),
             wp.float64(m[1, 0]), wp.float64(m[1, 1]), wp.float64(m[1, 2]),
@@ -109,23 +109,23 @@ def functions(real: type) -> SimpleNamespace:
         )  # fmt: skip
 
     @wp.func
-    def wide_quat(q: quat):
+    def quat_to_float64(q: quat):
         """The rotation, free of what rounding did to its length."""
         return wp.normalize(wp.quatd(wp.float64(q[0]), wp.float64(q[1]), wp.float64(q[2]), wp.float64(q[3])))
 
     @wp.func
-    def narrow_quat(q: wp.quatd):
+    def quat_from_float64(q: wp.quatd):
         return quat(real(q[0]), real(q[1]), real(q[2]), real(q[3]))
 
     @wp.func
-    def put(state: State, env: int, body: int, base: wp.vec3d, way: wp.vec3d):
+    def put(state: State, env: int, body: int, base: wp.vec3d, offset: wp.vec3d):
         """Puts the centre of mass to ``base + way``: nothing of it is lost."""
-        position = base + way
-        gone = position - base
-        rest = (base - (position - gone)) + (way - gone)
+        position = base + offset
+        rounded_offset = position - base
+        remainder = (base - (position - rounded_offset)) + (offset - rounded_offset)
         rounded = narrow(position)
         state.body_position[env, body] = rounded
-        state.body_position_remainder[env, body] = narrow((position - wide(rounded)) + rest)
+        state.body_position_remainder[env, body] = narrow((position - wide(rounded)) + remainder)
 
     @wp.func
     def set_velocity(state: State, env: int, body: int, v: wp.vec3d, w: wp.vec3d):
@@ -133,12 +133,12 @@ def functions(real: type) -> SimpleNamespace:
         state.body_angular_velocity[env, body] = narrow(w)
 
     @wp.func
-    def judge(
+    def check_body(
         guard: Guard, wrenches: Wrenches, state: State, env: int, body: int, status: wp.array(dtype=wp.int32)
     ):
         """Lets the step fail if the body does, or is under a load that is no number, even if it does not yield."""
         loads = wp.length_sq(wrenches.force[env, body]) + wp.length_sq(wrenches.torque[env, body])
-        cause = cause_of(
+        cause = failure_cause(
             state.body_position[env, body],
             state.body_linear_velocity[env, body],
             state.body_angular_velocity[env, body],
@@ -168,37 +168,37 @@ def functions(real: type) -> SimpleNamespace:
         kind = motion.kind
         axis = motion.axis
         base = wide(state.body_position[env, body])
-        way = wide(state.body_position_remainder[env, body])
+        offset = wide(state.body_position_remainder[env, body])
         orientation = state.body_orientation[env, body]
-        q = wide_quat(orientation)
+        q = quat_to_float64(orientation)
         if kind == PRESCRIBED:
-            way += dt * linear
+            offset += dt * linear
             if wp.dot(angular, angular) > ZERO:
-                orientation = narrow_quat(rotated(q, dt * angular))
+                orientation = quat_from_float64(rotated(q, dt * angular))
         elif kind == TRANSLATION:
-            way += dt * linear
+            offset += dt * linear
         elif kind == SLIDER:
-            off = (base - motion.position) + way
-            way += dt * linear - (off - wp.dot(axis, off) * axis)
+            off = (base - motion.position) + offset
+            offset += dt * linear - (off - wp.dot(axis, off) * axis)
         elif kind == PLANAR:
-            off = (base - motion.position) + way
-            way += dt * linear - wp.dot(axis, off) * axis
-            sine, cosine = turn_about(axis, q, motion.orientation)
-            sine, cosine = turned_on(sine, cosine, dt * wp.dot(axis, angular))
-            orientation = narrow_quat(quat_about(axis, sine, cosine) * motion.orientation)
+            off = (base - motion.position) + offset
+            offset += dt * linear - wp.dot(axis, off) * axis
+            sine, cosine = half_angle(axis, q, motion.orientation)
+            sine, cosine = add_half_angle(sine, cosine, dt * wp.dot(axis, angular))
+            orientation = quat_from_float64(quat_about(axis, sine, cosine) * motion.orientation)
         elif kind == HINGE:
-            sine, cosine = turn_about(axis, q, motion.orientation)
-            sine, cosine = turned_on(sine, cosine, dt * wp.dot(axis, angular))
+            sine, cosine = half_angle(axis, q, motion.orientation)
+            sine, cosine = add_half_angle(sine, cosine, dt * wp.dot(axis, angular))
             turn = quat_about(axis, sine, cosine)
-            orientation = narrow_quat(turn * motion.orientation)
+            orientation = quat_from_float64(turn * motion.orientation)
             base = motion.anchor
-            way = wp.quat_rotate(turn, motion.position - motion.anchor)
+            offset = wp.quat_rotate(turn, motion.position - motion.anchor)
         elif kind == BALL:
-            orientation = narrow_quat(rotated(q, dt * angular))
+            orientation = quat_from_float64(rotated(q, dt * angular))
             base = motion.anchor
             start_B = wp.quat_rotate_inv(motion.orientation, motion.position - motion.anchor)
-            way = wp.quat_rotate(wide_quat(orientation), start_B)
-        return base, way, orientation
+            offset = wp.quat_rotate(quat_to_float64(orientation), start_B)
+        return base, offset, orientation
 
     @wp.func
     def mobility(model: Model, state: State, env: int, body: int, motion: BodyMotion, arm_W: vec3, n_W: vec3):
@@ -210,8 +210,8 @@ def functions(real: type) -> SimpleNamespace:
         arm = wide(arm_W)
         axis = motion.axis
         mass = wp.float64(model.body_mass[env, body])
-        q = wide_quat(state.body_orientation[env, body])
-        result = LEAST
+        q = quat_to_float64(state.body_orientation[env, body])
+        result = MIN_INVERSE_MASS
         if motion.kind == TRANSLATION:
             result = ONE / mass
         elif motion.kind == SLIDER:
@@ -220,31 +220,31 @@ def functions(real: type) -> SimpleNamespace:
         elif motion.kind == PLANAR:
             across = n - wp.dot(axis, n) * axis
             lever = wp.dot(axis, wp.cross(arm, n))
-            inertia = inertia_about(axis, q, wide_matrix(model.body_inertia[env, body]))
+            inertia = inertia_about(axis, q, matrix_to_float64(model.body_inertia[env, body]))
             result = wp.dot(across, across) / mass + lever * lever / inertia
         elif motion.kind == HINGE:
             centre = arm_of(motion, q)
             lever = wp.dot(axis, wp.cross(centre + arm, n))
             across = wp.cross(axis, centre)
-            inertia = inertia_about(axis, q, wide_matrix(model.body_inertia[env, body]))
+            inertia = inertia_about(axis, q, matrix_to_float64(model.body_inertia[env, body]))
             result = lever * lever / (inertia + mass * wp.dot(across, across))
         elif motion.kind == BALL:
             centre = arm_of(motion, q)
             centre_B = wp.quat_rotate_inv(q, centre)
-            inertia_B = inertia_at(wide_matrix(model.body_inertia[env, body]), mass, centre_B)
+            inertia_B = inertia_at(matrix_to_float64(model.body_inertia[env, body]), mass, centre_B)
             lever_B = wp.quat_rotate_inv(q, wp.cross(centre + arm, n))
             result = wp.dot(lever_B, wp.inverse(inertia_B) * lever_B)
-        return real(wp.max(result, LEAST))
+        return real(wp.max(result, MIN_INVERSE_MASS))
 
     return SimpleNamespace(
         wide=wide,
         narrow=narrow,
-        wide_matrix=wide_matrix,
-        wide_quat=wide_quat,
-        narrow_quat=narrow_quat,
+        matrix_to_float64=matrix_to_float64,
+        quat_to_float64=quat_to_float64,
+        quat_from_float64=quat_from_float64,
         put=put,
         set_velocity=set_velocity,
-        judge=judge,
+        check_body=check_body,
         Guard=Guard,
         moved=moved,
         mobility=mobility,

@@ -14,13 +14,13 @@ from warpcontact.kernels import rotations
 from warpcontact.kernels.formula import coefficient_struct
 from warpcontact.kernels.motions import bodies
 from warpcontact.kernels.motions.base import Motion
-from warpcontact.kernels.types import ENV_ACTIVE, BodyMotion, Work, env_of, item_of, structs, task_count
+from warpcontact.kernels.types import ENV_ACTIVE, BodyMotion, LaunchRange, structs, task_count, task_env, task_item
 from warpcontact.kernels.unique import unique_kernel
 
 # Differences in time from which a velocity and an acceleration are computed [s]: short against what moves bodies
 # that one can see, long against the rounding of float64.
-INSTANT = wp.constant(wp.float64(1.0e-6))
-MOMENT = wp.constant(wp.float64(2.0e-5))
+VELOCITY_DT = wp.constant(wp.float64(1.0e-6))
+ACCELERATION_DT = wp.constant(wp.float64(2.0e-5))
 
 
 def coefficients_struct(motion: type[Motion]) -> Any:
@@ -39,12 +39,12 @@ def _functions(motion: type[Motion]) -> SimpleNamespace:
         displacement, rotation = _of_time(motion.displacement), _of_time(motion.rotation)
 
     @wp.func
-    def turn_at(p: Coefficients, samples: wp.array2d(dtype=wp.float64), t: wp.float64):
+    def rotation_at(p: Coefficients, samples: wp.array2d(dtype=wp.float64), t: wp.float64):
         """Rotation from the initial orientation."""
         return rotated(wp.quat_identity(dtype=wp.float64), rotation(p, t, samples))
 
     @wp.func
-    def way_at(
+    def offset_at(
         p: Coefficients, samples: wp.array2d(dtype=wp.float64), t: wp.float64, body: BodyMotion, turn: wp.quatd
     ):
         """From the initial centre of mass to that at ``t``, where the body is turned by ``turn``."""
@@ -60,24 +60,24 @@ def _functions(motion: type[Motion]) -> SimpleNamespace:
         after: wp.float64,
     ):
         """Linear and angular, from one time to another."""
-        first = turn_at(p, samples, before)
-        last = turn_at(p, samples, after)
-        way = way_at(p, samples, after, body, last) - way_at(p, samples, before, body, first)
-        lasted = after - before
-        return way / lasted, rotation_vector(last * wp.quat_inverse(first)) / lasted
+        first = rotation_at(p, samples, before)
+        last = rotation_at(p, samples, after)
+        offset = offset_at(p, samples, after, body, last) - offset_at(p, samples, before, body, first)
+        duration = after - before
+        return offset / duration, rotation_vector(last * wp.quat_inverse(first)) / duration
 
     @wp.func
     def accelerations(p: Coefficients, samples: wp.array2d(dtype=wp.float64), body: BodyMotion, t: wp.float64):
         """Linear and angular, at ``t``."""
-        before = t - MOMENT
-        after = t + MOMENT
+        before = t - ACCELERATION_DT
+        after = t + ACCELERATION_DT
         v_before, w_before = mean_velocities(p, samples, body, before, t)
         v_after, w_after = mean_velocities(p, samples, body, t, after)
-        lasted = wp.float64(0.5) * (after - before)
-        return (v_after - v_before) / lasted, (w_after - w_before) / lasted
+        duration = wp.float64(0.5) * (after - before)
+        return (v_after - v_before) / duration, (w_after - w_before) / duration
 
     return SimpleNamespace(
-        turn_at=turn_at, way_at=way_at, mean_velocities=mean_velocities, accelerations=accelerations
+        rotation_at=rotation_at, offset_at=offset_at, mean_velocities=mean_velocities, accelerations=accelerations
     )
 
 
@@ -100,14 +100,18 @@ def follow(motion: type[Motion], real: type) -> wp.Kernel:
     t = structs(real)
     Model, State, Wrenches = t.Model, t.State, t.Wrenches
     Coefficients = coefficients_struct(motion)
-    f, own = bodies.functions(real), _functions(motion)
-    narrow_quat, put, set_velocity = f.narrow_quat, f.put, f.set_velocity
-    judge, Guard = f.judge, f.Guard
-    turn_at, way_at, mean_velocities = own.turn_at, own.way_at, own.mean_velocities
+    f, motion_functions = bodies.functions(real), _functions(motion)
+    quat_from_float64, put, set_velocity = f.quat_from_float64, f.put, f.set_velocity
+    check_body, Guard = f.check_body, f.Guard
+    rotation_at, offset_at, mean_velocities = (
+        motion_functions.rotation_at,
+        motion_functions.offset_at,
+        motion_functions.mean_velocities,
+    )
 
     @unique_kernel()
     def follow_motion(
-        work: Work,
+        launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         step: wp.array2d(dtype=wp.float64),  # [env, 0] [s]
         time: wp.array(dtype=wp.float64),  # [env], before the step [s]
@@ -121,9 +125,9 @@ def follow(motion: type[Motion], real: type) -> wp.Kernel:
         wrenches: Wrenches,
         state_out: State,
     ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            item = item_of(work, task)
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            item = task_item(launch, task)
             body = members[item]
             if status[env] != ENV_ACTIVE:
                 continue
@@ -132,13 +136,13 @@ def follow(motion: type[Motion], real: type) -> wp.Kernel:
             before = time[env]
             # The same sum as that of the clock.
             after = before + step[env, 0]
-            turn = turn_at(p, samples, after)
+            turn = rotation_at(p, samples, after)
             h = step[env, 0]
             v, w = mean_velocities(p, samples, motion, before + first * h, before + last * h)
-            put(state_out, env, body, motion.position, way_at(p, samples, after, motion, turn))
-            state_out.body_orientation[env, body] = narrow_quat(turn * motion.orientation)
+            put(state_out, env, body, motion.position, offset_at(p, samples, after, motion, turn))
+            state_out.body_orientation[env, body] = quat_from_float64(turn * motion.orientation)
             set_velocity(state_out, env, body, v, w)
-            judge(guard, wrenches, state_out, env, body, status)
+            check_body(guard, wrenches, state_out, env, body, status)
 
     return follow_motion
 
@@ -149,9 +153,13 @@ def start(motion: type[Motion], real: type) -> wp.Kernel:
     t = structs(real)
     Model, State = t.Model, t.State
     Coefficients = coefficients_struct(motion)
-    f, own = bodies.functions(real), _functions(motion)
-    narrow_quat, put, set_velocity = f.narrow_quat, f.put, f.set_velocity
-    turn_at, way_at, mean_velocities = own.turn_at, own.way_at, own.mean_velocities
+    f, motion_functions = bodies.functions(real), _functions(motion)
+    quat_from_float64, put, set_velocity = f.quat_from_float64, f.put, f.set_velocity
+    rotation_at, offset_at, mean_velocities = (
+        motion_functions.rotation_at,
+        motion_functions.offset_at,
+        motion_functions.mean_velocities,
+    )
 
     @unique_kernel()
     def start_motion(
@@ -170,10 +178,10 @@ def start(motion: type[Motion], real: type) -> wp.Kernel:
         motion = model.body_motion[env, body]
         p = coefficients[env, item]
         now = time[env]
-        turn = turn_at(p, samples, now)
-        v, w = mean_velocities(p, samples, motion, now - INSTANT, now + INSTANT)
-        put(state, env, body, motion.position, way_at(p, samples, now, motion, turn))
-        state.body_orientation[env, body] = narrow_quat(turn * motion.orientation)
+        turn = rotation_at(p, samples, now)
+        v, w = mean_velocities(p, samples, motion, now - VELOCITY_DT, now + VELOCITY_DT)
+        put(state, env, body, motion.position, offset_at(p, samples, now, motion, turn))
+        state.body_orientation[env, body] = quat_from_float64(turn * motion.orientation)
         set_velocity(state, env, body, v, w)
 
     return start_motion
@@ -194,7 +202,7 @@ def change_step(motion: type[Motion], real: type) -> wp.Kernel:
 
     @unique_kernel()
     def change_motion(
-        work: Work,
+        launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         change: wp.array2d(dtype=real),  # [env, 0] length of the next step less that of the last [s]
         time: wp.array(dtype=wp.float64),  # [env] [s]
@@ -204,9 +212,9 @@ def change_step(motion: type[Motion], real: type) -> wp.Kernel:
         samples: wp.array2d(dtype=wp.float64),
         state: State,
     ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            item = item_of(work, task)
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            item = task_item(launch, task)
             body = members[item]
             if status[env] != ENV_ACTIVE:
                 continue

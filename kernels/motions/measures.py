@@ -4,19 +4,19 @@ import functools
 
 import warp as wp
 from warpcontact.kernels.motions import bodies, step
-from warpcontact.kernels.motions.bodies import momentum_of, turn_about
+from warpcontact.kernels.motions.bodies import half_angle, momentum_of
 from warpcontact.kernels.types import (
-    DRIVEN,
     ENV_ACTIVE,
     FREE,
     HINGE,
     PLANAR,
     SLIDER,
-    Work,
-    env_of,
-    item_of,
+    TIME_FUNCTION,
+    LaunchRange,
     structs,
     task_count,
+    task_env,
+    task_item,
 )
 from warpcontact.kernels.unique import unique_kernel
 
@@ -51,7 +51,7 @@ def reactions(real: type) -> wp.Kernel:
     t = structs(real)
     Model, State, Wrenches = t.Model, t.State, t.Wrenches
     f = bodies.functions(real)
-    wide, wide_matrix, wide_quat = f.wide, f.wide_matrix, f.wide_quat
+    wide, matrix_to_float64, quat_to_float64 = f.wide, f.matrix_to_float64, f.quat_to_float64
     accelerations = step.accelerations(real)
 
     @unique_kernel()
@@ -63,12 +63,12 @@ def reactions(real: type) -> wp.Kernel:
         force = wrenches.force[env, body]
         torque = wrenches.torque[env, body]
         linear, angular, arm = accelerations(model, state, env, body, force, torque)
-        if kind == DRIVEN:
+        if kind == TIME_FUNCTION:
             linear = measured.linear[env, body]
             angular = measured.angular[env, body]
         mass = wp.float64(model.body_mass[env, body])
-        inertia_B = wide_matrix(model.body_inertia[env, body])
-        q = wide_quat(state.body_orientation[env, body])
+        inertia_B = matrix_to_float64(model.body_inertia[env, body])
+        q = quat_to_float64(state.body_orientation[env, body])
         w = wide(state.body_angular_velocity[env, body])
         reaction = mass * (linear - wide(model.gravity[env, 0])) - wide(force)
         moment = momentum_of(inertia_B, q, angular) + wp.cross(w, momentum_of(inertia_B, q, w)) - wide(torque)
@@ -84,21 +84,21 @@ def coordinates(real: type) -> wp.Kernel:
     t = structs(real)
     Model, State = t.Model, t.State
     f = bodies.functions(real)
-    wide, wide_quat = f.wide, f.wide_quat
+    wide, quat_to_float64 = f.wide, f.quat_to_float64
 
     @unique_kernel()
     def measure_coordinates(
-        work: Work, status: wp.array(dtype=wp.int32), model: Model, state: State, measured: Coordinates
+        launch: LaunchRange, status: wp.array(dtype=wp.int32), model: Model, state: State, measured: Coordinates
     ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            body = item_of(work, task)
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            body = task_item(launch, task)
             if status[env] != ENV_ACTIVE:
                 continue
             motion = model.body_motion[env, body]
             if motion.kind == HINGE or motion.kind == PLANAR:
-                q = wide_quat(state.body_orientation[env, body])
-                sine, cosine = turn_about(motion.axis, q, motion.orientation)
+                q = quat_to_float64(state.body_orientation[env, body])
+                sine, cosine = half_angle(motion.axis, q, motion.orientation)
                 # q and −q are the same rotation.
                 if cosine < wp.float64(0.0):
                     sine = -sine
@@ -106,9 +106,9 @@ def coordinates(real: type) -> wp.Kernel:
                 measured.angle[env, body] = wp.float64(2.0) * wp.atan2(sine, cosine)
                 measured.angle_rate[env, body] = wp.dot(motion.axis, wide(state.body_angular_velocity[env, body]))
             elif motion.kind == SLIDER:
-                way = wide(state.body_position[env, body]) - motion.position
-                way += wide(state.body_position_remainder[env, body])
-                measured.displacement[env, body] = wp.dot(motion.axis, way)
+                offset = wide(state.body_position[env, body]) - motion.position
+                offset += wide(state.body_position_remainder[env, body])
+                measured.displacement[env, body] = wp.dot(motion.axis, offset)
                 measured.displacement_rate[env, body] = wp.dot(
                     motion.axis, wide(state.body_linear_velocity[env, body])
                 )

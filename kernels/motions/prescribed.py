@@ -11,7 +11,7 @@ from warpcontact.kernels.types import PRESCRIBED
 
 Vector = tuple[float, float, float]
 
-TURN = wp.constant(wp.float64(2.0 * math.pi))
+TWO_PI = wp.constant(wp.float64(2.0 * math.pi))
 # Of a row of a table: where its interval begins, and four coefficients for each of six components.
 COLUMNS = 1 + 4 * 6
 
@@ -51,13 +51,13 @@ class Harmonic(Motion):
     def displacement(p: Any, t: Any):
         cycles = p.frequency * t
         # Whole cycles first: the sine of a large number is less exact.
-        phase = TURN * (cycles - wp.floor(cycles)) + p.phase
+        phase = TWO_PI * (cycles - wp.floor(cycles)) + p.phase
         return p.length * wp.sin(phase) * p.direction
 
     @wp.func
     def rotation(p: Any, t: Any):
         cycles = p.frequency * t
-        phase = TURN * (cycles - wp.floor(cycles)) + p.phase
+        phase = TWO_PI * (cycles - wp.floor(cycles)) + p.phase
         return p.turn * wp.sin(phase) * p.direction
 
 

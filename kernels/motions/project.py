@@ -5,7 +5,7 @@ import functools
 import warp as wp
 from warpcontact.kernels.motions import bodies
 from warpcontact.kernels.motions.bodies import arm_of
-from warpcontact.kernels.types import BALL, DRIVEN, FIXED, FREE, HINGE, PLANAR, PRESCRIBED, SLIDER, structs
+from warpcontact.kernels.types import BALL, FIXED, FREE, HINGE, PLANAR, PRESCRIBED, SLIDER, TIME_FUNCTION, structs
 from warpcontact.kernels.unique import unique_kernel
 
 
@@ -18,14 +18,14 @@ def kernel(real: type) -> wp.Kernel:
     t = structs(real)
     Model, State = t.Model, t.State
     f = bodies.functions(real)
-    wide, wide_quat, set_velocity = f.wide, f.wide_quat, f.set_velocity
+    wide, quat_to_float64, set_velocity = f.wide, f.quat_to_float64, f.set_velocity
 
     @unique_kernel()
     def project_velocities(mask: wp.array(dtype=wp.bool), model: Model, state: State):
         env, body = wp.tid()
         motion = model.body_motion[env, body]
         kind = motion.kind
-        if not mask[env] or kind == FREE or kind == PRESCRIBED or kind == DRIVEN:  # noqa: SIM109
+        if not mask[env] or kind == FREE or kind == PRESCRIBED or kind == TIME_FUNCTION:  # noqa: SIM109
             return
         axis = motion.axis
         v = wide(state.body_linear_velocity[env, body])
@@ -37,7 +37,7 @@ def kernel(real: type) -> wp.Kernel:
         elif kind == HINGE or kind == BALL:  # noqa: SIM109
             if kind == HINGE:
                 w = along
-            v = wp.cross(w, arm_of(motion, wide_quat(state.body_orientation[env, body])))
+            v = wp.cross(w, arm_of(motion, quat_to_float64(state.body_orientation[env, body])))
         else:
             w = wp.vec3d()
             if kind == SLIDER:

@@ -23,11 +23,11 @@ from warpcontact.kernels.types import (
     PRESCRIBED,
     SLIDER,
     TRANSLATION,
-    Work,
-    env_of,
-    item_of,
+    LaunchRange,
     structs,
     task_count,
+    task_env,
+    task_item,
 )
 from warpcontact.kernels.unique import unique_kernel
 
@@ -42,13 +42,13 @@ def semi_implicit_euler(real: type) -> wp.Kernel:
     t = structs(real)
     Model, State, Wrenches = t.Model, t.State, t.Wrenches
     f = bodies.functions(real)
-    wide, wide_matrix, wide_quat, moved = f.wide, f.wide_matrix, f.wide_quat, f.moved
+    wide, matrix_to_float64, quat_to_float64, moved = f.wide, f.matrix_to_float64, f.quat_to_float64, f.moved
     put, set_velocity, rotated = f.put, f.set_velocity, f.rotated
-    judge, Guard = f.judge, f.Guard
+    check_body, Guard = f.check_body, f.Guard
 
     @unique_kernel()
     def step_constrained(
-        work: Work,
+        launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         step: wp.array2d(dtype=real),  # [env, 0] [s]
         model: Model,
@@ -58,9 +58,9 @@ def semi_implicit_euler(real: type) -> wp.Kernel:
         wrenches: Wrenches,
         state_out: State,
     ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            body = members[item_of(work, task)]
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            body = members[task_item(launch, task)]
             if status[env] != ENV_ACTIVE:
                 continue
             motion = model.body_motion[env, body]
@@ -70,14 +70,14 @@ def semi_implicit_euler(real: type) -> wp.Kernel:
             mass = wp.float64(model.body_mass[env, body])
             force = wide(wrenches.force[env, body]) + mass * wide(model.gravity[env, 0])
             torque = wide(wrenches.torque[env, body])
-            inertia_B = wide_matrix(model.body_inertia[env, body])
-            q = wide_quat(state_in.body_orientation[env, body])
+            inertia_B = matrix_to_float64(model.body_inertia[env, body])
+            q = quat_to_float64(state_in.body_orientation[env, body])
             v = wide(state_in.body_linear_velocity[env, body])
             w = wide(state_in.body_angular_velocity[env, body])
 
             linear = wp.vec3d()
             angular = wp.vec3d()
-            whole_B = wp.mat33d()
+            anchor_inertia_B = wp.mat33d()
             momentum = wp.vec3d()
             if kind == PRESCRIBED:
                 linear = v
@@ -99,21 +99,21 @@ def semi_implicit_euler(real: type) -> wp.Kernel:
                 angular = rate * axis
             elif kind == BALL:
                 arm = arm_of(motion, q)
-                whole_B = inertia_at(inertia_B, mass, wp.quat_rotate_inv(q, arm))
-                momentum = momentum_of(whole_B, q, w) + dt * (torque + wp.cross(arm, force))
-                inverse_B = wp.inverse(whole_B)
+                anchor_inertia_B = inertia_at(inertia_B, mass, wp.quat_rotate_inv(q, arm))
+                momentum = momentum_of(anchor_inertia_B, q, w) + dt * (torque + wp.cross(arm, force))
+                inverse_B = wp.inverse(anchor_inertia_B)
                 q_middle = rotated(q, wp.float64(0.5) * dt * spin_of(inverse_B, q, momentum))
                 angular = spin_of(inverse_B, q_middle, momentum)
 
-            base, way, orientation = moved(state_in, env, body, motion, linear, angular, dt)
+            base, offset, orientation = moved(state_in, env, body, motion, linear, angular, dt)
             if kind == BALL:
-                angular = spin_of(wp.inverse(whole_B), wide_quat(orientation), momentum)
+                angular = spin_of(wp.inverse(anchor_inertia_B), quat_to_float64(orientation), momentum)
             if kind == HINGE or kind == BALL:  # noqa: SIM109
-                linear = wp.cross(angular, way)
-            put(state_out, env, body, base, way)
+                linear = wp.cross(angular, offset)
+            put(state_out, env, body, base, offset)
             state_out.body_orientation[env, body] = orientation
             set_velocity(state_out, env, body, linear, angular)
-            judge(guard, wrenches, state_out, env, body, status)
+            check_body(guard, wrenches, state_out, env, body, status)
 
     return step_constrained
 
@@ -132,7 +132,7 @@ def change_step(real: type) -> wp.Kernel:
 
     @unique_kernel()
     def change_constrained(
-        work: Work,
+        launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         change: wp.array2d(dtype=real),  # [env, 0] length of the next step less that of the last [s]
         model: Model,
@@ -140,9 +140,9 @@ def change_step(real: type) -> wp.Kernel:
         wrenches: Wrenches,  # of this instant
         state: State,
     ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            body = members[item_of(work, task)]
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            body = members[task_item(launch, task)]
             if status[env] != ENV_ACTIVE:
                 continue
             earlier = wp.float64(0.5) * wp.float64(change[env, 0])
@@ -165,7 +165,7 @@ def accelerations(real: type) -> wp.Function:
     t = structs(real)
     vec3, Model, State = t.vec3, t.Model, t.State
     f = bodies.functions(real)
-    wide, wide_matrix, wide_quat = f.wide, f.wide_matrix, f.wide_quat
+    wide, matrix_to_float64, quat_to_float64 = f.wide, f.matrix_to_float64, f.quat_to_float64
 
     @wp.func
     def accelerations_of(model: Model, state: State, env: int, body: int, force_W: vec3, torque_W: vec3):
@@ -179,8 +179,8 @@ def accelerations(real: type) -> wp.Function:
         mass = wp.float64(model.body_mass[env, body])
         force = wide(force_W) + mass * wide(model.gravity[env, 0])
         torque = wide(torque_W)
-        inertia_B = wide_matrix(model.body_inertia[env, body])
-        q = wide_quat(state.body_orientation[env, body])
+        inertia_B = matrix_to_float64(model.body_inertia[env, body])
+        q = quat_to_float64(state.body_orientation[env, body])
         w = wide(state.body_angular_velocity[env, body])
         linear = wp.vec3d()
         angular = wp.vec3d()
@@ -200,9 +200,9 @@ def accelerations(real: type) -> wp.Function:
             linear = wp.cross(angular, arm) + wp.cross(w, wp.cross(w, arm))
         elif kind == BALL:
             arm = arm_of(motion, q)
-            whole_B = inertia_at(inertia_B, mass, wp.quat_rotate_inv(q, arm))
-            moment = torque + wp.cross(arm, force) - wp.cross(w, momentum_of(whole_B, q, w))
-            angular = spin_of(wp.inverse(whole_B), q, moment)
+            anchor_inertia_B = inertia_at(inertia_B, mass, wp.quat_rotate_inv(q, arm))
+            moment = torque + wp.cross(arm, force) - wp.cross(w, momentum_of(anchor_inertia_B, q, w))
+            angular = spin_of(wp.inverse(anchor_inertia_B), q, moment)
             linear = wp.cross(angular, arm) + wp.cross(w, wp.cross(w, arm))
         return linear, angular, arm
 

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, NamedTuple
 import warp as wp
 from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.kernels.names import stored_name
-from warpcontact.kernels.outcomes.source import EACH, FOLDS, MOST
+from warpcontact.kernels.outcomes.source import EACH, ITEM_REDUCTIONS, MAX_SOURCES
 
 #: What may be taken of a sensor that is a vector, and which of its numbers that is.
 COMPONENTS = {"x": 0, "y": 1, "z": 2, "w": 3, "norm": None}
@@ -20,7 +20,7 @@ class Source(NamedTuple):
     Attributes:
         name: Its name.
         component: One of ``COMPONENTS``; ``None``: all of it.
-        items: What becomes of the items of a set, one of ``FOLDS``.
+        items: What becomes of the items of a set, one of ``ITEM_REDUCTIONS``.
     """
 
     name: str
@@ -35,7 +35,9 @@ class Condition(NamedTuple):
     sign: float
 
 
-def source_of(owner: str, of: object, component: object, items: object, folds: Sequence[str] = FOLDS) -> Source:
+def source_of(
+    owner: str, of: object, component: object, items: object, folds: Sequence[str] = ITEM_REDUCTIONS
+) -> Source:
     """Checks what a user says of a source.
 
     Raises:
@@ -148,7 +150,7 @@ class Outcome:
         else:
             self.condition = Condition(0.0, 1.0)
 
-    def check(self, hard: frozenset[str]) -> None:
+    def check(self, nonsmooth: frozenset[str]) -> None:
         """Checks that it can be had of a scene, given the names of the contacts that are hard.
 
         Raises:
@@ -188,8 +190,10 @@ class OfContact(Outcome, abstract=True):
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
-        if not 1 <= len(cls.quantities) <= MOST:
-            raise TypeError(f"{cls.__name__}.quantities must be 1 to {MOST} sensors, got {len(cls.quantities)}")
+        if not 1 <= len(cls.quantities) <= MAX_SOURCES:
+            raise TypeError(
+                f"{cls.__name__}.quantities must be 1 to {MAX_SOURCES} sensors, got {len(cls.quantities)}"
+            )
 
     # No items: sums of products are not products of sums.
     def __init__(self, contact: str) -> None:

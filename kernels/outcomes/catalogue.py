@@ -296,9 +296,9 @@ class Restitution(OfContact):
             return -m[2] / m[1]
         return wp.float64(wp.nan)
 
-    def check(self, hard: frozenset[str]) -> None:
+    def check(self, nonsmooth: frozenset[str]) -> None:
         """Refuses nonsmooth contacts, which are no time in contact."""
-        if self.contact in hard:
+        if self.contact in nonsmooth:
             raise ValueError(
                 f"Restitution: {self.contact!r} is a nonsmooth contact, which ends within a step; that of its impacts "
                 f"is {self.contact}.law.restitution"
@@ -338,9 +338,9 @@ class Work(OfContact):
     def result(m: Any, time: Any):
         return m[0]
 
-    def check(self, hard: frozenset[str]) -> None:
+    def check(self, nonsmooth: frozenset[str]) -> None:
         """Refuses nonsmooth contacts, which keep an account of their own."""
-        if self.contact in hard:
+        if self.contact in nonsmooth:
             raise ValueError(
                 f"Work: {self.contact!r} is a nonsmooth contact; what those took is Final('scene.impact_dissipation') and "
                 "Final('scene.friction_dissipation')"

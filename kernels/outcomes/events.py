@@ -3,8 +3,8 @@
 import functools
 
 import warp as wp
-from warpcontact.kernels.outcomes.source import Form, value
-from warpcontact.kernels.types import ENV_ACTIVE, Work, first_env, task_count
+from warpcontact.kernels.outcomes.source import SourceForm, value
+from warpcontact.kernels.types import ENV_ACTIVE, LaunchRange, first_env, task_count
 from warpcontact.kernels.unique import unique_kernel
 
 
@@ -21,30 +21,30 @@ class Events:
 
 
 @functools.cache
-def kernel(form: Form) -> wp.Kernel:
+def kernel(form: SourceForm) -> wp.Kernel:
     """Returns the kernel that looks at the items of a contact, which touch where its source is above 0.
 
     Items: one, so that events are in one order.
     """
-    seen = value(form)
+    source_value = value(form)
     dtype = form.dtype
 
     @unique_kernel()
     def write_events(
-        work: Work,
+        launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         time: wp.array(dtype=wp.float64),  # [env] before the step [s]
         first: wp.int32,  # place of the first item
         a: wp.array3d(dtype=dtype),
         events: Events,
     ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = first_env(launch) + task
             if status[env] != ENV_ACTIVE:
                 continue
             for item in range(a.shape[1]):
                 place = first + item
-                touches = wp.where(seen(a, env, item, 0) > wp.float64(0.0), 1, 0)
+                touches = wp.where(source_value(a, env, item, 0) > wp.float64(0.0), 1, 0)
                 if touches != events.touching[env, place]:
                     events.touching[env, place] = touches
                     count = events.count[env]
@@ -61,11 +61,11 @@ def restart() -> wp.Kernel:
     """Returns the kernel that forgets events. Launch with dim env."""
 
     @unique_kernel()
-    def forget_events(mask: wp.array(dtype=wp.bool), events: Events):
+    def reset_events(mask: wp.array(dtype=wp.bool), events: Events):
         env = wp.tid()
         if mask[env]:
             events.count[env] = 0
             for place in range(events.touching.shape[1]):
                 events.touching[env, place] = 0
 
-    return forget_events
+    return reset_events

@@ -3,13 +3,21 @@
 import functools
 
 import warp as wp
-from warpcontact.kernels.outcomes.source import Form, array_types, values
-from warpcontact.kernels.types import ENV_ACTIVE, ENV_FROZEN, Work, env_of, first_env, item_of, task_count
+from warpcontact.kernels.outcomes.source import SourceForm, array_types, values
+from warpcontact.kernels.types import (
+    ENV_ACTIVE,
+    ENV_FROZEN,
+    LaunchRange,
+    first_env,
+    task_count,
+    task_env,
+    task_item,
+)
 from warpcontact.kernels.unique import unique_kernel
 
 
 @wp.struct
-class Sight:
+class SourceView:
     """How an outcome looks at its first source: ``sign`` (x − ``limit``), above 0 where its condition holds."""
 
     limit: wp.float64
@@ -18,15 +26,15 @@ class Sight:
 
 
 @functools.cache
-def _seen(forms: tuple[Form, ...], single: bool) -> wp.Function:
-    """Returns the device function that gives what an outcome sees through its ``Sight``; see ``observe``."""
+def _source_value(forms: tuple[SourceForm, ...], single: bool) -> wp.Function:
+    """Returns the device function that evaluates the source of an outcome; see ``accumulate``."""
     see = values(forms)
     type_0, type_1, type_2, type_3 = array_types(forms)
-    alone = len(forms) == 1
+    single_source = len(forms) == 1
 
     @wp.func
-    def seen(
-        sight: Sight,
+    def source_value(
+        view: SourceView,
         a: wp.array3d(dtype=type_0),
         b: wp.array3d(dtype=type_1),
         c: wp.array3d(dtype=type_2),
@@ -37,18 +45,18 @@ def _seen(forms: tuple[Form, ...], single: bool) -> wp.Function:
         item = wp.int32(0)
         component = wp.int32(0)
         if wp.static(not single):
-            item = result // sight.components
-            component = result % sight.components
+            item = result // view.components
+            component = result % view.components
         x = see(a, b, c, d, env, item, component)
-        if wp.static(alone):
-            x = sight.sign * (x - sight.limit)
+        if wp.static(single_source):
+            x = view.sign * (x - view.limit)
         return x
 
-    return seen
+    return source_value
 
 
 @functools.cache
-def observe(update: wp.Function, length: int, forms: tuple[Form, ...], single: bool) -> wp.Kernel:
+def accumulate(update: wp.Function, length: int, forms: tuple[SourceForm, ...], single: bool) -> wp.Kernel:
     """Returns the kernel that shows an outcome the state that a step begins from; items: results.
 
     Args:
@@ -58,53 +66,53 @@ def observe(update: wp.Function, length: int, forms: tuple[Form, ...], single: b
         single: Whether an environment has one result: to divide takes longer than all the rest.
     """
     Memory = wp.types.vector(length=length, dtype=wp.float64)
-    seen = _seen(forms, single)
+    source_value = _source_value(forms, single)
     type_0, type_1, type_2, type_3 = array_types(forms)
 
     @unique_kernel()
-    def observe(
-        work: Work,
+    def accumulate(
+        launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         time: wp.array(dtype=wp.float64),  # [env] before the step [s]
         step: wp.array2d(dtype=wp.float64),  # [env, 0] [s]
-        sight: Sight,
+        view: SourceView,
         a: wp.array3d(dtype=type_0),
         b: wp.array3d(dtype=type_1),
         c: wp.array3d(dtype=type_2),
         d: wp.array3d(dtype=type_3),
         memory: wp.array2d(dtype=Memory),  # [env, result]
     ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = first_env(launch) + task
             number = wp.int32(0)
             if wp.static(not single):
-                env = env_of(work, task)
-                number = item_of(work, task)
+                env = task_env(launch, task)
+                number = task_item(launch, task)
             if status[env] != ENV_ACTIVE:
                 continue
-            x = seen(sight, a, b, c, d, env, number)
+            x = source_value(view, a, b, c, d, env, number)
             memory[env, number] = update(memory[env, number], x, time[env], step[env, 0])
 
-    return observe
+    return accumulate
 
 
 @functools.cache
-def report(update: wp.Function, result: wp.Function, length: int, forms: tuple[Form, ...]) -> wp.Kernel:
+def report(update: wp.Function, result: wp.Function, length: int, forms: tuple[SourceForm, ...]) -> wp.Kernel:
     """Returns the kernel that tells the results at the current state; items: results.
 
     That state is seen over no time, and nothing of it is kept. Where an environment was frozen it led to a step
     that has failed, and is only seen if it is finite.
     """
     Memory = wp.types.vector(length=length, dtype=wp.float64)
-    seen = _seen(forms, False)
+    source_value = _source_value(forms, False)
     type_0, type_1, type_2, type_3 = array_types(forms)
 
     @unique_kernel()
     def report(
-        work: Work,
+        launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         time: wp.array(dtype=wp.float64),
-        sight: Sight,
+        view: SourceView,
         a: wp.array3d(dtype=type_0),
         b: wp.array3d(dtype=type_1),
         c: wp.array3d(dtype=type_2),
@@ -112,10 +120,10 @@ def report(update: wp.Function, result: wp.Function, length: int, forms: tuple[F
         memory: wp.array2d(dtype=Memory),
         results: wp.array2d(dtype=wp.float64),  # [env, result]
     ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            number = item_of(work, task)
-            x = seen(sight, a, b, c, d, env, number)
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            number = task_item(launch, task)
+            x = source_value(view, a, b, c, d, env, number)
             m = memory[env, number]
             if status[env] != ENV_FROZEN or wp.isfinite(x):
                 m = update(m, x, time[env], wp.float64(0.0))
@@ -139,13 +147,13 @@ def restart(length: int) -> wp.Kernel:
 
 
 @functools.cache
-def forget_count() -> wp.Kernel:
+def reset_counts() -> wp.Kernel:
     """Returns the kernel that sets counts to 0. Launch with dim env."""
 
     @unique_kernel()
-    def forget(mask: wp.array(dtype=wp.bool), counts: wp.array(dtype=wp.int32)):
+    def reset(mask: wp.array(dtype=wp.bool), counts: wp.array(dtype=wp.int32)):
         env = wp.tid()
         if mask[env]:
             counts[env] = 0
 
-    return forget
+    return reset

@@ -7,18 +7,18 @@ import warp as wp
 
 #: What becomes of the items of a set.
 EACH, SUM, LARGEST, SMALLEST = "each", "sum", "max", "min"
-FOLDS = (EACH, SUM, LARGEST, SMALLEST)
+ITEM_REDUCTIONS = (EACH, SUM, LARGEST, SMALLEST)
 #: Most sources of an outcome.
-MOST = 4
+MAX_SOURCES = 4
 
 
-class Form(NamedTuple):
+class SourceForm(NamedTuple):
     """How numbers of a source become one.
 
     Attributes:
         dtype: Of the array, a scalar.
         norm: Whether it is the length of the vector.
-        items: One of ``FOLDS``.
+        items: One of ``ITEM_REDUCTIONS``.
     """
 
     dtype: type
@@ -27,13 +27,13 @@ class Form(NamedTuple):
 
 
 @functools.cache
-def value(form: Form) -> wp.Function:
+def value(form: SourceForm) -> wp.Function:
     """Returns the device function ``(array, env, item, component)`` of a source."""
     dtype, norm = form.dtype, form.norm
-    folds, adds, highest = form.items != EACH, form.items == SUM, form.items == LARGEST
+    reduces_items, sums, highest = form.items != EACH, form.items == SUM, form.items == LARGEST
 
     @wp.func
-    def one(array: wp.array3d(dtype=dtype), env: int, item: int, component: int):
+    def component_value(array: wp.array3d(dtype=dtype), env: int, item: int, component: int):
         if wp.static(norm):
             total = wp.float64(0.0)
             for other in range(array.shape[2]):
@@ -44,33 +44,33 @@ def value(form: Form) -> wp.Function:
 
     @wp.func
     def value(array: wp.array3d(dtype=dtype), env: int, item: int, component: int):
-        if wp.static(folds):
-            result = one(array, env, 0, component)
+        if wp.static(reduces_items):
+            result = component_value(array, env, 0, component)
             for other in range(1, array.shape[1]):
-                x = one(array, env, other, component)
-                if wp.static(adds):
+                x = component_value(array, env, other, component)
+                if wp.static(sums):
                     result += x
                 elif wp.static(highest):
                     result = wp.where(x > result, x, result)
                 else:
                     result = wp.where(x < result, x, result)
             return result
-        return one(array, env, item, component)
+        return component_value(array, env, item, component)
 
     return value
 
 
 @functools.cache
-def values(forms: tuple[Form, ...]) -> wp.Function:
+def values(forms: tuple[SourceForm, ...]) -> wp.Function:
     """Returns the device function of four arrays that gives what an outcome sees, a number or a vector of them.
 
     Of fewer sources the arrays of the others are not looked at.
     """
     of = [value(form) for form in forms]
     count = len(forms)
-    of += of[:1] * (MOST - count)
+    of += of[:1] * (MAX_SOURCES - count)
     value_0, value_1, value_2, value_3 = of
-    types = [form.dtype for form in forms] + [forms[0].dtype] * (MOST - count)
+    types = [form.dtype for form in forms] + [forms[0].dtype] * (MAX_SOURCES - count)
     type_0, type_1, type_2, type_3 = types
     Vector = wp.types.vector(length=max(2, count), dtype=wp.float64)
 
@@ -108,6 +108,6 @@ def values(forms: tuple[Form, ...]) -> wp.Function:
     return number if count == 1 else vector
 
 
-def array_types(forms: tuple[Form, ...]) -> list[type]:
+def array_types(forms: tuple[SourceForm, ...]) -> list[type]:
     """Returns the scalar types of the four arrays."""
-    return [form.dtype for form in forms] + [forms[0].dtype] * (MOST - len(forms))
+    return [form.dtype for form in forms] + [forms[0].dtype] * (MAX_SOURCES - len(forms))

@@ -13,43 +13,43 @@ import warp as wp
 from warpcontact.kernels.types import structs
 
 # Bits of a record: touches in the state that forces were computed of; did so in the last accepted step.
-TOUCHES = 1
-TOUCHED = 2
+IN_CONTACT = 1
+WAS_IN_CONTACT = 2
 
 #: Partner or slot that there is none of.
-NONE = -1
+NO_INDEX = -1
 #: Partners that are looked at before anything is done about them: threads of a GPU wait for all at once. The bits
 #: of a number.
-AT_ONCE = 32
+BATCH_SIZE = 32
 
 
-class Form(NamedTuple):
+class ParticleTraits(NamedTuple):
     """What kernels of a pile are compiled for.
 
     Attributes:
-        placed: Whether any shape has its middle elsewhere than at the centre of mass of its body.
-        long: Whether any shape is a capsule.
-        fixed: Whether the lists are those of all pairs, the same in all environments.
+        has_offsets: Whether any shape has its middle elsewhere than at the centre of mass of its body.
+        has_capsules: Whether any shape is a capsule.
+        all_pairs: Whether the lists are those of all pairs, the same in all environments.
     """
 
-    placed: bool
-    long: bool
-    fixed: bool
+    has_offsets: bool
+    has_capsules: bool
+    all_pairs: bool
 
 
 @wp.func
-def owns(one: int, other: int):
-    """Whether shape ``one`` owns its pair with ``other``: the lower number of every second pair."""
-    return (((one + other) & 1) == 1) == (one < other)
+def owns_pair(particle: int, other_particle: int):
+    """Whether shape ``particle`` owns its pair with ``other_particle``: the lower number of every second pair."""
+    return (((particle + other_particle) & 1) == 1) == (particle < other_particle)
 
 
 @functools.cache
-def pile_structs(real: type) -> SimpleNamespace:
+def particle_structs(real: type) -> SimpleNamespace:
     """Returns the structs of a pile for ``real``."""
     vec3 = structs(real).vec3
 
     @wp.struct
-    class Settings:
+    class ParticleContactSettings:
         kappa: real  # contact point K = S + kappa (D − S) [-]
         max_depth: real  # deepest penetration that still counts as contact [m]
         torsion_radius: real  # arm at which torsion acts [m]; < 0: that of the overlap
@@ -60,32 +60,32 @@ def pile_structs(real: type) -> SimpleNamespace:
         enabled: wp.int32  # 0 or 1
 
     @wp.struct
-    class Shapes:
-        body: wp.array(dtype=wp.int32)  # [shape] that it is fixed to
-        kind: wp.array(dtype=wp.int32)  # [shape] row of ``allowed``
+    class Particles:
+        body: wp.array(dtype=wp.int32)  # [particle] that it is fixed to
+        kind: wp.array(dtype=wp.int32)  # [particle] row of ``allowed``
         allowed: wp.array2d(dtype=wp.int32)  # [kind, kind] whether they touch
-        offset: wp.array2d(dtype=vec3)  # [env, shape] its middle, B [m]
-        axis: wp.array2d(dtype=vec3)  # [env, shape] from there to the middle of an end, B [m]; 0: a sphere
-        radius: wp.array2d(dtype=real)  # [env, shape] [m]
-        settings: wp.array2d(dtype=Settings)  # [env, 0]
+        offset: wp.array2d(dtype=vec3)  # [env, particle] its middle, B [m]
+        axis: wp.array2d(dtype=vec3)  # [env, particle] from there to the middle of an end, B [m]; 0: a sphere
+        radius: wp.array2d(dtype=real)  # [env, particle] [m]
+        settings: wp.array2d(dtype=ParticleContactSettings)  # [env, 0]
         entry_start: wp.array(dtype=wp.int32)  # [shape + 1] first entry of its list
         slot_start: wp.array(dtype=wp.int32)  # [shape + 1] first of the records that it owns
-        of_body: wp.array(dtype=wp.int32)  # [body] its shape, if no body has several; NONE: none
-        carrier_body: wp.array(dtype=wp.int32)  # [carrier] bodies that have a shape
-        carrier_start: wp.array(dtype=wp.int32)  # [carrier + 1] first of its shapes in the list
-        carrier_shape: wp.array(dtype=wp.int32)  # shapes by body
+        particle_of_body: wp.array(dtype=wp.int32)  # [body] its shape, if no body has several; NONE: none
+        owner_body: wp.array(dtype=wp.int32)  # [carrier] bodies that have a shape
+        owner_start: wp.array(dtype=wp.int32)  # [carrier + 1] first of its shapes in the list
+        owner_particle: wp.array(dtype=wp.int32)  # shapes by body
 
     @wp.struct
-    class Lists:
+    class NeighborLists:
         """A cache: it changes no result. What a shape owns comes first, both parts in the order of partners."""
 
-        owned: wp.array2d(dtype=wp.int32)  # [env, shape] how many partners it owns
-        count: wp.array2d(dtype=wp.int32)  # [env, shape] how many it has
-        partner: wp.array2d(dtype=wp.int32)  # [env, entry]
+        owned: wp.array2d(dtype=wp.int32)  # [env, particle] how many partners it owns
+        count: wp.array2d(dtype=wp.int32)  # [env, particle] how many it has
+        neighbor: wp.array2d(dtype=wp.int32)  # [env, entry]
         slot: wp.array2d(dtype=wp.int32)  # [env, entry] record of the pair; NONE: it did not fit
 
     @wp.struct
-    class Touches:
+    class PairRecords:
         """Records of pairs; of those that do not touch only the bits tell anything.
 
         First what every step reads and writes: a GPU fetches and keeps 32 bytes at once.
@@ -99,41 +99,47 @@ def pile_structs(real: type) -> SimpleNamespace:
         normal_force: wp.array2d(dtype=real)  # [env, slot] [N]
         normal: wp.array2d(dtype=vec3)  # [env, slot] out of the second, towards the first, W
         arm: wp.array2d(dtype=vec3)  # [env, slot] to K from the centre of mass of the first, W [m]
-        bits: wp.array2d(dtype=wp.int32)  # [env, slot] TOUCHES, TOUCHED
-        busy: wp.array2d(dtype=wp.int32)  # [env, shape] whether any bits are set of what it owns
+        flags: wp.array2d(dtype=wp.int32)  # [env, slot] TOUCHES, TOUCHED
+        particle_flags: wp.array2d(dtype=wp.int32)  # [env, particle] whether any bits are set of what it owns
 
     @wp.struct
-    class Grid:
+    class CellList:
         """What lists are made with."""
 
         stale: wp.array(dtype=wp.int32)  # [env] whether they are to be made anew
-        known: wp.array(dtype=wp.int32)  # [env] whether there are any
-        made: wp.array(dtype=wp.int32)  # [env] how often they were made since reset
-        missing: wp.array(dtype=wp.int32)  # [env] by how many entries a list was too short, at most
-        base: wp.array2d(dtype=vec3)  # [env, shape] where it was when they were made, in two parts, W [m]
-        rest: wp.array2d(dtype=vec3)  # [env, shape]
-        axis: wp.array2d(dtype=vec3)  # [env, shape] likewise, W [m]
-        cell: wp.array2d(dtype=wp.vec3i)  # [env, shape] that it was in
+        valid: wp.array(dtype=wp.int32)  # [env] whether there are any
+        build_count: wp.array(dtype=wp.int32)  # [env] how often they were made since reset
+        overflow: wp.array(dtype=wp.int32)  # [env] by how many entries a list was too short, at most
+        origin: wp.array2d(dtype=vec3)  # [env, particle] where it was when they were made, in two parts, W [m]
+        offset_from_origin: wp.array2d(dtype=vec3)  # [env, particle]
+        axis: wp.array2d(dtype=vec3)  # [env, particle] likewise, W [m]
+        cell: wp.array2d(dtype=wp.vec3i)  # [env, particle] that it was in
         head: wp.array2d(dtype=wp.int32)  # [env, bucket] a shape in it
-        link: wp.array2d(dtype=wp.int32)  # [env, shape] another in the same bucket
+        link: wp.array2d(dtype=wp.int32)  # [env, particle] another in the same bucket
         key: wp.array2d(dtype=wp.int32)  # [env, entry] partner, more by the number of shapes if not owned
-        keys: wp.array2d(dtype=wp.int32)  # [env, shape] how many
+        key_count: wp.array2d(dtype=wp.int32)  # [env, particle] how many
 
-    return SimpleNamespace(Settings=Settings, Shapes=Shapes, Lists=Lists, Touches=Touches, Grid=Grid)
+    return SimpleNamespace(
+        ParticleContactSettings=ParticleContactSettings,
+        Particles=Particles,
+        NeighborLists=NeighborLists,
+        PairRecords=PairRecords,
+        CellList=CellList,
+    )
 
 
 @functools.cache
-def marked(real: type) -> wp.Function:
+def records_with_flags(real: type) -> wp.Function:
     """Returns the device function that finds the records that have any of some bits set, among a few."""
-    Touches = pile_structs(real).Touches
+    PairRecords = particle_structs(real).PairRecords
 
     @wp.func
-    def marked(touches: Touches, env: int, first: int, count: int, wanted: int):
-        """Those of ``count`` records from ``first`` on, at most ``AT_ONCE``, as bits by their places."""
-        those = wp.int32(0)
+    def records_with_flags(pair_records: PairRecords, env: int, first: int, count: int, mask: int):
+        """Those of ``count`` records from ``first`` on, at most ``BATCH_SIZE``, as bits by their places."""
+        selected = wp.int32(0)
         for k in range(count):
-            if (touches.bits[env, first + k] & wanted) != 0:
-                those = those | (1 << k)
-        return those
+            if (pair_records.flags[env, first + k] & mask) != 0:
+                selected = selected | (1 << k)
+        return selected
 
-    return marked
+    return records_with_flags

@@ -10,14 +10,22 @@ import warp as wp
 from warpcontact.kernels import touch
 from warpcontact.kernels.memory import memory_struct
 from warpcontact.kernels.piles import meeting
-from warpcontact.kernels.piles.base import NONE, TOUCHED, TOUCHES, Form, pile_structs
-from warpcontact.kernels.touch import Parts, group_structs, touch_structs
-from warpcontact.kernels.types import ENV_ACTIVE, Work, env_of, item_of, natural, structs, task_count
+from warpcontact.kernels.piles.base import IN_CONTACT, NO_INDEX, WAS_IN_CONTACT, ParticleTraits, particle_structs
+from warpcontact.kernels.touch import ContactModel, group_structs, kinematics_structs
+from warpcontact.kernels.types import (
+    ENV_ACTIVE,
+    LaunchRange,
+    assume_nonnegative,
+    structs,
+    task_count,
+    task_env,
+    task_item,
+)
 from warpcontact.kernels.unique import unique_kernel
 
 
 @functools.cache
-def _start_memory(parts: Parts, real: type) -> wp.Function:
+def _start_memory(parts: ContactModel, real: type) -> wp.Function:
     """Returns the function ``(memory, env, slot, dt)`` that empties the memory of a pair that did not touch."""
     _, Memory = group_structs(parts, real)
     law, friction, rolling, torsion = (bool(part.memories) for part in parts)
@@ -47,44 +55,67 @@ def _start_memory(parts: Parts, real: type) -> wp.Function:
 
 
 @functools.cache
-def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool, hard: bool = False) -> wp.Kernel:
+def kernel(
+    parts: ContactModel,
+    traits: ParticleTraits,
+    real: type,
+    moves: bool,
+    single_thread: bool,
+    nonsmooth: bool = False,
+) -> wp.Kernel:
     """Returns the kernel of the touches that a shape owns; items: shapes.
 
     Args:
         parts: The classes of law and friction models.
-        form: What is in the pile.
+        traits: What is in the pile.
         real: Precision.
         moves: Whether bodies that are not free oppose to a force what their motions let them.
-        alone: Whether one thread has all shapes of an environment, one after the other. It adds what touches do to
+        single_thread: Whether one thread has all shapes of an environment in turn. It adds what touches do to
             the wrenches; else ``add`` does.
-        hard: Whether touches have no force, and are only told where they are. So are those of the last step that
+        nonsmooth: Whether touches have no force, and are only located. So are those of the last step that
             have come apart: what pressed in it is shown.
     """
     t = structs(real)
     vec3, quat, Model, State, Wrenches = t.vec3, t.quat, t.Model, t.State, t.Wrenches
-    p = pile_structs(real)
-    Shapes, Lists, Touches, Grid, Settings = p.Shapes, p.Lists, p.Touches, p.Grid, p.Settings
+    particle_types = particle_structs(real)
+    Particles, NeighborLists, PairRecords, CellList, ParticleContactSettings = (
+        particle_types.Particles,
+        particle_types.NeighborLists,
+        particle_types.PairRecords,
+        particle_types.CellList,
+        particle_types.ParticleContactSettings,
+    )
     Coefficients, Memory = group_structs(parts, real)
-    Place = touch_structs(real).Place
-    act = touch.functions(parts, real, moves).act
+    ContactKinematics = kinematics_structs(real).ContactKinematics
+    evaluate_contact = touch.functions(parts, real, moves).evaluate_contact
     start_memory = _start_memory(parts, real)
-    found = meeting.functions(form, real)
-    Spot, Pair, spot, nearest = found.Spot, found.Pair, found.spot, found.nearest
-    placed, long, fixed, oriented = form.placed, form.long, form.fixed, parts.oriented
-    curvatures, needs_curvature = found.curvatures, parts.law.needs_curvature
+    geometry = meeting.functions(traits, real)
+    AxisPoint, ClosestApproach, axis_point, closest_approach = (
+        geometry.AxisPoint,
+        geometry.ClosestApproach,
+        geometry.axis_point,
+        geometry.closest_approach,
+    )
+    has_offsets, has_capsules, all_pairs, oriented = (
+        traits.has_offsets,
+        traits.has_capsules,
+        traits.all_pairs,
+        parts.needs_surface_axes,
+    )
+    curvatures, needs_curvature = geometry.curvatures, parts.law.needs_curvature
     remembers = any(part.memories for part in parts)
 
     @wp.func
-    def place_of(
+    def kinematics_of(
         state: State,
-        shapes: Shapes,
-        settings: Settings,
+        particles: Particles,
+        settings: ParticleContactSettings,
         env: int,
         first: int,
         second: int,
-        spot_1: Spot,
-        spot_2: Spot,
-        pair: Pair,
+        axis_point_1: AxisPoint,
+        axis_point_2: AxisPoint,
+        pair: ClosestApproach,
         distance: real,
         radius_1: real,
         radius_2: real,
@@ -92,207 +123,211 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool, hard:
         """Where two shapes touch."""
         n_W = vec3(real(0.0), real(0.0), real(1.0))
         if distance > real(0.0):
-            n_W = (real(1.0) / distance) * pair.apart
+            n_W = (real(1.0) / distance) * pair.separation
         gap = distance - radius_1 - radius_2
-        place = Place()
-        place.body_1 = natural(shapes.body[first])
-        place.body_2 = natural(shapes.body[second])
+        kinematics = ContactKinematics()
+        kinematics.body_1 = assume_nonnegative(particles.body[first])
+        kinematics.body_2 = assume_nonnegative(particles.body[second])
         # S on the second, D on the first; K between them.
-        place.arm_1 = (-(radius_1 + (real(1.0) - settings.kappa) * gap)) * n_W
-        place.arm_2 = (radius_2 + settings.kappa * gap) * n_W
-        if wp.static(placed):
-            place.arm_1 += spot_1.rest - state.body_position_remainder[env, place.body_1]
-            place.arm_2 += spot_2.rest - state.body_position_remainder[env, place.body_2]
-        if wp.static(long):
-            place.arm_1 += pair.s * spot_1.axis
-            place.arm_2 += pair.t * spot_2.axis
-        place.normal = n_W
-        place.penetration = -gap
-        place.radius = radius_1 * radius_2 / (radius_1 + radius_2)
+        kinematics.arm_1 = (-(radius_1 + (real(1.0) - settings.kappa) * gap)) * n_W
+        kinematics.arm_2 = (radius_2 + settings.kappa * gap) * n_W
+        if wp.static(has_offsets):
+            kinematics.arm_1 += axis_point_1.offset - state.body_position_remainder[env, kinematics.body_1]
+            kinematics.arm_2 += axis_point_2.offset - state.body_position_remainder[env, kinematics.body_2]
+        if wp.static(has_capsules):
+            kinematics.arm_1 += pair.s * axis_point_1.axis
+            kinematics.arm_2 += pair.t * axis_point_2.axis
+        kinematics.normal = n_W
+        kinematics.penetration = -gap
+        kinematics.radius = radius_1 * radius_2 / (radius_1 + radius_2)
         if wp.static(needs_curvature):
-            smaller, larger = curvatures(pair, spot_1, spot_2, radius_1, radius_2)
-            place.curvature_1 = smaller
-            place.curvature_2 = larger
-        return place
+            smaller, larger = curvatures(pair, axis_point_1, axis_point_2, radius_1, radius_2)
+            kinematics.curvature_1 = smaller
+            kinematics.curvature_2 = larger
+        return kinematics
 
     @wp.func
-    def note(place: Place, touches: Touches, env: int, slot: int):
+    def record_geometry(kinematics: ContactKinematics, pair_records: PairRecords, env: int, slot: int):
         """Writes where two shapes touch into the record of the pair."""
-        touches.gap[env, slot] = -place.penetration
-        touches.normal[env, slot] = place.normal
-        touches.arm[env, slot] = place.arm_1
+        pair_records.gap[env, slot] = -kinematics.penetration
+        pair_records.normal[env, slot] = kinematics.normal
+        pair_records.arm[env, slot] = kinematics.arm_1
 
     @wp.func
-    def touch_of(
+    def evaluate_pair(
         model: Model,
         state: State,
-        place: Place,
-        settings: Settings,
-        touches: Touches,
+        kinematics: ContactKinematics,
+        settings: ParticleContactSettings,
+        pair_records: PairRecords,
         coefficients: Coefficients,
-        remembered: Memory,
-        kept: Memory,
+        history_in: Memory,
+        history_out: Memory,
         dt: real,
         env: int,
         slot: int,
-        bits: int,
-        told: bool,
+        flags: int,
+        write_outputs: bool,
         wrenches: Wrenches,
     ):
-        """Computes what a touch does, into its record as far as it is to be ``told`` or added up."""
+        """Computes what a touch does, into its record as far as it is to be ``write_outputs`` or added up."""
         entry_speed = real(-1.0)
-        if (bits & TOUCHED) != 0:
-            entry_speed = touches.entry_speed[env, slot]
+        if (flags & WAS_IN_CONTACT) != 0:
+            entry_speed = pair_records.entry_speed[env, slot]
         else:
             if wp.static(remembers):
                 # Not of the history: nothing is known of a pair that did not touch, whether it was listed or not.
-                start_memory(remembered, env, slot, dt)
+                start_memory(history_in, env, slot, dt)
         q_WS = quat()
         if wp.static(oriented):
-            q_WS = state.body_orientation[env, place.body_2]
-        acts = act(
-            model, state, env, place, entry_speed, dt, coefficients, remembered, kept, slot,
+            q_WS = state.body_orientation[env, kinematics.body_2]
+        result = evaluate_contact(
+            model, state, env, kinematics, entry_speed, dt, coefficients, history_in, history_out, slot,
             settings.torsion_radius, q_WS,
         )  # fmt: skip
-        normal_force = settings.force_scale * acts.normal_force
-        force = normal_force * place.normal + settings.force_scale * acts.friction_force
-        torque = settings.force_scale * acts.torque
-        touches.approach_speed[env, slot] = acts.approach_speed
-        if told:
-            touches.normal_force[env, slot] = normal_force
-            note(place, touches, env, slot)
-        if told or wp.static(not alone):
-            touches.force[env, slot] = force
-        torque_1 = wp.cross(place.arm_1, force) + torque
-        if wp.static(alone):
-            one = natural(place.body_1)
-            other = natural(place.body_2)
-            wrenches.force[env, one] = wrenches.force[env, one] + force
-            wrenches.torque[env, one] = wrenches.torque[env, one] + torque_1
-            wrenches.force[env, other] = wrenches.force[env, other] - force
-            torque_2 = wp.cross(place.arm_2, force) + torque
-            wrenches.torque[env, other] = wrenches.torque[env, other] - torque_2
+        normal_force = settings.force_scale * result.normal_force
+        force = normal_force * kinematics.normal + settings.force_scale * result.friction_force
+        torque = settings.force_scale * result.torque
+        pair_records.approach_speed[env, slot] = result.approach_speed
+        if write_outputs:
+            pair_records.normal_force[env, slot] = normal_force
+            record_geometry(kinematics, pair_records, env, slot)
+        if write_outputs or wp.static(not single_thread):
+            pair_records.force[env, slot] = force
+        torque_1 = wp.cross(kinematics.arm_1, force) + torque
+        if wp.static(single_thread):
+            body_1 = assume_nonnegative(kinematics.body_1)
+            body_2 = assume_nonnegative(kinematics.body_2)
+            wrenches.force[env, body_1] = wrenches.force[env, body_1] + force
+            wrenches.torque[env, body_1] = wrenches.torque[env, body_1] + torque_1
+            wrenches.force[env, body_2] = wrenches.force[env, body_2] - force
+            torque_2 = wp.cross(kinematics.arm_2, force) + torque
+            wrenches.torque[env, body_2] = wrenches.torque[env, body_2] - torque_2
         else:
             # Of the other that follows from it.
-            touches.torque[env, slot] = torque_1
+            pair_records.torque[env, slot] = torque_1
 
     @unique_kernel()
-    def pile_force(
-        work: Work,
+    def particle_forces(
+        launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         model: Model,
         state: State,
-        shapes: Shapes,
-        lists: Lists,
-        grid: Grid,
-        remembered: Memory,
+        particles: Particles,
+        neighbor_lists: NeighborLists,
+        cell_list: CellList,
+        history_in: Memory,
         step: wp.array2d(dtype=real),  # [env, 0] what the force acts over [s]; 0: the force of this instant
         coefficients: Coefficients,
-        touches: Touches,
-        kept: Memory,
-        told: wp.bool,  # whether anyone may ask where pairs touch, and what each of them does
+        pair_records: PairRecords,
+        history_out: Memory,
+        write_outputs: wp.bool,  # whether anyone may ask where pairs touch, and what each of them does
         wrenches: Wrenches,
     ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            shape = item_of(work, task)
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            particle = task_item(launch, task)
             if status[env] != ENV_ACTIVE:
                 continue
-            if wp.static(not fixed):  # noqa: SIM102  Warp would look at both sides
-                if shape == 0:
-                    grid.stale[env] = 0
-                    grid.known[env] = 1
-            owned = lists.owned[env, shape]
+            if wp.static(not all_pairs):
+                if particle == 0:
+                    cell_list.stale[env] = 0
+                    cell_list.valid[env] = 1
+            owned = neighbor_lists.owned[env, particle]
             if owned == 0:
                 continue
-            own = spot(shapes, state, env, shape)
-            radius = shapes.radius[env, shape]
-            settings = shapes.settings[env, 0]
-            entry = natural(shapes.entry_start[shape])
-            slot = natural(shapes.slot_start[shape])
+            own_point = axis_point(particles, state, env, particle)
+            radius = particles.radius[env, particle]
+            settings = particles.settings[env, 0]
+            entry = assume_nonnegative(particles.entry_start[particle])
+            slot = assume_nonnegative(particles.slot_start[particle])
             stop = entry + owned
-            busy = touches.busy[env, shape]
-            now = wp.int32(0)
+            old_flags = pair_records.particle_flags[env, particle]
+            new_flags = wp.int32(0)
             while entry < stop:
                 # The next that touches, so that threads side by side compute touches together.
-                looked_at = wp.bool(False)
+                selected = wp.bool(False)
                 touching = wp.bool(False)
-                partner = wp.int32(NONE)
-                bits = wp.int32(0)
-                first = shape
-                spot_1 = own
-                spot_2 = own
+                neighbor = wp.int32(NO_INDEX)
+                flags = wp.int32(0)
+                first = particle
+                axis_point_1 = own_point
+                axis_point_2 = own_point
                 radius_1 = radius
                 radius_2 = radius
-                pair = Pair()
+                pair = ClosestApproach()
                 distance = real(0.0)
-                while entry < stop and not looked_at:
-                    partner = natural(lists.partner[env, natural(entry)])
-                    radius_2 = shapes.radius[env, partner]
+                while entry < stop and not selected:
+                    neighbor = assume_nonnegative(neighbor_lists.neighbor[env, assume_nonnegative(entry)])
+                    radius_2 = particles.radius[env, neighbor]
                     reach = radius + radius_2
-                    touch_at = reach
-                    if wp.static(hard):
-                        touch_at = reach + settings.closed
-                    spot_2 = spot(shapes, state, env, partner)
-                    near = wp.bool(True)
-                    if wp.static(long):
+                    contact_distance = reach
+                    if wp.static(nonsmooth):
+                        contact_distance = reach + settings.closed
+                    axis_point_2 = axis_point(particles, state, env, neighbor)
+                    may_touch = wp.bool(True)
+                    if wp.static(has_capsules):
                         # By the spheres around capsules first; with room for rounding.
-                        around = (own.base - spot_2.base) + (own.rest - spot_2.rest)
-                        beyond = real(1.0001) * (reach + wp.length(own.axis) + wp.length(spot_2.axis))
-                        near = wp.length_sq(around) < beyond * beyond
-                    if near:
-                        pair = nearest(own, spot_2)
-                        squared = wp.length_sq(pair.apart)
-                        if squared < touch_at * touch_at:
+                        origin_offset = (own_point.origin - axis_point_2.origin) + (
+                            own_point.offset - axis_point_2.offset
+                        )
+                        bounding_distance = real(1.0001) * (
+                            reach + wp.length(own_point.axis) + wp.length(axis_point_2.axis)
+                        )
+                        may_touch = wp.length_sq(origin_offset) < bounding_distance * bounding_distance
+                    if may_touch:
+                        pair = closest_approach(own_point, axis_point_2)
+                        squared = wp.length_sq(pair.separation)
+                        if squared < contact_distance * contact_distance:
                             distance = wp.sqrt(squared)
                             touching = reach - distance <= settings.max_depth and settings.enabled != 0
-                            touching = touching and distance < touch_at
-                    if busy != 0:
-                        bits = touches.bits[env, natural(slot)] & TOUCHED
-                        now = now | bits
+                            touching = touching and distance < contact_distance
+                    if old_flags != 0:
+                        flags = pair_records.flags[env, assume_nonnegative(slot)] & WAS_IN_CONTACT
+                        new_flags = new_flags | flags
                         if not touching:
-                            touches.bits[env, natural(slot)] = bits
-                    looked_at = touching
-                    if wp.static(hard):
-                        looked_at = touching or bits != 0
+                            pair_records.flags[env, assume_nonnegative(slot)] = flags
+                    selected = touching
+                    if wp.static(nonsmooth):
+                        selected = touching or flags != 0
                     entry += 1
                     slot += 1
-                if looked_at:
-                    record = natural(slot - 1)
+                if selected:
+                    record = assume_nonnegative(slot - 1)
                     if touching:
-                        now = now | TOUCHES
-                        touches.bits[env, record] = bits | TOUCHES
-                    if wp.static(hard):
+                        new_flags = new_flags | IN_CONTACT
+                        pair_records.flags[env, record] = flags | IN_CONTACT
+                    if wp.static(nonsmooth):
                         # One that has come apart may have been passed over.
-                        pair = nearest(spot_1, spot_2)
-                        distance = wp.length(pair.apart)
-                    if partner < shape:
+                        pair = closest_approach(axis_point_1, axis_point_2)
+                        distance = wp.length(pair.separation)
+                    if neighbor < particle:
                         # The first is the lower; the same bits as if it had been taken first.
-                        first = partner
-                        partner = shape
-                        spot_1 = spot_2
-                        spot_2 = own
+                        first = neighbor
+                        neighbor = particle
+                        axis_point_1 = axis_point_2
+                        axis_point_2 = own_point
                         radius_1 = radius_2
                         radius_2 = radius
-                        pair = nearest(spot_1, spot_2)
-                        distance = wp.length(pair.apart)
-                    place = place_of(
-                        state, shapes, settings, env, first, partner, spot_1, spot_2, pair, distance, radius_1,
-                        radius_2,
+                        pair = closest_approach(axis_point_1, axis_point_2)
+                        distance = wp.length(pair.separation)
+                    kinematics = kinematics_of(
+                        state, particles, settings, env, first, neighbor, axis_point_1, axis_point_2, pair,
+                        distance, radius_1, radius_2,
                     )  # fmt: skip
-                    if wp.static(hard):
-                        note(place, touches, env, record)
+                    if wp.static(nonsmooth):
+                        record_geometry(kinematics, pair_records, env, record)
                         # For a law that is to act later it began at rest.
-                        touches.approach_speed[env, record] = real(0.0)
-                        if wp.static(remembers):  # noqa: SIM102
-                            if bits == 0:
-                                start_memory(remembered, env, record, step[env, 0])
+                        pair_records.approach_speed[env, record] = real(0.0)
+                        if wp.static(remembers):
+                            if flags == 0:
+                                start_memory(history_in, env, record, step[env, 0])
                     else:
-                        touch_of(
-                            model, state, place, settings, touches, coefficients, remembered, kept, step[env, 0],
-                            env, record, bits, told, wrenches,
+                        evaluate_pair(
+                            model, state, kinematics, settings, pair_records, coefficients, history_in,
+                            history_out, step[env, 0], env, record, flags, write_outputs, wrenches,
                         )  # fmt: skip
-            if now != busy:
-                touches.busy[env, shape] = now
+            if new_flags != old_flags:
+                pair_records.particle_flags[env, particle] = new_flags
 
-    return pile_force
+    return particle_forces

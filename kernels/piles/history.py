@@ -4,15 +4,15 @@ import functools
 
 import warp as wp
 from warpcontact.kernels.piles import base
-from warpcontact.kernels.piles.base import AT_ONCE, TOUCHED, TOUCHES, pile_structs
-from warpcontact.kernels.touch import Parts, group_structs
-from warpcontact.kernels.types import ENV_ACTIVE, Work, env_of, item_of, task_count
+from warpcontact.kernels.piles.base import BATCH_SIZE, IN_CONTACT, WAS_IN_CONTACT, particle_structs
+from warpcontact.kernels.touch import ContactModel, group_structs
+from warpcontact.kernels.types import ENV_ACTIVE, LaunchRange, task_count, task_env, task_item
 from warpcontact.kernels.unique import unique_kernel
-from warpcontact.kernels.warps import first_of
+from warpcontact.kernels.warps import lowest_set_bit
 
 
 @functools.cache
-def copy_memory(parts: Parts, real: type) -> wp.Function:
+def copy_memory(parts: ContactModel, real: type) -> wp.Function:
     """Returns ``(source, source_slot, target, target_slot, env)``, which copies what a pair remembers."""
     _, Memory = group_structs(parts, real)
     law, friction, rolling, torsion = (bool(part.memories) for part in parts)
@@ -32,77 +32,81 @@ def copy_memory(parts: Parts, real: type) -> wp.Function:
 
 
 @functools.cache
-def advance(parts: Parts, real: type, hard: bool = False) -> wp.Kernel:
-    """Returns the kernel that takes touches into the history; items: shapes. ``hard``: see ``force.kernel``."""
-    p = pile_structs(real)
-    Shapes, Lists, Touches = p.Shapes, p.Lists, p.Touches
+def accept(parts: ContactModel, real: type, nonsmooth: bool = False) -> wp.Kernel:
+    """Returns the kernel that advances the history; items: shapes. ``nonsmooth``: see ``force.kernel``."""
+    particle_types = particle_structs(real)
+    Particles, NeighborLists, PairRecords = (
+        particle_types.Particles,
+        particle_types.NeighborLists,
+        particle_types.PairRecords,
+    )
     _, Memory = group_structs(parts, real)
-    copy, marked = copy_memory(parts, real), base.marked(real)
+    copy, records_with_flags = copy_memory(parts, real), base.records_with_flags(real)
 
     @wp.func
-    def take(touches: Touches, kept: Memory, memory: Memory, env: int, slot: int):
-        bits = touches.bits[env, slot]
-        if (bits & TOUCHES) == 0:
-            touches.bits[env, slot] = 0
+    def accept_record(pair_records: PairRecords, history_out: Memory, memory: Memory, env: int, slot: int):
+        flags = pair_records.flags[env, slot]
+        if (flags & IN_CONTACT) == 0:
+            pair_records.flags[env, slot] = 0
             return
-        speed = wp.max(touches.approach_speed[env, slot], real(0.0))
-        if bits == TOUCHES:
-            touches.bits[env, slot] = TOUCHES | TOUCHED
-            touches.entry_speed[env, slot] = speed
-        elif speed > touches.entry_speed[env, slot]:
-            touches.entry_speed[env, slot] = speed
-        if wp.static(not hard):
-            copy(kept, slot, memory, slot, env)
+        speed = wp.max(pair_records.approach_speed[env, slot], real(0.0))
+        if flags == IN_CONTACT:
+            pair_records.flags[env, slot] = IN_CONTACT | WAS_IN_CONTACT
+            pair_records.entry_speed[env, slot] = speed
+        elif speed > pair_records.entry_speed[env, slot]:
+            pair_records.entry_speed[env, slot] = speed
+        if wp.static(not nonsmooth):
+            copy(history_out, slot, memory, slot, env)
 
     @unique_kernel()
-    def advance_pile(
-        work: Work,
+    def accept_particle_contacts(
+        launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
-        shapes: Shapes,
-        lists: Lists,
-        touches: Touches,
-        kept: Memory,
+        particles: Particles,
+        neighbor_lists: NeighborLists,
+        pair_records: PairRecords,
+        history_out: Memory,
         memory: Memory,
     ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            shape = item_of(work, task)
-            if status[env] != ENV_ACTIVE or touches.busy[env, shape] == 0:
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            particle = task_item(launch, task)
+            if status[env] != ENV_ACTIVE or pair_records.particle_flags[env, particle] == 0:
                 continue
-            start = shapes.slot_start[shape]
-            owned = lists.owned[env, shape]
-            for first in range(start, start + owned, wp.static(AT_ONCE)):
-                count = wp.min(start + owned - first, wp.static(AT_ONCE))
-                those = marked(touches, env, first, count, TOUCHES | TOUCHED)
-                while those != 0:
-                    take(touches, kept, memory, env, first + first_of(those))
-                    those = those & (those - 1)
+            start = particles.slot_start[particle]
+            owned = neighbor_lists.owned[env, particle]
+            for first in range(start, start + owned, wp.static(BATCH_SIZE)):
+                count = wp.min(start + owned - first, wp.static(BATCH_SIZE))
+                selected = records_with_flags(pair_records, env, first, count, IN_CONTACT | WAS_IN_CONTACT)
+                while selected != 0:
+                    accept_record(pair_records, history_out, memory, env, first + lowest_set_bit(selected))
+                    selected = selected & (selected - 1)
 
-    return advance_pile
+    return accept_particle_contacts
 
 
 @functools.cache
-def forget() -> wp.Kernel:
+def reset() -> wp.Kernel:
     """Returns the kernel that empties the history of chosen environments. Launch with dim (env, slot or shape)."""
 
     @unique_kernel()
-    def forget_pile(
+    def reset_particle_contacts(
         mask: wp.array(dtype=wp.bool),
-        bits: wp.array2d(dtype=wp.int32),
-        busy: wp.array2d(dtype=wp.int32),
-        known: wp.array(dtype=wp.int32),
-        made: wp.array(dtype=wp.int32),
-        missing: wp.array(dtype=wp.int32),
+        flags: wp.array2d(dtype=wp.int32),
+        particle_flags: wp.array2d(dtype=wp.int32),
+        valid: wp.array(dtype=wp.int32),
+        build_count: wp.array(dtype=wp.int32),
+        overflow: wp.array(dtype=wp.int32),
     ):
         env, slot = wp.tid()
         if mask[env]:
-            if slot < bits.shape[1]:
-                bits[env, slot] = 0
-            if slot < busy.shape[1]:
-                busy[env, slot] = 0
+            if slot < flags.particle[1]:
+                flags[env, slot] = 0
+            if slot < particle_flags.particle[1]:
+                particle_flags[env, slot] = 0
             if slot == 0:
-                known[env] = 0
-                made[env] = 0
-                missing[env] = 0
+                valid[env] = 0
+                build_count[env] = 0
+                overflow[env] = 0
 
-    return forget_pile
+    return reset_particle_contacts

@@ -7,7 +7,7 @@ memory stays, however far apart it is now.
 
 Conditions are nested where Warp, which looks at both sides of ``and``, would read beyond an array.
 
-    check → clear → fill → gather → [carry_impulses] → carry → join
+    check → clear → fill → gather → [transfer_impulses] → carry → join
 """
 
 import functools
@@ -15,17 +15,17 @@ import functools
 import warp as wp
 from warpcontact.kernels import frames
 from warpcontact.kernels.piles import meeting
-from warpcontact.kernels.piles.base import NONE, TOUCHED, Form, owns, pile_structs
+from warpcontact.kernels.piles.base import NO_INDEX, WAS_IN_CONTACT, ParticleTraits, owns_pair, particle_structs
 from warpcontact.kernels.piles.history import copy_memory
-from warpcontact.kernels.touch import Parts, group_structs
-from warpcontact.kernels.types import ENV_ACTIVE, Work, env_of, item_of, structs, task_count
+from warpcontact.kernels.touch import ContactModel, group_structs
+from warpcontact.kernels.types import ENV_ACTIVE, LaunchRange, structs, task_count, task_env, task_item
 from warpcontact.kernels.unilateral.records import record_structs
 from warpcontact.kernels.unique import unique_kernel
 
 # Of half the skin, what a shape may move before lists are stale: the rest is for rounding.
-SHARE_OF_SKIN = 0.49
+SKIN_FRACTION = 0.49
 # Cells are numbered in a ring of this many.
-RING = 1 << 30
+CELL_RANGE = 1 << 30
 
 
 @wp.func
@@ -39,382 +39,423 @@ def bucket_of(cell: wp.vec3i, buckets: int):
 
 
 @functools.cache
-def check(form: Form, real: type) -> wp.Kernel:
+def check_validity(traits: ParticleTraits, real: type) -> wp.Kernel:
     """Returns the kernel that finds environments whose lists do not hold; items: shapes."""
     t = structs(real)
     State = t.State
-    p = pile_structs(real)
-    Shapes, Grid = p.Shapes, p.Grid
-    spot = meeting.functions(form, real).spot
-    long = form.long
+    particle_types = particle_structs(real)
+    Particles, CellList = particle_types.Particles, particle_types.CellList
+    axis_point = meeting.functions(traits, real).axis_point
+    has_capsules = traits.has_capsules
 
     @unique_kernel()
-    def check_pile(work: Work, status: wp.array(dtype=wp.int32), state: State, shapes: Shapes, grid: Grid):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            shape = item_of(work, task)
-            if status[env] != ENV_ACTIVE or grid.stale[env] != 0:
+    def check_lists(
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        state: State,
+        particles: Particles,
+        cell_list: CellList,
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            particle = task_item(launch, task)
+            if status[env] != ENV_ACTIVE or cell_list.stale[env] != 0:
                 continue
-            if grid.known[env] == 0:
-                grid.stale[env] = 1
+            if cell_list.valid[env] == 0:
+                cell_list.stale[env] = 1
                 continue
-            now = spot(shapes, state, env, shape)
-            moved = (now.base - grid.base[env, shape]) + (now.rest - grid.rest[env, shape])
-            most = real(SHARE_OF_SKIN) * shapes.settings[env, 0].skin
-            if wp.static(long):
+            point = axis_point(particles, state, env, particle)
+            displacement = (point.origin - cell_list.origin[env, particle]) + (
+                point.offset - cell_list.offset_from_origin[env, particle]
+            )
+            limit = real(SKIN_FRACTION) * particles.settings[env, 0].skin
+            if wp.static(has_capsules):
                 # No point of an axis moves farther than one of its ends.
-                turned = now.axis - grid.axis[env, shape]
-                if wp.length(moved + turned) > most or wp.length(moved - turned) > most:
-                    grid.stale[env] = 1
-            elif wp.length_sq(moved) > most * most:
-                grid.stale[env] = 1
+                axis_change = point.axis - cell_list.axis[env, particle]
+                if wp.length(displacement + axis_change) > limit or wp.length(displacement - axis_change) > limit:
+                    cell_list.stale[env] = 1
+            elif wp.length_sq(displacement) > limit * limit:
+                cell_list.stale[env] = 1
 
-    return check_pile
+    return check_lists
 
 
 @functools.cache
 def clear(real: type) -> wp.Kernel:
     """Returns the kernel that empties the buckets; items: buckets."""
-    Grid = pile_structs(real).Grid
+    CellList = particle_structs(real).CellList
 
     @unique_kernel()
-    def clear_buckets(work: Work, status: wp.array(dtype=wp.int32), grid: Grid):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            if status[env] == ENV_ACTIVE and grid.stale[env] != 0:
-                grid.head[env, item_of(work, task)] = NONE
+    def clear_buckets(launch: LaunchRange, status: wp.array(dtype=wp.int32), cell_list: CellList):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            if status[env] == ENV_ACTIVE and cell_list.stale[env] != 0:
+                cell_list.head[env, task_item(launch, task)] = NO_INDEX
 
     return clear_buckets
 
 
 @functools.cache
-def fill(form: Form, real: type) -> wp.Kernel:
+def fill(traits: ParticleTraits, real: type) -> wp.Kernel:
     """Returns the kernel that puts shapes into buckets and remembers where they are; items: shapes."""
     t = structs(real)
     State = t.State
-    p = pile_structs(real)
-    Shapes, Grid = p.Shapes, p.Grid
-    spot = meeting.functions(form, real).spot
+    particle_types = particle_structs(real)
+    Particles, CellList = particle_types.Particles, particle_types.CellList
+    axis_point = meeting.functions(traits, real).axis_point
     wide = frames.functions(real).wide
-    long = form.long
+    has_capsules = traits.has_capsules
 
     @wp.func
     def cell_along(x: wp.float64, cell: wp.float64):
-        return wp.int32(wp.int64(wp.floor(x / cell)) & wp.int64(wp.static(RING - 1)))
+        return wp.int32(wp.int64(wp.floor(x / cell)) & wp.int64(wp.static(CELL_RANGE - 1)))
 
     @unique_kernel()
     def fill_buckets(
-        work: Work, status: wp.array(dtype=wp.int32), buckets: wp.int32, state: State, shapes: Shapes, grid: Grid
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        buckets: wp.int32,
+        state: State,
+        particles: Particles,
+        cell_list: CellList,
     ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            shape = item_of(work, task)
-            if status[env] != ENV_ACTIVE or grid.stale[env] == 0:
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            particle = task_item(launch, task)
+            if status[env] != ENV_ACTIVE or cell_list.stale[env] == 0:
                 continue
-            now = spot(shapes, state, env, shape)
-            grid.base[env, shape] = now.base
-            grid.rest[env, shape] = now.rest
-            if wp.static(long):
-                grid.axis[env, shape] = now.axis
-            place = wide(now.base) + wide(now.rest)
-            size = wp.float64(shapes.settings[env, 0].cell)
-            cell = wp.vec3i(cell_along(place[0], size), cell_along(place[1], size), cell_along(place[2], size))
-            grid.cell[env, shape] = cell
-            grid.link[env, shape] = wp.atomic_exch(grid.head, env, bucket_of(cell, buckets), shape)
-            if shape == 0:
-                grid.made[env] = grid.made[env] + 1
+            point = axis_point(particles, state, env, particle)
+            cell_list.origin[env, particle] = point.origin
+            cell_list.offset_from_origin[env, particle] = point.offset
+            if wp.static(has_capsules):
+                cell_list.axis[env, particle] = point.axis
+            position = wide(point.origin) + wide(point.offset)
+            size = wp.float64(particles.settings[env, 0].cell)
+            cell = wp.vec3i(
+                cell_along(position[0], size), cell_along(position[1], size), cell_along(position[2], size)
+            )
+            cell_list.cell[env, particle] = cell
+            cell_list.link[env, particle] = wp.atomic_exch(cell_list.head, env, bucket_of(cell, buckets), particle)
+            if particle == 0:
+                cell_list.build_count[env] = cell_list.build_count[env] + 1
 
     return fill_buckets
 
 
 @functools.cache
-def gather(form: Form, real: type) -> wp.Kernel:
+def build(traits: ParticleTraits, real: type) -> wp.Kernel:
     """Returns the kernel that looks for the partners of a shape; items: shapes.
 
     The lists in force are not changed.
     """
     t = structs(real)
     State = t.State
-    p = pile_structs(real)
-    Shapes, Lists, Touches, Grid = p.Shapes, p.Lists, p.Touches, p.Grid
-    found = meeting.functions(form, real)
-    spot, nearest = found.spot, found.nearest
+    particle_types = particle_structs(real)
+    Particles, NeighborLists, PairRecords, CellList = (
+        particle_types.Particles,
+        particle_types.NeighborLists,
+        particle_types.PairRecords,
+        particle_types.CellList,
+    )
+    geometry = meeting.functions(traits, real)
+    axis_point, closest_approach = geometry.axis_point, geometry.closest_approach
 
     @wp.func
-    def insert(grid: Grid, env: int, start: int, room: int, count: int, key: int):
+    def insert(cell_list: CellList, env: int, start: int, capacity: int, count: int, key: int):
         """Puts a key into its place; returns how many there are, or would be if there were room."""
-        last = wp.min(count, room)
-        place = start + last
-        before = wp.int32(NONE)
-        while place > start:
-            before = grid.key[env, place - 1]
-            if before <= key:
+        last = wp.min(count, capacity)
+        position = start + last
+        key_before = wp.int32(NO_INDEX)
+        while position > start:
+            key_before = cell_list.key[env, position - 1]
+            if key_before <= key:
                 break
-            place -= 1
-        if place > start and before == key:
+            position -= 1
+        if position > start and key_before == key:
             return count
-        if last == room:
+        if last == capacity:
             return count + 1
         k = start + last
-        while k > place:
-            grid.key[env, k] = grid.key[env, k - 1]
+        while k > position:
+            cell_list.key[env, k] = cell_list.key[env, k - 1]
             k -= 1
-        grid.key[env, place] = key
+        cell_list.key[env, position] = key
         return count + 1
 
     @wp.func
-    def key_of(shape: int, partner: int, shapes: int):
-        if owns(shape, partner):
-            return partner
-        return partner + shapes
+    def sort_key(particle: int, neighbor: int, particles: int):
+        if owns_pair(particle, neighbor):
+            return neighbor
+        return neighbor + particles
 
     @unique_kernel()
-    def gather_partners(
-        work: Work,
+    def build_lists(
+        launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         buckets: wp.int32,
         state: State,
-        shapes: Shapes,
-        lists: Lists,
-        touches: Touches,
-        grid: Grid,
+        particles: Particles,
+        neighbor_lists: NeighborLists,
+        pair_records: PairRecords,
+        cell_list: CellList,
     ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            shape = item_of(work, task)
-            if status[env] != ENV_ACTIVE or grid.stale[env] == 0:
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            particle = task_item(launch, task)
+            if status[env] != ENV_ACTIVE or cell_list.stale[env] == 0:
                 continue
-            own = spot(shapes, state, env, shape)
-            cell = grid.cell[env, shape]
-            kind = shapes.kind[shape]
-            body = shapes.body[shape]
-            reach = shapes.radius[env, shape] + shapes.settings[env, 0].skin
-            start = shapes.entry_start[shape]
-            room = shapes.entry_start[shape + 1] - start
+            own_point = axis_point(particles, state, env, particle)
+            cell = cell_list.cell[env, particle]
+            kind = particles.kind[particle]
+            body = particles.body[particle]
+            reach = particles.radius[env, particle] + particles.settings[env, 0].skin
+            start = particles.entry_start[particle]
+            capacity = particles.entry_start[particle + 1] - start
             count = wp.int32(0)
             for number in range(27):
-                near = wp.vec3i(
-                    (cell[0] + number % 3 - 1) & wp.static(RING - 1),
-                    (cell[1] + (number // 3) % 3 - 1) & wp.static(RING - 1),
-                    (cell[2] + number // 9 - 1) & wp.static(RING - 1),
+                wanted = wp.vec3i(
+                    (cell[0] + number % 3 - 1) & wp.static(CELL_RANGE - 1),
+                    (cell[1] + (number // 3) % 3 - 1) & wp.static(CELL_RANGE - 1),
+                    (cell[2] + number // 9 - 1) & wp.static(CELL_RANGE - 1),
                 )
-                other = grid.head[env, bucket_of(near, buckets)]
-                while other != NONE:
-                    of_other = grid.cell[env, other]
-                    if of_other[0] == near[0] and of_other[1] == near[1] and of_other[2] == near[2]:  # noqa: SIM102
-                        if other != shape and shapes.body[other] != body:  # noqa: SIM102
-                            if shapes.allowed[kind, shapes.kind[other]] != 0:
-                                pair = nearest(own, spot(shapes, state, env, other))
-                                if wp.length(pair.apart) < reach + shapes.radius[env, other]:
-                                    key = key_of(shape, other, work.items)
-                                    count = insert(grid, env, start, room, count, key)
-                    other = grid.link[env, other]
+                other_particle = cell_list.head[env, bucket_of(wanted, buckets)]
+                while other_particle != NO_INDEX:
+                    cell_2 = cell_list.cell[env, other_particle]
+                    if cell_2[0] == wanted[0] and cell_2[1] == wanted[1] and cell_2[2] == wanted[2]:
+                        if other_particle != particle and particles.body[other_particle] != body:
+                            if particles.allowed[kind, particles.kind[other_particle]] != 0:
+                                pair = closest_approach(
+                                    own_point, axis_point(particles, state, env, other_particle)
+                                )
+                                if wp.length(pair.separation) < reach + particles.radius[env, other_particle]:
+                                    key = sort_key(particle, other_particle, launch.items)
+                                    count = insert(cell_list, env, start, capacity, count, key)
+                    other_particle = cell_list.link[env, other_particle]
             # Wherever it is in this state, which may be one that is only tried.
-            first_slot = shapes.slot_start[shape]
-            for k in range(lists.count[env, shape]):
+            first_slot = particles.slot_start[particle]
+            for k in range(neighbor_lists.count[env, particle]):
                 slot = first_slot + k
-                if k >= lists.owned[env, shape]:
-                    slot = lists.slot[env, start + k]
-                if slot >= 0:  # noqa: SIM102
-                    if (touches.bits[env, slot] & TOUCHED) != 0:
-                        key = key_of(shape, lists.partner[env, start + k], work.items)
-                        count = insert(grid, env, start, room, count, key)
-            count_that_fit = wp.min(count, room)
-            lacking = count - count_that_fit
+                if k >= neighbor_lists.owned[env, particle]:
+                    slot = neighbor_lists.slot[env, start + k]
+                if slot >= 0:
+                    if (pair_records.flags[env, slot] & WAS_IN_CONTACT) != 0:
+                        key = sort_key(particle, neighbor_lists.neighbor[env, start + k], launch.items)
+                        count = insert(cell_list, env, start, capacity, count, key)
+            count_that_fit = wp.min(count, capacity)
+            excess = count - count_that_fit
             owned = wp.int32(0)
             for k in range(count_that_fit):
-                if grid.key[env, start + k] < work.items:
+                if cell_list.key[env, start + k] < launch.items:
                     owned += 1
-            records = shapes.slot_start[shape + 1] - first_slot
-            lacking = wp.max(lacking, owned - records)
-            grid.keys[env, shape] = count_that_fit
-            if lacking > 0:
-                wp.atomic_max(grid.missing, env, lacking)
+            records = particles.slot_start[particle + 1] - first_slot
+            excess = wp.max(excess, owned - records)
+            cell_list.key_count[env, particle] = count_that_fit
+            if excess > 0:
+                wp.atomic_max(cell_list.overflow, env, excess)
 
-    return gather_partners
+    return build_lists
 
 
 @functools.cache
-def carry(parts: Parts, real: type) -> wp.Kernel:
+def transfer_history(parts: ContactModel, real: type) -> wp.Kernel:
     """Returns the kernel that puts the new lists in force, and moves what is remembered; items: shapes."""
-    p = pile_structs(real)
-    Shapes, Lists, Touches, Grid = p.Shapes, p.Lists, p.Touches, p.Grid
+    particle_types = particle_structs(real)
+    Particles, NeighborLists, PairRecords, CellList = (
+        particle_types.Particles,
+        particle_types.NeighborLists,
+        particle_types.PairRecords,
+        particle_types.CellList,
+    )
     _, Memory = group_structs(parts, real)
     copy = copy_memory(parts, real)
 
     @unique_kernel()
-    def carry_history(
-        work: Work,
+    def transfer_pair_history(
+        launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
-        shapes: Shapes,
-        lists: Lists,
-        touches: Touches,
-        grid: Grid,
-        kept: Memory,
+        particles: Particles,
+        neighbor_lists: NeighborLists,
+        pair_records: PairRecords,
+        cell_list: CellList,
+        history_out: Memory,
         memory: Memory,
     ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            shape = item_of(work, task)
-            if status[env] != ENV_ACTIVE or grid.stale[env] == 0:
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            particle = task_item(launch, task)
+            if status[env] != ENV_ACTIVE or cell_list.stale[env] == 0:
                 continue
-            start = shapes.entry_start[shape]
-            first = shapes.slot_start[shape]
-            count = grid.keys[env, shape]
-            before = lists.owned[env, shape]
-            records = shapes.slot_start[shape + 1] - first
+            start = particles.entry_start[particle]
+            first = particles.slot_start[particle]
+            count = cell_list.key_count[env, particle]
+            old_count = neighbor_lists.owned[env, particle]
+            records = particles.slot_start[particle + 1] - first
             owned = wp.int32(0)
             old = wp.int32(0)
             # What the force stage will write anew holds it meanwhile: both lists share their records.
             for k in range(count):
-                key = grid.key[env, start + k]
-                if key >= work.items or owned == records:
+                key = cell_list.key[env, start + k]
+                if key >= launch.items or owned == records:
                     break
                 owned += 1
-                while old < before:
-                    if lists.partner[env, start + old] >= key:
+                while old < old_count:
+                    if neighbor_lists.neighbor[env, start + old] >= key:
                         break
                     old += 1
                 speed = real(-1.0)
-                if old < before:  # noqa: SIM102
-                    if lists.partner[env, start + old] == key:  # noqa: SIM102
-                        if (touches.bits[env, first + old] & TOUCHED) != 0:
-                            speed = touches.entry_speed[env, first + old]
-                            copy(memory, first + old, kept, first + k, env)
-                touches.approach_speed[env, first + k] = speed
-            busy = wp.int32(0)
+                if old < old_count:
+                    if neighbor_lists.neighbor[env, start + old] == key:
+                        if (pair_records.flags[env, first + old] & WAS_IN_CONTACT) != 0:
+                            speed = pair_records.entry_speed[env, first + old]
+                            copy(memory, first + old, history_out, first + k, env)
+                pair_records.approach_speed[env, first + k] = speed
+            flags = wp.int32(0)
             for k in range(owned):
-                speed = touches.approach_speed[env, first + k]
-                touches.bits[env, first + k] = 0
+                speed = pair_records.approach_speed[env, first + k]
+                pair_records.flags[env, first + k] = 0
                 if speed >= real(0.0):
-                    busy = TOUCHED
-                    touches.bits[env, first + k] = TOUCHED
-                    touches.entry_speed[env, first + k] = speed
-                    copy(kept, first + k, memory, first + k, env)
+                    flags = WAS_IN_CONTACT
+                    pair_records.flags[env, first + k] = WAS_IN_CONTACT
+                    pair_records.entry_speed[env, first + k] = speed
+                    copy(history_out, first + k, memory, first + k, env)
             for k in range(count):
-                key = grid.key[env, start + k]
-                lists.partner[env, start + k] = wp.where(key < work.items, key, key - work.items)
-            touches.busy[env, shape] = busy
-            lists.owned[env, shape] = owned
-            lists.count[env, shape] = count
+                key = cell_list.key[env, start + k]
+                neighbor_lists.neighbor[env, start + k] = wp.where(key < launch.items, key, key - launch.items)
+            pair_records.particle_flags[env, particle] = flags
+            neighbor_lists.owned[env, particle] = owned
+            neighbor_lists.count[env, particle] = count
 
-    return carry_history
+    return transfer_pair_history
 
 
 @functools.cache
-def carry_impulses(real: type) -> wp.Kernel:
+def transfer_impulses(real: type) -> wp.Kernel:
     """Returns the kernel that moves what is remembered of hard pairs, before the new lists are in force.
 
     Items: shapes. Both lists are sorted, so that what moves down its records, and then what moves up, overwrites
     nothing that is to move yet.
     """
-    p = pile_structs(real)
-    Shapes, Lists, Grid = p.Shapes, p.Lists, p.Grid
-    Memories = record_structs(real).Memories
+    particle_types = particle_structs(real)
+    Particles, NeighborLists, CellList = (
+        particle_types.Particles,
+        particle_types.NeighborLists,
+        particle_types.CellList,
+    )
+    StoredImpulses = record_structs(real).StoredImpulses
 
     @wp.func
-    def forget(memory: Memories, env: int, number: int):
+    def clear_impulse(stored: StoredImpulses, env: int, number: int):
         # No step has this number.
-        memory[env, number].stamp = 0
+        stored[env, number].stamp = 0
 
     @wp.func
-    def move(memory: Memories, env: int, source: int, target: int):
-        memory[env, target] = memory[env, source]
-        forget(memory, env, source)
+    def move(stored: StoredImpulses, env: int, source: int, target: int):
+        stored[env, target] = stored[env, source]
+        clear_impulse(stored, env, source)
 
     @unique_kernel()
-    def carry_pile_impulses(
-        work: Work,
+    def transfer_pair_impulses(
+        launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
-        shapes: Shapes,
-        lists: Lists,
-        grid: Grid,
+        particles: Particles,
+        neighbor_lists: NeighborLists,
+        cell_list: CellList,
         first: wp.int32,  # number of the contact of the first record
-        memory: Memories,
+        stored: StoredImpulses,
     ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            shape = item_of(work, task)
-            if status[env] != ENV_ACTIVE or grid.stale[env] == 0:
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            particle = task_item(launch, task)
+            if status[env] != ENV_ACTIVE or cell_list.stale[env] == 0:
                 continue
-            start = shapes.entry_start[shape]
-            slot = shapes.slot_start[shape]
+            start = particles.entry_start[particle]
+            slot = particles.slot_start[particle]
             number = first + slot
-            before = lists.owned[env, shape]
-            room = wp.min(grid.keys[env, shape], shapes.slot_start[shape + 1] - slot)
+            old_count = neighbor_lists.owned[env, particle]
+            capacity = wp.min(cell_list.key_count[env, particle], particles.slot_start[particle + 1] - slot)
             owned = wp.int32(0)
             old = wp.int32(0)
-            while owned < room:
-                key = grid.key[env, start + owned]
-                if key >= work.items:
+            while owned < capacity:
+                key = cell_list.key[env, start + owned]
+                if key >= launch.items:
                     break
-                while old < before:
-                    if lists.partner[env, start + old] >= key:
+                while old < old_count:
+                    if neighbor_lists.neighbor[env, start + old] >= key:
                         break
-                    forget(memory, env, number + old)
+                    clear_impulse(stored, env, number + old)
                     old += 1
-                if old < before:  # noqa: SIM102
-                    if lists.partner[env, start + old] == key:
+                if old < old_count:
+                    if neighbor_lists.neighbor[env, start + old] == key:
                         old += 1
                 owned += 1
-            while old < before:
-                forget(memory, env, number + old)
+            while old < old_count:
+                clear_impulse(stored, env, number + old)
                 old += 1
 
             old = wp.int32(0)
             for new in range(owned):
-                key = grid.key[env, start + new]
-                while old < before:
-                    if lists.partner[env, start + old] >= key:
+                key = cell_list.key[env, start + new]
+                while old < old_count:
+                    if neighbor_lists.neighbor[env, start + old] >= key:
                         break
                     old += 1
-                if new < old and old < before:  # noqa: SIM102
-                    if lists.partner[env, start + old] == key:
-                        move(memory, env, number + old, number + new)
-            old = before - 1
-            for place in range(owned):
-                new = owned - 1 - place
-                key = grid.key[env, start + new]
+                if new < old and old < old_count:
+                    if neighbor_lists.neighbor[env, start + old] == key:
+                        move(stored, env, number + old, number + new)
+            old = old_count - 1
+            for position in range(owned):
+                new = owned - 1 - position
+                key = cell_list.key[env, start + new]
                 while old >= 0:
-                    if lists.partner[env, start + old] <= key:
+                    if neighbor_lists.neighbor[env, start + old] <= key:
                         break
                     old -= 1
-                if old >= 0 and old < new:  # noqa: SIM102
-                    if lists.partner[env, start + old] == key:
-                        move(memory, env, number + old, number + new)
+                if old >= 0 and old < new:
+                    if neighbor_lists.neighbor[env, start + old] == key:
+                        move(stored, env, number + old, number + new)
 
-    return carry_pile_impulses
+    return transfer_pair_impulses
 
 
 @functools.cache
-def join(real: type) -> wp.Kernel:
+def build_reverse(real: type) -> wp.Kernel:
     """Returns the kernel that finds the records of pairs that a shape does not own; items: shapes."""
-    p = pile_structs(real)
-    Shapes, Lists, Grid = p.Shapes, p.Lists, p.Grid
+    particle_types = particle_structs(real)
+    Particles, NeighborLists, CellList = (
+        particle_types.Particles,
+        particle_types.NeighborLists,
+        particle_types.CellList,
+    )
 
     @unique_kernel()
-    def join_lists(work: Work, status: wp.array(dtype=wp.int32), shapes: Shapes, lists: Lists, grid: Grid):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            shape = item_of(work, task)
-            if status[env] != ENV_ACTIVE or grid.stale[env] == 0:
+    def build_reverse_lists(
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        particles: Particles,
+        neighbor_lists: NeighborLists,
+        cell_list: CellList,
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            particle = task_item(launch, task)
+            if status[env] != ENV_ACTIVE or cell_list.stale[env] == 0:
                 continue
-            start = shapes.entry_start[shape]
-            for k in range(lists.owned[env, shape], lists.count[env, shape]):
-                partner = lists.partner[env, start + k]
-                begin = shapes.entry_start[partner]
+            start = particles.entry_start[particle]
+            for k in range(neighbor_lists.owned[env, particle], neighbor_lists.count[env, particle]):
+                neighbor = neighbor_lists.neighbor[env, start + k]
+                begin = particles.entry_start[neighbor]
                 low = wp.int32(0)
-                high = lists.owned[env, partner]
+                high = neighbor_lists.owned[env, neighbor]
                 while low < high:
                     middle = (low + high) // 2
-                    if lists.partner[env, begin + middle] < shape:
+                    if neighbor_lists.neighbor[env, begin + middle] < particle:
                         low = middle + 1
                     else:
                         high = middle
-                slot = wp.int32(NONE)
-                if low < lists.owned[env, partner]:  # noqa: SIM102
-                    if lists.partner[env, begin + low] == shape:
-                        slot = shapes.slot_start[partner] + low
-                lists.slot[env, start + k] = slot
+                slot = wp.int32(NO_INDEX)
+                if low < neighbor_lists.owned[env, neighbor]:
+                    if neighbor_lists.neighbor[env, begin + low] == particle:
+                        slot = particles.slot_start[neighbor] + low
+                neighbor_lists.slot[env, start + k] = slot
 
-    return join_lists
+    return build_reverse_lists

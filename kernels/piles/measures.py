@@ -3,7 +3,7 @@
 import functools
 
 import warp as wp
-from warpcontact.kernels.piles.base import TOUCHES, pile_structs
+from warpcontact.kernels.piles.base import IN_CONTACT, particle_structs
 from warpcontact.kernels.types import structs
 from warpcontact.kernels.unique import unique_kernel
 
@@ -26,59 +26,75 @@ def measured(real: type):
 
 
 @functools.cache
-def shapes(real: type) -> wp.Kernel:
+def particles(real: type) -> wp.Kernel:
     """Returns the kernel that measures every shape. Launch with dim (env, shape)."""
     vec3 = structs(real).vec3
-    p = pile_structs(real)
-    Shapes, Lists, Touches = p.Shapes, p.Lists, p.Touches
+    particle_types = particle_structs(real)
+    Particles, NeighborLists, PairRecords = (
+        particle_types.Particles,
+        particle_types.NeighborLists,
+        particle_types.PairRecords,
+    )
     Measured = measured(real)
 
     @unique_kernel()
-    def measure_shapes(shapes: Shapes, lists: Lists, touches: Touches, measured: Measured):
-        env, shape = wp.tid()
-        start = shapes.entry_start[shape]
-        owned = lists.owned[env, shape]
+    def measure_particles(
+        particles: Particles, neighbor_lists: NeighborLists, pair_records: PairRecords, measured: Measured
+    ):
+        env, particle = wp.tid()
+        start = particles.entry_start[particle]
+        owned = neighbor_lists.owned[env, particle]
         count = wp.int32(0)
         force = vec3()
-        for k in range(lists.count[env, shape]):
-            slot = shapes.slot_start[shape] + k
+        for k in range(neighbor_lists.count[env, particle]):
+            slot = particles.slot_start[particle] + k
             if k >= owned:
-                slot = lists.slot[env, start + k]
-            if slot >= 0:  # noqa: SIM102
-                if (touches.bits[env, slot] & TOUCHES) != 0:
+                slot = neighbor_lists.slot[env, start + k]
+            if slot >= 0:
+                if (pair_records.flags[env, slot] & IN_CONTACT) != 0:
                     count += 1
-                    if shape < lists.partner[env, start + k]:
-                        force += touches.force[env, slot]
+                    if particle < neighbor_lists.neighbor[env, start + k]:
+                        force += pair_records.force[env, slot]
                     else:
-                        force -= touches.force[env, slot]
-        measured.coordination[env, shape] = count
-        measured.force[env, shape] = force
+                        force -= pair_records.force[env, slot]
+        measured.coordination[env, particle] = count
+        measured.force[env, particle] = force
 
-    return measure_shapes
+    return measure_particles
 
 
 @functools.cache
 def totals(real: type) -> wp.Kernel:
     """Returns the kernel that measures all touches of an environment, in their order. Launch with dim env."""
-    p = pile_structs(real)
-    Shapes, Lists, Touches = p.Shapes, p.Lists, p.Touches
+    particle_types = particle_structs(real)
+    Particles, NeighborLists, PairRecords = (
+        particle_types.Particles,
+        particle_types.NeighborLists,
+        particle_types.PairRecords,
+    )
     Measured = measured(real)
 
     @unique_kernel()
-    def measure_totals(count: wp.int32, shapes: Shapes, lists: Lists, touches: Touches, measured: Measured):
+    def measure_totals(
+        count: wp.int32,
+        particles: Particles,
+        neighbor_lists: NeighborLists,
+        pair_records: PairRecords,
+        measured: Measured,
+    ):
         env = wp.tid()
         contacts = wp.int32(0)
         total = wp.float64(0.0)
         deepest = real(0.0)
         strongest = real(0.0)
-        for shape in range(count):
-            first = shapes.slot_start[shape]
-            for slot in range(first, first + lists.owned[env, shape]):
-                if (touches.bits[env, slot] & TOUCHES) != 0:
+        for particle in range(count):
+            first = particles.slot_start[particle]
+            for slot in range(first, first + neighbor_lists.owned[env, particle]):
+                if (pair_records.flags[env, slot] & IN_CONTACT) != 0:
                     contacts += 1
-                    total += wp.float64(touches.normal_force[env, slot])
-                    deepest = wp.max(deepest, -touches.gap[env, slot])
-                    strongest = wp.max(strongest, touches.normal_force[env, slot])
+                    total += wp.float64(pair_records.normal_force[env, slot])
+                    deepest = wp.max(deepest, -pair_records.gap[env, slot])
+                    strongest = wp.max(strongest, pair_records.normal_force[env, slot])
         measured.contacts[env] = contacts
         measured.normal_force[env] = total
         measured.max_penetration[env] = deepest

@@ -5,15 +5,15 @@ from types import SimpleNamespace
 
 import warp as wp
 from warpcontact.kernels import frames
-from warpcontact.kernels.piles.base import Form, pile_structs
-from warpcontact.kernels.types import natural, structs
+from warpcontact.kernels.piles.base import ParticleTraits, particle_structs
+from warpcontact.kernels.types import assume_nonnegative, structs
 
 # Segments at a smaller angle than the root of this are parallel.
 PARALLEL = 1.0e-10
 
 
 @wp.func
-def _within(value: wp.float64):
+def _clamp_unit(value: wp.float64):
     return wp.clamp(value, wp.float64(-1.0), wp.float64(1.0))
 
 
@@ -33,112 +33,112 @@ def closest_on_segments(d: wp.vec3d, g: wp.vec3d, h: wp.vec3d):
     s, t = zero, zero
     if a == zero:
         if c > zero:
-            t = _within(f / c)
+            t = _clamp_unit(f / c)
         return s, t
     if c == zero:
-        return _within(-e / a), t
+        return _clamp_unit(-e / a), t
     det = a * c - b * b
     if det > wp.float64(PARALLEL) * a * c:
-        s = _within((b * f - c * e) / det)
+        s = _clamp_unit((b * f - c * e) / det)
     else:
         # Ends of the second along the first; where both are side by side, in the middle.
-        one = (-e - b) / a
-        other = (-e + b) / a
-        low = wp.max(wp.min(one, other), wp.float64(-1.0))
-        high = wp.min(wp.max(one, other), wp.float64(1.0))
-        s = _within(wp.float64(0.5) * (low + high))
+        first_end = (-e - b) / a
+        second_end = (-e + b) / a
+        low = wp.max(wp.min(first_end, second_end), wp.float64(-1.0))
+        high = wp.min(wp.max(first_end, second_end), wp.float64(1.0))
+        s = _clamp_unit(wp.float64(0.5) * (low + high))
         if low > high:
-            s = wp.where(wp.max(one, other) < wp.float64(-1.0), wp.float64(-1.0), wp.float64(1.0))
+            s = wp.where(wp.max(first_end, second_end) < wp.float64(-1.0), wp.float64(-1.0), wp.float64(1.0))
     t = (f + s * b) / c
     if wp.abs(t) > wp.float64(1.0):
-        t = _within(t)
-        s = _within((t * b - e) / a)
+        t = _clamp_unit(t)
+        s = _clamp_unit((t * b - e) / a)
     return s, t
 
 
 @functools.cache
-def functions(form: Form, real: type) -> SimpleNamespace:
+def functions(traits: ParticleTraits, real: type) -> SimpleNamespace:
     """Returns the device functions of piles of one form.
 
-    ``spot(shapes, state, env, shape)``: where a shape is. ``nearest(first, second)``: how two of them lie to each
-    other. ``curvatures(pair, first, second, radius_1, radius_2)``: the relative principal ones in order.
+    ``axis_point(shapes, state, env, shape)``: where a shape is. ``closest_approach(first, second)``: of two.
+    ``curvatures(pair, first, second, radius_1, radius_2)``: the relative principal ones in order.
     """
     t = structs(real)
     vec3, State = t.vec3, t.State
-    Shapes = pile_structs(real).Shapes
+    Particles = particle_structs(real).Particles
     wide, narrow = frames.functions(real).wide, frames.functions(real).narrow
-    placed, long = form.placed, form.long
+    has_offsets, has_capsules = traits.has_offsets, traits.has_capsules
 
     @wp.struct
-    class Spot:
-        """Where the middle of a shape is: at ``base`` + ``rest``, as fine as shapes are near each other."""
+    class AxisPoint:
+        """Where the middle of a shape is: at ``origin`` + ``offset``, as fine as shapes are near each other."""
 
-        base: vec3  # centre of mass of its body, W [m]
-        rest: vec3  # what rounding left of that, and from there to the middle, W [m]
+        origin: vec3  # centre of mass of its body, W [m]
+        offset: vec3  # what rounding left of that, and from there to the middle, W [m]
         axis: vec3  # to the middle of an end, W [m]
 
     @wp.struct
-    class Pair:
+    class ClosestApproach:
         """How two shapes lie to each other."""
 
-        apart: vec3  # from the point of the second that is nearest, on its axis, to that of the first, W [m]
+        separation: vec3  # from the point of the second that is nearest, on its axis, to that of the first, W [m]
         s: real  # where these are, −1…1
         t: real
 
     @wp.func
-    def spot(shapes: Shapes, state: State, env: int, shape: int):
-        found = Spot()
-        body = natural(shapes.body[shape])
-        found.base = state.body_position[env, body]
-        found.rest = state.body_position_remainder[env, body]
-        if wp.static(placed):
-            found.rest += wp.quat_rotate(state.body_orientation[env, body], shapes.offset[env, shape])
-        if wp.static(long):
-            found.axis = wp.quat_rotate(state.body_orientation[env, body], shapes.axis[env, shape])
-        return found
+    def axis_point(particles: Particles, state: State, env: int, particle: int):
+        result = AxisPoint()
+        body = assume_nonnegative(particles.body[particle])
+        result.origin = state.body_position[env, body]
+        result.offset = state.body_position_remainder[env, body]
+        if wp.static(has_offsets):
+            result.offset += wp.quat_rotate(state.body_orientation[env, body], particles.offset[env, particle])
+        if wp.static(has_capsules):
+            result.axis = wp.quat_rotate(state.body_orientation[env, body], particles.axis[env, particle])
+        return result
 
     @wp.func
-    def nearest(first: Spot, second: Spot):
-        pair = Pair()
-        pair.apart = (first.base - second.base) + (first.rest - second.rest)
-        if wp.static(long):
-            d = wide(pair.apart)
+    def closest_approach(first: AxisPoint, second: AxisPoint):
+        pair = ClosestApproach()
+        pair.separation = (first.origin - second.origin) + (first.offset - second.offset)
+        if wp.static(has_capsules):
+            d = wide(pair.separation)
             g = wide(first.axis)
             h = wide(second.axis)
             s, t = closest_on_segments(d, g, h)
             pair.s = real(s)
             pair.t = real(t)
-            pair.apart = narrow(d + s * g - t * h)
+            pair.separation = narrow(d + s * g - t * h)
         return pair
 
     @wp.func
-    def on_side(place: real, axis: vec3):
+    def is_on_cylinder(parameter: real, axis: vec3):
         """Whether a point of an axis is between its ends: beside it the surface is a cylinder, else a sphere."""
-        return wp.abs(place) < real(1.0) and wp.length_sq(axis) > real(0.0)
+        return wp.abs(parameter) < real(1.0) and wp.length_sq(axis) > real(0.0)
 
     @wp.func
-    def curvatures(pair: Pair, first: Spot, second: Spot, radius_1: real, radius_2: real):
+    def curvatures(pair: ClosestApproach, first: AxisPoint, second: AxisPoint, radius_1: real, radius_2: real):
         k_1 = real(1.0) / radius_1
         k_2 = real(1.0) / radius_2
         # Sides are curved across their axes alone, spheres and caps in all directions.
         side_1 = real(0.0)
         side_2 = real(0.0)
         smaller = real(0.0)
-        if wp.static(long):
-            if on_side(pair.s, first.axis):
+        if wp.static(has_capsules):
+            if is_on_cylinder(pair.s, first.axis):
                 side_1 = k_1
-            if on_side(pair.t, second.axis):
+            if is_on_cylinder(pair.t, second.axis):
                 side_2 = k_2
         larger = wp.max(side_1, side_2)
-        if wp.static(long):  # noqa: SIM102  Warp would look at both sides
+        if wp.static(has_capsules):
             if wp.min(side_1, side_2) > real(0.0):
                 g = wp.normalize(first.axis)
                 h = wp.normalize(second.axis)
                 cosine = wp.dot(g, h)
                 sine = wp.length(wp.cross(g, h))
                 product = side_1 * side_2
-                apart = side_1 - side_2
-                spread = wp.sqrt(apart * apart + real(4.0) * product * cosine * cosine)
+                difference = side_1 - side_2
+                spread = wp.sqrt(difference * difference + real(4.0) * product * cosine * cosine)
                 larger = real(0.5) * (side_1 + side_2 + spread)
                 # By their product: as a difference it would be lost between nearly parallel axes.
                 smaller = product * sine * sine / larger
@@ -146,4 +146,10 @@ def functions(form: Form, real: type) -> SimpleNamespace:
         round_2 = k_2 - side_2
         return smaller + (round_1 + round_2), larger + (round_1 + round_2)
 
-    return SimpleNamespace(Spot=Spot, Pair=Pair, spot=spot, nearest=nearest, curvatures=curvatures)
+    return SimpleNamespace(
+        AxisPoint=AxisPoint,
+        ClosestApproach=ClosestApproach,
+        axis_point=axis_point,
+        closest_approach=closest_approach,
+        curvatures=curvatures,
+    )

@@ -4,109 +4,127 @@ import functools
 from types import SimpleNamespace
 
 import warp as wp
-from warpcontact.kernels.piles.base import AT_ONCE, TOUCHES, pile_structs
-from warpcontact.kernels.types import ENV_ACTIVE, Work, env_of, item_of, natural, structs, task_count
+from warpcontact.kernels.piles.base import BATCH_SIZE, IN_CONTACT, particle_structs
+from warpcontact.kernels.types import (
+    ENV_ACTIVE,
+    LaunchRange,
+    assume_nonnegative,
+    structs,
+    task_count,
+    task_env,
+    task_item,
+)
 from warpcontact.kernels.unique import unique_kernel
-from warpcontact.kernels.warps import count_of, first_of
+from warpcontact.kernels.warps import lowest_set_bit, popcount
 
 
 @functools.cache
 def functions(real: type) -> SimpleNamespace:
-    """Returns the struct ``Sum`` and the device function that adds what touches of a shape do, in their order."""
-    t, p = structs(real), pile_structs(real)
+    """Returns the struct ``WrenchSum`` and the device function that adds the touches of a shape in their order."""
+    t, p = structs(real), particle_structs(real)
     vec3, State = t.vec3, t.State
-    Shapes, Lists, Touches = p.Shapes, p.Lists, p.Touches
+    Particles, NeighborLists, PairRecords = p.Particles, p.NeighborLists, p.PairRecords
 
     @wp.struct
-    class Sum:
+    class WrenchSum:
         force: vec3  # W [N]
         torque: vec3  # about the centre of mass, W [N·m]
-        touching: wp.int32
+        contact_count: wp.int32
 
     @wp.func
     def torque_on_second(
-        state: State, shapes: Shapes, env: int, first: int, second: int, force: vec3, torque: vec3
+        state: State, particles: Particles, env: int, first: int, second: int, force: vec3, torque: vec3
     ):
         """Torque on the second of a pair, about its centre of mass, from force and torque on the first."""
-        one = natural(shapes.body[first])
-        other = natural(shapes.body[second])
-        apart = state.body_position[env, one] - state.body_position[env, other]
-        apart += state.body_position_remainder[env, one] - state.body_position_remainder[env, other]
-        return -(torque + wp.cross(apart, force))
+        body_1 = assume_nonnegative(particles.body[first])
+        body_2 = assume_nonnegative(particles.body[second])
+        separation = state.body_position[env, body_1] - state.body_position[env, body_2]
+        separation += state.body_position_remainder[env, body_1] - state.body_position_remainder[env, body_2]
+        return -(torque + wp.cross(separation, force))
 
     @wp.func
-    def add_shape(total: Sum, state: State, shapes: Shapes, lists: Lists, touches: Touches, env: int, shape: int):
-        start = shapes.entry_start[shape]
-        slot = shapes.slot_start[shape]
-        owned = lists.owned[env, shape]
-        count = lists.count[env, shape]
-        for base in range(0, count, wp.static(AT_ONCE)):
-            those = wp.int32(0)
-            for k in range(base, wp.min(base + wp.static(AT_ONCE), count)):
+    def add_particle(
+        total: WrenchSum,
+        state: State,
+        particles: Particles,
+        neighbor_lists: NeighborLists,
+        pair_records: PairRecords,
+        env: int,
+        particle: int,
+    ):
+        start = particles.entry_start[particle]
+        slot = particles.slot_start[particle]
+        owned = neighbor_lists.owned[env, particle]
+        count = neighbor_lists.count[env, particle]
+        for batch_start in range(0, count, wp.static(BATCH_SIZE)):
+            touching = wp.int32(0)
+            for k in range(batch_start, wp.min(batch_start + wp.static(BATCH_SIZE), count)):
                 record = slot + k
                 if k >= owned:
-                    record = lists.slot[env, start + k]
-                if record >= 0:  # noqa: SIM102  Warp would evaluate both sides
-                    if (touches.bits[env, record] & TOUCHES) != 0:
-                        those = those | (1 << (k - base))
-            total.touching += count_of(those)
-            while those != 0:
-                k = base + first_of(those)
-                those = those & (those - 1)
+                    record = neighbor_lists.slot[env, start + k]
+                if record >= 0:
+                    if (pair_records.flags[env, record] & IN_CONTACT) != 0:
+                        touching = touching | (1 << (k - batch_start))
+            total.contact_count += popcount(touching)
+            while touching != 0:
+                k = batch_start + lowest_set_bit(touching)
+                touching = touching & (touching - 1)
                 record = slot + k
                 if k >= owned:
-                    record = lists.slot[env, start + k]
-                partner = natural(lists.partner[env, start + k])
-                force = touches.force[env, record]
-                torque = touches.torque[env, record]
-                if shape < partner:
+                    record = neighbor_lists.slot[env, start + k]
+                neighbor = assume_nonnegative(neighbor_lists.neighbor[env, start + k])
+                force = pair_records.force[env, record]
+                torque = pair_records.torque[env, record]
+                if particle < neighbor:
                     total.force += force
                     total.torque += torque
                 else:
                     total.force -= force
-                    total.torque += torque_on_second(state, shapes, env, partner, shape, force, torque)
+                    total.torque += torque_on_second(state, particles, env, neighbor, particle, force, torque)
         return total
 
-    return SimpleNamespace(Sum=Sum, add_shape=add_shape)
+    return SimpleNamespace(WrenchSum=WrenchSum, add_particle=add_particle)
 
 
 @functools.cache
-def add(real: type, alone: bool) -> wp.Kernel:
+def add(real: type, one_particle_per_body: bool) -> wp.Kernel:
     """Returns the kernel that adds to the wrench of each body what touches of its shapes do, in their order.
 
-    The same bits in every run. Items: carriers. ``alone``: whether every body of the pile has one shape.
+    The same bits in every run. Items: carriers. ``one_particle_per_body``: whether every body has one shape.
     """
     t = structs(real)
     State, Wrenches = t.State, t.Wrenches
-    p = pile_structs(real)
-    Shapes, Lists, Touches = p.Shapes, p.Lists, p.Touches
-    of_shape = functions(real)
-    Sum, add_shape = of_shape.Sum, of_shape.add_shape
+    p = particle_structs(real)
+    Particles, NeighborLists, PairRecords = p.Particles, p.NeighborLists, p.PairRecords
+    sum_functions = functions(real)
+    WrenchSum, add_particle = sum_functions.WrenchSum, sum_functions.add_particle
 
     @unique_kernel()
-    def add_pile(
-        work: Work,
+    def add_particle_wrenches(
+        launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         state: State,
-        shapes: Shapes,
-        lists: Lists,
-        touches: Touches,
+        particles: Particles,
+        neighbor_lists: NeighborLists,
+        pair_records: PairRecords,
         wrenches: Wrenches,
     ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            carrier = item_of(work, task)
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            owner = task_item(launch, task)
             if status[env] != ENV_ACTIVE:
                 continue
-            total = Sum()
-            if wp.static(alone):
-                total = add_shape(total, state, shapes, lists, touches, env, carrier)
+            total = WrenchSum()
+            if wp.static(one_particle_per_body):
+                total = add_particle(total, state, particles, neighbor_lists, pair_records, env, owner)
             else:
-                for place in range(shapes.carrier_start[carrier], shapes.carrier_start[carrier + 1]):
-                    total = add_shape(total, state, shapes, lists, touches, env, shapes.carrier_shape[place])
-            if total.touching > 0:
-                body = shapes.carrier_body[carrier]
+                for index in range(particles.owner_start[owner], particles.owner_start[owner + 1]):
+                    total = add_particle(
+                        total, state, particles, neighbor_lists, pair_records, env, particles.owner_particle[index]
+                    )
+            if total.contact_count > 0:
+                body = particles.owner_body[owner]
                 wrenches.force[env, body] = wrenches.force[env, body] + total.force
                 wrenches.torque[env, body] = wrenches.torque[env, body] + total.torque
 
-    return add_pile
+    return add_particle_wrenches

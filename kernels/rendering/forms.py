@@ -4,7 +4,7 @@ import warp as wp
 from warpcontact.kernels.rendering.world import CONE, CYLINDER, SPHERE
 
 # In place of a distance along a ray: it meets nothing.
-NEVER = wp.constant(-1.0)
+NO_HIT = wp.constant(-1.0)
 _FAR = wp.constant(1.0e30)
 
 
@@ -12,28 +12,28 @@ _FAR = wp.constant(1.0e30)
 def first_positive(enter: float, leave: float):
     """Where a ray comes into a convex body, or out of it when it starts inside."""
     if enter > leave:
-        return NEVER
+        return NO_HIT
     if enter > 0.0:
         return enter
     return leave
 
 
 @wp.func
-def meet_sphere(o: wp.vec3, d: wp.vec3):
+def intersect_sphere(o: wp.vec3, d: wp.vec3):
     """Distance along the ray from ``o`` along ``d`` to the unit sphere; not positive: none."""
     # From the point nearest to the centre: far away nothing is lost in the difference of squares.
     squared = wp.dot(d, d)
     nearest = -wp.dot(o, d) / squared
     p = o + nearest * d
-    left = 1.0 - wp.dot(p, p)
-    if left < 0.0:
-        return NEVER
-    half = wp.sqrt(left / squared)
+    discriminant = 1.0 - wp.dot(p, p)
+    if discriminant < 0.0:
+        return NO_HIT
+    half = wp.sqrt(discriminant / squared)
     return first_positive(nearest - half, nearest + half)
 
 
 @wp.func
-def meet_cylinder(o: wp.vec3, d: wp.vec3):
+def intersect_cylinder(o: wp.vec3, d: wp.vec3):
     """The same for the unit cylinder."""
     nearest = -wp.dot(o - wp.vec3(0.0, 0.0, 0.5), d) / wp.dot(d, d)
     p = o + nearest * d
@@ -45,23 +45,23 @@ def meet_cylinder(o: wp.vec3, d: wp.vec3):
         b = p[0] * d[0] + p[1] * d[1]
         root = b * b - a * c
         if root < 0.0:
-            return NEVER
+            return NO_HIT
         enter = (-b - wp.sqrt(root)) / a
         leave = (-b + wp.sqrt(root)) / a
     elif c > 0.0:
-        return NEVER
+        return NO_HIT
     if d[2] != 0.0:
         bottom = -p[2] / d[2]
         top = (1.0 - p[2]) / d[2]
         enter = wp.max(enter, wp.min(bottom, top))
         leave = wp.min(leave, wp.max(bottom, top))
     elif p[2] < 0.0 or p[2] > 1.0:
-        return NEVER
+        return NO_HIT
     return first_positive(nearest + enter, nearest + leave)
 
 
 @wp.func
-def on_side_of_cone(t: float, p: wp.vec3, d: wp.vec3, start: float, best: float):
+def nearer_cone_hit(t: float, p: wp.vec3, d: wp.vec3, start: float, best: float):
     """``start + t`` if the ray is then between base and tip, and that comes first."""
     z = p[2] + t * d[2]
     if z >= 0.0 and z <= 1.0 and start + t > 0.0 and start + t < best:
@@ -70,7 +70,7 @@ def on_side_of_cone(t: float, p: wp.vec3, d: wp.vec3, start: float, best: float)
 
 
 @wp.func
-def meet_cone(o: wp.vec3, d: wp.vec3):
+def intersect_cone(o: wp.vec3, d: wp.vec3):
     """The same for the unit cone."""
     nearest = -wp.dot(o - wp.vec3(0.0, 0.0, 0.5), d) / wp.dot(d, d)
     p = o + nearest * d
@@ -81,31 +81,31 @@ def meet_cone(o: wp.vec3, d: wp.vec3):
     if wp.abs(a) > 1.0e-6 * wp.dot(d, d):
         root = b * b - a * c
         if root >= 0.0:
-            best = on_side_of_cone((-b - wp.sqrt(root)) / a, p, d, nearest, best)
-            best = on_side_of_cone((-b + wp.sqrt(root)) / a, p, d, nearest, best)
+            best = nearer_cone_hit((-b - wp.sqrt(root)) / a, p, d, nearest, best)
+            best = nearer_cone_hit((-b + wp.sqrt(root)) / a, p, d, nearest, best)
     elif b != 0.0:
-        best = on_side_of_cone(-0.5 * c / b, p, d, nearest, best)
+        best = nearer_cone_hit(-0.5 * c / b, p, d, nearest, best)
     if d[2] != 0.0:
         t = -p[2] / d[2]
         x = p[0] + t * d[0]
         y = p[1] + t * d[1]
         if x * x + y * y <= 1.0 and nearest + t > 0.0 and nearest + t < best:
             best = nearest + t
-    return wp.where(best < _FAR, best, NEVER)
+    return wp.where(best < _FAR, best, NO_HIT)
 
 
 @wp.func
-def meet_form(kind: int, o: wp.vec3, d: wp.vec3):
+def intersect_shape(kind: int, o: wp.vec3, d: wp.vec3):
     """Distance along a ray to an item of analytic form, in its own frame; not positive: none."""
     if kind == SPHERE:
-        return meet_sphere(o, d)
+        return intersect_sphere(o, d)
     if kind == CYLINDER:
-        return meet_cylinder(o, d)
-    return meet_cone(o, d)
+        return intersect_cylinder(o, d)
+    return intersect_cone(o, d)
 
 
 @wp.func
-def normal_of_form(kind: int, p: wp.vec3, scale: wp.vec3):
+def shape_normal(kind: int, p: wp.vec3, scale: wp.vec3):
     """The outer normal at a point of an item of analytic form, in its own frame."""
     if kind == SPHERE:
         return p

@@ -3,14 +3,14 @@
 import functools
 
 import warp as wp
-from warpcontact.kernels.rendering.shade import Backdrop, Grid, Light, seen
+from warpcontact.kernels.rendering.shade import Backdrop, Grid, Light, trace_color
 from warpcontact.kernels.rendering.world import World
 from warpcontact.kernels.unique import unique_kernel
 
 # Samples of a pixel that decide whether it takes more of them.
-FIRST = wp.constant(4)
+INITIAL_SAMPLES = wp.constant(4)
 # Difference of two of them, in square roots of linear colour, from which it does.
-DIFFERENT = wp.constant(0.04)
+CONTRAST_THRESHOLD = wp.constant(0.04)
 # Fractions of two irrational numbers, the multiples of which fill the unit square evenly (the R₂ sequence).
 _STEP_X = wp.constant(0.7548776662466927)
 _STEP_Y = wp.constant(0.5698402909980532)
@@ -52,7 +52,7 @@ def srgb(x: float):
 
 
 @wp.func
-def root(color: wp.vec3):
+def perceptual(color: wp.vec3):
     """About as bright as it looks."""
     return wp.vec3(wp.sqrt(color[0]), wp.sqrt(color[1]), wp.sqrt(color[2]))
 
@@ -84,12 +84,12 @@ def kernel() -> wp.Kernel:
         total = wp.vec3()
         lowest = wp.vec3(2.0, 2.0, 2.0)
         highest = wp.vec3()
-        taken = wp.int32(0)
-        wanted = wp.min(view.samples, FIRST)
-        while taken < wanted:
+        count = wp.int32(0)
+        target_count = wp.min(view.samples, INITIAL_SAMPLES)
+        while count < target_count:
             # The first is at the middle of the pixel.
-            step_x = float(taken) * _STEP_X
-            step_y = float(taken) * _STEP_Y
+            step_x = float(count) * _STEP_X
+            step_y = float(count) * _STEP_Y
             x = float(column) + fraction(0.5 + step_x)
             y = float(row) + fraction(0.5 + step_y)
             h = 1.0 - y / float(view.height)
@@ -97,14 +97,14 @@ def kernel() -> wp.Kernel:
             ray = wp.normalize(view.forward + across * view.right + view.tangent * (2.0 * h - 1.0) * view.up)
             at_sun = wp.vec2(fraction(sun_x + step_x), fraction(sun_y + step_y))
             at_sky = wp.vec2(fraction(sky_x + step_y), fraction(sky_y + step_x))
-            color = seen(world, marks, light, grid, backdrop, view.eye, ray, h, at_sun, at_sky)
+            color = trace_color(world, marks, light, grid, backdrop, view.eye, ray, h, at_sun, at_sky)
             total += color
-            lowest = wp.min(lowest, root(color))
-            highest = wp.max(highest, root(color))
-            taken += 1
-            if taken == FIRST and wp.max(highest - lowest) > DIFFERENT:
-                wanted = view.samples
-        mean = total / float(taken)
+            lowest = wp.min(lowest, perceptual(color))
+            highest = wp.max(highest, perceptual(color))
+            count += 1
+            if count == INITIAL_SAMPLES and wp.max(highest - lowest) > CONTRAST_THRESHOLD:
+                target_count = view.samples
+        mean = total / float(count)
         for channel in range(3):
             picture[pixel, channel] = srgb(mean[channel])
 

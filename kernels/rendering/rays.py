@@ -1,7 +1,7 @@
 """Rays through a world: what they meet first, whether anything is in their way, and the normal where they end."""
 
 import warp as wp
-from warpcontact.kernels.rendering.forms import meet_form, normal_of_form
+from warpcontact.kernels.rendering.forms import intersect_shape, shape_normal
 from warpcontact.kernels.rendering.world import MESH, Hit, World, into_shape, normal_to_world, point_to_world
 
 
@@ -12,22 +12,22 @@ def trace(world: World, origin: wp.vec3, direction: wp.vec3, limit: float):
     best.item = wp.int32(-1)
     best.t = limit
     if world.count > 0:
-        query = wp.bvh_query_ray(world.tree, origin, direction)
+        query = wp.bvh_query_ray(world.bvh, origin, direction)
         item = wp.int32(0)
         while wp.bvh_query_next(query, item, best.t):
             o = into_shape(world, item, origin - world.position[item])
             d = into_shape(world, item, direction)
             kind = world.kind[item]
             if kind == MESH:
-                met = wp.mesh_query_ray(world.mesh[world.shape[item]], o, d, best.t)
-                if met.result:
+                hit = wp.mesh_query_ray(world.mesh[world.shape[item]], o, d, best.t)
+                if hit.result:
                     best.item = item
-                    best.t = met.t
-                    best.face = met.face
-                    best.u = met.u
-                    best.v = met.v
+                    best.t = hit.t
+                    best.face = hit.face
+                    best.u = hit.u
+                    best.v = hit.v
             else:
-                t = meet_form(kind, o, d)
+                t = intersect_shape(kind, o, d)
                 if t > 0.0 and t < best.t:
                     best.item = item
                     best.t = t
@@ -35,10 +35,10 @@ def trace(world: World, origin: wp.vec3, direction: wp.vec3, limit: float):
 
 
 @wp.func
-def is_free(world: World, origin: wp.vec3, direction: wp.vec3, limit: float):
+def is_unoccluded(world: World, origin: wp.vec3, direction: wp.vec3, limit: float):
     """Whether a ray meets nothing before ``limit`` lengths of ``direction``."""
     if world.count > 0:
-        query = wp.bvh_query_ray(world.tree, origin, direction)
+        query = wp.bvh_query_ray(world.bvh, origin, direction)
         item = wp.int32(0)
         while wp.bvh_query_next(query, item, limit):
             o = into_shape(world, item, origin - world.position[item])
@@ -48,7 +48,7 @@ def is_free(world: World, origin: wp.vec3, direction: wp.vec3, limit: float):
                 if wp.mesh_query_ray_anyhit(world.mesh[world.shape[item]], o, d, limit):
                     return False
             else:
-                t = meet_form(kind, o, d)
+                t = intersect_shape(kind, o, d)
                 if t > 0.0 and t < limit:
                     return False
     return True
@@ -63,7 +63,7 @@ def flat_normal(world: World, hit: Hit, p_L: wp.vec3):
     if kind == MESH:
         n_L = wp.mesh_eval_face_normal(world.mesh[world.shape[item]], hit.face)
     else:
-        n_L = normal_of_form(kind, p_L, world.scale[item])
+        n_L = shape_normal(kind, p_L, world.scale[item])
     return normal_to_world(world, item, n_L)
 
 
@@ -83,7 +83,7 @@ def smooth_normal(world: World, hit: Hit, flat_W: wp.vec3):
 
 
 @wp.func
-def raised(world: World, hit: Hit, p_W: wp.vec3, side: float):
+def shadow_ray_origin(world: World, hit: Hit, p_W: wp.vec3, side: float):
     """The point of a smooth mesh, rather than of its face, to begin rays to the light from.
 
     From the face itself, edges between faces would show in the shadow that a body throws on itself. The point is
@@ -107,7 +107,7 @@ def raised(world: World, hit: Hit, p_W: wp.vec3, side: float):
 
 
 @wp.func
-def color_of(world: World, hit: Hit):
+def surface_color(world: World, hit: Hit):
     """The colour of what was hit, linear RGB."""
     item = hit.item
     color = world.color[item]

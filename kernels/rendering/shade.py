@@ -1,13 +1,20 @@
 """The colour of what a ray meets: a sun with a soft shadow, a sky that corners are darker under, a dim lamp."""
 
 import warp as wp
-from warpcontact.kernels.rendering.rays import color_of, flat_normal, is_free, raised, smooth_normal, trace
+from warpcontact.kernels.rendering.rays import (
+    flat_normal,
+    is_unoccluded,
+    shadow_ray_origin,
+    smooth_normal,
+    surface_color,
+    trace,
+)
 from warpcontact.kernels.rendering.world import Hit, World, into_shape
 
 # Beyond everything, in units of the view.
-FAR = wp.constant(1.0e6)
+MAX_DISTANCE = wp.constant(1.0e6)
 # How far from a surface rays to the light begin, in units of the view, and what more for the distance to the eye.
-APART = wp.constant(1.0e-4)
+RAY_OFFSET = wp.constant(1.0e-4)
 ROUNDING = wp.constant(4.0e-6)
 
 
@@ -24,7 +31,7 @@ class Light:
     ground_color: wp.vec3  # from below
     lamp: wp.float32  # at the eye
     gloss: wp.float32  # share of the sun that is mirrored
-    reach: wp.float32  # how near things take the sky away from each other, in units of the view
+    occlusion_range: wp.float32  # how near things take the sky away from each other, in units of the view
 
 
 @wp.struct
@@ -48,7 +55,7 @@ class Backdrop:
 
 
 @wp.func
-def on_disc(x: float, y: float):
+def sample_disk(x: float, y: float):
     """A point of the unit disc, evenly for points of the unit square."""
     radius = wp.sqrt(x)
     angle = 6.2831853 * y
@@ -56,7 +63,7 @@ def on_disc(x: float, y: float):
 
 
 @wp.func
-def towards_sky(n: wp.vec3, x: float, y: float):
+def sample_hemisphere(n: wp.vec3, x: float, y: float):
     """A direction about the normal ``n`` by the law of the cosine, for points of the unit square."""
     z = 1.0 - 2.0 * x
     radius = wp.sqrt(wp.max(1.0 - z * z, 0.0))
@@ -68,7 +75,7 @@ def towards_sky(n: wp.vec3, x: float, y: float):
 
 
 @wp.func
-def on_line(x: float, step: float, blur: float):
+def line_coverage(x: float, step: float, blur: float):
     """How much of a stretch of length ``blur`` about ``x`` lies on lines at the multiples of ``step``."""
     half = 0.008 * step
     away = wp.abs(x / step - wp.floor(x / step + 0.5)) * step
@@ -78,17 +85,17 @@ def on_line(x: float, step: float, blur: float):
 
 
 @wp.func
-def ruling(grid: Grid, p_W: wp.vec3, n: wp.vec3, ray: wp.vec3, t: float):
+def grid_brightness(grid: Grid, p_W: wp.vec3, n: wp.vec3, ray: wp.vec3, t: float):
     """The brightness of a point of the ground by the lines on it, between that of a line and 1."""
     level = wp.smoothstep(0.6, 0.9, wp.abs(n[2]))
     blur = grid.pixel * t / wp.max(wp.abs(wp.dot(n, ray)), 0.05)
-    x = on_line(p_W[0] - grid.origin[0], grid.step, blur)
-    y = on_line(p_W[1] - grid.origin[1], grid.step, blur)
+    x = line_coverage(p_W[0] - grid.origin[0], grid.step, blur)
+    y = line_coverage(p_W[1] - grid.origin[1], grid.step, blur)
     return 1.0 - level * (1.0 - grid.shade) * wp.max(x, y)
 
 
 @wp.func
-def lit(
+def shade_hit(
     world: World,
     light: Light,
     grid: Grid,
@@ -107,41 +114,41 @@ def lit(
     side = wp.where(wp.dot(flat, ray) > 0.0, -1.0, 1.0)
     flat = side * flat
     n = side * n
-    bent = wp.dot(n, ray)
-    if bent > 0.0:  # a normal between corners that looks away, at the rim of a smooth shape
-        n = wp.normalize(n - 1.01 * bent * ray)
+    back_facing = wp.dot(n, ray)
+    if back_facing > 0.0:  # a normal between corners that looks away, at the rim of a smooth shape
+        n = wp.normalize(n - 1.01 * back_facing * ray)
     sunlight = wp.float32(0.0)
     mirrored = wp.float32(0.0)
     open_sky = wp.float32(1.0)
-    disc = on_disc(at_sun[0], at_sun[1])
+    disc = sample_disk(at_sun[0], at_sun[1])
     to_sun = wp.normalize(light.sun + light.spread * (disc[0] * light.across + disc[1] * light.along))
-    facing = wp.dot(n, to_sun)
-    apart = (APART + ROUNDING * hit.t) * flat
-    if facing > 0.0:
-        sunlight = facing
+    cosine = wp.dot(n, to_sun)
+    offset = (RAY_OFFSET + ROUNDING * hit.t) * flat
+    if cosine > 0.0:
+        sunlight = cosine
         mirrored = light.gloss * wp.pow(wp.max(wp.dot(n, wp.normalize(to_sun - ray)), 0.0), 40.0)
     if shadows:
-        if facing > 0.0:  # a ray for those alone that the sun could reach
-            free = is_free(world, raised(world, hit, p_W, side) + apart, to_sun, FAR)
+        if cosine > 0.0:  # a ray for those alone that the sun could reach
+            free = is_unoccluded(world, shadow_ray_origin(world, hit, p_W, side) + offset, to_sun, MAX_DISTANCE)
             sunlight = wp.where(free, sunlight, 0.0)
             mirrored = wp.where(free, mirrored, 0.0)
-        to_sky = towards_sky(n, at_sky[0], at_sky[1])
+        to_sky = sample_hemisphere(n, at_sky[0], at_sky[1])
         if wp.dot(to_sky, flat) > 0.0:
             # What is farther away takes less of it.
-            open_sky = trace(world, p_W + apart, to_sky, light.reach).t / light.reach
+            open_sky = trace(world, p_W + offset, to_sky, light.occlusion_range).t / light.occlusion_range
     above = 0.5 + 0.5 * n[2]
-    around = above * light.sky_color + (1.0 - above) * light.ground_color
-    received = open_sky * around + sunlight * light.sun_color
+    ambient = above * light.sky_color + (1.0 - above) * light.ground_color
+    received = open_sky * ambient + sunlight * light.sun_color
     glow = received + wp.vec3(1.0, 1.0, 1.0) * (light.lamp * wp.max(-wp.dot(n, ray), 0.0))
-    color = color_of(world, hit)
-    if world.ruled[hit.item] != wp.uint8(0):
-        color = color * ruling(grid, p_W, flat, ray, hit.t)
+    color = surface_color(world, hit)
+    if world.has_grid[hit.item] != wp.uint8(0):
+        color = color * grid_brightness(grid, p_W, flat, ray, hit.t)
         mirrored = 0.0
     return wp.cw_mul(color, glow) + mirrored * light.sun_color
 
 
 @wp.func
-def seen(
+def trace_color(
     world: World,
     marks: World,
     light: Light,
@@ -157,21 +164,21 @@ def seen(
 
     Marks, such as arrows, neither cast nor catch shadows, and shine through what is before them.
     """
-    behind = height * backdrop.top + (1.0 - height) * backdrop.bottom
-    color = behind
-    hit = trace(world, eye, ray, FAR)
+    background = height * backdrop.top + (1.0 - height) * backdrop.bottom
+    color = background
+    hit = trace(world, eye, ray, MAX_DISTANCE)
     if hit.item >= 0:
         p_W = eye + hit.t * ray
         fog = wp.float32(0.0)
-        if world.endless[hit.item] != wp.uint8(0):
+        if world.infinite[hit.item] != wp.uint8(0):
             # The middle of the view is the origin.
             fog = wp.smoothstep(backdrop.fade_from, backdrop.fade_to, wp.length(p_W))
         if fog < 1.0:
-            surface = lit(world, light, grid, hit, p_W, ray, at_sun, at_sky, True)
-            color = (1.0 - fog) * surface + fog * behind
-    mark = trace(marks, eye, ray, FAR)
+            surface = shade_hit(world, light, grid, hit, p_W, ray, at_sun, at_sky, True)
+            color = (1.0 - fog) * surface + fog * background
+    mark = trace(marks, eye, ray, MAX_DISTANCE)
     if mark.item >= 0:
-        over = lit(marks, light, grid, mark, eye + mark.t * ray, ray, wp.vec2(), wp.vec2(), False)
-        share = wp.where(mark.t < hit.t, 1.0, 0.6)
-        color = share * over + (1.0 - share) * color
+        mark_color = shade_hit(marks, light, grid, mark, eye + mark.t * ray, ray, wp.vec2(), wp.vec2(), False)
+        opacity = wp.where(mark.t < hit.t, 1.0, 0.6)
+        color = opacity * mark_color + (1.0 - opacity) * color
     return wp.min(wp.max(color, wp.vec3(0.0, 0.0, 0.0)), wp.vec3(1.0, 1.0, 1.0))

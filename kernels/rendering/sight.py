@@ -3,7 +3,7 @@
 import functools
 
 import warp as wp
-from warpcontact.kernels.rendering.rays import is_free
+from warpcontact.kernels.rendering.rays import is_unoccluded
 from warpcontact.kernels.rendering.world import World
 from warpcontact.kernels.unique import unique_kernel
 
@@ -13,18 +13,18 @@ def kernel() -> wp.Kernel:
     """Returns the kernel that looks at points, one per thread."""
 
     @unique_kernel()
-    def see(
+    def test_points(
         world: World,
         eye: wp.vec3,
         points: wp.array(dtype=wp.vec3),  # W
         radii: wp.array(dtype=wp.float32),  # of what is about them: so near to a point nothing hides it
-        seen: wp.array(dtype=wp.uint8),  # 1: nothing hides it
+        visible: wp.array(dtype=wp.uint8),  # 1: nothing hides it
     ):
         i = wp.tid()
-        away = points[i] - eye
-        distance = wp.length(away)
-        seen[i] = wp.uint8(0)
-        if distance <= radii[i] or is_free(world, eye, away / distance, distance - radii[i]):
-            seen[i] = wp.uint8(1)
+        offset = points[i] - eye
+        distance = wp.length(offset)
+        visible[i] = wp.uint8(0)
+        if distance <= radii[i] or is_unoccluded(world, eye, offset / distance, distance - radii[i]):
+            visible[i] = wp.uint8(1)
 
-    return see
+    return test_points

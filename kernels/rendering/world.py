@@ -14,15 +14,15 @@ class World:
     """Items; frames: W of the picture, L of the shape of an item. p_W = position + rotation · (scale ∘ p_L)."""
 
     count: wp.int32  # items; with none there is no tree
-    tree: wp.uint64  # wp.Bvh over the boxes of the items, W
+    bvh: wp.uint64  # wp.Bvh over the boxes of the items, W
     kind: wp.array(dtype=wp.int32)  # [item]
     shape: wp.array(dtype=wp.int32)  # [item] of a mesh: which
     position: wp.array(dtype=wp.vec3)  # [item]
     rotation: wp.array(dtype=wp.quat)  # [item]
     scale: wp.array(dtype=wp.vec3)  # [item] none is 0
     color: wp.array(dtype=wp.vec3)  # [item] linear RGB
-    ruled: wp.array(dtype=wp.uint8)  # [item] 1: with lines of a grid where it is level
-    endless: wp.array(dtype=wp.uint8)  # [item] 1: fades into the background far away
+    has_grid: wp.array(dtype=wp.uint8)  # [item] 1: with lines of a grid where it is level
+    infinite: wp.array(dtype=wp.uint8)  # [item] 1: fades into the background far away
     mesh: wp.array(dtype=wp.uint64)  # [shape] wp.Mesh
     first_normal: wp.array(dtype=wp.int32)  # [shape] where in ``normals`` its corners begin; −1: faces are flat
     first_color: wp.array(dtype=wp.int32)  # [shape] where in ``colors`` its faces begin; −1: that of the item

@@ -25,29 +25,29 @@ one = wp.constant(real(1.0))
 half = wp.constant(real(0.5))
 two = wp.constant(real(2.0))
 # Where a unit vector is taken to lie on an axis or across it: rounding of a rotation there and back.
-ON_AXIS = wp.constant(wp.float64(1.0e-14))
+AXIS_TOLERANCE = wp.constant(wp.float64(1.0e-14))
 # The same where a point goes by a small power of a component of n: what rounding leaves of the point is lost.
-ACROSS = wp.constant(wp.float64(1.0e-11))
+LOOSE_AXIS_TOLERANCE = wp.constant(wp.float64(1.0e-11))
 
 
 @wp.struct
-class Seed:
+class WarmStart:
     """What is known of a pair before it is solved, from the last step; empty: nothing."""
 
     normal: vec3d  # unit vector out of b, frame of b
     u: wp.vec4d  # parameters of both surfaces, where they have any
-    known: wp.int32  # 1: the above means something
+    valid: wp.int32  # 1: the above means something
 
 
 @wp.struct
-class Meeting:
+class ShapeContactPoint:
     """Where two surfaces meet, or are nearest to each other."""
 
     gap: wp.float64  # negative in overlap [m]
     normal: vec3d  # unit vector out of b, towards a; frame of b
     point_a: vec3d  # on a, frame of b [m]
     point_b: vec3d  # on b, frame of b [m]
-    seed: Seed  # for the next step
+    warm_start: WarmStart  # for the next step
     iterations: wp.int32
     residual: wp.float64  # tangential distance of the two points over the size of the pair
     status: wp.int32  # MET, NOT_CONVERGED or OUTSIDE
@@ -63,7 +63,7 @@ class Curvature:
 
 
 @wp.struct
-class Nearest:
+class SignedDistance:
     """The point of a surface that is nearest to a place."""
 
     gap: wp.float64  # of the place, negative inside [m]
@@ -72,7 +72,7 @@ class Nearest:
 
 
 @wp.struct
-class Expansion:
+class SupportExpansion:
     """A support function near a direction n: n·point + ½ τ·hessian τ + Σ |n·kink|, for n changed by τ.
 
     A kink is a term |k·n| where the support point jumps from one end of an edge to the other, n·k = 0.
@@ -81,8 +81,8 @@ class Expansion:
     point: vec3d  # gradient of the smooth part: the middle of all edges [m]
     hessian: mat33d  # of the smooth part [m]
     kinks: mat33d  # rows k [m]; 0: unused
-    bend: wp.float64  # the first kink is curved, too, and its Hessian is this times ``hessian``
-    disc: wp.float64  # radius of the flat disc that n stands on, exactly; 0: none [m]
+    kink_curvature: wp.float64  # the first kink is curved, too, and its Hessian is this times ``hessian``
+    disc_radius: wp.float64  # radius of the flat disc that n stands on, exactly; 0: none [m]
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(parameter,))
@@ -92,13 +92,13 @@ class Shape(Formula):
     Convex shapes have these device functions, all in the frame of the shape, of the coefficients ``p``:
 
     - ``support(p, n)``: the point farthest along the unit vector n; of many, the middle of the face or edge,
-    - ``expand(p, n)``: the ``Expansion`` of the support function of the body less ``margin`` all around,
+    - ``expand(p, n)``: the ``SupportExpansion`` of the support function of the body less ``margin`` all around,
     - ``margin(p)``: radius of the sphere that rounds all its edges,
-    - ``rolling(p)``: radius of a sphere that fits inside at every point of the surface,
+    - ``rolling_ball_radius(p)``: radius of a sphere that fits inside at every point of the surface,
     - ``extents(p)``: half the sides of a box around it,
-    - ``centre(p)`` and ``inner(p)``: centre and radius of a sphere inside.
+    - ``inscribed_center(p)`` and ``inscribed_radius(p)``: centre and radius of a sphere inside.
 
-    Shapes with ``nearest(p, x)`` answer for the ``Nearest`` point of a place at once.
+    Shapes with ``signed_distance(p, x)`` answer for the ``SignedDistance`` point of a place at once.
     """
 
     whole: ClassVar[str] = "shape"
@@ -116,10 +116,10 @@ class Shape(Formula):
     #: Flat discs with the normals −z and +z: none, the first, or both.
     discs: ClassVar[int] = 0
     #: Whether a point may run far for the smallest turn of n: it has kinks where it would, and
-    #: ``steepness(p)``, ``gauss(p, y)`` and ``gauge(p, y)``.
-    steep: ClassVar[bool] = False
+    #: ``support_powers(p)``, ``gauss_map(p, y)`` and ``gauge(p, y)``.
+    ill_conditioned: ClassVar[bool] = False
     #: Whether the first kink is bent.
-    bent: ClassVar[bool] = False
+    curved_kink: ClassVar[bool] = False
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)

@@ -17,33 +17,42 @@ import warp as wp
 from warpcontact.kernels.smooth.base import half, real, two, zero
 
 # The first stride to a bracket, usually, and how many there are, each twice as long as the one before.
-FIRST = 1.0e-3
-STRIDES = wp.constant(wp.int32(9))
+FIRST_STRIDE = 1.0e-3
+MAX_STRIDES = wp.constant(wp.int32(9))
 
 
 @functools.cache
 def functions(
-    Seen: type, crossing: wp.Function, cycle: int, most: int, narrow: float, first: float = FIRST
+    Sample: type,
+    secant: wp.Function,
+    bisection_interval: int,
+    max_steps: int,
+    min_width: float,
+    first: float = FIRST_STRIDE,
 ) -> SimpleNamespace:
     """Returns the struct ``Search`` and its device functions.
 
-    - ``begin(low, a, f_a, high, b, f_b)``: a search between a and b, or, if they are one, from there,
-    - ``closed(search)``: whether it has a bracket,
-    - ``going(search)``: whether there is a place to look at,
-    - ``place(search)``: that place,
-    - ``told(search, at, f, now)``: the search with what was seen there.
+    - ``start(low, a, f_a, high, b, f_b)``: a search between a and b, or, if they are one, from there,
+    - ``is_bracketed(search)``: whether it has a bracket,
+    - ``is_running(search)``: whether there is a place to look at,
+    - ``next_point(search)``: that place,
+    - ``update(search, at, f, now)``: the search with what was seen there.
 
     Args:
-        Seen: Struct of what is seen at a place, kept for both ends of the bracket.
-        crossing: ``(a, b, f_a, f_b)`` → where the straight line through both ends is zero. How that is written
+        Sample: Struct of what is seen at a place, kept for both ends of the bracket.
+        secant: ``(a, b, f_a, f_b)`` → where the straight line through both ends is zero. How that is written
             decides what rounding leaves.
-        cycle: The last of so many steps is a halving, the others are false positions.
-        most: Number of steps that narrow the bracket.
-        narrow: Width of a bracket that is a place.
+        bisection_interval: The last of so many steps is a halving, the others are false positions.
+        max_steps: Number of steps that narrow the bracket.
+        min_width: Width of a bracket that is a place.
         first: The first stride to a bracket.
     """
-    ahead = wp.constant(real(first))
-    steps, every, width = wp.constant(wp.int32(most)), wp.constant(wp.int32(cycle)), wp.constant(real(narrow))
+    first_stride = wp.constant(real(first))
+    steps, interval, width = (
+        wp.constant(wp.int32(max_steps)),
+        wp.constant(wp.int32(bisection_interval)),
+        wp.constant(real(min_width)),
+    )
 
     @wp.struct
     class Search:
@@ -51,14 +60,14 @@ def functions(
         b: real  # upper end
         f_a: real  # value there, halved where that end stays
         f_b: real
-        low: Seen  # at a
-        high: Seen  # at b
+        low: Sample  # at a
+        high: Sample  # at b
         stride: real  # the next one
-        side: wp.int32  # the end that moved last: −1, 1, or none yet
+        moved_end: wp.int32  # the end that moved last: −1, 1, or none yet
         steps: wp.int32  # since there is a bracket, or before
 
     @wp.func
-    def begin(low: Seen, a: real, f_a: real, high: Seen, b: real, f_b: real):
+    def start(low: Sample, a: real, f_a: real, high: Sample, b: real, f_b: real):
         search = Search()
         search.a = a
         search.b = b
@@ -66,50 +75,57 @@ def functions(
         search.f_b = f_b
         search.low = low
         search.high = high
-        search.stride = wp.where(f_a < zero, ahead, -ahead)
+        search.stride = wp.where(f_a < zero, first_stride, -first_stride)
         return search
 
     @wp.func
-    def closed(search: Search):
+    def is_bracketed(search: Search):
         return search.f_a <= zero and search.f_b >= zero
 
     @wp.func
-    def going(search: Search):
-        if closed(search):
+    def is_running(search: Search):
+        if is_bracketed(search):
             return search.steps < steps and search.b - search.a > width
-        return search.steps < STRIDES
+        return search.steps < MAX_STRIDES
 
     @wp.func
-    def place(search: Search):
-        if not closed(search):
+    def next_point(search: Search):
+        if not is_bracketed(search):
             return wp.where(search.stride > zero, search.a, search.b) + search.stride
-        if search.steps % every == every - 1:
+        if search.steps % interval == interval - 1:
             return search.a + (search.b - search.a) * half
-        return wp.clamp(crossing(search.a, search.b, search.f_a, search.f_b), search.a, search.b)
+        return wp.clamp(secant(search.a, search.b, search.f_a, search.f_b), search.a, search.b)
 
     @wp.func
-    def told(search: Search, at: real, f: real, now: Seen):
-        narrowed = closed(search)
+    def update(search: Search, at: real, f: real, sample: Sample):
+        was_bracketed = is_bracketed(search)
         search.steps += 1
         if f <= zero:
             search.a = at
             search.f_a = f
-            search.low = now
-            if search.side == -1:
+            search.low = sample
+            if search.moved_end == -1:
                 search.f_b = half * search.f_b
-            search.side = wp.int32(-1)
+            search.moved_end = wp.int32(-1)
         if f >= zero:
             search.b = at
             search.f_b = f
-            search.high = now
-            if search.side == 1:
+            search.high = sample
+            if search.moved_end == 1:
                 search.f_a = half * search.f_a
-            search.side = wp.int32(1)
-        if not narrowed:
+            search.moved_end = wp.int32(1)
+        if not was_bracketed:
             search.stride = two * search.stride
-            search.side = wp.int32(0)
-            if closed(search):
+            search.moved_end = wp.int32(0)
+            if is_bracketed(search):
                 search.steps = wp.int32(0)
         return search
 
-    return SimpleNamespace(Search=Search, begin=begin, closed=closed, going=going, place=place, told=told)
+    return SimpleNamespace(
+        Search=Search,
+        start=start,
+        is_bracketed=is_bracketed,
+        is_running=is_running,
+        next_point=next_point,
+        update=update,
+    )

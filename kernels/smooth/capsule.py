@@ -4,7 +4,7 @@ from typing import Any, ClassVar
 
 import warp as wp
 from warpcontact.kernels.formula import parameter
-from warpcontact.kernels.smooth.base import ON_AXIS, Expansion, Nearest, Shape, one, zero
+from warpcontact.kernels.smooth.base import AXIS_TOLERANCE, Shape, SignedDistance, SupportExpansion, one, zero
 
 
 class Capsule(Shape):
@@ -20,13 +20,13 @@ class Capsule(Shape):
     @wp.func
     def support(p: Any, n: wp.vec3d):
         point = p.radius * n
-        if wp.abs(n[2]) > ON_AXIS:
+        if wp.abs(n[2]) > AXIS_TOLERANCE:
             point[2] = point[2] + wp.sign(n[2]) * p.half_length
         return point
 
     @wp.func
     def expand(p: Any, n: wp.vec3d):
-        found = Expansion()
+        found = SupportExpansion()
         found.kinks[0, 2] = p.half_length
         return found
 
@@ -35,7 +35,7 @@ class Capsule(Shape):
         return p.radius
 
     @wp.func
-    def rolling(p: Any):
+    def rolling_ball_radius(p: Any):
         return p.radius
 
     @wp.func
@@ -43,23 +43,23 @@ class Capsule(Shape):
         return wp.vec3d(p.radius, p.radius, p.radius + p.half_length)
 
     @wp.func
-    def centre(p: Any):
+    def inscribed_center(p: Any):
         return wp.vec3d()
 
     @wp.func
-    def inner(p: Any):
+    def inscribed_radius(p: Any):
         return p.radius
 
     @wp.func
-    def nearest(p: Any, x: wp.vec3d):
-        found = Nearest()
-        foot = wp.vec3d(zero, zero, wp.clamp(x[2], -p.half_length, p.half_length))
-        off = x - foot
-        distance = wp.length(off)
+    def signed_distance(p: Any, x: wp.vec3d):
+        found = SignedDistance()
+        axis_point = wp.vec3d(zero, zero, wp.clamp(x[2], -p.half_length, p.half_length))
+        offset = x - axis_point
+        distance = wp.length(offset)
         # On the segment every direction across is the nearest way out.
         found.normal = wp.vec3d(one, zero, zero)
         if distance > zero:
-            found.normal = off / distance
+            found.normal = offset / distance
         found.gap = distance - p.radius
-        found.point = foot + p.radius * found.normal
+        found.point = axis_point + p.radius * found.normal
         return found

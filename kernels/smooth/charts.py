@@ -10,17 +10,17 @@ from typing import Any, NamedTuple
 import warp as wp
 from warpcontact.kernels.smooth.base import Shape, one, real, two, vec3d, zero
 from warpcontact.kernels.smooth.ellipsoid import Ellipsoid
-from warpcontact.kernels.smooth.patch import Jet, ParametricSurface, jet_of_patch
+from warpcontact.kernels.smooth.patch import Jet, ParametricSurface, parametric_jet
 from warpcontact.kernels.smooth.sphere import Sphere
 from warpcontact.kernels.smooth.superellipsoid import Superellipsoid
 from warpcontact.kernels.smooth.torus import Torus
 
 # Cosine of the latitude from which on another pole is better; of three axes, one is always farther away than that.
-NEAR_POLE = wp.constant(real(0.5))
+POLE_COSINE = wp.constant(real(0.5))
 
 
 @wp.func
-def turned(x: vec3d, pole: wp.int32):
+def rotate_axes(x: vec3d, pole: wp.int32):
     """Moves the components x, y, z so that the third becomes that of ``pole``; keeps the handedness."""
     if pole == 0:
         return vec3d(x[2], x[0], x[1])
@@ -30,8 +30,8 @@ def turned(x: vec3d, pole: wp.int32):
 
 
 @wp.func
-def turned_back(x: vec3d, pole: wp.int32):
-    """The reverse of ``turned``."""
+def rotate_axes_back(x: vec3d, pole: wp.int32):
+    """The reverse of ``rotate_axes``."""
     if pole == 0:
         return vec3d(x[1], x[2], x[0])
     if pole == 1:
@@ -50,7 +50,7 @@ def best_pole(direction: vec3d):
 
 
 @wp.func
-def powers(cosine: real, sine: real, exponent: real):
+def signed_power(cosine: real, sine: real, exponent: real):
     """sgn(cos w) |cos w|^e and its first and second derivative with respect to w."""
     if exponent == one:
         return cosine, -sine, -cosine
@@ -62,38 +62,40 @@ def powers(cosine: real, sine: real, exponent: real):
 
 
 @wp.func
-def spherical(axes: vec3d, north: real, around: real, pole: wp.int32, u: real, v: real):
+def latitude_longitude_jet(
+    axes: vec3d, latitude_exponent: real, longitude_exponent: real, pole: wp.int32, u: real, v: real
+):
     """Longitude u and latitude v about ``pole``, with the exponents of a superellipsoid."""
-    c, c_u, c_uu = powers(wp.cos(u), wp.sin(u), around)
+    c, c_u, c_uu = signed_power(wp.cos(u), wp.sin(u), longitude_exponent)
     quarter = real(wp.half_pi)
-    s, s_u, s_uu = powers(wp.cos(u - quarter), wp.sin(u - quarter), around)
-    p, p_v, p_vv = powers(wp.cos(v), wp.sin(v), north)
-    r, r_v, r_vv = powers(wp.cos(v - quarter), wp.sin(v - quarter), north)
+    s, s_u, s_uu = signed_power(wp.cos(u - quarter), wp.sin(u - quarter), longitude_exponent)
+    p, p_v, p_vv = signed_power(wp.cos(v), wp.sin(v), latitude_exponent)
+    r, r_v, r_vv = signed_power(wp.cos(v - quarter), wp.sin(v - quarter), latitude_exponent)
     jet = Jet()
-    jet.x = wp.cw_mul(axes, turned_back(vec3d(p * c, p * s, r), pole))
-    jet.u = wp.cw_mul(axes, turned_back(vec3d(p * c_u, p * s_u, zero), pole))
-    jet.v = wp.cw_mul(axes, turned_back(vec3d(p_v * c, p_v * s, r_v), pole))
-    jet.uu = wp.cw_mul(axes, turned_back(vec3d(p * c_uu, p * s_uu, zero), pole))
-    jet.uv = wp.cw_mul(axes, turned_back(vec3d(p_v * c_u, p_v * s_u, zero), pole))
-    jet.vv = wp.cw_mul(axes, turned_back(vec3d(p_vv * c, p_vv * s, r_vv), pole))
+    jet.x = wp.cw_mul(axes, rotate_axes_back(vec3d(p * c, p * s, r), pole))
+    jet.u = wp.cw_mul(axes, rotate_axes_back(vec3d(p * c_u, p * s_u, zero), pole))
+    jet.v = wp.cw_mul(axes, rotate_axes_back(vec3d(p_v * c, p_v * s, r_v), pole))
+    jet.uu = wp.cw_mul(axes, rotate_axes_back(vec3d(p * c_uu, p * s_uu, zero), pole))
+    jet.uv = wp.cw_mul(axes, rotate_axes_back(vec3d(p_v * c_u, p_v * s_u, zero), pole))
+    jet.vv = wp.cw_mul(axes, rotate_axes_back(vec3d(p_vv * c, p_vv * s, r_vv), pole))
     return jet
 
 
 @wp.func
 def longitude_and_latitude(direction: vec3d, pole: wp.int32):
     """Of a direction that need not be of unit length."""
-    d = turned(direction, pole)
+    d = rotate_axes(direction, pole)
     return wp.atan2(d[1], d[0]), wp.atan2(d[2], wp.sqrt(d[0] * d[0] + d[1] * d[1]))
 
 
 @wp.func
 def ellipsoid_jet(p: Any, pole: wp.int32, u: real, v: real):
     """Of an ellipsoid."""
-    return spherical(p.semi_axes, one, one, pole, u, v)
+    return latitude_longitude_jet(p.semi_axes, one, one, pole, u, v)
 
 
 @wp.func
-def ellipsoid_place(p: Any, x: vec3d):
+def ellipsoid_parameters(p: Any, x: vec3d):
     """Where a point of an ellipsoid is on its chart, and the best pole."""
     direction = wp.cw_div(x, p.semi_axes)
     pole = best_pole(direction)
@@ -104,11 +106,11 @@ def ellipsoid_place(p: Any, x: vec3d):
 @wp.func
 def sphere_jet(p: Any, pole: wp.int32, u: real, v: real):
     """Of a sphere."""
-    return spherical(vec3d(p.radius, p.radius, p.radius), one, one, pole, u, v)
+    return latitude_longitude_jet(vec3d(p.radius, p.radius, p.radius), one, one, pole, u, v)
 
 
 @wp.func
-def sphere_place(p: Any, x: vec3d):
+def sphere_parameters(p: Any, x: vec3d):
     """Where a point of a sphere is on its chart, and the best pole."""
     pole = best_pole(x)
     u, v = longitude_and_latitude(x, pole)
@@ -118,11 +120,11 @@ def sphere_place(p: Any, x: vec3d):
 @wp.func
 def superellipsoid_jet(p: Any, pole: wp.int32, u: real, v: real):
     """Of a superellipsoid: regular within each octant."""
-    return spherical(p.semi_axes, p.exponents[0], p.exponents[1], 2, u, v)
+    return latitude_longitude_jet(p.semi_axes, p.exponents[0], p.exponents[1], 2, u, v)
 
 
 @wp.func
-def superellipsoid_place(p: Any, x: vec3d):
+def superellipsoid_parameters(p: Any, x: vec3d):
     """Where a point of a superellipsoid is on its chart."""
     d = wp.cw_div(x, p.semi_axes)
     cosine = wp.pow(wp.abs(d[0]), one / p.exponents[1])
@@ -154,13 +156,13 @@ def torus_jet(p: Any, pole: wp.int32, u: real, v: real):
 
 
 @wp.func
-def torus_place(p: Any, x: vec3d):
+def torus_parameters(p: Any, x: vec3d):
     """Where a point of a torus is on its chart."""
     across = wp.sqrt(x[0] * x[0] + x[1] * x[1])
     return wp.atan2(x[1], x[0]), wp.atan2(x[2], across - p.major_radius), 2
 
 
-class NoChart(TypeError):
+class NoChartError(TypeError):
     """A shape that is no surface of two parameters."""
 
 
@@ -170,7 +172,7 @@ class Chart(NamedTuple):
     #: ``(p, pole, u, v)``: the ``Jet``.
     jet: wp.Function
     #: ``(p, x)``: u, v and the best pole of a point x on the surface; a patch has no such function.
-    place: wp.Function | None
+    parameters: wp.Function | None
     #: Whether it has poles that it can do without.
     poles: bool
     #: Whether v is a latitude: beyond ±90° the tangents are left-handed.
@@ -182,16 +184,18 @@ def chart(A: type[Shape]) -> Chart:
     """Returns the chart of ``A``.
 
     Raises:
-        NoChart: If it is not one surface with a chart.
+        NoChartError: If it is not one surface with a chart.
     """
     if issubclass(A, ParametricSurface):
-        return Chart(jet_of_patch(A), None, poles=False, latitude=False)
-    known = {
-        Sphere: Chart(sphere_jet, sphere_place, poles=True, latitude=True),
-        Ellipsoid: Chart(ellipsoid_jet, ellipsoid_place, poles=True, latitude=True),
-        Superellipsoid: Chart(superellipsoid_jet, superellipsoid_place, poles=False, latitude=True),
-        Torus: Chart(torus_jet, torus_place, poles=False, latitude=False),
+        return Chart(parametric_jet(A), None, poles=False, latitude=False)
+    charts = {
+        Sphere: Chart(sphere_jet, sphere_parameters, poles=True, latitude=True),
+        Ellipsoid: Chart(ellipsoid_jet, ellipsoid_parameters, poles=True, latitude=True),
+        Superellipsoid: Chart(superellipsoid_jet, superellipsoid_parameters, poles=False, latitude=True),
+        Torus: Chart(torus_jet, torus_parameters, poles=False, latitude=False),
     }
-    if A not in known:
-        raise NoChart(f"{A.__name__} has no chart; {', '.join(kind.__name__ for kind in known)} and patches have")
-    return known[A]
+    if A not in charts:
+        raise NoChartError(
+            f"{A.__name__} has no chart; {', '.join(kind.__name__ for kind in charts)} and patches have"
+        )
+    return charts[A]

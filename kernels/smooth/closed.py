@@ -4,87 +4,97 @@ import functools
 
 import warp as wp
 from warpcontact.kernels.formula import coefficient_struct
-from warpcontact.kernels.smooth.base import ON_AXIS, Meeting, Seed, Shape, half, one, real, vec3d, zero
-from warpcontact.kernels.smooth.pair import tangent
+from warpcontact.kernels.smooth.base import (
+    AXIS_TOLERANCE,
+    Shape,
+    ShapeContactPoint,
+    WarmStart,
+    half,
+    one,
+    real,
+    vec3d,
+    zero,
+)
+from warpcontact.kernels.smooth.pair import perpendicular
 
 quatd = wp.quatd
 
 
 @wp.func
-def solved(gap: real, normal: vec3d, point_a: vec3d, point_b: vec3d):
+def direct_result(gap: real, normal: vec3d, point_a: vec3d, point_b: vec3d):
     """A result without an iteration."""
-    found = Meeting()
+    found = ShapeContactPoint()
     found.gap = gap
     found.normal = normal
     found.point_a = point_a
     found.point_b = point_b
-    found.seed.normal = normal
-    found.seed.known = 1
+    found.warm_start.normal = normal
+    found.warm_start.valid = 1
     return found
 
 
 @functools.cache
-def on_plane(A: type[Shape], B: type[Shape]) -> wp.Function:
+def with_plane(A: type[Shape], B: type[Shape]) -> wp.Function:
     """Returns the device function of a convex shape and a plane."""
-    Of_a, Of_b = coefficient_struct(A, real), coefficient_struct(B, real)
+    CoefficientsA, CoefficientsB = coefficient_struct(A, real), coefficient_struct(B, real)
 
     @wp.func
-    def meet_plane(p_a: Of_a, p_b: Of_b, x: vec3d, q: quatd, seed: Seed):
-        turned = wp.normalize(q)
+    def plane_contact(p_a: CoefficientsA, p_b: CoefficientsB, x: vec3d, q: quatd, warm_start: WarmStart):
+        unit_q = wp.normalize(q)
         up = vec3d(zero, zero, one)
-        point = x + wp.quat_rotate(turned, A.support(p_a, wp.quat_rotate_inv(turned, -up)))
-        return solved(point[2], up, point, vec3d(point[0], point[1], zero))
+        point = x + wp.quat_rotate(unit_q, A.support(p_a, wp.quat_rotate_inv(unit_q, -up)))
+        return direct_result(point[2], up, point, vec3d(point[0], point[1], zero))
 
-    return meet_plane
+    return plane_contact
 
 
 @functools.cache
-def on_sphere(A: type[Shape], B: type[Shape]) -> wp.Function:
+def with_sphere(A: type[Shape], B: type[Shape]) -> wp.Function:
     """Returns the device function of a sphere and a shape that knows the point nearest to a place."""
-    Of_a, Of_b = coefficient_struct(A, real), coefficient_struct(B, real)
+    CoefficientsA, CoefficientsB = coefficient_struct(A, real), coefficient_struct(B, real)
 
     @wp.func
-    def meet_sphere(p_a: Of_a, p_b: Of_b, x: vec3d, q: quatd, seed: Seed):
-        nearest = B.nearest(p_b, x)
-        n = nearest.normal
-        return solved(nearest.gap - p_a.radius, n, x - p_a.radius * n, nearest.point)
+    def sphere_contact(p_a: CoefficientsA, p_b: CoefficientsB, x: vec3d, q: quatd, warm_start: WarmStart):
+        signed_distance = B.signed_distance(p_b, x)
+        n = signed_distance.normal
+        return direct_result(signed_distance.gap - p_a.radius, n, x - p_a.radius * n, signed_distance.point)
 
-    return meet_sphere
+    return sphere_contact
 
 
 @functools.cache
-def swapped(function: wp.Function, A: type[Shape], B: type[Shape]) -> wp.Function:
+def swapped_pair(function: wp.Function, A: type[Shape], B: type[Shape]) -> wp.Function:
     """Returns the device function of (B, A) from that of (A, B)."""
-    Of_a, Of_b = coefficient_struct(A, real), coefficient_struct(B, real)
+    CoefficientsA, CoefficientsB = coefficient_struct(A, real), coefficient_struct(B, real)
 
     @wp.func
-    def meet_swapped(p_b: Of_b, p_a: Of_a, x: vec3d, q: quatd, seed: Seed):
-        turned = wp.normalize(q)
-        other = function(p_a, p_b, -wp.quat_rotate_inv(turned, x), wp.quat_inverse(turned), Seed())
-        return solved(
-            other.gap,
-            -wp.quat_rotate(turned, other.normal),
-            x + wp.quat_rotate(turned, other.point_b),
-            x + wp.quat_rotate(turned, other.point_a),
+    def swapped_contact(p_b: CoefficientsB, p_a: CoefficientsA, x: vec3d, q: quatd, warm_start: WarmStart):
+        unit_q = wp.normalize(q)
+        swapped = function(p_a, p_b, -wp.quat_rotate_inv(unit_q, x), wp.quat_inverse(unit_q), WarmStart())
+        return direct_result(
+            swapped.gap,
+            -wp.quat_rotate(unit_q, swapped.normal),
+            x + wp.quat_rotate(unit_q, swapped.point_b),
+            x + wp.quat_rotate(unit_q, swapped.point_a),
         )
 
-    return meet_swapped
+    return swapped_contact
 
 
 @functools.cache
-def capsules(A: type[Shape], B: type[Shape]) -> wp.Function:
+def capsule_pair(A: type[Shape], B: type[Shape]) -> wp.Function:
     """Returns the device function of two capsules: the nearest points of two segments."""
-    Of_a, Of_b = coefficient_struct(A, real), coefficient_struct(B, real)
+    CoefficientsA, CoefficientsB = coefficient_struct(A, real), coefficient_struct(B, real)
 
     @wp.func
-    def meet_capsules(p_a: Of_a, p_b: Of_b, x: vec3d, q: quatd, seed: Seed):
+    def capsule_contact(p_a: CoefficientsA, p_b: CoefficientsB, x: vec3d, q: quatd, warm_start: WarmStart):
         up = vec3d(zero, zero, one)
         axis = wp.quat_rotate(wp.normalize(q), up)
         # Points x + s axis and t up; cosine and square of the sine of the angle between them.
         cosine = axis[2]
         sine_2 = axis[0] * axis[0] + axis[1] * axis[1]
         s = zero
-        if sine_2 > ON_AXIS:
+        if sine_2 > AXIS_TOLERANCE:
             s = wp.clamp((x[2] * cosine - wp.dot(x, axis)) / sine_2, -p_a.half_length, p_a.half_length)
         else:
             # Side by side: the middle of what they have in common, in s.
@@ -99,13 +109,15 @@ def capsules(A: type[Shape], B: type[Shape]) -> wp.Function:
         off = foot_a - foot_b
         distance = wp.length(off)
         n = wp.cross(axis, up)
-        if distance > ON_AXIS * (p_a.half_length + p_b.half_length):
+        if distance > AXIS_TOLERANCE * (p_a.half_length + p_b.half_length):
             n = off / distance
-        elif sine_2 > ON_AXIS:
+        elif sine_2 > AXIS_TOLERANCE:
             # Where the axes cross, the way apart is across both.
             n = wp.normalize(n)
         else:
-            n = tangent(axis)
-        return solved(distance - p_a.radius - p_b.radius, n, foot_a - p_a.radius * n, foot_b + p_b.radius * n)
+            n = perpendicular(axis)
+        return direct_result(
+            distance - p_a.radius - p_b.radius, n, foot_a - p_a.radius * n, foot_b + p_b.radius * n
+        )
 
-    return meet_capsules
+    return capsule_contact

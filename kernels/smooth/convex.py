@@ -16,40 +16,45 @@ import functools
 
 import warp as wp
 from warpcontact.kernels.smooth import around, ascent
-from warpcontact.kernels.smooth.base import Meeting, Seed, Shape, mat33d, one, real, vec3d, zero
+from warpcontact.kernels.smooth.base import Shape, ShapeContactPoint, WarmStart, mat33d, one, real, vec3d, zero
 from warpcontact.kernels.types import MET, NOT_CONVERGED
 
 #: Most climbs from directions that are not known to be better, and of all.
-CLIMBS = 40
-MOST_CLIMBS = 80
+MAX_ASCENTS = 40
+MAX_ASCENTS_TOTAL = 80
 #: How often a climb that is higher than all others goes on where its steps are used up.
-AGAIN = 5
+MAX_RETRIES = 5
 
 # A residual above this is no solution; of steep shapes, whose points the rounding of n moves far.
-ALLOWED = wp.constant(real(1.0e-9))
-ALLOWED_STEEP = wp.constant(real(1.0e-6))
+MAX_RESIDUAL = wp.constant(real(1.0e-9))
+MAX_RESIDUAL_ILL_CONDITIONED = wp.constant(real(1.0e-6))
 # Rounding of g, of the size of the pair.
-NOISE = wp.constant(real(1.0e-14))
+ROUNDING = wp.constant(real(1.0e-14))
 # Ways apart that differ by no more, of the size of the pair, are as short as each other.
 TIE = wp.constant(real(1.0e-11))
 BIT = wp.constant(wp.int64(1))
 # Cells of the finest in one of those that climbs start from as long as none has arrived.
-COARSE = wp.constant(wp.int64(around.EDGE * around.EDGE // 4))
-NOTHING = wp.constant(real(-wp.inf))
+COARSE_CELL = wp.constant(wp.int64(around.EDGE * around.EDGE // 4))
+NEGATIVE_INFINITY = wp.constant(real(-wp.inf))
 
 
 @functools.cache
-def meet(A: type[Shape], B: type[Shape]) -> wp.Function:
+def pair_function(A: type[Shape], B: type[Shape]) -> wp.Function:
     """Returns the device function of two convex shapes, see ``meet.py``."""
-    of_pair = ascent.functions(A, B)
-    Of_a, Of_b, Climb, climb = of_pair.Of_a, of_pair.Of_b, of_pair.Climb, of_pair.climb
-    next_direction = around.function(A, B)
-    allowed = ALLOWED_STEEP if A.steep or B.steep else ALLOWED
-    # The overlap of bodies with straight edges is least along one of the normals that ``ahead`` knows.
+    pair_ascent = ascent.functions(A, B)
+    CoefficientsA, CoefficientsB, AscentResult, ascend = (
+        pair_ascent.CoefficientsA,
+        pair_ascent.CoefficientsB,
+        pair_ascent.AscentResult,
+        pair_ascent.ascend,
+    )
+    next_direction = around.direction_search(A, B)
+    max_residual = MAX_RESIDUAL_ILL_CONDITIONED if A.ill_conditioned or B.ill_conditioned else MAX_RESIDUAL
+    # The overlap of bodies with straight edges is least along one of the normals that ``best_edge_normal`` knows.
     polyhedral = A.polyhedral and B.polyhedral
 
     @wp.func
-    def ahead(p_a: Of_a, p_b: Of_b, x: vec3d, R: mat33d, best: real):
+    def best_edge_normal(p_a: CoefficientsA, p_b: CoefficientsB, x: vec3d, R: mat33d, best: real):
         """Of the normals of faces, and of two straight edges, the one with the largest g above ``best``."""
         normal = vec3d()
         largest = real(best)
@@ -80,82 +85,89 @@ def meet(A: type[Shape], B: type[Shape]) -> wp.Function:
         return normal
 
     @wp.func
-    def meet_convex(p_a: Of_a, p_b: Of_b, x: vec3d, q: wp.quatd, seed: Seed):
+    def convex_contact(p_a: CoefficientsA, p_b: CoefficientsB, x: vec3d, q: wp.quatd, warm_start: WarmStart):
         R = wp.quat_to_matrix(wp.normalize(q))
-        apart = x + R * A.centre(p_a) - B.centre(p_b)
+        center_offset = x + R * A.inscribed_center(p_a) - B.inscribed_center(p_b)
         size = wp.length(x) + wp.max(A.extents(p_a)) + wp.max(B.extents(p_b))
-        inner = A.inner(p_a) + B.inner(p_b)
+        inscribed_radius = A.inscribed_radius(p_a) + B.inscribed_radius(p_b)
         margin = A.margin(p_a) + B.margin(p_b)
-        sure = A.rolling(p_a) + B.rolling(p_b)
+        unique_depth = A.rolling_ball_radius(p_a) + B.rolling_ball_radius(p_b)
         n = vec3d(zero, zero, one)
-        if seed.known != 0:
-            n = seed.normal
-        elif wp.length_sq(apart) > zero:
-            n = wp.normalize(apart)
-        found = Meeting()
-        best = Climb()
-        climbs = wp.int32(0)
-        met = wp.bool(False)
-        place = around.Place()
-        place.level = -1
-        begun = wp.bool(False)
-        highest = NOTHING
-        again = wp.int32(0)
+        if warm_start.valid != 0:
+            n = warm_start.normal
+        elif wp.length_sq(center_offset) > zero:
+            n = wp.normalize(center_offset)
+        found = ShapeContactPoint()
+        best = AscentResult()
+        ascents = wp.int32(0)
+        converged = wp.bool(False)
+        search_state = around.SearchState()
+        search_state.level = -1
+        tried_edge_normals = wp.bool(False)
+        highest_value = NEGATIVE_INFINITY
+        retries = wp.int32(0)
         searching = wp.bool(True)
         while searching:
-            one_climb = climb(p_a, p_b, x, R, n, size)
-            found.iterations += one_climb.steps
-            good = one_climb.residual <= allowed
-            better = one_climb.residual < best.residual
-            if met:
+            ascent_result = ascend(p_a, p_b, x, R, n, size)
+            found.iterations += ascent_result.steps
+            accepted = ascent_result.residual <= max_residual
+            better = ascent_result.residual < best.residual
+            if converged:
                 better = False
-            if good and (not met or one_climb.value > best.value):
+            if accepted and (not converged or ascent_result.value > best.value):
                 better = True
-            if climbs == 0 or better:
-                best = one_climb
-                met = good
-            climbs += 1
-            if met and best.value - margin >= -sure:
+            if ascents == 0 or better:
+                best = ascent_result
+                converged = accepted
+            ascents += 1
+            if converged and best.value - margin >= -unique_depth:
                 break
-            if not good and one_climb.value > highest and one_climb.steps == ascent.STEPS and again < AGAIN:
+            if (
+                not accepted
+                and ascent_result.value > highest_value
+                and ascent_result.steps == ascent.MAX_STEPS
+                and retries < MAX_RETRIES
+            ):
                 # Higher than all, and still on its way.
-                again += 1
-                n = one_climb.normal
+                retries += 1
+                n = ascent_result.normal
                 continue
-            highest = wp.max(highest, one_climb.value)
-            again = 0
-            gap = NOTHING
-            if met:
+            highest_value = wp.max(highest_value, ascent_result.value)
+            retries = 0
+            gap = NEGATIVE_INFINITY
+            if converged:
                 gap = best.value - margin
             searching = False
-            if not begun:
-                begun = True
-                n = ahead(p_a, p_b, x, R, gap + NOISE * size)
+            if not tried_edge_normals:
+                tried_edge_normals = True
+                n = best_edge_normal(p_a, p_b, x, R, gap + ROUNDING * size)
                 searching = wp.length_sq(n) > zero
-            go_on = climbs < CLIMBS
-            if met:
-                go_on = wp.bool(wp.static(not polyhedral)) and climbs < MOST_CLIMBS
-            if go_on and not searching:
+            keep_searching = ascents < MAX_ASCENTS
+            if converged:
+                keep_searching = wp.bool(wp.static(not polyhedral)) and ascents < MAX_ASCENTS_TOTAL
+            if keep_searching and not searching:
                 end = best.point_a - best.point_b - margin * best.normal
                 depth = -gap - TIE * size
-                explore = climbs < CLIMBS
-                n, place = next_direction(p_a, p_b, x, R, apart, inner, depth, end, explore, place)
+                explore = ascents < MAX_ASCENTS
+                n, search_state = next_direction(
+                    p_a, p_b, x, R, center_offset, inscribed_radius, depth, end, explore, search_state
+                )
                 searching = wp.length_sq(n) > zero
-                if not met:
+                if not converged:
                     # No bound yet, and so a start all around.
-                    place.cell = (place.cell // COARSE + BIT) * COARSE
-                    place.level = -1
+                    search_state.cell = (search_state.cell // COARSE_CELL + BIT) * COARSE_CELL
+                    search_state.level = -1
         found.gap = best.value - margin
         found.normal = best.normal
         found.point_a = best.point_a - A.margin(p_a) * best.normal
         found.point_b = best.point_b + B.margin(p_b) * best.normal
         found.residual = best.residual
         found.status = NOT_CONVERGED
-        if met and highest <= best.value + TIE * size:
+        if converged and highest_value <= best.value + TIE * size:
             # Nothing higher is known, not even where a climb did not arrive.
             found.status = MET
-            found.seed.normal = best.normal
-            found.seed.known = 1
+            found.warm_start.normal = best.normal
+            found.warm_start.valid = 1
         return found
 
-    return meet_convex
+    return convex_contact

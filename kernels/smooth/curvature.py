@@ -13,7 +13,18 @@ import functools
 from typing import Any
 
 import warp as wp
-from warpcontact.kernels.smooth.base import ACROSS, Curvature, Meeting, Shape, half, one, real, two, vec3d, zero
+from warpcontact.kernels.smooth.base import (
+    LOOSE_AXIS_TOLERANCE,
+    Curvature,
+    Shape,
+    ShapeContactPoint,
+    half,
+    one,
+    real,
+    two,
+    vec3d,
+    zero,
+)
 from warpcontact.kernels.smooth.capsule import Capsule
 from warpcontact.kernels.smooth.charts import chart
 from warpcontact.kernels.smooth.cone import Cone
@@ -26,13 +37,13 @@ from warpcontact.kernels.smooth.sphere import Sphere
 from warpcontact.kernels.smooth.superellipsoid import Superellipsoid
 from warpcontact.kernels.smooth.torus import Torus
 
-sharp = wp.constant(real(wp.inf))
+infinite = wp.constant(real(wp.inf))
 # A place is on an edge, and a normal along an axis, within this: of the size, and of a unit vector.
-CLOSE = wp.constant(real(1.0e-9))
+TOLERANCE = wp.constant(real(1.0e-9))
 
 
 @wp.func
-def across(n: vec3d):
+def perpendicular(n: vec3d):
     """A unit vector across the unit vector n."""
     if wp.abs(n[0]) < wp.abs(n[2]):
         return wp.normalize(vec3d(zero, n[2], -n[1]))
@@ -40,17 +51,17 @@ def across(n: vec3d):
 
 
 @wp.func
-def round_of(k: real, n: vec3d):
+def isotropic(k: real, n: vec3d):
     """The same curvature in all directions."""
     found = Curvature()
     found.k_1 = k
     found.k_2 = k
-    found.direction = across(n)
+    found.direction = perpendicular(n)
     return found
 
 
 @wp.func
-def two_of(k: real, along: vec3d, other: real, beside: vec3d):
+def ordered(k: real, along: vec3d, other: real, beside: vec3d):
     """Curvature k along a unit vector, and another one beside it, in order."""
     found = Curvature()
     found.k_1 = k
@@ -68,50 +79,50 @@ def principal(xx: real, xy: real, yy: real, x: vec3d, y: vec3d):
     """Principal values of the symmetric form of xx, xy, yy on the unit vectors x and y."""
     found = Curvature()
     mean = half * (xx + yy)
-    apart = half * (xx - yy)
-    size = wp.sqrt(apart * apart + xy * xy)
+    half_difference = half * (xx - yy)
+    size = wp.sqrt(half_difference * half_difference + xy * xy)
     found.k_1 = mean - size
     found.k_2 = mean + size
     found.direction = x
     if size > zero:
         # Half the angle of (−apart, −xy): where the form is least.
-        angle = half * wp.atan2(-xy, -apart)
+        angle = half * wp.atan2(-xy, -half_difference)
         found.direction = wp.cos(angle) * x + wp.sin(angle) * y
     return found
 
 
 @wp.func
-def of_sphere(p: Any, point: vec3d, n: vec3d, u: real, v: real):
+def sphere_curvature(p: Any, point: vec3d, n: vec3d, u: real, v: real):
     """Of a sphere."""
-    return round_of(one / p.radius, n)
+    return isotropic(one / p.radius, n)
 
 
 @wp.func
-def of_plane(p: Any, point: vec3d, n: vec3d, u: real, v: real):
+def plane_curvature(p: Any, point: vec3d, n: vec3d, u: real, v: real):
     """Of a half-space."""
-    return round_of(zero, n)
+    return isotropic(zero, n)
 
 
 @wp.func
-def of_radii(radii: wp.mat33d, n: vec3d):
+def curvature_from_radii(radii: wp.mat33d, n: vec3d):
     """Of what has the Hessian ``radii`` of its support function, which are the radii of curvature."""
-    x = across(n)
+    x = perpendicular(n)
     y = wp.cross(n, x)
-    bent = principal(wp.dot(x, radii * x), wp.dot(x, radii * y), wp.dot(y, radii * y), x, y)
+    radii_of_curvature = principal(wp.dot(x, radii * x), wp.dot(x, radii * y), wp.dot(y, radii * y), x, y)
     found = Curvature()
     # The larger radius is the smaller curvature.
-    found.k_1 = one / wp.max(bent.k_2, zero)
-    found.k_2 = one / wp.max(bent.k_1, zero)
-    found.direction = wp.cross(n, bent.direction)
+    found.k_1 = one / wp.max(radii_of_curvature.k_2, zero)
+    found.k_2 = one / wp.max(radii_of_curvature.k_1, zero)
+    found.direction = wp.cross(n, radii_of_curvature.direction)
     return found
 
 
 @wp.func
-def of_ellipsoid(p: Any, point: vec3d, n: vec3d, u: real, v: real):
+def ellipsoid_curvature(p: Any, point: vec3d, n: vec3d, u: real, v: real):
     """Of an ellipsoid: second derivatives of its equation over the length of the first."""
     slope = wp.cw_div(wp.cw_div(point, p.semi_axes), p.semi_axes)
     size = wp.length(slope)
-    x = across(n)
+    x = perpendicular(n)
     y = wp.cross(n, x)
     x_scaled = wp.cw_div(x, p.semi_axes)
     y_scaled = wp.cw_div(y, p.semi_axes)
@@ -121,16 +132,16 @@ def of_ellipsoid(p: Any, point: vec3d, n: vec3d, u: real, v: real):
 
 
 @wp.func
-def of_superellipsoid(p: Any, point: vec3d, n: vec3d, u: real, v: real):
+def superellipsoid_curvature(p: Any, point: vec3d, n: vec3d, u: real, v: real):
     """Of a superellipsoid: infinite, or nearly so, on its edges, and nothing where it is flat."""
     axes = p.semi_axes
-    if wp.abs(n[0]) <= ACROSS and wp.abs(n[1]) <= ACROSS:
+    if wp.abs(n[0]) <= LOOSE_AXIS_TOLERANCE and wp.abs(n[1]) <= LOOSE_AXIS_TOLERANCE:
         # At a pole the surface goes by the power 2/e₁ of the distance from the axis, whatever e₂ is.
         if p.exponents[0] < one:
-            return round_of(zero, n)
+            return isotropic(zero, n)
         if p.exponents[0] > one:
-            return round_of(sharp, n)
-        return two_of(
+            return isotropic(infinite, n)
+        return ordered(
             axes[2] / (axes[0] * axes[0]),
             vec3d(one, zero, zero),
             axes[2] / (axes[1] * axes[1]),
@@ -142,85 +153,85 @@ def of_superellipsoid(p: Any, point: vec3d, n: vec3d, u: real, v: real):
         exponent = p.exponents[1]
         if i == 2:
             exponent = p.exponents[0]
-        if wp.abs(n[i]) <= ACROSS and exponent < one:
+        if wp.abs(n[i]) <= LOOSE_AXIS_TOLERANCE and exponent < one:
             # The support function has a kink here, of no use for a radius.
             flat += 1
             along = vec3d()
             along[i] = one
     if flat > 1:
-        return round_of(zero, n)
-    seen = Superellipsoid.expand(p, n)
+        return isotropic(zero, n)
+    expansion = Superellipsoid.expand(p, n)
     if flat == 1:
         beside = wp.normalize(wp.cross(n, along))
-        radius = wp.max(wp.dot(beside, seen.hessian * beside), zero)
-        return two_of(zero, along, one / radius, beside)
-    return of_radii(seen.hessian, n)
+        radius = wp.max(wp.dot(beside, expansion.hessian * beside), zero)
+        return ordered(zero, along, one / radius, beside)
+    return curvature_from_radii(expansion.hessian, n)
 
 
 @wp.func
-def of_revolution(point: vec3d, n: vec3d, meridian: real):
+def revolution_curvature(point: vec3d, n: vec3d, meridian: real):
     """Of a surface about the z axis with the given curvature of its meridian."""
     out = vec3d(point[0], point[1], zero)
     radius = wp.length(out)
     around = wp.cross(vec3d(zero, zero, one), out / radius)
-    return two_of(wp.dot(n, out) / (radius * radius), around, meridian, wp.cross(around, n))
+    return ordered(wp.dot(n, out) / (radius * radius), around, meridian, wp.cross(around, n))
 
 
 @wp.func
-def of_capsule(p: Any, point: vec3d, n: vec3d, u: real, v: real):
+def capsule_curvature(p: Any, point: vec3d, n: vec3d, u: real, v: real):
     """Of a capsule."""
-    if wp.abs(n[2]) <= CLOSE and wp.abs(point[2]) < p.half_length:
-        return of_revolution(point, n, zero)
-    return round_of(one / p.radius, n)
+    if wp.abs(n[2]) <= TOLERANCE and wp.abs(point[2]) < p.half_length:
+        return revolution_curvature(point, n, zero)
+    return isotropic(one / p.radius, n)
 
 
 @wp.func
-def of_cylinder(p: Any, point: vec3d, n: vec3d, u: real, v: real):
+def cylinder_curvature(p: Any, point: vec3d, n: vec3d, u: real, v: real):
     """Of a cylinder: its mantle, its ends, and the rim between them."""
-    if wp.sqrt(n[0] * n[0] + n[1] * n[1]) <= CLOSE:
-        return round_of(zero, n)
-    if wp.abs(n[2]) <= CLOSE:
-        return of_revolution(point, n, zero)
-    return of_revolution(point, n, sharp)
+    if wp.sqrt(n[0] * n[0] + n[1] * n[1]) <= TOLERANCE:
+        return isotropic(zero, n)
+    if wp.abs(n[2]) <= TOLERANCE:
+        return revolution_curvature(point, n, zero)
+    return revolution_curvature(point, n, infinite)
 
 
 @wp.func
-def of_cone(p: Any, point: vec3d, n: vec3d, u: real, v: real):
+def cone_curvature(p: Any, point: vec3d, n: vec3d, u: real, v: real):
     """Of a cone: its mantle, its base, the rim between them, and the tip."""
-    if n[2] < zero and wp.sqrt(n[0] * n[0] + n[1] * n[1]) <= CLOSE:
-        return round_of(zero, n)
-    if point[2] >= (one - CLOSE) * p.height:
-        return round_of(sharp, n)
+    if n[2] < zero and wp.sqrt(n[0] * n[0] + n[1] * n[1]) <= TOLERANCE:
+        return isotropic(zero, n)
+    if point[2] >= (one - TOLERANCE) * p.height:
+        return isotropic(infinite, n)
     slant = wp.sqrt(p.radius * p.radius + p.height * p.height)
-    if wp.abs(n[2] - p.radius / slant) <= CLOSE:
-        return of_revolution(point, n, zero)
-    return of_revolution(point, n, sharp)
+    if wp.abs(n[2] - p.radius / slant) <= TOLERANCE:
+        return revolution_curvature(point, n, zero)
+    return revolution_curvature(point, n, infinite)
 
 
 @wp.func
-def of_rounded_box(p: Any, point: vec3d, n: vec3d, u: real, v: real):
+def rounded_box_curvature(p: Any, point: vec3d, n: vec3d, u: real, v: real):
     """Of a box: its faces, edges and corners, by how many axes the normal leans on."""
-    leans = wp.int32(0)
-    free = wp.int32(0)
+    axis_count = wp.int32(0)
+    free_axis = wp.int32(0)
     for i in range(3):
-        if wp.abs(n[i]) > CLOSE:
-            leans += 1
+        if wp.abs(n[i]) > TOLERANCE:
+            axis_count += 1
         else:
-            free = i
-    if leans == 1:
-        return round_of(zero, n)
-    if leans == 3:
-        return round_of(one / p.radius, n)
+            free_axis = i
+    if axis_count == 1:
+        return isotropic(zero, n)
+    if axis_count == 3:
+        return isotropic(one / p.radius, n)
     found = Curvature()
     found.k_2 = one / p.radius
-    found.direction[free] = one
+    found.direction[free_axis] = one
     return found
 
 
 @wp.func
-def of_torus(p: Any, point: vec3d, n: vec3d, u: real, v: real):
+def torus_curvature(p: Any, point: vec3d, n: vec3d, u: real, v: real):
     """Of a torus: a saddle at the inner side."""
-    return of_revolution(point, n, one / p.minor_radius)
+    return revolution_curvature(point, n, one / p.minor_radius)
 
 
 @functools.cache
@@ -237,7 +248,7 @@ def curvature(A: type[Shape]) -> wp.Function:
         jet_of = chart(A).jet
 
         @wp.func
-        def of_patch(p: Any, point: vec3d, n: vec3d, u: real, v: real):
+        def parametric_curvature(p: Any, point: vec3d, n: vec3d, u: real, v: real):
             jet = jet_of(p, 0, u, v)
             # The second fundamental form on unit vectors along x_u and across; convex is positive.
             length = wp.length(jet.u)
@@ -254,47 +265,47 @@ def curvature(A: type[Shape]) -> wp.Function:
             yy = (vv - two * c * uv + c * c * uu) / (w * w)
             return principal(uu, xy, yy, x, y)
 
-        return of_patch
-    known = {
-        Sphere: of_sphere,
-        Plane: of_plane,
-        Ellipsoid: of_ellipsoid,
-        Superellipsoid: of_superellipsoid,
-        Cylinder: of_cylinder,
-        Capsule: of_capsule,
-        Cone: of_cone,
-        RoundedBox: of_rounded_box,
-        Torus: of_torus,
+        return parametric_curvature
+    curvatures = {
+        Sphere: sphere_curvature,
+        Plane: plane_curvature,
+        Ellipsoid: ellipsoid_curvature,
+        Superellipsoid: superellipsoid_curvature,
+        Cylinder: cylinder_curvature,
+        Capsule: capsule_curvature,
+        Cone: cone_curvature,
+        RoundedBox: rounded_box_curvature,
+        Torus: torus_curvature,
     }
-    if A not in known:
+    if A not in curvatures:
         raise TypeError(f"the curvature of {A.__name__} is not known")
-    return known[A]
+    return curvatures[A]
 
 
 @wp.func
-def along(c: Curvature, n: vec3d, t: vec3d):
+def normal_curvature(c: Curvature, n: vec3d, t: vec3d):
     """Curvature of the section along the unit vector t."""
     beside = wp.cross(n, c.direction)
     first = wp.dot(t, c.direction)
     second = wp.dot(t, beside)
-    if second * second <= CLOSE * CLOSE:
+    if second * second <= TOLERANCE * TOLERANCE:
         return c.k_1
     return c.k_1 * first * first + c.k_2 * second * second
 
 
 @wp.func
-def relative_of(a: Curvature, b: Curvature, n: vec3d):
+def relative_curvature(a: Curvature, b: Curvature, n: vec3d):
     """Relative principal curvatures of two surfaces in one frame, with the normal n of either."""
-    sharp_a = a.k_2 == sharp
-    sharp_b = b.k_2 == sharp
-    if sharp_a or sharp_b:
+    infinite_a = a.k_2 == infinite
+    infinite_b = b.k_2 == infinite
+    if infinite_a or infinite_b:
         found = Curvature()
-        found.k_2 = sharp
+        found.k_2 = infinite
         found.direction = b.direction
-        if sharp_a:
+        if infinite_a:
             found.direction = a.direction
         # Two edges leave a direction only if they are parallel; k_1 at a tip is infinite, too.
-        found.k_1 = along(a, n, found.direction) + along(b, n, found.direction)
+        found.k_1 = normal_curvature(a, n, found.direction) + normal_curvature(b, n, found.direction)
         return found
     x = a.direction
     y = wp.cross(n, x)
@@ -306,7 +317,7 @@ def relative_of(a: Curvature, b: Curvature, n: vec3d):
 
 
 @wp.struct
-class Bent:
+class PairCurvature:
     """Curvatures of a pair where it meets, frame of b."""
 
     a: Curvature
@@ -315,24 +326,24 @@ class Bent:
 
 
 @functools.cache
-def relative(A: type[Shape], B: type[Shape]) -> wp.Function:
-    """Returns ``(p_a, p_b, x, rotation, meeting)``: the curvatures of a pair, ``Bent``.
+def pair_curvature(A: type[Shape], B: type[Shape]) -> wp.Function:
+    """Returns ``(p_a, p_b, x, rotation, meeting)``: the curvatures of a pair, ``PairCurvature``.
 
     The relative ones are positive where the surfaces part from the contact, negative where a hollow is narrower
     than what lies in it, infinite on edges.
     """
-    of_a, of_b = curvature(A), curvature(B)
+    curvature_a, curvature_b = curvature(A), curvature(B)
 
     @wp.func
-    def bent(p_a: Any, p_b: Any, x: vec3d, rotation: wp.quatd, met: Meeting):
+    def evaluate(p_a: Any, p_b: Any, x: vec3d, rotation: wp.quatd, contact: ShapeContactPoint):
         q = wp.normalize(rotation)
-        found = Bent()
-        u = met.seed.u
-        point_a = wp.quat_rotate_inv(q, met.point_a - x)
-        found.a = of_a(p_a, point_a, wp.quat_rotate_inv(q, -met.normal), u[2], u[3])
+        found = PairCurvature()
+        u = contact.warm_start.u
+        point_a = wp.quat_rotate_inv(q, contact.point_a - x)
+        found.a = curvature_a(p_a, point_a, wp.quat_rotate_inv(q, -contact.normal), u[2], u[3])
         found.a.direction = wp.quat_rotate(q, found.a.direction)
-        found.b = of_b(p_b, met.point_b, met.normal, u[0], u[1])
-        found.relative = relative_of(found.a, found.b, met.normal)
+        found.b = curvature_b(p_b, contact.point_b, contact.normal, u[0], u[1])
+        found.relative = relative_curvature(found.a, found.b, contact.normal)
         return found
 
-    return bent
+    return evaluate

@@ -4,8 +4,8 @@ from typing import Any, ClassVar
 
 import warp as wp
 from warpcontact.kernels.formula import parameter
-from warpcontact.kernels.smooth.axis import disc, outward
-from warpcontact.kernels.smooth.base import ON_AXIS, Nearest, Shape, one, zero
+from warpcontact.kernels.smooth.axis import disc_expansion, radial
+from warpcontact.kernels.smooth.base import AXIS_TOLERANCE, Shape, SignedDistance, one, zero
 
 
 class Cylinder(Shape):
@@ -21,16 +21,16 @@ class Cylinder(Shape):
     @wp.func
     def support(p: Any, n: wp.vec3d):
         point = wp.vec3d()
-        across = wp.sqrt(n[0] * n[0] + n[1] * n[1])
-        if across > ON_AXIS:
-            point = wp.vec3d(p.radius * (n[0] / across), p.radius * (n[1] / across), zero)
-        if wp.abs(n[2]) > ON_AXIS:
+        radial_distance = wp.sqrt(n[0] * n[0] + n[1] * n[1])
+        if radial_distance > AXIS_TOLERANCE:
+            point = wp.vec3d(p.radius * (n[0] / radial_distance), p.radius * (n[1] / radial_distance), zero)
+        if wp.abs(n[2]) > AXIS_TOLERANCE:
             point[2] = wp.sign(n[2]) * p.half_length
         return point
 
     @wp.func
     def expand(p: Any, n: wp.vec3d):
-        found = disc(p.radius, n)
+        found = disc_expansion(p.radius, n)
         found.kinks[0, 2] = p.half_length
         return found
 
@@ -39,7 +39,7 @@ class Cylinder(Shape):
         return zero
 
     @wp.func
-    def rolling(p: Any):
+    def rolling_ball_radius(p: Any):
         return zero
 
     @wp.func
@@ -47,33 +47,33 @@ class Cylinder(Shape):
         return wp.vec3d(p.radius, p.radius, p.half_length)
 
     @wp.func
-    def centre(p: Any):
+    def inscribed_center(p: Any):
         return wp.vec3d()
 
     @wp.func
-    def inner(p: Any):
+    def inscribed_radius(p: Any):
         return wp.min(p.radius, p.half_length)
 
     @wp.func
-    def nearest(p: Any, x: wp.vec3d):
-        found = Nearest()
-        across, out = outward(x)
+    def signed_distance(p: Any, x: wp.vec3d):
+        found = SignedDistance()
+        radial_distance, out = radial(x)
         up = wp.vec3d(zero, zero, wp.where(x[2] < zero, -one, one))
-        beside = across - p.radius
-        above = wp.abs(x[2]) - p.half_length
-        if beside > zero and above > zero:
-            found.gap = wp.sqrt(beside * beside + above * above)
-            found.normal = (beside / found.gap) * out + (above / found.gap) * up
-        elif beside > above:
-            found.gap = beside
+        mantle_distance = radial_distance - p.radius
+        end_distance = wp.abs(x[2]) - p.half_length
+        if mantle_distance > zero and end_distance > zero:
+            found.gap = wp.sqrt(mantle_distance * mantle_distance + end_distance * end_distance)
+            found.normal = (mantle_distance / found.gap) * out + (end_distance / found.gap) * up
+        elif mantle_distance > end_distance:
+            found.gap = mantle_distance
             found.normal = out
         else:
-            found.gap = above
+            found.gap = end_distance
             found.normal = up
-        found.point = wp.min(across, p.radius) * out + wp.min(wp.abs(x[2]), p.half_length) * up
-        if beside <= zero or above <= zero:
+        found.point = wp.min(radial_distance, p.radius) * out + wp.min(wp.abs(x[2]), p.half_length) * up
+        if mantle_distance <= zero or end_distance <= zero:
             # On the mantle or on an end.
-            if beside > above:
+            if mantle_distance > end_distance:
                 found.point = p.radius * out + wp.vec3d(zero, zero, x[2])
             else:
                 found.point = wp.vec3d(x[0], x[1], zero) + p.half_length * up

@@ -32,8 +32,8 @@ mat22d = wp.mat22d
 Row1 = wp.types.vector(1, real)
 Row12 = wp.types.vector(12, real)
 Rows12 = wp.types.matrix((3, 12), real)
-sharp = wp.constant(real(wp.inf))
-nothing = wp.constant(real(wp.nan))
+infinite = wp.constant(real(wp.inf))
+not_a_number = wp.constant(real(wp.nan))
 # A determinant this small, of equations scaled to 1, is that of points which are not determined.
 SINGULAR = wp.constant(real(1.0e-12))
 
@@ -50,7 +50,7 @@ class Gradients:
 
 
 @wp.func
-def operator(c: Curvature, n: vec3d, x: vec3d, y: vec3d, size: real):
+def scaled_shape_operator(c: Curvature, n: vec3d, x: vec3d, y: vec3d, size: real):
     """Two matrices C and K on x and y with C dn = K p; K is times ``size`` [m]."""
     beside = wp.cross(n, c.direction)
     first = vec2d(wp.dot(c.direction, x), wp.dot(c.direction, y))
@@ -58,12 +58,12 @@ def operator(c: Curvature, n: vec3d, x: vec3d, y: vec3d, size: real):
     # Rows of size 1, whatever the curvature.
     c_1 = zero
     k_1 = one
-    if wp.abs(c.k_1) < sharp:
+    if wp.abs(c.k_1) < infinite:
         c_1 = one / (one + wp.abs(c.k_1) * size)
         k_1 = c.k_1 * size * c_1
     c_2 = zero
     k_2 = one
-    if wp.abs(c.k_2) < sharp:
+    if wp.abs(c.k_2) < infinite:
         c_2 = one / (one + wp.abs(c.k_2) * size)
         k_2 = c.k_2 * size * c_2
     along = wp.outer(first, first)
@@ -92,8 +92,8 @@ def gradients(
     size = wp.length(point_a - origin_a) + wp.length(point_b - origin_b) + wp.abs(gap)
     if size == zero:
         size = one
-    C_a, K_a = operator(a, normal, x, y, size)
-    C_b, K_b = operator(b, normal, x, y, size)
+    C_a, K_a = scaled_shape_operator(a, normal, x, y, size)
+    C_b, K_b = scaled_shape_operator(b, normal, x, y, size)
     lower = C_a + (gap / size) * K_a
     system = wp.mat44d(
         K_b[0, 0], K_b[0, 1], -C_b[0, 0], -C_b[0, 1],
@@ -120,26 +120,26 @@ def gradients(
             v_b = step
         else:
             w_b = step
-        turn = w_a - w_b
-        moved = v_a + wp.cross(w_a, point_a - origin_a) - v_b - wp.cross(w_b, point_a - origin_b)
-        opened = wp.dot(normal, moved)
-        found.gap[i] = opened
-        tilt = wp.cross(turn, normal)
+        relative_rotation = w_a - w_b
+        relative_motion = v_a + wp.cross(w_a, point_a - origin_a) - v_b - wp.cross(w_b, point_a - origin_b)
+        gap_rate = wp.dot(normal, relative_motion)
+        found.gap[i] = gap_rate
+        tilt = wp.cross(relative_rotation, normal)
         right = C_a * vec2d(wp.dot(tilt, x), wp.dot(tilt, y))
-        right += K_a * (vec2d(wp.dot(moved, x), wp.dot(moved, y)) / size)
-        slid = inverse * wp.vec4d(zero, zero, right[0], right[1])
-        turned = wp.cross(w_b, normal) + slid[2] * x + slid[3] * y
-        of_b = v_b + wp.cross(w_b, point_b - origin_b) + (size * slid[0]) * x + (size * slid[1]) * y
-        of_a = of_b + opened * normal + gap * turned
+        right += K_a * (vec2d(wp.dot(relative_motion, x), wp.dot(relative_motion, y)) / size)
+        slide = inverse * wp.vec4d(zero, zero, right[0], right[1])
+        normal_rate = wp.cross(w_b, normal) + slide[2] * x + slide[3] * y
+        point_rate_b = v_b + wp.cross(w_b, point_b - origin_b) + (size * slide[0]) * x + (size * slide[1]) * y
+        point_rate_a = point_rate_b + gap_rate * normal + gap * normal_rate
         for k in range(3):
-            found.normal[k, i] = wp.where(found.determined == 1, turned[k], nothing)
-            found.point_a[k, i] = wp.where(found.determined == 1, of_a[k], nothing)
-            found.point_b[k, i] = wp.where(found.determined == 1, of_b[k], nothing)
+            found.normal[k, i] = wp.where(found.determined == 1, normal_rate[k], not_a_number)
+            found.point_a[k, i] = wp.where(found.determined == 1, point_rate_a[k], not_a_number)
+            found.point_b[k, i] = wp.where(found.determined == 1, point_rate_b[k], not_a_number)
     return found
 
 
 @wp.func
-def outward(point: vec3d, n: vec3d):
+def radial_normal(point: vec3d, n: vec3d):
     """Part of the normal that points away from the z axis."""
     radius = wp.sqrt(point[0] * point[0] + point[1] * point[1])
     if radius == zero:
@@ -148,15 +148,15 @@ def outward(point: vec3d, n: vec3d):
 
 
 @wp.func
-def of_sphere(p: Any, point: vec3d, n: vec3d):
+def sphere_size_gradient(p: Any, point: vec3d, n: vec3d):
     """By the radius."""
-    grown = Row1()
-    grown[0] = one
-    return grown
+    gradient = Row1()
+    gradient[0] = one
+    return gradient
 
 
 @wp.func
-def of_ellipsoid(p: Any, point: vec3d, n: vec3d):
+def ellipsoid_size_gradient(p: Any, point: vec3d, n: vec3d):
     """By the semi-axes; of a superellipsoid, too."""
     return vec3d(
         n[0] * point[0] / p.semi_axes[0], n[1] * point[1] / p.semi_axes[1], n[2] * point[2] / p.semi_axes[2]
@@ -164,61 +164,61 @@ def of_ellipsoid(p: Any, point: vec3d, n: vec3d):
 
 
 @wp.func
-def of_capsule(p: Any, point: vec3d, n: vec3d):
+def capsule_size_gradient(p: Any, point: vec3d, n: vec3d):
     """By the radius and half the length."""
     along = wp.clamp((point[2] - p.radius * n[2]) / p.half_length, -one, one)
     return vec2d(one, n[2] * along)
 
 
 @wp.func
-def of_cylinder(p: Any, point: vec3d, n: vec3d):
+def cylinder_size_gradient(p: Any, point: vec3d, n: vec3d):
     """By the radius and half the length."""
     across = wp.sqrt(point[0] * point[0] + point[1] * point[1])
-    return vec2d(outward(point, n) * across / p.radius, n[2] * point[2] / p.half_length)
+    return vec2d(radial_normal(point, n) * across / p.radius, n[2] * point[2] / p.half_length)
 
 
 @wp.func
-def of_cone(p: Any, point: vec3d, n: vec3d):
+def cone_size_gradient(p: Any, point: vec3d, n: vec3d):
     """By the radius and the height."""
     across = wp.sqrt(point[0] * point[0] + point[1] * point[1])
-    return vec2d(outward(point, n) * across / p.radius, n[2] * point[2] / p.height)
+    return vec2d(radial_normal(point, n) * across / p.radius, n[2] * point[2] / p.height)
 
 
 @wp.func
-def of_rounded_box(p: Any, point: vec3d, n: vec3d):
+def rounded_box_size_gradient(p: Any, point: vec3d, n: vec3d):
     """By the half extents and the radius."""
-    sum = zero
-    grown = wp.vec4d()
+    total = zero
+    gradient = wp.vec4d()
     for i in range(3):
         # How far the middle of the rounding is towards its place on the box inside.
         on = wp.clamp((point[i] - p.radius * n[i]) / (p.half_extents[i] - p.radius), -one, one)
-        grown[i] = n[i] * on
-        sum += grown[i]
-    grown[3] = one - sum
-    return grown
+        gradient[i] = n[i] * on
+        total += gradient[i]
+    gradient[3] = one - total
+    return gradient
 
 
 @wp.func
-def of_torus(p: Any, point: vec3d, n: vec3d):
+def torus_size_gradient(p: Any, point: vec3d, n: vec3d):
     """By the radius of the core circle and that of the tube."""
-    return vec2d(outward(point, n), one)
+    return vec2d(radial_normal(point, n), one)
 
 
 @functools.cache
-def growth(A: type[Shape]) -> tuple[tuple[str, ...], wp.Function] | None:
+def size_gradient(A: type[Shape]) -> tuple[tuple[str, ...], wp.Function] | None:
     """Returns how far a surface comes out by its sizes: their names, and ``(p, point, n)``, their derivatives.
 
     The derivative of the gap is this times −1, at the contact point of the shape and its own outward normal, in
     its frame. Sizes with three values have three entries. ``None``: it has no sizes; exponents are not among them.
     """
-    known = {
-        Sphere: (("radius",), of_sphere),
-        Ellipsoid: (("semi_axes",), of_ellipsoid),
-        Superellipsoid: (("semi_axes",), of_ellipsoid),
-        Capsule: (("radius", "half_length"), of_capsule),
-        Cylinder: (("radius", "half_length"), of_cylinder),
-        Cone: (("radius", "height"), of_cone),
-        RoundedBox: (("half_extents", "radius"), of_rounded_box),
-        Torus: (("major_radius", "minor_radius"), of_torus),
+    gradients_by_shape = {
+        Sphere: (("radius",), sphere_size_gradient),
+        Ellipsoid: (("semi_axes",), ellipsoid_size_gradient),
+        Superellipsoid: (("semi_axes",), ellipsoid_size_gradient),
+        Capsule: (("radius", "half_length"), capsule_size_gradient),
+        Cylinder: (("radius", "half_length"), cylinder_size_gradient),
+        Cone: (("radius", "height"), cone_size_gradient),
+        RoundedBox: (("half_extents", "radius"), rounded_box_size_gradient),
+        Torus: (("major_radius", "minor_radius"), torus_size_gradient),
     }
-    return known.get(A)
+    return gradients_by_shape.get(A)

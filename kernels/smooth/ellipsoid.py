@@ -4,7 +4,7 @@ from typing import Any
 
 import warp as wp
 from warpcontact.kernels.formula import parameter
-from warpcontact.kernels.smooth.base import Expansion, Shape, zero
+from warpcontact.kernels.smooth.base import Shape, SupportExpansion, zero
 
 
 class Ellipsoid(Shape):
@@ -21,7 +21,7 @@ class Ellipsoid(Shape):
 
     @wp.func
     def expand(p: Any, n: wp.vec3d):
-        found = Expansion()
+        found = SupportExpansion()
         scaled = wp.cw_mul(p.semi_axes, n)
         value = wp.length(scaled)
         found.point = wp.cw_mul(p.semi_axes, scaled) / value
@@ -34,7 +34,7 @@ class Ellipsoid(Shape):
         return zero
 
     @wp.func
-    def rolling(p: Any):
+    def rolling_ball_radius(p: Any):
         shortest = wp.min(p.semi_axes)
         return shortest * (shortest / wp.max(p.semi_axes))
 
@@ -43,9 +43,9 @@ class Ellipsoid(Shape):
         return p.semi_axes
 
     @wp.func
-    def centre(p: Any):
+    def inscribed_center(p: Any):
         return wp.vec3d()
 
     @wp.func
-    def inner(p: Any):
+    def inscribed_radius(p: Any):
         return wp.min(p.semi_axes)

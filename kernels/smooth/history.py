@@ -5,39 +5,54 @@ import functools
 import warp as wp
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.memory import memory_struct
-from warpcontact.kernels.smooth.base import Seed
-from warpcontact.kernels.smooth.records import Seeds, contact_structs
-from warpcontact.kernels.types import CONTACT, DISABLED, ENV_ACTIVE, UNSOLVED, Work, env_of, item_of, task_count
+from warpcontact.kernels.smooth.base import WarmStart
+from warpcontact.kernels.smooth.records import WarmStarts, shape_contact_structs
+from warpcontact.kernels.types import (
+    CONTACT,
+    DISABLED,
+    ENV_ACTIVE,
+    UNSOLVED,
+    LaunchRange,
+    task_count,
+    task_env,
+    task_item,
+)
 from warpcontact.kernels.unique import unique_kernel
 
 
 @functools.cache
-def remember(real: type) -> wp.Kernel:
+def accept(real: type) -> wp.Kernel:
     """Returns the kernel that takes over what an accepted step led to; items: contacts."""
-    Smooth = contact_structs(real).Smooth
+    ShapeContacts = shape_contact_structs(real).ShapeContacts
 
     @unique_kernel()
-    def remember_contacts(work: Work, status: wp.array(dtype=wp.int32), found: Seeds, held: Seeds, smooth: Smooth):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            contact = item_of(work, task)
+    def accept_shape_contacts(
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        new_warm_starts: WarmStarts,
+        warm_starts: WarmStarts,
+        shape_contacts: ShapeContacts,
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            contact = task_item(launch, task)
             if status[env] != ENV_ACTIVE:
                 continue
-            touching = smooth.status[env, contact]
-            if touching == CONTACT:
+            contact_status = shape_contacts.status[env, contact]
+            if contact_status == CONTACT:
                 # Not below 0, which says "not touching".
-                speed = wp.max(smooth.approach_speed[env, contact], real(0.0))
-                smooth.entry_speed[env, contact] = wp.max(smooth.entry_speed[env, contact], speed)
+                speed = wp.max(shape_contacts.approach_speed[env, contact], real(0.0))
+                shape_contacts.entry_speed[env, contact] = wp.max(shape_contacts.entry_speed[env, contact], speed)
             else:
-                smooth.entry_speed[env, contact] = real(-1.0)
-            if touching == UNSOLVED:
-                smooth.failures[env, contact] = smooth.failures[env, contact] + 1
-            if touching == UNSOLVED or touching == DISABLED:  # noqa: SIM109 - Warp has no ``in``
-                held.seed[env, contact] = Seed()
+                shape_contacts.entry_speed[env, contact] = real(-1.0)
+            if contact_status == UNSOLVED:
+                shape_contacts.failures[env, contact] = shape_contacts.failures[env, contact] + 1
+            if contact_status == UNSOLVED or contact_status == DISABLED:  # noqa: SIM109 - Warp has no ``in``
+                warm_starts.warm_start[env, contact] = WarmStart()
             else:
-                held.seed[env, contact] = found.seed[env, contact]
+                warm_starts.warm_start[env, contact] = new_warm_starts.warm_start[env, contact]
 
-    return remember_contacts
+    return accept_shape_contacts
 
 
 @functools.cache
@@ -46,27 +61,29 @@ def advance(formula: type[Formula], real: type) -> wp.Kernel:
     Array = wp.array2d(dtype=memory_struct(formula, real))
 
     @unique_kernel()
-    def advance_memory(work: Work, status: wp.array(dtype=wp.int32), kept: Array, memory: Array):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            contact = item_of(work, task)
+    def advance_memory(launch: LaunchRange, status: wp.array(dtype=wp.int32), history_out: Array, memory: Array):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            contact = task_item(launch, task)
             if status[env] == ENV_ACTIVE:
-                memory[env, contact] = kept[env, contact]
+                memory[env, contact] = history_out[env, contact]
 
     return advance_memory
 
 
 @functools.cache
-def forget(real: type) -> wp.Kernel:
+def reset(real: type) -> wp.Kernel:
     """Returns the kernel that starts contacts anew. Launch with dim (env, contact)."""
-    Smooth = contact_structs(real).Smooth
+    ShapeContacts = shape_contact_structs(real).ShapeContacts
 
     @unique_kernel()
-    def forget_contacts(mask: wp.array(dtype=wp.bool), held: Seeds, smooth: Smooth):
+    def reset_shape_contacts(
+        mask: wp.array(dtype=wp.bool), warm_starts: WarmStarts, shape_contacts: ShapeContacts
+    ):
         env, contact = wp.tid()
         if mask[env]:
-            held.seed[env, contact] = Seed()
-            smooth.entry_speed[env, contact] = real(-1.0)
-            smooth.failures[env, contact] = 0
+            warm_starts.warm_start[env, contact] = WarmStart()
+            shape_contacts.entry_speed[env, contact] = real(-1.0)
+            shape_contacts.failures[env, contact] = 0
 
-    return forget_contacts
+    return reset_shape_contacts

@@ -4,7 +4,7 @@ from typing import Any, ClassVar
 
 import warp as wp
 from warpcontact.kernels.formula import parameter
-from warpcontact.kernels.smooth.axis import disc
+from warpcontact.kernels.smooth.axis import disc_expansion
 from warpcontact.kernels.smooth.base import Shape
 from warpcontact.kernels.smooth.torus import Torus
 
@@ -18,21 +18,21 @@ class Hull(Shape):
     minor_radius: float = parameter("m", "radius r of its edge", above=0.0)
 
     support: ClassVar = Torus.support
-    centre: ClassVar = Torus.centre
+    inscribed_center: ClassVar = Torus.inscribed_center
     extents: ClassVar = Torus.extents
 
     @wp.func
     def expand(p: Any, n: wp.vec3d):
-        return disc(p.major_radius, n)
+        return disc_expansion(p.major_radius, n)
 
     @wp.func
     def margin(p: Any):
         return p.minor_radius
 
     @wp.func
-    def rolling(p: Any):
+    def rolling_ball_radius(p: Any):
         return p.minor_radius
 
     @wp.func
-    def inner(p: Any):
+    def inscribed_radius(p: Any):
         return p.minor_radius

@@ -8,9 +8,16 @@ import warp as wp
 from warpcontact.kernels import frames
 from warpcontact.kernels.smooth import detect
 from warpcontact.kernels.smooth.base import Shape
-from warpcontact.kernels.smooth.derivatives import Row12, Rows12, growth
+from warpcontact.kernels.smooth.derivatives import Row12, Rows12, size_gradient
 from warpcontact.kernels.smooth.derivatives import gradients as gradients_of
-from warpcontact.kernels.smooth.records import Members, Mount, Seeds, Settings, contact_structs, shapes_struct
+from warpcontact.kernels.smooth.records import (
+    ContactShapes,
+    ShapeContactSettings,
+    ShapePose,
+    WarmStarts,
+    shape_contact_structs,
+    shapes_struct,
+)
 from warpcontact.kernels.types import DISABLED, MET, structs
 from warpcontact.kernels.unique import unique_kernel
 
@@ -63,36 +70,36 @@ class Gradients:
 def points(real: type) -> wp.Kernel:
     """Returns the kernel that places contacts. Launch with dim (env, contact of the range)."""
     t = structs(real)
-    State, Smooth = t.State, contact_structs(real).Smooth
+    State, ShapeContacts = t.State, shape_contact_structs(real).ShapeContacts
     wide = frames.functions(real).wide
 
     @unique_kernel()
-    def place_contacts(
+    def compute_contact_points(
         state: State,
         first: wp.int32,  # contact of the set
         offset: wp.int32,  # of the set among all
-        members: Members,
-        mounts_b: wp.array2d(dtype=Mount),
-        settings: wp.array2d(dtype=Settings),
-        smooth: Smooth,
+        contact_shapes: ContactShapes,
+        shape_poses_b: wp.array2d(dtype=ShapePose),
+        settings: wp.array2d(dtype=ShapeContactSettings),
+        shape_contacts: ShapeContacts,
         measured: Points,
     ):
-        env, number = wp.tid()
-        contact = first + number
-        body = members.body_b[contact]
-        origin = mounts_b[env, members.shape_b[contact]].position
+        env, offset_in_range = wp.tid()
+        contact = first + offset_in_range
+        body = contact_shapes.body_b[contact]
+        origin = shape_poses_b[env, contact_shapes.shape_b[contact]].position
         if body >= 0:
             origin = wide(state.body_position[env, body]) + wide(state.body_position_remainder[env, body])
-        point = origin + wide(smooth.arm_b[env, contact])
-        across = wp.float64(smooth.gap[env, contact]) * wide(smooth.normal[env, contact])
-        if smooth.status[env, contact] == DISABLED:
+        point = origin + wide(shape_contacts.arm_b[env, contact])
+        gap_vector = wp.float64(shape_contacts.gap[env, contact]) * wide(shape_contacts.normal[env, contact])
+        if shape_contacts.status[env, contact] == DISABLED:
             point = wp.vec3d(wp.nan, wp.nan, wp.nan)
         kappa = settings[env, contact].kappa
         measured.point[env, offset + contact] = point
-        measured.point_a[env, offset + contact] = point + (wp.float64(1.0) - kappa) * across
-        measured.point_b[env, offset + contact] = point - kappa * across
+        measured.point_a[env, offset + contact] = point + (wp.float64(1.0) - kappa) * gap_vector
+        measured.point_b[env, offset + contact] = point - kappa * gap_vector
 
-    return place_contacts
+    return compute_contact_points
 
 
 @functools.cache
@@ -103,42 +110,47 @@ def curvatures(kind_a: type[Shape], kind_b: type[Shape], real: type) -> wp.Kerne
     """
     State = structs(real).State
     ShapesA, ShapesB = shapes_struct(kind_a), shapes_struct(kind_b)
-    pair, bent = detect.seen(kind_a, kind_b, real), detect.bending(kind_a, kind_b).bent
-    pose_of, meeting_of = pair.pair, pair.meeting
+    pair, curvature = (
+        detect.pair_functions(kind_a, kind_b, real),
+        detect.curvature_functions(kind_a, kind_b).curvature,
+    )
+    relative_pose, find_contact = pair.relative_pose, pair.find_contact
 
     @unique_kernel()
     def measure_curvatures(
         state: State,
         first: wp.int32,  # contact of the set
         offset: wp.int32,  # of the set among all
-        members: Members,
+        contact_shapes: ContactShapes,
         shapes_a: ShapesA,
         shapes_b: ShapesB,
-        held: Seeds,
+        warm_starts: WarmStarts,
         measured: Curvatures,
     ):
-        env, number = wp.tid()
-        contact = first + number
-        pose = pose_of(state, env, contact, members, shapes_a, shapes_b)
-        meeting = meeting_of(env, contact, members, shapes_a, shapes_b, pose, held.seed[env, contact])
+        env, offset_in_range = wp.tid()
+        contact = first + offset_in_range
+        pose = relative_pose(state, env, contact, contact_shapes, shapes_a, shapes_b)
+        contact_point = find_contact(
+            env, contact, contact_shapes, shapes_a, shapes_b, pose, warm_starts.warm_start[env, contact]
+        )
         measured.curvature_1[env, offset + contact] = wp.float64(wp.nan)
         measured.curvature_2[env, offset + contact] = wp.float64(wp.nan)
-        if meeting.status == MET:
-            bend = bent(env, contact, members, shapes_a, shapes_b, pose, meeting)
-            measured.curvature_1[env, offset + contact] = bend.relative.k_1
-            measured.curvature_2[env, offset + contact] = bend.relative.k_2
+        if contact_point.status == MET:
+            pair_curvature = curvature(env, contact, contact_shapes, shapes_a, shapes_b, pose, contact_point)
+            measured.curvature_1[env, offset + contact] = pair_curvature.relative.k_1
+            measured.curvature_2[env, offset + contact] = pair_curvature.relative.k_2
 
     return measure_curvatures
 
 
 @wp.func
-def three(row: Row12, first: int):
+def vector_of(row: Row12, first: int):
     """Three of twelve numbers."""
     return wp.vec3d(row[first], row[first + 1], row[first + 2])
 
 
 @wp.func
-def nine(rows: Rows12, first: int):
+def matrix_of(rows: Rows12, first: int):
     """Three columns of twelve."""
     found = wp.mat33d()
     for i in range(3):
@@ -148,17 +160,17 @@ def nine(rows: Rows12, first: int):
 
 
 @functools.cache
-def sizes(kind: type[Shape]) -> wp.Function:
-    """Returns ``(p, point, n)``: the derivatives of the gap by up to four sizes of a shape; see ``growth``."""
-    grown = growth(kind)
-    if grown is None:
+def size_gradients(kind: type[Shape]) -> wp.Function:
+    """Returns ``(p, point, n)``: the derivatives of the gap by up to four sizes; see ``size_gradient``."""
+    gradient = size_gradient(kind)
+    if gradient is None:
 
         @wp.func
-        def none(p: Any, point: wp.vec3d, n: wp.vec3d):
+        def no_sizes(p: Any, point: wp.vec3d, n: wp.vec3d):
             return wp.vec4d()
 
-        return none
-    by_sizes = grown[1]
+        return no_sizes
+    by_sizes = gradient[1]
     count = size_count(kind)
 
     @wp.func
@@ -174,14 +186,14 @@ def sizes(kind: type[Shape]) -> wp.Function:
 
 def size_count(kind: type[Shape]) -> int:
     """Returns how many numbers the sizes are by which the gap of a shape is derived."""
-    grown = growth(kind)
-    return 0 if grown is None else sum(width for _, width in size_widths(kind))
+    gradient = size_gradient(kind)
+    return 0 if gradient is None else sum(width for _, width in size_widths(kind))
 
 
 def size_widths(kind: type[Shape]) -> list[tuple[str, int]]:
     """Returns the sizes by which the gap of a shape is derived, each with how many numbers it is."""
-    grown = growth(kind)
-    return [] if grown is None else [(name, int(np.prod(kind.limits(name)["shape"]))) for name in grown[0]]
+    gradient = size_gradient(kind)
+    return [] if gradient is None else [(name, int(np.prod(kind.limits(name)["shape"]))) for name in gradient[0]]
 
 
 @functools.cache
@@ -189,64 +201,69 @@ def gradients(kind_a: type[Shape], kind_b: type[Shape], real: type) -> wp.Kernel
     """Returns the kernel of the derivatives of a contact. Launch with dim (env, contact of the range)."""
     State = structs(real).State
     ShapesA, ShapesB = shapes_struct(kind_a), shapes_struct(kind_b)
-    pair, bent = detect.seen(kind_a, kind_b, real), detect.bending(kind_a, kind_b).bent
-    pose_of, meeting_of = pair.pair, pair.meeting
-    by_sizes_a, by_sizes_b = sizes(kind_a), sizes(kind_b)
+    pair, curvature = (
+        detect.pair_functions(kind_a, kind_b, real),
+        detect.curvature_functions(kind_a, kind_b).curvature,
+    )
+    relative_pose, find_contact = pair.relative_pose, pair.find_contact
+    by_sizes_a, by_sizes_b = size_gradients(kind_a), size_gradients(kind_b)
 
     @unique_kernel()
     def measure_gradients(
         state: State,
         first: wp.int32,  # contact of the set
         offset: wp.int32,  # of the set among all
-        members: Members,
+        contact_shapes: ContactShapes,
         shapes_a: ShapesA,
         shapes_b: ShapesB,
-        held: Seeds,
+        warm_starts: WarmStarts,
         measured: Gradients,
     ):
-        env, number = wp.tid()
-        contact = first + number
-        own = offset + contact
-        pose = pose_of(state, env, contact, members, shapes_a, shapes_b)
-        meeting = meeting_of(env, contact, members, shapes_a, shapes_b, pose, held.seed[env, contact])
-        bend = bent(env, contact, members, shapes_a, shapes_b, pose, meeting)
-        curved_a = bend.a
-        curved_b = bend.b
-        curved_a.direction = wp.quat_rotate(pose.q_W, curved_a.direction)
-        curved_b.direction = wp.quat_rotate(pose.q_W, curved_b.direction)
+        env, offset_in_range = wp.tid()
+        contact = first + offset_in_range
+        index = offset + contact
+        pose = relative_pose(state, env, contact, contact_shapes, shapes_a, shapes_b)
+        contact_point = find_contact(
+            env, contact, contact_shapes, shapes_a, shapes_b, pose, warm_starts.warm_start[env, contact]
+        )
+        pair_curvature = curvature(env, contact, contact_shapes, shapes_a, shapes_b, pose, contact_point)
+        curvature_a = pair_curvature.a
+        curvature_b = pair_curvature.b
+        curvature_a.direction = wp.quat_rotate(pose.q_W, curvature_a.direction)
+        curvature_b.direction = wp.quat_rotate(pose.q_W, curvature_b.direction)
         # In the axes of W, from the origin of the frame of b.
         origin_b = -pose.offset
         rates = gradients_of(
-            wp.quat_rotate(pose.q_W, meeting.normal),
-            meeting.gap,
-            wp.quat_rotate(pose.q_W, meeting.point_a),
-            wp.quat_rotate(pose.q_W, meeting.point_b),
-            curved_a,
-            curved_b,
+            wp.quat_rotate(pose.q_W, contact_point.normal),
+            contact_point.gap,
+            wp.quat_rotate(pose.q_W, contact_point.point_a),
+            wp.quat_rotate(pose.q_W, contact_point.point_b),
+            curvature_a,
+            curvature_b,
             origin_b + pose.bodies,
             origin_b,
         )
-        measured.gap_by_position_a[env, own] = three(rates.gap, 0)
-        measured.gap_by_rotation_a[env, own] = three(rates.gap, 3)
-        measured.gap_by_position_b[env, own] = three(rates.gap, 6)
-        measured.gap_by_rotation_b[env, own] = three(rates.gap, 9)
-        measured.normal_by_position_a[env, own] = nine(rates.normal, 0)
-        measured.normal_by_rotation_a[env, own] = nine(rates.normal, 3)
-        measured.normal_by_position_b[env, own] = nine(rates.normal, 6)
-        measured.normal_by_rotation_b[env, own] = nine(rates.normal, 9)
-        measured.point_a_by_position_a[env, own] = nine(rates.point_a, 0)
-        measured.point_a_by_rotation_a[env, own] = nine(rates.point_a, 3)
-        measured.point_a_by_position_b[env, own] = nine(rates.point_a, 6)
-        measured.point_a_by_rotation_b[env, own] = nine(rates.point_a, 9)
-        measured.point_b_by_position_a[env, own] = nine(rates.point_b, 0)
-        measured.point_b_by_rotation_a[env, own] = nine(rates.point_b, 3)
-        measured.point_b_by_position_b[env, own] = nine(rates.point_b, 6)
-        measured.point_b_by_rotation_b[env, own] = nine(rates.point_b, 9)
-        p_a = shapes_a.coefficients[env, members.shape_a[contact]]
-        p_b = shapes_b.coefficients[env, members.shape_b[contact]]
-        n_a = wp.quat_rotate_inv(pose.q, -meeting.normal)
-        point_a = wp.quat_rotate_inv(pose.q, meeting.point_a - pose.x)
-        measured.gap_by_sizes_a[env, own] = by_sizes_a(p_a, point_a, n_a)
-        measured.gap_by_sizes_b[env, own] = by_sizes_b(p_b, meeting.point_b, meeting.normal)
+        measured.gap_by_position_a[env, index] = vector_of(rates.gap, 0)
+        measured.gap_by_rotation_a[env, index] = vector_of(rates.gap, 3)
+        measured.gap_by_position_b[env, index] = vector_of(rates.gap, 6)
+        measured.gap_by_rotation_b[env, index] = vector_of(rates.gap, 9)
+        measured.normal_by_position_a[env, index] = matrix_of(rates.normal, 0)
+        measured.normal_by_rotation_a[env, index] = matrix_of(rates.normal, 3)
+        measured.normal_by_position_b[env, index] = matrix_of(rates.normal, 6)
+        measured.normal_by_rotation_b[env, index] = matrix_of(rates.normal, 9)
+        measured.point_a_by_position_a[env, index] = matrix_of(rates.point_a, 0)
+        measured.point_a_by_rotation_a[env, index] = matrix_of(rates.point_a, 3)
+        measured.point_a_by_position_b[env, index] = matrix_of(rates.point_a, 6)
+        measured.point_a_by_rotation_b[env, index] = matrix_of(rates.point_a, 9)
+        measured.point_b_by_position_a[env, index] = matrix_of(rates.point_b, 0)
+        measured.point_b_by_rotation_a[env, index] = matrix_of(rates.point_b, 3)
+        measured.point_b_by_position_b[env, index] = matrix_of(rates.point_b, 6)
+        measured.point_b_by_rotation_b[env, index] = matrix_of(rates.point_b, 9)
+        p_a = shapes_a.coefficients[env, contact_shapes.shape_a[contact]]
+        p_b = shapes_b.coefficients[env, contact_shapes.shape_b[contact]]
+        n_a = wp.quat_rotate_inv(pose.q, -contact_point.normal)
+        point_a = wp.quat_rotate_inv(pose.q, contact_point.point_a - pose.x)
+        measured.gap_by_sizes_a[env, index] = by_sizes_a(p_a, point_a, n_a)
+        measured.gap_by_sizes_b[env, index] = by_sizes_b(p_b, contact_point.point_b, contact_point.normal)
 
     return measure_gradients

@@ -11,8 +11,8 @@ from warpcontact.kernels.smooth.sphere import Sphere
 
 
 @functools.cache
-def meet(A: type[Shape], B: type[Shape]) -> wp.Function:
-    """Returns the device function ``(p_a, p_b, x, q, seed)`` → ``Meeting`` of a pair of shapes.
+def pair_function(A: type[Shape], B: type[Shape]) -> wp.Function:
+    """Returns the device function ``(p_a, p_b, x, q, seed)`` → ``ShapeContactPoint`` of a pair of shapes.
 
     ``p_a`` and ``p_b`` are the ``coefficient_struct`` of both in float64, ``x`` [m] is the origin of a in the
     frame of b and ``q`` the rotation a → b. Of all pairs of points with antiparallel normals along the line
@@ -29,15 +29,15 @@ def meet(A: type[Shape], B: type[Shape]) -> wp.Function:
     if not (A.convex and B.convex):
         from warpcontact.kernels.smooth import curved
 
-        return curved.meet(A, B)
+        return curved.pair_function(A, B)
     if issubclass(B, Plane):
-        return closed.on_plane(A, B)
+        return closed.with_plane(A, B)
     if issubclass(A, Plane):
-        return closed.swapped(closed.on_plane(B, A), B, A)
-    if issubclass(A, Sphere) and hasattr(B, "nearest"):
-        return closed.on_sphere(A, B)
-    if issubclass(B, Sphere) and hasattr(A, "nearest"):
-        return closed.swapped(closed.on_sphere(B, A), B, A)
+        return closed.swapped_pair(closed.with_plane(B, A), B, A)
+    if issubclass(A, Sphere) and hasattr(B, "signed_distance"):
+        return closed.with_sphere(A, B)
+    if issubclass(B, Sphere) and hasattr(A, "signed_distance"):
+        return closed.swapped_pair(closed.with_sphere(B, A), B, A)
     if issubclass(A, Capsule) and issubclass(B, Capsule):
-        return closed.capsules(A, B)
-    return convex.meet(A, B)
+        return closed.capsule_pair(A, B)
+    return convex.pair_function(A, B)

@@ -16,7 +16,7 @@ from typing import Any
 
 import warp as wp
 from warpcontact.kernels.smooth.base import Shape, half, real, vec3d, zero
-from warpcontact.kernels.smooth.charts import NEAR_POLE, chart
+from warpcontact.kernels.smooth.charts import POLE_COSINE, chart
 from warpcontact.kernels.smooth.patch import Jet
 from warpcontact.kernels.types import ROOT_FACING, ROOT_FALSE, ROOT_NONE, ROOT_PARALLEL
 
@@ -24,7 +24,7 @@ from warpcontact.kernels.types import ROOT_FACING, ROOT_FALSE, ROOT_NONE, ROOT_P
 TOLERANCE = wp.constant(real(1.0e-12))
 # Of the cross products of unit vectors: what is a root of the equations at a singular point is off by far more.
 ALIGNED = wp.constant(real(1.0e-6))
-HALVINGS = wp.constant(wp.int32(30))
+MAX_HALVINGS = wp.constant(wp.int32(30))
 
 
 @wp.struct
@@ -49,13 +49,13 @@ class Root:
     u: wp.vec4d  # parameters of b, then of a
     pole_b: wp.int32
     pole_a: wp.int32
-    facing: real  # n_a·n_b; −1: facing
+    normal_cosine: real  # n_a·n_b; −1: facing
     residual: real  # of the equations, in terms of the size of the tangents
     iterations: wp.int32
 
 
 @wp.func
-def moved(jet: Jet, x: vec3d, q: wp.quatd):
+def transform_jet(jet: Jet, x: vec3d, q: wp.quatd):
     """A jet in the frame of b."""
     jet.x = x + wp.quat_rotate(q, jet.x)
     jet.u = wp.quat_rotate(q, jet.u)
@@ -87,30 +87,32 @@ def equations_of(b: Jet, a: Jet):
 
 
 @wp.func
-def scaled(values: wp.vec4d, size_b: real, size_a: real):
+def equation_error(values: wp.vec4d, size_b: real, size_a: real):
     """Length of the equations without units."""
-    near = size_b * (size_a + size_b)
+    length_scale = size_b * (size_a + size_b)
     normal = size_b * size_a * size_a
-    return wp.length(wp.vec4d(values[0] / near, values[1] / near, values[2] / normal, values[3] / normal))
+    return wp.length(
+        wp.vec4d(values[0] / length_scale, values[1] / length_scale, values[2] / normal, values[3] / normal)
+    )
 
 
 @functools.cache
 def solver(A: type[Shape], B: type[Shape]) -> wp.Function:
-    """Returns ``(p_a, p_b, x, q, u, pole_a, pole_b, most)``: the ``Root`` that Newton's method finds from u.
+    """Returns ``(p_a, p_b, x, q, u, pole_a, pole_b, max_iterations)``: the ``Root`` of Newton's method from u.
 
-    ``u`` are the parameters of b, then of a, where it begins; ``most`` is how many iterations it may take. A step
+    ``u`` are the parameters of b, then of a, where it begins; ``max_iterations`` limits the iterations. A step
     is halved until the equations have become smaller. Where a chart comes near its pole, another one takes over.
 
     Raises:
-        NoChart: If a shape has none.
+        NoChartError: If a shape has none.
     """
     chart_a, chart_b = chart(A), chart(B)
-    jet_a, place_a, poles_a, jet_b, place_b, poles_b = *chart_a[:3], *chart_b[:3]
+    jet_a, parameters_a, poles_a, jet_b, parameters_b, poles_b = *chart_a[:3], *chart_b[:3]
     latitude_a, latitude_b = chart_a.latitude, chart_b.latitude
 
     @wp.func
     def equations(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, u: wp.vec4d, pole_a: wp.int32, pole_b: wp.int32):
-        return equations_of(jet_b(p_b, pole_b, u[0], u[1]), moved(jet_a(p_a, pole_a, u[2], u[3]), x, q))
+        return equations_of(jet_b(p_b, pole_b, u[0], u[1]), transform_jet(jet_a(p_a, pole_a, u[2], u[3]), x, q))
 
     @wp.func
     def solve(
@@ -121,7 +123,7 @@ def solver(A: type[Shape], B: type[Shape]) -> wp.Function:
         start: wp.vec4d,
         start_pole_a: wp.int32,
         start_pole_b: wp.int32,
-        most: wp.int32,
+        max_iterations: wp.int32,
     ):
         q = wp.normalize(rotation)
         u = start
@@ -130,35 +132,35 @@ def solver(A: type[Shape], B: type[Shape]) -> wp.Function:
         at = equations(p_a, p_b, x, q, u, pole_a, pole_b)
         size_b = half * (wp.length(at.b.u) + wp.length(at.b.v))
         size_a = half * (wp.length(at.a.u) + wp.length(at.a.v))
-        error = scaled(at.values, size_b, size_a)
+        error = equation_error(at.values, size_b, size_a)
         iterations = wp.int32(0)
-        going = wp.bool(True)
-        while going and iterations < most and error > zero:
-            if wp.static(poles_a):  # noqa: SIM102  a static branch
-                if wp.abs(wp.cos(u[3])) < NEAR_POLE:
-                    u_a, v_a, new_a = place_a(p_a, wp.quat_rotate_inv(q, at.a.x - x))
+        progressing = wp.bool(True)
+        while progressing and iterations < max_iterations and error > zero:
+            if wp.static(poles_a):
+                if wp.abs(wp.cos(u[3])) < POLE_COSINE:
+                    u_a, v_a, new_a = parameters_a(p_a, wp.quat_rotate_inv(q, at.a.x - x))
                     u = wp.vec4d(u[0], u[1], u_a, v_a)
                     pole_a = new_a
                     at = equations(p_a, p_b, x, q, u, pole_a, pole_b)
-                    error = scaled(at.values, size_b, size_a)
-            if wp.static(poles_b):  # noqa: SIM102  a static branch
-                if wp.abs(wp.cos(u[1])) < NEAR_POLE:
-                    u_b, v_b, new_b = place_b(p_b, at.b.x)
+                    error = equation_error(at.values, size_b, size_a)
+            if wp.static(poles_b):
+                if wp.abs(wp.cos(u[1])) < POLE_COSINE:
+                    u_b, v_b, new_b = parameters_b(p_b, at.b.x)
                     u = wp.vec4d(u_b, v_b, u[2], u[3])
                     pole_b = new_b
                     at = equations(p_a, p_b, x, q, u, pole_a, pole_b)
-                    error = scaled(at.values, size_b, size_a)
+                    error = equation_error(at.values, size_b, size_a)
             iterations += 1
             step = -(wp.inverse(at.jacobian) * at.values)
-            going = wp.bool(False)
-            for _i in range(HALVINGS):
-                tried = equations(p_a, p_b, x, q, u + step, pole_a, pole_b)
-                now = scaled(tried.values, size_b, size_a)
-                if now < error:
+            progressing = wp.bool(False)
+            for _i in range(MAX_HALVINGS):
+                trial = equations(p_a, p_b, x, q, u + step, pole_a, pole_b)
+                trial_error = equation_error(trial.values, size_b, size_a)
+                if trial_error < error:
                     u = u + step
-                    at = tried
-                    error = now
-                    going = wp.bool(True)
+                    at = trial
+                    error = trial_error
+                    progressing = wp.bool(True)
                     break
                 step = half * step
 
@@ -179,13 +181,13 @@ def solver(A: type[Shape], B: type[Shape]) -> wp.Function:
         root.gap = wp.dot(n_b, d)
         root.point_a = at.a.x
         root.point_b = at.b.x
-        root.facing = wp.dot(n_a, n_b)
+        root.normal_cosine = wp.dot(n_a, n_b)
         root.kind = ROOT_NONE
         if error <= TOLERANCE:
             root.kind = ROOT_FALSE
             across = wp.length(wp.cross(d, n_b))
             if wp.length(wp.cross(n_a, n_b)) <= ALIGNED and across <= ALIGNED * (size_a + size_b):
-                root.kind = wp.where(root.facing < zero, ROOT_FACING, ROOT_PARALLEL)
+                root.kind = wp.where(root.normal_cosine < zero, ROOT_FACING, ROOT_PARALLEL)
         return root
 
     return solve

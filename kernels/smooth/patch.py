@@ -113,7 +113,7 @@ def _check_range(name: str, values: Any) -> None:
 
 
 @functools.cache
-def jet_of_patch(A: type[ParametricSurface]) -> wp.Function:
+def parametric_jet(A: type[ParametricSurface]) -> wp.Function:
     """Returns the chart of a patch, ``(p, pole, u, v)``; it has no pole."""
     position = A.position
     given = getattr(A, "derivatives", None)
@@ -137,7 +137,7 @@ def jet_of_patch(A: type[ParametricSurface]) -> wp.Function:
     dv = wp.constant(real(STEP * (A.v_range[1] - A.v_range[0])))
 
     @wp.func
-    def along(p: Any, x: vec3d, u: real, v: real, step_u: real, step_v: real):
+    def difference_along(p: Any, x: vec3d, u: real, v: real, step_u: real, step_v: real):
         """First and second difference of sixth order along a step."""
         first = vec3d()
         second = real(wp.static(-49.0 / 18.0)) * x
@@ -161,10 +161,10 @@ def jet_of_patch(A: type[ParametricSurface]) -> wp.Function:
     def jet_of_differences(p: Any, pole: wp.int32, u: real, v: real):
         jet = Jet()
         jet.x = position(p, u, v)
-        x_u, x_uu = along(p, jet.x, u, v, du, zero)
-        x_v, x_vv = along(p, jet.x, u, v, zero, dv)
-        _x_1, x_11 = along(p, jet.x, u, v, du, dv)
-        _x_2, x_22 = along(p, jet.x, u, v, du, -dv)
+        x_u, x_uu = difference_along(p, jet.x, u, v, du, zero)
+        x_v, x_vv = difference_along(p, jet.x, u, v, zero, dv)
+        _x_1, x_11 = difference_along(p, jet.x, u, v, du, dv)
+        _x_2, x_22 = difference_along(p, jet.x, u, v, du, -dv)
         jet.u = x_u / du
         jet.v = x_v / dv
         jet.uu = x_uu / (du * du)

@@ -3,7 +3,7 @@
 from typing import Any
 
 import warp as wp
-from warpcontact.kernels.smooth.base import Nearest, Shape, one, zero
+from warpcontact.kernels.smooth.base import Shape, SignedDistance, one, zero
 
 
 class Plane(Shape):
@@ -12,8 +12,8 @@ class Plane(Shape):
     formula = "z = 0"
 
     @wp.func
-    def nearest(p: Any, x: wp.vec3d):
-        found = Nearest()
+    def signed_distance(p: Any, x: wp.vec3d):
+        found = SignedDistance()
         found.normal = wp.vec3d(zero, zero, one)
         found.gap = x[2]
         found.point = wp.vec3d(x[0], x[1], zero)

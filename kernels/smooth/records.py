@@ -6,12 +6,12 @@ from typing import Any
 
 import warp as wp
 from warpcontact.kernels.formula import coefficient_struct, named_struct
-from warpcontact.kernels.smooth.base import Seed, Shape
+from warpcontact.kernels.smooth.base import Shape, WarmStart
 from warpcontact.kernels.types import structs
 
 
 @wp.struct
-class Mount:
+class ShapePose:
     """Where a shape is on what carries it."""
 
     position: wp.vec3d  # origin of its frame in B, or in W of one fixed to the world [m]
@@ -19,7 +19,7 @@ class Mount:
 
 
 @wp.struct
-class Members:
+class ContactShapes:
     """What shape contacts are made of: [contact]."""
 
     shape_a: wp.array(dtype=wp.int32)  # among the shapes of its kind
@@ -29,7 +29,7 @@ class Members:
 
 
 @wp.struct
-class Settings:
+class ShapeContactSettings:
     """Parameters of a shape contact."""
 
     kappa: wp.float64  # K = P_b + kappa (P_a − P_b) [-]
@@ -41,28 +41,28 @@ class Settings:
 
 
 @wp.struct
-class Seeds:
+class WarmStarts:
     """Where the next search starts."""
 
-    seed: wp.array2d(dtype=Seed)  # [env, contact]
+    warm_start: wp.array2d(dtype=WarmStart)  # [env, contact]
 
 
 @functools.cache
 def shapes_struct(kind: type[Shape]) -> Any:
-    """Returns the struct of arrays [env, shape] of one kind: ``coefficients`` and ``mount``."""
+    """Returns the struct of arrays [env, shape] of one kind: ``coefficients`` and ``pose``."""
     coefficients = coefficient_struct(kind, wp.float64)
-    fields = (("coefficients", wp.array2d(dtype=coefficients)), ("mount", wp.array2d(dtype=Mount)))
+    fields = (("coefficients", wp.array2d(dtype=coefficients)), ("pose", wp.array2d(dtype=ShapePose)))
     return named_struct(f"{kind.__name__}Shapes", fields)
 
 
 @functools.cache
-def contact_structs(real: type) -> SimpleNamespace:
+def shape_contact_structs(real: type) -> SimpleNamespace:
     """Returns the structs of shape contacts in one precision. Normals point out of shape b, towards shape a."""
     t = structs(real)
     vec3, quat = t.vec3, t.quat
 
     @wp.struct
-    class Smooth:
+    class ShapeContacts:
         gap: wp.array2d(dtype=real)  # [env, contact] < 0 in overlap [m]
         penetration: wp.array2d(dtype=real)  # [env, contact] 0 unless status is CONTACT [m]
         normal: wp.array2d(dtype=vec3)  # [env, contact] W
@@ -87,9 +87,9 @@ def contact_structs(real: type) -> SimpleNamespace:
         # History
         entry_speed: wp.array2d(dtype=real)  # [env, contact] approach speed at entry [m/s]; < 0: not touching
 
-    return SimpleNamespace(Smooth=Smooth)
+    return SimpleNamespace(ShapeContacts=ShapeContacts)
 
 
 #: Arrays that are only there if a law or a friction looks at them.
-OF_CURVATURE = ("curvature_1", "curvature_2", "radius")
-OF_DIRECTION = ("orientation",)
+CURVATURE_ARRAYS = ("curvature_1", "curvature_2", "radius")
+ORIENTATION_ARRAYS = ("orientation",)

@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 import numpy as np
 import warp as wp
 from warpcontact.kernels.formula import parameter
-from warpcontact.kernels.smooth.base import ON_AXIS, Expansion, Nearest, Shape, zero
+from warpcontact.kernels.smooth.base import AXIS_TOLERANCE, Shape, SignedDistance, SupportExpansion, zero
 
 
 class RoundedBox(Shape):
@@ -44,13 +44,13 @@ class RoundedBox(Shape):
     def support(p: Any, n: wp.vec3d):
         point = p.radius * n
         for i in range(3):
-            if wp.abs(n[i]) > ON_AXIS:
+            if wp.abs(n[i]) > AXIS_TOLERANCE:
                 point[i] = point[i] + wp.sign(n[i]) * (p.half_extents[i] - p.radius)
         return point
 
     @wp.func
     def expand(p: Any, n: wp.vec3d):
-        found = Expansion()
+        found = SupportExpansion()
         found.kinks = wp.diag(p.half_extents - wp.vec3d(p.radius, p.radius, p.radius))
         return found
 
@@ -59,7 +59,7 @@ class RoundedBox(Shape):
         return p.radius
 
     @wp.func
-    def rolling(p: Any):
+    def rolling_ball_radius(p: Any):
         return p.radius
 
     @wp.func
@@ -67,16 +67,16 @@ class RoundedBox(Shape):
         return p.half_extents
 
     @wp.func
-    def centre(p: Any):
+    def inscribed_center(p: Any):
         return wp.vec3d()
 
     @wp.func
-    def inner(p: Any):
+    def inscribed_radius(p: Any):
         return wp.min(p.half_extents)
 
     @wp.func
-    def nearest(p: Any, x: wp.vec3d):
-        found = Nearest()
+    def signed_distance(p: Any, x: wp.vec3d):
+        found = SignedDistance()
         core = p.half_extents - wp.vec3d(p.radius, p.radius, p.radius)
         foot = wp.vec3d(
             wp.clamp(x[0], -core[0], core[0]), wp.clamp(x[1], -core[1], core[1]), wp.clamp(x[2], -core[2], core[2])

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from warpcontact.kernels.on_demand import names_of
+from warpcontact.kernels.on_demand import lazy_names
 from warpcontact.kernels.smooth.base import Shape
 
 if TYPE_CHECKING:
@@ -50,4 +50,4 @@ __all__ = [
 ]
 
 if not TYPE_CHECKING:  # there it would know every name
-    __getattr__, __dir__ = names_of(__name__, _CATALOGUE, {"CATALOGUE": tuple(_CATALOGUE)})
+    __getattr__, __dir__ = lazy_names(__name__, _CATALOGUE, {"CATALOGUE": tuple(_CATALOGUE)})

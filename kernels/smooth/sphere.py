@@ -4,7 +4,7 @@ from typing import Any, ClassVar
 
 import warp as wp
 from warpcontact.kernels.formula import parameter
-from warpcontact.kernels.smooth.base import Expansion, Nearest, Shape, zero
+from warpcontact.kernels.smooth.base import Shape, SignedDistance, SupportExpansion, zero
 
 
 class Sphere(Shape):
@@ -21,14 +21,14 @@ class Sphere(Shape):
 
     @wp.func
     def expand(p: Any, n: wp.vec3d):
-        return Expansion()
+        return SupportExpansion()
 
     @wp.func
     def margin(p: Any):
         return p.radius
 
     @wp.func
-    def rolling(p: Any):
+    def rolling_ball_radius(p: Any):
         return p.radius
 
     @wp.func
@@ -36,16 +36,16 @@ class Sphere(Shape):
         return wp.vec3d(p.radius, p.radius, p.radius)
 
     @wp.func
-    def centre(p: Any):
+    def inscribed_center(p: Any):
         return wp.vec3d()
 
     @wp.func
-    def inner(p: Any):
+    def inscribed_radius(p: Any):
         return p.radius
 
     @wp.func
-    def nearest(p: Any, x: wp.vec3d):
-        found = Nearest()
+    def signed_distance(p: Any, x: wp.vec3d):
+        found = SignedDistance()
         distance = wp.length(x)
         found.normal = wp.vec3d(zero, zero, wp.float64(1.0))
         if distance > zero:

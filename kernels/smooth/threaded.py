@@ -25,7 +25,7 @@ from typing import Any
 import warp as wp
 from warpcontact.kernels.smooth import saddle
 from warpcontact.kernels.smooth.base import Shape, half, one, real, vec3d, zero
-from warpcontact.kernels.smooth.saddle import Across
+from warpcontact.kernels.smooth.saddle import DirectionSample
 
 #: Directions around the axis, and between the poles: bits of a word. Finer grids have as many columns as rows.
 COLUMNS = 64
@@ -34,36 +34,36 @@ COLUMN = wp.constant(real(2.0 * math.pi / COLUMNS))
 # On average; at the equator 1.4 of it, so that an edge of g through a cell is within this of its middle.
 ROW = wp.constant(real(math.pi / ROWS))
 # Rows are closer to each other at the poles, where the center turns around, than at the equator.
-DENSER = wp.constant(real(0.4))
+POLE_DENSITY = wp.constant(real(0.4))
 QUARTER = wp.constant(real(0.5 * math.pi))
 BIT = wp.constant(wp.uint32(1))
-LAST = wp.constant(wp.uint32(1 << (ROWS - 1)))
-NONE = wp.constant(wp.uint32(0))
+LAST_BIT = wp.constant(wp.uint32(1 << (ROWS - 1)))
+NO_BITS = wp.constant(wp.uint32(0))
 # How far from the cell the saddle may be [rad], and how much of that from one of a finer grid; number of grids.
-REACH = wp.constant(real(0.2))
-NEARER = wp.constant(real(0.25))
-GRIDS = wp.constant(wp.int32(8))
+SEARCH_RADIUS = wp.constant(real(0.2))
+RADIUS_REDUCTION = wp.constant(real(0.25))
+MAX_GRIDS = wp.constant(wp.int32(8))
 # Cells of the whole grid that finer ones are about.
-PASSES = wp.constant(wp.int32(4))
+MAX_PASSES = wp.constant(wp.int32(4))
 # Of the distance to a pole: there the center turns around, and beyond it the loop passes once more.
-SHORT = wp.constant(real(0.7))
+POLE_FRACTION = wp.constant(real(0.7))
 # A cell of a finer grid, over its radius.
-WIDE = wp.constant(real(2.0 / ROWS))
+CELL_WIDTH = wp.constant(real(2.0 / ROWS))
 # A cell that is nearer to the boundary of a grid is not well inside.
-INSIDE = wp.constant(wp.int32(3))
+INNER_MARGIN = wp.constant(wp.int32(3))
 LAST_ROW = wp.constant(wp.int32(ROWS - 1))
 # By how much the grid is off, over R: usually, and at most.
-SAME = wp.constant(real(2.0e-3))
-UNSURE = wp.constant(real(0.02))
+GRID_ERROR = wp.constant(real(2.0e-3))
+GRID_ERROR_MAX = wp.constant(real(0.02))
 
-Words = wp.types.vector(COLUMNS, wp.uint32)
+BitColumns = wp.types.vector(COLUMNS, wp.uint32)
 
 
 @wp.struct
-class Grid:
+class DirectionGrid:
     """Directions: all, or those around one, in columns from side to side of the loop."""
 
-    whole: wp.bool
+    is_global: wp.bool
     middle: vec3d
     e_1: vec3d  # along the loop
     e_2: vec3d  # across
@@ -71,20 +71,20 @@ class Grid:
 
 
 @wp.func
-def joined(below: Words, whole: wp.bool):
+def connects_rows(below: BitColumns, is_global: wp.bool):
     """Whether the bits hold a path from the first row to the last; the whole grid is closed around the axis."""
-    reached = Words()
-    columns = wp.where(whole, wp.int32(COLUMNS), wp.int32(ROWS))
+    reached = BitColumns()
+    columns = wp.where(is_global, wp.int32(COLUMNS), wp.int32(ROWS))
     for i in range(columns):
         reached[i] = below[i] & BIT
-    going = wp.bool(True)
-    while going:
-        going = wp.bool(False)
+    refining = wp.bool(True)
+    while refining:
+        refining = wp.bool(False)
         for i in range(columns):
             word = reached[i]
-            if whole or i > 0:
+            if is_global or i > 0:
                 word = word | reached[(i + columns - 1) % columns]
-            if whole or i < columns - 1:
+            if is_global or i < columns - 1:
                 word = word | reached[(i + 1) % columns]
             word = word & below[i]
             spread = word | ((word << BIT | word >> BIT) & below[i])
@@ -93,71 +93,85 @@ def joined(below: Words, whole: wp.bool):
                 spread = word | ((word << BIT | word >> BIT) & below[i])
             if word != reached[i]:
                 reached[i] = word
-                going = wp.bool(True)
-                if (word & LAST) != NONE:
+                refining = wp.bool(True)
+                if (word & LAST_BIT) != NO_BITS:
                     return wp.bool(True)
     return wp.bool(False)
 
 
 @functools.cache
 def functions(B: type[Shape]) -> SimpleNamespace:
-    """Returns the device functions of a torus and a convex body, each for an ``Across`` and whether there is one.
+    """Returns the device functions of a torus and a convex body, each for a ``DirectionSample`` and if one exists.
 
-    - ``threaded(p_a, p_b, x, q, least, most)``: where the largest loop is least, if that is above ``least`` and
-      not above ``most`` [m]; where the grid has one that is not found to the last digit, ``off`` is infinite.
-    - ``beside_pole(p_a, p_b, x, q, pole, least, most)``: the same of a loop around a pole, where g is ``least``,
-      so near that the grid does not see it.
+    - ``interlocked_gap(p_a, p_b, x, q, lower_limit, upper_limit)``: where the largest loop is least,
+      if that is above the first and not above the second [m]; where the grid has one that is not
+      found to the last digit, ``tangential_offset`` is infinite.
+    - ``loop_at_pole(p_a, p_b, x, q, pole, lower_limit, upper_limit)``: the same of a loop around a pole, where
+      g is ``lower_limit``, so near that the grid does not see it.
     """
     rows = wp.constant(wp.int32(ROWS))
-    of_body = saddle.functions(B)
-    height, loop_way, facing = of_body.height, of_body.loop_way, of_body.facing
-    smooth, sharp, around_pole = of_body.smooth, of_body.sharp, of_body.around_pole
+    saddles = saddle.functions(B)
+    ridge_value, loop_direction, normals_face = saddles.ridge_value, saddles.loop_direction, saddles.normals_face
+    smooth_saddle, sharp_saddle, saddle_around_pole = (
+        saddles.smooth_saddle,
+        saddles.sharp_saddle,
+        saddles.saddle_around_pole,
+    )
 
     @wp.func
-    def direction(q: wp.quatd, grid: Grid, cell: wp.int32):
+    def direction(q: wp.quatd, grid: DirectionGrid, cell: wp.int32):
         column = real(cell // rows)
         row = real(cell % rows) + half
-        if grid.whole:
+        if grid.is_global:
             azimuth = column * COLUMN
             up = row * ROW / QUARTER - one
-            latitude = QUARTER * up * (one + DENSER * (one - up * up))
+            latitude = QUARTER * up * (one + POLE_DENSITY * (one - up * up))
             level = wp.cos(latitude)
             return wp.quat_rotate(q, vec3d(level * wp.cos(azimuth), level * wp.sin(azimuth), wp.sin(latitude)))
-        along = grid.radius * (WIDE * (column + half) - one)
-        aside = grid.radius * (WIDE * row - one)
+        along = grid.radius * (CELL_WIDTH * (column + half) - one)
+        aside = grid.radius * (CELL_WIDTH * row - one)
         return wp.normalize(grid.middle + along * grid.e_1 + aside * grid.e_2)
 
     @wp.func
-    def value(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, grid: Grid, cell: wp.int32):
+    def value(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, grid: DirectionGrid, cell: wp.int32):
         """The value of g in a cell."""
-        within = wp.where(grid.whole, real(ROW), WIDE * grid.radius)
-        return height(p_a, p_b, x, q, direction(q, grid, cell), within)
+        within = wp.where(grid.is_global, real(ROW), CELL_WIDTH * grid.radius)
+        return ridge_value(p_a, p_b, x, q, direction(q, grid, cell), within)
 
     @wp.func
-    def joining(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, grid: Grid, floor: real, ceiling: real, closed: Words):
+    def find_pass(
+        p_a: Any,
+        p_b: Any,
+        x: vec3d,
+        q: wp.quatd,
+        grid: DirectionGrid,
+        floor: real,
+        ceiling: real,
+        excluded: BitColumns,
+    ):
         """The cell that joins the first row to the last at the least level between two, or −1; that."""
-        columns = wp.where(grid.whole, wp.int32(COLUMNS), wp.int32(ROWS))
+        columns = wp.where(grid.is_global, wp.int32(COLUMNS), wp.int32(ROWS))
         level = floor
-        below = Words()
-        open = Words()
+        below = BitColumns()
+        undecided = BitColumns()
         count = wp.int32(0)
         for i in range(columns):
             for j in range(rows):
                 bit = BIT << wp.uint32(j)
-                if grid.whole:
+                if grid.is_global:
                     g = value(p_a, p_b, x, q, grid, i * rows + j)
-                    if (closed[i] & bit) != NONE:
+                    if (excluded[i] & bit) != NO_BITS:
                         g = real(wp.inf)
                     if g < floor:
                         below[i] = below[i] | bit
                     elif g < ceiling:
-                        open[i] = open[i] | bit
+                        undecided[i] = undecided[i] | bit
                         count += 1
                 else:
-                    open[i] = open[i] | bit
+                    undecided[i] = undecided[i] | bit
                     count += 1
         pass_at = wp.int32(-1)
-        if joined(below, grid.whole):
+        if connects_rows(below, grid.is_global):
             count = wp.int32(0)
         # Open cells are halved by the value of one of them.
         while count > 0 and pass_at < 0:
@@ -165,82 +179,94 @@ def functions(B: type[Shape]) -> SimpleNamespace:
             pivot = wp.int32(-1)
             for i in range(columns):
                 for j in range(rows):
-                    if pivot < 0 and (open[i] >> wp.uint32(j) & BIT) != NONE:
+                    if pivot < 0 and (undecided[i] >> wp.uint32(j) & BIT) != NO_BITS:
                         if skip == 0:
                             pivot = i * rows + j
                         skip -= 1
             level = value(p_a, p_b, x, q, grid, pivot)
-            lower = Words()
+            lower = BitColumns()
             lower_count = wp.int32(0)
-            trial = Words()
+            trial = BitColumns()
             for i in range(columns):
                 trial[i] = below[i]
                 for j in range(rows):
                     cell = i * rows + j
-                    if (open[i] >> wp.uint32(j) & BIT) != NONE and cell != pivot:  # noqa: SIM102  Warp computes both
+                    if (undecided[i] >> wp.uint32(j) & BIT) != NO_BITS and cell != pivot:
                         if value(p_a, p_b, x, q, grid, cell) < level:
                             lower[i] = lower[i] | (BIT << wp.uint32(j))
                             lower_count += 1
                 trial[i] = trial[i] | lower[i]
-            if joined(trial, grid.whole):
-                open = lower
+            if connects_rows(trial, grid.is_global):
+                undecided = lower
                 count = lower_count
             else:
                 own = BIT << wp.uint32(pivot % rows)
                 trial[pivot // rows] = trial[pivot // rows] | own
-                if joined(trial, grid.whole):
+                if connects_rows(trial, grid.is_global):
                     pass_at = pivot
                 below = trial
                 for i in range(columns):
-                    open[i] = open[i] & ~trial[i]
+                    undecided[i] = undecided[i] & ~trial[i]
                 count -= lower_count + 1
         return pass_at, level
 
     @wp.func
-    def suits(p_a: Any, at: Across, n: vec3d, radius: real, level: real, off: real, most: real):
+    def is_expected_saddle(
+        p_a: Any,
+        at: DirectionSample,
+        n: vec3d,
+        radius: real,
+        level: real,
+        tangential_offset: real,
+        upper_limit: real,
+    ):
         """Whether that is the saddle next to a direction that is as high as the level: others are elsewhere."""
-        same = wp.abs(at.gap - level) <= off * p_a.major_radius and at.gap <= most
-        return same and facing(p_a, at) and wp.length(at.normal - n) <= radius
+        level_matches = wp.abs(at.gap - level) <= tangential_offset * p_a.major_radius and at.gap <= upper_limit
+        return level_matches and normals_face(p_a, at) and wp.length(at.normal - n) <= radius
 
     @wp.func
-    def beside_pole(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, pole: vec3d, least: real, most: real):
-        at, there = around_pole(p_a, p_b, x, q, pole)
-        near = at.gap > least and at.gap <= wp.min(most, least + UNSURE * p_a.major_radius)
-        return at, there and near and facing(p_a, at)
+    def loop_at_pole(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, pole: vec3d, lower_limit: real, upper_limit: real):
+        at, exists = saddle_around_pole(p_a, p_b, x, q, pole)
+        in_range = at.gap > lower_limit and at.gap <= wp.min(
+            upper_limit, lower_limit + GRID_ERROR_MAX * p_a.major_radius
+        )
+        return at, exists and in_range and normals_face(p_a, at)
 
     @wp.func
-    def looked_at(q: wp.quatd, grid: Grid, closed: Words):
+    def mark_covered(q: wp.quatd, grid: DirectionGrid, excluded: BitColumns):
         """The cells of the whole grid that are, with those that a finer one is about."""
-        whole = Grid()
-        whole.whole = wp.bool(True)
+        global_grid = DirectionGrid()
+        global_grid.is_global = wp.bool(True)
         columns = wp.int32(COLUMNS)
-        cells = Words()
+        cells = BitColumns()
         for i in range(columns):
-            cells[i] = closed[i]
+            cells[i] = excluded[i]
             for j in range(rows):
-                if wp.length(direction(q, whole, i * rows + j) - grid.middle) <= grid.radius:
+                if wp.length(direction(q, global_grid, i * rows + j) - grid.middle) <= grid.radius:
                     cells[i] = cells[i] | (BIT << wp.uint32(j))
         return cells
 
     @wp.func
-    def finer(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, n: vec3d, radius: real):
+    def refined_grid(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, n: vec3d, radius: real):
         """The grid around a direction, in which a loop next to it runs from side to side."""
         n_A = wp.quat_rotate_inv(q, n)
-        grid = Grid()
-        grid.radius = wp.min(radius, SHORT * wp.length(vec3d(n_A[0], n_A[1], zero)))
+        grid = DirectionGrid()
+        grid.radius = wp.min(radius, POLE_FRACTION * wp.length(vec3d(n_A[0], n_A[1], zero)))
         grid.middle = n
-        grid.e_1 = loop_way(p_a, p_b, x, q, n, grid.radius)
+        grid.e_1 = loop_direction(p_a, p_b, x, q, n, grid.radius)
         grid.e_2 = wp.cross(n, grid.e_1)
         return grid
 
     @wp.func
-    def threaded(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, least: real, most: real):
+    def interlocked_gap(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, lower_limit: real, upper_limit: real):
         size = p_a.major_radius
-        best = Across()
-        closed = Words()
-        whole = Grid()
-        whole.whole = wp.bool(True)
-        first, rough = joining(p_a, p_b, x, q, whole, least - UNSURE * size, real(wp.inf), closed)
+        best = DirectionSample()
+        excluded = BitColumns()
+        global_grid = DirectionGrid()
+        global_grid.is_global = wp.bool(True)
+        first, grid_level = find_pass(
+            p_a, p_b, x, q, global_grid, lower_limit - GRID_ERROR_MAX * size, real(wp.inf), excluded
+        )
         if first < 0:
             return best, wp.bool(False)
         # From there paths begin: no loop is as high, or a small one.
@@ -249,70 +275,77 @@ def functions(B: type[Shape]) -> SimpleNamespace:
         # The lowest of those looked at.
         lowest = real(wp.inf)
         cell = first
-        level = rough
+        level = grid_level
         passes = wp.int32(0)
         while cell >= 0:
-            n = direction(q, whole, cell)
-            radius = REACH
-            known = wp.bool(False)
-            spare = Across()
+            n = direction(q, global_grid, cell)
+            radius = SEARCH_RADIUS
+            found_here = wp.bool(False)
+            fallback = DirectionSample()
             error = real(wp.inf)
             count = wp.int32(0)
-            going = wp.bool(True)
-            while going:
-                at = smooth(p_a, p_b, x, q, n)
-                hit = suits(p_a, at, n, radius, level, SAME, most)
+            refining = wp.bool(True)
+            while refining:
+                at = smooth_saddle(p_a, p_b, x, q, n)
+                accepted = is_expected_saddle(p_a, at, n, radius, level, GRID_ERROR, upper_limit)
                 # Of an edge; bisection costs more than another grid.
-                if not hit and (at_pole or count > 0):
-                    at = sharp(p_a, p_b, x, q, n, radius)
-                    hit = suits(p_a, at, n, radius, level, SAME, most)
+                if not accepted and (at_pole or count > 0):
+                    at = sharp_saddle(p_a, p_b, x, q, n, radius)
+                    accepted = is_expected_saddle(p_a, at, n, radius, level, GRID_ERROR, upper_limit)
                 # Along a flat loop it may be farther off, and at a pole there is no finer grid.
-                likely = suits(p_a, at, n, REACH, level, wp.where(at_pole, UNSURE, SAME), most)
-                if likely and wp.abs(at.gap - level) < error:
+                plausible = is_expected_saddle(
+                    p_a, at, n, SEARCH_RADIUS, level, wp.where(at_pole, GRID_ERROR_MAX, GRID_ERROR), upper_limit
+                )
+                if plausible and wp.abs(at.gap - level) < error:
                     error = wp.abs(at.gap - level)
-                    spare = at
+                    fallback = at
                 # The lower of two that the first grid does not tell apart.
-                if hit and (not found or at.gap < best.gap):
+                if accepted and (not found or at.gap < best.gap):
                     best = at
                     found = wp.bool(True)
-                known = known or hit
+                found_here = found_here or accepted
                 count += 1
                 # Where it is no better it is not missed.
-                lower = level <= least - SAME * size and rough <= least
-                going = not at_pole and not lower and count < GRIDS and (not known or count < 2)
-                if going:
-                    grid = finer(p_a, p_b, x, q, n, radius)
+                lower = level <= lower_limit - GRID_ERROR * size and grid_level <= lower_limit
+                refining = not at_pole and not lower and count < MAX_GRIDS and (not found_here or count < 2)
+                if refining:
+                    grid = refined_grid(p_a, p_b, x, q, n, radius)
                     if count == 1:
-                        closed = looked_at(q, grid, closed)
-                    at_cell, at_level = joining(p_a, p_b, x, q, grid, zero, zero, closed)
+                        excluded = mark_covered(q, grid, excluded)
+                    at_cell, at_level = find_pass(p_a, p_b, x, q, grid, zero, zero, excluded)
                     level = at_level
                     n = direction(q, grid, at_cell)
                     row = at_cell % rows
                     column = at_cell // rows
-                    if wp.min(row, LAST_ROW - row) >= INSIDE and wp.min(column, LAST_ROW - column) >= INSIDE:
-                        radius = NEARER * grid.radius
-            if not known and error < real(wp.inf) and (not found or spare.gap < best.gap):
-                best = spare
+                    if (
+                        wp.min(row, LAST_ROW - row) >= INNER_MARGIN
+                        and wp.min(column, LAST_ROW - column) >= INNER_MARGIN
+                    ):
+                        radius = RADIUS_REDUCTION * grid.radius
+            if not found_here and error < real(wp.inf) and (not found or fallback.gap < best.gap):
+                best = fallback
                 found = wp.bool(True)
             lowest = wp.min(lowest, level)
             if found:
                 lowest = wp.min(lowest, best.gap)
             passes += 1
             cell = wp.int32(-1)
-            if passes < PASSES and count > 1:
+            if passes < MAX_PASSES and count > 1:
                 # Another that is elsewhere, but about as high.
-                cell, level = joining(p_a, p_b, x, q, whole, rough, lowest + SAME * size, closed)
+                cell, level = find_pass(
+                    p_a, p_b, x, q, global_grid, grid_level, lowest + GRID_ERROR * size, excluded
+                )
         if not found:
             # No direction of the grid is near enough to a small loop.
             pole = wp.quat_rotate(q, vec3d(zero, zero, wp.where(2 * (first % rows) > LAST_ROW, one, -one)))
-            at, there = around_pole(p_a, p_b, x, q, pole)
-            same = wp.abs(at.gap - rough) <= UNSURE * size and at.gap <= most
-            if there and same and facing(p_a, at):
+            at, exists = saddle_around_pole(p_a, p_b, x, q, pole)
+            level_matches = wp.abs(at.gap - grid_level) <= GRID_ERROR_MAX * size and at.gap <= upper_limit
+            if exists and level_matches and normals_face(p_a, at):
                 best = at
                 found = wp.bool(True)
         if not found:
-            best.off = vec3d(real(wp.inf))
-            return best, rough > least
-        return best, best.gap > least
+            best.tangential_offset = vec3d(real(wp.inf))
+            return best, grid_level > lower_limit
+        return best, best.gap > lower_limit
 
-    return SimpleNamespace(threaded=threaded, beside_pole=beside_pole)
+    return SimpleNamespace(interlocked_gap=interlocked_gap, loop_at_pole=loop_at_pole)

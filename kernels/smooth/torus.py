@@ -5,8 +5,8 @@ from typing import Any, ClassVar
 import numpy as np
 import warp as wp
 from warpcontact.kernels.formula import parameter
-from warpcontact.kernels.smooth.axis import outward
-from warpcontact.kernels.smooth.base import Nearest, Shape, one, zero
+from warpcontact.kernels.smooth.axis import radial
+from warpcontact.kernels.smooth.base import Shape, SignedDistance, one, zero
 
 
 class Torus(Shape):
@@ -37,14 +37,16 @@ class Torus(Shape):
 
     @wp.func
     def support(p: Any, n: wp.vec3d):
-        across = wp.sqrt(n[0] * n[0] + n[1] * n[1])
+        radial_distance = wp.sqrt(n[0] * n[0] + n[1] * n[1])
         point = p.minor_radius * n
-        if across > zero:
-            point += wp.vec3d(p.major_radius * (n[0] / across), p.major_radius * (n[1] / across), zero)
+        if radial_distance > zero:
+            point += wp.vec3d(
+                p.major_radius * (n[0] / radial_distance), p.major_radius * (n[1] / radial_distance), zero
+            )
         return point
 
     @wp.func
-    def centre(p: Any):
+    def inscribed_center(p: Any):
         return wp.vec3d()
 
     @wp.func
@@ -53,10 +55,10 @@ class Torus(Shape):
         return wp.vec3d(outer, outer, p.minor_radius)
 
     @wp.func
-    def nearest(p: Any, x: wp.vec3d):
-        found = Nearest()
-        across, out = outward(x)
-        beside = across - p.major_radius
+    def signed_distance(p: Any, x: wp.vec3d):
+        found = SignedDistance()
+        radial_distance, out = radial(x)
+        beside = radial_distance - p.major_radius
         distance = wp.sqrt(beside * beside + x[2] * x[2])
         # On the core circle every direction across is the nearest way out.
         found.normal = wp.vec3d(zero, zero, one)

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from warpcontact.kernels.on_demand import names_of
+from warpcontact.kernels.on_demand import lazy_names
 from warpcontact.kernels.springs.base import Damper, Spring
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ __all__ = [
 ]
 
 if not TYPE_CHECKING:  # there it would know every name
-    __getattr__, __dir__ = names_of(
+    __getattr__, __dir__ = lazy_names(
         __name__,
         {**dict.fromkeys(SPRING_NAMES, "elastic"), **dict.fromkeys(DAMPER_NAMES, "damping")},
         {"SPRINGS": SPRING_NAMES, "DAMPERS": DAMPER_NAMES},

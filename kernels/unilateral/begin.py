@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 from warpcontact.kernels.types import structs
 from warpcontact.kernels.unilateral import impulses, relative
-from warpcontact.kernels.unilateral.rows import moving_struct, row_structs
+from warpcontact.kernels.unilateral.rows import body_response_struct, row_structs
 
 
 @functools.cache
@@ -23,80 +23,95 @@ def functions(real: type, moves: bool, rolls: bool) -> SimpleNamespace:
     """
     t = structs(real)
     vec3 = t.vec3
-    Rows, Outcome = row_structs(real).Rows, row_structs(real).Outcome
-    Moving = wp.array2d(dtype=moving_struct(real, moves))
-    Change = wp.array2d(dtype=impulses.change_struct(real))
+    Rows, SolveResult = row_structs(real).Rows, row_structs(real).SolveResult
+    BodyResponse = wp.array2d(dtype=body_response_struct(real, moves))
+    VelocityChange = wp.array2d(dtype=impulses.velocity_change_struct(real))
     f = impulses.functions(real, moves)
-    push_both, ease, turning_ease = f.push_both, f.ease, f.turning_ease
+    apply_impulse_pair, response_trace, angular_response_trace = (
+        f.apply_impulse_pair,
+        f.response_trace,
+        f.angular_response_trace,
+    )
     between = relative.functions(real, moves)
     velocity, spin = between.after, between.spin_after
     zero, half, one, three, four = (wp.constant(real(x)) for x in (0.0, 0.5, 1.0, 3.0, 4.0))
     # Of a velocity over that of the guess: what rounding of the guess may leave.
     ROUNDING = wp.constant(real(4.0 * float(np.finfo(wp.dtype_to_numpy(real)).eps)))
-    LEAST = wp.constant(real(float(np.finfo(wp.dtype_to_numpy(real)).tiny)))
+    TINY = wp.constant(real(float(np.finfo(wp.dtype_to_numpy(real)).tiny)))
 
     @wp.func
-    def hasten(change: Change, env: int, body: int, squared: real, ease_of_it: real):
+    def update_speed_scale(
+        velocity_change: VelocityChange, env: int, body: int, speed_squared: real, response: real
+    ):
         if body >= 0:
-            before = change[env, body].speed_squared
-            if ease_of_it > zero:
-                change[env, body].speed_squared = wp.max(before, squared)
+            before = velocity_change[env, body].speed_squared
+            if response > zero:
+                velocity_change[env, body].speed_squared = wp.max(before, speed_squared)
             elif before == zero:
                 # What does not move connects nothing.
-                change[env, body].speed_squared = -one
+                velocity_change[env, body].speed_squared = -one
 
     @wp.func
-    def clear(change: Change, env: int):
+    def clear_change(velocity_change: VelocityChange, env: int):
         """Nothing has changed."""
-        for body in range(change.shape[1]):
-            change[env, body].linear = vec3()
-            change[env, body].angular = vec3()
-            change[env, body].speed_squared = zero
+        for body in range(velocity_change.shape[1]):
+            velocity_change[env, body].linear = vec3()
+            velocity_change[env, body].angular = vec3()
+            velocity_change[env, body].speed_squared = zero
 
     @wp.func
-    def begin(rows: Rows, moving: Moving, change: Change, env: int, row: int, tolerance: real):
+    def initialize_row(
+        rows: Rows,
+        body_response: BodyResponse,
+        velocity_change: VelocityChange,
+        env: int,
+        row: int,
+        tolerance: real,
+    ):
         """Gives bodies the guess of a row. Returns q, ρ, the trace of its block, and what is finite if both are.
 
         Where nothing moves ρ is 0, and so is what the row may carry.
         """
-        one_body = rows[env, row].body_1
-        other = rows[env, row].body_2
+        body_1 = rows[env, row].body_1
+        body_2 = rows[env, row].body_2
         arm_1 = rows[env, row].arm_1
         arm_2 = rows[env, row].arm_2
-        free = velocity(moving, env, one_body, other, arm_1, arm_2)
-        free -= wp.max(rows[env, row].bounce, rows[env, row].recovery) * rows[env, row].normal
-        one_ease = ease(moving, env, one_body, arm_1)
-        other_ease = ease(moving, env, other, arm_2)
-        trace = one_ease + other_ease
+        free = velocity(body_response, env, body_1, body_2, arm_1, arm_2)
+        free -= wp.max(rows[env, row].restitution_speed, rows[env, row].recovery) * rows[env, row].normal
+        response_1 = response_trace(body_response, env, body_1, arm_1)
+        response_2 = response_trace(body_response, env, body_2, arm_2)
+        trace = response_1 + response_2
         rho = zero
         impulse = vec3()
-        squared = wp.length_sq(free)
+        speed_squared = wp.length_sq(free)
         if trace > zero:
             rho = three / trace
             impulse = rows[env, row].impulse
-            noise = ROUNDING / (three * tolerance) * trace
-            squared = wp.max(squared, noise * noise * wp.length_sq(impulse))
+            guess_rounding = ROUNDING / (three * tolerance) * trace
+            speed_squared = wp.max(speed_squared, guess_rounding * guess_rounding * wp.length_sq(impulse))
         rows[env, row].impulse = impulse
         turn_1 = wp.cross(arm_1, impulse)
         turn_2 = wp.cross(arm_2, impulse)
         if wp.static(rolls):
             couple = vec3()
-            turning_trace = turning_ease(moving, env, one_body) + turning_ease(moving, env, other)
+            turning_trace = angular_response_trace(body_response, env, body_1) + angular_response_trace(
+                body_response, env, body_2
+            )
             if turning_trace > zero and rho > zero:
                 couple = rows[env, row].couple
                 if rows[env, row].rolling + rows[env, row].spinning > zero:
-                    turning = spin(moving, env, one_body, other)
-                    squared = wp.max(squared, trace / turning_trace * wp.length_sq(turning))
+                    turning = spin(body_response, env, body_1, body_2)
+                    speed_squared = wp.max(speed_squared, trace / turning_trace * wp.length_sq(turning))
             rows[env, row].couple = couple
             turn_1 += couple
             turn_2 += couple
-        push_both(moving, change, env, one_body, other, impulse, turn_1, -turn_2)
-        hasten(change, env, one_body, squared, one_ease)
-        hasten(change, env, other, squared, other_ease)
+        apply_impulse_pair(body_response, velocity_change, env, body_1, body_2, impulse, turn_1, -turn_2)
+        update_speed_scale(velocity_change, env, body_1, speed_squared, response_1)
+        update_speed_scale(velocity_change, env, body_2, speed_squared, response_2)
         return free, rho, trace, wp.length_sq(free) + wp.length_sq(impulse)
 
     @wp.func
-    def spread(rows: Rows, change: Change, env: int, count: int):
+    def spread_speed_scale(rows: Rows, velocity_change: VelocityChange, env: int, count: int):
         """Lets bodies that are connected by contacts have the same V."""
         step = wp.int32(1)
         changed = wp.int32(1)
@@ -104,49 +119,57 @@ def functions(real: type, moves: bool, rolls: bool) -> SimpleNamespace:
             changed = wp.int32(0)
             row = wp.where(step > 0, 0, count - 1)
             for _ in range(count):
-                one_body = rows[env, row].body_1
-                other = rows[env, row].body_2
+                body_1 = rows[env, row].body_1
+                body_2 = rows[env, row].body_2
                 row += step
-                if one_body >= 0 and other >= 0:
-                    squared = change[env, one_body].speed_squared
-                    other_squared = change[env, other].speed_squared
-                    if squared >= zero and other_squared >= zero and squared != other_squared:
+                if body_1 >= 0 and body_2 >= 0:
+                    speed_squared = velocity_change[env, body_1].speed_squared
+                    speed_squared_2 = velocity_change[env, body_2].speed_squared
+                    if speed_squared >= zero and speed_squared_2 >= zero and speed_squared != speed_squared_2:
                         changed = 1
-                        squared = wp.max(squared, other_squared)
-                        change[env, one_body].speed_squared = squared
-                        change[env, other].speed_squared = squared
+                        speed_squared = wp.max(speed_squared, speed_squared_2)
+                        velocity_change[env, body_1].speed_squared = speed_squared
+                        velocity_change[env, body_2].speed_squared = speed_squared
             step = -step
 
     @wp.func
-    def scale(change: Change, env: int, one_body: int, other: int, rho: real):
+    def residual_scale(velocity_change: VelocityChange, env: int, body_1: int, body_2: int, rho: real):
         """(ρ V)² of a row between two bodies [N²·s²]."""
-        squared = zero
-        if one_body >= 0:
-            squared = change[env, one_body].speed_squared
-        if other >= 0:
-            squared = wp.max(squared, change[env, other].speed_squared)
-        return wp.max(rho * rho * squared, LEAST)
+        speed_squared = zero
+        if body_1 >= 0:
+            speed_squared = velocity_change[env, body_1].speed_squared
+        if body_2 >= 0:
+            speed_squared = wp.max(speed_squared, velocity_change[env, body_2].speed_squared)
+        return wp.max(rho * rho * speed_squared, TINY)
 
     @wp.func
-    def momentum(theta: real):
+    def nesterov_step(theta: real):
         """Nesterov's: the next θ, and the share of the last step by which impulses go on."""
         after = half * theta * (wp.sqrt(theta * theta + four) - theta)
         return after, theta * (one - theta) / (theta * theta + after)
 
     @wp.func
-    def take(moving: Moving, change: Change, env: int):
+    def apply_change(body_response: BodyResponse, velocity_change: VelocityChange, env: int):
         """Adds what has changed to the velocities."""
-        for body in range(change.shape[1]):
-            moving[env, body].linear = moving[env, body].linear + change[env, body].linear
-            moving[env, body].angular = moving[env, body].angular + change[env, body].angular
+        for body in range(velocity_change.shape[1]):
+            body_response[env, body].linear = body_response[env, body].linear + velocity_change[env, body].linear
+            body_response[env, body].angular = (
+                body_response[env, body].angular + velocity_change[env, body].angular
+            )
 
     @wp.func
-    def report(outcome: Outcome, env: int, residual: real, iterations: int, converged: int):
+    def report_solve(solve_result: SolveResult, env: int, residual: real, iterations: int, converged: int):
         """Says how a solve went."""
-        outcome.residual[env] = residual
-        outcome.iterations[env] = iterations
-        outcome.converged[env] = converged
+        solve_result.residual[env] = residual
+        solve_result.iterations[env] = iterations
+        solve_result.converged[env] = converged
 
     return SimpleNamespace(
-        clear=clear, begin=begin, spread=spread, scale=scale, momentum=momentum, take=take, report=report
+        clear_change=clear_change,
+        initialize_row=initialize_row,
+        spread_speed_scale=spread_speed_scale,
+        residual_scale=residual_scale,
+        nesterov_step=nesterov_step,
+        apply_change=apply_change,
+        report_solve=report_solve,
     )

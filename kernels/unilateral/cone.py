@@ -13,7 +13,7 @@ import warp as wp
 from warpcontact.kernels.types import structs
 
 # Enough for bisection alone, should Newton's method never help.
-STEPS = 80
+MAX_STEPS = 80
 
 
 @functools.cache
@@ -26,10 +26,10 @@ def functions(real: type) -> SimpleNamespace:
     # A block of less determinant, over the square of its trace, has a direction in which nothing moves; a velocity
     # that is less, over those that it is made of, is none.
     SINGULAR = wp.constant(real(64.0 * rounding))
-    LEAST = wp.constant(real(rounding * rounding))
+    TINY_RATIO = wp.constant(real(rounding * rounding))
     # Where slip is found, |l_t| over μ l_n is 1 to this.
-    CLOSE = wp.constant(real(4.0 * rounding))
-    NOTHING = wp.constant(real(np.finfo(wp.dtype_to_numpy(real)).tiny))
+    SLIP_TOLERANCE = wp.constant(real(4.0 * rounding))
+    TINY = wp.constant(real(np.finfo(wp.dtype_to_numpy(real)).tiny))
 
     @wp.func
     def basis(n: vec3):
@@ -66,104 +66,110 @@ def functions(real: type) -> SimpleNamespace:
         return wp.length(lam - project(lam - rho * (w + vec3(shift, zero, zero)), mu))
 
     @wp.func
-    def across_normal(W: mat33, c1: real, c2: real):
+    def tangential_block(W: mat33, c1: real, c2: real):
         """S: change of w_t over l_t with w_n held, without rows; the parts (1, 1), (1, 2), (2, 2)."""
         return W[1, 1] - c1 * W[1, 0], W[1, 2] - c1 * W[2, 0], W[2, 2] - c2 * W[2, 0]
 
     @wp.func
-    def loose_contact(W: mat33, b: vec3, mu: real):
+    def open_or_slipping_contact(W: mat33, b: vec3, mu: real):
         """``one_contact`` of what the cone does not allow to stick: it is open or slips."""
         # An approach that is less than the rounding of a rounding of the slip is none.
-        least_approach = LEAST * (wp.abs(b[1]) + wp.abs(b[2]))
-        if b[0] + least_approach >= zero or W[0, 0] <= NOTHING:
+        least_approach = TINY_RATIO * (wp.abs(b[1]) + wp.abs(b[2]))
+        if b[0] + least_approach >= zero or W[0, 0] <= TINY:
             return vec3()
         inverse = one / W[0, 0]
-        press = -b[0] * inverse  # l_n without friction
+        frictionless_impulse = -b[0] * inverse  # l_n without friction
         if mu <= zero:
-            return vec3(press, zero, zero)
+            return vec3(frictionless_impulse, zero, zero)
 
         # With w_n = 0: l_n = press − c·l_t and w_t = S l_t + e.
         c1 = W[1, 0] * inverse
         c2 = W[2, 0] * inverse
-        S11, S12, S22 = across_normal(W, c1, c2)
+        S11, S12, S22 = tangential_block(W, c1, c2)
         e1 = b[1] - c1 * b[0]
         e2 = b[2] - c2 * b[0]
         trace = W[1, 1] + W[2, 2]
         det = S11 * S22 - S12 * S12
         regular = det > SINGULAR * trace * trace
         size = wp.sqrt(e1 * e1 + e2 * e2)
-        noise = SINGULAR * (wp.abs(b[1]) + wp.abs(b[2]) + (wp.abs(c1) + wp.abs(c2)) * wp.abs(b[0])) + NOTHING
+        noise = SINGULAR * (wp.abs(b[1]) + wp.abs(b[2]) + (wp.abs(c1) + wp.abs(c2)) * wp.abs(b[0])) + TINY
         if size <= noise:
-            return vec3(press, zero, zero)
+            return vec3(frictionless_impulse, zero, zero)
 
         # Slip: w_t = −σ l_t, hence (S + σ) l_t = −e. In numbers without unit, S and σ over the trace, l over
         # press, and in the principal axes of S, first that in which it moves most: l_t = m p / det.
-        unit = one / wp.where(trace > LEAST * W[0, 0], trace, W[0, 0])
+        unit = one / wp.where(trace > TINY_RATIO * W[0, 0], trace, W[0, 0])
         S11 *= unit
         S12 *= unit
         S22 *= unit
-        apart = half * (S11 - S22)
-        radius = wp.sqrt(apart * apart + S12 * S12)
-        most = wp.max(half * (S11 + S22) + radius, LEAST)
-        least = (S11 * S22 - S12 * S12) / most
+        half_difference = half * (S11 - S22)
+        radius = wp.sqrt(half_difference * half_difference + S12 * S12)
+        largest = wp.max(half * (S11 + S22) + radius, TINY_RATIO)
+        smallest = (S11 * S22 - S12 * S12) / largest
         x1 = one
         x2 = zero
         if radius > zero:
             # The half of an angle, from the side that does not cancel.
-            along = wp.abs(apart) + radius
-            x1 = wp.where(apart < zero, S12, along)
-            x2 = wp.where(apart < zero, along, S12)
-            over = one / wp.sqrt(x1 * x1 + x2 * x2)
-            x1 *= over
-            x2 *= over
-        over = one / size
-        q1 = (x1 * e1 + x2 * e2) * over
-        q2 = (x1 * e2 - x2 * e1) * over
+            along = wp.abs(half_difference) + radius
+            x1 = wp.where(half_difference < zero, S12, along)
+            x2 = wp.where(half_difference < zero, along, S12)
+            inverse_length = one / wp.sqrt(x1 * x1 + x2 * x2)
+            x1 *= inverse_length
+            x2 *= inverse_length
+        inverse_length = one / size
+        q1 = (x1 * e1 + x2 * e2) * inverse_length
+        q2 = (x1 * e2 - x2 * e1) * inverse_length
         d1 = x1 * c1 + x2 * c2
         d2 = x1 * c2 - x2 * c1
         if not regular:
-            least = zero
-            if wp.abs(q2) * size <= noise or mu * d2 * wp.sign(q2) >= one - CLOSE:
+            smallest = zero
+            if wp.abs(q2) * size <= noise or mu * d2 * wp.sign(q2) >= one - SLIP_TOLERANCE:
                 # Nothing moves that way. Either nothing asks it to, or there is no solution: it would jam, with
                 # ever more of friction and pressure.
                 q2 = zero
-                least = most
-        m = size * unit / press
+                smallest = largest
+        m = size * unit / frictionless_impulse
         # g = μ l_n / |l_t| − 1 is to be 0, is negative where the contact does not stick, and positive at the upper
         # end. It is almost straight, and is straight if S is isotropic: Newton's method, kept between the ends,
         # from where slip across all of S is: there g is 0 but for the square of S over σ.
-        lean = d1 * q1 + d2 * q2
+        load_coupling = d1 * q1 + d2 * q2
         low = zero
         high = two * m * (one + mu * (wp.abs(d1) + wp.abs(d2))) / mu
-        sigma = wp.max(m * (one / mu - lean) - most * q1 * q1 - least * q2 * q2, zero)
+        sigma = wp.max(m * (one / mu - load_coupling) - largest * q1 * q1 - smallest * q2 * q2, zero)
         p1 = zero
         p2 = zero
-        for _ in range(STEPS):
-            p1 = -q1 * (least + sigma)
-            p2 = -q2 * (most + sigma)
-            det = (most + sigma) * (least + sigma)
-            over = one / wp.sqrt(p1 * p1 + p2 * p2)
-            pressed = (det - m * (d1 * p1 + d2 * p2)) * over  # l_n det / |p|
+        for _ in range(MAX_STEPS):
+            p1 = -q1 * (smallest + sigma)
+            p2 = -q2 * (largest + sigma)
+            det = (largest + sigma) * (smallest + sigma)
+            inverse_length = one / wp.sqrt(p1 * p1 + p2 * p2)
+            pressed = (det - m * (d1 * p1 + d2 * p2)) * inverse_length  # l_n det / |p|
             g = mu * pressed - m  # times m
-            if wp.abs(g) <= CLOSE * m or (g > zero and sigma == zero):
+            if wp.abs(g) <= SLIP_TOLERANCE * m or (g > zero and sigma == zero):
                 break
             if g < zero:
                 low = sigma
             else:
                 high = sigma
             new = half * (low + high)
-            rise = most + least + two * sigma + m * lean + pressed * (p1 * q1 + p2 * q2) * over
-            if rise > zero:
-                newton = sigma - g / (mu * over * rise)
+            slope = (
+                largest
+                + smallest
+                + two * sigma
+                + m * load_coupling
+                + pressed * (p1 * q1 + p2 * q2) * inverse_length
+            )
+            if slope > zero:
+                newton = sigma - g / (mu * inverse_length * slope)
                 if newton > low and newton < high:
                     new = newton
             if new == sigma:
                 break
             sigma = new
-        scale = press * m / det
+        scale = frictionless_impulse * m / det
         l1 = scale * (x1 * p1 - x2 * p2)
         l2 = scale * (x2 * p1 + x1 * p2)
-        return vec3(press - c1 * l1 - c2 * l2, l1, l2)
+        return vec3(frictionless_impulse - c1 * l1 - c2 * l2, l1, l2)
 
     @wp.func
     def one_contact(W: mat33, b: vec3, mu: real):
@@ -173,12 +179,12 @@ def functions(real: type) -> SimpleNamespace:
         along the normal l is 0. Where there are several solutions it is one of them. There is one unless W is
         singular and ``b`` asks for what cannot move; what is returned then is finite and breaks the law.
         """
-        if b[0] < zero and W[0, 0] > NOTHING and mu > zero:
+        if b[0] < zero and W[0, 0] > TINY and mu > zero:
             # Stick: S l_t = −e, by Cramer's rule.
             inverse = one / W[0, 0]
             c1 = W[1, 0] * inverse
             c2 = W[2, 0] * inverse
-            S11, S12, S22 = across_normal(W, c1, c2)
+            S11, S12, S22 = tangential_block(W, c1, c2)
             e1 = b[1] - c1 * b[0]
             e2 = b[2] - c2 * b[0]
             det = S11 * S22 - S12 * S12
@@ -188,8 +194,12 @@ def functions(real: type) -> SimpleNamespace:
                 l_n = -b[0] * inverse - c1 * l1 - c2 * l2
                 if l_n >= zero and l1 * l1 + l2 * l2 <= mu * mu * l_n * l_n:
                     return vec3(l_n, l1, l2)
-        return loose_contact(W, b, mu)
+        return open_or_slipping_contact(W, b, mu)
 
     return SimpleNamespace(
-        basis=basis, project=project, residual=residual, one_contact=one_contact, loose_contact=loose_contact
+        basis=basis,
+        project=project,
+        residual=residual,
+        one_contact=one_contact,
+        open_or_slipping_contact=open_or_slipping_contact,
     )

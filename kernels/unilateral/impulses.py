@@ -11,26 +11,26 @@ from types import SimpleNamespace
 import numpy as np
 import warp as wp
 from warpcontact.kernels.types import structs
-from warpcontact.kernels.unilateral.rows import moving_struct
+from warpcontact.kernels.unilateral.rows import body_response_struct
 
 
 @functools.cache
-def change_struct(real: type) -> type:
+def velocity_change_struct(real: type) -> type:
     """Returns the struct of what contact changes of a body, for ``real``."""
     vec3 = structs(real).vec3
 
     @wp.struct
-    class Change:
+    class VelocityChange:
         """What impulses have changed of a body."""
 
         linear: vec3  # of the velocity of the centre of mass, W [m/s]
         angular: vec3  # W [rad/s]
         speed_squared: real  # V², see ``begin`` [m²/s²]
-        needs: vec3  # impulse that stops it, see ``standing``, W [N·s]
-        needs_turning: vec3  # likewise, about its centre of mass, W [N·m·s]
-        held: wp.int32  # 1: has it
+        stop_impulse: vec3  # impulse that stops it, see ``standing``, W [N·s]
+        stop_angular_impulse: vec3  # likewise, about its centre of mass, W [N·m·s]
+        is_stopped: wp.int32  # 1: has it
 
-    return Change
+    return VelocityChange
 
 
 @functools.cache
@@ -38,50 +38,59 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
     """Returns the device functions for ``real``; with ``moves`` not all bodies are free."""
     t = structs(real)
     vec3, mat33 = t.vec3, t.mat33
-    Moving = wp.array2d(dtype=moving_struct(real, moves))
-    Change = wp.array2d(dtype=change_struct(real))
+    BodyResponse = wp.array2d(dtype=body_response_struct(real, moves))
+    VelocityChange = wp.array2d(dtype=velocity_change_struct(real))
     zero, one, two, three = (wp.constant(real(x)) for x in (0.0, 1.0, 2.0, 3.0))
     rounding = float(np.finfo(wp.dtype_to_numpy(real)).eps)
     # A block of less determinant, over the cube of a third of its trace, is not to be inverted.
-    FLAT = wp.constant(real(100.0 * rounding))
+    SINGULAR = wp.constant(real(100.0 * rounding))
 
     @wp.func
-    def changed_at(change: Change, env: int, body: int, arm: vec3):
+    def velocity_change_at(velocity_change: VelocityChange, env: int, body: int, arm: vec3):
         """Change of the velocity at ``arm`` from the centre of mass; 0 for the world."""
         if body < 0:
             return vec3()
-        return change[env, body].linear + wp.cross(change[env, body].angular, arm)
+        return velocity_change[env, body].linear + wp.cross(velocity_change[env, body].angular, arm)
 
     @wp.func
-    def spin_changed(change: Change, env: int, body_1: int, body_2: int):
+    def relative_spin_change(velocity_change: VelocityChange, env: int, body_1: int, body_2: int):
         """Change of the angular velocity of the first body relative to the second."""
         difference = vec3()
         if body_1 >= 0:
-            difference = change[env, body_1].angular
+            difference = velocity_change[env, body_1].angular
         if body_2 >= 0:
-            difference -= change[env, body_2].angular
+            difference -= velocity_change[env, body_2].angular
         return difference
 
     @wp.func
-    def push(moving: Moving, change: Change, env: int, body: int, impulse: vec3, turning: vec3):
+    def apply_impulse(
+        body_response: BodyResponse,
+        velocity_change: VelocityChange,
+        env: int,
+        body: int,
+        impulse: vec3,
+        turning: vec3,
+    ):
         """Adds what an impulse and an angular impulse about the centre of mass do to a body."""
         if body < 0:
             return
         if wp.static(moves):
-            B = moving[env, body].across
-            linear = moving[env, body].by_force * impulse + B * turning
-            angular = wp.transpose(B) * impulse + moving[env, body].by_torque * turning
-            change[env, body].linear = change[env, body].linear + linear
-            change[env, body].angular = change[env, body].angular + angular
+            B = body_response[env, body].inverse_mass_coupling
+            linear = body_response[env, body].inverse_mass_matrix * impulse + B * turning
+            angular = wp.transpose(B) * impulse + body_response[env, body].inverse_inertia * turning
+            velocity_change[env, body].linear = velocity_change[env, body].linear + linear
+            velocity_change[env, body].angular = velocity_change[env, body].angular + angular
         else:
-            linear = moving[env, body].inverse_mass * impulse
-            change[env, body].linear = change[env, body].linear + linear
-            change[env, body].angular = change[env, body].angular + moving[env, body].by_torque * turning
+            linear = body_response[env, body].inverse_mass * impulse
+            velocity_change[env, body].linear = velocity_change[env, body].linear + linear
+            velocity_change[env, body].angular = (
+                velocity_change[env, body].angular + body_response[env, body].inverse_inertia * turning
+            )
 
     @wp.func
-    def push_both(
-        moving: Moving,
-        change: Change,
+    def apply_impulse_pair(
+        body_response: BodyResponse,
+        velocity_change: VelocityChange,
         env: int,
         body_1: int,
         body_2: int,
@@ -90,70 +99,70 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
         turning_2: vec3,
     ):
         """Adds what an impulse on the first body and its opposite on the second do, each with an own turning."""
-        push(moving, change, env, body_1, impulse, turning_1)
-        push(moving, change, env, body_2, -impulse, turning_2)
+        apply_impulse(body_response, velocity_change, env, body_1, impulse, turning_1)
+        apply_impulse(body_response, velocity_change, env, body_2, -impulse, turning_2)
 
     @wp.func
-    def ease(moving: Moving, env: int, body: int, arm: vec3):
+    def response_trace(body_response: BodyResponse, env: int, body: int, arm: vec3):
         """Trace of the block of one body: how easily an impulse at ``arm`` moves that place [1/kg]."""
         if body < 0:
             return zero
-        C = moving[env, body].by_torque
+        C = body_response[env, body].inverse_inertia
         trace = (C[0, 0] + C[1, 1] + C[2, 2]) * wp.length_sq(arm) - wp.dot(arm, C * arm)
         if wp.static(moves):
-            A = moving[env, body].by_force
-            B = moving[env, body].across
+            A = body_response[env, body].inverse_mass_matrix
+            B = body_response[env, body].inverse_mass_coupling
             trace += A[0, 0] + A[1, 1] + A[2, 2]
-            most = trace
+            largest = trace
             trace += two * wp.dot(arm, vec3(B[1, 2] - B[2, 1], B[2, 0] - B[0, 2], B[0, 1] - B[1, 0]))
-            if trace <= FLAT * most:
+            if trace <= SINGULAR * largest:
                 # Of a place that does not move there is left what rounding is.
                 trace = zero
         else:
-            trace += three * moving[env, body].inverse_mass
+            trace += three * body_response[env, body].inverse_mass
         return trace
 
     @wp.func
-    def turning_ease(moving: Moving, env: int, body: int):
+    def angular_response_trace(body_response: BodyResponse, env: int, body: int):
         """Trace of what an angular impulse does to the angular velocity of a body [1/(kg·m²)]."""
         if body < 0:
             return zero
-        C = moving[env, body].by_torque
+        C = body_response[env, body].inverse_inertia
         return C[0, 0] + C[1, 1] + C[2, 2]
 
     @wp.func
-    def eased(moving: Moving, env: int, body: int, arm: vec3, impulse: vec3):
+    def impulse_response(body_response: BodyResponse, env: int, body: int, arm: vec3, impulse: vec3):
         """Change of the velocity at ``arm`` that an impulse there makes: ``block`` times it."""
         if body < 0:
             return vec3()
         turning = wp.cross(arm, impulse)
-        spin = moving[env, body].by_torque * turning
+        spin = body_response[env, body].inverse_inertia * turning
         if wp.static(moves):
-            B = moving[env, body].across
-            linear = moving[env, body].by_force * impulse + B * turning
+            B = body_response[env, body].inverse_mass_coupling
+            linear = body_response[env, body].inverse_mass_matrix * impulse + B * turning
             spin += wp.transpose(B) * impulse
         else:
-            linear = moving[env, body].inverse_mass * impulse
+            linear = body_response[env, body].inverse_mass * impulse
         return linear + wp.cross(spin, arm)
 
     @wp.func
-    def block(moving: Moving, env: int, body: int, arm: vec3):
+    def block(body_response: BodyResponse, env: int, body: int, arm: vec3):
         """Change of the velocity at ``arm`` over an impulse there, W."""
         if body < 0:
             return mat33()
         cross = wp.skew(arm)
-        C = moving[env, body].by_torque
-        made = -(cross * C * cross)
+        C = body_response[env, body].inverse_inertia
+        result = -(cross * C * cross)
         if wp.static(moves):
-            across = moving[env, body].across * cross
-            made += moving[env, body].by_force + across + wp.transpose(across)
+            across = body_response[env, body].inverse_mass_coupling * cross
+            result += body_response[env, body].inverse_mass_matrix + across + wp.transpose(across)
         else:
-            m = moving[env, body].inverse_mass
-            made += wp.diag(vec3(m, m, m))
-        return made
+            m = body_response[env, body].inverse_mass
+            result += wp.diag(vec3(m, m, m))
+        return result
 
     @wp.func
-    def inverse_of(W: mat33):
+    def invert_symmetric(W: mat33):
         """Inverse of a symmetric block, and whether it has one."""
         c0 = vec3(
             W[1, 1] * W[2, 2] - W[1, 2] * W[1, 2],
@@ -161,8 +170,8 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
             W[0, 1] * W[1, 2] - W[0, 2] * W[1, 1],
         )
         determinant = W[0, 0] * c0[0] + W[0, 1] * c0[1] + W[0, 2] * c0[2]
-        third = (W[0, 0] + W[1, 1] + W[2, 2]) / three
-        if determinant <= FLAT * third * third * third:
+        mean_eigenvalue = (W[0, 0] + W[1, 1] + W[2, 2]) / three
+        if determinant <= SINGULAR * mean_eigenvalue * mean_eigenvalue * mean_eigenvalue:
             return mat33(), 0
         f = one / determinant
         a11 = f * (W[0, 0] * W[2, 2] - W[0, 2] * W[0, 2])
@@ -172,7 +181,7 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
         return mat33(c0[0], c0[1], c0[2], c0[1], a11, a12, c0[2], a12, a22), 1
 
     @wp.func
-    def in_cone(impulse: vec3, n: vec3, mu: real):
+    def project_onto_cone(impulse: vec3, n: vec3, mu: real):
         """The impulse nearest to ``impulse`` that a contact may carry, as ``cone.project``; all in W."""
         along = wp.dot(impulse, n)
         l_t = impulse - along * n
@@ -191,7 +200,7 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
         return a * n + share * l_t
 
     @wp.func
-    def in_discs(couple: vec3, n: vec3, rolling: real, spinning: real):
+    def project_couple(couple: vec3, n: vec3, rolling: real, spinning: real):
         """The couple nearest to ``couple`` that is no larger than the limits, across the normal and along it."""
         along = wp.dot(couple, n)
         across = couple - along * n
@@ -201,7 +210,7 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
         return across + wp.clamp(along, -spinning, spinning) * n
 
     @wp.func
-    def pressing(impulse: vec3, couple: vec3, n: vec3, mu: real, rolling: real, spinning: real):
+    def projected_normal(impulse: vec3, couple: vec3, n: vec3, mu: real, rolling: real, spinning: real):
         """Normal part of what is nearest, among what a contact may carry, to an impulse and a couple over an arm.
 
         The coefficients of couples are over that arm too. Beyond their limits, which grow with it, all three draw
@@ -212,31 +221,31 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
         slip = wp.length(impulse - along * n)
         roll = wp.length(couple - turning * n)
         twist = wp.abs(turning)
-        pressed = along + mu * slip + rolling * roll + spinning * twist
-        pressed = pressed / (one + mu * mu + rolling * rolling + spinning * spinning)
+        normal = along + mu * slip + rolling * roll + spinning * twist
+        normal = normal / (one + mu * mu + rolling * rolling + spinning * spinning)
         for _ in range(3):
             # Each that is left out makes it larger.
             sum = along
             weight = real(1.0)
-            if slip > mu * pressed:
+            if slip > mu * normal:
                 sum += mu * slip
                 weight += mu * mu
-            if roll > rolling * pressed:
+            if roll > rolling * normal:
                 sum += rolling * roll
                 weight += rolling * rolling
-            if twist > spinning * pressed:
+            if twist > spinning * normal:
                 sum += spinning * twist
                 weight += spinning * spinning
-            pressed = sum / weight
-        return wp.max(pressed, zero)
+            normal = sum / weight
+        return wp.max(normal, zero)
 
     @wp.func
-    def lifted(w: vec3, n: vec3, mu: real):
+    def de_saxce_velocity(w: vec3, n: vec3, mu: real):
         """De Saxcé's velocity: ``w`` with what its slip lifts it, W."""
         return w + mu * wp.length(w - wp.dot(w, n) * n) * n
 
     @wp.func
-    def off_squared(impulse: vec3, w: vec3, n: vec3, mu: real, rho: real):
+    def residual_squared(impulse: vec3, w: vec3, n: vec3, mu: real, rho: real):
         """Square of how far an impulse is from its law at the velocity ``w``, as ``cone.residual``; all in W."""
         w_n = wp.dot(w, n)
         w_t = w - w_n * n
@@ -263,18 +272,18 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
         return rest * rest + wp.length_sq(l_t - share * z_t)
 
     return SimpleNamespace(
-        in_discs=in_discs,
-        pressing=pressing,
-        changed_at=changed_at,
-        spin_changed=spin_changed,
-        push=push,
-        push_both=push_both,
-        ease=ease,
-        turning_ease=turning_ease,
-        eased=eased,
+        project_couple=project_couple,
+        projected_normal=projected_normal,
+        velocity_change_at=velocity_change_at,
+        relative_spin_change=relative_spin_change,
+        apply_impulse=apply_impulse,
+        apply_impulse_pair=apply_impulse_pair,
+        response_trace=response_trace,
+        angular_response_trace=angular_response_trace,
+        impulse_response=impulse_response,
         block=block,
-        in_cone=in_cone,
-        inverse_of=inverse_of,
-        lifted=lifted,
-        off_squared=off_squared,
+        project_onto_cone=project_onto_cone,
+        invert_symmetric=invert_symmetric,
+        de_saxce_velocity=de_saxce_velocity,
+        residual_squared=residual_squared,
     )

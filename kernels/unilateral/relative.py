@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import warp as wp
 from warpcontact.kernels import frames
 from warpcontact.kernels.types import structs
-from warpcontact.kernels.unilateral.rows import moving_struct
+from warpcontact.kernels.unilateral.rows import body_response_struct
 
 
 @functools.cache
@@ -17,7 +17,7 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
     """
     t = structs(real)
     vec3, State = t.vec3, t.State
-    Moving = wp.array2d(dtype=moving_struct(real, moves))
+    BodyResponse = wp.array2d(dtype=body_response_struct(real, moves))
     velocity_at = frames.functions(real).velocity_at
 
     @wp.func
@@ -26,13 +26,13 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
         return velocity_at(state, env, body_1, arm_1) - velocity_at(state, env, body_2, arm_2)
 
     @wp.func
-    def after(moving: Moving, env: int, body_1: int, body_2: int, arm_1: vec3, arm_2: vec3):
+    def after(body_response: BodyResponse, env: int, body_1: int, body_2: int, arm_1: vec3, arm_2: vec3):
         """Velocity at K of bodies under impulses."""
         velocity = vec3()
         if body_1 >= 0:
-            velocity = moving[env, body_1].linear + wp.cross(moving[env, body_1].angular, arm_1)
+            velocity = body_response[env, body_1].linear + wp.cross(body_response[env, body_1].angular, arm_1)
         if body_2 >= 0:
-            velocity -= moving[env, body_2].linear + wp.cross(moving[env, body_2].angular, arm_2)
+            velocity -= body_response[env, body_2].linear + wp.cross(body_response[env, body_2].angular, arm_2)
         return velocity
 
     @wp.func
@@ -46,13 +46,13 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
         return difference
 
     @wp.func
-    def spin_after(moving: Moving, env: int, body_1: int, body_2: int):
+    def spin_after(body_response: BodyResponse, env: int, body_1: int, body_2: int):
         """Angular velocity of bodies under impulses."""
         difference = vec3()
         if body_1 >= 0:
-            difference = moving[env, body_1].angular
+            difference = body_response[env, body_1].angular
         if body_2 >= 0:
-            difference -= moving[env, body_2].angular
+            difference -= body_response[env, body_2].angular
         return difference
 
     return SimpleNamespace(before=before, after=after, spin_before=spin_before, spin_after=spin_after)

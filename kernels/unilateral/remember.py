@@ -4,23 +4,23 @@ import functools
 from typing import Any
 
 import warp as wp
-from warpcontact.kernels.piles.base import TOUCHES, pile_structs
+from warpcontact.kernels.piles.base import IN_CONTACT, particle_structs
 from warpcontact.kernels.types import (
     ENV_ACTIVE,
-    ENV_RESTING,
+    ENV_SLEEPING,
     MODE_OPEN,
     MODE_SLIP,
     MODE_STICK,
-    Work,
-    env_of,
+    LaunchRange,
     first_env,
-    item_of,
     structs,
     task_count,
+    task_env,
+    task_item,
 )
 from warpcontact.kernels.unilateral import relative
 from warpcontact.kernels.unilateral.records import record_structs
-from warpcontact.kernels.unilateral.rows import moving_struct, row_structs
+from warpcontact.kernels.unilateral.rows import body_response_struct, row_structs
 from warpcontact.kernels.unique import unique_kernel
 
 
@@ -37,10 +37,14 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
     t = structs(real)
     vec3, State, Wrenches = t.vec3, t.State, t.Wrenches
     r, records = row_structs(real), record_structs(real)
-    Rows, Outcome = r.Rows, r.Outcome
-    Memory, Memories, Account = records.Memory, records.Memories, records.Account
-    Restraint = records.Restraint
-    Moving = wp.array2d(dtype=moving_struct(real, moves))
+    Rows, SolveResult = r.Rows, r.SolveResult
+    StoredImpulse, StoredImpulses, StepStatistics = (
+        records.StoredImpulse,
+        records.StoredImpulses,
+        records.StepStatistics,
+    )
+    RestitutionLimit = records.RestitutionLimit
+    BodyResponse = wp.array2d(dtype=body_response_struct(real, moves))
     f = relative.functions(real, moves)
     velocity_before, velocity_after = f.before, f.after
     spin_before, spin_after = f.spin_before, f.spin_after
@@ -49,126 +53,142 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
     UNSOLVED = wp.constant(real(20.0))
 
     @wp.func
-    def push(wrenches: Wrenches, env: int, body: int, force: vec3, torque: vec3):
+    def add_wrench(wrenches: Wrenches, env: int, body: int, force: vec3, torque: vec3):
         if body >= 0:
             wrenches.force[env, body] = wrenches.force[env, body] + force
             wrenches.torque[env, body] = wrenches.torque[env, body] + torque
 
     @unique_kernel()
-    def remember_rows(
-        work: Work,
+    def save_rows(
+        launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         step: wp.array2d(dtype=real),  # [env, 0] [s]
         tolerance: real,
         bodies: wp.int32,
-        middle: State,
+        half_step_state: State,
         rows: Rows,
-        moving: Moving,
-        outcome: Outcome,
-        restraint: Restraint,
-        memory: Memories,
-        account: Account,
+        body_response: BodyResponse,
+        solve_result: SolveResult,
+        restitution_limit: RestitutionLimit,
+        stored_impulses: StoredImpulses,
+        statistics: StepStatistics,
         reactions: Wrenches,
     ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task
-            if status[env] == ENV_RESTING:
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = first_env(launch) + task
+            if status[env] == ENV_SLEEPING:
                 status[env] = ENV_ACTIVE
                 continue
             if status[env] != ENV_ACTIVE:
                 continue
-            number = account.step[env] + 1
-            account.step[env] = number
-            if restraint.part[env] < real(1.0):
-                account.restitution_limited[env] = account.restitution_limited[env] + 1
-            account.failures[env] = account.failures[env] + 1 - outcome.converged[env]
-            if outcome.converged[env] == 0:
-                account.largest_residual[env] = wp.max(account.largest_residual[env], outcome.residual[env])
-            calm = wp.min(account.calm[env] + 1, 2)
-            if outcome.converged[env] == 0 or outcome.iterations[env] > 0 or restraint.part[env] < real(1.0):
-                calm = wp.int32(0)
+            number = statistics.step[env] + 1
+            statistics.step[env] = number
+            if restitution_limit.factor[env] < real(1.0):
+                statistics.restitution_limited[env] = statistics.restitution_limited[env] + 1
+            statistics.failures[env] = statistics.failures[env] + 1 - solve_result.converged[env]
+            if solve_result.converged[env] == 0:
+                statistics.largest_residual[env] = wp.max(
+                    statistics.largest_residual[env], solve_result.residual[env]
+                )
+            unchanged_steps = wp.min(statistics.unchanged_steps[env] + 1, 2)
+            if (
+                solve_result.converged[env] == 0
+                or solve_result.iterations[env] > 0
+                or restitution_limit.factor[env] < real(1.0)
+            ):
+                unchanged_steps = wp.int32(0)
             for body in range(bodies):
                 reactions.force[env, body] = vec3()
                 reactions.torque[env, body] = vec3()
                 # What moves neither before nor after a step has the same pose after it.
-                still = middle.body_linear_velocity[env, body] == vec3() and moving[env, body].linear == vec3()
-                still = still and middle.body_angular_velocity[env, body] == vec3()
-                if not (still and moving[env, body].angular == vec3()):
-                    calm = wp.int32(0)
-            per_step = real(1.0) / step[env, 0]
-            inside = real(1.0) - wp.max(ROUNDING, UNSOLVED * tolerance)
+                is_at_rest = (
+                    half_step_state.body_linear_velocity[env, body] == vec3()
+                    and body_response[env, body].linear == vec3()
+                )
+                is_at_rest = is_at_rest and half_step_state.body_angular_velocity[env, body] == vec3()
+                if not (is_at_rest and body_response[env, body].angular == vec3()):
+                    unchanged_steps = wp.int32(0)
+            per_second = real(1.0) / step[env, 0]
+            stick_fraction = real(1.0) - wp.max(ROUNDING, UNSOLVED * tolerance)
             by_friction = wp.float64(0.0)
             by_impact = wp.float64(0.0)
-            for number_of_row in range(outcome.count[env]):
-                row = rows[env, number_of_row]
+            for row_index in range(solve_result.count[env]):
+                row = rows[env, row_index]
                 impulse = row.impulse
                 along = wp.dot(impulse, row.normal)
                 across = impulse - along * row.normal
-                u_after = velocity_after(moving, env, row.body_1, row.body_2, row.arm_1, row.arm_2)
-                u_before = velocity_before(middle, env, row.body_1, row.body_2, row.arm_1, row.arm_2)
+                u_after = velocity_after(body_response, env, row.body_1, row.body_2, row.arm_1, row.arm_2)
+                u_before = velocity_before(half_step_state, env, row.body_1, row.body_2, row.arm_1, row.arm_2)
                 mean = real(0.5) * (u_after + u_before)
                 by_impact -= wp.float64(along * wp.dot(mean, row.normal))
                 by_friction -= wp.float64(wp.dot(across, mean))
-                turn_1 = wp.cross(row.arm_1, impulse)
-                turn_2 = wp.cross(row.arm_2, impulse)
+                angular_impulse_1 = wp.cross(row.arm_1, impulse)
+                angular_impulse_2 = wp.cross(row.arm_2, impulse)
                 if wp.static(rolls):
-                    turned = spin_before(middle, env, row.body_1, row.body_2)
-                    turned += spin_after(moving, env, row.body_1, row.body_2)
-                    by_friction -= wp.float64(real(0.5) * wp.dot(row.couple, turned))
-                    turn_1 += row.couple
-                    turn_2 += row.couple
-                push(reactions, env, row.body_1, per_step * impulse, per_step * turn_1)
-                push(reactions, env, row.body_2, -per_step * impulse, -per_step * turn_2)
+                    spin_sum = spin_before(half_step_state, env, row.body_1, row.body_2)
+                    spin_sum += spin_after(body_response, env, row.body_1, row.body_2)
+                    by_friction -= wp.float64(real(0.5) * wp.dot(row.couple, spin_sum))
+                    angular_impulse_1 += row.couple
+                    angular_impulse_2 += row.couple
+                add_wrench(reactions, env, row.body_1, per_second * impulse, per_second * angular_impulse_1)
+                add_wrench(reactions, env, row.body_2, -per_second * impulse, -per_second * angular_impulse_2)
                 parting = wp.dot(u_after, row.normal)
-                limit = inside * row.mu * along
-                known = Memory()
-                known.impulse = impulse
-                known.couple = row.couple
-                known.normal = row.normal
-                known.approach_speed = -parting
-                known.slip_speed = wp.length(u_after - parting * row.normal)
-                known.mode = wp.int32(MODE_SLIP)
+                limit = stick_fraction * row.mu * along
+                stored = StoredImpulse()
+                stored.impulse = impulse
+                stored.couple = row.couple
+                stored.normal = row.normal
+                stored.approach_speed = -parting
+                stored.slip_speed = wp.length(u_after - parting * row.normal)
+                stored.mode = wp.int32(MODE_SLIP)
                 if along <= real(0.0):
-                    known.mode = wp.int32(MODE_OPEN)
+                    stored.mode = wp.int32(MODE_OPEN)
                 elif limit > real(0.0) and wp.length_sq(across) < limit * limit:
-                    known.mode = wp.int32(MODE_STICK)
-                known.stamp = number
+                    stored.mode = wp.int32(MODE_STICK)
+                stored.stamp = number
                 # Which coefficient of friction the next step takes.
-                if known.mode != memory[env, row.contact].mode or memory[env, row.contact].stamp != number - 1:
-                    calm = wp.int32(0)
-                memory[env, row.contact] = known
-            account.calm[env] = calm
-            account.friction_dissipation[env] = account.friction_dissipation[env] + by_friction
-            account.impact_dissipation[env] = account.impact_dissipation[env] + by_impact
+                if (
+                    stored.mode != stored_impulses[env, row.contact].mode
+                    or stored_impulses[env, row.contact].stamp != number - 1
+                ):
+                    unchanged_steps = wp.int32(0)
+                stored_impulses[env, row.contact] = stored
+            statistics.unchanged_steps[env] = unchanged_steps
+            statistics.friction_dissipation[env] = statistics.friction_dissipation[env] + by_friction
+            statistics.impact_dissipation[env] = statistics.impact_dissipation[env] + by_impact
 
-    return remember_rows
+    return save_rows
 
 
 @functools.cache
-def read(real: type, Contacts: Any) -> wp.Kernel:
+def display_contacts(real: type, Contacts: Any) -> wp.Kernel:
     """Returns the kernel that shows what the last step of active environments did, where sensors look.
 
     Items: nonsmooth contacts. ``Contacts`` is the struct of the arrays of its contacts.
     """
     vec3 = structs(real).vec3
     records = record_structs(real)
-    Memories, Account, Shown = records.Memories, records.Account, records.Shown
+    StoredImpulses, StepStatistics, DisplayedImpulses = (
+        records.StoredImpulses,
+        records.StepStatistics,
+        records.DisplayedImpulses,
+    )
 
     @unique_kernel()
     def show_contacts(
-        work: Work,
+        launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         step: wp.array2d(dtype=real),  # [env, 0] [s]
         first: wp.int32,  # number of the first contact of the arrays
         items: wp.array(dtype=wp.int32),  # [item] those of the arrays that are hard
-        memory: Memories,
-        account: Account,
+        stored_impulses: StoredImpulses,
+        statistics: StepStatistics,
         contacts: Contacts,
-        shown: Shown,
+        displayed: DisplayedImpulses,
     ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            item = items[item_of(work, task)]
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            item = items[task_item(launch, task)]
             if status[env] != ENV_ACTIVE:
                 continue
             contact = first + item
@@ -179,21 +199,21 @@ def read(real: type, Contacts: Any) -> wp.Kernel:
             mode = wp.int32(MODE_OPEN)
             along = real(0.0)
             normal = vec3()
-            if memory[env, contact].stamp == account.step[env]:
-                mode = memory[env, contact].mode
+            if stored_impulses[env, contact].stamp == statistics.step[env]:
+                mode = stored_impulses[env, contact].mode
                 if mode != MODE_OPEN:
-                    impulse = memory[env, contact].impulse
-                    couple = memory[env, contact].couple
-                    normal = memory[env, contact].normal
+                    impulse = stored_impulses[env, contact].impulse
+                    couple = stored_impulses[env, contact].couple
+                    normal = stored_impulses[env, contact].normal
                     along = wp.dot(impulse, normal)
-                    approach_speed = memory[env, contact].approach_speed
-                    slip_speed = memory[env, contact].slip_speed
-            per_step = real(1.0) / step[env, 0]
-            shown.impulse[env, contact] = impulse
-            shown.mode[env, contact] = mode
-            contacts.normal_force[env, item] = per_step * along
-            contacts.friction_force[env, item] = per_step * (impulse - along * normal)
-            contacts.torque[env, item] = per_step * couple
+                    approach_speed = stored_impulses[env, contact].approach_speed
+                    slip_speed = stored_impulses[env, contact].slip_speed
+            per_second = real(1.0) / step[env, 0]
+            displayed.impulse[env, contact] = impulse
+            displayed.mode[env, contact] = mode
+            contacts.normal_force[env, item] = per_second * along
+            contacts.friction_force[env, item] = per_second * (impulse - along * normal)
+            contacts.torque[env, item] = per_second * couple
             contacts.approach_speed[env, item] = approach_speed
             contacts.slip_speed[env, item] = slip_speed
 
@@ -201,57 +221,61 @@ def read(real: type, Contacts: Any) -> wp.Kernel:
 
 
 @functools.cache
-def read_pile(real: type) -> wp.Kernel:
+def display_particles(real: type) -> wp.Kernel:
     """Returns the kernel that shows what the last step did in a pile. Launch with dim (env, shape).
 
     What pressed in it is shown as touching, even if it has come apart since.
     """
     vec3 = structs(real).vec3
-    p = pile_structs(real)
-    Shapes, Lists, Touches = p.Shapes, p.Lists, p.Touches
+    particle_types = particle_structs(real)
+    Particles, NeighborLists, PairRecords = (
+        particle_types.Particles,
+        particle_types.NeighborLists,
+        particle_types.PairRecords,
+    )
     records = record_structs(real)
-    Memories, Account = records.Memories, records.Account
+    StoredImpulses, StepStatistics = records.StoredImpulses, records.StepStatistics
 
     @unique_kernel()
-    def show_pile(
+    def show_particles(
         step: wp.array2d(dtype=real),  # [env, 0] [s]
         first: wp.int32,  # number of the contact of the first record
-        shapes: Shapes,
-        lists: Lists,
-        memory: Memories,
-        account: Account,
-        touches: Touches,
+        particles: Particles,
+        neighbor_lists: NeighborLists,
+        stored_impulses: StoredImpulses,
+        statistics: StepStatistics,
+        pair_records: PairRecords,
     ):
-        env, shape = wp.tid()
-        if touches.busy[env, shape] == 0:
+        env, particle = wp.tid()
+        if pair_records.particle_flags[env, particle] == 0:
             return
-        per_step = real(1.0) / step[env, 0]
-        start = shapes.slot_start[shape]
-        for slot in range(start, start + lists.owned[env, shape]):
-            bits = touches.bits[env, slot]
-            if bits == 0:
+        per_second = real(1.0) / step[env, 0]
+        start = particles.slot_start[particle]
+        for slot in range(start, start + neighbor_lists.owned[env, particle]):
+            flags = pair_records.flags[env, slot]
+            if flags == 0:
                 continue
             force = vec3()
             along = real(0.0)
             approach_speed = real(0.0)
             contact = first + slot
-            if memory[env, contact].stamp == account.step[env]:  # noqa: SIM102  Warp would look at both sides
-                if memory[env, contact].mode != MODE_OPEN:
-                    force = per_step * memory[env, contact].impulse
-                    normal = memory[env, contact].normal
+            if stored_impulses[env, contact].stamp == statistics.step[env]:
+                if stored_impulses[env, contact].mode != MODE_OPEN:
+                    force = per_second * stored_impulses[env, contact].impulse
+                    normal = stored_impulses[env, contact].normal
                     along = wp.dot(force, normal)
-                    approach_speed = memory[env, contact].approach_speed
-                    touches.normal[env, slot] = normal
-                    touches.bits[env, slot] = bits | TOUCHES
-            touches.force[env, slot] = force
-            touches.normal_force[env, slot] = along
-            touches.approach_speed[env, slot] = approach_speed
+                    approach_speed = stored_impulses[env, contact].approach_speed
+                    pair_records.normal[env, slot] = normal
+                    pair_records.flags[env, slot] = flags | IN_CONTACT
+            pair_records.force[env, slot] = force
+            pair_records.normal_force[env, slot] = along
+            pair_records.approach_speed[env, slot] = approach_speed
 
-    return show_pile
+    return show_particles
 
 
 @functools.cache
-def push(real: type) -> wp.Kernel:
+def reaction_forces(real: type) -> wp.Kernel:
     """Returns the kernel that adds the mean forces of the last step to wrenches. Launch with dim (env, body)."""
     Wrenches = structs(real).Wrenches
 
@@ -265,39 +289,39 @@ def push(real: type) -> wp.Kernel:
 
 
 @functools.cache
-def forget(real: type) -> wp.Kernel:
+def reset(real: type) -> wp.Kernel:
     """Returns the kernel that empties what chosen environments remember. Launch with dim env."""
     Wrenches = structs(real).Wrenches
     vec3 = structs(real).vec3
-    Outcome, Account = row_structs(real).Outcome, record_structs(real).Account
+    SolveResult, StepStatistics = row_structs(real).SolveResult, record_structs(real).StepStatistics
 
     @unique_kernel()
-    def forget_steps(
+    def reset_statistics(
         mask: wp.array(dtype=wp.bool),
-        everything: wp.int32,  # 0: but for the account
+        all_statistics: wp.int32,  # 0: but for the account
         bodies: wp.int32,
-        outcome: Outcome,
-        account: Account,
+        solve_result: SolveResult,
+        statistics: StepStatistics,
         reactions: Wrenches,
     ):
         env = wp.tid()
         if not mask[env]:
             return
         # No contact has the stamp of a step that none has taken.
-        account.step[env] = account.step[env] + 1
-        account.calm[env] = 0
-        if everything == 1:
-            account.failures[env] = 0
-            account.largest_residual[env] = real(0.0)
-            account.restitution_limited[env] = 0
-            account.friction_dissipation[env] = wp.float64(0.0)
-            account.impact_dissipation[env] = wp.float64(0.0)
-        outcome.count[env] = 0
-        outcome.residual[env] = real(0.0)
-        outcome.iterations[env] = 0
-        outcome.converged[env] = 1
+        statistics.step[env] = statistics.step[env] + 1
+        statistics.unchanged_steps[env] = 0
+        if all_statistics == 1:
+            statistics.failures[env] = 0
+            statistics.largest_residual[env] = real(0.0)
+            statistics.restitution_limited[env] = 0
+            statistics.friction_dissipation[env] = wp.float64(0.0)
+            statistics.impact_dissipation[env] = wp.float64(0.0)
+        solve_result.count[env] = 0
+        solve_result.residual[env] = real(0.0)
+        solve_result.iterations[env] = 0
+        solve_result.converged[env] = 1
         for body in range(bodies):
             reactions.force[env, body] = vec3()
             reactions.torque[env, body] = vec3()
 
-    return forget_steps
+    return reset_statistics

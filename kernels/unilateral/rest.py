@@ -7,7 +7,7 @@ of these the next does not either, until something is changed from outside. ``re
 import functools
 
 import warp as wp
-from warpcontact.kernels.types import ENV_ACTIVE, ENV_RESTING, Work, first_env, task_count
+from warpcontact.kernels.types import ENV_ACTIVE, ENV_SLEEPING, LaunchRange, first_env, task_count
 from warpcontact.kernels.unilateral.records import record_structs
 from warpcontact.kernels.unique import unique_kernel
 
@@ -18,20 +18,20 @@ def kernel(real: type) -> wp.Kernel:
 
     All contacts are hard and with surfaces, and nothing else acts.
     """
-    Account = record_structs(real).Account
+    StepStatistics = record_structs(real).StepStatistics
 
     @unique_kernel()
-    def leave_at_rest(
-        work: Work,
+    def skip_sleeping(
+        launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         step: wp.array2d(dtype=wp.float64),  # [env, 0] [s]
         time: wp.array(dtype=wp.float64),  # [env] [s]
-        account: Account,
+        statistics: StepStatistics,
     ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task
-            if status[env] == ENV_ACTIVE and account.calm[env] == 2:
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = first_env(launch) + task
+            if status[env] == ENV_ACTIVE and statistics.unchanged_steps[env] == 2:
                 time[env] = time[env] + step[env, 0]
-                status[env] = ENV_RESTING
+                status[env] = ENV_SLEEPING
 
-    return leave_at_rest
+    return skip_sleeping

@@ -5,7 +5,7 @@ W > 0 on the bodies: if friction reverses the slip, if contacts of different res
 (Kane and Levinson 1985), or if the impulse that carries the weight of a body at rest acts while an impact launches it.
 In the last case W is of the order of the step, so the reduction must vanish with the step.
 
-``restrain_impacts`` scales all restitution of an environment by the largest factor s found with W(s) ≤ 0. W(0) ≤ 0 for
+``limit_restitution`` scales all restitution of an environment by the largest factor s found with W(s) ≤ 0. W(0) ≤ 0 for
 any friction. Without friction and with the same contacts pressed, W is a convex quadratic of s, so its chord between a
 point with W < 0 and one with W > 0 is zero at a point with W ≤ 0, near the root.
 """
@@ -13,14 +13,14 @@ point with W < 0 and one with W > 0 is zero at a point with W ≤ 0, near the ro
 import functools
 
 import warp as wp
-from warpcontact.kernels.types import ENV_ACTIVE, ENV_WAITING, Work, first_env, structs, task_count
+from warpcontact.kernels.types import ENV_ACTIVE, ENV_PAUSED, LaunchRange, first_env, structs, task_count
 from warpcontact.kernels.unilateral import impulses, relative
 from warpcontact.kernels.unilateral.records import record_structs
-from warpcontact.kernels.unilateral.rows import moving_struct, row_structs
+from warpcontact.kernels.unilateral.rows import body_response_struct, row_structs
 from warpcontact.kernels.unique import unique_kernel
 
 #: Solves after the first, at most.
-ROUNDS = 4
+MAX_ROUNDS = 4
 
 
 @functools.cache
@@ -34,27 +34,35 @@ def kernel(real: type, moves: bool) -> wp.Kernel:
     t = structs(real)
     State = t.State
     r, records = row_structs(real), record_structs(real)
-    Rows, Outcome, Restraint = r.Rows, r.Outcome, records.Restraint
-    Change = wp.array2d(dtype=impulses.change_struct(real))
-    Moving = wp.array2d(dtype=moving_struct(real, moves))
+    Rows, SolveResult, RestitutionLimit = r.Rows, r.SolveResult, records.RestitutionLimit
+    VelocityChange = wp.array2d(dtype=impulses.velocity_change_struct(real))
+    BodyResponse = wp.array2d(dtype=body_response_struct(real, moves))
     f = relative.functions(real, moves)
     velocity_before, velocity_after = f.before, f.after
     spin_before, spin_after = f.spin_before, f.spin_after
-    last = wp.constant(ROUNDS - 1)
+    last = wp.constant(MAX_ROUNDS - 1)
     # Of the work at all contacts: what rounding may bring; and what a solve may, over its tolerance.
-    slight = wp.constant(real(1.0e-4) if real is wp.float32 else real(1.0e-9))
-    unsolved = wp.constant(real(10.0))
+    rounding_gain = wp.constant(real(1.0e-4) if real is wp.float32 else real(1.0e-9))
+    solver_gain = wp.constant(real(10.0))
     zero, half, one, two = (wp.constant(real(x)) for x in (0.0, 0.5, 1.0, 2.0))
 
     @wp.func
-    def bounces(rows: Rows, env: int, count: int):
+    def has_restitution(rows: Rows, env: int, count: int):
         found = wp.bool(False)
         for row in range(count):
-            found = found or rows[env, row].bounce > real(0.0)
+            found = found or rows[env, row].restitution_speed > real(0.0)
         return found
 
     @wp.func
-    def work_of(middle: State, rows: Rows, moving: Moving, change: Change, env: int, count: int, tolerance: real):
+    def work_of(
+        half_step_state: State,
+        rows: Rows,
+        body_response: BodyResponse,
+        velocity_change: VelocityChange,
+        env: int,
+        count: int,
+        tolerance: real,
+    ):
         """Returns twice the work of all impulses, its rounding bound, and the estimate of its slope at factor 1."""
         work_done = real(0.0)
         size = real(0.0)
@@ -64,77 +72,83 @@ def kernel(real: type, moves: bool) -> wp.Kernel:
             body_2 = rows[env, row].body_2
             arm_1 = rows[env, row].arm_1
             arm_2 = rows[env, row].arm_2
-            u_before = velocity_before(middle, env, body_1, body_2, arm_1, arm_2)
-            u_after = velocity_after(moving, env, body_1, body_2, arm_1, arm_2)
-            turned = spin_before(middle, env, body_1, body_2)
-            turned += spin_after(moving, env, body_1, body_2)
+            u_before = velocity_before(half_step_state, env, body_1, body_2, arm_1, arm_2)
+            u_after = velocity_after(body_response, env, body_1, body_2, arm_1, arm_2)
+            spin_sum = spin_before(half_step_state, env, body_1, body_2)
+            spin_sum += spin_after(body_response, env, body_1, body_2)
             impulse = rows[env, row].impulse
             couple = rows[env, row].couple
-            work_done += wp.dot(impulse, u_before + u_after) + wp.dot(couple, turned)
-            if rows[env, row].recovery > rows[env, row].bounce:
+            work_done += wp.dot(impulse, u_before + u_after) + wp.dot(couple, spin_sum)
+            if rows[env, row].recovery > rows[env, row].restitution_speed:
                 # What takes overlap back may bring energy.
                 work_done -= rows[env, row].recovery * wp.dot(impulse, rows[env, row].normal)
             # At rest there is less than what a step without contact would bring.
             body = wp.where(body_1 < 0, body_2, body_1)
-            free = wp.sqrt(wp.max(change[env, body].speed_squared, real(0.0)))
+            free = wp.sqrt(wp.max(velocity_change[env, body].speed_squared, real(0.0)))
             size += wp.length(impulse) * (wp.length(u_before) + wp.length(u_after) + free)
             # Exact for one contact without friction: W = ½ m (s² e² − 1) U⁻², P_n = m (1 + s e) U⁻, bounce s e U⁻.
             e = rows[env, row].restitution
-            slope += two * e / (one + e) * rows[env, row].bounce * wp.dot(impulse, rows[env, row].normal)
-        return work_done, wp.max(slight, unsolved * tolerance) * size, slope
+            slope += (
+                two * e / (one + e) * rows[env, row].restitution_speed * wp.dot(impulse, rows[env, row].normal)
+            )
+        return work_done, wp.max(rounding_gain, solver_gain * tolerance) * size, slope
 
     @unique_kernel()
-    def restrain_impacts(
-        work: Work,
+    def limit_restitution(
+        launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         number: wp.int32,
-        middle: State,
+        half_step_state: State,
         rows: Rows,
-        moving: Moving,
-        outcome: Outcome,
-        change: Change,
+        body_response: BodyResponse,
+        solve_result: SolveResult,
+        velocity_change: VelocityChange,
         tolerance: real,
-        restraint: Restraint,
+        restitution_limit: RestitutionLimit,
     ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task
-            restraint.status[env] = ENV_WAITING
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = first_env(launch) + task
+            restitution_limit.status[env] = ENV_PAUSED
             if status[env] != ENV_ACTIVE:
                 continue
             if number == 0:
-                restraint.kept[env] = real(0.0)
-            elif restraint.part[env] == real(1.0):
+                restitution_limit.feasible_factor[env] = real(0.0)
+            elif restitution_limit.factor[env] == real(1.0):
                 continue
-            count = outcome.count[env]
-            part = restraint.part[env]
-            if part == real(1.0) and not bounces(rows, env, count):
+            count = solve_result.count[env]
+            factor = restitution_limit.factor[env]
+            if factor == real(1.0) and not has_restitution(rows, env, count):
                 continue
-            work_done, bound, slope = work_of(middle, rows, moving, change, env, count, tolerance)
-            next_part = half * part
+            work_done, bound, slope = work_of(
+                half_step_state, rows, body_response, velocity_change, env, count, tolerance
+            )
+            next_factor = half * factor
             if work_done > bound:
-                restraint.gains[env] = part
-                restraint.gained[env] = work_done
-                if part == one:
+                restitution_limit.infeasible_factor[env] = factor
+                restitution_limit.gained[env] = work_done
+                if factor == one:
                     # Twice the Newton step, so that W < 0 there; not below ½.
-                    next_part = wp.max(one - two * work_done / wp.max(slope, work_done), half)
+                    next_factor = wp.max(one - two * work_done / wp.max(slope, work_done), half)
                 # Illinois rule: the end that stays counts half, so that the next chord is zero nearer to it.
-                restraint.lost[env] = half * restraint.lost[env]
-            elif part == one:
+                restitution_limit.lost[env] = half * restitution_limit.lost[env]
+            elif factor == one:
                 continue
             else:
-                restraint.kept[env] = part
-                restraint.lost[env] = wp.max(-work_done, zero)
-            kept = restraint.kept[env]
+                restitution_limit.feasible_factor[env] = factor
+                restitution_limit.lost[env] = wp.max(-work_done, zero)
+            kept = restitution_limit.feasible_factor[env]
             if kept > zero:
-                lost = restraint.lost[env]
-                next_part = kept + (restraint.gains[env] - kept) * lost / (lost + restraint.gained[env])
+                lost = restitution_limit.lost[env]
+                next_factor = kept + (restitution_limit.infeasible_factor[env] - kept) * lost / (
+                    lost + restitution_limit.gained[env]
+                )
             if number == last:
-                next_part = kept
-                if next_part == part:
+                next_factor = kept
+                if next_factor == factor:
                     continue
-            restraint.part[env] = next_part
-            restraint.status[env] = ENV_ACTIVE
+            restitution_limit.factor[env] = next_factor
+            restitution_limit.status[env] = ENV_ACTIVE
             for row in range(count):
-                rows[env, row].bounce = rows[env, row].bounce * (next_part / part)
+                rows[env, row].restitution_speed = rows[env, row].restitution_speed * (next_factor / factor)
 
-    return restrain_impacts
+    return limit_restitution

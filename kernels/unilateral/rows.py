@@ -33,13 +33,15 @@ def row_structs(real: type) -> SimpleNamespace:
         rolling: real  # couple against rolling over the normal impulse [m]
         spinning: real  # likewise against spinning about the normal [m]
         restitution: real  # Newton's coefficient e
-        bounce: real  # speed at which it is to part, ≥ 0 [m/s]: e × that of approach, or by ``sequence``
+        restitution_speed: (
+            real  # speed at which it is to part, ≥ 0 [m/s]: e × that of approach, or by ``sequence``
+        )
         recovery: real  # speed at which overlap is taken back, ≥ 0 [m/s]
         impulse: vec3  # on the first; before a solve the guess, W [N·s]
         couple: vec3  # of rolling and spinning, on the first, likewise [N·m·s]
 
     @wp.struct
-    class Outcome:
+    class SolveResult:
         """How a solve went."""
 
         count: wp.array(dtype=wp.int32)  # [env] rows
@@ -48,16 +50,16 @@ def row_structs(real: type) -> SimpleNamespace:
         iterations: wp.array(dtype=wp.int32)  # [env]
         converged: wp.array(dtype=wp.int32)  # [env] 1: to the tolerance
 
-    return SimpleNamespace(Row=Row, Rows=wp.array2d(dtype=Row), Outcome=Outcome)
+    return SimpleNamespace(Row=Row, Rows=wp.array2d(dtype=Row), SolveResult=SolveResult)
 
 
 @functools.cache
-def moving_struct(real: type, moves: bool) -> type:
+def body_response_struct(real: type, moves: bool) -> type:
     """Returns the struct of a body under impulses, for ``real``; with ``moves`` not all bodies are free."""
     vec3, mat33 = structs(real).vec3, structs(real).mat33
 
     @wp.struct
-    class Moving:
+    class BodyResponse:
         """A body under impulses: Δv = A P + B L, Δω = Bᵀ P + C L of an impulse P and an angular impulse L.
 
         Of a free body A = 1/m and B = 0; what a body may not do its motion takes out of A, B and C.
@@ -65,12 +67,12 @@ def moving_struct(real: type, moves: bool) -> type:
 
         linear: vec3  # velocity of the centre of mass; in: without contact, W [m/s]
         angular: vec3  # W [rad/s]
-        by_torque: mat33  # C, W [1/(kg·m²)]
+        inverse_inertia: mat33  # C, W [1/(kg·m²)]
         if moves:
-            by_force: mat33  # A, W [1/kg]
-            across: mat33  # B, W [1/(kg·m)]
+            inverse_mass_matrix: mat33  # A, W [1/kg]
+            inverse_mass_coupling: mat33  # B, W [1/(kg·m)]
         else:
             inverse_mass: real  # [1/kg]
-            still: wp.int32  # 1: it did not move before the step
+            at_rest: wp.int32  # 1: it did not move before the step
 
-    return Moving
+    return BodyResponse

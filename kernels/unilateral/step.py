@@ -18,7 +18,6 @@ from warpcontact.kernels.motions.bodies import (
 )
 from warpcontact.kernels.types import (
     BALL,
-    DRIVEN,
     ENV_ACTIVE,
     ENV_FAILED,
     FREE,
@@ -27,20 +26,21 @@ from warpcontact.kernels.types import (
     PLANAR,
     PRESCRIBED,
     SLIDER,
+    TIME_FUNCTION,
     TRANSLATION,
-    Work,
-    env_of,
-    item_of,
+    LaunchRange,
     structs,
     task_count,
+    task_env,
+    task_item,
 )
 from warpcontact.kernels.unilateral.records import record_structs
-from warpcontact.kernels.unilateral.rows import moving_struct, row_structs
+from warpcontact.kernels.unilateral.rows import body_response_struct, row_structs
 from warpcontact.kernels.unique import unique_kernel
 
 
 @functools.cache
-def middle(real: type, moves: bool) -> wp.Kernel:
+def half_step(real: type, moves: bool) -> wp.Kernel:
     """Returns the kernel that goes half a step with the velocities before it; items: bodies.
 
     The angular velocity there is that of the same angular momentum. With ``moves`` some bodies are not free; those
@@ -49,77 +49,85 @@ def middle(real: type, moves: bool) -> wp.Kernel:
     """
     t = structs(real)
     Model, State = t.Model, t.State
-    Outcome, Restraint = row_structs(real).Outcome, record_structs(real).Restraint
+    SolveResult, RestitutionLimit = row_structs(real).SolveResult, record_structs(real).RestitutionLimit
     rotated = rotations.functions(real).rotated
     f = bodies.functions(real)
-    wide, wide_matrix, wide_quat = f.wide, f.wide_matrix, f.wide_quat
+    wide, matrix_to_float64, quat_to_float64 = f.wide, f.matrix_to_float64, f.quat_to_float64
     moved, put, set_velocity = f.moved, f.put, f.set_velocity
 
     @unique_kernel()
-    def go_half_way(
-        work: Work,
+    def advance_half_step(
+        launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         step: wp.array2d(dtype=real),  # [env, 0] [s]
         model: Model,
         state_in: State,
         state_out: State,
-        outcome: Outcome,
-        restraint: Restraint,
+        solve_result: SolveResult,
+        restitution_limit: RestitutionLimit,
     ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            body = item_of(work, task)
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            body = task_item(launch, task)
             if status[env] != ENV_ACTIVE:
                 continue
             if body == 0:
-                outcome.count[env] = 0
+                solve_result.count[env] = 0
                 h = step[env, 0]
-                outcome.slack[env] = h * h * wp.length(model.gravity[env, 0])
-                restraint.part[env] = real(1.0)
+                solve_result.slack[env] = h * h * wp.length(model.gravity[env, 0])
+                restitution_limit.factor[env] = real(1.0)
             v_W = state_in.body_linear_velocity[env, body]
             w_W = state_in.body_angular_velocity[env, body]
             half = real(0.5) * step[env, 0]
             if wp.static(moves):
                 motion = model.body_motion[env, body]
                 if motion.kind != FREE:
-                    if motion.kind == DRIVEN:
+                    if motion.kind == TIME_FUNCTION:
                         continue
                     v = wide(v_W)
                     w = wide(w_W)
-                    base, way, orientation = moved(state_in, env, body, motion, v, w, wp.float64(half))
+                    base, displacement, orientation = moved(state_in, env, body, motion, v, w, wp.float64(half))
                     if motion.kind == BALL:
-                        q = wide_quat(state_in.body_orientation[env, body])
+                        q = quat_to_float64(state_in.body_orientation[env, body])
                         arm_B = wp.quat_rotate_inv(q, arm_of(motion, q))
                         mass = wp.float64(model.body_mass[env, body])
-                        whole_B = inertia_at(wide_matrix(model.body_inertia[env, body]), mass, arm_B)
-                        w = spin_of(wp.inverse(whole_B), wide_quat(orientation), momentum_of(whole_B, q, w))
+                        anchor_inertia_B = inertia_at(
+                            matrix_to_float64(model.body_inertia[env, body]), mass, arm_B
+                        )
+                        w = spin_of(
+                            wp.inverse(anchor_inertia_B),
+                            quat_to_float64(orientation),
+                            momentum_of(anchor_inertia_B, q, w),
+                        )
                     if motion.kind == HINGE or motion.kind == BALL:
-                        v = wp.cross(w, way)
-                    put(state_out, env, body, base, way)
+                        v = wp.cross(w, displacement)
+                    put(state_out, env, body, base, displacement)
                     state_out.body_orientation[env, body] = orientation
                     set_velocity(state_out, env, body, v, w)
                     continue
             before = state_in.body_position[env, body]
-            way_W = half * v_W + state_in.body_position_remainder[env, body]
-            position = before + way_W
-            gone = position - before
+            displacement_W = half * v_W + state_in.body_position_remainder[env, body]
+            position = before + displacement_W
+            applied = position - before
             state_out.body_position[env, body] = position
-            state_out.body_position_remainder[env, body] = (before - (position - gone)) + (way_W - gone)
+            state_out.body_position_remainder[env, body] = (before - (position - applied)) + (
+                displacement_W - applied
+            )
             q_WB = state_in.body_orientation[env, body]
             orientation_W = rotated(q_WB, half * w_W)
-            if not model.body_round[env, body]:
-                last_B = model.body_inertia[env, body] * wp.quat_rotate_inv(q_WB, w_W)
-                turned_B = wp.quat_rotate_inv(orientation_W, wp.quat_rotate(q_WB, last_B))
-                w_W = wp.quat_rotate(orientation_W, model.body_inverse_inertia[env, body] * turned_B)
+            if not model.body_isotropic_inertia[env, body]:
+                last_momentum_B = model.body_inertia[env, body] * wp.quat_rotate_inv(q_WB, w_W)
+                momentum_B = wp.quat_rotate_inv(orientation_W, wp.quat_rotate(q_WB, last_momentum_B))
+                w_W = wp.quat_rotate(orientation_W, model.body_inverse_inertia[env, body] * momentum_B)
             state_out.body_orientation[env, body] = orientation_W
             state_out.body_linear_velocity[env, body] = v_W
             state_out.body_angular_velocity[env, body] = w_W
 
-    return go_half_way
+    return advance_half_step
 
 
 @functools.cache
-def free(real: type, moves: bool) -> wp.Kernel:
+def free_velocities(real: type, moves: bool) -> wp.Kernel:
     """Returns the kernel of the velocities without contact, and of what impulses do to each body; items: bodies.
 
     With ``moves`` some bodies are not free; ``state_out`` holds the velocities of those that follow a function of
@@ -127,9 +135,9 @@ def free(real: type, moves: bool) -> wp.Kernel:
     """
     t = structs(real)
     vec3, mat33, Model, State, Wrenches = t.vec3, t.mat33, t.Model, t.State, t.Wrenches
-    Moving = wp.array2d(dtype=moving_struct(real, moves))
+    BodyResponse = wp.array2d(dtype=body_response_struct(real, moves))
     f = bodies.functions(real)
-    wide, narrow, wide_matrix, wide_quat = f.wide, f.narrow, f.wide_matrix, f.wide_quat
+    wide, narrow, matrix_to_float64, quat_to_float64 = f.wide, f.narrow, f.matrix_to_float64, f.quat_to_float64
 
     @wp.func
     def narrow_matrix(m: wp.mat33d):
@@ -143,13 +151,13 @@ def free(real: type, moves: bool) -> wp.Kernel:
     def free_constrained(
         model: Model,
         state_in: State,
-        middle: State,
+        half_step_state: State,
         state_out: State,
         wrenches: Wrenches,
         env: int,
         body: int,
         dt: wp.float64,
-        moving: Moving,
+        body_response: BodyResponse,
     ):
         motion = model.body_motion[env, body]
         kind = motion.kind
@@ -157,117 +165,125 @@ def free(real: type, moves: bool) -> wp.Kernel:
         mass = wp.float64(model.body_mass[env, body])
         force = wide(wrenches.force[env, body]) + mass * wide(model.gravity[env, 0])
         torque = wide(wrenches.torque[env, body])
-        inertia_B = wide_matrix(model.body_inertia[env, body])
-        q = wide_quat(middle.body_orientation[env, body])
+        inertia_B = matrix_to_float64(model.body_inertia[env, body])
+        q = quat_to_float64(half_step_state.body_orientation[env, body])
         v = wide(state_in.body_linear_velocity[env, body])
         w = wide(state_in.body_angular_velocity[env, body])
         linear = wp.vec3d()
         angular = wp.vec3d()
-        by_force = wp.mat33d()
-        across = wp.mat33d()
-        by_torque = wp.mat33d()
+        inverse_mass_matrix = wp.mat33d()
+        inverse_mass_coupling = wp.mat33d()
+        inverse_inertia = wp.mat33d()
         if kind == PRESCRIBED:
             linear = v
             angular = w
-        elif kind == DRIVEN:
+        elif kind == TIME_FUNCTION:
             linear = wide(state_out.body_linear_velocity[env, body])
             angular = wide(state_out.body_angular_velocity[env, body])
         elif kind == TRANSLATION:
             linear = v + (dt / mass) * force
-            by_force = wp.identity(n=3, dtype=wp.float64) / mass
+            inverse_mass_matrix = wp.identity(n=3, dtype=wp.float64) / mass
         elif kind == SLIDER:
             linear = wp.dot(axis, v + (dt / mass) * force) * axis
-            by_force = wp.outer(axis, axis) / mass
+            inverse_mass_matrix = wp.outer(axis, axis) / mass
         elif kind == PLANAR:
             linear = v + (dt / mass) * force
             linear -= wp.dot(axis, linear) * axis
             inertia = inertia_about(axis, q, inertia_B)
             angular = (wp.dot(axis, w) + dt * wp.dot(axis, torque) / inertia) * axis
             along = wp.outer(axis, axis)
-            by_force = (wp.identity(n=3, dtype=wp.float64) - along) / mass
-            by_torque = along / inertia
+            inverse_mass_matrix = (wp.identity(n=3, dtype=wp.float64) - along) / mass
+            inverse_inertia = along / inertia
         elif kind == HINGE:
             arm = arm_of(motion, q)
-            sweep = wp.cross(axis, arm)
-            inertia = inertia_about(axis, q, inertia_B) + mass * wp.dot(sweep, sweep)
+            velocity_direction = wp.cross(axis, arm)
+            inertia = inertia_about(axis, q, inertia_B) + mass * wp.dot(velocity_direction, velocity_direction)
             rate = wp.dot(axis, w) + dt * wp.dot(axis, torque + wp.cross(arm, force)) / inertia
             angular = rate * axis
-            linear = rate * sweep
-            by_force = wp.outer(sweep, sweep) / inertia
-            across = wp.outer(sweep, axis) / inertia
-            by_torque = wp.outer(axis, axis) / inertia
+            linear = rate * velocity_direction
+            inverse_mass_matrix = wp.outer(velocity_direction, velocity_direction) / inertia
+            inverse_mass_coupling = wp.outer(velocity_direction, axis) / inertia
+            inverse_inertia = wp.outer(axis, axis) / inertia
         elif kind == BALL:
             arm = arm_of(motion, q)
-            whole_B = inertia_at(inertia_B, mass, wp.quat_rotate_inv(q, arm))
-            inverse_B = wp.inverse(whole_B)
-            q_in = wide_quat(state_in.body_orientation[env, body])
-            momentum = momentum_of(whole_B, q_in, w) + dt * (torque + wp.cross(arm, force))
+            anchor_inertia_B = inertia_at(inertia_B, mass, wp.quat_rotate_inv(q, arm))
+            inverse_B = wp.inverse(anchor_inertia_B)
+            q_in = quat_to_float64(state_in.body_orientation[env, body])
+            momentum = momentum_of(anchor_inertia_B, q_in, w) + dt * (torque + wp.cross(arm, force))
             angular = spin_of(inverse_B, q, momentum)
             linear = wp.cross(angular, arm)
             R = wp.quat_to_matrix(q)
-            by_torque = R * inverse_B * wp.transpose(R)
+            inverse_inertia = R * inverse_B * wp.transpose(R)
             lever = wp.skew(arm)
-            across = -(lever * by_torque)
-            by_force = across * lever
-        moving[env, body].linear = narrow(linear)
-        moving[env, body].angular = narrow(angular)
-        moving[env, body].by_force = narrow_matrix(by_force)
-        moving[env, body].across = narrow_matrix(across)
-        moving[env, body].by_torque = narrow_matrix(by_torque)
+            inverse_mass_coupling = -(lever * inverse_inertia)
+            inverse_mass_matrix = inverse_mass_coupling * lever
+        body_response[env, body].linear = narrow(linear)
+        body_response[env, body].angular = narrow(angular)
+        body_response[env, body].inverse_mass_matrix = narrow_matrix(inverse_mass_matrix)
+        body_response[env, body].inverse_mass_coupling = narrow_matrix(inverse_mass_coupling)
+        body_response[env, body].inverse_inertia = narrow_matrix(inverse_inertia)
 
     @unique_kernel()
     def velocities_without_contact(
-        work: Work,
+        launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         step: wp.array2d(dtype=real),  # [env, 0] [s]
         model: Model,
         state_in: State,
-        middle: State,
+        half_step_state: State,
         wrenches: Wrenches,
         state_out: State,
-        moving: Moving,
+        body_response: BodyResponse,
     ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            body = item_of(work, task)
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            body = task_item(launch, task)
             if status[env] != ENV_ACTIVE:
                 continue
             dt = step[env, 0]
-            if wp.static(moves):  # noqa: SIM102  Warp would evaluate both sides
+            if wp.static(moves):
                 if model.body_motion[env, body].kind != FREE:
                     free_constrained(
-                        model, state_in, middle, state_out, wrenches, env, body, wp.float64(dt), moving
+                        model,
+                        state_in,
+                        half_step_state,
+                        state_out,
+                        wrenches,
+                        env,
+                        body,
+                        wp.float64(dt),
+                        body_response,
                     )
                     continue
             inverse_mass = real(1.0) / model.body_mass[env, body]
             acceleration = inverse_mass * wrenches.force[env, body] + model.gravity[env, 0]
-            moving[env, body].linear = state_in.body_linear_velocity[env, body] + dt * acceleration
+            body_response[env, body].linear = state_in.body_linear_velocity[env, body] + dt * acceleration
             inverse_B = model.body_inverse_inertia[env, body]
             w_W = state_in.body_angular_velocity[env, body]
             R = wp.identity(n=3, dtype=real)
-            by_torque = inverse_B
-            if model.body_round[env, body]:
-                moving[env, body].angular = w_W + (dt * inverse_B[0, 0]) * wrenches.torque[env, body]
+            inverse_inertia = inverse_B
+            if model.body_isotropic_inertia[env, body]:
+                body_response[env, body].angular = w_W + (dt * inverse_B[0, 0]) * wrenches.torque[env, body]
             else:
-                R = wp.quat_to_matrix(middle.body_orientation[env, body])
-                by_torque = R * inverse_B * wp.transpose(R)
+                R = wp.quat_to_matrix(half_step_state.body_orientation[env, body])
+                inverse_inertia = R * inverse_B * wp.transpose(R)
                 # There the body has the angular momentum of the start.
-                w_middle = middle.body_angular_velocity[env, body]
-                moving[env, body].angular = w_middle + by_torque * (dt * wrenches.torque[env, body])
-            moving[env, body].by_torque = by_torque
+                w_middle = half_step_state.body_angular_velocity[env, body]
+                body_response[env, body].angular = w_middle + inverse_inertia * (dt * wrenches.torque[env, body])
+            body_response[env, body].inverse_inertia = inverse_inertia
             if wp.static(moves):
-                moving[env, body].by_force = inverse_mass * wp.identity(n=3, dtype=real)
-                moving[env, body].across = mat33()
+                body_response[env, body].inverse_mass_matrix = inverse_mass * wp.identity(n=3, dtype=real)
+                body_response[env, body].inverse_mass_coupling = mat33()
             else:
-                moving[env, body].inverse_mass = inverse_mass
-                still = state_in.body_linear_velocity[env, body] == vec3() and w_W == vec3()
-                moving[env, body].still = wp.where(still, 1, 0)
+                body_response[env, body].inverse_mass = inverse_mass
+                is_at_rest = state_in.body_linear_velocity[env, body] == vec3() and w_W == vec3()
+                body_response[env, body].at_rest = wp.where(is_at_rest, 1, 0)
 
     return velocities_without_contact
 
 
 @functools.cache
-def advance(real: type, moves: bool) -> wp.Kernel:
+def full_step(real: type, moves: bool) -> wp.Kernel:
     """Returns the kernel that takes each body over the step with the velocities after contact; items: bodies.
 
     Positions go on with θ times the velocities after and 1 − θ times those before. With ``moves`` some bodies are
@@ -275,20 +291,20 @@ def advance(real: type, moves: bool) -> wp.Kernel:
     """
     t = structs(real)
     Model, State, Wrenches = t.Model, t.State, t.Wrenches
-    Moving = wp.array2d(dtype=moving_struct(real, moves))
+    BodyResponse = wp.array2d(dtype=body_response_struct(real, moves))
     rotated = rotations.functions(real).rotated
     f = bodies.functions(real)
-    wide, wide_matrix, wide_quat, moved = f.wide, f.wide_matrix, f.wide_quat, f.moved
-    put, set_velocity, judge = f.put, f.set_velocity, f.judge
+    wide, matrix_to_float64, quat_to_float64, moved = f.wide, f.matrix_to_float64, f.quat_to_float64, f.moved
+    put, set_velocity, check_body = f.put, f.set_velocity, f.check_body
     of_guard = quarantine.guard(real)
-    Guard, cause_of = of_guard.Guard, of_guard.cause_of
+    Guard, failure_cause = of_guard.Guard, of_guard.failure_cause
 
     @wp.func
     def advance_constrained(
         model: Model,
         state_in: State,
-        middle: State,
-        moving: Moving,
+        half_step_state: State,
+        body_response: BodyResponse,
         state_out: State,
         env: int,
         body: int,
@@ -296,103 +312,105 @@ def advance(real: type, moves: bool) -> wp.Kernel:
         theta: wp.float64,
     ):
         motion = model.body_motion[env, body]
-        rest = wp.float64(1.0) - theta
-        v = wide(moving[env, body].linear)
-        w = wide(moving[env, body].angular)
-        w_before = wide(middle.body_angular_velocity[env, body])
-        linear = theta * v + rest * wide(state_in.body_linear_velocity[env, body])
-        whole_B = wp.mat33d()
+        complement = wp.float64(1.0) - theta
+        v = wide(body_response[env, body].linear)
+        w = wide(body_response[env, body].angular)
+        w_before = wide(half_step_state.body_angular_velocity[env, body])
+        linear = theta * v + complement * wide(state_in.body_linear_velocity[env, body])
+        anchor_inertia_B = wp.mat33d()
         momentum = wp.vec3d()
         if motion.kind == BALL:
-            q = wide_quat(state_in.body_orientation[env, body])
-            q_middle = wide_quat(middle.body_orientation[env, body])
+            q = quat_to_float64(state_in.body_orientation[env, body])
+            q_middle = quat_to_float64(half_step_state.body_orientation[env, body])
             arm_B = wp.quat_rotate_inv(q, arm_of(motion, q))
-            inertia_B = wide_matrix(model.body_inertia[env, body])
-            whole_B = inertia_at(inertia_B, wp.float64(model.body_mass[env, body]), arm_B)
-            momentum = momentum_of(whole_B, q_middle, w)
-        angular = theta * w + rest * w_before
-        base, way, orientation = moved(state_in, env, body, motion, linear, angular, dt)
+            inertia_B = matrix_to_float64(model.body_inertia[env, body])
+            anchor_inertia_B = inertia_at(inertia_B, wp.float64(model.body_mass[env, body]), arm_B)
+            momentum = momentum_of(anchor_inertia_B, q_middle, w)
+        angular = theta * w + complement * w_before
+        base, displacement, orientation = moved(state_in, env, body, motion, linear, angular, dt)
         if motion.kind == BALL:
-            w = spin_of(wp.inverse(whole_B), wide_quat(orientation), momentum)
+            w = spin_of(wp.inverse(anchor_inertia_B), quat_to_float64(orientation), momentum)
         if motion.kind == HINGE or motion.kind == BALL:
-            v = wp.cross(w, way)
-        put(state_out, env, body, base, way)
+            v = wp.cross(w, displacement)
+        put(state_out, env, body, base, displacement)
         state_out.body_orientation[env, body] = orientation
         set_velocity(state_out, env, body, v, w)
 
     @unique_kernel()
-    def go_whole_way(
-        work: Work,
+    def advance_full_step(
+        launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         step: wp.array2d(dtype=real),  # [env, 0] [s]
         theta: real,
         model: Model,
         guard: Guard,
         state_in: State,
-        middle: State,
-        moving: Moving,
+        half_step_state: State,
+        body_response: BodyResponse,
         wrenches: Wrenches,
         state_out: State,
     ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            body = item_of(work, task)
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            body = task_item(launch, task)
             if status[env] != ENV_ACTIVE:
                 continue
             dt = step[env, 0]
             if wp.static(moves):
                 kind = model.body_motion[env, body].kind
                 if kind != FREE:
-                    if kind != DRIVEN:
+                    if kind != TIME_FUNCTION:
                         advance_constrained(
-                            model, state_in, middle, moving, state_out, env, body, wp.float64(dt),
+                            model, state_in, half_step_state, body_response, state_out, env, body, wp.float64(dt),
                             wp.float64(theta),
                         )  # fmt: skip
-                    judge(guard, wrenches, state_out, env, body, status)
+                    check_body(guard, wrenches, state_out, env, body, status)
                     continue
-            rest = real(1.0) - theta
-            velocity = moving[env, body].linear
+            complement = real(1.0) - theta
+            velocity = body_response[env, body].linear
             before = state_in.body_position[env, body]
-            way = dt * (theta * velocity + rest * state_in.body_linear_velocity[env, body])
-            way += state_in.body_position_remainder[env, body]
-            position = before + way
-            gone = position - before
+            displacement = dt * (theta * velocity + complement * state_in.body_linear_velocity[env, body])
+            displacement += state_in.body_position_remainder[env, body]
+            position = before + displacement
+            applied = position - before
             q_WB = state_in.body_orientation[env, body]
             w_W = state_in.body_angular_velocity[env, body]
-            turning = moving[env, body].angular
+            angular_velocity = body_response[env, body].angular
             orientation = q_WB
-            if model.body_round[env, body]:
-                turn = dt * (theta * turning + rest * w_W)
-                if wp.length_sq(turn) > real(0.0):
-                    orientation = rotated(q_WB, turn)
+            if model.body_isotropic_inertia[env, body]:
+                rotation = dt * (theta * angular_velocity + complement * w_W)
+                if wp.length_sq(rotation) > real(0.0):
+                    orientation = rotated(q_WB, rotation)
             else:
                 inverse_B = model.body_inverse_inertia[env, body]
                 inertia_B = model.body_inertia[env, body]
-                q_middle = middle.body_orientation[env, body]
-                w_before = middle.body_angular_velocity[env, body]
-                gained_B = inertia_B * wp.quat_rotate_inv(q_middle, turning - w_before)
+                q_middle = half_step_state.body_orientation[env, body]
+                w_before = half_step_state.body_angular_velocity[env, body]
+                momentum_change_B = inertia_B * wp.quat_rotate_inv(q_middle, angular_velocity - w_before)
                 momentum = wp.quat_rotate(q_WB, inertia_B * wp.quat_rotate_inv(q_WB, w_W))
-                turn = dt * (theta * turning + rest * w_before)
-                if wp.length_sq(turn) > real(0.0):
-                    orientation = rotated(q_WB, turn)
+                rotation = dt * (theta * angular_velocity + complement * w_before)
+                if wp.length_sq(rotation) > real(0.0):
+                    orientation = rotated(q_WB, rotation)
                 # The change of spin, not the spin itself: a quaternion is a little longer or shorter than one and
                 # scales what it rotates, which in a difference from step to step cancels instead of adding up.
-                last = wp.quat_rotate(q_WB, inverse_B * wp.quat_rotate_inv(q_WB, momentum))
-                momentum += wp.quat_rotate(q_middle, gained_B)
-                after = wp.quat_rotate(orientation, inverse_B * wp.quat_rotate_inv(orientation, momentum))
-                if wp.length_sq(turning) > real(0.0):
-                    turning = w_W + (after - last)
+                spin_before = wp.quat_rotate(q_WB, inverse_B * wp.quat_rotate_inv(q_WB, momentum))
+                momentum += wp.quat_rotate(q_middle, momentum_change_B)
+                spin_after = wp.quat_rotate(orientation, inverse_B * wp.quat_rotate_inv(orientation, momentum))
+                if wp.length_sq(angular_velocity) > real(0.0):
+                    angular_velocity = w_W + (spin_after - spin_before)
             state_out.body_position[env, body] = position
-            state_out.body_position_remainder[env, body] = (before - (position - gone)) + (way - gone)
+            state_out.body_position_remainder[env, body] = (before - (position - applied)) + (
+                displacement - applied
+            )
             state_out.body_orientation[env, body] = orientation
             state_out.body_linear_velocity[env, body] = velocity
-            state_out.body_angular_velocity[env, body] = turning
+            state_out.body_angular_velocity[env, body] = angular_velocity
             # One sum is finite only if every term is: squares have no opposite signs.
-            sizes = wp.length_sq(position) + wp.length_sq(velocity) + wp.length_sq(turning)
+            sizes = wp.length_sq(position) + wp.length_sq(velocity) + wp.length_sq(angular_velocity)
             if not sizes < guard.suspect[env, 0]:
-                cause = cause_of(position, velocity, turning, guard.limits[env, 0])
+                cause = failure_cause(position, velocity, angular_velocity, guard.limits[env, 0])
                 if cause != NO_CAUSE:
                     status[env] = ENV_FAILED
                     guard.cause[env] = cause
 
-    return go_whole_way
+    return advance_full_step

@@ -11,12 +11,12 @@ from warpcontact import checks
 from warpcontact.analysis.results import (
     MISSING,
     STOPPED,
-    Figures,
+    ResultSource,
+    check_usable,
     end_times,
     frozen,
     numbers,
-    refuse,
-    rest_of,
+    remaining_dims,
     variable,
 )
 from warpcontact.checks import Array
@@ -31,7 +31,7 @@ ROUNDING = 1.0e-9
 
 @explain_keywords
 def quantile_fan(
-    run: Figures,
+    run: ResultSource,
     sensor: str,
     quantiles: Sequence[float] = (0.05, 0.25, 0.5, 0.75, 0.95),
     *,
@@ -70,7 +70,7 @@ def quantile_fan(
     envs = numbers(array)
     halted = np.isin(envs, frozen(run.outcome))
     ends = end_times(run.outcome, envs)
-    dims, shape, coords = rest_of(array, "env")
+    dims, shape, coords = remaining_dims(array, "env")
     found = np.empty((len(levels), *shape))
     one_time = array.sizes["env"] * int(np.prod(shape[1:])) * found.itemsize
     some = max(1, BLOCK // max(1, one_time))
@@ -82,7 +82,7 @@ def quantile_fan(
         values = array.isel(time=times).values.astype(np.float64)
         finite = np.isfinite(values)
         always = np.asarray(finite.all(axis=(0, *range(2, values.ndim))))
-        refuse(envs, halted, always, str(array.name), missing)
+        check_usable(envs, halted, always, str(array.name), missing)
         if stopped == "drop":
             # The record of the very moment at which it was stopped counts, however the clocks were rounded.
             late = array["time"].values[times, None] > ends * (1.0 + ROUNDING)

@@ -19,7 +19,7 @@ STOPPED = ("hold", "drop")
 NAMED = 5
 
 
-class Figures(Protocol):
+class ResultSource(Protocol):
     """What was found, whatever was asked.
 
     Attributes:
@@ -37,7 +37,7 @@ class Figures(Protocol):
         """Sensors (time, env, …) by name."""
 
 
-class Results(Figures, Protocol):
+class ExperimentResults(ResultSource, Protocol):
     """The results of an experiment.
 
     Attributes:
@@ -76,8 +76,8 @@ def frozen(outcome: xr.Dataset) -> NDArray[np.int64]:
 
 def end_times(outcome: xr.Dataset, envs: NDArray[np.int64]) -> Array:
     """Returns when each of ``envs`` was stopped [s], (env,), as far as ``outcome`` tells; infinite: it was not."""
-    at, places = _in_state(outcome, "STOPPED")
-    ends = dict(zip(at.tolist(), outcome["end_time"].values[places].tolist(), strict=True)) if len(at) else {}
+    at, positions = _in_state(outcome, "STOPPED")
+    ends = dict(zip(at.tolist(), outcome["end_time"].values[positions].tolist(), strict=True)) if len(at) else {}
     return np.array([ends.get(env, np.inf) for env in envs.tolist()], dtype=np.float64)
 
 
@@ -87,8 +87,8 @@ def _in_state(outcome: xr.Dataset, state: str) -> tuple[NDArray[np.int64], NDArr
     if status is None:
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.intp)
     found = [code for code, word in words_of(status).items() if word.upper() == state]
-    places = np.flatnonzero(np.isin(status.values, found))
-    return numbers(status)[places], places
+    positions = np.flatnonzero(np.isin(status.values, found))
+    return numbers(status)[positions], positions
 
 
 def numbers(array: xr.DataArray) -> NDArray[np.int64]:
@@ -96,7 +96,7 @@ def numbers(array: xr.DataArray) -> NDArray[np.int64]:
     return np.asarray(array["env"].values if "env" in array.coords else np.arange(array.sizes["env"]))
 
 
-def usable(run: Results, outcome: xr.DataArray, missing: str) -> tuple[Array, NDArray[np.bool_]]:
+def usable_outcome(run: ExperimentResults, outcome: xr.DataArray, missing: str) -> tuple[Array, NDArray[np.bool_]]:
     """Returns an outcome as (envs, numbers), and which environments can be used.
 
     Args:
@@ -111,11 +111,11 @@ def usable(run: Results, outcome: xr.DataArray, missing: str) -> tuple[Array, ND
     values = outcome.values.astype(np.float64).reshape(outcome.sizes["env"], -1)
     halted = np.isin(numbers(outcome), frozen(run.outcome))
     finite = np.asarray(np.isfinite(values).all(axis=1))
-    refuse(numbers(outcome), halted, finite, str(outcome.name), missing)
+    check_usable(numbers(outcome), halted, finite, str(outcome.name), missing)
     return values, finite & ~halted
 
 
-def refuse(
+def check_usable(
     envs: NDArray[np.int64], halted: NDArray[np.bool_], finite: NDArray[np.bool_], name: str, missing: str
 ) -> None:
     """Raises ``ValueError`` about environments that are frozen or not finite, unless they may be missing."""
@@ -130,7 +130,9 @@ def refuse(
     )
 
 
-def rest_of(array: xr.DataArray, *without: str) -> tuple[tuple[Hashable, ...], tuple[int, ...], dict[Any, Any]]:
+def remaining_dims(
+    array: xr.DataArray, *without: str
+) -> tuple[tuple[Hashable, ...], tuple[int, ...], dict[Any, Any]]:
     """Returns the dimensions of ``array`` other than those, their sizes, and the coordinates along them."""
     dims = tuple(dim for dim in array.dims if dim not in without)
     coords = {key: coord for key, coord in array.coords.items() if set(coord.dims) <= set(dims)}

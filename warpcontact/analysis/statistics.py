@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 
 from warpcontact import checks
-from warpcontact.analysis.results import Results, probability, rest_of, usable, variable
+from warpcontact.analysis.results import ExperimentResults, probability, remaining_dims, usable_outcome, variable
 from warpcontact.checks import Array
 from warpcontact.experiment.errors import key_path
 from warpcontact.experiment.schema import Settings
@@ -17,7 +17,7 @@ _ORDERED = ("linspace", "grid")
 
 @explain_keywords
 def convergence(
-    run: Results,
+    run: ExperimentResults,
     outcome: str,
     statistic: str = "mean",
     q: float = 0.5,
@@ -53,10 +53,10 @@ def convergence(
     checks.choice("statistic", statistic, STATISTICS)
     for name, value in (("q", q), ("confidence", confidence)):
         probability(name, value)
-    checks.whole("points", points, 1)
+    checks.integer("points", points, 1)
     _check_sample(run.settings)
     array = variable(run.outcome, outcome, "outcome", "env")
-    values, good = usable(run, array, missing)
+    values, good = usable_outcome(run, array, missing)
     values = values[good]
     if len(values) < 2:
         raise ValueError(f"outcome {outcome!r} must be of at least 2 environments, got {len(values)}")
@@ -65,7 +65,7 @@ def convergence(
     found = (
         _means(values, counts, confidence) if statistic == "mean" else _quantiles(values, counts, q, confidence)
     )
-    dims, shape, coords = rest_of(array, "env")
+    dims, shape, coords = remaining_dims(array, "env")
     attrs = array.attrs | {"outcome": outcome, "statistic": statistic, "confidence": confidence}
     return xr.Dataset(
         {

@@ -4,9 +4,9 @@ import numpy as np
 import xarray as xr
 
 from warpcontact import checks
-from warpcontact.analysis.results import Results, probability, rest_of, usable, variable
+from warpcontact.analysis.results import ExperimentResults, probability, remaining_dims, usable_outcome, variable
 from warpcontact.checks import Array
-from warpcontact.experiment.drawing import drawn_numbers
+from warpcontact.experiment.drawing import sampled_components
 from warpcontact.kernels.keywords import explain_keywords
 
 # So many resamples are averaged at once.
@@ -15,7 +15,7 @@ AT_ONCE = 64
 
 @explain_keywords
 def sensitivity(
-    run: Results,
+    run: ExperimentResults,
     outcome: str,
     *,
     confidence: float = 0.95,
@@ -46,8 +46,8 @@ def sensitivity(
         ValueError: If the run is none of such an experiment, or some environments cannot be used.
     """
     probability("confidence", confidence)
-    checks.whole("resamples", resamples, 1)
-    checks.whole("seed", seed, 0)
+    checks.integer("resamples", resamples, 1)
+    checks.integer("seed", seed, 0)
     settings = run.settings
     if settings.sampling.method != "saltelli":
         raise ValueError(
@@ -57,25 +57,25 @@ def sensitivity(
     array = variable(run.outcome, outcome, "outcome", "env")
     names = [
         f"{name}[{', '.join(map(str, index))}]" if index else name
-        for name, index in drawn_numbers(settings.variation)
+        for name, index in sampled_components(settings.variation)
     ]
     if array.sizes["env"] != settings.envs:
         raise ValueError(
             f"outcome {outcome!r} must be of all {settings.envs} environments, got {array.sizes['env']}"
         )
-    values, good = usable(run, array, missing)
+    values, good = usable_outcome(run, array, missing)
     rows = settings.envs // (len(names) + 2)
-    whole_rows = good.reshape(-1, rows).all(axis=0)
-    if whole_rows.sum() < 2:
-        left = f"got {whole_rows.sum()} of {rows}"
+    complete_rows = good.reshape(-1, rows).all(axis=0)
+    if complete_rows.sum() < 2:
+        left = f"got {complete_rows.sum()} of {rows}"
         raise ValueError(f"outcome {outcome!r} must have 2 rows of the design without missing values, {left}")
     # A, B, and A with each column of B.
-    design = values.reshape(len(names) + 2, rows, -1)[:, whole_rows]
+    design = values.reshape(len(names) + 2, rows, -1)[:, complete_rows]
     terms = _Terms(design[0], design[1], design[2:])
     rng = np.random.default_rng(seed)
     drawn = [terms.resampled(rng, min(AT_ONCE, resamples - first)) for first in range(0, resamples, AT_ONCE)]
     tail = 0.5 * (1.0 - confidence)
-    dims, shape, coords = rest_of(array, "env")
+    dims, shape, coords = remaining_dims(array, "env")
     found: dict[str, Array] = {}
     for key, estimate, resampled in zip(
         ("first_order", "total_order"), terms.indices(), map(np.concatenate, zip(*drawn, strict=True)), strict=True
@@ -89,8 +89,8 @@ def sensitivity(
             "outcome": outcome,
             "confidence": confidence,
             "resamples": resamples,
-            "rows": int(whole_rows.sum()),
-            "dropped": int(rows - whole_rows.sum()),
+            "rows": int(complete_rows.sum()),
+            "dropped": int(rows - complete_rows.sum()),
         },
     )
 

@@ -10,14 +10,14 @@ import numpy as np
 import warp as wp
 
 from warpcontact.benchmark.works import Array, Work
-from warpcontact.compiling import load_as_launched
+from warpcontact.compiling import compile_as_launched
 from warpcontact.kernels.bare_query import kernel
 from warpcontact.model import Model
 
 #: Times that a limit is measured, each of at least ``SECONDS``; the median counts. Fewer where they take long.
 ROUNDS = 7
 SECONDS = 0.01
-LONG = 1.0
+MIN_SAMPLE_SECONDS = 1.0
 #: Sensor of the places of the queries.
 POSITION = "body.position"
 # Of what is timed, in one graph of a GPU.
@@ -39,7 +39,7 @@ class Limits(NamedTuple):
 def load_query(device: wp.Device) -> wp.Kernel:
     """Returns the kernel of closest-point queries, which is compiled if it is not in the cache."""
     bare_query = kernel()
-    load_as_launched(bare_query, device)
+    compile_as_launched(bare_query, device)
     return bare_query
 
 
@@ -131,7 +131,7 @@ def _median(works: Callable[[int], None], device: wp.Device) -> float:
     works(1)
     times: list[float] = []
     count = 1
-    while len(times) < ROUNDS and count * sum(times) < LONG:
+    while len(times) < ROUNDS and count * sum(times) < MIN_SAMPLE_SECONDS:
         wp.synchronize_device(device)
         start = time.perf_counter()
         works(count)

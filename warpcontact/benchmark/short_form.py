@@ -76,7 +76,7 @@ def bench(
     envs = default_envs(where) if envs is None else envs
     modules = _cached_modules()
     with (
-        _few_words(),
+        _without_step_warnings(),
         tqdm(
             total=round(len(WORKS) * (seconds + ALONE_SECONDS), 1),
             unit="s",
@@ -90,7 +90,7 @@ def bench(
             bar.set_description(f"{title}: building, compiling")
             entries.append(_begin(title, work, envs, name, precision))
         compiled = len(_cached_modules() - modules)
-        for entry in _turns(entries, seconds):
+        for entry in _round_robin(entries, seconds):
             bar.set_description(entry.title)
             _run(entry)
             bar.update(min(entry.times[-1], max(0.0, seconds - sum(entry.times[:-1]))))
@@ -117,7 +117,7 @@ def default_envs(device: wp.Device) -> int:
 
 
 @contextmanager
-def _few_words() -> Iterator[None]:
+def _without_step_warnings() -> Iterator[None]:
     """Leaves out that steps are long for some contacts: they are the same for all engines that are compared."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ContactWarning)
@@ -141,7 +141,7 @@ def _begin(title: str, work: Work, envs: int, device: str, precision: str) -> _E
     return _Entry(title, work, sim, took)
 
 
-def _turns(entries: list[_Entry], seconds: float) -> Iterator[_Entry]:
+def _round_robin(entries: list[_Entry], seconds: float) -> Iterator[_Entry]:
     """Yields each entry in turn until all have been stepped for so long."""
     while waiting := [entry for entry in entries if sum(entry.times) < seconds]:
         yield from waiting

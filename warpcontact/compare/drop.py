@@ -32,13 +32,13 @@ COARSE_STEPS = 250
 # Steps between records, a divisor of both.
 STRIDE = 2
 # Contact times after which a sphere is given up: e = 0.01 of two stiffnesses takes 51.
-PATIENCE = 60
+MAX_CONTACT_TIMES = 60
 # Dampings in terms of ``samples.damping_scale``: restitution falls from 0.999 to below 0.05.
 DAMPINGS = np.geomspace(1.0e-3, 30.0, 61)
 # Depths at which elastic forces are read, in terms of the depth that the impact is to have.
 DEPTHS = np.geomspace(1.0e-4, 1.0e2, 1201)
 # Depth of the undamped impact if neither a depth nor a law with an elastic parameter of its own is given [m].
-USUAL_DEPTH = 1.0e-3
+DEFAULT_DEPTH = 1.0e-3
 # Sphere in terms of the greatest depth: its centre has to stay above the plate.
 RADIUS = 50.0
 # Of laws whose force depends on the curvature, every sphere has this radius [m].
@@ -82,7 +82,7 @@ class Impact:
 
 
 @dataclass(frozen=True)
-class Case:
+class LawCase:
     """A law in the impact.
 
     Attributes:
@@ -113,7 +113,7 @@ class Run:
     rebound: Mapping[str, Array]
 
 
-def cases(laws: Any, impact: Impact) -> dict[str, Case]:
+def cases(laws: Any, impact: Impact) -> dict[str, LawCase]:
     """Returns instances of ``laws`` by their labels.
 
     The elastic parameter of a class is chosen for the depth of ``impact``, or for that of the first law whose
@@ -124,34 +124,34 @@ def cases(laws: Any, impact: Impact) -> dict[str, Case]:
         ValueError: If a class needs values that only its author knows.
     """
     given = samples.named(Law, laws)
-    stiff = {label: entry for label, entry in given.items() if samples.has_modulus(entry)}
-    usual = impact.depth or USUAL_DEPTH
-    made = {label: samples.law(entry, 1.0, usual) for label, entry in stiff.items()}
-    depths = DEPTHS * usual
+    with_modulus = {label: entry for label, entry in given.items() if samples.is_modulus_given(entry)}
+    default_depth = impact.depth or DEFAULT_DEPTH
+    instances = {label: samples.law(entry, 1.0, default_depth) for label, entry in with_modulus.items()}
+    depths = DEPTHS * default_depth
     own = {
         label: float(np.interp(impact.energy, work, depths, right=np.nan))
-        for label, work in _works(made, depths, impact).items()
+        for label, work in _static_work(instances, depths, impact).items()
     }
-    depth = impact.depth or next((depth for depth in own.values() if depth > 0.0), USUAL_DEPTH)
-    free = {label: entry for label, entry in given.items() if label not in stiff}
-    unit = {label: samples.law(entry, 1.0, depth) for label, entry in free.items()}
-    for label, work in _works(unit, DEPTHS * depth, impact).items():
+    depth = impact.depth or next((depth for depth in own.values() if depth > 0.0), DEFAULT_DEPTH)
+    without_modulus = {label: entry for label, entry in given.items() if label not in with_modulus}
+    unit = {label: samples.law(entry, 1.0, depth) for label, entry in without_modulus.items()}
+    for label, work in _static_work(unit, DEPTHS * depth, impact).items():
         modulus = impact.energy / float(np.interp(depth, DEPTHS * depth, work))
-        made[label] = samples.law(free[label], modulus, depth)
+        instances[label] = samples.law(without_modulus[label], modulus, depth)
     found = {}
     for label, entry in given.items():
-        varied = samples.loss_parameter(made[label])
-        kept = samples.values_of(entry) or {}
-        found[label] = Case(
-            law=made[label],
+        varied = samples.dissipation_parameter(instances[label])
+        given_values = samples.values_of(entry) or {}
+        found[label] = LawCase(
+            law=instances[label],
             depth=own.get(label, depth),
-            given=label in stiff,
-            varied=None if varied in kept else varied,
+            given=label in with_modulus,
+            varied=None if varied in given_values else varied,
         )
     return found
 
 
-def loss_values(chosen: Mapping[str, Case], restitution: Array, impact: Impact) -> dict[str, Array]:
+def dissipation_values(chosen: Mapping[str, LawCase], restitution: Array, impact: Impact) -> dict[str, Array]:
     """Returns by label the values of what is varied that give each ``restitution``; nothing for elastic laws.
 
     A damping is interpolated in a series of runs; where none in the series is enough, the largest useful one.
@@ -162,11 +162,13 @@ def loss_values(chosen: Mapping[str, Case], restitution: Array, impact: Impact) 
         return values
     series = {
         label: np.append(0.0, DAMPINGS)
-        * samples.damping_scale(case.law, case.varied or "", impact.mass, impact.speed, _reach(case))
+        * samples.damping_scale(case.law, case.varied or "", impact.mass, impact.speed, _undamped_depth(case))
         for label, case in damped.items()
     }
     speeds = np.full(len(DAMPINGS) + 1, impact.speed)
-    run = drop(damped, series, speeds, impact, steps=COARSE_STEPS, patience=PATIENCE // 4, record=False)
+    run = drop(
+        damped, series, speeds, impact, steps=COARSE_STEPS, max_contact_times=MAX_CONTACT_TIMES // 4, record=False
+    )
     for label, damping in series.items():
         rebound = run.rebound[label]
         # The falling part of the curve; NaN where the sphere crept out too slowly to wait for.
@@ -181,16 +183,16 @@ def loss_values(chosen: Mapping[str, Case], restitution: Array, impact: Impact) 
 
 
 def drop(
-    chosen: Mapping[str, Case],
+    chosen: Mapping[str, LawCase],
     values: Mapping[str, Array],
     speeds: Array,
     impact: Impact,
     *,
     steps: int = STEPS,
-    patience: int = PATIENCE,
+    max_contact_times: int = MAX_CONTACT_TIMES,
     record: bool = True,
 ) -> Run:
-    """Runs all impacts until every sphere has left, or for ``patience`` contact times.
+    """Runs all impacts until every sphere has left, or for ``max_contact_times`` contact times.
 
     Args:
         chosen: The laws.
@@ -198,11 +200,11 @@ def drop(
         speeds: Impact speed of every environment (env,) [m/s].
         impact: Mass and device.
         steps: Steps per contact time of the stiffest law.
-        patience: Contact times of the softest law to wait for.
+        max_contact_times: Contact times of the softest law to wait for.
         record: Whether to keep sensors over time.
     """
-    deepest = max(map(_reach, chosen.values()))
-    shortest = min(map(_reach, chosen.values())) / speeds.max()
+    deepest = max(map(_undamped_depth, chosen.values()))
+    shortest = min(map(_undamped_depth, chosen.values())) / speeds.max()
     longest = deepest / speeds.min()
     dt = CONTACT_TIME * shortest / steps
     # Touch falls into the middle of a step, whatever the speed, and some steps after the start.
@@ -213,17 +215,17 @@ def drop(
     names = [f"touch_{k}.{name}" for k in range(len(chosen)) for name in SENSORS] if record else []
     sim = Simulation(model, dt)
     parts: list[dict[str, Array]] = []
-    gone = np.zeros((len(chosen), len(speeds)), dtype=bool)
-    for _ in range(int(np.ceil(patience * longest / shortest))):
+    has_left = np.zeros((len(chosen), len(speeds)), dtype=bool)
+    for _ in range(int(np.ceil(max_contact_times * longest / shortest))):
         recording = sim.run(steps * dt, names, every=STRIDE * dt, poses=False, progress=False)
         # A run begins with the frame that the one before ended with.
         first = 1 if parts else 0
         parts.append({name: recording[name].values[first:] for name in (*names, "time")})
-        gone = _left(model, list(chosen.values()))
-        if gone.all():
+        has_left = _has_left(model, list(chosen.values()))
+        if has_left.all():
             break
     out = np.array([model.sensor(f"ball_{k}.linear_velocity")[:, 2] for k in range(len(chosen))])
-    rebound = np.where(gone, out / speeds, np.nan)
+    rebound = np.where(has_left, out / speeds, np.nan)
     frames = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     return Run(
         time=frames["time"] - float(height[0] / speeds[0]),
@@ -239,24 +241,24 @@ def _index(chosen: Mapping[str, Any], label: str) -> int:
     return list(chosen).index(label)
 
 
-def _left(model: Environments, chosen: Sequence[Case]) -> NDArray[np.bool_]:
+def _has_left(model: Environments, chosen: Sequence[LawCase]) -> NDArray[np.bool_]:
     """Returns which spheres are free and on their way out, (law, env)."""
-    gone = []
+    has_left = []
     for k, case in enumerate(chosen):
-        touching = model.sensor(f"touch_{k}.status") == ContactStatus.CONTACT
+        in_contact = model.sensor(f"touch_{k}.status") == ContactStatus.CONTACT
         if not case.law.pulls:
             # Behind a force that was cut at zero a sphere flies free before its depth is zero.
-            touching &= model.sensor(f"touch_{k}.normal_force") != 0.0
-        gone.append(~touching & (model.sensor(f"ball_{k}.linear_velocity")[:, 2] > 0.0))
-    return np.array(gone)
+            in_contact &= model.sensor(f"touch_{k}.normal_force") != 0.0
+        has_left.append(~in_contact & (model.sensor(f"ball_{k}.linear_velocity")[:, 2] > 0.0))
+    return np.array(has_left)
 
 
-def _reach(case: Case) -> float:
+def _undamped_depth(case: LawCase) -> float:
     """Returns the depth of an undamped impact, as far as it is known [m]."""
-    return case.depth if case.depth > 0.0 else USUAL_DEPTH
+    return case.depth if case.depth > 0.0 else DEFAULT_DEPTH
 
 
-def _works(laws: Mapping[str, Law], depths: Array, impact: Impact) -> dict[str, Array]:
+def _static_work(laws: Mapping[str, Law], depths: Array, impact: Impact) -> dict[str, Array]:
     """Returns by label the work of the force at rest up to each of ``depths``, one environment per depth [J]."""
     if not laws:
         return {}

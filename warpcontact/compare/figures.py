@@ -32,14 +32,14 @@ def check_count(kind: str, labels: Sequence[str]) -> None:
         raise ValueError(f"a picture shows at most {MOST} {kind}, got {len(labels)}: {', '.join(labels)}")
 
 
-def sheet(width: float, height: float, heading: Sequence[str], foot: Sequence[str]) -> Figure:
+def sheet(width: float, height: float, heading: Sequence[str], footer: Sequence[str]) -> Figure:
     """Returns an empty figure of ``width`` and ``height`` [in] with lines above and below, wrapped to fit."""
     figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
     # A formula is broken between its parts only, not inside of one.
     tied = [re.sub(r"(?<![,;:]) (?! )", "\N{NO-BREAK SPACE}", line) for line in heading]
     lines = [part for line in tied for part in textwrap.wrap(line, int(HEADING * width))]
-    below = [part for line in foot if line for part in textwrap.wrap(line, int(FOOT * width))]
+    below = [part for line in footer if line for part in textwrap.wrap(line, int(FOOT * width))]
     figure.suptitle("\n".join(lines), fontsize="large")
     figure.supxlabel("\n".join(below), fontsize="small", color="0.3")
     return figure
@@ -81,7 +81,7 @@ def legend_below(figure: Any, colors: Sequence[Any], names: Sequence[str]) -> No
     figure.legend(lines, names, loc="outside lower center", ncols=columns, frameon=False)
 
 
-def finish(axes: Any, title: str, x: str, y: str) -> None:
+def label_axes(axes: Any, title: str, x: str, y: str) -> None:
     """Labels a panel."""
     axes.set_title(title, fontsize="medium")
     axes.set_xlabel(x)
@@ -89,7 +89,7 @@ def finish(axes: Any, title: str, x: str, y: str) -> None:
     axes.grid(alpha=0.3)
 
 
-def family(figure: Any, count: int) -> Any:
+def panel_grid(figure: Any, count: int) -> Any:
     """Returns ``count`` panels with common axes, in rows."""
     rows = -(-count // COLUMNS)
     panels = figure.subplots(rows, min(count, COLUMNS), squeeze=False, sharex=True, sharey=True).ravel()

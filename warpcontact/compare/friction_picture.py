@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from warpcontact.compare import figures, samples
 from warpcontact.compare.labels import number, prefixed, titled
-from warpcontact.compare.slip import breakaways, own_speeds, slips, swings
+from warpcontact.compare.slip import breakaway_coefficients, friction_speeds, slips, swings
 from warpcontact.kernels.friction.base import Friction
 from warpcontact.kernels.keywords import explain_keywords
 
@@ -51,8 +51,8 @@ def plot_friction_models(
     options: dict[str, Any] = {"load": load, "device": device}
     swinging = swings(given, **options)
     # Close together where speeds are shown from zero, too.
-    near_zero = np.linspace(0.0, LINEAR * own_speeds(given, load)[1], 301)[1:]
-    held = breakaways(given, load, device)
+    near_zero = np.linspace(0.0, LINEAR * friction_speeds(given, load)[1], 301)[1:]
+    held = breakaway_coefficients(given, load, device)
     kinds = [samples.class_of(entry) for entry in given.values()]
     if len(given) == 1:
         turns = list(DIRECTIONS) if kinds[0].directional else [0]
@@ -81,8 +81,8 @@ def _one(
     held: dict[str, float],
 ) -> Figure:
     """Draws one friction, whose steady slip was measured in one direction or in all of ``DIRECTIONS``."""
-    foot = [_slip(swinging), *swinging["settings"].values, f"valid: {kind.validity}" if kind.validity else ""]
-    sheet = figures.sheet(15.0, 5.6, figures.heading(_titles(swinging)[0], kind.formula), foot)
+    footer = [_slip(swinging), *swinging["settings"].values, f"valid: {kind.validity}" if kind.validity else ""]
+    sheet = figures.sheet(15.0, 5.6, figures.heading(_titles(swinging)[0], kind.formula), footer)
     (figure,) = figures.parts(sheet, 1.0)
     panels = figure.subplots(1, 3)
     for measured, axes in ((even, panels[0]), (steady, panels[1])):
@@ -114,14 +114,14 @@ def _several(
     labels = steady["friction"].values.tolist()
     rows = -(-len(labels) // figures.COLUMNS)
     holding = _holding(held, [steady])
-    foot = [note, *_lines(swinging)]
+    footer = [note, *_lines(swinging)]
     if holding:
-        foot.insert(1, "dash-dotted: greatest force on a slow way from rest to steady slip")
+        footer.insert(1, "dash-dotted: greatest force on a slow way from rest to steady slip")
     if directional:
         names = " and ".join(directional)
-        foot.insert(1, f"slip is along the x axis of the surface; for {names} other directions differ")
-    height = 5.6 + 3.2 * rows + 0.15 * len(foot)
-    sheet = figures.sheet(16.0, height, ["The same slip:  " + ", ".join(labels)], foot)
+        footer.insert(1, f"slip is along the x axis of the surface; for {names} other directions differ")
+    height = 5.6 + 3.2 * rows + 0.15 * len(footer)
+    sheet = figures.sheet(16.0, height, ["The same slip:  " + ", ".join(labels)], footer)
     upper, lower = figures.parts(sheet, 4.2, 0.6 + 3.2 * rows)
     panels = upper.subplots(1, 3)
     colors = [figures.color(k) for k in range(len(labels))]
@@ -136,7 +136,7 @@ def _several(
     _finish(panels, [even], [steady], largest, holding, along=" along x" if directional else "")
     figures.legend_below(upper, colors, labels)
     shades = figures.shades(swinging.sizes["amplitude"])
-    for k, axes in enumerate(figures.family(lower, len(labels))):
+    for k, axes in enumerate(figures.panel_grid(lower, len(labels))):
         _draw_swings(axes, swinging.isel(friction=k), shades)
         _finish_swings(axes, swinging, labels[k])
         axes.title.set_color(colors[k])
@@ -177,8 +177,8 @@ def _finish(
     panels[1].set(xscale="log", ylim=(-0.02 * top, top))
     # Of one friction that tells directions apart, the steady slip is shown in several.
     steadily = "steady slip" + (along if len(even) == 1 else "")
-    figures.finish(panels[0], steadily, "slip speed [m/s]", y)
-    figures.finish(panels[1], f"{steadily}, logarithmic", "slip speed [m/s]", y)
+    figures.label_axes(panels[0], steadily, "slip speed [m/s]", y)
+    figures.label_axes(panels[1], f"{steadily}, logarithmic", "slip speed [m/s]", y)
     _finish_swings(panels[2], swinging, f"slip to and fro{along}")
 
 
@@ -187,7 +187,7 @@ def _finish_swings(axes: Any, swinging: xr.Dataset, title: str) -> None:
     top = max(float(np.abs(swinging["coefficient"]).max()), LEAST) * (1.0 + ROOM)
     axes.set_ylim(-top, top)
     axes.locator_params(axis="x", nbins=6)
-    figures.finish(axes, title, f"displacement [{unit}]", "friction force F/N against +x [-]")
+    figures.label_axes(axes, title, f"displacement [{unit}]", "friction force F/N against +x [-]")
 
 
 def _amplitudes(swinging: xr.Dataset) -> list[str]:

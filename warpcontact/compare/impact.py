@@ -9,14 +9,14 @@ import xarray as xr
 from warpcontact import checks
 from warpcontact._version import __version__
 from warpcontact.checks import Array
-from warpcontact.compare.drop import Case, Impact, Run, cases, drop, loss_values
+from warpcontact.compare.drop import Impact, LawCase, Run, cases, dissipation_values, drop
 from warpcontact.compare.labels import notes, settings
 from warpcontact.kernels.keywords import explain_keywords
 
 #: Restitutions that are asked for if none are given.
 RESTITUTIONS = tuple(round(0.05 * k, 2) for k in range(1, 21))
 # Laws whose depths are within this factor are run together where nothing is recorded over time.
-ALIKE = 2.0
+MAX_DEPTH_RATIO = 2.0
 # As the laws have it.
 ALLOWED = checks.limits("-", at_least=0.01, at_most=1.0)
 
@@ -61,11 +61,11 @@ def impacts(
         ValueError: If a value is out of range, or a class needs values that only its author knows.
     """
     impact = Impact(mass, speed, depth, device)
-    asked = asked_restitutions(restitution)
+    restitutions = check_restitutions(restitution)
     chosen = cases(laws, impact)
-    values = loss_values(chosen, asked, impact)
-    run = drop(chosen, values, np.full(len(asked), impact.speed), impact)
-    return _dataset(chosen, asked, values, run, impact)
+    values = dissipation_values(chosen, restitutions, impact)
+    run = drop(chosen, values, np.full(len(restitutions), impact.speed), impact)
+    return _dataset(chosen, restitutions, values, run, impact)
 
 
 @explain_keywords
@@ -100,16 +100,19 @@ def rebounds(
         ValueError: If a value is out of range, or a class needs values that only its author knows.
     """
     impact = Impact(mass, speed, depth, device)
-    asked = asked_restitutions(restitution)
-    every = impact.speed * np.geomspace(0.1, 10.0, 13) if speeds is None else speeds
-    every = checks.row("speeds", every, checks.limits("m/s", above=0.0))
+    restitutions = check_restitutions(restitution)
+    speed_values = impact.speed * np.geomspace(0.1, 10.0, 13) if speeds is None else speeds
+    speed_values = checks.row("speeds", speed_values, checks.limits("m/s", above=0.0))
     chosen = cases(laws, impact)
-    shape = len(asked), len(every)
-    values = {label: np.repeat(value, len(every)) for label, value in loss_values(chosen, asked, impact).items()}
+    shape = len(restitutions), len(speed_values)
+    values = {
+        label: np.repeat(value, len(speed_values))
+        for label, value in dissipation_values(chosen, restitutions, impact).items()
+    }
     found: dict[str, Array] = {}
-    for part in _alike(chosen):
+    for part in _by_depth(chosen):
         given = {label: value for label, value in values.items() if label in part}
-        found |= drop(part, given, np.tile(every, len(asked)), impact, record=False).rebound
+        found |= drop(part, given, np.tile(speed_values, len(restitutions)), impact, record=False).rebound
     rebound = np.array([found[label].reshape(shape) for label in chosen])
     return xr.Dataset(
         {
@@ -121,39 +124,39 @@ def rebounds(
         },
         coords={
             "law": list(chosen),
-            "restitution": ("restitution", asked, notes("-", "restitution asked for")),
-            "speed": ("speed", every, notes("m/s", "impact speed")),
+            "restitution": ("restitution", restitutions, notes("-", "restitution asked for")),
+            "speed": ("speed", speed_values, notes("m/s", "impact speed")),
         },
         attrs={"source": f"warpcontact {__version__}", "mass": impact.mass, "reference_speed": impact.speed},
     )
 
 
-def asked_restitutions(given: Any) -> Array:
+def check_restitutions(given: Any) -> Array:
     """Returns coefficients of restitution as an array, checked."""
     return checks.row("restitution", given, ALLOWED)
 
 
-def _alike(chosen: Mapping[str, Case]) -> list[dict[str, Case]]:
+def _by_depth(chosen: Mapping[str, LawCase]) -> list[dict[str, LawCase]]:
     """Returns ``chosen`` in parts of similar depth: the stiffest decides on the step, the softest on the end."""
-    parts: list[dict[str, Case]] = []
+    parts: list[dict[str, LawCase]] = []
     for label, case in sorted(chosen.items(), key=lambda item: item[1].depth):
-        if not parts or not case.depth <= ALIKE * next(iter(parts[-1].values())).depth:
+        if not parts or not case.depth <= MAX_DEPTH_RATIO * next(iter(parts[-1].values())).depth:
             parts.append({})
         parts[-1][label] = case
     return parts
 
 
 def _dataset(
-    chosen: Mapping[str, Case], asked: Array, values: Mapping[str, Array], run: Run, impact: Impact
+    chosen: Mapping[str, LawCase], restitutions: Array, values: Mapping[str, Array], run: Run, impact: Impact
 ) -> xr.Dataset:
     over_time, over_cases = ("law", "restitution", "time"), ("law", "restitution")
     delta, rate, force = (
         np.array([run.sensors[label][name].T for label in chosen])
         for name in ("penetration", "approach_speed", "normal_force")
     )
-    acting = force != 0.0
-    last = force.shape[-1] - 1 - acting[..., ::-1].argmax(axis=-1)
-    nothing = np.full(len(asked), np.nan)
+    has_force = force != 0.0
+    last = force.shape[-1] - 1 - has_force[..., ::-1].argmax(axis=-1)
+    no_value = np.full(len(restitutions), np.nan)
     variables = {
         "penetration": (over_time, delta, notes("m", "penetration")),
         "approach_speed": (over_time, rate, notes("m/s", "rate of penetration")),
@@ -173,7 +176,7 @@ def _dataset(
         ),
         "parameter": (
             over_cases,
-            np.array([values.get(label, nothing) for label in chosen]),
+            np.array([values.get(label, no_value) for label in chosen]),
             {"long_name": "value of the parameter that was varied; its name and unit are coordinates"},
         ),
     }
@@ -184,7 +187,7 @@ def _dataset(
         variables,
         coords={
             "law": list(chosen),
-            "restitution": ("restitution", asked, notes("-", "restitution asked for")),
+            "restitution": ("restitution", restitutions, notes("-", "restitution asked for")),
             "time": ("time", run.time, notes("s", "time since touch")),
             "varied": ("law", np.array(varied, object)),
             "unit": ("law", np.array(units, object)),
@@ -201,7 +204,7 @@ def _dataset(
     )
 
 
-def _depth(chosen: Mapping[str, Case], impact: Impact) -> dict[str, Any]:
+def _depth(chosen: Mapping[str, LawCase], impact: Impact) -> dict[str, Any]:
     """Returns the depth that the elastic parameters of classes were chosen for, and the law that it is of."""
     depth = next((case.depth for case in chosen.values() if not case.given), np.nan)
     if impact.depth is not None or np.isnan(depth):

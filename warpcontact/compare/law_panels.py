@@ -36,16 +36,16 @@ def draw_force(axes: Any, case: xr.Dataset, scales: Scales, **style: Any) -> Non
     axes.plot(scales.time * case["time"], scales.force * case["normal_force"], **style)
 
 
-def finish_loops(axes: Any, scales: Scales, title: str) -> None:
+def label_loops(axes: Any, scales: Scales, title: str) -> None:
     """Labels a panel of loops."""
-    figures.finish(axes, title, scales.depth_label, scales.force_label)
+    figures.label_axes(axes, title, scales.depth_label, scales.force_label)
 
 
-def finish_forces(axes: Any, cases: xr.Dataset, scales: Scales, title: str) -> None:
+def label_forces(axes: Any, cases: xr.Dataset, scales: Scales, title: str) -> None:
     """Labels a panel of forces over time, which ends a little after the longest of ``cases``."""
     end = scales.time * float(cases["contact_time"].max())
     axes.set_xlim(-0.5 * AFTER * end, (1.0 + AFTER) * end)
-    figures.finish(axes, title, scales.time_label, scales.force_label)
+    figures.label_axes(axes, title, scales.time_label, scales.force_label)
 
 
 def draw_restitution(axes: Any, law: xr.Dataset, marked: Sequence[float], colors: Any) -> None:
@@ -63,7 +63,7 @@ def draw_restitution(axes: Any, law: xr.Dataset, marked: Sequence[float], colors
         title, x = "effective restitution (dotted: as asked for)", "restitution asked for [-]"
     else:
         title, x = f"effective restitution over {varied}", f"{varied} [{unit}]"
-    figures.finish(axes, title, x, "effective restitution [-]")
+    figures.label_axes(axes, title, x, "effective restitution [-]")
 
 
 def draw_over_speed(axes: Any, rebound: xr.DataArray, **style: Any) -> None:
@@ -71,10 +71,10 @@ def draw_over_speed(axes: Any, rebound: xr.DataArray, **style: Any) -> None:
     axes.plot(rebound["speed"], rebound, **style, marker=".", markersize=4)
 
 
-def finish_over_speed(axes: Any, title: str) -> None:
+def label_over_speed(axes: Any, title: str) -> None:
     """Labels a panel of restitution over impact speed."""
     axes.set(xscale="log", ylim=(0.0, 1.04))
-    figures.finish(axes, title, "impact speed [m/s]", "effective restitution [-]")
+    figures.label_axes(axes, title, "impact speed [m/s]", "effective restitution [-]")
 
 
 def draw_asked(axes: Any, effective: xr.DataArray, **style: Any) -> None:
@@ -82,12 +82,12 @@ def draw_asked(axes: Any, effective: xr.DataArray, **style: Any) -> None:
     axes.plot(effective["restitution"], effective, **style)
 
 
-def finish_asked(axes: Any) -> None:
+def label_asked(axes: Any) -> None:
     """Labels a panel of effective restitution over that asked for."""
     axes.plot([0.0, 1.0], [0.0, 1.0], color="0.5", linestyle=":", zorder=0)
     axes.set(xlim=(0.0, 1.04), ylim=(0.0, 1.04))
     title = "effective restitution (dotted: as asked for)"
-    figures.finish(axes, title, "restitution asked for [-]", "effective restitution [-]")
+    figures.label_axes(axes, title, "restitution asked for [-]", "effective restitution [-]")
 
 
 def _closed(case: xr.Dataset) -> tuple[Any, Any]:

@@ -7,7 +7,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from warpcontact.compare import figures, law_panels, samples
-from warpcontact.compare.impact import RESTITUTIONS, asked_restitutions, impacts, rebounds
+from warpcontact.compare.impact import RESTITUTIONS, check_restitutions, impacts, rebounds
 from warpcontact.compare.labels import number, titled
 from warpcontact.compare.law_panels import Scales
 from warpcontact.kernels.keywords import explain_keywords
@@ -54,16 +54,18 @@ def plot_laws(
     given = samples.named(Law, laws)
     figures.check_count("laws", list(given))
     options: dict[str, Any] = {"mass": mass, "speed": speed, "depth": depth, "device": device}
-    drawn = np.unique(asked_restitutions(restitution))
+    drawn = np.unique(check_restitutions(restitution))
     data = impacts(given, np.union1d(RESTITUTIONS, drawn), **options)
-    note = _impact(data, [label for label, entry in given.items() if samples.has_modulus(entry)])
+    note = _impact(data, [label for label, entry in given.items() if samples.is_modulus_given(entry)])
     if len(given) == 1:
         kind = samples.class_of(next(iter(given.values())))
         below = drawn[drawn < 1.0]
         over_speed = rebounds(given, below if len(below) else drawn, **options)
         heading = figures.heading(_titles(data)[0], kind.formula)
-        foot = [note, data["settings"].item(), f"valid: {kind.validity}" if kind.validity else ""]
-        figure = (_one if data["varied"].item() else _unvaried)(heading, foot, data.isel(law=0), drawn, over_speed)
+        footer = [note, data["settings"].item(), f"valid: {kind.validity}" if kind.validity else ""]
+        figure = (_one if data["varied"].item() else _unvaried)(
+            heading, footer, data.isel(law=0), drawn, over_speed
+        )
     else:
         figure = _several(note, data, drawn, rebounds(given, drawn[(len(drawn) - 1) // 2], **options))
     if file is not None:
@@ -71,10 +73,10 @@ def plot_laws(
     return figure
 
 
-def _one(heading: list[str], foot: list[str], law: xr.Dataset, drawn: Any, over_speed: xr.Dataset) -> Figure:
+def _one(heading: list[str], footer: list[str], law: xr.Dataset, drawn: Any, over_speed: xr.Dataset) -> Figure:
     """Draws one law with its loops for the restitutions ``drawn``."""
     cases = law.sel(restitution=drawn)
-    sheet = figures.sheet(12.0, 9.5, heading, foot)
+    sheet = figures.sheet(12.0, 9.5, heading, footer)
     (figure,) = figures.parts(sheet, 1.0)
     panels = figure.subplots(2, 2)
     scales, colors = Scales(cases), figures.shades(cases.sizes["restitution"])
@@ -82,29 +84,31 @@ def _one(heading: list[str], foot: list[str], law: xr.Dataset, drawn: Any, over_
         case = cases.isel(restitution=k)
         law_panels.draw_loop(panels[0, 0], case, scales, color=shade)
         law_panels.draw_force(panels[0, 1], case, scales, color=shade)
-    law_panels.finish_loops(panels[0, 0], scales, "force over penetration")
-    law_panels.finish_forces(panels[0, 1], cases, scales, "force over time")
+    law_panels.label_loops(panels[0, 0], scales, "force over penetration")
+    law_panels.label_forces(panels[0, 1], cases, scales, "force over time")
     law_panels.draw_restitution(panels[1, 0], law, drawn, colors)
     for shade, asked in zip(colors, over_speed["restitution"].values, strict=False):
         values = over_speed["effective_restitution"].isel(law=0).sel(restitution=asked)
         law_panels.draw_over_speed(panels[1, 1], values, color=shade)
-    law_panels.finish_over_speed(panels[1, 1], "restitution over impact speed")
+    law_panels.label_over_speed(panels[1, 1], "restitution over impact speed")
     figures.legend_below(figure, colors, [_case_name(cases.isel(restitution=k)) for k in range(len(colors))])
     return sheet
 
 
-def _unvaried(heading: list[str], foot: list[str], law: xr.Dataset, drawn: Any, over_speed: xr.Dataset) -> Figure:
+def _unvaried(
+    heading: list[str], footer: list[str], law: xr.Dataset, drawn: Any, over_speed: xr.Dataset
+) -> Figure:
     """Draws one law that is the same whatever is asked for: elastic, or with a restitution of its own."""
     case = law.sel(restitution=drawn[-1])
-    figure = figures.sheet(15.0, 5.6, heading, foot)
+    figure = figures.sheet(15.0, 5.6, heading, footer)
     panels = figure.subplots(1, 3)
     scales, color = Scales(case), figures.color(0)
     law_panels.draw_loop(panels[0], case, scales, color=color)
     law_panels.draw_force(panels[1], case, scales, color=color)
     law_panels.draw_over_speed(panels[2], over_speed["effective_restitution"][0, 0], color=color)
-    law_panels.finish_loops(panels[0], scales, "force over penetration, " + _effective(case))
-    law_panels.finish_forces(panels[1], case, scales, "force over time")
-    law_panels.finish_over_speed(panels[2], f"restitution over impact speed, {_effective(case)} at {_speed(law)}")
+    law_panels.label_loops(panels[0], scales, "force over penetration, " + _effective(case))
+    law_panels.label_forces(panels[1], case, scales, "force over time")
+    law_panels.label_over_speed(panels[2], f"restitution over impact speed, {_effective(case)} at {_speed(law)}")
     return figure
 
 
@@ -114,9 +118,9 @@ def _several(note: str, data: xr.Dataset, drawn: Any, over_speed: xr.Dataset) ->
     middle = over_speed["restitution"].item()
     loops, same = data.sel(restitution=drawn), data.sel(restitution=middle)
     rows = -(-len(labels) // figures.COLUMNS)
-    foot = [note, *(_settings(loops.isel(law=k), title) for k, title in enumerate(_titles(data)))]
-    height = 5.6 + 3.2 * rows + 0.15 * len(foot)
-    figure = figures.sheet(16.0, height, ["The same impact:  " + ", ".join(labels)], foot)
+    footer = [note, *(_settings(loops.isel(law=k), title) for k, title in enumerate(_titles(data)))]
+    height = 5.6 + 3.2 * rows + 0.15 * len(footer)
+    figure = figures.sheet(16.0, height, ["The same impact:  " + ", ".join(labels)], footer)
     upper, lower = figures.parts(figure, 4.2, 0.6 + 3.2 * rows)
     panels = upper.subplots(1, 4)
     scales, colors = Scales(loops), [figures.color(k) for k in range(len(labels))]
@@ -128,10 +132,10 @@ def _several(note: str, data: xr.Dataset, drawn: Any, over_speed: xr.Dataset) ->
         line = "-" if same["varied"].values[k] else "--"
         law_panels.draw_asked(panels[2], data["effective_restitution"].isel(law=k), linestyle=line, **style)
     e = f"e = {middle:g}" if any(same["varied"].values) else "e as below"
-    law_panels.finish_loops(panels[0], scales, f"force over penetration, {e}")
-    law_panels.finish_forces(panels[1], same, scales, f"force over time, {e}")
-    law_panels.finish_asked(panels[2])
-    law_panels.finish_over_speed(panels[3], f"over speed, {e} at {_speed(data)}")
+    law_panels.label_loops(panels[0], scales, f"force over penetration, {e}")
+    law_panels.label_forces(panels[1], same, scales, f"force over time, {e}")
+    law_panels.label_asked(panels[2])
+    law_panels.label_over_speed(panels[3], f"over speed, {e} at {_speed(data)}")
     figures.legend_below(upper, colors, [_name(same.isel(law=k)) for k in range(len(labels))])
     _draw_families(lower, loops, scales)
     return figure
@@ -140,14 +144,14 @@ def _several(note: str, data: xr.Dataset, drawn: Any, over_speed: xr.Dataset) ->
 def _draw_families(figure: Any, loops: xr.Dataset, scales: Scales) -> None:
     """Draws the loops of every law in a panel of its own, all with the same axes."""
     colors = figures.shades(loops.sizes["restitution"])
-    for k, axes in enumerate(figures.family(figure, loops.sizes["law"])):
+    for k, axes in enumerate(figures.panel_grid(figure, loops.sizes["law"])):
         law = loops.isel(law=k)
         if law["varied"].item():
             for j, shade in enumerate(colors):
                 law_panels.draw_loop(axes, law.isel(restitution=j), scales, color=shade)
         else:
             law_panels.draw_loop(axes, law.isel(restitution=-1), scales, color=UNVARIED)
-        law_panels.finish_loops(axes, scales, _name(law.isel(restitution=-1)))
+        law_panels.label_loops(axes, scales, _name(law.isel(restitution=-1)))
         axes.title.set_color(figures.color(k))
         if k % figures.COLUMNS:
             axes.set_ylabel("")

@@ -90,10 +90,10 @@ def values_of(entry: Any) -> dict[str, Any] | None:
     return {} if isinstance(entry, type) else None
 
 
-def has_modulus(entry: Any) -> bool:
+def is_modulus_given(entry: Any) -> bool:
     """Returns whether the elastic parameter of a law is given, not to be chosen."""
     given = values_of(entry)
-    return given is None or not any(name in MODULI for name in _chosen(class_of(entry), given))
+    return given is None or not any(name in MODULI for name in _default_parameters(class_of(entry), given))
 
 
 def law(entry: Any, modulus: float, depth: float) -> Law:
@@ -120,8 +120,10 @@ def law(entry: Any, modulus: float, depth: float) -> Law:
         "restitution": 0.5,
         **dict.fromkeys(MODULI, modulus),
     }
-    values = {name: 0.0 if is_damping(kind, name) else sizes.get(name) for name in _chosen(kind, given)}
-    return _with_area(_made(kind, values | given))
+    values = {
+        name: 0.0 if is_damping(kind, name) else sizes.get(name) for name in _default_parameters(kind, given)
+    }
+    return _with_area(_instantiate(kind, values | given))
 
 
 def friction(entry: Any, load: float, patch_radius: float) -> Friction:
@@ -147,9 +149,9 @@ def friction(entry: Any, load: float, patch_radius: float) -> Friction:
         "N·s/m": load / DRAG_SPEED,
         "m/s": SPEED,
     }
-    chosen = _chosen(kind, given)
+    chosen = _default_parameters(kind, given)
     values = {name: COEFFICIENTS.get(name, by_unit.get(kind.limits(name)["unit"])) for name in chosen}
-    return _with_area(_made(kind, values | given))
+    return _with_area(_instantiate(kind, values | given))
 
 
 def coefficients_chosen(entries: Iterable[Any]) -> str:
@@ -158,7 +160,7 @@ def coefficients_chosen(entries: Iterable[Any]) -> str:
         name
         for entry in entries
         if (given := values_of(entry)) is not None
-        for name in _chosen(class_of(entry), given)
+        for name in _default_parameters(class_of(entry), given)
     }
     by_value: dict[float, list[str]] = {}
     for name, value in COEFFICIENTS.items():
@@ -167,7 +169,7 @@ def coefficients_chosen(entries: Iterable[Any]) -> str:
     return ", ".join(f"{' = '.join(names)} = {value:g}" for value, names in by_value.items())
 
 
-def _chosen(kind: type[Formula], given: Mapping[str, Any]) -> list[str]:
+def _default_parameters(kind: type[Formula], given: Mapping[str, Any]) -> list[str]:
     """Returns the parameters without a value that need one; of those of which one is needed, one."""
     names = [field.name for field in dataclasses.fields(kind) if field.default is dataclasses.MISSING]
     group = kind.exactly_one_of
@@ -176,7 +178,7 @@ def _chosen(kind: type[Formula], given: Mapping[str, Any]) -> list[str]:
     return [name for name in names if name not in given]
 
 
-def _made(kind: Any, values: Mapping[str, float | None]) -> Any:
+def _instantiate(kind: Any, values: Mapping[str, float | None]) -> Any:
     unknown = [name for name, value in values.items() if value is None]
     if unknown:
         raise MissingValues(kind.__name__, unknown)
@@ -194,7 +196,7 @@ def is_damping(kind: type[Formula], name: str) -> bool:
     return limits["at_least"] == 0.0 and (limits["unit"] in DAMPING_UNITS or name == DAMPING_RATIO)
 
 
-def loss_parameter(made: Law) -> str | None:
+def dissipation_parameter(made: Law) -> str | None:
     """Returns the parameter that decides how much an impact loses: the restitution, else a damping, if any."""
     given = made.parameters()
     if "restitution" in given:

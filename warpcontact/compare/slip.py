@@ -26,17 +26,17 @@ from warpcontact.scene import ContactMaterial, Scene
 from warpcontact.simulation import Simulation
 
 # Mass of a sphere [kg]: 10 N for 1000 s change its speed by 1e-8 m/s.
-HEAVY = 1.0e12
+SPHERE_MASS = 1.0e12
 # Radius of the spheres, and how deep they lie in the plate [m].
 RADIUS, DEPTH = 0.05, 1.0e-5
 # Slip speeds that are shown of friction models that have none of their own [m/s].
-USUAL_SPEEDS = (1.0e-3, 1.0e-1)
+DEFAULT_SPEEDS = (1.0e-3, 1.0e-1)
 # Amplitude of a swing for friction models that follow the slip speed at once [m].
-USUAL_AMPLITUDE = 1.0e-3
+DEFAULT_AMPLITUDE = 1.0e-3
 # Swings in terms of the largest one.
-SWINGS = (0.1, 0.3, 1.0)
+RELATIVE_AMPLITUDES = (0.1, 0.3, 1.0)
 # The largest swing in terms of the distance after which a friction that remembers yields.
-YIELDS = 6.0
+AMPLITUDE_RATIO = 6.0
 # Slip distances that a friction may need to yield [m], and the growth from step to step.
 SHORTEST, LONGEST, GROWTH = 1.0e-9, 1.0e-1, 1.2
 # Growth where the greatest force is looked for, and from and up to where, in terms of the distance to yield.
@@ -78,19 +78,19 @@ def slips(
     """
     chosen, load = _chosen(friction_models, load)
     if speeds is None:
-        slow, fast = own_speeds(chosen, load)
-        every = np.geomspace(slow / 50.0, 10.0 * fast, 181)
+        slow, fast = friction_speeds(chosen, load)
+        speed_values = np.geomspace(slow / 50.0, 10.0 * fast, 181)
     else:
-        every = checks.row("speeds", speeds, checks.limits("m/s", above=0.0))
-    turn = float(checks.numbers("direction", direction, (), checks.limits("rad")))
-    forward = np.array([np.cos(turn), np.sin(turn), 0.0])
-    model = _model(chosen, load, every[:, None] * forward, device)
-    _slide(model, _settling(chosen, load, device) / every.min(), every.max())
+        speed_values = checks.row("speeds", speeds, checks.limits("m/s", above=0.0))
+    angle = float(checks.numbers("direction", direction, (), checks.limits("rad")))
+    forward = np.array([np.cos(angle), np.sin(angle), 0.0])
+    model = _model(chosen, load, speed_values[:, None] * forward, device)
+    _slide(model, _settling(chosen, load, device) / speed_values.min(), speed_values.max())
     force = np.array([model.sensor(f"touch_{k}.friction_force") @ forward for k in range(len(chosen))])
     return xr.Dataset(
         {"coefficient": (("friction", "speed"), 0.0 - force / load, notes("-", "coefficient of friction"))},
-        coords=_coordinates(chosen) | {"speed": ("speed", every, notes("m/s", "slip speed"))},
-        attrs={"source": f"warpcontact {__version__}", "load": load, "direction": turn},
+        coords=_coordinates(chosen) | {"speed": ("speed", speed_values, notes("m/s", "slip speed"))},
+        attrs={"source": f"warpcontact {__version__}", "load": load, "direction": angle},
     )
 
 
@@ -125,29 +125,32 @@ def swings(
         ValueError: If a value is out of range, or a class needs values that only its author knows.
     """
     chosen, load = _chosen(friction_models, load)
-    fast = 3.0 * own_speeds(chosen, load)[1] if speed is None else speed
+    fast = 3.0 * friction_speeds(chosen, load)[1] if speed is None else speed
     fast = float(checks.numbers("speed", fast, (), checks.limits("m/s", above=0.0)))
     if amplitude is None:
-        largest = YIELDS * max(_yield_distances(chosen, load, device).values()) or USUAL_AMPLITUDE
-        sizes = np.array(SWINGS) * float(f"{largest:.0e}")  # a round number
+        largest = AMPLITUDE_RATIO * max(_yield_distances(chosen, load, device).values()) or DEFAULT_AMPLITUDE
+        sizes = np.array(RELATIVE_AMPLITUDES) * float(f"{largest:.0e}")  # a round number
     else:
         sizes = checks.row("amplitude", amplitude, checks.limits("m", above=0.0))
     omega = fast / sizes.max()
     dt = 2.0 * np.pi / omega / SWING_STEPS
-    place = -np.cos(2.0 * np.pi * np.arange(round(PERIODS * SWING_STEPS) + 1) / SWING_STEPS)
-    speeds = np.diff(place, prepend=place[0]) / dt
+    displacements = -np.cos(2.0 * np.pi * np.arange(round(PERIODS * SWING_STEPS) + 1) / SWING_STEPS)
+    speeds = np.diff(displacements, prepend=displacements[0]) / dt
     model = _model(chosen, load, np.zeros((len(sizes), 3)), device)
     simulation = Simulation(model, dt)
     forces = [f"touch_{k}.friction_force" for k in range(len(chosen))]
-    recorder = Recorder(model, [*forces, "ball_0.position"], frames=len(place), poses=False)
+    recorder = Recorder(model, [*forces, "ball_0.position"], frames=len(displacements), poses=False)
     recorder.start()
     state = np.zeros((2, len(sizes), len(chosen), 3))
     state[0, ..., 2] = RADIUS - DEPTH
-    for frame in range(len(place)):
+    for frame in range(len(displacements)):
         if frame:
             simulation.step()
         # Place and speed of this frame, as a step with that speed would have made them.
-        state[0, ..., 0], state[1, ..., 0] = (sizes * place[frame])[:, None], (sizes * speeds[frame])[:, None]
+        state[0, ..., 0], state[1, ..., 0] = (
+            (sizes * displacements[frame])[:, None],
+            (sizes * speeds[frame])[:, None],
+        )
         for part, own in model.shares():
             part.state.body_position.assign(state[0, own])
             part.state.body_linear_velocity.assign(state[1, own])
@@ -180,24 +183,24 @@ def _chosen(friction_models: Any, load: float) -> tuple[dict[str, Friction], flo
     return {label: samples.friction(friction, load, patch) for label, friction in given.items()}, load
 
 
-def breakaways(friction_models: Any, load: float, device: str) -> dict[str, float]:
+def breakaway_coefficients(friction_models: Any, load: float, device: str) -> dict[str, float]:
     """Returns by label the greatest coefficient on a slow way from rest, of friction models that do not yield at once.
 
     What holds a body at rest does not show in steady slip.
     """
     chosen, load = _chosen(friction_models, load)
-    reach = _yield_distances(chosen, load, device)
-    yielding = {label: friction for label, friction in chosen.items() if reach[label] > 0.0}
+    yield_distances = _yield_distances(chosen, load, device)
+    yielding = {label: friction for label, friction in chosen.items() if yield_distances[label] > 0.0}
     if not yielding:
         return {}
-    first, last = (extreme(reach[label] for label in yielding) for extreme in (min, max))
+    first, last = (extreme(yield_distances[label] for label in yielding) for extreme in (min, max))
     count = np.log(BEYOND * last / (BEFORE * first)) / np.log(FINE_GROWTH)
     distances = BEFORE * first * FINE_GROWTH ** np.arange(count)
     greatest = _from_rest(yielding, load, device, distances).max(axis=0)
     return dict(zip(yielding, greatest.tolist(), strict=True))
 
 
-def own_speeds(friction_models: Any, load: float) -> tuple[float, float]:
+def friction_speeds(friction_models: Any, load: float) -> tuple[float, float]:
     """Returns the lowest and the highest slip speed that friction models have as parameters [m/s]."""
     chosen, _ = _chosen(friction_models, load)
     own = [
@@ -206,7 +209,7 @@ def own_speeds(friction_models: Any, load: float) -> tuple[float, float]:
         for name, value in friction.parameters().items()
         if friction.limits(name)["unit"] == "m/s" and value > 0.0
     ]
-    return (min(own), max(own)) if own else USUAL_SPEEDS
+    return (min(own), max(own)) if own else DEFAULT_SPEEDS
 
 
 def _from_rest(chosen: Mapping[str, Friction], load: float, device: str, distances: Array) -> Array:
@@ -215,7 +218,7 @@ def _from_rest(chosen: Mapping[str, Friction], load: float, device: str, distanc
     The slip is slow against the speeds that the friction models name, but for those that follow it at once it does not
     matter how slow.
     """
-    speed = own_speeds(chosen, load)[0]
+    speed = friction_speeds(chosen, load)[0]
     model = _model(chosen, load, np.array([[speed, 0.0, 0.0]]), device)
     forces = []
     for travel in np.diff(distances, prepend=0.0):
@@ -227,11 +230,11 @@ def _from_rest(chosen: Mapping[str, Friction], load: float, device: str, distanc
 def _yield_distances(chosen: Mapping[str, Friction], load: float, device: str) -> dict[str, float]:
     """Returns by label the slip from rest after which a friction reaches 2/3 of its force; 0: it does at once."""
     distances = SHORTEST * GROWTH ** np.arange(np.log(LONGEST / SHORTEST) / np.log(GROWTH))
-    reach = {}
+    yield_distances = {}
     for label, force in zip(chosen, _from_rest(chosen, load, device, distances).T, strict=True):
         first = int(np.argmax(force >= 2.0 / 3.0 * force.max()))
-        reach[label] = float(distances[first]) if first else 0.0
-    return reach
+        yield_distances[label] = float(distances[first]) if first else 0.0
+    return yield_distances
 
 
 def _settling(chosen: Mapping[str, Friction], load: float, device: str) -> float:
@@ -251,10 +254,12 @@ def _slide(model: Environments, duration: float, fastest: float) -> None:
 
 def _model(chosen: Mapping[str, Friction], load: float, velocity: Array, device: str) -> Environments:
     """Returns spheres pressed on a plate with ``load`` [N] that slide with ``velocity`` (env, 3) [m/s]."""
-    scene = Scene(gravity=(0.0, 0.0, -load / HEAVY))
+    scene = Scene(gravity=(0.0, 0.0, -load / SPHERE_MASS))
     plate = scene.add_surface(grid((1.0e4, 1.0e4)), name="plate")
     for k, friction in enumerate(chosen.values()):
-        ball = scene.add_body(HEAVY, [HEAVY] * 3, position=(0.0, 0.0, RADIUS - DEPTH), name=f"ball_{k}")
+        ball = scene.add_body(
+            SPHERE_MASS, [SPHERE_MASS] * 3, position=(0.0, 0.0, RADIUS - DEPTH), name=f"ball_{k}"
+        )
         material = ContactMaterial(law=Hooke(stiffness=load / DEPTH), friction=friction)
         centre = scene.add_point(ball, (0.0, 0.0, 0.0))
         scene.add_contact(centre, plate, material, radius=RADIUS, name=f"touch_{k}")

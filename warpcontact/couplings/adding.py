@@ -25,7 +25,7 @@ from warpcontact.couplings.elements import (
     SpringDamper,
 )
 from warpcontact.elements import Points, Surface
-from warpcontact.frames import placed
+from warpcontact.frames import transform_points
 from warpcontact.kernels import springs
 from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.kernels.springs import Damper, Spring
@@ -321,5 +321,5 @@ def place_of(point: Points) -> Array:
     """Returns where a point is in the scene, world [m]."""
     place = point.places
     if point.body is not None:
-        place = placed(place, point.body.position, point.body.orientation)
+        place = transform_points(place, point.body.position, point.body.orientation)
     return place[0]

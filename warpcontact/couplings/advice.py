@@ -6,7 +6,7 @@ import numpy as np
 
 from warpcontact.checks import Array
 from warpcontact.couplings.elements import Catenary, Coupling, SpringDamper
-from warpcontact.frames import placed
+from warpcontact.frames import transform_points
 from warpcontact.mobility import mobility_along
 
 if TYPE_CHECKING:
@@ -14,14 +14,14 @@ if TYPE_CHECKING:
     from warpcontact.environments import Environments
 
 # Steps per period from which on a spring swings as in closed form, to about a hundredth.
-ENOUGH_STEPS = 20.0
+MIN_STEPS_PER_PERIOD = 20.0
 # What a damper may take of a velocity in a step: from twice this on it turns it round, ever faster.
-MOST_DAMPED = 1.0
+MAX_DAMPING = 1.0
 # Part of the length of a line by which an end may lie below its floor: an anchor may be buried a little.
-BURIED = 0.01
+MAX_BURIED_DEPTH = 0.01
 
 
-def coupling_advice(model: "Environments", dt: float) -> list[str]:
+def coupling_warnings(model: "Environments", dt: float) -> list[str]:
     """Returns what to say about the start of a model, a sentence or two per coupling.
 
     Estimates from stiffness and damping at the initial length and at rest, and from the masses that both bodies
@@ -30,13 +30,13 @@ def coupling_advice(model: "Environments", dt: float) -> list[str]:
     sentences = []
     for coupling in model.scene.couplings:
         if isinstance(coupling, SpringDamper):
-            sentences += _about_spring(model, coupling, dt)
+            sentences += _spring_warnings(model, coupling, dt)
         elif isinstance(coupling, Catenary):
-            sentences += _about_line(model, coupling, dt) + _about_floor(model, coupling)
+            sentences += _catenary_warnings(model, coupling, dt) + _floor_warnings(model, coupling)
     return sentences
 
 
-def _about_spring(model: "Environments", coupling: SpringDamper, dt: float) -> list[str]:
+def _spring_warnings(model: "Environments", coupling: SpringDamper, dt: float) -> list[str]:
     length, mobility = _along(model, coupling)
     rest = model[f"{coupling.name}.rest_length"]
     sentences = []
@@ -44,26 +44,26 @@ def _about_spring(model: "Environments", coupling: SpringDamper, dt: float) -> l
     if stiffness is not None:
         turning = np.sqrt(stiffness * mobility)
         worst = int(np.argmax(turning))
-        if turning[worst] * dt * ENOUGH_STEPS > 2.0 * np.pi:
+        if turning[worst] * dt * MIN_STEPS_PER_PERIOD > 2.0 * np.pi:
             period = 2.0 * np.pi / turning[worst]
             sentences.append(
                 f"{coupling.name}: dt = {dt:g} s is too long: a period takes {period:.2g} s in environment "
-                f"{model.first_env + worst}, {period / dt:.1f} steps; take dt ≤ {period / ENOUGH_STEPS:.2g} s for "
-                f"{ENOUGH_STEPS:g}"
+                f"{model.first_env + worst}, {period / dt:.1f} steps; take dt ≤ {period / MIN_STEPS_PER_PERIOD:.2g} s for "
+                f"{MIN_STEPS_PER_PERIOD:g}"
             )
     if damping is not None:
         rate = damping * mobility
         worst = int(np.argmax(rate))
-        if rate[worst] * dt > MOST_DAMPED:
+        if rate[worst] * dt > MAX_DAMPING:
             sentences.append(
                 f"{coupling.name}: dt = {dt:g} s is too long for its damping, which takes {rate[worst] * dt:.2g} "
                 f"times a velocity in a step in environment {model.first_env + worst}; take dt ≤ "
-                f"{0.1 * MOST_DAMPED / rate[worst]:.2g} s"
+                f"{0.1 * MAX_DAMPING / rate[worst]:.2g} s"
             )
     return sentences
 
 
-def _about_line(model: "Environments", line: Catenary, dt: float) -> list[str]:
+def _catenary_warnings(model: "Environments", line: Catenary, dt: float) -> list[str]:
     length, stiffness = (model[f"{line.name}.{key}"] for key in ("length", "axial_stiffness"))
     turning = np.sqrt(stiffness / length * _along(model, line)[1])
     worst = int(np.argmax(turning))
@@ -72,12 +72,12 @@ def _about_line(model: "Environments", line: Catenary, dt: float) -> list[str]:
     period = 2.0 * np.pi / turning[worst]
     return [
         f"{line.name}: dt = {dt:g} s is too long where the line is taut: a period takes {period:.2g} s then in "
-        f"environment {model.first_env + worst}, {period / dt:.1f} steps; take dt ≤ {period / ENOUGH_STEPS:.2g} s "
-        f"for {ENOUGH_STEPS:g}"
+        f"environment {model.first_env + worst}, {period / dt:.1f} steps; take dt ≤ {period / MIN_STEPS_PER_PERIOD:.2g} s "
+        f"for {MIN_STEPS_PER_PERIOD:g}"
     ]
 
 
-def _about_floor(model: "Environments", line: Catenary) -> list[str]:
+def _floor_warnings(model: "Environments", line: Catenary) -> list[str]:
     if line.floor is None:
         return []
     gravity = model["scene.gravity"]
@@ -89,7 +89,7 @@ def _about_floor(model: "Environments", line: Catenary) -> list[str]:
         height = (_place_and_arm(model, point)[0] * upright).sum(axis=1)
         depth = np.where(size > 0.0, floor - height, 0.0)  # without gravity nothing is below anything
         worst = int(np.argmax(depth / length))
-        if depth[worst] > BURIED * length[worst]:
+        if depth[worst] > MAX_BURIED_DEPTH * length[worst]:
             sentences.append(
                 f"{line.name}: its {key} {point.name!r} lies {depth[worst]:.3g} m below its floor in environment "
                 f"{model.first_env + worst}, and is taken to be on it; floor = {floor[worst]:g} m is a height "
@@ -101,8 +101,8 @@ def _about_floor(model: "Environments", line: Catenary) -> list[str]:
 def _along(model: "Environments", coupling: Coupling) -> tuple[Array, Array]:
     """Returns the distance of the ends at the start [m], and the mobility along the line between them [1/kg]."""
     points = (coupling.point_a, coupling.point_b)
-    (place_a, arm_a), (place_b, arm_b) = (_place_and_arm(model, point) for point in points)
-    apart = place_b - place_a
+    (position_a, arm_a), (position_b, arm_b) = (_place_and_arm(model, point) for point in points)
+    apart = position_b - position_a
     length = np.linalg.norm(apart, axis=1)
     direction = np.where(length[:, None] > 0.0, apart / np.where(length > 0.0, length, 1.0)[:, None], (0, 0, 1.0))
     mobility = _mobility(model, points[0], arm_a, direction) + _mobility(model, points[1], arm_b, direction)
@@ -129,11 +129,11 @@ def _place_and_arm(model: "Environments", point: "Points") -> tuple[Array, Array
         scale, position, orientation = (
             model[f"{point.surface.name}.{key}"] for key in ("scale", "position", "orientation")
         )
-        place = placed(scale[:, None, None] * place, position, orientation)
+        place = transform_points(scale[:, None, None] * place, position, orientation)
     if point.body is None:
         return place[:, 0], np.zeros((model.envs, 3))
     centre, turn = (model[f"{point.body.name}.{key}"] for key in ("position", "orientation"))
-    arm = placed(place, np.zeros_like(centre), turn)[:, 0]
+    arm = transform_points(place, np.zeros_like(centre), turn)[:, 0]
     return centre + arm, arm
 
 

@@ -18,10 +18,10 @@ from warpcontact.frames import inverse, product
 from warpcontact.kernels.couplings import bushing
 
 if TYPE_CHECKING:
-    from warpcontact.arrays import Layout
+    from warpcontact.arrays import AllocationPlan
     from warpcontact.elements import Body
     from warpcontact.parameters import Parameters
-    from warpcontact.schedule import Span
+    from warpcontact.schedule import ExecutionPlan
 
 _RANGES = {
     "stiffness": elements.STIFFNESS,
@@ -50,7 +50,7 @@ class BushingSet(CouplingSet):
         """What was measured last."""
         return self._bushings
 
-    def _make(self, layout: "Layout", parameters: "Parameters") -> None:
+    def _make(self, layout: "AllocationPlan", parameters: "Parameters") -> None:
         t = bushing.bushing_structs(self.types.real)
         self._bushings = layout.struct("couplings", t.Bushings, per_env(self.count), transient=True)
         self._owner = SimpleNamespace(settings=None)
@@ -65,11 +65,11 @@ class BushingSet(CouplingSet):
 
         self._add_settings(parameters, self._owner, t.Settings, _RANGES, computed)
 
-    def force_stages(self, span: "Span", state: Any, status: wp.array) -> list[wp.Launch]:
+    def force_stages(self, plan: "ExecutionPlan", state: Any, status: wp.array) -> list[wp.Launch]:
         """Returns the launch of the forces of its bushings."""
-        a, kernel = span.model.arrays, bushing.kernel(self.types.real)
-        inputs = [status, a.model, state, self.first, self._owner.settings, self._bushings, a.ends]
-        return span.prepare(kernel, self.count, inputs)
+        a, kernel = plan.model.arrays, bushing.kernel(self.types.real)
+        inputs = [status, a.model, state, self.first, self._owner.settings, self._bushings, a.coupling_wrenches]
+        return plan.prepare(kernel, self.count, inputs)
 
 
 def _orientation(body: "Body | None") -> Array:

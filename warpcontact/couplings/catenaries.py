@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from warpcontact import elements as limits_of
 from warpcontact.allocation import COUNT, SWITCH
 from warpcontact.arrays import per_env
-from warpcontact.captures import beside_captures
+from warpcontact.captures import shared_capture_lock
 from warpcontact.couplings import elements
 from warpcontact.couplings.coupling_set import CouplingSet
 from warpcontact.couplings.elements import Catenary
@@ -19,10 +19,10 @@ from warpcontact.kernels.couplings import catenary, line_measures
 from warpcontact.status import CatenaryStatus
 
 if TYPE_CHECKING:
-    from warpcontact.arrays import Layout
+    from warpcontact.arrays import AllocationPlan
     from warpcontact.model import Model
     from warpcontact.parameters import Parameters
-    from warpcontact.schedule import Span
+    from warpcontact.schedule import ExecutionPlan
 
 _RANGES = {
     "length": elements.LINE_LENGTH,
@@ -65,37 +65,41 @@ class CatenarySet(CouplingSet):
         """What was measured last."""
         return self._lines
 
-    def _make(self, layout: "Layout", parameters: "Parameters") -> None:
+    def _make(self, layout: "AllocationPlan", parameters: "Parameters") -> None:
         shape = per_env(self.count)
         Lines = catenary.line_structs(self.types.real).Lines
         measured = [name for name in Lines.vars if name != "failures"]
         self._lines = layout.struct("couplings", Lines, shape, transient=measured, ranges={"failures": COUNT})
-        self._held = layout.struct("couplings", catenary.Held, shape, ranges={"grounded": SWITCH})
-        self._found = layout.struct("couplings", catenary.Held, shape, transient=True)
+        self._accepted_solution = layout.struct(
+            "couplings", catenary.CatenarySolution, shape, ranges={"grounded": SWITCH}
+        )
+        self._trial_solution = layout.struct("couplings", catenary.CatenarySolution, shape, transient=True)
         self._owner = SimpleNamespace(settings=None)
         ranges = {key: allowed for key, allowed in _RANGES.items() if self.floored or key != "floor"}
         self._add_settings(parameters, self._owner, catenary.Settings, ranges)
 
-    def force_stages(self, span: "Span", state: Any, status: wp.array) -> list[wp.Launch]:
+    def force_stages(self, plan: "ExecutionPlan", state: Any, status: wp.array) -> list[wp.Launch]:
         """Returns the launch of the forces of its lines."""
-        a, kernel = span.model.arrays, catenary.kernel(self.types.real, self.floored)
+        a, kernel = plan.model.arrays, catenary.kernel(self.types.real, self.floored)
         inputs = [
             *(status, a.model, state, self.first, self._owner.settings),
-            *(self._held, self._found, self._lines, a.ends),
+            *(self._accepted_solution, self._trial_solution, self._lines, a.coupling_wrenches),
         ]
-        return span.prepare(kernel, self.count, inputs)
+        return plan.prepare(kernel, self.count, inputs)
 
-    def accept_stages(self, span: "Span") -> list[wp.Launch]:
+    def accept_stages(self, plan: "ExecutionPlan") -> list[wp.Launch]:
         """Returns the launch that remembers where the next search starts, and what failed."""
-        a, kernel = span.model.arrays, catenary.remember(self.types.real)
-        return span.prepare(kernel, self.count, [a.status, self._found, self._held, self._lines])
+        a, kernel = plan.model.arrays, catenary.accept(self.types.real)
+        return plan.prepare(
+            kernel, self.count, [a.status, self._trial_solution, self._accepted_solution, self._lines]
+        )
 
-    def restart(self, chosen: wp.array, envs: int) -> None:
+    def reset_state(self, chosen: wp.array, envs: int) -> None:
         """Starts its lines anew."""
-        kernel, inputs = catenary.forget(self.types.real), [chosen, self._held, self._lines]
+        kernel, inputs = catenary.reset(self.types.real), [chosen, self._accepted_solution, self._lines]
         wp.launch(kernel, dim=(envs, self.count), inputs=inputs, device=chosen.device)
 
-    @beside_captures()
+    @shared_capture_lock()
     def shape(self, model: "Model", item: int, count: int) -> NDArray[np.float64]:
         """Returns where points of a line were when it was computed last, (envs, count, 3), world [m]."""
         points = wp.zeros((model.envs, count), dtype=wp.vec3d, device=model.device)
@@ -103,7 +107,7 @@ class CatenarySet(CouplingSet):
         self._measure(model, kernel, item, points)
         return points.numpy()
 
-    @beside_captures()
+    @shared_capture_lock()
     def stiffness(self, model: "Model", item: int) -> NDArray[np.float64]:
         """Returns the derivatives of the force on end b by its place likewise, (envs, 3, 3), world [N/m]."""
         rates = wp.zeros(model.envs, dtype=wp.mat33d, device=model.device)
@@ -113,7 +117,7 @@ class CatenarySet(CouplingSet):
 
     def _measure(self, model: "Model", kernel: wp.Kernel, item: int, target: wp.array) -> None:
         a = model.arrays
-        inputs = [a.model, a.state, self.first, item, self._owner.settings, self._found]
+        inputs = [a.model, a.state, self.first, item, self._owner.settings, self._trial_solution]
         wp.launch(kernel, dim=target.shape, inputs=inputs, outputs=[target], device=model.device)
 
     def failures(self, item: int) -> NDArray[np.int32]:

@@ -18,9 +18,9 @@ from warpcontact.sensors import Sensor, shape_in
 from warpcontact.status import CouplingStatus
 
 if TYPE_CHECKING:
-    from warpcontact.arrays import Layout
+    from warpcontact.arrays import AllocationPlan
     from warpcontact.parameters import Parameters
-    from warpcontact.schedule import Span
+    from warpcontact.schedule import ExecutionPlan
 
 # Values that are not taken as they are given.
 _CONVERTED = {
@@ -51,7 +51,7 @@ class CouplingSet(ABC):
         self,
         couplings: Sequence[Any],
         first: int,
-        layout: "Layout",
+        layout: "AllocationPlan",
         parameters: "Parameters",
         types: SimpleNamespace,
     ) -> None:
@@ -103,7 +103,7 @@ class CouplingSet(ABC):
         def content() -> NDArray[Any]:
             return pack(struct, computed({key: field.values for key, field in fields.items()}))
 
-        upload = parameters.upload(owner, "settings", struct, content)
+        device_field = parameters.device_field(owner, "settings", struct, content)
         for item, one in enumerate(self.couplings):
             for key, allowed in ranges.items():
                 parameters.add(
@@ -111,14 +111,14 @@ class CouplingSet(ABC):
                     fields[key],
                     slice(item, item + 1),
                     allowed,
-                    [upload],
+                    [device_field],
                     tail=fields[key].values.shape[2:],
                     convert=_CONVERTED.get(key),
                 )
         return fields
 
     @abstractmethod
-    def _make(self, layout: "Layout", parameters: "Parameters") -> None:
+    def _make(self, layout: "AllocationPlan", parameters: "Parameters") -> None:
         """Declares its arrays and adds its parameters."""
 
     @property
@@ -127,17 +127,17 @@ class CouplingSet(ABC):
         """The struct of arrays [env, coupling of the set] that its sensors are in."""
 
     @abstractmethod
-    def force_stages(self, span: "Span", state: Any, status: wp.array) -> list[wp.Launch]:
+    def force_stages(self, plan: "ExecutionPlan", state: Any, status: wp.array) -> list[wp.Launch]:
         """Returns the launches that compute the forces at its ends in ``state``; they change no history.
 
         ``status`` [env] says which environments are active.
         """
 
-    def accept_stages(self, span: "Span") -> list[wp.Launch]:
+    def accept_stages(self, plan: "ExecutionPlan") -> list[wp.Launch]:
         """Returns the launches that remember what an accepted step led to."""
         return []
 
-    def restart(self, chosen: wp.array, envs: int) -> None:  # noqa: B027  nothing, if nothing is remembered
+    def reset_state(self, chosen: wp.array, envs: int) -> None:  # noqa: B027  nothing, if nothing is remembered
         """Empties what the environments of the mask ``chosen`` [env] remember."""
 
     def compile(self, device: wp.Device) -> None:  # noqa: B027  only a user's formula can be wrong
@@ -166,4 +166,4 @@ class CouplingSet(ABC):
 
 
 def _column_of_ends(number: int) -> Callable[[SimpleNamespace], wp.array]:
-    return lambda arrays: arrays.ends.force[:, number]
+    return lambda arrays: arrays.coupling_wrenches.force[:, number]

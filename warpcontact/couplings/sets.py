@@ -7,7 +7,7 @@ from warpcontact.couplings.coupling_set import CouplingSet
 from warpcontact.couplings.elements import Bushing, Catenary, Coupling, SpringDamper
 
 if TYPE_CHECKING:
-    from warpcontact.arrays import Layout
+    from warpcontact.arrays import AllocationPlan
     from warpcontact.parameters import Parameters
     from warpcontact.scene import Scene
 
@@ -29,7 +29,7 @@ def set_of(kind: type[Coupling]) -> type[CouplingSet]:
 
 
 def make_sets(
-    scene: "Scene", layout: "Layout", parameters: "Parameters", types: SimpleNamespace
+    scene: "Scene", layout: "AllocationPlan", parameters: "Parameters", types: SimpleNamespace
 ) -> list[CouplingSet]:
     """Declares the arrays of all couplings, and adds their parameters."""
     sorted_: dict[tuple[type[Coupling], Any], list[Coupling]] = {}

@@ -14,17 +14,17 @@ from warpcontact.compiling import load
 from warpcontact.couplings import elements
 from warpcontact.couplings.coupling_set import CouplingSet
 from warpcontact.couplings.elements import SpringDamper
-from warpcontact.formula_errors import explained, of_users
+from warpcontact.formula_errors import explain_compile_errors, has_user_code
 from warpcontact.kernels.couplings import spring
-from warpcontact.kernels.couplings.spring import SpringParts
+from warpcontact.kernels.couplings.spring import SpringModel
 from warpcontact.kernels.formula import coefficient_struct
 from warpcontact.kernels.springs import Undamped, tables
 from warpcontact.parameters import Field, pack
 
 if TYPE_CHECKING:
-    from warpcontact.arrays import Layout
+    from warpcontact.arrays import AllocationPlan
     from warpcontact.parameters import Parameters
-    from warpcontact.schedule import Span
+    from warpcontact.schedule import ExecutionPlan
 
 
 _RANGES = {
@@ -47,12 +47,12 @@ class SpringSet(CouplingSet):
     }
 
     @staticmethod
-    def key(coupling: SpringDamper) -> SpringParts:
+    def key(coupling: SpringDamper) -> SpringModel:
         """Returns the classes of elastic part and damping."""
-        return SpringParts(type(coupling.spring), type(coupling.damper))
+        return SpringModel(type(coupling.spring), type(coupling.damper))
 
     @property
-    def parts(self) -> SpringParts:
+    def parts(self) -> SpringModel:
         """The classes of elastic part and damping."""
         return self.key(self.couplings[0])
 
@@ -61,7 +61,7 @@ class SpringSet(CouplingSet):
         """What was measured last."""
         return self._springs
 
-    def _make(self, layout: "Layout", parameters: "Parameters") -> None:
+    def _make(self, layout: "AllocationPlan", parameters: "Parameters") -> None:
         t = spring.spring_structs(self.types.real)
         self._springs = layout.struct(
             "couplings",
@@ -78,7 +78,7 @@ class SpringSet(CouplingSet):
             self._add_formula(parameters, part, rest)
         self.kernel = spring.kernel(self.parts, self.types.real)
 
-    def _add_tables(self, layout: "Layout", part: str) -> Any:
+    def _add_tables(self, layout: "AllocationPlan", part: str) -> Any:
         owner = spring.spring_structs(self.types.real).Tables()
         rows, first = [np.zeros((0, 4))], [0]
         for one in self.couplings:
@@ -87,8 +87,8 @@ class SpringSet(CouplingSet):
                 rows.append(tables.rows_of(getattr(formula, field.name)))
             first.append(sum(map(len, rows)))
         vec4 = {wp.float32: wp.vec4f, wp.float64: wp.vec4d}[self.types.real]
-        layout.content("couplings", owner, "rows", np.concatenate(rows), vec4)
-        layout.content("couplings", owner, "first", first, wp.int32)
+        layout.constant("couplings", owner, "rows", np.concatenate(rows), vec4)
+        layout.constant("couplings", owner, "first", first, wp.int32)
         return owner
 
     def _add_formula(self, parameters: "Parameters", part: str, rest: Field) -> None:
@@ -124,29 +124,38 @@ class SpringSet(CouplingSet):
                 },
             )
 
-        upload = parameters.upload(self._coefficients, part, struct, content)
+        device_field = parameters.device_field(self._coefficients, part, struct, content)
         for one, formula, own in zip(self.couplings, formulas, fields, strict=True):
             plain = one.plain_spring if part == "spring" else one.plain_damper
             for name, field in own.items():
                 label = f"{one.name}.{name}" if plain else f"{one.name}.{part}.{name}"
-                parameters.add(label, field, slice(0, 1), formula.limits(name), [upload])
+                parameters.add(label, field, slice(0, 1), formula.limits(name), [device_field])
             if formula.derives():
-                parameters.by_name[f"{one.name}.rest_length"].uploads.append(upload)
+                parameters.by_name[f"{one.name}.rest_length"].device_fields.append(device_field)
 
-    def force_stages(self, span: "Span", state: Any, status: wp.array) -> list[wp.Launch]:
+    def force_stages(self, plan: "ExecutionPlan", state: Any, status: wp.array) -> list[wp.Launch]:
         """Returns the launch of the forces of its springs."""
-        a = span.model.arrays
-        inputs = [status, a.model, state, self.first, self._coefficients, *self._tables, self._springs, a.ends]
-        return span.prepare(self.kernel, self.count, inputs)
+        a = plan.model.arrays
+        inputs = [
+            status,
+            a.model,
+            state,
+            self.first,
+            self._coefficients,
+            *self._tables,
+            self._springs,
+            a.coupling_wrenches,
+        ]
+        return plan.prepare(self.kernel, self.count, inputs)
 
-    def accept_stages(self, span: "Span") -> list[wp.Launch]:
+    def accept_stages(self, plan: "ExecutionPlan") -> list[wp.Launch]:
         """Returns the launch that remembers what broke, and where its springs point."""
-        a, kernel = span.model.arrays, spring.remember(self.types.real)
-        return span.prepare(kernel, self.count, [a.status, self._springs])
+        a, kernel = plan.model.arrays, spring.accept(self.types.real)
+        return plan.prepare(kernel, self.count, [a.status, self._springs])
 
-    def restart(self, chosen: wp.array, envs: int) -> None:
+    def reset_state(self, chosen: wp.array, envs: int) -> None:
         """Mends its springs."""
-        kernel, device = spring.forget(self.types.real), chosen.device
+        kernel, device = spring.reset(self.types.real), chosen.device
         wp.launch(kernel, dim=(envs, self.count), inputs=[chosen, self._springs], device=device)
 
     def compile(self, device: wp.Device) -> None:
@@ -155,7 +164,7 @@ class SpringSet(CouplingSet):
         Raises:
             TypeError: If a formula does not compile.
         """
-        if not of_users(self.parts):
+        if not has_user_code(self.parts):
             return
         stretch = spring.spring_structs(self.types.real).Stretch
         present = {part: formula for part, formula in self.parts._asdict().items() if formula is not Undamped}
@@ -164,5 +173,5 @@ class SpringSet(CouplingSet):
             "written as type(s.length)(1.5)."
         )
         results = "\nThe force is a number of the precision of the simulation."
-        with explained(present, self.types.real, lambda _: ("s", stretch), said, results):
+        with explain_compile_errors(present, self.types.real, lambda _: ("s", stretch), said, results):
             load(self.kernel, device)

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.experiment import Experiment
-from warpcontact.kernels.on_demand import names_of
+from warpcontact.kernels.on_demand import lazy_names
 
 if TYPE_CHECKING:
     from warpcontact.experiment.run import Run, open_run
@@ -13,4 +13,4 @@ if TYPE_CHECKING:
 __all__ = ["Experiment", "ExperimentError", "Run", "RunDataError", "open_run"]
 
 if not TYPE_CHECKING:  # there it would know every name
-    __getattr__, __dir__ = names_of(__name__, {"Run": "run", "RunDataError": "store", "open_run": "run"}, {})
+    __getattr__, __dir__ = lazy_names(__name__, {"Run": "run", "RunDataError": "store", "open_run": "run"}, {})

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from warpcontact import meshes
-from warpcontact.experiment.catalogue import FileMesh, FormulaSettings, Section, ShapeMesh
+from warpcontact.experiment.catalogue import DeviceModelSettings, FileMesh, Section, ShapeMesh
 from warpcontact.experiment.errors import Problems
-from warpcontact.experiment.parser import Parts
+from warpcontact.experiment.parser import ExperimentParts
 from warpcontact.experiment.rows_file import read_rows
 from warpcontact.experiment.schema import (
     ROW_KEYS,
@@ -28,9 +28,9 @@ from warpcontact.experiment.schema import (
     SurfaceSettings,
 )
 from warpcontact.meshes import Mesh, MeshError
-from warpcontact.patches import Known
+from warpcontact.patches import QueryMeshCache
 from warpcontact.scene import ContactMaterial, Scene
-from warpcontact.surface_contact import sample_of
+from warpcontact.surface_contact import sample_points
 
 # Of what kind a reference is, and the sections in which its target may be.
 _BODY = ("body", ("body", "bodies"))
@@ -58,7 +58,7 @@ _REFERENCES: dict[str, dict[str, tuple[str, tuple[str, ...]]]] = {
 
 
 @dataclass
-class Loaded:
+class FileCache:
     """What was read of an experiment, and is not read again.
 
     Attributes:
@@ -67,38 +67,38 @@ class Loaded:
     """
 
     meshes: dict[tuple[str, FileMesh | ShapeMesh], Mesh] = field(default_factory=dict)
-    patches: Known = field(default_factory=dict)
+    query_meshes: QueryMeshCache = field(default_factory=dict)
 
-    def take_patches(self) -> Known:
+    def take_query_meshes(self) -> QueryMeshCache:
         """Returns the patches, which are kept no longer."""
-        patches, self.patches = self.patches, {}
-        return patches
+        query_meshes, self.query_meshes = self.query_meshes, {}
+        return query_meshes
 
 
 class _Unresolved(Exception):
     """A reference to something that does not exist or has problems of its own; reported already."""
 
 
-class Assembler:
+class SceneBuilder:
     """Makes scenes of an experiment.
 
     Args:
         parts: What there is.
         folder: Folder to which the names of mesh files are relative.
-        loaded: What was read before; filled, so that each mesh is read once.
+        file_cache: What was read before; filled, so that each mesh is read once.
     """
 
-    def __init__(self, parts: Parts, folder: Path, loaded: Loaded) -> None:
+    def __init__(self, parts: ExperimentParts, folder: Path, file_cache: FileCache) -> None:
         self.parts = parts
         self.folder = folder
-        self.loaded = loaded
-        self.made: dict[str, dict[str, Any]] = {}
+        self.file_cache = file_cache
+        self.elements: dict[str, dict[str, Any]] = {}
 
     def scene(self, problems: Problems) -> Scene:
         """Returns a scene of all parts that can be added; ``problems`` receives why the others cannot."""
         settings = self.parts.settings
         scene = Scene() if settings is None else Scene(settings.gravity, **settings.quarantine.limits)
-        self.made = {section: {} for section in self.parts.entries}
+        self.elements = {section: {} for section in self.parts.entries}
         add: dict[str, Callable[..., Any]] = {
             "body": lambda path, entry: self._body(scene, entry),
             "bodies": lambda path, entry: self._bodies(scene, path, entry, problems),
@@ -118,11 +118,11 @@ class Assembler:
         }
         for section, path, entry in self.parts:
             try:
-                self.made[section][entry.name] = add[section](path, entry)
+                self.elements[section][entry.name] = add[section](path, entry)
             except _Unresolved:
                 pass
             except ValueError as error:
-                problems.add(path, _continued(str(error), entry.name))
+                problems.add(path, _as_continuation(str(error), entry.name))
         for section, references in _REFERENCES.items():
             for i, raw in self.parts.damaged[section].items():
                 for key, kind in references.items():
@@ -140,11 +140,11 @@ class Assembler:
             self._check_reference(path, value, kind, problems)
 
     def _body(self, scene: Scene, entry: BodySettings) -> Any:
-        motion = entry.motion.make() if isinstance(entry.motion, FormulaSettings) else None
+        motion = entry.motion.make() if isinstance(entry.motion, DeviceModelSettings) else None
         return scene.add_body(**entry.model_dump(exclude={"motion"}), motion=motion)
 
     def _bodies(self, scene: Scene, path: str, entry: BodiesSettings, problems: Problems) -> Any:
-        motion = entry.motion.make() if isinstance(entry.motion, FormulaSettings) else None
+        motion = entry.motion.make() if isinstance(entry.motion, DeviceModelSettings) else None
         rows = self._rows("bodies", path, entry, problems)
         return scene.add_bodies(**rows, motion=motion, name=entry.name, color=entry.color)
 
@@ -178,19 +178,21 @@ class Assembler:
         return scene.add_surface(meshes, body, **options)
 
     def _mesh(self, path: str, key: str, mesh: FileMesh | ShapeMesh, name: str, problems: Problems) -> Mesh | None:
-        if (path, mesh) in self.loaded.meshes:
-            return self.loaded.meshes[path, mesh]
+        if (path, mesh) in self.file_cache.meshes:
+            return self.file_cache.meshes[path, mesh]
         try:
             if isinstance(mesh, FileMesh):
                 options = mesh.model_dump(exclude={"file"})
-                self.loaded.meshes[path, mesh] = meshes.load_mesh(self.folder / mesh.file, name=name, **options)
+                self.file_cache.meshes[path, mesh] = meshes.load_mesh(
+                    self.folder / mesh.file, name=name, **options
+                )
             else:
-                self.loaded.meshes[path, mesh] = mesh.make(name)
+                self.file_cache.meshes[path, mesh] = mesh.make(name)
         except MeshError as error:
             problems.add(f"{path}.{key}{'.file' if isinstance(mesh, FileMesh) else ''}", f": {error}")
         except ValueError as error:
             problems.add(f"{path}.{key}", f".{error}")
-        return self.loaded.meshes.get((path, mesh))
+        return self.file_cache.meshes.get((path, mesh))
 
     def _points(self, scene: Scene, path: str, entry: PointSettings | PointsSettings, problems: Problems) -> Any:
         key, kind = ("body", _BODY) if entry.surface is None else ("surface", _SURFACE)
@@ -200,13 +202,15 @@ class Assembler:
         if entry.positions is not None:
             rows = self._rows("points", path, entry, problems)
             return scene.add_points(carrier, **rows, areas=entry.areas, name=entry.name)
-        samples = sample_of(carrier, entry.samples, entry.seed or 0, f"{entry.name}.samples")
+        samples = sample_points(carrier, entry.samples, entry.seed or 0, f"{entry.name}.samples")
         return scene.add_points(carrier, samples, name=entry.name)
 
     def _template(self, entry: MaterialSettings) -> ContactMaterial:
-        if entry.name in self.made["material"]:
+        if entry.name in self.elements["material"]:
             raise ValueError(f"name {entry.name!r} of a material is taken; every material has its own")
-        return ContactMaterial(**{key: table.make() for key, table in entry if isinstance(table, FormulaSettings)})
+        return ContactMaterial(
+            **{key: table.make() for key, table in entry if isinstance(table, DeviceModelSettings)}
+        )
 
     def _contact(self, scene: Scene, path: str, entry: ContactSettings, problems: Problems) -> Any:
         references = _REFERENCES["contact"]
@@ -222,7 +226,7 @@ class Assembler:
     def _coupling(self, add: Callable[..., Any], path: str, entry: CouplingOptions, problems: Problems) -> Any:
         references = _ON_POINTS
         targets = self._find_all(path, entry, references, problems)
-        formulas = {key: table.make() for key, table in entry if isinstance(table, FormulaSettings)}
+        formulas = {key: table.make() for key, table in entry if isinstance(table, DeviceModelSettings)}
         options = entry.model_dump(exclude={*references, *formulas}, exclude_none=True)
         return add(*targets, **options, **formulas)
 
@@ -231,7 +235,7 @@ class Assembler:
     ) -> Any:
         references = _REFERENCES["contact_coupling"]
         targets = self._find_all(path, entry, references, problems)
-        friction = entry.friction.make() if isinstance(entry.friction, FormulaSettings) else None
+        friction = entry.friction.make() if isinstance(entry.friction, DeviceModelSettings) else None
         options = entry.model_dump(exclude={*references, "range", "friction"})
         return scene.add_contact_coupling(targets[0], targets[1], entry.range.make(), friction, **options)
 
@@ -286,8 +290,8 @@ class Assembler:
         if name is None:
             return None
         for section in kind[1]:
-            if name in self.made[section]:
-                return self.made[section][name]
+            if name in self.elements[section]:
+                return self.elements[section][name]
         self._check_reference(path, name, kind, problems)
         raise _Unresolved
 
@@ -296,12 +300,12 @@ class Assembler:
     ) -> None:
         """Reports a name that no entry of the file has."""
         word, sections = kind
-        known = [given for section in sections for given in sorted(self.parts.names[section])]
-        if name not in known and not self.parts.unnamed.intersection(sections):
-            problems.refer(path, name, word, known)
+        available = [given for section in sections for given in sorted(self.parts.names[section])]
+        if name not in available and not self.parts.unnamed.intersection(sections):
+            problems.add_unknown_name(path, name, word, available)
 
 
-def _continued(message: str, name: str) -> str:
+def _as_continuation(message: str, name: str) -> str:
     """Returns a message of the scene about element ``name`` so that it continues the key of the element."""
     if message.startswith(f"{name}."):
         return message[len(name) :]

@@ -27,13 +27,13 @@ from pydantic import (
 from warpcontact import meshes
 from warpcontact.checks import limits
 from warpcontact.experiment import quantities as q
-from warpcontact.experiment.errors import shown
-from warpcontact.experiment.own import OwnFiles, blame
+from warpcontact.experiment.errors import abbreviated
+from warpcontact.experiment.own import UserFiles, describe_error
 from warpcontact.kernels import friction, laws, motions, springs
 from warpcontact.kernels.formula import ROWS, Formula, unit_vectors
 from warpcontact.kernels.names import suggestion
 from warpcontact.kernels.smooth import shapes
-from warpcontact.kernels.touch import Parts
+from warpcontact.kernels.touch import ContactModel
 
 #: Meshes that need no file, by the name of their generator.
 SHAPES: dict[str, Callable[..., meshes.Mesh]] = {
@@ -72,7 +72,7 @@ class ShapeMesh(Section):
         return SHAPES[self.shape](**self.model_dump(exclude={"shape"}), name=name)
 
 
-class FormulaSettings(Section):
+class DeviceModelSettings(Section):
     """A law, friction or motion: its class, of the catalogue or as ``FILE.py:CLASS``, and its parameters."""
 
     model_config = ConfigDict(protected_namespaces=())  # a user names the parameters
@@ -85,13 +85,13 @@ class FormulaSettings(Section):
         return self.formula(**self.model_dump(exclude={"type"}, exclude_none=True))
 
     @model_validator(mode="after")
-    def _complete(self) -> "FormulaSettings":
+    def _complete(self) -> "DeviceModelSettings":
         try:
             self.make()  # which of its parameters go together only the formula knows
         except ValueError as error:
             raise ValueError(f": {error}") from None
         except Exception as error:  # in a user's class
-            raise ValueError(f": {blame(error, self.formula)}") from None
+            raise ValueError(f": {describe_error(error, self.formula)}") from None
         return self
 
 
@@ -126,26 +126,28 @@ def mesh_model(value: Any, key: str = "") -> type[FileMesh] | type[ShapeMesh]:
     listed = f"one of {', '.join(SHAPES)}"
     if isinstance(value, str):
         write = f"shape = {value!r}, …" if value in SHAPES else f"file = {json.dumps(value, ensure_ascii=False)}"
-        raise ValueError(f"must be a table, got {shown(value)}; write {f'{key} = ' if key else ''}{{ {write} }}")
+        raise ValueError(
+            f"must be a table, got {abbreviated(value)}; write {f'{key} = ' if key else ''}{{ {write} }}"
+        )
     if not isinstance(value, dict):
-        raise ValueError(f"must be a table{' or a list of tables' if key else ''}, got {shown(value)}")
+        raise ValueError(f"must be a table{' or a list of tables' if key else ''}, got {abbreviated(value)}")
     if "file" in value:
         return FileMesh
     if "shape" not in value:
         raise ValueError(f".shape is missing: {listed}, or file: a mesh file")
     shape = value["shape"]
     if not isinstance(shape, str) or shape not in SHAPES:
-        raise ValueError(f".shape must be {listed}, got {shown(shape)}{suggestion(shape, SHAPES)}")
+        raise ValueError(f".shape must be {listed}, got {abbreviated(shape)}{suggestion(shape, SHAPES)}")
     return shape_model(shape)
 
 
-def formula_model(key: str, value: Any, own: OwnFiles) -> type[FormulaSettings]:
+def device_model_settings(key: str, value: Any, user_files: UserFiles) -> type[DeviceModelSettings]:
     """Returns the model of a law, friction or motion as it stands in the file.
 
     Args:
         key: Its key in a material or body.
         value: What is there.
-        own: Where classes are that are not of the catalogue.
+        user_files: Where classes are that are not of the catalogue.
 
     Raises:
         ValueError: If there is none; the message continues the key.
@@ -154,41 +156,41 @@ def formula_model(key: str, value: Any, own: OwnFiles) -> type[FormulaSettings]:
     if not isinstance(value, dict):
         named = isinstance(value, str) and (value in catalogue or ".py:" in value)
         hint = f"; write {key} = {{ type = {value!r}, … }}" if named else ""
-        raise ValueError(f"must be a table, got {shown(value)}{hint}")
+        raise ValueError(f"must be a table, got {abbreviated(value)}{hint}")
     listed = f"one of {', '.join(catalogue)}, or FILE.py:CLASS"
     if "type" not in value:
         raise ValueError(f".type is missing: {listed}")
     given = value["type"]
     if isinstance(given, str) and given in catalogue:
         return settings_model(getattr(catalogue[given], given))
-    file, name = own_class(given)
+    file, name = user_class(given)
     if file:
         try:
-            return settings_model(own.find(file, name, FORMULAS[key]))
+            return settings_model(user_files.find(file, name, FORMULAS[key]))
         except ValueError as error:
             raise ValueError(f".type{error}") from None
     hint = suggestion(given, catalogue)
     for base, others in CATALOGUES.items():
         if others is not catalogue and isinstance(given, str) and given in others:
             hint = f"; that is a {base.__name__.lower()}"
-    raise ValueError(f".type must be {listed}, got {shown(given)}{hint}")
+    raise ValueError(f".type must be {listed}, got {abbreviated(given)}{hint}")
 
 
-def own_class(given: Any) -> tuple[str, str]:
+def user_class(given: Any) -> tuple[str, str]:
     """Returns file and class of ``FILE.py:CLASS``; two empty texts for anything else."""
     file, _, name = given.rpartition(":") if isinstance(given, str) else ("", "", "")
     return (file, name) if file.endswith(".py") else ("", "")
 
 
 @functools.cache
-def settings_model(formula: type[Formula]) -> type[FormulaSettings]:
+def settings_model(formula: type[Formula]) -> type[DeviceModelSettings]:
     """Returns the model of the tables of a class of laws, friction models or motions.
 
     Raises:
         ValueError: If a parameter has a name that a table cannot have; the message continues the key ``type``.
     """
     fields: dict[str, Any] = {}
-    taken = {*dir(FormulaSettings), *FormulaSettings.__annotations__}
+    taken = {*dir(DeviceModelSettings), *DeviceModelSettings.__annotations__}
     for field in dataclasses.fields(formula):
         if field.name in taken or field.name.startswith("_"):
             raise ValueError(f": {formula.__name__} has a parameter {field.name!r}, which no table can have")
@@ -202,7 +204,7 @@ def settings_model(formula: type[Formula]) -> type[FormulaSettings]:
                 validate_default=default is not None,
             ),
         )
-    model = create_model(f"{formula.__name__}_settings", __base__=FormulaSettings, **fields)
+    model = create_model(f"{formula.__name__}_settings", __base__=DeviceModelSettings, **fields)
     model.formula = formula
     return model
 
@@ -220,7 +222,7 @@ def _kind_of(allowed: Any) -> Any:
 
 #: What the formulas of a material, a spring-damper, a body and a shape are, by their keys.
 FORMULAS: dict[str, Any] = {
-    **{part: laws.Law if part == "law" else friction.Friction for part in Parts._fields},
+    **{part: laws.Law if part == "law" else friction.Friction for part in ContactModel._fields},
     "spring": springs.Spring,
     "damper": springs.Damper,
     "motion": motions.Motion,
@@ -237,9 +239,9 @@ CATALOGUES: dict[Any, dict[str, Any]] = {
 }
 
 
-def _formula(value: Any, info: ValidationInfo) -> FormulaSettings:
-    own = cast(OwnFiles, info.context)
-    return formula_model(str(info.field_name), value, own).model_validate(value, context=own)
+def _formula(value: Any, info: ValidationInfo) -> DeviceModelSettings:
+    user_files = cast(UserFiles, info.context)
+    return device_model_settings(str(info.field_name), value, user_files).model_validate(value, context=user_files)
 
 
 def _mesh(value: Any) -> FileMesh | ShapeMesh:
@@ -250,12 +252,12 @@ def _meshes(value: Any) -> FileMesh | ShapeMesh | tuple[FileMesh | ShapeMesh, ..
     if not isinstance(value, list | tuple):
         return mesh_model(value, "mesh").model_validate(value)
     if not value:
-        raise ValueError(f"must be a table or a list of tables, at least one, got {shown(value)}")
+        raise ValueError(f"must be a table or a list of tables, at least one, got {abbreviated(value)}")
     return _LISTED.validate_python(value)
 
 
 # Which keys there are depends on what is in the table: its model is found first.
-FormulaTable = Annotated[SerializeAsAny[FormulaSettings], PlainValidator(_formula)]
+DeviceModelTable = Annotated[SerializeAsAny[DeviceModelSettings], PlainValidator(_formula)]
 Mesh = Annotated[SerializeAsAny[FileMesh | ShapeMesh], PlainValidator(_mesh)]
 SurfaceMesh = Annotated[SerializeAsAny[FileMesh | ShapeMesh | tuple[Mesh, ...]], PlainValidator(_meshes)]
 _LISTED: TypeAdapter[tuple[FileMesh | ShapeMesh, ...]] = TypeAdapter(

@@ -6,7 +6,7 @@ import tomllib
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from warpcontact.experiment.errors import ExperimentError, key_path, shown
+from warpcontact.experiment.errors import ExperimentError, abbreviated, key_path
 from warpcontact.kernels.names import suggestion
 
 # A bare key, one in quotes, or the number of an entry, as messages write them.
@@ -15,7 +15,7 @@ _PART = re.compile(
 )
 
 
-def changed_by(content: Mapping[str, Any], changes: Iterable[str]) -> dict[str, Any]:
+def apply_overrides(content: Mapping[str, Any], changes: Iterable[str]) -> dict[str, Any]:
     """Returns the content of an experiment file with other values.
 
     Args:
@@ -30,14 +30,14 @@ def changed_by(content: Mapping[str, Any], changes: Iterable[str]) -> dict[str, 
     changed = copy.deepcopy(dict(content))
     for change in changes:
         try:
-            path, value = _read(change)
-            _put(changed, path, value)
+            path, value = _parse_override(change)
+            _set_value(changed, path, value)
         except ValueError as error:
-            raise ExperimentError(f"--set {shown(change)}", [str(error)]) from None
+            raise ExperimentError(f"--set {abbreviated(change)}", [str(error)]) from None
     return changed
 
 
-def _read(change: str) -> tuple[list[str | int], Any]:
+def _parse_override(change: str) -> tuple[list[str | int], Any]:
     """Returns path and value of a text."""
     change, place = change.strip(), 0
     path: list[str | int] = []
@@ -61,37 +61,39 @@ def _read(change: str) -> tuple[list[str | int], Any]:
         hint = (
             f"; a text stands in quotes: '{key_path(path)}=\"{text.strip()}\"'" if text.strip().isalnum() else ""
         )
-        raise ValueError(f"{key_path(path)} must be a value of TOML, got {shown(text)}{hint}")
+        raise ValueError(f"{key_path(path)} must be a value of TOML, got {abbreviated(text)}{hint}")
     return path, parsed["value"]
 
 
-def _put(content: dict[str, Any], path: list[str | int], value: Any) -> None:
+def _set_value(content: dict[str, Any], path: list[str | int], value: Any) -> None:
     """Puts ``value`` where ``path`` leads to in ``content``."""
     at: Any = content
     for depth, part in enumerate(path):
-        here = key_path(path[: depth + 1])
+        run_in_process = key_path(path[: depth + 1])
         key: Any = part
         if isinstance(at, list):
-            key = _number(at, part, here)
+            key = _entry_index(at, part, run_in_process)
         elif not isinstance(at, dict):
-            raise ValueError(f"{here} leads nowhere: {key_path(path[:depth])} is {shown(at)}")
+            raise ValueError(f"{run_in_process} leads nowhere: {key_path(path[:depth])} is {abbreviated(at)}")
         elif isinstance(part, int):
-            raise ValueError(f"{here} leads nowhere: {key_path(path[:depth])} is no list")
+            raise ValueError(f"{run_in_process} leads nowhere: {key_path(path[:depth])} is no list")
         if depth == len(path) - 1:
             at[key] = value
         else:
             at = at[key] if isinstance(at, list) else at.setdefault(key, {})
 
 
-def _number(entries: list[Any], part: str | int, here: str) -> int:
+def _entry_index(entries: list[Any], part: str | int, run_in_process: str) -> int:
     """Returns the number of an entry of a list that is given by it or by its name."""
     if isinstance(part, int):
         if part >= len(entries):
-            raise ValueError(f"{here} is not there: the list has {len(entries)} entries")
+            raise ValueError(f"{run_in_process} is not there: the list has {len(entries)} entries")
         return part
     names = [entry.get("name") if isinstance(entry, dict) else None for entry in entries]
     if part not in names:
-        known = [name for name in names if isinstance(name, str)]
-        there = f"; there are: {', '.join(known[:20]) or 'none with a name'}"
-        raise ValueError(f"{here} is not there: no entry has this name{suggestion(part, known) or there}")
+        available = [name for name in names if isinstance(name, str)]
+        there = f"; there are: {', '.join(available[:20]) or 'none with a name'}"
+        raise ValueError(
+            f"{run_in_process} is not there: no entry has this name{suggestion(part, available) or there}"
+        )
     return names.index(part)

@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from zarr.abc.codec import BytesBytesCodec
 
 
-def compressors(material: "xr.DataArray") -> "tuple[BytesBytesCodec, ...]":
+def compressors(layout: "xr.DataArray") -> "tuple[BytesBytesCodec, ...]":
     """Returns how chunks of an array are compressed, with a check sum: a chunk that was changed is no chunk."""
     from zarr.codecs import BloscCodec, Crc32cCodec, ZstdCodec
 
-    if "item" in material.dims:
+    if "item" in layout.dims:
         # Most of many points are in the air, and their values 0: Zstandard leaves a third of what others do.
         return (ZstdCodec(level=1, checksum=True),)
     # Of what moves, bits in the order of their places are shorter, and take half the time.
@@ -45,7 +45,7 @@ class Chunk:
         values: In the order of the axes of the array.
     """
 
-    array: "Chunks"
+    array: "ChunkEncoder"
     name: str
     values: NDArray[Any]
 
@@ -60,7 +60,7 @@ class Chunk:
         return size, sha.hexdigest()
 
 
-class Chunks:
+class ChunkEncoder:
     """The chunks of an array.
 
     Args:
@@ -87,7 +87,7 @@ class Chunks:
         self.grid = ChunkGrid(self._dims, array.shape, array.chunks)
         self._compressor = _compressor(**codecs[0])
 
-    def cut(self, values: NDArray[Any], first_env: int, stop_env: int, first_frame: int) -> Iterator[Chunk]:
+    def split(self, values: NDArray[Any], first_env: int, stop_env: int, first_frame: int) -> Iterator[Chunk]:
         """Yields the chunks that have values other than the empty one, each once.
 
         Args:

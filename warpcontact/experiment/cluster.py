@@ -15,92 +15,92 @@ from typing import TYPE_CHECKING, Any
 from warpcontact.contact_warning import RunWarning, WarningLevel, labeled, split_label
 from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.folder import read_summary
-from warpcontact.experiment.progress import INTERVAL, Bar, told
+from warpcontact.experiment.progress import INTERVAL, ProgressBar, read_progress
 from warpcontact.experiment.store import Commit, RunDataError, Shard
-from warpcontact.footprint import USABLE, MemoryShortage, environments, readable
+from warpcontact.footprint import USABLE_FRACTION, MemoryShortage, env_count_text, format_bytes
 from warpcontact.quarantine import QuarantineError
 
 if TYPE_CHECKING:
-    from warpcontact.experiment.execute import Job, Runs
+    from warpcontact.experiment.execute import RunJob, ShardRunFunction
     from warpcontact.experiment.plan import Plan
     from warpcontact.experiment.shards import ShardRunner
 
 # Cores that a shard gets on the CPU, at most: more of them are better used by more shards.
-CORES = 4
+MAX_CORES = 4
 # How long a cluster may take to answer [s].
-ANSWER = 10.0
+CONNECT_TIMEOUT = 10.0
 # Shards for each place that runs them, so that none waits long for the last.
-SHARDS_PER_PLACE = 4
+SHARDS_PER_SLOT = 4
 # Python, the libraries and the kernels of a worker, a process of its own; measured [bytes].
-WORKER = 450 * 2**20
+WORKER_MEMORY = 450 * 2**20
 # Ray puts what tasks return into memory of its own: here next to nothing, and its default is a third of all.
-RETURNED = 128 * 2**20
+OBJECT_STORE_MEMORY = 128 * 2**20
 #: Devices that a run on a cluster can be asked for.
 DEVICES = ("auto", "cpu", "cuda", "cuda:0")
 
 
 @dataclass(frozen=True)
-class Place:
+class ClusterResources:
     """What a cluster has.
 
     Attributes:
         ray: The module.
         cores: Cores for each shard.
         gpus: GPUs for each shard, 0 or 1.
-        places: How many shards run at once.
+        slots: How many shards run at once.
         memory: What each takes of the memory of its machine [bytes], once that is known.
     """
 
     ray: Any
     cores: int
     gpus: int
-    places: int
+    slots: int
     memory: int = 0
 
-    def for_shards_of(self, plan: "Plan", say: Callable[[str], None]) -> "Place":
+    def limit_by_memory(self, plan: "Plan", on_stage: Callable[[str], None]) -> "ClusterResources":
         """Returns the same with as many places as there is memory for.
 
         Args:
             plan: How the shards run.
-            say: Is told if these are fewer.
+            on_stage: Is told if these are fewer.
 
         Raises:
             MemoryShortage: If no machine has room for one.
         """
-        each = int((plan.footprint.host_bytes + WORKER) / USABLE)
-        places, there, most = 0, 0, 0
+        shard_memory = int((plan.footprint.host_bytes + WORKER_MEMORY) / USABLE_FRACTION)
+        slots, fitting_slots, largest_memory = 0, 0, 0
         for machine in (node["Resources"] for node in self.ray.nodes() if node["Alive"]):
-            slots = int(machine.get("GPU", 0)) if self.gpus else int(machine.get("CPU", 0)) // self.cores
-            room = int(machine.get("memory", 0))
-            places += slots
-            there += min(slots, room // each)
-            most = max(most, room if slots else 0)
-        one = f"a shard of {environments(plan.shard)}, with Python and its libraries, takes {readable(each)}"
-        if not there:
-            message = f"--ray: {one} of a machine, and Ray has {readable(most)} at most; take a smaller shard"
-            raise MemoryShortage(message, each, most)
+            machine_slots = int(machine.get("GPU", 0)) if self.gpus else int(machine.get("CPU", 0)) // self.cores
+            free_memory = int(machine.get("memory", 0))
+            slots += machine_slots
+            fitting_slots += min(machine_slots, free_memory // shard_memory)
+            largest_memory = max(largest_memory, free_memory if machine_slots else 0)
+        one = f"a shard of {env_count_text(plan.shard)}, with Python and its libraries, takes {format_bytes(shard_memory)}"
+        if not fitting_slots:
+            message = f"--ray: {one} of a machine, and Ray has {format_bytes(largest_memory)} at most; take a smaller shard"
+            raise MemoryShortage(message, shard_memory, largest_memory)
         # Cores that are left over on several machines make no place.
-        places = min(places, self.places)
-        if there < min(places, plan.shards):
-            say(f"running {there} at once, and not {places}, for want of memory: {one}")
-        return replace(self, places=min(self.places, there), memory=each)
+        slots = min(slots, self.slots)
+        if fitting_slots < min(slots, plan.shards):
+            on_stage(f"running {fitting_slots} at once, and not {slots}, for want of memory: {one}")
+        return replace(self, slots=min(self.slots, fitting_slots), memory=shard_memory)
 
-    def shard_size(self, envs: int) -> int:
+    def default_shard_size(self, envs: int) -> int:
         """Returns how many of ``envs`` environments a shard has that nobody asked for otherwise, at most."""
-        return -(-envs // (SHARDS_PER_PLACE * self.places))
+        return -(-envs // (SHARDS_PER_SLOT * self.slots))
 
-    def runs(self, job: "Job") -> "Runs":
+    def shard_runner(self, job: "RunJob") -> "ShardRunFunction":
         """Returns what runs shards of ``job`` as tasks."""
         # A worker sees the GPUs that it was given, and no other.
-        where = "cuda:0" if self.gpus else "cpu"
-        asked = {"num_cpus": self.cores, "num_gpus": self.gpus, "memory": self.memory, "max_retries": 0}
-        task = self.ray.remote(**asked)(run_shard)
+        device = "cuda:0" if self.gpus else "cpu"
+        options = {"num_cpus": self.cores, "num_gpus": self.gpus, "memory": self.memory, "max_retries": 0}
+        task = self.ray.remote(**options)(run_shard)
 
-        def run(left: Iterable[Shard], commits: Mapping[int, Commit], bar: Bar) -> dict[str, str]:
+        def run(remaining: Iterable[Shard], commits: Mapping[int, Commit], bar: ProgressBar) -> dict[str, str]:
             folder = str(job.folder.resolve())
             # A worker trusts the files that this process has run, and no others.
-            words = (folder, where, self.cores, job.every, job.laws)
-            return _Tasks(self.ray, task, words, list(left), bar, Path(folder)).run()
+            arguments = (folder, device, self.cores, job.checkpoint_interval, job.laws)
+            return _TaskScheduler(self.ray, task, arguments, list(remaining), bar, Path(folder)).run()
 
         return run
 
@@ -121,7 +121,7 @@ def one_device(device: str | Sequence[str], source: str) -> str:
     return "cuda:0" if device == "cuda" else device
 
 
-def connect(address: bool | str, device: str, source: str) -> Place:
+def connect(address: bool | str, device: str, source: str) -> ClusterResources:
     """Starts Ray on this machine, or joins the cluster with an address.
 
     Args:
@@ -145,63 +145,73 @@ def connect(address: bool | str, device: str, source: str) -> Place:
             options["address"] = address
         else:
             # Nobody else is to reach what was started for this run alone.
-            options |= {"address": "local", "_node_ip_address": "127.0.0.1", "object_store_memory": RETURNED}
+            options |= {
+                "address": "local",
+                "_node_ip_address": "127.0.0.1",
+                "object_store_memory": OBJECT_STORE_MEMORY,
+            }
         try:
             if isinstance(address, str):
-                _check_answers(address)
+                _check_reachable(address)
             ray.init(**options)
         except SystemExit:  # as Ray answers a request to end while it starts
             raise KeyboardInterrupt from None
         except (OSError, ValueError, RuntimeError) as error:
             raise ExperimentError(f"--ray {address}", [f"no cluster of Ray can be reached: {error}"]) from None
-    return place_of(ray, device, source)
+    return cluster_resources(ray, device, source)
 
 
-def place_of(ray: Any, device: str, source: str) -> Place:
+def cluster_resources(ray: Any, device: str, source: str) -> ClusterResources:
     """Returns how many shards run at once on the cluster that ``ray`` has joined, see ``connect``."""
-    has = ray.cluster_resources()
-    gpus, cores = int(has.get("GPU", 0)), max(1, int(has.get("CPU", 1)))
+    total = ray.cluster_resources()
+    gpus, cores = int(total.get("GPU", 0)), max(1, int(total.get("CPU", 1)))
     if device == "cuda:0" and not gpus:
         raise ExperimentError(source, ["device must be 'auto' or 'cpu' with Ray here: the cluster has no GPU"])
     if gpus and device != "cpu":
-        return Place(ray, cores=max(1, min(CORES, cores // gpus)), gpus=1, places=gpus)
+        return ClusterResources(ray, cores=max(1, min(MAX_CORES, cores // gpus)), gpus=1, slots=gpus)
     nodes = max(1, sum(1 for node in ray.nodes() if node["Alive"]))
-    each = max(1, min(CORES, cores // nodes // 2))
-    return Place(ray, cores=each, gpus=0, places=max(1, cores // each))
+    shard_memory = max(1, min(MAX_CORES, cores // nodes // 2))
+    return ClusterResources(ray, cores=shard_memory, gpus=0, slots=max(1, cores // shard_memory))
 
 
-def _check_answers(address: str) -> None:
+def _check_reachable(address: str) -> None:
     """Raises ``OSError`` if nobody answers at an address: Ray itself would try for many minutes."""
     host, _, port = address.removeprefix("ray://").rpartition(":")
     if host and port.isdigit():
-        socket.create_connection((host.strip("[]"), int(port)), timeout=ANSWER).close()
+        socket.create_connection((host.strip("[]"), int(port)), timeout=CONNECT_TIMEOUT).close()
 
 
-class _Tasks:
+class _TaskScheduler:
     """Submits a task for each shard, waits for them, and submits again those that were lost or failed."""
 
     def __init__(
-        self, ray: Any, task: Any, words: tuple[Any, ...], left: list[Shard], bar: Bar, folder: Path
+        self,
+        ray: Any,
+        task: Any,
+        arguments: tuple[Any, ...],
+        remaining: list[Shard],
+        bar: ProgressBar,
+        folder: Path,
     ) -> None:
         self.ray = ray
         self.task = task
-        self.words = words
-        self.left = left
+        self.arguments = arguments
+        self.remaining = remaining
         self.bar = bar
         self.folder = folder
-        self.tries = dict.fromkeys((shard.number for shard in left), 0)
+        self.tries = dict.fromkeys((shard.number for shard in remaining), 0)
         self.running: dict[Any, Shard] = {}
 
     def run(self) -> dict[str, str]:
         from warpcontact.experiment.execute import ATTEMPTS
 
         failed = {}
-        for shard in self.left:
+        for shard in self.remaining:
             self._submit(shard)
         try:
             while self.running:
                 done, _ = self.ray.wait(list(self.running), num_returns=1, timeout=INTERVAL)
-                self._tell()
+                self._update_progress()
                 for reference in done:
                     shard = self.running.pop(reference)
                     message = self._message(reference, shard)
@@ -220,7 +230,7 @@ class _Tasks:
 
     def _submit(self, shard: Shard) -> None:
         self.tries[shard.number] += 1
-        self.running[self.task.remote(shard.number, *self.words)] = shard
+        self.running[self.task.remote(shard.number, *self.arguments)] = shard
 
     def _message(self, reference: Any, shard: Shard) -> str | None:
         """Returns why the task of a shard failed; ``None``: it did not, and what it has to say is said.
@@ -245,9 +255,9 @@ class _Tasks:
         self.bar.finish(shard, frozen)
         return None
 
-    def _tell(self) -> None:
+    def _update_progress(self) -> None:
         shards = {shard.number: shard for shard in self.running.values()}
-        for number, content in told(self.folder):
+        for number, content in read_progress(self.folder):
             if number in shards:
                 self.bar.update(shards[number], int(content["steps"]))
 
@@ -267,7 +277,7 @@ _RUNNERS: dict[tuple[str, str, str, int, float], "ShardRunner"] = {}
 
 
 def run_shard(
-    number: int, folder: str, device: str, threads: int, every: float, laws: tuple[str, ...]
+    number: int, folder: str, device: str, threads: int, checkpoint_interval: float, laws: tuple[str, ...]
 ) -> tuple[int, list[str]]:
     """Runs a shard of the run in a folder, in a worker.
 
@@ -281,29 +291,34 @@ def run_shard(
 
     path = Path(folder)
     summary = read_summary(path) or {}
-    key = (folder, str(summary.get("started")), device, threads, every)
-    with warnings.catch_warnings(record=True) as heard:
+    key = (folder, str(summary.get("started")), device, threads, checkpoint_interval)
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         if key not in _RUNNERS:
             _RUNNERS.clear()
-            _RUNNERS[key] = _runner(path, summary, device, threads, every, laws)
+            _RUNNERS[key] = _runner(path, summary, device, threads, checkpoint_interval, laws)
         runner = _RUNNERS[key]
         shard = Shards(summary["envs"], summary["shard"])[number]
         commit = runner.ledger.commits().get(number)
         runner.ledger.recover(shard, commit or Commit(number))
-        ended = runner.run(shard, commit)
+        commit = runner.run(shard, commit)
     kinds = UserWarning | RuntimeWarning
-    return ended.frozen, [labeled(one.message) for one in heard if issubclass(one.category, kinds)]
+    return commit.frozen, [labeled(one.message) for one in caught if issubclass(one.category, kinds)]
 
 
 def _runner(
-    folder: Path, summary: Mapping[str, Any], device: str, threads: int, every: float, laws: tuple[str, ...]
+    folder: Path,
+    summary: Mapping[str, Any],
+    device: str,
+    threads: int,
+    checkpoint_interval: float,
+    laws: tuple[str, ...],
 ) -> "ShardRunner":
     from warpcontact.experiment.run import open_run
-    from warpcontact.experiment.shards import Frames, ShardRunner
+    from warpcontact.experiment.shards import SeriesSchedule, ShardRunner
 
     experiment = open_run(folder, trust=laws).experiment
     settings = experiment.settings
     model = experiment.draft(device).build(summary["shard"])
-    frames = Frames.of(settings, summary["block"])
-    return ShardRunner(model, settings, experiment.design, frames, folder, every, threads)
+    frames = SeriesSchedule.of(settings, summary["block"])
+    return ShardRunner(model, settings, experiment.design, frames, folder, checkpoint_interval, threads)

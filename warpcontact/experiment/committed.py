@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator, Iterable, Mapping
 from zarr.abc.store import ByteRequest, OffsetByteRequest, RangeByteRequest, Store
 from zarr.core.buffer import Buffer, BufferPrototype, default_buffer_prototype
 
-from warpcontact.experiment.records import COMMITS, DATA, Commit, RunDataError, commits_in, made_in
+from warpcontact.experiment.records import COMMITS, DATA, Commit, RunDataError, commits_in, created_files
 from warpcontact.experiment.store import STAGING
 from warpcontact.run_folder import RunPath
 
@@ -36,7 +36,7 @@ class CommittedStore(Store):
         super().__init__(read_only=True)
         self.folder = folder
         self._commits = commits_in(folder / COMMITS) if commits is None else commits
-        self._files = made_in(folder / COMMITS)
+        self._files = created_files(folder / COMMITS)
         self._shards: dict[str, str] = {}
         for commit in self._commits.values():
             self._files |= commit.files
@@ -116,21 +116,21 @@ class CommittedStore(Store):
 
     def _content(self, key: str) -> bytes:
         size, sha = self._files[key]
-        own = self.folder / DATA / key
-        places = [own]
+        absolute = self.folder / DATA / key
+        paths = [absolute]
         if key in self._shards:
             # Committed, and not moved yet; or in this very moment.
-            places += [self.folder / STAGING / self._shards[key] / key, own]
-        there = False
-        for place in places:
-            with contextlib.suppress(FileNotFoundError), place.open_binary() as file:
-                there = there or place == own
+            paths += [self.folder / STAGING / self._shards[key] / key, absolute]
+        exists = False
+        for path in paths:
+            with contextlib.suppress(FileNotFoundError), path.open_binary() as file:
+                exists = exists or path == absolute
                 if os.fstat(file.fileno()).st_size == size:
                     content = file.read(size)
                     if hashlib.sha256(content).hexdigest() == sha:
                         return content
-        what = "was changed since it" if there else "is missing, and"
-        raise RunDataError(f"{own}: {what} was committed")
+        what = "was changed since it" if exists else "is missing, and"
+        raise RunDataError(f"{absolute}: {what} was committed")
 
 
 def _buffer(content: bytes, prototype: BufferPrototype | None, byte_range: ByteRequest | None) -> Buffer:

@@ -15,15 +15,15 @@ from warpcontact.checks import Array
 from warpcontact.flags import words_of
 
 # Quantiles of more environments than this look the same and take longer.
-SAMPLE = 4096
+SAMPLE_SIZE = 4096
 # Values of one sensor that are returned, unless these are fewer environments, and that are read for them.
 VALUES = 2**22
-FEWEST = 64
-READ = 2**29
+MIN_SAMPLES = 64
+MAX_READ = 2**29
 # Values that are read in one block.
 BLOCK = 2**22
 # In larger series, extremes are those of the environments that are returned [bytes].
-SEARCHED = 256 * 2**20
+MAX_SEARCHED = 256 * 2**20
 
 #: Further components of a vector: its length, and the length of its change since the first record.
 MAGNITUDE = "magnitude"
@@ -34,7 +34,7 @@ _SMALLEST = ("gap", "distance", "minimum_distance")
 _SUMS = ("normal_force", "impulse", "kinetic_energy", "tension_a", "tension_b")
 _LARGEST = ("penetration", "max_penetration")
 # Sensors without a readable curve.
-_LEFT_OUT = ("orientation", "point", "normal")
+_NOT_DRAWN = ("orientation", "point", "normal")
 
 
 @dataclass(frozen=True)
@@ -81,11 +81,11 @@ class SensorCurves:
     searched: int
 
 
-def can_be_drawn(name: str, array: xr.DataArray) -> bool:
+def is_drawable(name: str, array: xr.DataArray) -> bool:
     """Whether a series has numbers over time that can be drawn as curves; vectors by their components."""
     return (
         array.dims[:2] == ("time", "env")
-        and name.rpartition(".")[2] not in _LEFT_OUT
+        and name.rpartition(".")[2] not in _NOT_DRAWN
         and not words_of(array)
         and array.dtype.kind in "iuf"
         and not {"row", "component"} & set(array.dims)
@@ -94,8 +94,10 @@ def can_be_drawn(name: str, array: xr.DataArray) -> bool:
 
 def sample_size(array: xr.DataArray) -> int:
     """Returns the number of environments of a series (time, env, …) of which curves are read."""
-    records, each = array.sizes["time"], array.size // max(1, array.sizes["env"])
-    return max(1, min(SAMPLE, max(FEWEST, VALUES // max(1, records)), READ // max(1, each)))
+    records, values_per_record = array.sizes["time"], array.size // max(1, array.sizes["env"])
+    return max(
+        1, min(SAMPLE_SIZE, max(MIN_SAMPLES, VALUES // max(1, records)), MAX_READ // max(1, values_per_record))
+    )
 
 
 def read_curves(
@@ -118,26 +120,26 @@ def read_curves(
     items = [str(dim) for dim in array.dims if dim not in ("time", "env", *axes)]
     seconds, envs = array["time"].values.astype(np.float64), np.asarray(array["env"].values)
     ignored = np.zeros(len(envs), dtype=bool) if without is None else without
-    whole = array.nbytes <= SEARCHED
-    read = (array if whole else array.isel(env=rows)).transpose("time", "env", *items, *axes)
-    numbers = envs if whole else envs[rows]
-    extremes = _Extremes(seconds, numbers, ignored if whole else ignored[rows])
-    places = rows if whole else np.arange(len(rows))
+    read_all = array.nbytes <= MAX_SEARCHED
+    read = (array if read_all else array.isel(env=rows)).transpose("time", "env", *items, *axes)
+    numbers = envs if read_all else envs[rows]
+    extremes = _Extremes(seconds, numbers, ignored if read_all else ignored[rows])
+    sample_rows = rows if read_all else np.arange(len(rows))
     values = np.empty((len(seconds), len(rows)))
-    reduction, (step, width) = "", _steps(read)
-    for own in _blocks(len(numbers), width):
+    reduction, (step, width) = "", _block_shape(read)
+    for block_envs in _blocks(len(numbers), width):
         origin: Array | None = None
-        first, last = np.searchsorted(places, (own.start, own.stop))
+        first, last = np.searchsorted(sample_rows, (block_envs.start, block_envs.stop))
         for times in _blocks(len(seconds), step):
-            block = read.isel(time=times, env=own).values.astype(np.float64)
+            block = read.isel(time=times, env=block_envs).values.astype(np.float64)
             with np.errstate(invalid="ignore"):
                 if axes:
                     origin = block[:1] if origin is None and component == DISTANCE else origin
                     block = np.linalg.norm(block if origin is None else block - origin, axis=-1)
                 if items:
-                    block, reduction = _of_items(block.reshape(*block.shape[:2], -1), str(array.name))
-            extremes.search(block, times.start, own.start)
-            values[times, first:last] = block[:, places[first:last] - own.start]
+                    block, reduction = _reduce_items(block.reshape(*block.shape[:2], -1), str(array.name))
+            extremes.search(block, times.start, block_envs.start)
+            values[times, first:last] = block[:, sample_rows[first:last] - block_envs.start]
     return SensorCurves(
         name=str(array.name),
         reduction=reduction,
@@ -164,20 +166,20 @@ class _Extremes:
 
     def search(self, values: Array, record: int, row: int) -> None:
         """Searches values (time, env) from record number ``record`` and environment number ``row`` on."""
-        own = slice(row, row + values.shape[1])
-        if self.ignored[own].any() or not (np.isfinite(values.min()) and np.isfinite(values.max())):
-            good = np.isfinite(values) & ~self.ignored[own]
+        block_envs = slice(row, row + values.shape[1])
+        if self.ignored[block_envs].any() or not (np.isfinite(values.min()) and np.isfinite(values.max())):
+            good = np.isfinite(values) & ~self.ignored[block_envs]
             if not good.any():
                 return
             low, high = np.where(good, values, np.inf), np.where(good, values, -np.inf)
         else:
             low = high = values
-        lowest = self._at(low, int(low.argmin()), record, row)
-        highest = self._at(high, int(high.argmax()), record, row)
+        lowest = self._extreme_at(low, int(low.argmin()), record, row)
+        highest = self._extreme_at(high, int(high.argmax()), record, row)
         self.smallest = min(self.smallest or lowest, lowest, key=lambda one: (one.value, one.time, one.env))
         self.largest = min(self.largest or highest, highest, key=lambda one: (-one.value, one.time, one.env))
 
-    def _at(self, values: Array, place: int, record: int, row: int) -> Extreme:
+    def _extreme_at(self, values: Array, place: int, record: int, row: int) -> Extreme:
         time, env = divmod(place, values.shape[1])
         return Extreme(float(values[time, env]), float(self.seconds[record + time]), int(self.envs[row + env]))
 
@@ -186,23 +188,23 @@ def _blocks(size: int, step: int) -> Iterator[slice]:
     return (slice(first, min(first + step, size)) for first in range(0, size, step))
 
 
-def _steps(array: xr.DataArray) -> tuple[int, int]:
+def _block_shape(array: xr.DataArray) -> tuple[int, int]:
     """Returns the numbers of records and of environments of one block, of whole chunks of a store if these fit."""
     chunks = array.encoding.get("preferred_chunks", {})
     records, envs = array.sizes["time"], array.sizes["env"]
-    each = max(1, array.size // max(1, records * envs))
+    values_per_record = max(1, array.size // max(1, records * envs))
 
-    def whole(step: int, dim: str) -> int:
+    def read_all(step: int, dim: str) -> int:
         chunk = int(chunks.get(dim, 1))
         return max(1, step // chunk * chunk or step)
 
-    if BLOCK // (each * max(1, envs)) >= chunks.get("time", 1):
-        return whole(BLOCK // (each * max(1, envs)), "time"), max(1, envs)
-    time = min(int(chunks.get("time", 1)), max(1, records), max(1, BLOCK // each))
-    return time, whole(BLOCK // (each * time), "env")
+    if BLOCK // (values_per_record * max(1, envs)) >= chunks.get("time", 1):
+        return read_all(BLOCK // (values_per_record * max(1, envs)), "time"), max(1, envs)
+    time = min(int(chunks.get("time", 1)), max(1, records), max(1, BLOCK // values_per_record))
+    return time, read_all(BLOCK // (values_per_record * time), "env")
 
 
-def _of_items(values: Array, name: str) -> tuple[Array, str]:
+def _reduce_items(values: Array, name: str) -> tuple[Array, str]:
     """Returns one number (time, env) of the items of a set (time, env, item), and the reduction."""
     last = name.rpartition(".")[2]
     if last in _SMALLEST:

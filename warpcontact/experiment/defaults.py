@@ -5,7 +5,7 @@ from warpcontact.environments import Environments
 from warpcontact.experiment.schema import Settings
 
 # Sensors that tell most of a coupling.
-_TOLD: dict[type, tuple[str, str]] = {
+_COUPLING_SENSORS: dict[type, tuple[str, str]] = {
     SpringDamper: ("length", "force"),
     Bushing: ("displacement", "force"),
     Catenary: ("tension_a", "tension_b"),
@@ -21,21 +21,21 @@ def default_interval(settings: Settings) -> float:
     return float(f"{steps * settings.dt:.12g}")
 
 
-def default_sensors(model: Environments, *, far: bool = False) -> list[str]:
+def default_sensors(model: Environments, *, with_gap: bool = False) -> list[str]:
     """Returns the sensors of an experiment that names none: what tells most of each element, and the energy.
 
     Args:
         model: The model.
-        far: Whether to tell how far points are from meshes that they do not touch: a search that steps do without.
+        with_gap: Whether to include gaps of open contacts, which need a search.
     """
     scene = model.scene
-    depth = "gap" if far else "penetration"
-    told = [(contact.name, (depth, "normal_force")) for contact in scene.contacts if contact.points.single]
-    told += [(contact.name, ("gap", "normal_force")) for contact in scene.shape_contacts if contact.single]
-    told += [(contact.name, ("contacts", "max_penetration")) for contact in scene.particle_contacts]
-    told += [(coupling.name, _TOLD[type(coupling)]) for coupling in scene.couplings]
-    told += [(coupling.name, ("minimum_distance", "force")) for coupling in scene.contact_couplings]
+    depth = "gap" if with_gap else "penetration"
+    sensors = [(contact.name, (depth, "normal_force")) for contact in scene.contacts if contact.points.single]
+    sensors += [(contact.name, ("gap", "normal_force")) for contact in scene.shape_contacts if contact.single]
+    sensors += [(contact.name, ("contacts", "max_penetration")) for contact in scene.particle_contacts]
+    sensors += [(coupling.name, _COUPLING_SENSORS[type(coupling)]) for coupling in scene.couplings]
+    sensors += [(coupling.name, ("minimum_distance", "force")) for coupling in scene.contact_couplings]
     # Of sets what they sum up to: a value of each is for those who ask for it.
     joints = [f"{body.name}.{key}" for body in scene.bodies if body.single for key in ("angle", "displacement")]
-    wanted = [f"{name}.{key}" for name, keys in told for key in keys]
-    return wanted + [name for name in joints if name in model.sensor_names] + ["scene.kinetic_energy"]
+    names = [f"{name}.{key}" for name, keys in sensors for key in keys]
+    return names + [name for name in joints if name in model.sensor_names] + ["scene.kinetic_energy"]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from warpcontact.checks import Array
 from warpcontact.experiment.distributions import LARGEST, SMALLEST, Marginal, Normal
-from warpcontact.experiment.sampling import BLOCK, Correlation, Middle, Sampler
+from warpcontact.experiment.sampling import BLOCK, Correlation, Midpoint, Sampler
 
 
 class Entry(Protocol):
@@ -21,7 +21,7 @@ class Entry(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Same:
+class ConstantEntry:
     """One value in all environments."""
 
     value: Array
@@ -32,7 +32,7 @@ class Same:
 
 
 @dataclass(frozen=True, eq=False)
-class Listed:
+class ListedEntry:
     """Values one after the other, each for ``repeat`` environments, and then again from the first one."""
 
     values: Array
@@ -44,7 +44,7 @@ class Listed:
 
 
 @dataclass(frozen=True, eq=False)
-class Spaced:
+class LinearEntry:
     """Evenly spaced from ``first`` to ``last`` over all ``count`` environments, as by ``np.linspace``."""
 
     first: Array
@@ -54,15 +54,15 @@ class Spaced:
     def rows(self, envs: NDArray[np.intp]) -> Array:
         """See ``Entry``."""
         number = envs.astype(np.float64).reshape(-1, *(1,) * self.first.ndim)
-        way, parts = self.last - self.first, max(self.count - 1, 1)
-        step = way / parts
-        values = self.first + (number / parts * way if np.any(step == 0.0) else number * step)
+        span, intervals = self.last - self.first, max(self.count - 1, 1)
+        step = span / intervals
+        values = self.first + (number / intervals * span if np.any(step == 0.0) else number * step)
         values[(envs == self.count - 1) & (self.count > 1)] = self.last
         return values
 
 
 @dataclass(frozen=True, eq=False)
-class SpacedWhole:
+class IntegerEntry:
     """The whole numbers from ``first`` to ``last``, each for about as many of ``count`` environments in a row."""
 
     first: Array
@@ -77,7 +77,7 @@ class SpacedWhole:
 
 
 @dataclass(frozen=True, eq=False)
-class Drawn:
+class SampledEntry:
     """Values drawn from a distribution.
 
     Args:
@@ -95,10 +95,10 @@ class Drawn:
     def values(self, units: Array, normals: Mapping[int, Array]) -> Array:
         """Returns values (n, …) of numbers (n, columns), in place of which correlated ``normals`` may be."""
         if len(self.numbers) and self.column in normals:
-            return self.marginal.of_normals(normals[self.column])
-        own = np.full((len(units), int(np.prod(self.shape))), 0.5)
-        own[:, self.numbers] = units[:, self.column : self.column + len(self.numbers)]
-        return self.marginal.of_units(own.reshape(-1, *self.shape))
+            return self.marginal.from_normal(normals[self.column])
+        components = np.full((len(units), int(np.prod(self.shape))), 0.5)
+        components[:, self.numbers] = units[:, self.column : self.column + len(self.numbers)]
+        return self.marginal.from_uniform(components.reshape(-1, *self.shape))
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,20 +120,20 @@ class SphereInertia:
         """Names of the parameters that it follows."""
         return tuple(source for source in (self.mass, self.radius) if isinstance(source, str))
 
-    def values(self, others: Mapping[str, Array], count: int) -> Array:
+    def values(self, parameters: Mapping[str, Array], count: int) -> Array:
         """Returns values (count, 3, 3), or (count, items, 3, 3), from those of other parameters."""
-        mass, radius = (self._values(source, others) for source in (self.mass, self.radius))
+        mass, radius = (self._values(source, parameters) for source in (self.mass, self.radius))
         moment = 0.4 * mass * radius**2
         moment = np.broadcast_to(moment, (count, *moment.shape[1:]))
         return np.asarray(moment[..., None, None] * np.eye(3))
 
-    def _values(self, source: str | Array, others: Mapping[str, Array]) -> Array:
-        values = others[source] if isinstance(source, str) else source
+    def _values(self, source: str | Array, parameters: Mapping[str, Array]) -> Array:
+        values = parameters[source] if isinstance(source, str) else source
         return values[:, None] if values.ndim == 1 and not self.single else values
 
 
 @dataclass(frozen=True)
-class Form:
+class ValueConversion:
     """How the values of an entry become those of its parameter.
 
     Attributes:
@@ -144,7 +144,7 @@ class Form:
     tensor: bool = False
     shared: bool = False
 
-    def applied(self, values: Array) -> Array:
+    def apply(self, values: Array) -> Array:
         """Returns ``values`` (n, …) in this form."""
         if self.tensor:
             values = values[..., None] * np.eye(3)
@@ -160,14 +160,14 @@ class Design:
     Attributes:
         envs: Number of environments.
         entries: What is known of each parameter, by name, in the order of the experiment.
-        forms: How it becomes a value.
+        conversions: How it becomes a value.
         sampler: Where the numbers of those come from that are drawn.
         correlations: Which of them are drawn together.
     """
 
     envs: int
-    entries: Mapping[str, Entry | Drawn | SphereInertia]
-    forms: Mapping[str, Form]
+    entries: Mapping[str, Entry | SampledEntry | SphereInertia]
+    conversions: Mapping[str, ValueConversion]
     sampler: Sampler
     correlations: tuple[Correlation, ...] = ()
 
@@ -179,34 +179,34 @@ class Design:
     @property
     def row_bytes(self) -> int:
         """What the values of an environment take [bytes]."""
-        drawn = (entry for entry in self.entries.values() if isinstance(entry, Drawn))
+        drawn = (entry for entry in self.entries.values() if isinstance(entry, SampledEntry))
         columns = max((entry.column + len(entry.numbers) for entry in drawn), default=0)
         # A Latin hypercube would be drawn whole for its first row.
-        row = replace(self, sampler=Middle(columns)).rows(0, 1)
+        row = replace(self, sampler=Midpoint(columns)).rows(0, 1)
         return sum(values.nbytes for values in row.values())
 
-    def of(self, names: Collection[str]) -> "Design":
+    def subset(self, names: Collection[str]) -> "Design":
         """Returns the design of these parameters alone, and of those that they follow."""
         entries = {name: self.entries[name] for name in names}
-        followed = {
+        sources = {
             source for entry in entries.values() if isinstance(entry, SphereInertia) for source in entry.sources
         }
         return replace(
-            self, entries={name: e for name, e in self.entries.items() if name in entries or name in followed}
+            self, entries={name: e for name, e in self.entries.items() if name in entries or name in sources}
         )
 
-    def ends(self, name: str) -> Array | None:
+    def value_range(self, name: str) -> Array | None:
         """Returns two values between which all lie, number by number, that any environments draw.
 
         ``None``: that is not known. In the form of values of two environments.
         """
         entry = self.entries[name]
-        if not isinstance(entry, Drawn):
+        if not isinstance(entry, SampledEntry):
             return None
         if isinstance(entry.marginal, Normal) and any(entry.column in one.columns for one in self.correlations):
             return None  # sums of normal numbers go beyond what one number can be
         units = np.repeat([[SMALLEST], [LARGEST]], entry.column + len(entry.numbers), axis=1)
-        return self.forms[name].applied(entry.values(units, {}))
+        return self.conversions[name].apply(entry.values(units, {}))
 
     def rows(self, first: int, stop: int) -> dict[str, Array]:
         """Returns the values in environments ``first`` to ``stop``, without the last.
@@ -228,20 +228,20 @@ class Design:
         if not 0 <= first <= stop <= self.envs:
             raise IndexError(f"environments must be from 0 to {self.envs}, got {first} to {stop}")
         numbers = np.arange(first, stop)
-        found = self._drawn(first, stop)
+        found = self._sampled(first, stop)
         for name, entry in self.entries.items():
-            if not isinstance(entry, Drawn | SphereInertia):
+            if not isinstance(entry, SampledEntry | SphereInertia):
                 found[name] = entry.rows(numbers)
-        found = {name: self.forms[name].applied(values) for name, values in found.items()}
+        found = {name: self.conversions[name].apply(values) for name, values in found.items()}
         # What is computed from other parameters comes after them.
         for name, entry in self.entries.items():
             if isinstance(entry, SphereInertia):
                 found[name] = entry.values(found, stop - first)
         return {name: found[name] for name in self.entries}
 
-    def _drawn(self, first: int, stop: int) -> dict[str, Array]:
+    def _sampled(self, first: int, stop: int) -> dict[str, Array]:
         """Returns the values of all entries that are drawn, block by block."""
-        entries = {name: entry for name, entry in self.entries.items() if isinstance(entry, Drawn)}
+        entries = {name: entry for name, entry in self.entries.items() if isinstance(entry, SampledEntry)}
         if not entries:
             return {}
         begin = first // BLOCK * BLOCK

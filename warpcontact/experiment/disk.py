@@ -4,7 +4,7 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from warpcontact.footprint import readable
+from warpcontact.footprint import format_bytes
 
 
 @dataclass(frozen=True)
@@ -20,14 +20,14 @@ class Disk:
     free: int
 
     def __str__(self) -> str:
-        return f"{readable(self.free)} is free on the disk of {self.folder}"
+        return f"{format_bytes(self.free)} is free on the disk of {self.folder}"
 
 
-def disk_of(folder: Path) -> Disk | None:
+def find_disk(folder: Path) -> Disk | None:
     """Returns the disk of ``folder``, or of the nearest one above it that there is; ``None`` if nobody knows."""
-    place = folder.absolute()
-    place = next((one for one in (place, *place.parents) if one.exists()), place)
+    existing = folder.absolute()
+    existing = next((one for one in (existing, *existing.parents) if one.exists()), existing)
     try:
-        return Disk(folder, shutil.disk_usage(place).free)
+        return Disk(folder, shutil.disk_usage(existing).free)
     except OSError:
         return None

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.checks import Array
-from warpcontact.experiment.errors import shown
+from warpcontact.experiment.errors import abbreviated
 from warpcontact.experiment.quantities import plain
 from warpcontact.kernels.names import suggestion
 
@@ -25,7 +25,7 @@ SMALLEST = 2.0**-54
 LARGEST = 1.0 - 2.0**-53
 
 
-def inside(units: Array) -> Array:
+def clip_to_open_interval(units: Array) -> Array:
     """Returns ``units`` kept off 0 and 1."""
     return np.clip(units, SMALLEST, LARGEST)
 
@@ -34,14 +34,14 @@ class Marginal(ABC):
     """A distribution of numbers, or of vectors with independent components."""
 
     @abstractmethod
-    def of_units(self, units: Array) -> Array:
+    def from_uniform(self, units: Array) -> Array:
         """Returns values (n, *shape) of uniform numbers (n, *shape)."""
 
-    def of_normals(self, normals: Array) -> Array:
+    def from_normal(self, normals: Array) -> Array:
         """Returns values (n, *shape) of standard normal numbers (n, *shape), in the same order."""
         from scipy.special import ndtr
 
-        return self.of_units(inside(ndtr(normals)))
+        return self.from_uniform(clip_to_open_interval(ndtr(normals)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,19 +51,19 @@ class Uniform(Marginal):
     low: Array
     high: Array
 
-    def of_units(self, units: Array) -> Array:
+    def from_uniform(self, units: Array) -> Array:
         """See ``Marginal``."""
         return self.low + (self.high - self.low) * units
 
 
 @dataclass(frozen=True, eq=False)
-class WholeUniform(Marginal):
+class IntegerUniform(Marginal):
     """Whole numbers from ``low`` to ``high``, each equally often."""
 
     low: Array
     high: Array
 
-    def of_units(self, units: Array) -> Array:
+    def from_uniform(self, units: Array) -> Array:
         """See ``Marginal``."""
         count = self.high - self.low
         return self.low + np.minimum(np.floor((count + 1.0) * units), count)
@@ -76,7 +76,7 @@ class LogUniform(Marginal):
     low: Array
     high: Array
 
-    def of_units(self, units: Array) -> Array:
+    def from_uniform(self, units: Array) -> Array:
         """See ``Marginal``."""
         return self.low * (self.high / self.low) ** units
 
@@ -88,13 +88,13 @@ class Normal(Marginal):
     mean: Array
     deviation: Array
 
-    def of_units(self, units: Array) -> Array:
+    def from_uniform(self, units: Array) -> Array:
         """See ``Marginal``."""
         from scipy.special import ndtri
 
-        return self.of_normals(ndtri(units))
+        return self.from_normal(ndtri(units))
 
-    def of_normals(self, normals: Array) -> Array:
+    def from_normal(self, normals: Array) -> Array:
         """See ``Marginal``."""
         return self.mean + self.deviation * normals
 
@@ -103,14 +103,14 @@ class Normal(Marginal):
 class LogNormal(Normal):
     """Gaussian in the logarithm, of which ``mean`` and ``deviation`` are."""
 
-    def of_normals(self, normals: Array) -> Array:
+    def from_normal(self, normals: Array) -> Array:
         """See ``Marginal``."""
         with np.errstate(over="ignore"):  # what is infinite is no value of a parameter, which is told later
-            return np.asarray(np.exp(super().of_normals(normals)))
+            return np.asarray(np.exp(super().from_normal(normals)))
 
 
 @dataclass(frozen=True, eq=False)
-class OfScipy(Marginal):
+class ScipyDistribution(Marginal):
     """A distribution of ``scipy.stats``.
 
     Args:
@@ -121,7 +121,7 @@ class OfScipy(Marginal):
     name: str
     parameters: Mapping[str, Array]
 
-    def of_units(self, units: Array) -> Array:
+    def from_uniform(self, units: Array) -> Array:
         """See ``Marginal``."""
         with np.errstate(all="ignore"):
             return np.asarray(_families()[self.name].ppf(units, **self.parameters), dtype=np.float64)
@@ -135,36 +135,36 @@ PAIRS: dict[str, type[Any]] = {
     "lognormal": LogNormal,
 }
 #: All kinds that are drawn.
-DRAWN = (*PAIRS, "distribution")
+DISTRIBUTIONS = (*PAIRS, "distribution")
 
 
-def marginal_of(kind: str, given: Any, whole: bool) -> Marginal:
+def make_marginal(kind: str, given: Any, whole: bool) -> Marginal:
     """Returns the distribution that an entry of ``[variation]`` asks for.
 
     Args:
-        kind: Its key, one of ``DRAWN``.
+        kind: Its key, one of ``DISTRIBUTIONS``.
         given: What is behind it.
         whole: Whether it is of a parameter that is a whole number.
     """
     if kind == "distribution":
         parameters = {key: np.array(value) for key, value in given.items() if key != "name"}
-        return OfScipy(given["name"], parameters)
+        return ScipyDistribution(given["name"], parameters)
     first, second = np.array(given, dtype=np.float64)
-    made: Marginal = (WholeUniform if whole else PAIRS[kind])(first, second)
+    made: Marginal = (IntegerUniform if whole else PAIRS[kind])(first, second)
     return made
 
 
-def shape_of(kind: str, given: Any) -> tuple[int, ...]:
+def value_shape(kind: str, given: Any) -> tuple[int, ...]:
     """Returns the shape of one value of such an entry."""
     if kind == "distribution":
         return np.broadcast_shapes(*(np.shape(value) for key, value in given.items() if key != "name"))
     return np.shape(given[0])
 
 
-def varies(kind: str, given: Any) -> NDArray[np.bool_]:
+def varying_components(kind: str, given: Any) -> NDArray[np.bool_]:
     """Returns which numbers of such an entry differ between environments, in the shape of one value."""
     if kind == "distribution":
-        return np.ones(shape_of(kind, given), dtype=bool)
+        return np.ones(value_shape(kind, given), dtype=bool)
     first, second = np.array(given, dtype=np.float64)
     return np.asarray(second != (0.0 if kind in ("normal", "lognormal") else first))
 
@@ -193,13 +193,15 @@ def check_distribution(value: Any) -> dict[str, Any]:
         ValueError: If it is none. The message continues the key of the table.
     """
     if not isinstance(value, Mapping):
-        raise ValueError(f'must be a table, got {shown(value)}; write {{ name = "norm", loc = 1, scale = 0.1 }}')
+        raise ValueError(
+            f'must be a table, got {abbreviated(value)}; write {{ name = "norm", loc = 1, scale = 0.1 }}'
+        )
     if "name" not in value:
         raise ValueError(".name is missing: the name of a distribution of scipy.stats")
     name = value["name"]
     if not isinstance(name, str) or name not in _families():
         hint = suggestion(name, _families()) or ", such as norm, truncnorm, weibull_min, gamma, beta, triang"
-        raise ValueError(f".name must be the name of a distribution of scipy.stats, got {shown(name)}{hint}")
+        raise ValueError(f".name must be the name of a distribution of scipy.stats, got {abbreviated(name)}{hint}")
     family = _families()[name]
     shapes = family.shapes.split(", ") if family.shapes else []
     known = [*shapes, "loc", *(() if is_discrete({"name": name}) else ("scale",))]
@@ -234,7 +236,7 @@ def _numbers(key: str, value: Any) -> Any:
     except ValueError as error:
         raise ValueError(f".{key} {error}") from None
     if isinstance(numbers, tuple) and (not numbers or any(isinstance(number, tuple) for number in numbers)):
-        raise ValueError(f".{key} must be {what}, got {shown(value)}")
+        raise ValueError(f".{key} must be {what}, got {abbreviated(value)}")
     return numbers
 
 

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from warpcontact.experiment.distributions import DRAWN, shape_of, varies
+from warpcontact.experiment.distributions import DISTRIBUTIONS, value_shape, varying_components
 from warpcontact.experiment.errors import Problems, key_path
 from warpcontact.experiment.sampling import (
     MOST_COLUMNS,
@@ -21,17 +21,17 @@ from warpcontact.experiment.variation_settings import CorrelationSettings, Varia
 _ORDERED = ("linspace", "grid", "values")
 
 
-def drawn_numbers(variation: Mapping[str, VariationSettings]) -> list[tuple[str, tuple[int, ...]]]:
+def sampled_components(variation: Mapping[str, VariationSettings]) -> list[tuple[str, tuple[int, ...]]]:
     """Returns the numbers that are drawn and differ, in order: name of a parameter, and which of its numbers."""
     entries = ((name, entry.kind, getattr(entry, entry.kind)) for name, entry in variation.items() if entry.drawn)
     return [
         (name, tuple(map(int, index)))
         for name, kind, given in entries
-        for index in np.argwhere(varies(kind, given))
+        for index in np.argwhere(varying_components(kind, given))
     ]
 
 
-class Columns:
+class SampleColumns:
     """The numbers that each environment draws, each a column of a sampler.
 
     Args:
@@ -45,7 +45,7 @@ class Columns:
         numbers: Which numbers of a value of each parameter have a column, by name. One by which environments do
             not differ has none, unless it is drawn at random: what follows it is drawn as if it did.
         first: The first column of each.
-        unclear: Names of those that have problems, so that nobody knows how many numbers they should have.
+        incomplete: Names of those that have problems, so that nobody knows how many numbers they should have.
     """
 
     def __init__(
@@ -66,11 +66,11 @@ class Columns:
         self.number = 0
         for name, entry in variation.items():
             if entry.drawn:
-                differ = varies(entry.kind, getattr(entry, entry.kind))
+                differ = varying_components(entry.kind, getattr(entry, entry.kind))
                 self.numbers[name] = tuple(map(int, np.flatnonzero(differ | (method == "random"))))
                 self.first[name] = self.number
                 self.number += len(self.numbers[name])
-        self.unclear: set[str] = set()
+        self.incomplete: set[str] = set()
         self._correlated: set[str] = set()
 
     def sampler(self, any_envs: bool) -> Sampler:
@@ -87,7 +87,7 @@ class Columns:
             self.problems.add("sampling.method", f": {rule}")
             return independent
         if self.method == "saltelli":
-            any_envs = any_envs or bool(self.unclear)
+            any_envs = any_envs or bool(self.incomplete)
             sound = self._fits_saltelli(any_envs) and not any_envs
             return Saltelli(self.seed, self.number, self.envs) if sound else independent
         if self.method == "latin_hypercube":
@@ -98,7 +98,7 @@ class Columns:
         before = len(self.problems.lines)
         for name, entry in self.variation.items():
             if entry.kind in _ORDERED:
-                allowed = ", ".join((*DRAWN, "value", "solid_sphere"))
+                allowed = ", ".join((*DISTRIBUTIONS, "value", "solid_sphere"))
                 rule = f"must be left out with sampling.method = 'saltelli'; allowed: {allowed}"
                 self.problems.add(f"{key_path(('variation', name))}.{entry.kind}", rule)
         if not self.number:
@@ -119,14 +119,14 @@ class Columns:
         return len(self.problems.lines) == before
 
     def correlation(
-        self, number: int, entry: CorrelationSettings, unsound: Callable[[str], bool]
+        self, number: int, entry: CorrelationSettings, is_invalid: Callable[[str], bool]
     ) -> Correlation | None:
         """Returns what draws some of the numbers together, or ``None`` if that is wrong.
 
         Args:
             number: Which ``[[correlation]]`` it is.
             entry: What it says.
-            unsound: Tells of the name of a parameter whether its element has problems of its own.
+            is_invalid: Tells of the name of a parameter whether its element has problems of its own.
         """
         before = len(self.problems.lines)
         if self.method == "saltelli":
@@ -135,13 +135,13 @@ class Columns:
             return None
         for i, name in enumerate(entry.names):
             path = f"correlation[{number}].names[{i}]"
-            if name in self.unclear:
+            if name in self.incomplete:
                 continue
             if name in self.variation:
                 self._check_correlated(path, name)
-            elif not unsound(name):
-                self.problems.refer(path, name, "drawn entry of [variation]", self.first)
-        if len(self.problems.lines) > before or not self.first.keys() - self.unclear >= set(entry.names):
+            elif not is_invalid(name):
+                self.problems.add_unknown_name(path, name, "drawn entry of [variation]", self.first)
+        if len(self.problems.lines) > before or not self.first.keys() - self.incomplete >= set(entry.names):
             return None
         columns = tuple(self.first[name] for name in entry.names)
         return Correlation(columns, np.linalg.cholesky(np.array(entry.matrix)))
@@ -152,11 +152,11 @@ class Columns:
         if name in self._correlated:
             self.problems.add(path, f"must be in no other [[correlation]], got {name!r} again")
         elif not entry.drawn:
-            message = f"must be drawn, by one of {', '.join(DRAWN)}, got {name!r}, which has {entry.kind}"
+            message = f"must be drawn, by one of {', '.join(DISTRIBUTIONS)}, got {name!r}, which has {entry.kind}"
             self.problems.add(path, message)
-        elif shape := shape_of(entry.kind, getattr(entry, entry.kind)):
+        elif shape := value_shape(entry.kind, getattr(entry, entry.kind)):
             message = f"must be one number in each environment, got {name!r}, which has {int(np.prod(shape))}"
             self.problems.add(path, message)
-        elif not varies(entry.kind, getattr(entry, entry.kind)):
+        elif not varying_components(entry.kind, getattr(entry, entry.kind)):
             self.problems.add(path, f"must differ between environments, got {name!r}, which is always the same")
         self._correlated.add(name)

@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from warpcontact.hostile import visible
+from warpcontact.hostile import escape_controls
 from warpcontact.kernels.names import suggestion
 
 # More than this helps nobody: they then have one cause.
@@ -29,22 +29,22 @@ class ExperimentError(ValueError):
     def __init__(self, source: str, problems: Iterable[str], names: Mapping[str, str] | None = None) -> None:
         self.source = source
         self.problems = tuple(problems)
-        shown = [_named(problem, names or {}) for problem in self.problems[:PROBLEMS_SHOWN]]
+        abbreviated = [_with_element_name(problem, names or {}) for problem in self.problems[:PROBLEMS_SHOWN]]
         if len(self.problems) == 1:
-            super().__init__(visible(f"{source}: {shown[0]}"))
+            super().__init__(escape_controls(f"{source}: {abbreviated[0]}"))
             return
-        lines = [f"{source} has {len(self.problems)} problems:", *(f"  - {problem}" for problem in shown)]
-        if len(self.problems) > len(shown):
-            lines.append(f"  … and {len(self.problems) - len(shown)} more")
-        super().__init__(visible("\n".join(lines)))
+        lines = [f"{source} has {len(self.problems)} problems:", *(f"  - {problem}" for problem in abbreviated)]
+        if len(self.problems) > len(abbreviated):
+            lines.append(f"  … and {len(self.problems) - len(abbreviated)} more")
+        super().__init__(escape_controls("\n".join(lines)))
 
 
-def _named(problem: str, names: Mapping[str, str]) -> str:
+def _with_element_name(problem: str, names: Mapping[str, str]) -> str:
     """Returns ``problem`` with the name of the element after its number."""
     place = _ELEMENT.match(problem)
     if place is None or place[0] not in names or problem.startswith(f"{place[0]}.name"):
         return problem
-    return f"{place[0]} ({shown(names[place[0]])}){problem[place.end() :]}"
+    return f"{place[0]} ({abbreviated(names[place[0]])}){problem[place.end() :]}"
 
 
 class Problems:
@@ -68,13 +68,13 @@ class Problems:
         # Lists within a message, such as the defects of a mesh, keep their place below it.
         self.lines.append(f"{path}{space}{message}".replace("\n", "\n    "))
 
-    def refer(self, path: str, value: str, kind: str, known: Iterable[str]) -> None:
+    def add_unknown_name(self, path: str, value: str, kind: str, available: Iterable[str]) -> None:
         """Adds that ``value`` is no ``kind``, with the nearest name or all that there are."""
-        names = list(dict.fromkeys(known))
+        names = list(dict.fromkeys(available))
         hint = suggestion(value, names) or f"; there are: {', '.join(names[:20]) or 'none'}"
-        self.add(path, f"must be the name of a {kind}, got {shown(value)}{hint}")
+        self.add(path, f"must be the name of a {kind}, got {abbreviated(value)}{hint}")
 
-    def stop(self, source: str) -> None:
+    def raise_if_any(self, source: str) -> None:
         """Raises ``ExperimentError`` if there is any problem."""
         if self.lines:
             raise ExperimentError(source, dict.fromkeys(self.lines), self.names)
@@ -92,7 +92,7 @@ def key_path(location: Iterable[str | int]) -> str:
     return path
 
 
-def shown(value: Any) -> str:
+def abbreviated(value: Any) -> str:
     """Returns ``value`` for a message, cut if it is long."""
     text = repr(value)
     return text if len(text) <= VALUE_LENGTH else f"{text[: VALUE_LENGTH - 2]} …"

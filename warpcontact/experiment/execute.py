@@ -19,20 +19,20 @@ from warpcontact.environments import Environments
 from warpcontact.experiment import folder as files_of
 from warpcontact.experiment import store, trust
 from warpcontact.experiment.design import Design
-from warpcontact.experiment.disk import disk_of
+from warpcontact.experiment.disk import find_disk
 from warpcontact.experiment.errors import ExperimentError
-from warpcontact.experiment.expected import Extent
+from warpcontact.experiment.expected import RunExtent
 from warpcontact.experiment.fingerprint import differences, fingerprint
-from warpcontact.experiment.lock import writing
-from warpcontact.experiment.notices import Notices
+from warpcontact.experiment.lock import write_lock
+from warpcontact.experiment.notices import WarningLog
 from warpcontact.experiment.plan import DRAWN_AT_ONCE, Plan
-from warpcontact.experiment.progress import Bar
+from warpcontact.experiment.progress import ProgressBar
 from warpcontact.experiment.run import Run, open_run
 from warpcontact.experiment.schema import Settings
-from warpcontact.experiment.shards import Frames, ShardRunner
+from warpcontact.experiment.shards import SeriesSchedule, ShardRunner
 from warpcontact.experiment.store import Commit, Ledger, RunDataError, Shard, Shards
 from warpcontact.experiment.toml import to_toml
-from warpcontact.footprint import environments, readable
+from warpcontact.footprint import env_count_text, format_bytes
 from warpcontact.quarantine import QuarantineError
 from warpcontact.run_folder import RunPath
 from warpcontact.scene import Scene
@@ -41,11 +41,11 @@ from warpcontact.scene import Scene
 ATTEMPTS = 3
 
 # There is no room, on the disk or for this user.
-_FULL = (errno.ENOSPC, errno.EDQUOT)
+_DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 @dataclass(frozen=True)
-class Job:
+class RunJob:
     """What is to be done with the environments of an experiment.
 
     Attributes:
@@ -56,9 +56,9 @@ class Job:
         copy: What repeats the run.
         folder: Where the results go.
         progress: Whether to show a progress bar; ``None``: on runs of over a second, in a terminal.
-        say: Called when a stage that may take long begins.
-        notices: Receives warnings.
-        every: Time between checkpoints [s].
+        on_stage: Called when a stage that may take long begins.
+        warning_log: Receives warnings.
+        checkpoint_interval: Time between checkpoints [s].
         threads: Threads that step environments on the CPU; ``None``: one per core.
     """
 
@@ -66,18 +66,18 @@ class Job:
     scene: Scene
     design: Design
     plan: Plan
-    copy: files_of.Copy
+    copy: files_of.ExperimentCopy
     folder: Path
     progress: bool | None
-    say: Callable[[str], None]
-    notices: Notices
-    every: float
+    on_stage: Callable[[str], None]
+    warning_log: WarningLog
+    checkpoint_interval: float
     threads: int | None = None
 
     @property
-    def frames(self) -> Frames:
+    def frames(self) -> SeriesSchedule:
         """How series are taken."""
-        return Frames.of(self.settings, self.plan.block)
+        return SeriesSchedule.of(self.settings, self.plan.block)
 
     @property
     def shards(self) -> Shards:
@@ -91,16 +91,18 @@ class Job:
 
     def runner(self, model: Environments) -> ShardRunner:
         """Returns what runs shards on ``model``."""
-        return ShardRunner(model, self.settings, self.design, self.frames, self.folder, self.every, self.threads)
+        return ShardRunner(
+            model, self.settings, self.design, self.frames, self.folder, self.checkpoint_interval, self.threads
+        )
 
 
 #: Runs shards: those that are left, with their records, and the bar that is told. Returns why some of them failed
 #: for the last time, by their names.
-Runs = Callable[[Iterable[Shard], Mapping[int, Commit], Bar], dict[str, str]]
+ShardRunFunction = Callable[[Iterable[Shard], Mapping[int, Commit], ProgressBar], dict[str, str]]
 
 
-def start(runner: ShardRunner, job: Job, alone: contextlib.ExitStack) -> None:
-    """Makes the folder of a new run with its empty store, and keeps others away from it until ``alone`` ends.
+def start(runner: ShardRunner, job: RunJob, exit_stack: contextlib.ExitStack) -> None:
+    """Makes the folder of a new run with its empty store, and keeps others away from it until ``exit_stack`` ends.
 
     Raises:
         ValueError: If a value does not fit into the precision of the device, before anything is removed.
@@ -108,15 +110,15 @@ def start(runner: ShardRunner, job: Job, alone: contextlib.ExitStack) -> None:
     """
     # All of them, so that values that do not fit are found now; the first one last.
     for shard in reversed(job.shards):
-        runner.take(shard)
-    store.check_names(runner.materials(), str(job.folder))
-    with _blamed(job):
+        runner.load_shard(shard)
+    store.check_names(runner.data_layouts(), str(job.folder))
+    with _name_folder_in_errors(job):
         RunPath(job.folder).make()
-        alone.enter_context(writing(job.folder))
+        exit_stack.enter_context(write_lock(job.folder))
         _make_folder(runner, job)
 
 
-def _make_folder(runner: ShardRunner, job: Job) -> None:
+def _make_folder(runner: ShardRunner, job: RunJob) -> None:
     folder, settings = job.folder, job.settings
     files_of.clear(folder)
     files_of.write_summary(folder, _first_summary(runner.model, job))
@@ -126,7 +128,7 @@ def _make_folder(runner: ShardRunner, job: Job) -> None:
     for name, content in {files_of.EXPERIMENT: text, **job.copy.files}.items():
         with (RunPath(folder) / name).replacing() as file:
             file.write(content)
-    files_of.make_parts(folder)
+    files_of.make_subfolders(folder)
     frames = job.frames
     attributes = {
         "source": f"warpcontact {__version__}",
@@ -139,10 +141,10 @@ def _make_folder(runner: ShardRunner, job: Job) -> None:
     if settings.integrator.iterations is not None:
         attributes["iterations"] = settings.integrator.iterations
     times = frames.times(settings.dt)
-    store.create(folder, runner.materials(), settings.envs, times, frames.block, attributes)
+    store.create(folder, runner.data_layouts(), settings.envs, times, frames.block, attributes)
 
 
-def check_resumable(summary: Mapping[str, Any], job: Job) -> None:
+def check_resumable(summary: Mapping[str, Any], job: RunJob) -> None:
     """Raises ``ExperimentError`` unless ``job`` is the run of ``summary``."""
     if summary.get("fingerprint") == fingerprint(job.copy):
         return
@@ -166,22 +168,22 @@ def all_finished(folder: Path, summary: Mapping[str, Any]) -> bool:
     return all(_is_finished(commits, shard) for shard in Shards(summary["envs"], summary["shard"]))
 
 
-def proceed(job: Job, run_shards: Runs) -> Run:
+def run_remaining(job: RunJob, run_shards: ShardRunFunction) -> Run:
     """Runs all shards that are not finished, and ends the run if none is left.
 
     Raises:
         KeyboardInterrupt: If somebody asked to stop; what was done until then is committed.
         OSError: If there is no room on the disk, for instance; the last commits are kept.
     """
-    with _blamed(job):
-        return _proceed(job, run_shards)
+    with _name_folder_in_errors(job):
+        return _run_remaining(job, run_shards)
 
 
-def _proceed(job: Job, run_shards: Runs) -> Run:
+def _run_remaining(job: RunJob, run_shards: ShardRunFunction) -> Run:
     folder = job.folder
-    files_of.make_parts(folder)
+    files_of.make_subfolders(folder)
     ledger = Ledger(folder)
-    ledger.check(Extent(job.plan.envs, job.plan.shard, job.frames.steps), checkpoints=False)
+    ledger.check(RunExtent(job.plan.envs, job.plan.shard, job.frames.steps), checkpoints=False)
     commits = ledger.commits()
     # What a process tells of itself that is no more.
     progress = RunPath(folder) / files_of.PROGRESS
@@ -197,18 +199,18 @@ def _proceed(job: Job, run_shards: Runs) -> Run:
 
     def warned() -> list[str]:
         """Returns the warnings of this attempt and of those before."""
-        return list(dict.fromkeys([*before, *job.notices.lines]))
+        return list(dict.fromkeys([*before, *job.warning_log.lines]))
 
     files_of.write_summary(folder, summary)
     shards = job.shards
     for shard in shards:
         ledger.recover(shard, commits.get(shard.number, Commit(shard.number)))
-    left = [shard for shard in shards if not _is_finished(commits, shard)]
-    _tell_of_disk(job, left, commits)
+    remaining = [shard for shard in shards if not _is_finished(commits, shard)]
+    _warn_about_disk(job, remaining, commits)
     try:
-        with Bar(job.plan.envs, job.frames.steps, len(shards), job.progress) as bar:
+        with ProgressBar(job.plan.envs, job.frames.steps, len(shards), job.progress) as bar:
             bar.begin(shards, commits)
-            failed = run_shards(left, commits, bar)
+            failed = run_shards(remaining, commits, bar)
     except BaseException as error:
         stopped = isinstance(error, KeyboardInterrupt)
         told = {"state": files_of.INTERRUPTED} if stopped else {"state": files_of.FAILED, "error": str(error)}
@@ -220,55 +222,59 @@ def _proceed(job: Job, run_shards: Runs) -> Run:
         summary |= {"state": files_of.FAILED, "failed": failed, "warnings": warned()}
         files_of.write_summary(folder, summary)
         return open_run(folder, trust=job.laws)
-    return _end(job, summary, warned)
+    return _finish_run(job, summary, warned)
 
 
 @contextlib.contextmanager
-def _blamed(job: Job) -> Iterator[None]:
+def _name_folder_in_errors(job: RunJob) -> Iterator[None]:
     """Lets errors that name no file name the folder, and that of a full disk tell what there would have to be."""
     try:
         yield
     except OSError as error:
         if error.filename is None and error.errno is not None:
             error.filename = str(job.folder)
-        if error.errno in _FULL:
-            error.add_note(_wanted(job))
+        if error.errno in _DISK_FULL:
+            error.add_note(_disk_requirement(job))
         raise
 
 
-def _wanted(job: Job) -> str:
+def _disk_requirement(job: RunJob) -> str:
     """Returns in words what a shard of ``job`` takes on the disk."""
-    plan, disk = job.plan, disk_of(job.folder)
-    kept = "" if files_of.has_commits(job.folder) else "nothing is committed yet; "
-    size = f"{readable(plan.on_disk(plan.shard))} of results before compression"
+    plan, disk = job.plan, find_disk(job.folder)
+    note = "" if files_of.has_commits(job.folder) else "nothing is committed yet; "
+    size = f"{format_bytes(plan.on_disk(plan.shard))} of results before compression"
     free = "" if disk is None else f"; {disk}"
-    return f"{kept}a shard of {environments(plan.shard)} takes up to {size}, and room for its checkpoints{free}"
+    return f"{note}a shard of {env_count_text(plan.shard)} takes up to {size}, and room for its checkpoints{free}"
 
 
-def _tell_of_disk(job: Job, left: Iterable[Shard], commits: Mapping[int, Commit]) -> None:
+def _warn_about_disk(job: RunJob, remaining: Iterable[Shard], commits: Mapping[int, Commit]) -> None:
     """Warns if the disk has less room than what is still to come may take."""
-    disk, steps = disk_of(job.folder), job.frames.steps
-    done = {shard.number: commits[shard.number].steps for shard in left if shard.number in commits}
-    size = sum(job.plan.on_disk(shard.envs) * (1 - done.get(shard.number, 0) / steps) for shard in left)
+    disk, steps = find_disk(job.folder), job.frames.steps
+    done = {shard.number: commits[shard.number].steps for shard in remaining if shard.number in commits}
+    size = sum(job.plan.on_disk(shard.envs) * (1 - done.get(shard.number, 0) / steps) for shard in remaining)
     if disk is not None and disk.free < size:
         text = (
-            f"the results{' that are left' if commits else ''} take up to {readable(size)} before compression, "
+            f"the results{' that are left' if commits else ''} take up to {format_bytes(size)} before compression, "
             f"and {disk}: it may be full before the run ends"
         )
         warnings.warn(RunWarning(text), stacklevel=4)
 
 
-def here(runner: ShardRunner, job: Job) -> Runs:
+def run_in_process(runner: ShardRunner, job: RunJob) -> ShardRunFunction:
     """Returns what runs shards in this process, one after another."""
 
-    def run(left: Iterable[Shard], commits: Mapping[int, Commit], bar: Bar) -> dict[str, str]:
+    def run(remaining: Iterable[Shard], commits: Mapping[int, Commit], bar: ProgressBar) -> dict[str, str]:
         failed = {}
-        job.say(f"compiling for {', '.join(map(str, runner.model.devices))}")
+        job.on_stage(f"compiling for {', '.join(map(str, runner.model.devices))}")
         runner.warm_up()
         plan = job.plan
-        job.say("running" + (f" {plan.shards} shards of {plan.shard} environments" if plan.shards > 1 else ""))
-        for shard in left:
-            message = attempt(runner, shard, commits.get(shard.number), bar, alone=len(job.shards) == 1)
+        job.on_stage(
+            "running" + (f" {plan.shards} shards of {plan.shard} environments" if plan.shards > 1 else "")
+        )
+        for shard in remaining:
+            message = run_with_retries(
+                runner, shard, commits.get(shard.number), bar, single_shard=len(job.shards) == 1
+            )
             if message is not None:
                 failed[shard.name] = message
         return failed
@@ -276,7 +282,9 @@ def here(runner: ShardRunner, job: Job) -> Runs:
     return run
 
 
-def attempt(runner: ShardRunner, shard: Shard, commit: Commit | None, bar: Bar, *, alone: bool) -> str | None:
+def run_with_retries(
+    runner: ShardRunner, shard: Shard, commit: Commit | None, bar: ProgressBar, *, single_shard: bool
+) -> str | None:
     """Runs a shard, several times if it fails; returns why it failed for the last time.
 
     Args:
@@ -284,7 +292,7 @@ def attempt(runner: ShardRunner, shard: Shard, commit: Commit | None, bar: Bar, 
         shard: The shard.
         commit: Its record so far.
         bar: Is told.
-        alone: Whether there is no other, which might do better: an error is then raised at once.
+        single_shard: Whether there is no other, which might do better: an error is then raised at once.
     """
     for number in range(ATTEMPTS):
         try:
@@ -296,7 +304,7 @@ def attempt(runner: ShardRunner, shard: Shard, commit: Commit | None, bar: Bar, 
         except OSError:
             raise  # a full disk is full for all
         except Exception as error:
-            if alone:
+            if single_shard:
                 raise
             if number == ATTEMPTS - 1:
                 return f"{type(error).__name__}: {error}"
@@ -310,7 +318,7 @@ def _is_finished(commits: Mapping[int, Commit], shard: Shard) -> bool:
     return shard.number in commits and commits[shard.number].finished
 
 
-def _first_summary(model: Environments, job: Job) -> dict[str, Any]:
+def _first_summary(model: Environments, job: RunJob) -> dict[str, Any]:
     settings, frames = job.settings, job.frames
     laws = {name: trust.digest_of(content) for name, content in job.copy.files.items()}
     return {
@@ -341,7 +349,7 @@ def _first_summary(model: Environments, job: Job) -> dict[str, Any]:
     }
 
 
-def _end(job: Job, summary: dict[str, Any], warned: Callable[[], list[str]]) -> Run:
+def _finish_run(job: RunJob, summary: dict[str, Any], warned: Callable[[], list[str]]) -> Run:
     """Writes that the run is finished, and what shows the results."""
     folder = job.folder
     commits = Ledger(folder).commits()
@@ -359,11 +367,11 @@ def _end(job: Job, summary: dict[str, Any], warned: Callable[[], list[str]]) -> 
         "warnings": warned(),
     }
     files_of.write_summary(folder, summary)
-    files_of.remove_parts(folder)
-    job.say("writing")
+    files_of.remove_work_subfolders(folder)
+    job.on_stage("writing")
     run = Run(folder, summary, job.scene, job.laws)
     try:
-        _show(run, job)
+        _write_views(run, job)
     except Exception as error:
         # The results are whole without it.
         warnings.warn(RunWarning(f"no picture or animation of the results: {error}"), stacklevel=4)
@@ -373,7 +381,7 @@ def _end(job: Job, summary: dict[str, Any], warned: Callable[[], list[str]]) -> 
     return run
 
 
-def _show(run: Run, job: Job) -> None:
+def _write_views(run: Run, job: RunJob) -> None:
     """Writes what shows the results."""
     import zarr
 

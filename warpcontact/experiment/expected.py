@@ -30,7 +30,7 @@ LABELS = "labels"
 
 _META = "zarr.json"
 # Groups that are written when a shard ends.
-_AT_END = ("outcome", "events")
+_WRITTEN_AT_END = ("outcome", "events")
 # Larger sizes fit into no array of a device.
 _MOST = 2**31 - 1
 
@@ -49,24 +49,24 @@ class ChunkGrid:
     shape: tuple[int, ...]
     chunks: tuple[int, ...]
 
-    def places(self, envs: range | None = None, frames: range | None = None) -> list[range]:
+    def chunk_ranges(self, envs: range | None = None, frames: range | None = None) -> list[range]:
         """Returns the places along each axis of the chunks of some environments and frames; ``None``: of all."""
-        some = {"env": envs, "time": frames}
-        places = []
+        selected = {"env": envs, "time": frames}
+        chunk_ranges = []
         for dim, size, chunk in zip(self.dims, self.shape, self.chunks, strict=True):
-            part = some.get(str(dim))
+            part = selected.get(str(dim))
             part = range(size) if part is None else part
             empty = part.start >= part.stop
-            places.append(range(0) if empty else range(part.start // chunk, -(-part.stop // chunk)))
-        return places
+            chunk_ranges.append(range(0) if empty else range(part.start // chunk, -(-part.stop // chunk)))
+        return chunk_ranges
 
     def names(self, envs: range | None = None, frames: range | None = None) -> Iterator[str]:
         """Iterates over the names of these chunks."""
-        for place in _each(self.places(envs, frames)):
-            yield "/".join(("c", *map(str, place)))
+        for position in _product(self.chunk_ranges(envs, frames)):
+            yield "/".join(("c", *map(str, position)))
 
 
-def _each(ranges: Sequence[range]) -> Iterator[tuple[int, ...]]:
+def _product(ranges: Sequence[range]) -> Iterator[tuple[int, ...]]:
     # Without itertools.product, which stores all numbers of each range.
     if not all(ranges):
         return  # also with an empty range after a long one
@@ -74,12 +74,12 @@ def _each(ranges: Sequence[range]) -> Iterator[tuple[int, ...]]:
         yield ()
         return
     for first in ranges[0]:
-        for rest in _each(ranges[1:]):
+        for rest in _product(ranges[1:]):
             yield (first, *rest)
 
 
 @dataclass(frozen=True)
-class Extent:
+class RunExtent:
     """What ``run.json`` states of the results.
 
     Attributes:
@@ -93,7 +93,7 @@ class Extent:
     steps: int
 
     @classmethod
-    def of(cls, summary: Mapping[str, Any]) -> "Extent":
+    def of(cls, summary: Mapping[str, Any]) -> "RunExtent":
         """Returns that of a checked ``run.json``."""
         return cls(summary["envs"], summary["shard"], summary["steps"])
 
@@ -107,7 +107,7 @@ class Extent:
         return range(number * self.shard, min((number + 1) * self.shard, self.envs))
 
 
-class Expected:
+class ExpectedFiles:
     """Arrays of a store, by its metadata, and which of their chunks must be recorded.
 
     Args:
@@ -122,27 +122,29 @@ class Expected:
         RunDataError: If metadata is missing, was changed, or does not fit to ``run.json``; names the array.
     """
 
-    def __init__(self, folder: RunPath, made: Files, extent: Extent) -> None:
+    def __init__(self, folder: RunPath, made: Files, extent: RunExtent) -> None:
         self._data, self._record = folder / DATA, folder / COMMITS
         self._made, self._extent = made, extent
         self._variables: dict[str, dict[str, ChunkGrid]] = {}
-        known = {_META}
-        listed = self._attributes("", self._read("")).get(PARTS)
-        if listed is not None and not (isinstance(listed, list) and all(group in GROUPS for group in listed)):
+        expected = {_META}
+        stored_groups = self._attributes("", self._read("")).get(PARTS)
+        if stored_groups is not None and not (
+            isinstance(stored_groups, list) and all(group in GROUPS for group in stored_groups)
+        ):
             raise RunDataError(f"{self._data / _META}: {PARTS} must be a list of {', '.join(GROUPS)}")
-        self.complete = listed is not None
+        self.complete = stored_groups is not None
         recorded = [group for group in GROUPS if f"{group}/{_META}" in made]
-        for group in recorded if listed is None else listed:
+        for group in recorded if stored_groups is None else stored_groups:
             attributes = self._attributes(group, self._read(group))
             self._variables[group] = {
                 name: self._grid(group, name) for name in self._names(group, attributes, ORDER)
             }
-            known.add(f"{group}/{_META}")
-            known |= {f"{group}/{name}/{_META}" for name in self._variables[group]}
+            expected.add(f"{group}/{_META}")
+            expected |= {f"{group}/{name}/{_META}" for name in self._variables[group]}
             if LABELS in attributes:
                 for name in self._names(group, attributes, LABELS):
-                    known |= {f"{group}/{name}/{_META}", *self._label(group, name)}
-        if self.complete and (more := sorted(made.keys() - known)):
+                    expected |= {f"{group}/{name}/{_META}", *self._label(group, name)}
+        if self.complete and (more := sorted(made.keys() - expected)):
             raise RunDataError(f"{self._record / MADE}: files must be those of the store, got {more[0]!r}")
 
     def _read(self, array: str) -> dict[str, Any]:
@@ -191,15 +193,15 @@ class Expected:
                 f"whole numbers up to {_MOST}"
             ) from None
         grid = ChunkGrid(dims, shape, chunks)
-        own = dict(zip(dims, zip(shape, chunks, strict=True), strict=True))
-        if "env" in own and own["env"][0] != self._extent.envs:
+        axes = dict(zip(dims, zip(shape, chunks, strict=True), strict=True))
+        if "env" in axes and axes["env"][0] != self._extent.envs:
             raise RunDataError(
-                f"{path}: must have {self._extent.envs} environments, as in run.json, got {own['env'][0]}"
+                f"{path}: must have {self._extent.envs} environments, as in run.json, got {axes['env'][0]}"
             )
-        if "time" in own and own["time"][0] > self._extent.steps + 1:
+        if "time" in axes and axes["time"][0] > self._extent.steps + 1:
             raise RunDataError(
                 f"{path}: must have at most {self._extent.steps + 1} frames, as run.json has {self._extent.steps} "
-                f"steps, got {own['time'][0]}"
+                f"steps, got {axes['time'][0]}"
             )
         return grid
 
@@ -250,8 +252,8 @@ class Expected:
         if len(named) < len(commit.files) + len(commit.empty or ()):
             return "empty must name chunks that are not in files, each once"
         envs = self._extent.envs_of(commit.shard)
-        places = {path: grid.places(envs, frames) for path, grid in grids.items()}
-        if more := next((name for name in named if not _is_among(places, name)), None):
+        chunk_ranges = {path: grid.chunk_ranges(envs, frames) for path, grid in grids.items()}
+        if more := next((name for name in named if not _is_among(chunk_ranges, name)), None):
             return f"files must be those of this shard after {commit.steps} steps, got {more!r}"
         return None
 
@@ -266,7 +268,7 @@ class Expected:
         return {
             f"{group}/{name}": grid
             for group, variables in self._variables.items()
-            if finished or group not in _AT_END
+            if finished or group not in _WRITTEN_AT_END
             for name, grid in variables.items()
         }
 
@@ -276,10 +278,10 @@ def _are_whole(sizes: Sequence[object], least: int) -> bool:
     return all(isinstance(n, int) and not isinstance(n, bool) and least <= n <= _MOST for n in sizes)
 
 
-def _is_among(places: Mapping[str, Sequence[range]], name: str) -> bool:
+def _is_among(chunk_ranges: Mapping[str, Sequence[range]], name: str) -> bool:
     """Whether a chunk is at one of the places of its array."""
-    path, _, place = name.partition("/c/")
-    own, found = places.get(path), place.split("/")
-    if own is None or len(found) != len(own):
+    path, _, position = name.partition("/c/")
+    axes, found = chunk_ranges.get(path), position.split("/")
+    if axes is None or len(found) != len(axes):
         return False
-    return all(str(int(k)) == k and int(k) in some for k, some in zip(found, own, strict=True))
+    return all(str(int(k)) == k and int(k) in selected for k, selected in zip(found, axes, strict=True))

@@ -8,26 +8,26 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from warpcontact import collecting
-from warpcontact.build import draw_up
+from warpcontact.build import plan_model
 from warpcontact.contact_warning import RunWarning
-from warpcontact.draft import Draft
+from warpcontact.draft import ModelPlan
 from warpcontact.environments import Environments
-from warpcontact.experiment.assemble import Assembler, Loaded
+from warpcontact.experiment.assemble import FileCache, SceneBuilder
 from warpcontact.experiment.catalogue import FileMesh
-from warpcontact.experiment.changes import changed_by
+from warpcontact.experiment.changes import apply_overrides
 from warpcontact.experiment.defaults import default_interval, default_sensors
 from warpcontact.experiment.design import Design
 from warpcontact.experiment.errors import ExperimentError, Problems
-from warpcontact.experiment.observation import check_watched, watching
-from warpcontact.experiment.own import OwnFiles
-from warpcontact.experiment.parser import Parts, load_toml, read_settings
+from warpcontact.experiment.observation import check_monitors, monitor_arguments
+from warpcontact.experiment.own import UserFiles
+from warpcontact.experiment.parser import ExperimentParts, load_toml, read_settings
 from warpcontact.experiment.plan import Plan, make_plan, recording_size
 from warpcontact.experiment.sampling import Sobol
 from warpcontact.experiment.schema import Settings
-from warpcontact.experiment.trial import trial
+from warpcontact.experiment.trial import check_build
 from warpcontact.experiment.trust import Trust
 from warpcontact.experiment.variation import Variation, truncated
-from warpcontact.footprint import environments
+from warpcontact.footprint import env_count_text
 from warpcontact.integrators.base import formulas_of
 from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.kernels.names import stored_name
@@ -35,12 +35,12 @@ from warpcontact.model import Model
 from warpcontact.scene import Scene
 from warpcontact.simulation import Simulation
 from warpcontact.split_model import SplitModel
-from warpcontact.unilateral.hard_contacts import is_of_hard_contact, sensor_hint
+from warpcontact.unilateral.hard_contacts import is_nonsmooth_sensor, sensor_hint
 from warpcontact.whole_steps import whole_steps
 
 if TYPE_CHECKING:
-    from warpcontact.experiment.notices import Notices
-    from warpcontact.experiment.probe import Probe
+    from warpcontact.experiment.notices import WarningLog
+    from warpcontact.experiment.probe import TimeEstimate
     from warpcontact.experiment.run import Run
 
 #: Time between checkpoints [s].
@@ -78,13 +78,13 @@ class Experiment:
     ) -> None:
         self.folder = Path(folder)
         self.source = source
-        self._loaded = Loaded()
-        self._own = OwnFiles(self.folder, on_stage or _say_nothing, trust)
+        self._file_cache = FileCache()
+        self._user_files = UserFiles(self.folder, on_stage or _ignore_stage, trust)
         self._check(content)
 
     def __repr__(self) -> str:
         s = self.settings
-        return f"<Experiment {s.name}: {environments(s.envs)} × {s.duration:g} s, dt = {s.dt:g} s>"
+        return f"<Experiment {s.name}: {env_count_text(s.envs)} × {s.duration:g} s, dt = {s.dt:g} s>"
 
     @classmethod
     def from_toml(
@@ -113,7 +113,7 @@ class Experiment:
         if isinstance(changes, str):
             raise TypeError(f"changes must be a list of texts PATH=VALUE, got the string {changes!r}")
         path = Path(path)
-        return cls(content_of(path, changes), path.parent, source=str(path), on_stage=on_stage, trust=trust)
+        return cls(read_content(path, changes), path.parent, source=str(path), on_stage=on_stage, trust=trust)
 
     @classmethod
     def from_dict(
@@ -134,8 +134,10 @@ class Experiment:
     def scene(self) -> Scene:
         """Returns a new scene of this experiment."""
         problems = Problems()
-        scene = Assembler(Parts.of_settings(self.settings), self.folder, self._loaded).scene(problems)
-        problems.stop(self.source)
+        scene = SceneBuilder(ExperimentParts.from_settings(self.settings), self.folder, self._file_cache).scene(
+            problems
+        )
+        problems.raise_if_any(self.source)
         return scene
 
     def model(self, envs: int | None = None, device: str | Sequence[str] = "auto") -> Model | SplitModel:
@@ -150,7 +152,7 @@ class Experiment:
             ExperimentError: If there is no such device, or a value is out of range.
             MemoryError: If they take more memory than there is; ``run`` takes one shard after another then.
         """
-        with self._own.blamed():
+        with self._user_files.named_errors():
             return self.changed(envs=envs)._build(device)
 
     def changed(self, *, envs: int | None = None, duration: float | None = None) -> "Experiment":
@@ -170,7 +172,7 @@ class Experiment:
             content["variation"] = {name: entry.model_dump(exclude_none=True) for name, entry in shorter.items()}
         other = Experiment.__new__(Experiment)
         other.folder, other.source = self.folder, self.source
-        other._loaded, other._own = self._loaded, self._own
+        other._file_cache, other._user_files = self._file_cache, self._user_files
         other._check(content)
         return other
 
@@ -229,52 +231,63 @@ class Experiment:
         # To check an experiment takes none of this.
         from warpcontact.experiment import cluster
         from warpcontact.experiment import folder as files_of
-        from warpcontact.experiment.execute import Job, all_finished, check_resumable, here, proceed, start
-        from warpcontact.experiment.lock import writing
-        from warpcontact.experiment.notices import Notices
-        from warpcontact.signals import terminations
+        from warpcontact.experiment.execute import (
+            RunJob,
+            all_finished,
+            check_resumable,
+            run_in_process,
+            run_remaining,
+            start,
+        )
+        from warpcontact.experiment.lock import write_lock
+        from warpcontact.experiment.notices import WarningLog
+        from warpcontact.signals import terminate_as_interrupt
 
         _check_shard(shard, self.source)
-        _check_pace(threads, checkpoint, self.source)
+        _check_threads_and_checkpoint(threads, checkpoint, self.source)
         folder = Path(out)
         # Before all that may take long.
         files_of.check_usable(folder, overwrite=overwrite, resume=resume)
         experiment = self.changed(envs=envs, duration=duration)
-        copy = files_of.copied(experiment.settings, experiment.folder, folder, experiment._own)
-        notices = Notices(on_warning)
-        say = on_stage or _say_nothing
-        with notices.listening(), experiment._own.blamed(), contextlib.ExitStack() as alone:
-            alone.enter_context(terminations())
+        copy = files_of.copy_experiment(experiment.settings, experiment.folder, folder, experiment._user_files)
+        warning_log = WarningLog(on_warning)
+        report_stage = on_stage or _ignore_stage
+        with (
+            warning_log.collect_warnings(),
+            experiment._user_files.named_errors(),
+            contextlib.ExitStack() as exit_stack,
+        ):
+            exit_stack.enter_context(terminate_as_interrupt())
             if ray:
                 device = cluster.one_device(device, experiment.source)
             summary = None
             if resume:
                 if folder.is_dir():
-                    alone.enter_context(writing(folder))
+                    exit_stack.enter_context(write_lock(folder))
                 summary = files_of.check_started(folder)
                 _check_same_shard(shard, summary, folder)
             else:
                 files_of.check_replaced(folder, copy.files)
-            experiment._tell_of_meshes(notices)
-            experiment._tell_of_sampling(notices)
+            experiment._report_meshes(warning_log)
+            experiment._warn_about_sampling(warning_log)
             draft = experiment.draft(device)
             # Of a run that was ended after its last shard, what shows the results is missing, and takes little.
             done = summary is not None and all_finished(folder, summary)
-            place = cluster.connect(ray, str(device), experiment.source) if ray and not done else None
-            if place is not None:
-                alone.enter_context(terminations())  # Ray took the signal for itself
+            resources = cluster.connect(ray, str(device), experiment.source) if ray and not done else None
+            if resources is not None:
+                exit_stack.enter_context(terminate_as_interrupt())  # Ray took the signal for itself
             if summary is not None:
                 shard = None if done else summary["shard"]
-            elif place is not None and shard is None:
-                shard = place.shard_size(experiment.settings.envs)
+            elif resources is not None and shard is None:
+                shard = resources.default_shard_size(experiment.settings.envs)
             plan = make_plan(draft, experiment._size, experiment.settings, experiment.design, shard)
             if not done:
                 plan.require()
             if summary is not None:
                 plan = plan.resumed(summary)
-            if place is not None:
-                place = place.for_shards_of(plan, say)
-            job = Job(
+            if resources is not None:
+                resources = resources.limit_by_memory(plan, report_stage)
+            job = RunJob(
                 settings=experiment.settings,
                 scene=experiment.scene(),
                 design=experiment.design,
@@ -282,40 +295,40 @@ class Experiment:
                 copy=copy,
                 folder=folder,
                 progress=progress,
-                say=say,
-                notices=notices,
-                every=checkpoint,
+                on_stage=report_stage,
+                warning_log=warning_log,
+                checkpoint_interval=checkpoint,
                 threads=threads,
             )
             if summary is not None:
                 check_resumable(summary, job)
             if done:
-                return proceed(job, lambda left, commits, bar: {})
-            if place is not None and summary is not None:
-                return proceed(job, place.runs(job))
-            say(f"building {plan.shard} environments")
+                return run_remaining(job, lambda remaining, commits, bar: {})
+            if resources is not None and summary is not None:
+                return run_remaining(job, resources.shard_runner(job))
+            report_stage(f"building {plan.shard} environments")
             runner = job.runner(draft.build(plan.shard))
             if summary is None:
-                start(runner, job, alone)
-            if place is not None:
+                start(runner, job, exit_stack)
+            if resources is not None:
                 del runner, draft  # whoever runs shards needs the room
-                return proceed(job, place.runs(job))
-            return proceed(job, here(runner, job))
+                return run_remaining(job, resources.shard_runner(job))
+            return run_remaining(job, run_in_process(runner, job))
 
-    def _tell_of_meshes(self, notices: "Notices") -> None:
+    def _report_meshes(self, warning_log: "WarningLog") -> None:
         for i, surface in enumerate(self.settings.surface):
             for mesh in surface.meshes.values():
                 if isinstance(mesh, FileMesh):
-                    notices.add_mesh(mesh.file, self._loaded.meshes[f"surface[{i}]", mesh].report)
+                    warning_log.add_mesh(mesh.file, self._file_cache.meshes[f"surface[{i}]", mesh].report)
 
-    def _tell_of_sampling(self, notices: "Notices") -> None:
+    def _warn_about_sampling(self, warning_log: "WarningLog") -> None:
         if isinstance(self.design.sampler, Sobol) and (envs := self.settings.envs) & (envs - 1):
             below = 1 << envs.bit_length() - 1
             text = (
                 f"sampling.method = 'sobol' with {envs} environments: Sobol' points fill their space evenly if "
                 f"there is a power of two of them; next to it: {below} and {2 * below}"
             )
-            notices.add(RunWarning(text))
+            warning_log.add(RunWarning(text))
 
     def plan(
         self,
@@ -332,26 +345,26 @@ class Experiment:
         ``out``, which need not be there, the plan also has what is free on the disk of that folder.
         """
         _check_shard(shard, self.source)
-        with self._own.blamed():
+        with self._user_files.named_errors():
             changed = self.changed(envs=envs, duration=duration)
             plan = make_plan(changed.draft(device), changed._size, changed.settings, changed.design, shard)
         if out is None:
             return plan
-        from warpcontact.experiment.disk import disk_of
+        from warpcontact.experiment.disk import find_disk
 
-        return dataclasses.replace(plan, disk=disk_of(Path(out)))
+        return dataclasses.replace(plan, disk=find_disk(Path(out)))
 
-    def probe(self, *, device: str | Sequence[str] = "auto", shard: int | None = None) -> "Probe":
+    def probe(self, *, device: str | Sequence[str] = "auto", shard: int | None = None) -> "TimeEstimate":
         """Steps some environments, ``shard`` at most, for a few seconds; returns how long a run would take."""
-        from warpcontact.experiment.probe import probe
+        from warpcontact.experiment.probe import estimate_time
 
-        with self._own.blamed():
-            return probe(self.draft(device), self.settings, self.design, shard or self.settings.envs)
+        with self._user_files.named_errors():
+            return estimate_time(self.draft(device), self.settings, self.design, shard or self.settings.envs)
 
-    def draft(self, device: str | Sequence[str] = "auto") -> Draft:
+    def draft(self, device: str | Sequence[str] = "auto") -> ModelPlan:
         """Prepares any number of environments on ``device``, with values that do not vary."""
         try:
-            return draw_up(self.scene(), device, self.settings.precision, self._loaded.take_patches())
+            return plan_model(self.scene(), device, self.settings.precision, self._file_cache.take_query_meshes())
         except ValueError as error:
             raise ExperimentError(self.source, [str(error)]) from None
 
@@ -365,38 +378,38 @@ class Experiment:
     def _check(self, content: Mapping[str, Any]) -> None:
         """Takes over ``content``, or raises ``ExperimentError`` with everything that is wrong with it."""
         problems = Problems()
-        parts = read_settings(content, self._own, problems)
+        parts = read_settings(content, self._user_files, problems)
         if not content.get("body") and not content.get("bodies"):
             problems.add("body", "is missing: an experiment needs a [[body]]")
             parts.unnamed.add("body")
         # The first trial makes kernels, which stay.
-        with collecting.paused():
-            model = trial(parts, self.folder, self._loaded, problems)
+        with collecting.gc_paused():
+            model = check_build(parts, self.folder, self._file_cache, problems)
         if model is not None:
             self._check_with(model, parts, problems)
-        problems.stop(self.source)
+        problems.raise_if_any(self.source)
 
-    def _check_with(self, model: Environments, parts: Parts, problems: Problems) -> None:
+    def _check_with(self, model: Environments, parts: ExperimentParts, problems: Problems) -> None:
         """Checks what needs to know parameters and sensors, and fills in what follows from them."""
         present = set(model.scene.element_names())
 
-        def unsound(name: str) -> bool:
+        def is_invalid(name: str) -> bool:
             """Whether ``name`` is, or may be, of an element that has problems of its own."""
             element = name.partition(".")[0]
-            return element not in present and parts.may_name(element)
+            return element not in present and parts.may_refer_to(element)
 
         settings = parts.settings
         seed = 0 if settings is None else settings.seed
-        varied = Variation(parts.variation, model, parts.envs, seed, self.folder, problems, unsound)
+        varied = Variation(parts.variation, model, parts.envs, seed, self.folder, problems, is_invalid)
         method, correlation = (settings.sampling.method, settings.correlation) if settings else ("random", ())
         self.design: Design = varied.design(method, correlation)
         if settings is None:
             return
-        steps = self._can_step(model, settings, problems, unsound)
+        steps = self._check_integrator(model, settings, problems, is_invalid)
         for i, name in enumerate(settings.record.sensors or ()):
-            if not steps and is_of_hard_contact(name):
+            if not steps and is_nonsmooth_sensor(name):
                 continue
-            if stored_name(name) not in model.sensor_names and not unsound(name):
+            if stored_name(name) not in model.sensor_names and not is_invalid(name):
                 hint = sensor_hint(name, model.sensor_names, model.scene)
                 problems.add(f"record.sensors[{i}]", f"must be the name of a sensor, got {name!r}{hint}")
         every = self._interval(model, settings, problems)
@@ -408,17 +421,17 @@ class Experiment:
             self._size = recording_size(model, sensors, self.design.names, settings)
 
     @staticmethod
-    def _can_step(
-        model: Environments, settings: Settings, problems: Problems, unsound: Callable[[str], bool]
+    def _check_integrator(
+        model: Environments, settings: Settings, problems: Problems, is_invalid: Callable[[str], bool]
     ) -> bool:
         """Checks the integrator, and lets what can be read be that of its contacts."""
         before = len(problems.lines)
         if any(line.startswith("integrator") for line in problems.lines):
             return False
-        known = list(formulas_of(model.scene))
+        available = list(formulas_of(model.scene))
         for i, name in enumerate(settings.integrator.compliant or ()):
-            if name not in known and not unsound(name):
-                problems.refer(f"integrator.compliant[{i}]", name, "contact", known)
+            if name not in available and not is_invalid(name):
+                problems.add_unknown_name(f"integrator.compliant[{i}]", name, "contact", available)
         if len(problems.lines) > before:
             return False
         integrator = settings.integrator.make()
@@ -427,10 +440,10 @@ class Experiment:
         except ValueError as error:
             problems.add("integrator", f": {error}")
             return False
-        check_watched(model, integrator, settings, problems, unsound)
+        check_monitors(model, integrator, settings, problems, is_invalid)
         if not problems:
             try:
-                Simulation(model, settings.dt, integrator, **watching(settings))
+                Simulation(model, settings.dt, integrator, **monitor_arguments(settings))
             except TypeError as error:  # a user's own outcome
                 problems.add("outcome", f": {error}")
         return len(problems.lines) == before
@@ -451,36 +464,37 @@ class Experiment:
         return every
 
 
-def content_of(path: Path, changes: Iterable[str]) -> dict[str, Any]:
+def read_content(path: Path, changes: Iterable[str]) -> dict[str, Any]:
     """Returns what an experiment file holds, with a name in any case, and with ``changes``; nothing is checked."""
-    return changed_by({"name": path.stem} | load_toml(path), changes)
+    return apply_overrides({"name": path.stem} | load_toml(path), changes)
 
 
 def _check_shard(shard: object, source: str) -> None:
     """Raises ``ExperimentError`` unless ``shard`` is a number of environments, or ``None``."""
-    whole = isinstance(shard, int) and not isinstance(shard, bool)
-    if shard is not None and not (whole and shard >= 1):  # type: ignore[operator]
+    is_integer = isinstance(shard, int) and not isinstance(shard, bool)
+    if shard is not None and not (is_integer and shard >= 1):  # type: ignore[operator]
         raise ExperimentError(source, [f"shard must be a whole number of at least 1, got {shard!r}"])
 
 
 def _check_same_shard(shard: int | None, summary: Mapping[str, Any], folder: Path) -> None:
     """Raises ``ExperimentError`` unless ``shard`` is that of the run of ``summary``, or ``None``."""
-    there = summary["shard"]
-    if shard is not None and min(shard, summary["envs"]) != there:
+    stored = summary["shard"]
+    if shard is not None and min(shard, summary["envs"]) != stored:
         raise ExperimentError(
-            str(folder), [f"holds a run in other shards: shard is {there} there, {shard} here; it can be left out"]
+            str(folder),
+            [f"holds a run in other shards: shard is {stored} there, {shard} here; it can be left out"],
         )
 
 
-def _check_pace(threads: object, checkpoint: object, source: str) -> None:
+def _check_threads_and_checkpoint(threads: object, checkpoint: object, source: str) -> None:
     """Raises ``ExperimentError`` unless these are a number of threads, and a time between checkpoints."""
-    whole = isinstance(threads, int) and not isinstance(threads, bool)
-    if threads is not None and not (whole and threads >= 1):  # type: ignore[operator]
+    is_integer = isinstance(threads, int) and not isinstance(threads, bool)
+    if threads is not None and not (is_integer and threads >= 1):  # type: ignore[operator]
         raise ExperimentError(source, [f"threads must be a whole number of at least 1, got {threads!r}"])
     number = isinstance(checkpoint, int | float) and not isinstance(checkpoint, bool)
     if not (number and checkpoint >= 0.0):  # type: ignore[operator]
         raise ExperimentError(source, [f"checkpoint must be a time of at least 0 s, got {checkpoint!r}"])
 
 
-def _say_nothing(stage: str) -> None:
+def _ignore_stage(stage: str) -> None:
     pass

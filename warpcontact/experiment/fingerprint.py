@@ -5,17 +5,17 @@ import tomllib
 from collections.abc import Iterator
 from typing import Any
 
-from warpcontact.experiment.errors import key_path, shown
-from warpcontact.experiment.folder import Copy
+from warpcontact.experiment.errors import abbreviated, key_path
+from warpcontact.experiment.folder import ExperimentCopy
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.toml import to_toml
 from warpcontact.run_folder import RunPath, open_file
 
 # More differences than this are not told.
-TOLD = 5
+MAX_REPORTED = 5
 
 
-def fingerprint(copy: Copy) -> str:
+def fingerprint(copy: ExperimentCopy) -> str:
     """Returns the SHA-256 of an experiment as it is copied into a folder, with what other files say."""
     total = hashlib.sha256(_text(copy.settings).encode())
     for name, content in sorted(copy.files.items()):
@@ -29,24 +29,26 @@ def fingerprint(copy: Copy) -> str:
 def differences(path: RunPath, settings: Settings) -> list[str]:
     """Returns in words where the experiment in a file that a run has written differs from ``settings``."""
     try:
-        theirs = dict(_leaves(tomllib.loads(path.read().decode())))
+        stored = dict(_leaves(tomllib.loads(path.read().decode())))
     except (OSError, ValueError) as error:
         return [f"{path.name} cannot be read: {error}"]
-    own = dict(_leaves(tomllib.loads(_text(settings))))
-    told = [
-        f"{key_path(key)} is {_said(theirs, key)} there, {_said(own, key)} here"
-        for key in dict.fromkeys((*theirs, *own))
-        if theirs.get(key) != own.get(key)
+    current = dict(_leaves(tomllib.loads(_text(settings))))
+    differing = [
+        f"{key_path(key)} is {_value_text(stored, key)} there, {_value_text(current, key)} here"
+        for key in dict.fromkeys((*stored, *current))
+        if stored.get(key) != current.get(key)
     ]
-    return told[:TOLD] + ([f"and {len(told) - TOLD} more"] if len(told) > TOLD else [])
+    return differing[:MAX_REPORTED] + (
+        [f"and {len(differing) - MAX_REPORTED} more"] if len(differing) > MAX_REPORTED else []
+    )
 
 
 def _text(settings: Settings) -> str:
     return to_toml(settings, "")
 
 
-def _said(leaves: dict[tuple[str | int, ...], Any], key: tuple[str | int, ...]) -> str:
-    return shown(leaves[key]) if key in leaves else "not given"
+def _value_text(leaves: dict[tuple[str | int, ...], Any], key: tuple[str | int, ...]) -> str:
+    return abbreviated(leaves[key]) if key in leaves else "not given"
 
 
 def _leaves(value: Any, place: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], Any]]:

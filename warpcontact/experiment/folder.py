@@ -11,14 +11,14 @@ from typing import Any
 
 from warpcontact._version import __version__
 from warpcontact.durable import write_json
-from warpcontact.experiment.catalogue import FileMesh, FormulaSettings, Section, ShapeMesh, own_class
-from warpcontact.experiment.errors import ExperimentError, shown
-from warpcontact.experiment.lock import busy, is_written
+from warpcontact.experiment.catalogue import DeviceModelSettings, FileMesh, Section, ShapeMesh, user_class
+from warpcontact.experiment.errors import ExperimentError, abbreviated
+from warpcontact.experiment.lock import is_locked, locked_error
 from warpcontact.experiment.observation import OutcomeSettings
-from warpcontact.experiment.own import OwnFiles
-from warpcontact.experiment.schema import FORMULA_SECTIONS, ROW_KEYS, Settings
+from warpcontact.experiment.own import UserFiles
+from warpcontact.experiment.schema import DEVICE_MODEL_SECTIONS, ROW_KEYS, Settings
 from warpcontact.experiment.store import CHECKPOINTS, COMMITS, DATA, STAGING
-from warpcontact.experiment.variation import relocated
+from warpcontact.experiment.variation import relocate
 from warpcontact.regular_files import UnsafeFileError
 from warpcontact.run_folder import EXPERIMENT, PARTIAL, SUMMARY, RunPath
 
@@ -49,7 +49,7 @@ _MOST = 2**31 - 1
 
 
 @dataclass(frozen=True)
-class Copy:
+class ExperimentCopy:
     """What is written of an experiment, so that it can be repeated from the folder of results alone.
 
     Attributes:
@@ -68,8 +68,8 @@ def check_usable(folder: Path, *, overwrite: bool, resume: bool) -> None:
     if not resume:
         check_new(folder, overwrite)
         return
-    if is_written(folder):
-        raise busy(folder)
+    if is_locked(folder):
+        raise locked_error(folder)
     check_started(folder)
 
 
@@ -90,8 +90,8 @@ def check_new(folder: Path, overwrite: bool) -> None:
         raise ExperimentError(
             str(folder), ["is not empty, and what is in it is no earlier run; choose a new folder"]
         )
-    if is_written(folder):
-        raise busy(folder)
+    if is_locked(folder):
+        raise locked_error(folder)
     if not overwrite and (summary.get("state") not in (UNFINISHED, INTERRUPTED, FAILED) or has_commits(folder)):
         kind = "an earlier run" if summary.get("state") == FINISHED else "a run that did not finish"
         resume = "" if summary.get("state") == FINISHED else ", or go on with it (--resume)"
@@ -129,7 +129,7 @@ def check_schema(folder: Path, summary: Mapping[str, Any]) -> None:
     schema, source = summary.get("schema"), str(folder / SUMMARY)
     if schema != SCHEMA:
         raise ExperimentError(
-            source, [f"schema must be {SCHEMA}, got {shown(schema)}, written by {summary.get('program')}"]
+            source, [f"schema must be {SCHEMA}, got {abbreviated(schema)}, written by {summary.get('program')}"]
         )
     wrong = [f"{key} is missing" for key in (*_WHOLE, *_TIMES, *_TEXTS) if key not in summary]
     if wrong:
@@ -137,19 +137,21 @@ def check_schema(folder: Path, summary: Mapping[str, Any]) -> None:
     for key in _WHOLE:
         value = summary[key]
         if not (isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= _MOST):
-            wrong.append(f"{key} must be a whole number from 1 to {_MOST}, got {shown(value)}")
+            wrong.append(f"{key} must be a whole number from 1 to {_MOST}, got {abbreviated(value)}")
     for key in _TIMES:
         value = summary[key]
         if not (isinstance(value, int | float) and not isinstance(value, bool) and 0.0 < value < float("inf")):
-            wrong.append(f"{key} must be a time above 0 s, got {shown(value)}")
+            wrong.append(f"{key} must be a time above 0 s, got {abbreviated(value)}")
     wrong += [
-        f"{key} must be a text, got {shown(summary[key])}" for key in _TEXTS if not isinstance(summary[key], str)
+        f"{key} must be a text, got {abbreviated(summary[key])}"
+        for key in _TEXTS
+        if not isinstance(summary[key], str)
     ]
     for key in _TABLES:
         if not isinstance(summary.get(key, {}), dict):
-            wrong.append(f"{key} must be a table, got {shown(summary[key])}")
+            wrong.append(f"{key} must be a table, got {abbreviated(summary[key])}")
     if isinstance(summary["state"], str) and summary["state"] not in STATES:
-        wrong.append(f"state must be one of {', '.join(STATES)}, got {shown(summary['state'])}")
+        wrong.append(f"state must be one of {', '.join(STATES)}, got {abbreviated(summary['state'])}")
     if not wrong:
         count = -(-summary["envs"] // summary["shard"])
         if summary["shards"] != count:
@@ -196,25 +198,25 @@ def clear(folder: Path) -> None:
     """Makes ``folder``, or removes the files of the earlier run in it; others stay."""
     run = RunPath(folder)
     run.make()
-    own = (DATA, f"{DATA}{PARTIAL}", STAGING, CHECKPOINTS, COMMITS, PROGRESS, ANIMATION, PICTURE, EXPERIMENT)
-    for name in (*own, *law_files(read_summary(folder)), SUMMARY):
+    run_files = (DATA, f"{DATA}{PARTIAL}", STAGING, CHECKPOINTS, COMMITS, PROGRESS, ANIMATION, PICTURE, EXPERIMENT)
+    for name in (*run_files, *law_files(read_summary(folder)), SUMMARY):
         (run / name).remove()
 
 
-def make_parts(folder: Path) -> None:
+def make_subfolders(folder: Path) -> None:
     """Makes the folders that a run writes into."""
     for name in (STAGING, CHECKPOINTS, COMMITS, PROGRESS):
         (RunPath(folder) / name).make()
 
 
-def remove_parts(folder: Path) -> None:
+def remove_work_subfolders(folder: Path) -> None:
     """Removes those of them that a finished run needs no more."""
     for name in (STAGING, CHECKPOINTS, PROGRESS):
         with contextlib.suppress(OSError):
             (RunPath(folder) / name).remove()
 
 
-def copied(settings: Settings, old: Path, new: Path, own: OwnFiles) -> Copy:
+def copy_experiment(settings: Settings, old: Path, new: Path, user_files: UserFiles) -> ExperimentCopy:
     """Returns what is to be written into folder ``new`` of an experiment in folder ``old``.
 
     Files with meshes and rows stay where they are. Files with laws are copied: they may lie nowhere but beside the
@@ -223,11 +225,11 @@ def copied(settings: Settings, old: Path, new: Path, own: OwnFiles) -> Copy:
     names: dict[Path, str] = {}
     files: dict[str, bytes] = {}
 
-    def with_file(table: FormulaSettings | OutcomeSettings) -> Section:
-        file, cls = own_class(table.type)
+    def with_file(table: DeviceModelSettings | OutcomeSettings) -> Section:
+        file, cls = user_class(table.type)
         if not file:
             return table
-        found = own.file(file)
+        found = user_files.file(file)
         if found.path not in names:
             names[found.path] = _free_name(found.path, names.values())
             files[names[found.path]] = found.content
@@ -236,15 +238,17 @@ def copied(settings: Settings, old: Path, new: Path, own: OwnFiles) -> Copy:
     def renamed(entry: Section) -> Section:
         changes = {}
         for key, table in entry:
-            if isinstance(table, FormulaSettings):
+            if isinstance(table, DeviceModelSettings):
                 changes[key] = with_file(table)
         return entry.model_copy(update=changes)
 
-    sections: dict[str, Any] = {name: tuple(map(renamed, getattr(settings, name))) for name in FORMULA_SECTIONS}
+    sections: dict[str, Any] = {
+        name: tuple(map(renamed, getattr(settings, name))) for name in DEVICE_MODEL_SECTIONS
+    }
     sections["outcome"] = {name: with_file(table) for name, table in settings.outcome.items()}
     whole = settings.model_copy(update=sections)
     moved = _with_rows_from(_with_meshes_from(whole, old, new), old, new)
-    return Copy(moved, files, tuple(_external_files(settings, old)))
+    return ExperimentCopy(moved, files, tuple(_external_files(settings, old)))
 
 
 def _free_name(path: Path, taken: Iterable[str]) -> str:
@@ -280,7 +284,7 @@ def _with_rows_from(settings: Settings, old: Path, new: Path) -> Settings:
     sections = {
         name: tuple(renamed(entry, keys) for entry in getattr(settings, name)) for name, keys in ROW_KEYS.items()
     }
-    variation = relocated(settings.variation, lambda file: _file_from(file, old, new))
+    variation = relocate(settings.variation, lambda file: _file_from(file, old, new))
     return settings.model_copy(update=sections | {"variation": variation})
 
 

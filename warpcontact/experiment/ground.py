@@ -11,7 +11,7 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from warpcontact.checks import Array
-from warpcontact.frames import placed
+from warpcontact.frames import transform_points
 from warpcontact.meshes.topology import area_vectors
 from warpcontact.recording import Recording
 from warpcontact.scene import Surface
@@ -36,7 +36,7 @@ ACTIVE_LINE, INACTIVE_LINE = (0.45, 0.45, 0.45), (0.15, 0.72, 0.76)
 
 
 @dataclass(frozen=True)
-class Ground:
+class GroundSurface:
     """A surface of the world as it is in the first environment of a recording.
 
     Attributes:
@@ -50,7 +50,7 @@ class Ground:
     shared: bool
 
     @classmethod
-    def of(cls, recording: Recording, surface: Surface) -> "Ground":
+    def of(cls, recording: Recording, surface: Surface) -> "GroundSurface":
         """Returns ``surface`` with pose, scale and mesh as recorded, or else as in the scene."""
         first: dict[str, Any] = {
             "position": surface.position,
@@ -66,11 +66,11 @@ class Ground:
                 shared &= bool((values == values[:1]).all())
         which = int(first["mesh"])
         mesh = surface.meshes[which]
-        vertices = placed(first["scale"] * mesh.vertices, first["position"], first["orientation"])
+        vertices = transform_points(first["scale"] * mesh.vertices, first["position"], first["orientation"])
         return cls(vertices[mesh.faces], surface.active[which], shared)
 
     @classmethod
-    def of_shape(cls, recording: Recording, shape: Shape, reach: float) -> "Ground":
+    def of_shape(cls, recording: Recording, shape: Shape, reach: float) -> "GroundSurface":
         """Returns ``shape`` with pose and sizes as recorded, or else as in the scene.
 
         ``reach`` is how far from the world's origin the square that is drawn of a half-space goes at least [m].
@@ -85,20 +85,22 @@ class Ground:
                 shared &= bool((values == values[:1]).all())
         position, orientation = first.pop("position"), first.pop("orientation")
         vertices, faces = tessellate(shape.kind, first, reach + float(np.linalg.norm(position)))
-        return cls(placed(vertices, position, orientation)[faces], np.ones(len(faces), dtype=bool), shared)
+        return cls(
+            transform_points(vertices, position, orientation)[faces], np.ones(len(faces), dtype=bool), shared
+        )
 
 
-def grounds_of(recording: Recording, reach: float) -> list[Ground]:
+def ground_surfaces(recording: Recording, reach: float) -> list[GroundSurface]:
     """Returns the visible surfaces and shapes of the world, lower ones first; for ``reach`` see ``of_shape``."""
     scene = recording.scene
     fixed = [surface for surface in scene.surfaces if surface.body is None and surface.visible]
     shapes = [shape for shape in scene.shapes if shape.body is None and shape.visible]
-    grounds = [Ground.of(recording, surface) for surface in fixed]
-    grounds += [Ground.of_shape(recording, shape, reach) for shape in shapes]
+    grounds = [GroundSurface.of(recording, surface) for surface in fixed]
+    grounds += [GroundSurface.of_shape(recording, shape, reach) for shape in shapes]
     return sorted(grounds, key=lambda ground: float(ground.corners[..., 2].mean()))
 
 
-def contour_step(grounds: list[Ground], lower: Array, upper: Array) -> float:
+def contour_step(grounds: list[GroundSurface], lower: Array, upper: Array) -> float:
     """Returns how far apart contours are [m]: 1, 2 or 5 times a power of ten; 0 where all in a window is level.
 
     Args:
@@ -106,7 +108,7 @@ def contour_step(grounds: list[Ground], lower: Array, upper: Array) -> float:
         lower: Lower left corner of the window, x and y [m].
         upper: Upper right corner.
     """
-    inclined = [_inclined(ground.corners[_within(ground, lower, upper)]) for ground in grounds]
+    inclined = [_contoured(ground.corners[_within(ground, lower, upper)]) for ground in grounds]
     heights = np.concatenate([np.zeros(0), *(corners[..., 2].ravel() for corners in inclined)])
     span = float(np.ptp(heights)) if len(heights) else 0.0
     if span <= LEVEL * float(np.max(upper - lower)):
@@ -115,7 +117,7 @@ def contour_step(grounds: list[Ground], lower: Array, upper: Array) -> float:
     return float(min(power * nice for nice in (1.0, 2.0, 5.0, 10.0) if power * nice >= span / CONTOURS))
 
 
-def draw_from_above(axes: Any, ground: Ground, lower: Array, upper: Array, step: float) -> None:
+def draw_from_above(axes: Any, ground: GroundSurface, lower: Array, upper: Array, step: float) -> None:
     """Draws the faces within a window, lower ones first, with contours of their height.
 
     They are the lighter the higher they are above the mean plane of all, and the darker the steeper on it: a light
@@ -128,14 +130,16 @@ def draw_from_above(axes: Any, ground: Ground, lower: Array, upper: Array, step:
         upper: Upper right corner.
         step: How far apart contours are [m]; 0: there are none.
     """
-    near = _within(ground, lower, upper)
-    corners, active = ground.corners[near], ground.active[near]
+    in_window = _within(ground, lower, upper)
+    corners, active = ground.corners[in_window], ground.active[in_window]
     if not len(corners):
         return
     order = np.argsort(corners[..., 2].mean(axis=1))
     corners, active = corners[order], active[order]
     tint = np.where(active[:, None], ACTIVE, INACTIVE)
-    polygons = PolyCollection(list(corners[..., :2]), facecolors=greys(corners)[:, None] * tint, edgecolors="face")
+    polygons = PolyCollection(
+        list(corners[..., :2]), facecolors=relief_greys(corners)[:, None] * tint, edgecolors="face"
+    )
     # Smoothed edges would leave a seam between neighbours.
     polygons.set(linewidth=0.5, antialiased=False)
     axes.add_collection(polygons)
@@ -145,7 +149,7 @@ def draw_from_above(axes: Any, ground: Ground, lower: Array, upper: Array, step:
 
 def _draw_contours(axes: Any, corners: Array, lower: Array, upper: Array, step: float) -> None:
     """Draws contours of faces (n, 3, 3), each with its height once, where no other is written."""
-    corners = _inclined(corners)
+    corners = _contoured(corners)
     written: list[Array] = []
     if not len(corners):
         return
@@ -167,7 +171,7 @@ def _draw_contours(axes: Any, corners: Array, lower: Array, upper: Array, step: 
             axes.text(x, y, f"{level:.10g}", fontsize=7, color=HEIGHT, path_effects=edge, **place)
 
 
-def greys(corners: Array) -> Array:
+def relief_greys(corners: Array) -> Array:
     """Returns the greys of faces seen from above, (n,) in 0…1, by their corners (n, 3, 3) [m]."""
     middle = corners.mean(axis=1)
     middle = middle - middle.mean(axis=0)
@@ -189,7 +193,7 @@ def greys(corners: Array) -> Array:
     return np.clip(DARKEST + (LIGHTEST - DARKEST) * level - STEEP * sine, 0.0, 1.0)
 
 
-def _inclined(corners: Array) -> Array:
+def _contoured(corners: Array) -> Array:
     """Returns those of some faces that have contours: neither level nor upright, of which there is but an edge."""
     normal = area_vectors(corners)
     across = np.linalg.norm(normal[:, :2], axis=1)
@@ -197,7 +201,7 @@ def _inclined(corners: Array) -> Array:
     return corners[(across > LEVEL * upwards) & (upwards > UPRIGHT * across)]
 
 
-def _within(ground: Ground, lower: Array, upper: Array) -> NDArray[np.bool_]:
+def _within(ground: GroundSurface, lower: Array, upper: Array) -> NDArray[np.bool_]:
     """Returns a mask (F,) of the faces that reach into a window."""
     low, high = ground.corners[..., :2].min(axis=1), ground.corners[..., :2].max(axis=1)
     return np.asarray((high >= lower).all(axis=1) & (low <= upper).all(axis=1))
@@ -217,7 +221,7 @@ def _cut(corners: Array, axis: int, value: float) -> tuple[Array, NDArray[np.boo
     return (start + part[:, None] * (end - start)).reshape(-1, 2, 3), cut
 
 
-def draw_section(axes: Any, ground: Ground, y: float) -> None:
+def draw_section(axes: Any, ground: GroundSurface, y: float) -> None:
     """Draws where the plane at ``y`` [m] cuts a surface."""
     lines, cut = _cut(ground.corners, 1, y)
     if len(lines):

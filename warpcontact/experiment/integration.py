@@ -8,7 +8,7 @@ from warpcontact.experiment import quantities as q
 from warpcontact.experiment.catalogue import Section
 from warpcontact.integrators import INTEGRATORS, Integrator
 from warpcontact.integrators.moreau_jean import RECOVERY_TIME, SOLVERS, THETA, TOLERANCE
-from warpcontact.unilateral.materials import IMPACTS
+from warpcontact.unilateral.materials import IMPACT_LAWS
 
 
 class IntegratorSettings(Section):
@@ -20,7 +20,7 @@ class IntegratorSettings(Section):
     iterations: int | None = Field(default=None, ge=1)
     tolerance: Annotated[float | None, q.numbers((), allowed=TOLERANCE)] = None
     recovery_time: Annotated[float | None, q.numbers((), allowed=RECOVERY_TIME)] = None
-    impacts: Annotated[str | None, q.one_of(IMPACTS)] = None
+    impacts: Annotated[str | None, q.one_of(IMPACT_LAWS)] = None
     compliant: Annotated[tuple[str, ...] | None, Field(strict=False)] = None
 
     def make(self) -> Integrator:
@@ -28,7 +28,7 @@ class IntegratorSettings(Section):
         return INTEGRATORS[self.type](**self.model_dump(exclude={"type"}, exclude_none=True))
 
     @model_validator(mode="after")
-    def _own_keys(self) -> "IntegratorSettings":
+    def _check_keys(self) -> "IntegratorSettings":
         given = list(self.model_dump(exclude={"type"}, exclude_none=True))
         if given and self.type != "MoreauJean":
             raise ValueError(f": {', '.join(given)} needs type = 'MoreauJean', got {self.type!r}")

@@ -15,11 +15,11 @@ except ImportError:  # Windows has no locks on folders
 
 
 #: How often a lock is asked for.
-LOOKS = 5
+LOCK_ATTEMPTS = 5
 
 
 @contextlib.contextmanager
-def writing(folder: Path) -> Iterator[None]:
+def write_lock(folder: Path) -> Iterator[None]:
     """Keeps other processes from writing into ``folder``, which is there, until the block is left.
 
     Of file systems without locks, and on Windows, it keeps nobody.
@@ -29,16 +29,16 @@ def writing(folder: Path) -> Iterator[None]:
     """
     with _opened(folder) as opened:
         # Who only looks whether somebody writes holds it for a moment.
-        for _ in range(LOOKS):
+        for _ in range(LOCK_ATTEMPTS):
             if _lock(opened, exclusive=True):
                 break
             time.sleep(0.05)
         else:
-            raise busy(folder)
+            raise locked_error(folder)
         yield
 
 
-def is_written(folder: Path) -> bool:
+def is_locked(folder: Path) -> bool:
     """Whether a process is writing into ``folder``."""
     if not folder.is_dir():
         return False
@@ -46,7 +46,7 @@ def is_written(folder: Path) -> bool:
         return not _lock(opened, exclusive=False)
 
 
-def busy(folder: Path) -> ExperimentError:
+def locked_error(folder: Path) -> ExperimentError:
     """Returns the error that a process is writing into ``folder``."""
     return ExperimentError(str(folder), ["a process is running and writes there"])
 

@@ -9,27 +9,27 @@ from warpcontact.contact_warning import RunWarning, WarningLevel, labeled
 from warpcontact.meshes.report import MeshReport
 
 
-class Notices:
+class WarningLog:
     """Collects warnings, each once.
 
     Args:
-        tell: Called with each; ``None``: what Python code warns of takes its usual way as well.
+        on_warning: Called with each; ``None``: what Python code warns of takes its usual way as well.
 
     Attributes:
         lines: The warnings, each behind its level: ``caution: …``.
     """
 
-    def __init__(self, tell: Callable[[str], None] | None) -> None:
+    def __init__(self, on_warning: Callable[[str], None] | None) -> None:
         self.lines: list[str] = []
-        self.tell = tell
+        self.on_warning = on_warning
 
     def add(self, warning: Warning) -> None:
         """Adds a warning, unless it is known."""
         line = labeled(warning)
         if line not in self.lines:
             self.lines.append(line)
-            if self.tell is not None:
-                self.tell(line)
+            if self.on_warning is not None:
+                self.on_warning(line)
 
     def add_mesh(self, file: str, report: MeshReport) -> None:
         """Adds what is to be known of a mesh file: its warnings, and what a repair changed."""
@@ -40,17 +40,17 @@ class Notices:
             self.add(RunWarning(f"mesh file {file!r}: {text}"))
 
     @contextmanager
-    def listening(self) -> Iterator[None]:
+    def collect_warnings(self) -> Iterator[None]:
         """Adds what is warned of meanwhile; filters stay as they are."""
         with warnings.catch_warnings():
             pass_on = warnings.showwarning
 
-            def hear(message: Any, category: type[Warning], *where: Any, **more: Any) -> None:
-                heard = issubclass(category, UserWarning | RuntimeWarning)
-                if heard:
+            def add_warning(message: Any, category: type[Warning], *where: Any, **more: Any) -> None:
+                is_collected = issubclass(category, UserWarning | RuntimeWarning)
+                if is_collected:
                     self.add(message)
-                if not heard or self.tell is None:
+                if not is_collected or self.on_warning is None:
                     pass_on(message, category, *where, **more)
 
-            warnings.showwarning = hear
+            warnings.showwarning = add_warning
             yield

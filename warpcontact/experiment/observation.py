@@ -16,19 +16,19 @@ from pydantic import (
 )
 
 from warpcontact import checks, outcomes
-from warpcontact.arrays import Layout
+from warpcontact.arrays import AllocationPlan
 from warpcontact.checks import limits
 from warpcontact.environments import Environments
 from warpcontact.experiment import quantities as q
-from warpcontact.experiment.catalogue import Section, own_class
-from warpcontact.experiment.errors import Problems, key_path, shown
-from warpcontact.experiment.own import OwnFiles
+from warpcontact.experiment.catalogue import Section, user_class
+from warpcontact.experiment.errors import Problems, abbreviated, key_path
+from warpcontact.experiment.own import UserFiles
 from warpcontact.integrators import Integrator
 from warpcontact.kernels.names import stored_name, suggestion
 from warpcontact.kernels.outcomes.base import COMPONENTS, OfContact, Outcome
-from warpcontact.kernels.outcomes.source import EACH, FOLDS
+from warpcontact.kernels.outcomes.source import EACH, ITEM_REDUCTIONS
 from warpcontact.outcomes.observer import sources_of
-from warpcontact.outcomes.sources import Finder
+from warpcontact.outcomes.sources import SourceResolver
 from warpcontact.outcomes.watch import LASTING, POLICIES, RESERVED, ContactEvents, StopCondition
 from warpcontact.scene import MAX_DISTANCE, MAX_SPEED
 
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 _NUMBER = limits("-")
 _Sensor = Annotated[str, AfterValidator(stored_name)]
 _COMPONENT = Annotated[str | None, q.one_of(tuple(COMPONENTS))]
-_ITEMS = Annotated[str, q.one_of(FOLDS)]
+_ITEMS = Annotated[str, q.one_of(ITEM_REDUCTIONS)]
 _LIMIT = Annotated[float | None, q.numbers((), allowed=_NUMBER)]
 
 
@@ -131,12 +131,12 @@ class QuarantineSettings(Section):
         return self.model_dump(include={"max_speed", "max_distance"}, exclude_none=True)
 
 
-def outcome_model(value: Any, own: OwnFiles) -> type[OutcomeSettings]:
+def outcome_model(value: Any, user_files: UserFiles) -> type[OutcomeSettings]:
     """Returns the model of an outcome as it stands in the file.
 
     Args:
         value: What is there.
-        own: Where classes are that are not of the library.
+        user_files: Where classes are that are not of the library.
 
     Raises:
         ValueError: If there is none; the message continues the key.
@@ -144,19 +144,19 @@ def outcome_model(value: Any, own: OwnFiles) -> type[OutcomeSettings]:
     listed = f"one of {', '.join(outcomes.OUTCOMES)}, or FILE.py:CLASS"
     if not isinstance(value, dict):
         hint = f"; write {{ type = {value!r}, of = … }}" if value in outcomes.OUTCOMES else ""
-        raise ValueError(f"must be a table, got {shown(value)}{hint}")
+        raise ValueError(f"must be a table, got {abbreviated(value)}{hint}")
     if "type" not in value:
         raise ValueError(f".type is missing: {listed}")
     given = value["type"]
     if isinstance(given, str) and given in outcomes.OUTCOMES:
         return _settings_model(outcomes.OUTCOMES[given])
-    file, name = own_class(given)
+    file, name = user_class(given)
     if file:
         try:
-            return _settings_model(own.find(file, name, Outcome))
+            return _settings_model(user_files.find(file, name, Outcome))
         except ValueError as error:
             raise ValueError(f".type{error}") from None
-    raise ValueError(f".type must be {listed}, got {shown(given)}{suggestion(given, outcomes.OUTCOMES)}")
+    raise ValueError(f".type must be {listed}, got {abbreviated(given)}{suggestion(given, outcomes.OUTCOMES)}")
 
 
 @cache
@@ -174,14 +174,14 @@ def _settings_model(outcome: type[Outcome]) -> type[OutcomeSettings]:
 
 
 def _outcome(value: Any, info: ValidationInfo) -> OutcomeSettings:
-    own = cast(OwnFiles, info.context)
-    return outcome_model(value, own).model_validate(value, context=own)
+    user_files = cast(UserFiles, info.context)
+    return outcome_model(value, user_files).model_validate(value, context=user_files)
 
 
 OutcomeTable = Annotated[SerializeAsAny[OutcomeSettings], PlainValidator(_outcome)]
 
 
-def watching(settings: "Settings") -> dict[str, Any]:
+def monitor_arguments(settings: "Settings") -> dict[str, Any]:
     """Returns what a simulation of an experiment watches, as arguments of ``Simulation``."""
     return {
         "outcomes": {name: one.make() for name, one in settings.outcome.items()},
@@ -191,12 +191,12 @@ def watching(settings: "Settings") -> dict[str, Any]:
     }
 
 
-def check_watched(
+def check_monitors(
     model: Environments,
     integrator: Integrator,
     settings: "Settings",
     problems: Problems,
-    unsound: Callable[[str], bool],
+    is_invalid: Callable[[str], bool],
 ) -> None:
     """Checks that all that is to be watched is there.
 
@@ -205,13 +205,13 @@ def check_watched(
         integrator: What steps it.
         settings: The experiment.
         problems: Receives what is not.
-        unsound: Whether a sensor is, or may be, of an element that has problems of its own.
+        is_invalid: Whether a sensor is, or may be, of an element that has problems of its own.
     """
     part = model.parts[0]
-    finder = Finder(part, integrator.declare(part, Layout(part.device)))
+    resolver = SourceResolver(part, integrator.declare(part, AllocationPlan(part.device)))
 
     def check(path: str, names: Iterable[str], find: Callable[[], Any]) -> None:
-        if any(unsound(name) for name in names):
+        if any(is_invalid(name) for name in names):
             return
         try:
             find()
@@ -220,17 +220,17 @@ def check_watched(
 
     for name, entry in settings.outcome.items():
         path, outcome = key_path(["outcome", name]), entry.make()
-        if _named(path, name, problems):
-            check(path, [one.name for one in outcome.sources], partial(sources_of, finder, "", outcome))
+        if _is_valid_name(path, name, problems):
+            check(path, [one.name for one in outcome.sources], partial(sources_of, resolver, "", outcome))
     for name, stop in settings.stop.items():
         path, source = key_path(["stop", name]), stop.make().source
-        if _named(path, name, problems):
-            check(path, [source.name], partial(finder.find_number, "", source))
+        if _is_valid_name(path, name, problems):
+            check(path, [source.name], partial(resolver.resolve_scalar, "", source))
     for i, name in enumerate(() if settings.events is None else settings.events.contacts):
-        check(f"events.contacts[{i}]", [f"{name}.penetration"], partial(finder.indicator, "", name))
+        check(f"events.contacts[{i}]", [f"{name}.penetration"], partial(resolver.contact_indicator, "", name))
 
 
-def _named(path: str, name: str, problems: Problems) -> bool:
+def _is_valid_name(path: str, name: str, problems: Problems) -> bool:
     """Checks the name of an outcome or a stop condition."""
     if name in RESERVED:
         problems.add(path, f": {name!r} is the name of what every result has; choose another")

@@ -14,9 +14,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from warpcontact.experiment.bars import are_counts, edges_of_bars
-from warpcontact.footprint import environments
-from warpcontact.hostile import in_one_line, shortened
+from warpcontact.experiment.bars import bin_edges, has_integer_bins
+from warpcontact.footprint import env_count_text
+from warpcontact.hostile import single_line, truncate
 from warpcontact.outcomes.watch import RESERVED
 from warpcontact.picture_file import save
 from warpcontact.run_folder import RunPath
@@ -52,7 +52,7 @@ def write_outcome_picture(path: Path | RunPath, outcome: xr.Dataset, title: str)
     figure = Figure(figsize=(1.0 + 4.2 * columns, 0.8 + 3.2 * rows), dpi=120, layout="constrained")
     FigureCanvasAgg(figure)
     left_out = f", {frozen.sum()} frozen left out" if frozen.any() else ""
-    title = f"{shortened(in_one_line(title), TITLE)}: {environments(len(frozen))}"
+    title = f"{truncate(single_line(title), TITLE)}: {env_count_text(len(frozen))}"
     figure.suptitle(f"{title}{left_out}", parse_math=False)
     for i, (name, label, values) in enumerate(drawn):
         axes = figure.add_subplot(rows, columns, i + 1)
@@ -90,8 +90,8 @@ def _draw_histogram(axes: Axes, values: NDArray[np.float64]) -> None:
     """Draws values of environments; those that are not finite are told in words."""
     finite = values[np.isfinite(values)]
     if len(finite):
-        axes.hist(finite, bins=edges_of_bars(finite).tolist(), color="C0", alpha=0.75)
-        axes.xaxis.set_major_locator(MaxNLocator(5, integer=are_counts(finite)))
+        axes.hist(finite, bins=bin_edges(finite).tolist(), color="C0", alpha=0.75)
+        axes.xaxis.set_major_locator(MaxNLocator(5, integer=has_integer_bins(finite)))
         marks = np.quantile(finite, QUANTILES)
         for q, mark, line in zip(QUANTILES, marks, (":", "-", ":"), strict=True):
             axes.axvline(mark, color="C1", linestyle=line, label=f"{100 * q:g} %: {mark:.4g}")

@@ -22,7 +22,7 @@ from typing import Any
 
 from warpcontact.checks import check_length
 from warpcontact.experiment import trust
-from warpcontact.experiment.errors import ExperimentError, shown
+from warpcontact.experiment.errors import ExperimentError, abbreviated
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.friction import Friction
 from warpcontact.kernels.laws import Law
@@ -48,7 +48,7 @@ class TrustError(ExperimentError):
 
 
 @dataclass(frozen=True)
-class OwnFile:
+class UserFile:
     """A user's file.
 
     Attributes:
@@ -62,20 +62,20 @@ class OwnFile:
     module: ModuleType
 
 
-class OwnFiles:
+class UserFiles:
     """The Python files that an experiment names; each is read once, and stays what it was then.
 
     Args:
         folder: Folder of the experiment.
-        say: Called with a few words before a file is loaded.
+        on_stage: Called with a few words before a file is loaded.
         trusted: Which files are run if it is the folder of a run: see ``trust``.
     """
 
-    def __init__(self, folder: Path, say: Callable[[str], None], trusted: trust.Trust = False) -> None:
+    def __init__(self, folder: Path, on_stage: Callable[[str], None], trusted: trust.Trust = False) -> None:
         self.folder = folder
-        self.say = say
+        self.on_stage = on_stage
         self.trusted = trusted
-        self._files: dict[str, OwnFile] = {}
+        self._files: dict[str, UserFile] = {}
         self._failures: dict[str, str] = {}
 
     def check_trusted(self, raw: Any) -> None:
@@ -99,7 +99,7 @@ class OwnFiles:
         if untrusted:
             raise _untrusted(self.folder, untrusted)
 
-    def file(self, name: str) -> OwnFile:
+    def file(self, name: str) -> UserFile:
         """Returns the file called ``name``, relative to the folder.
 
         Raises:
@@ -128,15 +128,19 @@ class OwnFiles:
         defined = vars(self.file(file).module)
         given = defined.get(name)
         if given is None:
-            known = [key for key, value in defined.items() if _is_formula(value, bases) and value not in bases]
-            hint = suggestion(name, known) or f"; there are: {', '.join(known) or 'none'}"
-            raise ValueError(f": {file} has no {_words(bases)} {name!r}{hint}")
+            available = [key for key, value in defined.items() if _is_formula(value, bases) and value not in bases]
+            hint = suggestion(name, available) or f"; there are: {', '.join(available) or 'none'}"
+            raise ValueError(f": {file} has no {_kind_names(bases)} {name!r}{hint}")
         if not _is_formula(given, bases):
             kinds = [kind for kind in KINDS if _is_formula(given, (kind,))]
             derived = " or ".join(
                 "wc.ParametricSurface" if base is Shape else f"wc.{base.__name__}" for base in bases
             )
-            fact = f"a {_words(kinds)} and no {_words(bases)}" if kinds else f"no class derived from {derived}"
+            fact = (
+                f"a {_kind_names(kinds)} and no {_kind_names(bases)}"
+                if kinds
+                else f"no class derived from {derived}"
+            )
             raise ValueError(f": {name!r} in {file} is {fact}")
         if issubclass(given, Formula) and (lacking := given.missing_function()):
             arguments = ", ".join(given.arguments())
@@ -144,7 +148,7 @@ class OwnFiles:
         return given
 
     @contextlib.contextmanager
-    def blamed(self) -> Iterator[None]:
+    def named_errors(self) -> Iterator[None]:
         """Turns what goes wrong in one of the files into an ``ExperimentError`` of that file."""
         try:
             yield
@@ -156,26 +160,26 @@ class OwnFiles:
                     raise ExperimentError(str(self.folder / name), [problem]) from error
             raise
 
-    def _load(self, name: str) -> OwnFile:
-        path = self._inside(name)
-        for known in self._files.values():
-            if known.path == path:  # under another name
-                return known
+    def _load(self, name: str) -> UserFile:
+        path = self._path_inside(name)
+        for available in self._files.values():
+            if available.path == path:  # under another name
+                return available
         content = self._read(name)
         if is_run_folder(self.folder):
             if not trust.may_run(content, self.trusted):
                 raise _untrusted(self.folder, [name])
             if self.trusted is True:
                 trust.record([content])
-        self.say(f"loading {self.folder / name}")
+        self.on_stage(f"loading {self.folder / name}")
         try:
-            return OwnFile(path, content, _module(path, content))
+            return UserFile(path, content, _module(path, content))
         except (Exception, SystemExit) as error:
-            raise ValueError(f": {_described(error, path, name)}") from None
+            raise ValueError(f": {_located_error(error, path, name)}") from None
 
     def _read(self, name: str) -> bytes:
         """Returns the content of a file."""
-        path = self._inside(name)
+        path = self._path_inside(name)
         if not path.exists():
             others = sorted(other.name for other in path.parent.glob("*.py"))
             raise ValueError(f": there is no file {name!r}{suggestion(path.name, others)}")
@@ -188,7 +192,7 @@ class OwnFiles:
         except OSError as error:
             raise ValueError(f": {name!r} cannot be read: {error.strerror or error}") from None
 
-    def _inside(self, name: str) -> Path:
+    def _path_inside(self, name: str) -> Path:
         """Returns the path of a file, which must lie in the folder: links count as where they lead."""
         folder = self.folder.resolve()
         try:
@@ -197,7 +201,7 @@ class OwnFiles:
             raise ValueError(f": {name!r} cannot be read: {error}") from None
         parts = Path(name).parts
         if Path(name).is_absolute() or os.pardir in parts or not path.is_relative_to(folder):
-            raise ValueError(f" must name a file inside of the folder of the experiment, got {shown(name)}")
+            raise ValueError(f" must name a file inside of the folder of the experiment, got {abbreviated(name)}")
         check_length(": the name of a file", path.name)
         return path
 
@@ -226,7 +230,7 @@ def _untrusted(folder: Path, names: list[str]) -> TrustError:
     )
 
 
-def _words(bases: Iterable[type]) -> str:
+def _kind_names(bases: Iterable[type]) -> str:
     return " or ".join(base.__name__.lower() for base in bases)
 
 
@@ -243,7 +247,7 @@ def _line_of(error: BaseException, path: Path) -> int | None:
     return lines[-1] if lines else None
 
 
-def _described(error: BaseException, path: Path, name: str) -> str:
+def _located_error(error: BaseException, path: Path, name: str) -> str:
     """Returns ``my_laws.py, line 7: ZeroDivisionError: division by zero`` for an error in file ``path``."""
     line = _line_of(error, path)
     place = name if line is None else f"{name}, line {line}"
@@ -255,10 +259,10 @@ def _sentence(error: BaseException) -> str:
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
-def blame(error: BaseException, formula: type) -> str:
+def describe_error(error: BaseException, formula: type) -> str:
     """Returns a sentence on an error in a user's ``formula``, with its line if it arose in its file."""
     path = Path(str(sys.modules[formula.__module__].__file__))
-    return _described(error, path, path.name)
+    return _located_error(error, path, path.name)
 
 
 def _module(path: Path, content: bytes) -> ModuleType:

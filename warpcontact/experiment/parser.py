@@ -10,8 +10,8 @@ from typing import Any
 from pydantic import ValidationError
 
 from warpcontact.experiment.catalogue import Section
-from warpcontact.experiment.errors import ExperimentError, Problems, key_path, shown
-from warpcontact.experiment.own import OwnFiles
+from warpcontact.experiment.errors import ExperimentError, Problems, abbreviated, key_path
+from warpcontact.experiment.own import UserFiles
 from warpcontact.experiment.schema import LISTS, SECTIONS, Settings, VariationSettings, table_at
 from warpcontact.experiment.variation_settings import MOST_ENVS, grid_size
 from warpcontact.kernels.names import suggestion
@@ -38,7 +38,7 @@ _VALUES = "; write { values = [...] }"
 
 
 @dataclass
-class Parts:
+class ExperimentParts:
     """What can be read of an experiment, however much of the rest is wrong.
 
     Attributes:
@@ -63,7 +63,7 @@ class Parts:
     envs: int | None = None
 
     @classmethod
-    def of_settings(cls, settings: Settings) -> "Parts":
+    def from_settings(cls, settings: Settings) -> "ExperimentParts":
         """All parts of a whole experiment."""
         parts = cls(variation=dict(settings.variation), settings=settings, envs=settings.envs)
         for section in SECTIONS:
@@ -72,7 +72,7 @@ class Parts:
         return parts
 
     @classmethod
-    def of_damaged(cls, raw: Mapping[str, Any], wrong: Set[Any], own: OwnFiles) -> "Parts":
+    def from_invalid(cls, raw: Mapping[str, Any], wrong: Set[Any], user_files: UserFiles) -> "ExperimentParts":
         """The sound parts of ``raw``; ``wrong`` are the keys of its first level with a problem."""
         parts = cls()
         for section, model in SECTIONS.items():
@@ -85,31 +85,31 @@ class Parts:
                     parts.names[section].add(name)
                 else:
                     parts.unnamed.add(section)
-                sound = _sound(model, entry, own)
-                if sound is not None:
-                    parts.entries[section][i] = sound
+                entry_settings = _validated(model, entry, user_files)
+                if entry_settings is not None:
+                    parts.entries[section][i] = entry_settings
                 elif isinstance(entry, dict):
                     parts.damaged[section][i] = entry
         variation = raw.get("variation")
         for name, entry in variation.items() if isinstance(variation, dict) else ():
-            sound = _sound(VariationSettings, entry, own)
-            if sound is not None:
-                parts.variation[name] = sound
+            entry_settings = _validated(VariationSettings, entry, user_files)
+            if entry_settings is not None:
+                parts.variation[name] = entry_settings
         left_out = {*SECTIONS, "variation", *wrong}
         if "variation" in wrong:
             # How many numbers are drawn, and which can be drawn together, is not known.
             left_out |= {"sampling", "correlation"}
         rest = {key: value for key, value in raw.items() if key not in left_out}
-        parts.settings = _sound(Settings, rest, own)
+        parts.settings = _validated(Settings, rest, user_files)
         if "envs" not in wrong:
             parts.envs = raw.get("envs", grid_size(parts.variation))
         return parts
 
-    def may_name(self, name: str) -> bool:
+    def may_refer_to(self, name: str) -> bool:
         """Whether ``name`` is, or may be, that of an entry of any section."""
         # A contact of two surfaces, or a coupling, gives several elements names that begin with its own.
-        several = self.names["surface_contact"] | self.names["contact_coupling"]
-        if any(name.startswith(f"{whole}_") for whole in several):
+        prefixes = self.names["surface_contact"] | self.names["contact_coupling"]
+        if any(name.startswith(f"{whole}_") for whole in prefixes):
             return True
         return bool(self.unnamed) or any(name in names for names in self.names.values())
 
@@ -120,9 +120,9 @@ class Parts:
                 yield section, f"{section}[{i}]", entry
 
 
-def _sound(model: type[Section], raw: Any, own: OwnFiles) -> Any:
+def _validated(model: type[Section], raw: Any, user_files: UserFiles) -> Any:
     try:
-        return model.model_validate(raw, context=own)
+        return model.model_validate(raw, context=user_files)
     except ValidationError:
         return None
 
@@ -150,48 +150,48 @@ def load_toml(path: Path) -> dict[str, Any]:
     raise ExperimentError(str(path), [problem])
 
 
-def read_settings(raw: Mapping[str, Any], own: OwnFiles, problems: Problems) -> Parts:
+def read_settings(raw: Mapping[str, Any], user_files: UserFiles, problems: Problems) -> ExperimentParts:
     """Checks the form and the ranges of everything in ``raw``, and returns what is sound.
 
     Args:
         raw: The content of an experiment file.
-        own: The user's files that it may name.
+        user_files: The user's files that it may name.
         problems: Receives what is not.
 
     Raises:
         TrustError: If it names files of the folder of a run that are not trusted.
     """
-    own.check_trusted(raw)
+    user_files.check_trusted(raw)
     for section in SECTIONS:
         entries = raw.get(section, ())
         for i, entry in enumerate(entries if isinstance(entries, list | tuple) else ()):
             if isinstance(entry, dict) and isinstance(entry.get("name"), str):
                 problems.names[f"{section}[{i}]"] = entry["name"]
     try:
-        settings = Settings.model_validate(dict(raw), context=own)
+        settings = Settings.model_validate(dict(raw), context=user_files)
         if "envs" in raw:
-            return Parts.of_settings(settings)
+            return ExperimentParts.from_settings(settings)
         size = grid_size(settings.variation)
         if size > MOST_ENVS:
             problems.add("variation", f": grid must have at most {MOST_ENVS} combinations, got {size}")
             size = 1
-        return Parts.of_settings(settings.model_copy(update={"envs": size}))
+        return ExperimentParts.from_settings(settings.model_copy(update={"envs": size}))
     except ValidationError as failure:
         errors = failure.errors(include_url=False)
     places = {error["loc"] for error in errors}
     for error in errors:
         # A list of positions is missing nothing but the right section.
         if error["type"] != "missing" or (*error["loc"][:-1], "positions") not in places:
-            _explain(error, raw, own, problems)
-    return Parts.of_damaged(raw, {error["loc"][0] for error in errors}, own)
+            _explain(error, raw, user_files, problems)
+    return ExperimentParts.from_invalid(raw, {error["loc"][0] for error in errors}, user_files)
 
 
-def _explain(error: Any, raw: Mapping[str, Any], own: OwnFiles, problems: Problems) -> None:
+def _explain(error: Any, raw: Mapping[str, Any], user_files: UserFiles, problems: Problems) -> None:
     """Adds the sentence for an error of pydantic."""
     kind, location, value = error["type"], error["loc"], error["input"]
     path = key_path(location)
     if kind == "missing":
-        meaning = table_at(location[:-1], raw, own).model_fields[location[-1]].description
+        meaning = table_at(location[:-1], raw, user_files).model_fields[location[-1]].description
         problems.add(path, f"is missing{f': {meaning}' if meaning else ''}")
     elif kind == "extra_forbidden" and _is_nested_name(location, value):
         name = ".".join(_nested_name(location[1:], value))
@@ -199,24 +199,24 @@ def _explain(error: Any, raw: Mapping[str, Any], own: OwnFiles, problems: Proble
     elif kind == "extra_forbidden" and location[0] in _PLURALS and location[-1] == "positions":
         problems.add(path, f"is not known{_several(location[0])}")
     elif kind == "extra_forbidden":
-        keys = list(table_at(location[:-1], raw, own).model_fields)
+        keys = list(table_at(location[:-1], raw, user_files).model_fields)
         if (new := present_name(location[-1], keys)) is not None:
             problems.add(path, f"is now {key_path((*location[:-1], new))}")
             return
         problems.add(path, f"is not known{suggestion(location[-1], keys) or '; allowed: ' + ', '.join(keys)}")
     elif kind == "value_error":
-        several = location[0] in _PLURALS and location[-1] == "position" and _is_list_of_lists(value)
-        problems.add(path, f"{error['ctx']['error']}{_several(location[0]) if several else ''}")
+        prefixes = location[0] in _PLURALS and location[-1] == "position" and _is_list_of_lists(value)
+        problems.add(path, f"{error['ctx']['error']}{_several(location[0]) if prefixes else ''}")
     elif kind == "greater_than_equal":
-        problems.add(path, f"must be at least {error['ctx']['ge']}, got {shown(value)}")
+        problems.add(path, f"must be at least {error['ctx']['ge']}, got {abbreviated(value)}")
     elif kind == "less_than_equal":
-        problems.add(path, f"must be at most {error['ctx']['le']}, got {shown(value)}")
+        problems.add(path, f"must be at most {error['ctx']['le']}, got {abbreviated(value)}")
     elif kind in _KINDS:
         what = f"a list of tables, [[{path}]]" if path in SECTIONS or path in LISTS else _KINDS[kind]
         listed = location[0] == "variation" and isinstance(value, list | tuple)
-        problems.add(path, f"must be {what}, got {shown(value)}{_VALUES if listed else ''}")
+        problems.add(path, f"must be {what}, got {abbreviated(value)}{_VALUES if listed else ''}")
     else:
-        problems.add(path, f": {error['msg']}, got {shown(value)}")
+        problems.add(path, f": {error['msg']}, got {abbreviated(value)}")
 
 
 def _several(section: str) -> str:

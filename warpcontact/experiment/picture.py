@@ -23,17 +23,17 @@ from numpy.typing import NDArray
 from warpcontact.decimation import evenly
 from warpcontact.equal_items import merged_items
 from warpcontact.experiment.ground import (
-    Ground,
+    GroundSurface,
     contour_step,
     draw_from_above,
     draw_section,
-    grounds_of,
+    ground_surfaces,
     legend_entries,
 )
-from warpcontact.experiment.sensor_panels import CURVES, draw_panel, panels_of
-from warpcontact.footprint import environments
+from warpcontact.experiment.sensor_panels import CURVES, draw_panel, make_panels
+from warpcontact.footprint import env_count_text
 from warpcontact.health import Health
-from warpcontact.hostile import in_one_line, shortened
+from warpcontact.hostile import single_line, truncate
 from warpcontact.picture_file import save
 from warpcontact.recording import Recording
 from warpcontact.run_folder import RunPath
@@ -56,11 +56,11 @@ FLAT = 0.02
 # Where what is shown is wider than this times its height, it gets the whole width.
 WIDE = 1.8
 # What is shown is at least this part of the couplings: lines may be far longer than the tracks.
-ENOUGH_OF_COUPLINGS = 0.25
+MAX_COUPLINGS = 0.25
 # Of a scale of colours, at both ends, without other ticks.
-ROOM = 0.15
+MARGIN = 0.15
 # The shorter side is at least this part of the longer.
-NARROWEST = 0.3
+MIN_WIDTH = 0.3
 
 
 def write_picture(
@@ -85,11 +85,11 @@ def write_picture(
     shapes = _coupling_shapes(recording)
     # Of a half-space first as much as the tracks need, wherever on it they are, then what the window has room for.
     reach = float(np.abs([lower, upper]).max() + np.max(upper - lower)) or 1.0
-    window = _window(recording.scene, grounds_of(recording, reach), shapes, lower, upper, plane)
-    grounds = grounds_of(recording, 2.0 * float(np.abs(window).max()))
+    window = _window(recording.scene, ground_surfaces(recording, reach), shapes, lower, upper, plane)
+    grounds = ground_surfaces(recording, 2.0 * float(np.abs(window).max()))
     width, height = window[1] - window[0]
     wide = bool(width > WIDE * height)
-    panels = panels_of(recording, health.frozen, WIDE_PANELS if wide else PANELS)
+    panels = make_panels(recording, health.frozen, WIDE_PANELS if wide else PANELS)
     size = (13.0, 4.2 + 10.8 * height / width if wide else 4.8 + 1.1 * len(panels))
     figure = Figure(figsize=size, dpi=120, layout="constrained")
     FigureCanvasAgg(figure)
@@ -100,7 +100,7 @@ def write_picture(
     ]
     dotted = " (dotted)" if len(health.frozen) and envs <= CURVES else ""
     after = f"; {' and '.join(held)}{dotted}, shown as they were to the end" if held else ""
-    title = f"{shortened(in_one_line(title), TITLE)}: {environments(envs)}"
+    title = f"{truncate(single_line(title), TITLE)}: {env_count_text(envs)}"
     figure.suptitle(f"{title}, {times[-1]:g} s, {recording.attrs['precision']}{after}", parse_math=False)
     if wide:
         grid = figure.add_gridspec(2, len(panels), height_ratios=(size[1] - 3.9, 3.1))
@@ -145,7 +145,7 @@ def _draw_tracks(
     recording: Recording,
     chosen: NDArray[np.int_],
     tracks: list[NDArray[Any]],
-    grounds: list[Ground],
+    grounds: list[GroundSurface],
     shapes: list[NDArray[Any]],
     coloring: tuple[NDArray[Any], str, Normalize],
     plane: list[int],
@@ -169,14 +169,14 @@ def _draw_tracks(
         figure.legend(handles=legend_entries(from_above), loc="outside lower left", ncols=2, fontsize="small")
     values, label, norm = coloring
     for track in tracks:
-        own = np.repeat(values[chosen], track.shape[1] // len(chosen))
+        track_values = np.repeat(values[chosen], track.shape[1] // len(chosen))
         lines = LineCollection(
             list(track[:, :, plane].swapaxes(0, 1)), linewidths=1.0, alpha=0.85, cmap=COLORS, norm=norm
         )
-        lines.set_array(own)
+        lines.set_array(track_values)
         axes.add_collection(lines)
         ends = track[-1][:, plane].T
-        axes.scatter(*ends, c=own, cmap=COLORS, norm=norm, s=22, edgecolors="black", lw=0.6, zorder=3)
+        axes.scatter(*ends, c=track_values, cmap=COLORS, norm=norm, s=22, edgecolors="black", lw=0.6, zorder=3)
     axes.set(xlim=(lower[0], upper[0]), ylim=(lower[1], upper[1]), aspect="equal")
     axes.set(xlabel="x [m]", ylabel=f"{'xyz'[plane[1]]} [m]")
     view = "from above" if from_above else "from the side"
@@ -199,7 +199,7 @@ def _draw_tracks(
         )
         drawn = figure.colorbar(ScalarMappable(norm, COLORS), ax=axes, label=label, pad=0.01, **bar)
         drawn.minorticks_off()
-        ticks, names = _ticks(norm, whole=bool((values == np.round(values)).all()))
+        ticks, names = _ticks(norm, integers=bool((values == np.round(values)).all()))
         drawn.set_ticks(ticks, labels=names)
 
 
@@ -228,7 +228,7 @@ def _coupling_shapes(recording: Recording) -> list[NDArray[Any]]:
 
 def _window(
     scene: Scene,
-    grounds: list[Ground],
+    grounds: list[GroundSurface],
     shapes: list[NDArray[Any]],
     lower: NDArray[Any],
     upper: NDArray[Any],
@@ -250,11 +250,11 @@ def _window(
     least = max(
         10.0 * radius,
         0.05 * max(spans, default=0.0),
-        ENOUGH_OF_COUPLINGS * max(lengths, default=0.0),
+        MAX_COUPLINGS * max(lengths, default=0.0),
         1.0e-3,
     )
     half = 0.5 * np.maximum(1.12 * (upper - lower), least)
-    half = np.maximum(half, NARROWEST * half.max())
+    half = np.maximum(half, MIN_WIDTH * half.max())
     centre = 0.5 * (lower + upper)
     return centre - half, centre + half
 
@@ -271,7 +271,7 @@ def _color_values(recording: Recording, varied: list[str]) -> tuple[NDArray[Any]
         count += bool(len(differ))
         if found is None and len(differ) == 1 and set(array.dims) <= {"env", "axis"}:
             component = f".{'xyz'[differ[0]]}" if "axis" in array.dims else ""
-            label = _label(f"{shortened(name, NAME, middle=True)}{component}", array)
+            label = _label(f"{truncate(name, NAME, middle=True)}{component}", array)
             found = values[:, differ[0]], label
     if found is None:
         return recording["env"].values, "environment"
@@ -283,7 +283,7 @@ def _norm(values: NDArray[Any]) -> Normalize:
     return LogNorm(low, high) if low > 0.0 and high > LOGARITHMIC * low else Normalize(low, high)
 
 
-def _ticks(norm: Normalize, whole: bool) -> tuple[list[float], list[str]]:
+def _ticks(norm: Normalize, integers: bool) -> tuple[list[float], list[str]]:
     """Returns where a scale of colours has ticks: at both ends, and at round numbers that leave these room."""
     ends = norm.vmin, norm.vmax
     low, high = (0.0 if end is None else float(end) for end in ends)
@@ -295,12 +295,12 @@ def _ticks(norm: Normalize, whole: bool) -> tuple[list[float], list[str]]:
         between = between[:: math.ceil(len(between) / 4) or 1]
     else:
         between = np.asarray(
-            MaxNLocator(4, steps=[1.0, 2.0, 2.5, 5.0, 10.0], integer=whole).tick_values(low, high)
+            MaxNLocator(4, steps=[1.0, 2.0, 2.5, 5.0, 10.0], integer=integers).tick_values(low, high)
         )
         # So many that ticks differ, also far from 0.
         digits += max(math.ceil(np.log10(max(abs(low), abs(high)) / (high - low))), 0)
     places = np.asarray(norm(between))
-    inner = between[(places > ROOM) & (places < 1.0 - ROOM)].tolist()
+    inner = between[(places > MARGIN) & (places < 1.0 - MARGIN)].tolist()
     ticks = [low, *inner, high]
     # Without powers of ten below a million.
     digits = max(digits, min(math.floor(np.log10(max(abs(low), abs(high)))) + 1, 6))

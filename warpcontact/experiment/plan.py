@@ -4,27 +4,27 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from warpcontact.available import HOST, Room, used
-from warpcontact.draft import Draft, PartDraft
+from warpcontact.available import HOST, AvailableMemory, used_memory
+from warpcontact.draft import DeviceModelPlan, ModelPlan
 from warpcontact.environments import Environments
 from warpcontact.experiment.design import Design
 from warpcontact.experiment.disk import Disk
-from warpcontact.experiment.observation import watching
+from warpcontact.experiment.observation import monitor_arguments
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.store import CHUNK, WRITERS
 from warpcontact.footprint import (
-    COMFORTABLE,
-    Footprint,
+    CAUTIOUS_FRACTION,
+    MemoryEstimate,
+    MemoryItem,
     MemoryShortage,
-    Need,
-    environments,
-    most_that_fit,
-    readable,
-    rooms_of,
-    said,
+    available_memory_for,
+    env_count_text,
+    format_bytes,
+    max_envs_that_fit,
     shortage,
+    shortage_message,
     total,
-    usable,
+    usable_bytes,
 )
 from warpcontact.recorder import Recorder, RecordingSize
 from warpcontact.whole_steps import frame_count, recorded_steps
@@ -33,19 +33,19 @@ from warpcontact.whole_steps import frame_count, recorded_steps
 BLOCK = 32 * 2**20
 # There are so many blocks of frames at least, so that little is left to write at the end, unless they would be
 # smaller than this [bytes]: a file takes time as well.
-BLOCKS = 8
-SMALLEST_BLOCK = 4 * 2**20
+MIN_BLOCKS = 8
+MIN_BLOCK = 4 * 2**20
 # Pieces of a recording that are in memory at once while it is compressed, each with a copy, and for its picture,
 # and what threads that write leave in the hands of the allocator [bytes]; measured.
 WRITTEN_AT_ONCE = 2 * WRITERS
 DRAWN_AT_ONCE = 2
-LEFT_BY_WRITERS = 24 * 2**20
+ALLOCATOR_OVERHEAD = 24 * 2**20
 # What a run loads beside: kernels, what makes and stores data sets, what draws its picture, and with series what
 # writes its animation; measured.
-LOADED = 100 * 2**20
-LOADED_FOR_SERIES = 192 * 2**20
+LIBRARIES = 100 * 2**20
+LIBRARIES_FOR_SERIES = 192 * 2**20
 # A shard is rounded to this many significant bits, so that the pieces of a recording are parts of it.
-BITS = 6
+SHARD_BITS = 6
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Plan:
         block: How many frames of them are gathered before they are written.
         footprint: What these take of memory, or what one would that does not fit.
         recording: Size of the whole recording, before it is compressed [bytes].
-        rooms: What there is of memory, where it is known.
+        available_memory: What there is of memory, where it is known.
         process: What Python and its libraries take of the host beside that, much of it already [bytes]; ``None``:
             the system does not tell.
         disk: Where the results would go; ``None``: nobody asked, or the system does not tell.
@@ -67,9 +67,9 @@ class Plan:
     envs: int
     shard: int
     block: int
-    footprint: Footprint
+    footprint: MemoryEstimate
     recording: int
-    rooms: tuple[Room, ...]
+    available_memory: tuple[AvailableMemory, ...]
     process: int | None = None
     disk: Disk | None = None
 
@@ -93,30 +93,36 @@ class Plan:
 
     def require(self) -> None:
         """Raises ``MemoryError`` if not even one environment fits."""
-        room = None if self.shard else shortage(self.footprint, self.rooms)
-        if room is not None:
-            message = f"{said(self.footprint, room)}; not even one environment fits"
-            raise MemoryShortage(message, self.footprint.on(room.place), usable(room), 0)
+        memory = None if self.shard else shortage(self.footprint, self.available_memory)
+        if memory is not None:
+            message = f"{shortage_message(self.footprint, memory)}; not even one environment fits"
+            raise MemoryShortage(message, self.footprint.bytes_at(memory.location), usable_bytes(memory), 0)
 
     def __str__(self) -> str:
         lines = [str(self.footprint)]
         if self.peak is not None:
-            lines.append(f"with Python and its libraries the process has {readable(self.peak)} at most")
-        for room in self.rooms:
-            lines.append(f"available: {readable(room.size)} of {room.name}; {readable(usable(room))} can be used")
-        there = f"; {self.disk}" if self.disk is not None else ""
-        less = ", which is less" if self.disk is not None and self.disk.free < self.recording else ""
-        lines.append(f"on disk: up to {readable(self.recording)}, before compression{there}{less}")
+            lines.append(f"with Python and its libraries the process has {format_bytes(self.peak)} at most")
+        for memory in self.available_memory:
+            lines.append(
+                f"available: {format_bytes(memory.size)} of {memory.name}; {format_bytes(usable_bytes(memory))} can be used"
+            )
+        free_text = f"; {self.disk}" if self.disk is not None else ""
+        shortage_text = ", which is less" if self.disk is not None and self.disk.free < self.recording else ""
+        lines.append(
+            f"on disk: up to {format_bytes(self.recording)}, before compression{free_text}{shortage_text}"
+        )
         if not self.shard:
             lines.append("does not fit: not even one environment")
         elif self.shards == 1:
-            lines.append(f"{environments(self.envs)}: all at once")
+            lines.append(f"{env_count_text(self.envs)}: all at once")
         else:
-            lines.append(f"{environments(self.envs)}: {self.shards} shards of {self.shard}, one after another")
+            lines.append(f"{env_count_text(self.envs)}: {self.shards} shards of {self.shard}, one after another")
         return "\n".join(lines)
 
 
-def make_plan(draft: Draft, size: RecordingSize, settings: Settings, design: Design, shard: int | None) -> Plan:
+def make_plan(
+    draft: ModelPlan, size: RecordingSize, settings: Settings, design: Design, shard: int | None
+) -> Plan:
     """Returns how the experiment runs on the devices of ``draft``.
 
     Args:
@@ -133,63 +139,69 @@ def make_plan(draft: Draft, size: RecordingSize, settings: Settings, design: Des
     if not settings.record.series:
         frames = 0
 
-    def recording(part: PartDraft, envs: int, block: int) -> Footprint:
+    def recording(part: DeviceModelPlan, envs: int, block: int) -> MemoryEstimate:
         device = str(part.device)
-        held = size.needs(device, envs, block, blocks_at_once(frames, block))
-        needs = [*part.measures_needs(part.device, size.measured, envs), *held]
-        return Footprint(envs, device, tuple(needs))
+        buffers = size.memory_items(device, envs, block, blocks_at_once(frames, block))
+        needs = [*part.sensor_memory(part.device, size.measured, envs), *buffers]
+        return MemoryEstimate(envs, device, tuple(needs))
 
-    def footprint(envs: int) -> Footprint:
-        block = block_of(size, envs, frames)
-        held = total(recording(part, own, block) for part, own in draft.shares(envs))
+    def footprint(envs: int) -> MemoryEstimate:
+        block = block_size(size, envs, frames)
+        buffers = total(recording(part, own, block) for part, own in draft.shares(envs))
         writing = min(WRITTEN_AT_ONCE * CHUNK, 3 * size.on_host(envs, block) // 4)
         drawing = min(DRAWN_AT_ONCE * CHUNK, size.on_host(settings.envs, frames) // 4) if frames else 0
         # Frames are let go of before what was written of them is drawn.
-        recorded = sum(need.size for need in held.needs if need.purpose == "recording" and need.place == HOST)
+        recorded = sum(
+            need.size for need in buffers.items if need.purpose == "recording" and need.location == HOST
+        )
         drawing = max(0, drawing - recorded)
         stepping = {
             "integrator": settings.integrator.make(),
             "crossing_substeps": settings.crossing_substeps,
             "looks": size.measured if frames else None,
         }
-        return draft.memory(envs, design.names, **stepping, **watching(settings)).with_needs(
+        return draft.memory(envs, design.names, **stepping, **monitor_arguments(settings)).with_items(
             [
-                *held.needs,
-                Need("values", HOST, envs * design.row_bytes, design.row_bytes),
-                Need("writing", HOST, max(writing, drawing) + LEFT_BY_WRITERS),
+                *buffers.items,
+                MemoryItem("values", HOST, envs * design.row_bytes, design.row_bytes),
+                MemoryItem("writing", HOST, max(writing, drawing) + ALLOCATOR_OVERHEAD),
             ]
         )
 
-    wanted = settings.envs if shard is None else min(shard, settings.envs)
-    rooms = rooms_of(footprint(wanted))
-    most = most_that_fit(footprint, wanted, rooms)
-    if shard is None and 0 < most < wanted:
-        most = max(1, most_that_fit(footprint, wanted, rooms, COMFORTABLE))
-    elif shard is not None and most < wanted and (room := shortage(footprint(wanted), rooms)) is not None:
-        takes = footprint(wanted)
-        advice = f"at most {most} at once" if most else "not even one environment"
-        message = f"shard {shard}: {said(takes, room)}; {advice} fits on {takes.device}"
-        raise MemoryShortage(message, takes.on(room.place), usable(room), most)
-    chosen = most
-    if shard is None and most:
-        chosen = shard_size(most, settings.envs)
-    block = block_of(size, chosen or 1, frames)
-    loaded, own = LOADED_FOR_SERIES if frames else LOADED, used()
+    requested = settings.envs if shard is None else min(shard, settings.envs)
+    available_memory = available_memory_for(footprint(requested))
+    max_envs = max_envs_that_fit(footprint, requested, available_memory)
+    if shard is None and 0 < max_envs < requested:
+        max_envs = max(1, max_envs_that_fit(footprint, requested, available_memory, CAUTIOUS_FRACTION))
+    elif (
+        shard is not None
+        and max_envs < requested
+        and (memory := shortage(footprint(requested), available_memory)) is not None
+    ):
+        needed = footprint(requested)
+        advice = f"at most {max_envs} at once" if max_envs else "not even one environment"
+        message = f"shard {shard}: {shortage_message(needed, memory)}; {advice} fits on {needed.device}"
+        raise MemoryShortage(message, needed.bytes_at(memory.location), usable_bytes(memory), max_envs)
+    chosen = max_envs
+    if shard is None and max_envs:
+        chosen = shard_size(max_envs, settings.envs)
+    block = block_size(size, chosen or 1, frames)
+    libraries, own = LIBRARIES_FOR_SERIES if frames else LIBRARIES, used_memory()
     return Plan(
         settings.envs,
         chosen,
         block,
         footprint(chosen or 1),
         size.on_host(settings.envs, frames),
-        rooms,
-        None if own is None else own + loaded,
+        available_memory,
+        None if own is None else own + libraries,
     )
 
 
-def block_of(size: RecordingSize, envs: int, frames: int) -> int:
+def block_size(size: RecordingSize, envs: int, frames: int) -> int:
     """Returns how many of ``frames`` of ``envs`` environments are gathered before they are written."""
     frame = max(1, size.on_host(envs, 1) - size.on_host(envs, 0))
-    enough = max(-(-frames // BLOCKS), SMALLEST_BLOCK // frame)
+    enough = max(-(-frames // MIN_BLOCKS), MIN_BLOCK // frame)
     return max(1, min(frames, enough, BLOCK // frame))
 
 
@@ -198,12 +210,12 @@ def blocks_at_once(frames: int, block: int) -> int:
     return 1 if frames <= block else 2
 
 
-def shard_size(most: int, envs: int) -> int:
-    """Returns the size of shards of about equal size, no more than ``most``, that make up ``envs``."""
-    if most >= envs:
+def shard_size(max_envs: int, envs: int) -> int:
+    """Returns the size of shards of about equal size, no more than ``max_envs``, that make up ``envs``."""
+    if max_envs >= envs:
         return envs
-    grain = 1 << max(0, most.bit_length() - BITS)
-    largest = most // grain * grain
+    grain = 1 << max(0, max_envs.bit_length() - SHARD_BITS)
+    largest = max_envs // grain * grain
     equal = -(-envs // -(-envs // largest))
     return -(-equal // grain) * grain
 
@@ -214,11 +226,11 @@ def recording_size(
     """Returns what the recording of an experiment takes, from a model of any number of environments."""
     series = settings.record.series
     names = sensors if series else ()
-    parameters = kept(model, varied, settings.envs)
+    parameters = recorded_parameters(model, varied, settings.envs)
     return Recorder(model, names, 1, poses=True, parameters=parameters, series=series).size()
 
 
-def kept(model: Environments, varied: Collection[str], envs: int) -> list[str]:
+def recorded_parameters(model: Environments, varied: Collection[str], envs: int) -> list[str]:
     """Returns the parameters that a recording of ``envs`` environments keeps because some vary.
 
     These and all that are stored with them, as they have a value per environment then, too.

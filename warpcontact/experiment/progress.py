@@ -12,7 +12,7 @@ from typing import Any
 
 from warpcontact.experiment.folder import PROGRESS
 from warpcontact.experiment.store import Commit, Shard
-from warpcontact.footprint import environments
+from warpcontact.footprint import env_count_text
 from warpcontact.hostile import terminal
 from warpcontact.regular_files import UnsafeFileError
 from warpcontact.run_folder import RunPath
@@ -25,7 +25,7 @@ MOST = 2**16
 _FILE = re.compile(r"shard_(\d{6,})\.json")
 
 
-class Bar:
+class ProgressBar:
     """A bar over the steps of all environments of a run, with how many of these are finished, and frozen.
 
     Args:
@@ -43,7 +43,7 @@ class Bar:
             total=envs * steps,
             unit="step",
             unit_scale=True,
-            desc=f"{environments(envs)}{several}",
+            desc=f"{env_count_text(envs)}{several}",
             delay=1.0,
             disable=None if show is None else not show,
             file=terminal(),
@@ -65,13 +65,13 @@ class Bar:
                 self._finished += shard.envs * commit.finished
                 done += shard.envs * commit.steps
         self._bar.initial = self._bar.n = done
-        self._tell()
+        self._update_postfix()
 
     def update(self, shard: Shard, steps: int, frozen: int = 0) -> None:
         """Tells how many steps of a shard are done, and how many of its environments are frozen."""
         before = self._done.get(shard.number, 0)
         self._done[shard.number], self._frozen[shard.number] = steps, frozen
-        self._tell()
+        self._update_postfix()
         self._bar.update(shard.envs * (steps - before))
 
     def finish(self, shard: Shard, frozen: int) -> None:
@@ -79,13 +79,13 @@ class Bar:
         self._finished += shard.envs
         self.update(shard, self._steps, frozen)
 
-    def _tell(self) -> None:
-        told = {"finished": f"{self._finished}/{self._envs}"}
+    def _update_postfix(self) -> None:
+        content = {"finished": f"{self._finished}/{self._envs}"}
         if frozen := sum(self._frozen.values()):
-            told["frozen"] = str(frozen)
-        self._bar.set_postfix(told, refresh=False)
+            content["frozen"] = str(frozen)
+        self._bar.set_postfix(content, refresh=False)
 
-    def __enter__(self) -> "Bar":
+    def __enter__(self) -> "ProgressBar":
         return self
 
     def __exit__(
@@ -94,14 +94,14 @@ class Bar:
         self._bar.close()
 
 
-class Beacon:
+class ProgressFile:
     """Tells in a file of the run's folder how far a shard is, once in a while."""
 
     def __init__(self, folder: Path, shard: Shard) -> None:
         self._path = RunPath(folder) / PROGRESS / f"{shard.name}.json"
         self._last = 0.0
 
-    def tell(self, steps: int) -> bool:
+    def write(self, steps: int) -> bool:
         """Tells how many steps are done; returns whether it was time to."""
         now = time.monotonic()
         if now - self._last < INTERVAL:
@@ -109,8 +109,8 @@ class Beacon:
         self._last = now
         # It is nobody's loss if it cannot be told.
         with contextlib.suppress(OSError), self._path.replacing(wait=False) as file:
-            told = {"steps": steps, "time": time.time(), "process": os.getpid()}
-            file.write(json.dumps(told).encode())
+            content = {"steps": steps, "time": time.time(), "process": os.getpid()}
+            file.write(json.dumps(content).encode())
         return True
 
     def remove(self) -> None:
@@ -118,7 +118,7 @@ class Beacon:
         self._path.remove()
 
 
-def told(folder: Path) -> Iterator[tuple[int, dict[str, Any]]]:
+def read_progress(folder: Path) -> Iterator[tuple[int, dict[str, Any]]]:
     """Iterates over the shards that report progress, by number.
 
     Raises:

@@ -15,9 +15,9 @@ from warpcontact import checks
 from warpcontact.checks import limits
 from warpcontact.contact_coupling import check_quadrature
 from warpcontact.elements import AREA, MASS, RADIUS
-from warpcontact.experiment.errors import shown
+from warpcontact.experiment.errors import abbreviated
 from warpcontact.experiment.rows_file import check_rows_file
-from warpcontact.kernels.formula import check_values, has_shape, shape_in_words
+from warpcontact.kernels.formula import check_values, describe_shape, has_shape
 from warpcontact.meshes.repair import REPAIRS, steps_of
 from warpcontact.surface_contact import check_amount
 
@@ -38,13 +38,13 @@ def plain(value: Any, what: str, advice: str = "") -> Any:
     if isinstance(value, list | tuple):
         return tuple(plain(entry, what, advice) for entry in value)
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"must be {what}, got {shown(value)}")
+        raise ValueError(f"must be {what}, got {abbreviated(value)}")
     try:
         number = float(value)
     except OverflowError:
         number = math.inf
     if not math.isfinite(number):
-        raise ValueError(f"must be finite, got {shown(value)}{advice}")
+        raise ValueError(f"must be finite, got {abbreviated(value)}{advice}")
     return number
 
 
@@ -73,7 +73,7 @@ def numbers(
         except ValueError:  # rows of different length
             shape = (-1,)
         if shape not in shapes:
-            raise ValueError(f"must be {what}, got {shown(value)}")
+            raise ValueError(f"must be {what}, got {abbreviated(value)}")
         values = checks.numbers("", entries, shape, allowed)
         if check is not None:
             check("", values)
@@ -111,7 +111,7 @@ def each(
         except ValueError:  # rows of different length
             shape = (-1,)
         if 0 in shape or not ((one and shape in shapes) or (entries and shape[1:] in shapes and shape != (-1,))):
-            raise ValueError(f"must be {form}, got {shown(value)}")
+            raise ValueError(f"must be {form}, got {abbreviated(value)}")
         values = checks.numbers("", entries, shape, allowed)
         if check is not None:
             check("", values)
@@ -123,7 +123,7 @@ def each(
 def table(shape: tuple[int, ...], allowed: Mapping[str, Any]) -> PlainValidator:
     """Returns the validator of any number of rows, a parameter of ``shape`` with ``allowed`` as its limits."""
     unit = "" if allowed["unit"] == "-" else f" [{allowed['unit']}]"
-    what = f"{shape_in_words(shape)}{unit}"
+    what = f"{describe_shape(shape)}{unit}"
 
     def validate(value: Any) -> Any:
         entries = plain(value, what)
@@ -132,7 +132,7 @@ def table(shape: tuple[int, ...], allowed: Mapping[str, Any]) -> PlainValidator:
         except ValueError:  # rows of different length
             values = np.zeros(())
         if not has_shape(values, shape):
-            raise ValueError(f"must be {what}, got {shown(value)}")
+            raise ValueError(f"must be {what}, got {abbreviated(value)}")
         check_values("", values, allowed)
         return entries
 
@@ -150,7 +150,7 @@ def whole_numbers(count: int) -> PlainValidator:
     def validate(value: Any) -> tuple[int, ...]:
         entries = tuple(value) if isinstance(value, list | tuple) else ()
         if len(entries) != count or not all(_is_whole(entry) for entry in entries):
-            raise ValueError(f"must be {count} whole numbers, got {shown(value)}")
+            raise ValueError(f"must be {count} whole numbers, got {abbreviated(value)}")
         return entries
 
     return PlainValidator(validate)
@@ -162,7 +162,7 @@ def _is_whole(value: Any) -> bool:
 
 def _element_name(value: Any) -> str:
     if not isinstance(value, str):
-        raise ValueError(f"must be a text, got {shown(value)}")
+        raise ValueError(f"must be a text, got {abbreviated(value)}")
     try:
         return checks.new_name("table", value, {})
     except ValueError as error:
@@ -189,7 +189,7 @@ def _faces(value: Any, info: ValidationInfo) -> Any:
     if not isinstance(mesh, tuple):
         return _faces_of_one(value)
     if not isinstance(value, list | tuple) or len(value) != len(mesh):
-        got = len(value) if isinstance(value, list | tuple) else shown(value)
+        got = len(value) if isinstance(value, list | tuple) else abbreviated(value)
         raise ValueError(f"must be a list with one entry for each of the {len(mesh)} meshes, got {got}")
     return tuple(entry if entry is True else _faces_of_one(entry, f"[{i}]") for i, entry in enumerate(value))
 
@@ -204,7 +204,7 @@ def _faces_of_one(value: Any, number: str = "") -> tuple[Any, ...] | str:
         everything = ", or true for all of them" if number else ""
         raise ValueError(
             f"{number} must be a list of face numbers, of names of groups, or of true and false for each face, or "
-            f"one name{everything}, got {shown(value)}".lstrip()
+            f"one name{everything}, got {abbreviated(value)}".lstrip()
         )
     return entries
 
@@ -215,13 +215,13 @@ def _repair(value: Any) -> bool | str | tuple[str, ...]:
         steps_of(given)
     except ValueError:
         allowed = f"true, false, or names out of {', '.join(REPAIRS)}"
-        raise ValueError(f"must be {allowed}, got {shown(value)}") from None
+        raise ValueError(f"must be {allowed}, got {abbreviated(value)}") from None
     return cast("bool | str | tuple[str, ...]", given)
 
 
 def _title(value: Any) -> str:
     if not isinstance(value, str) or not value.strip() or not value.isprintable():
-        raise ValueError(f"must be a text on one line, got {shown(value)}")
+        raise ValueError(f"must be a text on one line, got {abbreviated(value)}")
     checks.check_length("", value)
     return value
 
@@ -232,19 +232,19 @@ def _positions(value: Any) -> Any:
     rows = plain(value, "a list of 3 numbers each [m]")
     for i, row in enumerate(rows if isinstance(rows, tuple) else ()):
         if not isinstance(row, tuple) or np.shape(row) != (3,):
-            raise ValueError(f"[{i}] must be 3 numbers [m], got {shown(row)}")
+            raise ValueError(f"[{i}] must be 3 numbers [m], got {abbreviated(row)}")
     if not isinstance(rows, tuple) or not rows:
-        raise ValueError(f"must be a list of 3 numbers each [m], got {shown(value)}")
+        raise ValueError(f"must be a list of 3 numbers each [m], got {abbreviated(value)}")
     return rows
 
 
 def _choices(value: Any, what: str = "a list of values") -> tuple[Any, ...]:
     rows = plain(value, what)
     if not isinstance(rows, tuple) or not rows:
-        raise ValueError(f"must be {what}, got {shown(value)}")
+        raise ValueError(f"must be {what}, got {abbreviated(value)}")
     for i, row in enumerate(rows):
         if np.shape(row) != np.shape(rows[0]):
-            raise ValueError(f"[{i}] must be of the same kind as the values before, got {shown(row)}")
+            raise ValueError(f"[{i}] must be of the same kind as the values before, got {abbreviated(row)}")
     return rows
 
 
@@ -260,7 +260,7 @@ def _value(value: Any) -> Any:
     try:
         np.shape(entries)
     except ValueError:  # rows of different length
-        raise ValueError(f"must be {what}, got {shown(value)}") from None
+        raise ValueError(f"must be {what}, got {abbreviated(value)}") from None
     return entries
 
 
@@ -272,7 +272,7 @@ def _amounts(value: Any) -> Any:
     if not isinstance(value, list | tuple):
         return _amount(value)
     if len(value) != 2:
-        raise ValueError(f"must be one entry or two, one for each surface, got {shown(value)}")
+        raise ValueError(f"must be one entry or two, one for each surface, got {abbreviated(value)}")
     return tuple(check_amount(f"[{i}]", entry) for i, entry in enumerate(value))
 
 
@@ -280,7 +280,7 @@ def _areas(value: Any) -> tuple[float, ...]:
     what = f"a list of numbers [{AREA['unit']}]"
     entries = plain(value, what)
     if not isinstance(entries, tuple) or not entries or np.ndim(entries) != 1:
-        raise ValueError(f"must be {what}, got {shown(value)}")
+        raise ValueError(f"must be {what}, got {abbreviated(value)}")
     checks.numbers("", entries, (len(entries),), AREA)
     return entries
 
@@ -294,9 +294,9 @@ def _pair(rule: str, holds: Callable[[Any, Any], Any]) -> PlainValidator:
         try:
             first, second = np.array(pair)
         except (ValueError, TypeError):  # another number of entries, or lists of different length
-            raise ValueError(f"must be {what}, got {shown(value)}") from None
+            raise ValueError(f"must be {what}, got {abbreviated(value)}") from None
         if not np.all(holds(first, second)):
-            raise ValueError(f"must be {rule}, got {shown(value)}")
+            raise ValueError(f"must be {rule}, got {abbreviated(value)}")
         return pair
 
     return PlainValidator(validate)

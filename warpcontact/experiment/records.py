@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from warpcontact.experiment.errors import shown
-from warpcontact.hostile import VisibleError
+from warpcontact.experiment.errors import abbreviated
+from warpcontact.hostile import SafeTextError
 from warpcontact.regular_files import UnsafeFileError
 from warpcontact.run_folder import RunPath
 
@@ -39,7 +39,7 @@ _MOST = 2**63 - 1
 _COUNTS = ("steps", "frames", "frozen")
 
 
-class RunDataError(VisibleError):
+class RunDataError(SafeTextError):
     """A folder of results that is damaged, or was changed by somebody else."""
 
 
@@ -84,14 +84,14 @@ class Commit:
         number = int(path.stem.rpartition("_")[2])
         finished = content["finished"] is True
         checkpoint, time, sha = content["checkpoint"], content["wall_time"], content["checkpoint_sha256"]
-        goes_on = isinstance(checkpoint, str) and re.fullmatch(rf"{path.stem}-\d{{12,}}\.npz", checkpoint)
+        can_resume = isinstance(checkpoint, str) and re.fullmatch(rf"{path.stem}-\d{{12,}}\.npz", checkpoint)
         is_time = isinstance(time, int | float) and not isinstance(time, bool) and 0.0 <= time < float("inf")
         rules = {
             "shard": (_is_count(content["shard"]) and content["shard"] == number, f"{number}, as in its name"),
             **{key: (_is_count(content[key]), f"a whole number from 0 to {_MOST}") for key in _COUNTS},
             "finished": (isinstance(content["finished"], bool), "true or false"),
             "checkpoint": (
-                checkpoint is None if finished else bool(goes_on),
+                checkpoint is None if finished else bool(can_resume),
                 "null in a finished shard" if finished else f"the name of a file {path.stem}-<steps>.npz",
             ),
             "wall_time": (is_time, "a time of at least 0 s"),
@@ -108,7 +108,7 @@ class Commit:
         )
         for key, (holds, allowed) in rules.items():
             if not holds:
-                raise RunDataError(f"{path}: {key} must be {allowed}, got {shown(content[key])}")
+                raise RunDataError(f"{path}: {key} must be {allowed}, got {abbreviated(content[key])}")
         return cls(**content | {"files": _files(path, content["files"], _CHUNK)})
 
 
@@ -132,7 +132,7 @@ def is_chunk_folder(name: str) -> bool:
     return bool(_CHUNK_FOLDER.fullmatch(name))
 
 
-def made_in(folder: RunPath) -> Files:
+def created_files(folder: RunPath) -> Files:
     """Returns the files that the store was made with, by the record of them in a folder.
 
     Raises:
@@ -170,7 +170,7 @@ def _content(path: RunPath, entries: Iterable[str], later: Mapping[str, Any] | N
         content = {**(later or {}), **content}
     if not isinstance(content, dict) or set(content) != set(entries):
         got = sorted(content) if isinstance(content, dict) else content
-        raise RunDataError(f"{path}: must have the entries {', '.join(entries)}, got {shown(got)}")
+        raise RunDataError(f"{path}: must have the entries {', '.join(entries)}, got {abbreviated(got)}")
     return content
 
 
@@ -180,17 +180,19 @@ def _is_count(value: object) -> bool:
 
 def _files(path: RunPath, files: object, allowed: re.Pattern[str]) -> Files:
     if not isinstance(files, dict):
-        raise RunDataError(f"{path}: files must be a table, got {shown(files)}")
+        raise RunDataError(f"{path}: files must be a table, got {abbreviated(files)}")
     found: Files = {}
     for name, entry in files.items():
         if not allowed.fullmatch(name):
-            raise RunDataError(f"{path}: files must name files that a run writes into {DATA}, got {shown(name)}")
+            raise RunDataError(
+                f"{path}: files must name files that a run writes into {DATA}, got {abbreviated(name)}"
+            )
         match entry:
             case [int(size), str(sha)] if _is_count(size) and _SHA.fullmatch(sha):
                 found[name] = (size, sha)
             case _:
                 raise RunDataError(
                     f"{path}: files.{name} must be a size in bytes and a SHA-256 in 64 hexadecimal digits, "
-                    f"got {shown(entry)}"
+                    f"got {abbreviated(entry)}"
                 )
     return found

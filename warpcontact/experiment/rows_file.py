@@ -8,9 +8,9 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from warpcontact.available import HOST, find_room
+from warpcontact.available import HOST, available_memory
 from warpcontact.checks import Array
-from warpcontact.experiment.errors import shown
+from warpcontact.experiment.errors import abbreviated
 from warpcontact.numpy_files import check_numbers
 from warpcontact.run_folder import open_file
 
@@ -35,7 +35,7 @@ def read_rows(path: Path) -> Array:
         ValueError: If it cannot be read or holds anything but numbers.
     """
     is_npy = path.suffix.lower() == ".npy"
-    room = find_room(HOST)
+    room = available_memory(HOST)
     try:
         with open_file(path, None if room is None else room.size) as file:
             values = _array(file) if is_npy else _table(file)
@@ -93,7 +93,7 @@ def _fault(content: str) -> str | None:
         cells = text.split(",")
         for k, cell in enumerate(cells, 1):
             if not _is_number(cell):
-                return f"line {number}, column {k} must be a number, got {shown(cell.strip())}"
+                return f"line {number}, column {k} must be a number, got {abbreviated(cell.strip())}"
         columns = columns or len(cells)
         if len(cells) != columns:
             return f"line {number} must have as many columns as those before, {columns}, got {len(cells)}"

@@ -15,23 +15,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.contact_coupling_report import CouplingReport, report_of
-from warpcontact.durable import writing
+from warpcontact.durable import open_for_writing
 from warpcontact.equal_items import merged_items
 from warpcontact.experiment import folder as files_of
-from warpcontact.experiment.assemble import Assembler, Loaded
-from warpcontact.experiment.errors import ExperimentError, Problems, shown
-from warpcontact.experiment.expected import LABELS, ORDER, Extent
-from warpcontact.experiment.lock import is_written
-from warpcontact.experiment.own import OwnFiles
-from warpcontact.experiment.parser import Parts, load_toml, read_settings
+from warpcontact.experiment.assemble import FileCache, SceneBuilder
+from warpcontact.experiment.errors import ExperimentError, Problems, abbreviated
+from warpcontact.experiment.expected import LABELS, ORDER, RunExtent
+from warpcontact.experiment.lock import is_locked
+from warpcontact.experiment.own import UserFiles
+from warpcontact.experiment.parser import ExperimentParts, load_toml, read_settings
 from warpcontact.experiment.records import COMMITS, DATA, GROUPS, Commit, RunDataError
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.store import Ledger, Shards
 from warpcontact.experiment.trust import Trust
 from warpcontact.flags import words_of
-from warpcontact.footprint import environments
+from warpcontact.footprint import env_count_text
 from warpcontact.health import Health
-from warpcontact.hostile import visible_lines
+from warpcontact.hostile import escape_lines
 from warpcontact.kernels.keywords import explain_keywords, explain_keywords_of
 from warpcontact.regular_files import UnsafeFileError
 from warpcontact.run_folder import RunPath
@@ -75,8 +75,10 @@ class Run:
         if self._scene is not None:
             return self._scene
         problems = Problems()
-        scene = Assembler(Parts.of_settings(self.settings), self.folder, Loaded()).scene(problems)
-        problems.stop(str(self.folder / files_of.EXPERIMENT))
+        scene = SceneBuilder(ExperimentParts.from_settings(self.settings), self.folder, FileCache()).scene(
+            problems
+        )
+        problems.raise_if_any(str(self.folder / files_of.EXPERIMENT))
         return scene
 
     @functools.cached_property
@@ -90,9 +92,9 @@ class Run:
     def settings(self) -> Settings:
         """All settings of the experiment. Files with laws of its own are run to read them; no model is built."""
         path, problems = self.folder / files_of.EXPERIMENT, Problems()
-        own = OwnFiles(self.folder, lambda stage: None, self._trust)
-        settings = read_settings(load_toml(path), own, problems).settings
-        problems.stop(str(path))
+        user_files = UserFiles(self.folder, lambda stage: None, self._trust)
+        settings = read_settings(load_toml(path), user_files, problems).settings
+        problems.raise_if_any(str(path))
         assert settings is not None  # they are there if there are no problems
         return settings
 
@@ -110,7 +112,7 @@ class Run:
     @functools.cached_property
     def params(self) -> "xr.Dataset":
         """The parameters that vary, and those that a replay needs, (env, …)."""
-        return self._group("params").isel(env=self._begun())
+        return self._group("params").isel(env=self._begun_data())
 
     @functools.cached_property
     def outcome(self) -> "xr.Dataset":
@@ -129,7 +131,7 @@ class Run:
         """
         from warpcontact.recording import Series
 
-        data = self._group("series").isel(env=self._begun())
+        data = self._group("series").isel(env=self._begun_data())
         return Series(data.data_vars, coords=data.coords, attrs=data.attrs)
 
     @functools.cached_property
@@ -151,8 +153,8 @@ class Run:
             variables |= {name: array.variable for name, array in data.data_vars.items()}
         coordinates = {**self.params.coords, **self.series.coords}
         kept = ("device", "frozen_environments", "fingerprint")
-        told = {key: self.summary[key] for key in kept if key in self.summary}
-        recording = Recording(variables, coords=coordinates, attrs={**self.series.attrs, **told})
+        attributes = {key: self.summary[key] for key in kept if key in self.summary}
+        recording = Recording(variables, coords=coordinates, attrs={**self.series.attrs, **attributes})
         recording.scene = self.scene
         return recording
 
@@ -162,9 +164,9 @@ class Run:
             return
         if any(commit.steps for commit in self._commits.values()):
             raise ValueError(
-                f"{self.folder}: no record over time can be read yet: {self._blocks}; {self._goes_on}"
+                f"{self.folder}: no record over time can be read yet: {self._blocks}; {self._resume_hint}"
             )
-        raise ValueError(f"{self.folder}: nothing over time is committed yet in this run; {self._goes_on}")
+        raise ValueError(f"{self.folder}: nothing over time is committed yet in this run; {self._resume_hint}")
 
     def records_of(self, envs: Iterable[SupportsInt]) -> int:
         """Returns how many records over time can be read of all of these environments, at least 1.
@@ -179,12 +181,12 @@ class Run:
             commit = self._commits.get(env // self.summary["shard"])
             if commit is None or not commit.steps:
                 raise ValueError(
-                    f"environment {env} has no record yet in this run: it has not begun; {self._goes_on}"
+                    f"environment {env} has no record yet in this run: it has not begun; {self._resume_hint}"
                 )
             if not commit.frames:
                 raise ValueError(
                     f"environment {env} has no record yet in this run that can be read: its shard is at step "
-                    f"{commit.steps} of {self.summary['steps']}, and {self._blocks}; {self._goes_on}"
+                    f"{commit.steps} of {self.summary['steps']}, and {self._blocks}; {self._resume_hint}"
                 )
             count = min(count, commit.frames)
         return count
@@ -198,9 +200,9 @@ class Run:
         )
 
     @property
-    def _goes_on(self) -> str:
+    def _resume_hint(self) -> str:
         """How the run goes on, in words."""
-        if is_written(self.folder):
+        if is_locked(self.folder):
             return "a process is at work on it"
         return f"warpcontact run --resume --out {self.folder} goes on with it"
 
@@ -284,7 +286,7 @@ class Run:
 
     def to_csv(self, path: str | PathLike[str]) -> None:
         """Writes that table as comma-separated values, numbers with all their digits, missing words as nothing."""
-        with writing(Path(path)) as raw, io.TextIOWrapper(raw, encoding="utf-8", newline="") as file:
+        with open_for_writing(Path(path)) as raw, io.TextIOWrapper(raw, encoding="utf-8", newline="") as file:
             self.write_csv(file)
 
     def write_csv(self, file: TextIO, line_end: str = "\r\n") -> None:
@@ -309,7 +311,7 @@ class Run:
             raise ImportError(
                 "Parquet needs pyarrow, which is not installed: pip install 'warpcontact[tables]'"
             ) from None
-        with writing(Path(path)) as file:
+        with open_for_writing(Path(path)) as file:
             self.to_dataframe().to_parquet(file, engine="pyarrow")
 
     def digest(self) -> str:
@@ -322,8 +324,8 @@ class Run:
             for name in sorted(map(str, data.data_vars)):
                 array = data[name].transpose("env", ...)
                 total.update(f"{group}/{name}{array.dtype}{array.shape}".encode())
-                for own in _in_chunks(data[name]):
-                    total.update(np.ascontiguousarray(array.isel(env=own).values).tobytes())
+                for block in _env_blocks(data[name]):
+                    total.update(np.ascontiguousarray(array.isel(env=block).values).tobytes())
         return total.hexdigest()
 
     def check(self) -> None:
@@ -332,7 +334,7 @@ class Run:
         Raises:
             RunDataError: If one is missing or was changed.
         """
-        Ledger(self.folder).check(Extent.of(self.summary), contents=True)
+        Ledger(self.folder).check(RunExtent.of(self.summary), contents=True)
 
     def _group(self, name: str) -> "xr.Dataset":
         if not (self._files / DATA / name).is_folder():
@@ -361,16 +363,14 @@ class Run:
             mask[shard.first : shard.stop] = commit.finished or not finished
         return mask
 
-    def _begun(self) -> NDArray[np.intp] | slice:
+    def _begun_data(self) -> NDArray[np.intp] | slice:
         mask = self._mask(finished=False)
         return slice(None) if mask.all() else np.flatnonzero(mask)
 
     def __str__(self) -> str:
         s = self.summary
         shards = f" in {len(self.shards)} shards" if len(self.shards) > 1 else ""
-        title = (
-            f"{s['name']}: {environments(s['envs'])} × {s['duration']:g} s in {s['steps']} steps of {s['dt']:g} s"
-        )
+        title = f"{s['name']}: {env_count_text(s['envs'])} × {s['duration']:g} s in {s['steps']} steps of {s['dt']:g} s"
         lines = [title]
         if "wall_time" in s:
             rate = f"{s['env_steps_per_second']:.3g} environment steps per second"
@@ -386,15 +386,15 @@ class Run:
         begun = self._mask(finished=False) & ~self._mask(finished=True)
         if begun.any() and (self._files / DATA / "series").is_folder():
             fewest = self.frames[~self._mask(finished=True)[self._mask(finished=False)]].min()
-            more = environments(int(begun.sum()))
+            more = env_count_text(int(begun.sum()))
             lines.append(f"{more} begun, with {fewest} records over time or more: {self._blocks}")
         lines += [line for report in s.get("contact_couplings", {}).values() for line in report]
         width = max(11, *map(len, self.files))
         lines += [f"  {kind:<{width}} {path}" for kind, path in sorted(self.files.items())]
-        return visible_lines(lines)
+        return escape_lines(lines)
 
     def __repr__(self) -> str:
-        return visible_lines([f"<Run in {self.folder}: {self.summary['name']}, {self.summary['state']}>"])
+        return escape_lines([f"<Run in {self.folder}: {self.summary['name']}, {self.summary['state']}>"])
 
 
 @explain_keywords
@@ -433,10 +433,10 @@ def open_run(path: str | PathLike[str], *, verify: bool = False, trust: Trust = 
     if envs != summary["envs"]:
         raise ExperimentError(
             str(folder / files_of.SUMMARY),
-            [f"envs must be {shown(envs)}, as in {files_of.EXPERIMENT}, got {summary['envs']}"],
+            [f"envs must be {abbreviated(envs)}, as in {files_of.EXPERIMENT}, got {summary['envs']}"],
         )
     ledger = Ledger(folder)
-    ledger.check(Extent.of(summary), contents=verify)
+    ledger.check(RunExtent.of(summary), contents=verify)
     run = Run(folder, summary, None, trust)
     commits = ledger.commits()
     for shard in run.shards if summary["state"] == files_of.FINISHED else ():
@@ -460,16 +460,16 @@ def _columns(array: "xr.DataArray") -> Iterator[tuple[list[str], NDArray[Any]]]:
         yield labels, values[(slice(None), *place)]
 
 
-def _in_chunks(array: "xr.DataArray") -> Iterator[slice]:
+def _env_blocks(array: "xr.DataArray") -> Iterator[slice]:
     """Iterates over environments of a stored array, those of whole chunks at once if they fit.
 
     Chunks of an array that is so long in time that they do not are read several times, for parts of them.
     """
     envs = array.sizes["env"]
     chunk = dict(zip(array.dims, array.encoding["chunks"], strict=True))["env"]
-    most = max(1, READ_AT_ONCE * envs // max(1, array.nbytes))
-    whole = most // chunk * chunk
-    step = whole or -(-chunk // -(-chunk // most))
-    for first in range(0, envs, whole or chunk):
-        stop = min(first + (whole or chunk), envs)
+    max_envs = max(1, READ_AT_ONCE * envs // max(1, array.nbytes))
+    whole_chunks = max_envs // chunk * chunk
+    step = whole_chunks or -(-chunk // -(-chunk // max_envs))
+    for first in range(0, envs, whole_chunks or chunk):
+        stop = min(first + (whole_chunks or chunk), envs)
         yield from (slice(k, min(k + step, stop)) for k in range(first, stop, step))

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from warpcontact.checks import Array
-from warpcontact.experiment.distributions import inside
+from warpcontact.experiment.distributions import clip_to_open_interval
 
 BLOCK = 1024
 # The most with which SciPy's engine can be put forward.
@@ -45,7 +45,7 @@ class Sampler(Protocol):
 
 
 @dataclass(frozen=True)
-class Middle:
+class Midpoint:
     """One half in place of each number: where it is the form of values that matters.
 
     Args:
@@ -78,7 +78,7 @@ class Random:
         generators = [(generator(self.seed, name, start * count), count) for name, count in counts]
         while True:
             drawn = [rng.random((BLOCK, count)) for rng, count in generators]
-            yield inside(np.concatenate([np.empty((BLOCK, 0)), *drawn], axis=1))
+            yield clip_to_open_interval(np.concatenate([np.empty((BLOCK, 0)), *drawn], axis=1))
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class LatinHypercube:
             for _ in range(count):
                 table[:, column] = (rng.permutation(self.envs) + rng.random(self.envs)) / self.envs
                 column += 1
-        return inside(table)
+        return clip_to_open_interval(table)
 
 
 @dataclass(frozen=True)

@@ -16,17 +16,17 @@ from warpcontact.couplings import elements as coupling_limits
 from warpcontact.experiment import observation
 from warpcontact.experiment import quantities as q
 from warpcontact.experiment.catalogue import (
+    DeviceModelTable,
     FileMesh,
-    FormulaTable,
     Section,
     ShapeMesh,
     SurfaceMesh,
-    formula_model,
+    device_model_settings,
     mesh_model,
     settings_model,
 )
 from warpcontact.experiment.integration import IntegratorSettings
-from warpcontact.experiment.own import OwnFiles
+from warpcontact.experiment.own import UserFiles
 from warpcontact.experiment.variation_settings import (
     MOST_ENVS,
     CorrelationSettings,
@@ -84,7 +84,7 @@ class BodySettings(Section):
     angular_velocity: Annotated[tuple[float, ...], q.angular_velocity] = ORIGIN
     external_force: Annotated[tuple[float, ...], q.force] = ORIGIN
     external_torque: Annotated[tuple[float, ...], q.torque] = ORIGIN
-    motion: FormulaTable | None = None
+    motion: DeviceModelTable | None = None
     color: Color | None = None
 
 
@@ -103,7 +103,7 @@ class BodiesSettings(Section):
     angular_velocities: Annotated[Any, q.angular_velocities] = ORIGIN
     external_forces: Annotated[Any, q.forces] = ORIGIN
     external_torques: Annotated[Any, q.torques] = ORIGIN
-    motion: FormulaTable | None = None
+    motion: DeviceModelTable | None = None
     color: Color | None = None
 
 
@@ -156,10 +156,10 @@ class MaterialSettings(Section):
     """``[[material]]``: a law, and friction models against sliding, rolling and spinning, that contacts share."""
 
     name: Name
-    law: FormulaTable = Field(description="{ type = …, and its parameters }")
-    friction: FormulaTable = settings_model(Frictionless)(type="Frictionless")
-    rolling: FormulaTable | None = None
-    torsion: FormulaTable | None = None
+    law: DeviceModelTable = Field(description="{ type = …, and its parameters }")
+    friction: DeviceModelTable = settings_model(Frictionless)(type="Frictionless")
+    rolling: DeviceModelTable | None = None
+    torsion: DeviceModelTable | None = None
 
 
 class ContactOptions(Section):
@@ -204,7 +204,7 @@ class ShapeSettings(Section):
     """``[[shape]]``: a shape of analytic form on a body, or on the world; of a set of bodies one on each."""
 
     name: Name
-    form: FormulaTable = Field(description="{ type = …, and its parameters }")
+    form: DeviceModelTable = Field(description="{ type = …, and its parameters }")
     body: str | None = None
     position: Position = ORIGIN
     orientation: Quaternion = NO_ROTATION
@@ -302,7 +302,7 @@ class ContactCouplingSettings(Section):
     surface_a: str = Field(description="the name of a surface, on a body")
     surface_b: str = Field(description="the name of a surface")
     range: RangeSettings = Field(description="{ k1, k2, effective_range } or { from_impact = { … } }")
-    friction: FormulaTable | None = None
+    friction: DeviceModelTable | None = None
     facing: Annotated[str, q.one_of(FACINGS)] = "projected"
     sides: Annotated[str, q.one_of(SIDES)] = "first"
     quadrature: Annotated[int, q.quadrature] = 1
@@ -330,8 +330,8 @@ class SpringDamperSettings(CouplingOptions):
 
     stiffness: Annotated[float | None, q.numbers((), allowed=coupling_limits.STIFFNESS)] = None
     damping: Annotated[float | None, q.numbers((), allowed=coupling_limits.DAMPING)] = None
-    spring: FormulaTable | None = None
-    damper: FormulaTable | None = None
+    spring: DeviceModelTable | None = None
+    damper: DeviceModelTable | None = None
     rest_length: Annotated[float | None, q.numbers((), allowed=coupling_limits.LENGTH)] = None
     tension_only: bool = False
     break_force: Annotated[float | None, q.numbers((), allowed=coupling_limits.BREAK_FORCE)] = None
@@ -421,7 +421,7 @@ SECTIONS: dict[str, type[Section]] = {
 
 
 #: Those with laws, friction models, springs and motions.
-FORMULA_SECTIONS = ("body", "bodies", "material", "contact_coupling", "shape", "spring_damper")
+DEVICE_MODEL_SECTIONS = ("body", "bodies", "material", "contact_coupling", "shape", "spring_damper")
 #: Keys of sections that may name a file with rows.
 ROW_KEYS: dict[str, tuple[str, ...]] = {
     "bodies": (
@@ -452,7 +452,7 @@ LISTS: dict[str, type[Section]] = {"correlation": CorrelationSettings}
 _TABLES: dict[str, type[Section]] = {"range": RangeSettings, "from_impact": ImpactSettings}
 
 
-def table_at(location: Sequence[str | int], raw: Any, own: OwnFiles) -> type[Section]:
+def table_at(location: Sequence[str | int], raw: Any, user_files: UserFiles) -> type[Section]:
     """Returns the type of the table at ``location``, a place in ``raw`` as pydantic gives it."""
     parts = [part for part in location if isinstance(part, str)]
     if not parts:
@@ -462,7 +462,7 @@ def table_at(location: Sequence[str | int], raw: Any, own: OwnFiles) -> type[Sec
     if parts[0] == "stop":
         return observation.StopSettings
     if parts[0] == "outcome":
-        return observation.outcome_model(raw["outcome"][parts[1]], own)
+        return observation.outcome_model(raw["outcome"][parts[1]], user_files)
     if len(parts) == 1:
         return (SECTIONS | _SINGLE | LISTS)[parts[0]]
     if parts[1] in _TABLES and parts[0] == "contact_coupling":
@@ -470,4 +470,4 @@ def table_at(location: Sequence[str | int], raw: Any, own: OwnFiles) -> type[Sec
     value = raw
     for part in location:
         value = value[part] if isinstance(part, str) else list(value)[part]
-    return mesh_model(value) if parts[-1] == "mesh" else formula_model(parts[-1], value, own)
+    return mesh_model(value) if parts[-1] == "mesh" else device_model_settings(parts[-1], value, user_files)

@@ -18,11 +18,11 @@ from warpcontact.experiment.curves import (
     MAGNITUDE,
     Extreme,
     SensorCurves,
-    can_be_drawn,
+    is_drawable,
     read_curves,
     sample_size,
 )
-from warpcontact.hostile import shortened
+from warpcontact.hostile import truncate
 from warpcontact.number_format import quantity, scaled
 from warpcontact.recording import Recording
 
@@ -73,7 +73,7 @@ class Panel:
         return low is not None and high is not None and low.value < high.value
 
 
-def panels_of(recording: Recording, frozen: NDArray[np.int_], most: int) -> list[Panel]:
+def make_panels(recording: Recording, frozen: NDArray[np.int_], most: int) -> list[Panel]:
     """Returns panels of recorded sensors, at least two and at most ``most``.
 
     Positions fill up what is missing.
@@ -87,7 +87,7 @@ def panels_of(recording: Recording, frozen: NDArray[np.int_], most: int) -> list
     forces = [name for name in ranks if ranks[name] == 0][:TRIED]
     panels = {name: _panel(recording, name, frozen) for name in forces}
     first = next((name for name in forces if panels[name].varies), forces[0] if forces else None)
-    chosen = _chosen(ranks, first, most)
+    chosen = _choose_sensors(ranks, first, most)
     found = [panels.get(name) or _panel(recording, name, frozen) for name in chosen]
     body = recording.scene.bodies[0].name
     for component in ("z", DISTANCE)[: max(0, 2 - len(found))]:
@@ -110,8 +110,10 @@ def draw_panel(axes: Any, panel: Panel, colors: NDArray[Any] | None) -> None:
         _draw_quantiles(axes, panel, factor)
     else:
         for values, color, frozen in zip(curves.values.T, colors, panel.frozen, strict=True):
-            some = kept_samples(values, SAMPLES)
-            axes.plot(curves.seconds[some], factor * values[some], ":" if frozen else "-", color=color, lw=1.2)
+            kept_rows = kept_samples(values, SAMPLES)
+            axes.plot(
+                curves.seconds[kept_rows], factor * values[kept_rows], ":" if frozen else "-", color=color, lw=1.2
+            )
         _limit(axes, factor * good)
     axes.set_title(f"{panel.heading}\n{_extremes(panel, factor, unit)}", fontsize="small", loc="left")
     axes.set_ylabel(f"{panel.label} [{unit}]" if unit else panel.label)
@@ -119,7 +121,7 @@ def draw_panel(axes: Any, panel: Panel, colors: NDArray[Any] | None) -> None:
     axes.margins(x=0.0)
 
 
-def _chosen(ranks: dict[str, int], first: str | None, most: int) -> list[str]:
+def _choose_sensors(ranks: dict[str, int], first: str | None, most: int) -> list[str]:
     """Returns the sensors that are drawn, in the order of their ranks; ``first`` is one of them.
 
     Then come sensors of the same contact, and one of each kind before others of the same kind.
@@ -128,9 +130,9 @@ def _chosen(ranks: dict[str, int], first: str | None, most: int) -> list[str]:
     chosen = [first] if first else []
 
     def place(name: str) -> tuple[int, int, bool]:
-        own, _, kind = name.rpartition(".")
+        element_name, _, kind = name.rpartition(".")
         alike = [other for other in chosen if other.rpartition(".")[2] == kind]
-        return len(alike), ranks[name], own != element
+        return len(alike), ranks[name], element_name != element
 
     while len(chosen) < most and (rest := [name for name in ranks if name not in chosen]):
         chosen.append(min(rest, key=place))
@@ -152,7 +154,7 @@ def _ranks(recording: Recording) -> dict[str, int]:
             return 3 if last in _TENSIONS else 4
         return 5 if last in _COORDINATES else 6
 
-    names = [str(name) for name, array in recording.data_vars.items() if can_be_drawn(str(name), array)]
+    names = [str(name) for name, array in recording.data_vars.items() if is_drawable(str(name), array)]
     poses = {f"{body.name}.position" for body in scene.bodies}
     return {name: rank(name) for name in names if name not in poses}
 
@@ -174,7 +176,7 @@ def _panel(recording: xr.Dataset, name: str, frozen: NDArray[np.int_], component
     }[component]
     items = f" over {curves.items} items" if curves.reduction else ""
     heading = f"{curves.reduction} {what}".strip()
-    return Panel(shortened(heading, HEADING, middle=True) + items, label, curves, halted[rows], len(envs))
+    return Panel(truncate(heading, HEADING, middle=True) + items, label, curves, halted[rows], len(envs))
 
 
 def _extremes(panel: Panel, factor: float, unit: str) -> str:
@@ -183,14 +185,14 @@ def _extremes(panel: Panel, factor: float, unit: str) -> str:
     if low is None or high is None:
         return "no finite value"
 
-    def told(word: str, extreme: Extreme) -> str:
+    def extreme_text(word: str, extreme: Extreme) -> str:
         where = "" if panel.total == 1 else f" (env {extreme.env})"
         value = quantity(factor * extreme.value, unit, DIGITS)
         return f"{word} {value} at {quantity(extreme.time, 's', DIGITS)}{where}"
 
     sampled = len(panel.curves.envs) < panel.total and panel.curves.searched == panel.counted.shape[1]
     among = f", of {panel.curves.searched} environments" if sampled else ""
-    return f"{told('min', low)}, {told('max', high)}{among}"
+    return f"{extreme_text('min', low)}, {extreme_text('max', high)}{among}"
 
 
 def _limit(axes: Any, counted: Array) -> None:
@@ -203,8 +205,8 @@ def _limit(axes: Any, counted: Array) -> None:
 def _draw_quantiles(axes: Any, panel: Panel, factor: float) -> None:
     curves = panel.curves
     fan = factor * quantiles_over(panel.counted, LEVELS)
-    some = kept_samples(fan.T, SAMPLES)
-    seconds, (q05, q25, q50, q75, q95) = curves.seconds[some], fan[:, some]
+    kept_rows = kept_samples(fan.T, SAMPLES)
+    seconds, (q05, q25, q50, q75, q95) = curves.seconds[kept_rows], fan[:, kept_rows]
     sampled = "" if len(curves.envs) == panel.total else f" of {panel.total}"
     axes.fill_between(seconds, q05, q95, color="C0", alpha=0.2, lw=0, label="5 % to 95 %")
     axes.fill_between(seconds, q25, q75, color="C0", alpha=0.35, lw=0, label="25 % to 75 %")

@@ -13,24 +13,24 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact import checkpoint
-from warpcontact.captures import beside_captures
+from warpcontact.captures import shared_capture_lock
 from warpcontact.compiling import load_all
 from warpcontact.contact_coupling_report import OUTCOMES
 from warpcontact.contact_warning import ContactWarning, RunWarning, WarningLevel
 from warpcontact.environments import Environments
 from warpcontact.experiment.design import Design
-from warpcontact.experiment.expected import Expected, Extent
-from warpcontact.experiment.observation import watching
-from warpcontact.experiment.plan import blocks_at_once, kept
-from warpcontact.experiment.progress import Beacon
-from warpcontact.experiment.records import COMMITS, digest, made_in
+from warpcontact.experiment.expected import ExpectedFiles, RunExtent
+from warpcontact.experiment.observation import monitor_arguments
+from warpcontact.experiment.plan import blocks_at_once, recorded_parameters
+from warpcontact.experiment.progress import ProgressFile
+from warpcontact.experiment.records import COMMITS, created_files, digest
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.store import CHECKPOINTS, Commit, Ledger, Shard, Staging
-from warpcontact.looks import EVALUATED
+from warpcontact.looks import CONTACT_NEEDS
 from warpcontact.recorder import Recorder
-from warpcontact.remarks import Remarks
+from warpcontact.remarks import RunWarnings
 from warpcontact.run_folder import RunPath
-from warpcontact.signals import Asked, interruptions
+from warpcontact.signals import StopRequest, catch_interrupts
 from warpcontact.simulation import Simulation
 from warpcontact.whole_steps import frame_count, recorded_steps
 
@@ -42,15 +42,15 @@ if TYPE_CHECKING:
 # Of the time of stepping, what checkpoints may take at most: large states are saved less often.
 CHECKPOINT_SHARE = 0.05
 # Steps of a rehearsal: the first step after a frame and later ones may have different kernels.
-REHEARSED = 2
+SAMPLE_STEPS = 2
 
 
-class Interrupted(KeyboardInterrupt):
+class RunInterrupted(KeyboardInterrupt):
     """Somebody asked to stop; what was done is committed."""
 
 
 @dataclass(frozen=True)
-class Frames:
+class SeriesSchedule:
     """How the series of a run are taken.
 
     Attributes:
@@ -66,7 +66,7 @@ class Frames:
     block: int
 
     @classmethod
-    def of(cls, settings: Settings, block: int) -> "Frames":
+    def of(cls, settings: Settings, block: int) -> "SeriesSchedule":
         """Returns those of an experiment, written in blocks."""
         steps, stride = recorded_steps(settings.duration, settings.record.every, settings.dt)
         if not settings.record.series:
@@ -91,7 +91,7 @@ class ShardRunner:
         design: What varies.
         frames: How series are taken.
         folder: Folder of the run, with its store.
-        every: Time between checkpoints [s], at the end of a block at the earliest.
+        checkpoint_interval: Time between checkpoints [s], at the end of a block at the earliest.
         threads: Threads that step environments on the CPU.
     """
 
@@ -100,22 +100,22 @@ class ShardRunner:
         model: Environments,
         settings: Settings,
         design: Design,
-        frames: Frames,
+        frames: SeriesSchedule,
         folder: Path,
-        every: float,
+        checkpoint_interval: float,
         threads: int | None = None,
     ) -> None:
         self.settings = settings
         self.design = design
         self.frames = frames
         self.folder = folder
-        self.every = every
+        self.checkpoint_interval = checkpoint_interval
         self.threads = threads
         self.simulation = make_simulation(model, settings, threads)
         # Told here, once for each kind, with the numbers of environments among all.
-        self.simulation.advised = True
+        self.simulation.warned_at_start = True
         self.ledger = Ledger(folder)
-        self._said: set[str] = set()
+        self._warned: set[str] = set()
 
     @property
     def model(self) -> Environments:
@@ -126,17 +126,17 @@ class ShardRunner:
         """Returns the kernels that steps, frames and the check of the start launch on the CPU, each once."""
         looks = [frozenset(self.recorder().needs)]
         if self.simulation.evaluates_start:
-            looks.append(EVALUATED)
-        return self.simulation.kernels_of_steps(looks)
+            looks.append(CONTACT_NEEDS)
+        return self.simulation.step_kernels(looks)
 
     def warm_up(self) -> None:
         """Compiles what is not in the cache; the time of the run is then that of stepping."""
-        with beside_captures():
+        with shared_capture_lock():
             load_all(self.kernels(), wp.get_device("cpu"), self.simulation.threads)
         self.simulation.step()
         self.simulation.reset()
 
-    def rehearse(self, shard: Shard) -> "Recording":
+    def run_sample_steps(self, shard: Shard) -> "Recording":
         """Takes two steps of ``shard`` with their frames as ``run`` does, and writes nothing.
 
         All kernels of steps, frames and outcomes are then loaded.
@@ -144,15 +144,15 @@ class ShardRunner:
         Returns:
             The frames.
         """
-        self.materials()
-        self.take(shard)
-        steps = min(self.frames.steps, REHEARSED)
+        self.data_layouts()
+        self.load_shard(shard)
+        steps = min(self.frames.steps, SAMPLE_STEPS)
         recorder = self.recorder(steps + 1)
-        recorder.start(self.simulation.needs_of_frames(recorder.needs))
-        remarks = Remarks(self.model)
+        recorder.start(self.simulation.frame_memory(recorder.needs))
+        remarks = RunWarnings(self.model)
         self.simulation.check()
         stride = min(self.frames.stride, steps)
-        for _ in self.simulation.advance(recorder, steps, stride, start=0.0, alone=True):
+        for _ in self.simulation.advance(recorder, steps, stride, start=0.0, exclusive=True):
             pass
         self.outcome()
         self.events()
@@ -160,7 +160,7 @@ class ShardRunner:
         self.frozen(shard)
         return recorder.finish({"dt": self.settings.dt, "integrator": self.settings.integrator.type})
 
-    def take(self, shard: Shard) -> None:
+    def load_shard(self, shard: Shard) -> None:
         """Gives the model the values of ``shard``, and puts it at the start."""
         values = self.design.rows(shard.first, shard.stop)
         model = self.model
@@ -173,27 +173,27 @@ class ShardRunner:
         model.first_env = shard.first
         self.simulation.reset()
 
-    def recorder(self, most: int | None = None) -> Recorder:
+    def recorder(self, max_frames: int | None = None) -> Recorder:
         """Returns what takes the frames; its parameters are those of the values that were taken.
 
-        ``most``: number of frames; ``None``: blocks of them.
+        ``max_frames``: number of frames; ``None``: blocks of them.
         """
         record = self.settings.record
         sensors = record.sensors or () if record.series else ()
-        varied = kept(self.model, self.design.names, self.design.envs)
+        varied = recorded_parameters(self.model, self.design.names, self.design.envs)
         frames = self.frames
-        blocks = blocks_at_once(frames.count, frames.block) if most is None else 1
+        blocks = blocks_at_once(frames.count, frames.block) if max_frames is None else 1
         return Recorder(
             self.model,
             sensors,
-            frames.block if most is None else most,
+            frames.block if max_frames is None else max_frames,
             poses=True,
             parameters=varied,
             series=record.series,
             blocks=blocks,
         )
 
-    def materials(self) -> "dict[str, xr.Dataset]":
+    def data_layouts(self) -> "dict[str, xr.Dataset]":
         """Returns a data set of a shard for each group of the store, without frames and with any values."""
         recorder = self.recorder()
         found = {"params": recorder.parameters(), "outcome": self.outcome()}
@@ -233,62 +233,62 @@ class ShardRunner:
             Its record, which says that it is finished.
 
         Raises:
-            Interrupted: If somebody pressed Ctrl-C; all steps until then are committed.
+            RunInterrupted: If somebody pressed Ctrl-C; all steps until then are committed.
         """
         commit = Commit(shard.number) if commit is None else commit
-        self.take(shard)
+        self.load_shard(shard)
         recorder = self.recorder()
-        recorder.start(self.simulation.needs_of_frames(recorder.needs))
+        recorder.start(self.simulation.frame_memory(recorder.needs))
         # Of all that comes after the start, also of what was before a checkpoint.
-        remarks = Remarks(self.model)
+        remarks = RunWarnings(self.model)
         if commit.steps:
-            commit = self._go_on(shard, commit, recorder)
-        self._advise(commit)
-        beacon = Beacon(self.folder, shard)
+            commit = self._resume(shard, commit, recorder)
+        self._warn_once(commit)
+        progress_file = ProgressFile(self.folder, shard)
 
-        def tell(done: int) -> None:
-            if beacon.tell(done) and progress is not None:
+        def report(done: int) -> None:
+            if progress_file.write(done) and progress is not None:
                 progress(done, self.frozen(shard))
 
         try:
-            with self.ledger.staging(shard, self.threads) as staging, interruptions() as asked:
-                done = _Attempt(self, shard, commit, recorder, staging, remarks).run(asked, tell)
-                if asked.to_stop:
-                    raise Interrupted
+            with self.ledger.staging(shard, self.threads) as staging, catch_interrupts() as stop_request:
+                done = _ShardAttempt(self, shard, commit, recorder, staging, remarks).run(stop_request, report)
+                if stop_request.stop_requested:
+                    raise RunInterrupted
                 return done
         finally:
-            beacon.remove()
+            progress_file.remove()
 
-    def _go_on(self, shard: Shard, commit: Commit, recorder: Recorder) -> Commit:
+    def _resume(self, shard: Shard, commit: Commit, recorder: Recorder) -> Commit:
         """Puts the model where ``commit`` left it; from the start where its checkpoint does not fit."""
         path = RunPath(self.folder) / CHECKPOINTS / str(commit.checkpoint)
         try:
             if commit.checkpoint_sha256 is not None and digest(path) != commit.checkpoint_sha256:
                 raise checkpoint.CheckpointError(f"{path}: was changed since it was committed")
             arrays, header = checkpoint.read(path)
-            own = self.origin(shard, commit.steps)
-            if theirs := {key: header.get(key) for key in own if header.get(key) != own[key]}:
-                raise checkpoint.CheckpointError(f"{path}: is of {theirs}, and not of {own}")
+            own = self.checkpoint_origin(shard, commit.steps)
+            if differing := {key: header.get(key) for key in own if header.get(key) != own[key]}:
+                raise checkpoint.CheckpointError(f"{path}: is of {differing}, and not of {own}")
             frames = {key.removeprefix("frame/"): a for key, a in arrays.items() if key.startswith("frame/")}
             times = arrays.get("times", np.zeros(0))
             self._check_pending(commit, frames, times, recorder)
-            extent = Extent(self.settings.envs, self.model.envs, self.frames.steps)
-            made = made_in(RunPath(self.folder) / COMMITS)
-            if problem := Expected(RunPath(self.folder), made, extent).problem(commit):
+            extent = RunExtent(self.settings.envs, self.model.envs, self.frames.steps)
+            made = created_files(RunPath(self.folder) / COMMITS)
+            if problem := ExpectedFiles(RunPath(self.folder), made, extent).problem(commit):
                 raise checkpoint.CheckpointError(problem)
             checkpoint.restore(self.simulation, arrays)
         except (checkpoint.CheckpointError, FileNotFoundError) as error:
             warnings.warn(RunWarning(f"{shard.name} begins anew: {error}", WarningLevel.NOTE), stacklevel=3)
             self.simulation.reset()
             return Commit(shard.number, wall_time=commit.wall_time)
-        recorder.go_on_from(frames, times)
+        recorder.continue_from(frames, times)
         return commit
 
     def frozen(self, shard: Shard) -> int:
         """Returns how many environments of ``shard`` are frozen now."""
         return int((self.model.health().frozen < shard.envs).sum())
 
-    def origin(self, shard: Shard, steps: int) -> dict[str, Any]:
+    def checkpoint_origin(self, shard: Shard, steps: int) -> dict[str, Any]:
         """Returns what a checkpoint says of where it comes from, and has to agree in with who goes on from it."""
         kinds = ["cuda" if device.is_cuda else "cpu" for device in self.model.devices]
         return {"shard": shard.number, "steps": steps, "devices": kinds, "warp": wp.config.version}
@@ -308,18 +308,18 @@ class ShardRunner:
             done = f"{steps} of {own.steps} steps and {commit.frames} of {own.count} frames"
             raise checkpoint.CheckpointError(f"{path}: does not go on after {done}")
 
-    def _advise(self, commit: Commit) -> None:
+    def _warn_once(self, commit: Commit) -> None:
         """Warns as the first step of a simulation does, of what is not known from earlier shards."""
         if commit.steps:
             return
         for sentence in self.simulation.check():
             kind = re.sub(r"[\d.,+-]+(e[+-]?\d+)?", "", sentence)
-            if kind not in self._said:
+            if kind not in self._warned:
                 warnings.warn(ContactWarning(sentence), stacklevel=3)
-            self._said.add(kind)
+            self._warned.add(kind)
 
 
-class _Attempt:
+class _ShardAttempt:
     """One attempt to run a shard to its end."""
 
     def __init__(
@@ -329,7 +329,7 @@ class _Attempt:
         commit: Commit,
         recorder: Recorder,
         staging: Staging,
-        remarks: Remarks,
+        remarks: RunWarnings,
     ) -> None:
         self.runner = runner
         self.shard = shard
@@ -338,11 +338,11 @@ class _Attempt:
         self.staging = staging
         self.remarks = remarks
         self.started = time.perf_counter()
-        self.spent = commit.wall_time
-        self.last = self.started
-        self.took = 0.0
+        self.earlier_wall_time = commit.wall_time
+        self.last_save = self.started
+        self.save_time = 0.0
 
-    def run(self, asked: Asked, tell: Callable[[int], None]) -> Commit:
+    def run(self, stop_request: StopRequest, report: Callable[[int], None]) -> Commit:
         runner, frames, commit = self.runner, self.runner.frames, self.commit
         if not commit.steps:
             self.staging.write("params", _values(self.recorder.parameters()))
@@ -351,16 +351,16 @@ class _Attempt:
         taken = taken if frames.count else min(1, commit.steps)
         steps = frames.steps
         for done in runner.simulation.advance(
-            self.recorder, steps, frames.stride, start=0.0, done=commit.steps, taken=taken, alone=True
+            self.recorder, steps, frames.stride, start=0.0, done=commit.steps, taken=taken, exclusive=True
         ):
-            tell(done)
+            report(done)
             if frames.count and self.recorder.taken == frames.block:
                 self._write_block()
             if done == steps:
                 break
-            if asked.to_stop:
+            if stop_request.stop_requested:
                 self._save(done)
-                raise Interrupted
+                raise RunInterrupted
             if self._due():
                 self._save(done)
         return self._finish()
@@ -372,8 +372,8 @@ class _Attempt:
         self.recorder.rewind()
 
     def _due(self) -> bool:
-        since = time.perf_counter() - self.last
-        return since >= self.runner.every and since >= self.took / CHECKPOINT_SHARE
+        since = time.perf_counter() - self.last_save
+        return since >= self.runner.checkpoint_interval and since >= self.save_time / CHECKPOINT_SHARE
 
     def _save(self, done: int) -> None:
         """Commits what was done so far, with a checkpoint."""
@@ -384,11 +384,11 @@ class _Attempt:
         arrays |= {f"frame/{key}": values[:pending] for key, values in self.recorder.frames().items()}
         arrays["times"] = self.recorder.times[:pending]
         path = RunPath(self.runner.folder) / CHECKPOINTS / name
-        checkpoint.write(path, arrays, self.runner.origin(self.shard, done))
+        checkpoint.write(path, arrays, self.runner.checkpoint_origin(self.shard, done))
         self.commit.steps, self.commit.checkpoint, self.commit.checkpoint_sha256 = done, name, digest(path)
         self._commit()
-        self.last = time.perf_counter()
-        self.took = self.last - begin
+        self.last_save = time.perf_counter()
+        self.save_time = self.last_save - begin
 
     def _finish(self) -> Commit:
         runner = self.runner
@@ -409,7 +409,7 @@ class _Attempt:
 
     def _commit(self) -> None:
         self.staging.wait()
-        self.commit.wall_time = self.spent + time.perf_counter() - self.started
+        self.commit.wall_time = self.earlier_wall_time + time.perf_counter() - self.started
         if self.commit.empty is not None:
             self.commit.empty = sorted({*self.commit.empty, *self.staging.empty})
         self.runner.ledger.commit(self.shard, self.commit, self.staging.written)
@@ -429,5 +429,5 @@ def make_simulation(model: Environments, settings: Settings, threads: int | None
         integrator=settings.integrator.make(),
         crossing_substeps=settings.crossing_substeps,
         threads=threads,
-        **watching(settings),
+        **monitor_arguments(settings),
     )

@@ -8,14 +8,14 @@ from typing import Any
 
 from warpcontact.experiment import folder as files_of
 from warpcontact.experiment.errors import ExperimentError
-from warpcontact.experiment.lock import is_written
-from warpcontact.experiment.probe import spoken
-from warpcontact.experiment.progress import told
+from warpcontact.experiment.lock import is_locked
+from warpcontact.experiment.probe import duration_text
+from warpcontact.experiment.progress import read_progress
 from warpcontact.experiment.store import Ledger, Shards
-from warpcontact.hostile import visible_lines
+from warpcontact.hostile import escape_lines
 
 # What a shard told longer ago than this is no news [s].
-FRESH = 60.0
+PROGRESS_TIMEOUT = 60.0
 
 
 @dataclass(frozen=True)
@@ -69,15 +69,15 @@ class RunStatus:
             lines.append(f"frozen: {self.frozen} environments")
         if self.rate:
             left = (self.total - self.running_steps) / self.rate
-            more = f", {spoken(left)} of stepping left" if left > 0.0 else ""
+            more = f", {duration_text(left)} of stepping left" if left > 0.0 else ""
             lines.append(f"{self.rate:.3g} environment steps per second of a shard{more}")
         lines += [f"{shard} failed: {message}" for shard, message in s.get("failed", {}).items()]
         if self.state in ("interrupted", "failed", "stopped"):
             lines.append(f"go on with: warpcontact run --resume --out {self.folder}")
-        return visible_lines(lines)
+        return escape_lines(lines)
 
 
-def status_of(path: str | PathLike[str]) -> RunStatus:
+def run_status(path: str | PathLike[str]) -> RunStatus:
     """Returns how far the run in a folder is.
 
     Raises:
@@ -94,13 +94,13 @@ def status_of(path: str | PathLike[str]) -> RunStatus:
     steps = {number: commit.steps for number, commit in commits.items()}
     running = dict(steps)
     now = time.time()
-    for number, content in told(folder):
-        if number < len(shards) and now - float(content["time"]) < FRESH:
+    for number, content in read_progress(folder):
+        if number < len(shards) and now - float(content["time"]) < PROGRESS_TIMEOUT:
             running[number] = max(running.get(number, 0), int(content["steps"]))
     finished = [shards[number] for number, commit in commits.items() if commit.finished]
     state = summary["state"]
     if state == files_of.UNFINISHED:
-        state = "running" if is_written(folder) else "stopped"
+        state = "running" if is_locked(folder) else "stopped"
     return RunStatus(
         folder=folder,
         summary=summary,

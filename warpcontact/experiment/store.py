@@ -31,9 +31,9 @@ from numpy.typing import NDArray
 from warpcontact.available import available_threads
 from warpcontact.checks import check_length
 from warpcontact.durable import write_json
-from warpcontact.experiment.chunks import Chunk, Chunks, compressors
+from warpcontact.experiment.chunks import Chunk, ChunkEncoder, compressors
 from warpcontact.experiment.errors import ExperimentError
-from warpcontact.experiment.expected import LABELS, ORDER, PARTS, Expected, Extent
+from warpcontact.experiment.expected import LABELS, ORDER, PARTS, ExpectedFiles, RunExtent
 from warpcontact.experiment.records import (
     COMMITS,
     DATA,
@@ -42,10 +42,10 @@ from warpcontact.experiment.records import (
     Files,
     RunDataError,
     commits_in,
+    created_files,
     is_chunk,
     is_chunk_folder,
     is_unchanged,
-    made_in,
 )
 from warpcontact.run_folder import PARTIAL, RunPath, sync_all, sync_names
 
@@ -58,7 +58,7 @@ STAGING = "staging"
 CHECKPOINTS = "checkpoint"
 
 # A piece may be so many times smaller than that for being a part of a shard.
-FAR = 8
+MIN_DIVISOR_RATIO = 8
 
 # Arrays are stored in pieces of about this size [bytes].
 CHUNK = 16 * 2**20
@@ -138,7 +138,7 @@ def _few_threads() -> Iterator[None]:
 
 
 @_few_threads()
-def _made(folder: RunPath) -> "CommittedStore":
+def _created_files(folder: RunPath) -> "CommittedStore":
     """Returns the store of a run as it was made.
 
     Lets Zarr make its threads, by the thread of the caller: its settings are those of the process.
@@ -152,10 +152,10 @@ def _made(folder: RunPath) -> "CommittedStore":
     return store
 
 
-def check_names(materials: Mapping[str, "xr.Dataset"], source: str) -> None:
+def check_names(data_layouts: Mapping[str, "xr.Dataset"], source: str) -> None:
     """Raises ``ExperimentError`` of ``source`` if a variable has too long a name for its folder in the store."""
-    for group, material in materials.items():
-        for name in material.data_vars:
+    for group, layout in data_layouts.items():
+        for name in layout.data_vars:
             try:
                 check_length(f"the name of a variable of {group}", str(name), MOST_NAME)
             except ValueError as error:
@@ -165,7 +165,7 @@ def check_names(materials: Mapping[str, "xr.Dataset"], source: str) -> None:
 @_few_threads()
 def create(
     folder: Path,
-    materials: Mapping[str, "xr.Dataset"],
+    data_layouts: Mapping[str, "xr.Dataset"],
     envs: int,
     times: NDArray[np.float64],
     block: int,
@@ -175,7 +175,7 @@ def create(
 
     Args:
         folder: Folder of the run.
-        materials: A data set of a shard for each group: variables, axes, labels, attributes.
+        data_layouts: A data set of a shard for each group: variables, axes, labels, attributes.
         envs: Number of environments of the whole.
         times: Times of all frames [s].
         block: Frames of a chunk.
@@ -187,54 +187,54 @@ def create(
 
     buffers: dict[str, Any] = {}
     made = MemoryStore(buffers)
-    zarr.open_group(made, mode="w-", zarr_format=3, attributes={**attributes, PARTS: list(materials)})
-    for name, material in materials.items():
-        sizes = {**material.sizes, "env": envs}
-        coordinates = {key: c for key, c in material.coords.items() if key not in ("env", "time")}
-        coordinates["env"] = ("env", np.arange(envs), material["env"].attrs)
-        if "time" in material.sizes:
+    zarr.open_group(made, mode="w-", zarr_format=3, attributes={**attributes, PARTS: list(data_layouts)})
+    for name, layout in data_layouts.items():
+        sizes = {**layout.sizes, "env": envs}
+        coordinates = {key: c for key, c in layout.coords.items() if key not in ("env", "time")}
+        coordinates["env"] = ("env", np.arange(envs), layout["env"].attrs)
+        if "time" in layout.sizes:
             sizes["time"] = len(times)
-            coordinates["time"] = ("time", times, material["time"].attrs)
+            coordinates["time"] = ("time", times, layout["time"].attrs)
         # Folders have no order of their own.
-        listed = {ORDER: list(map(str, material.data_vars)), LABELS: sorted(map(str, coordinates))}
-        labels = xr.Dataset(coords=coordinates, attrs={**attributes, **material.attrs, **listed})
+        listed = {ORDER: list(map(str, layout.data_vars)), LABELS: sorted(map(str, coordinates))}
+        labels = xr.Dataset(coords=coordinates, attrs={**attributes, **layout.attrs, **listed})
         # Zarr leaves out a chunk of zeros, such as that of a single environment.
         with zarr.config.set({"array.write_empty_chunks": True}):
             labels.to_zarr(made, group=name, mode="w-", zarr_format=3, consolidated=False)
         group = zarr.open_group(made, mode="r+", path=name)
-        for key, variable in material.data_vars.items():
-            _create_array(group, str(key), variable, sizes, material.sizes["env"], block)
+        for key, variable in layout.data_vars.items():
+            _create_array(group, str(key), variable, sizes, layout.sizes["env"], block)
     content = {name: buffer.to_bytes() for name, buffer in sorted(buffers.items())}
     run = RunPath(folder)
     partial = run / f"{DATA}{PARTIAL}"
     partial.remove()
-    for name, own in content.items():
+    for name, data in content.items():
         (partial / name).parent.make()
         with os.fdopen((partial / name).create(), "wb") as file:
-            file.write(own)
+            file.write(data)
     sync_all(partial / name for name in content)
     sync_names({(partial / name).parent for name in content}, partial)
-    files = {name: (len(own), hashlib.sha256(own).hexdigest()) for name, own in content.items()}
+    files = {name: (len(data), hashlib.sha256(data).hexdigest()) for name, data in content.items()}
     write_json(run / COMMITS / MADE, {"files": files})
     partial.move_to(run / DATA)
     run.sync()
 
 
 def _create_array(
-    group: Any, name: str, material: "xr.DataArray", sizes: Mapping[Any, int], shard: int, block: int
+    group: Any, name: str, layout: "xr.DataArray", sizes: Mapping[Any, int], shard: int, block: int
 ) -> None:
-    tail = [size for dim, size in material.sizes.items() if dim not in ("time", "env")]
-    row = material.dtype.itemsize * int(np.prod(tail, initial=1)) * (block if "time" in material.sizes else 1)
-    chunk = {"env": largest_part(shard, max(1, CHUNK // max(1, row))), "time": block}
+    tail = [size for dim, size in layout.sizes.items() if dim not in ("time", "env")]
+    row = layout.dtype.itemsize * int(np.prod(tail, initial=1)) * (block if "time" in layout.sizes else 1)
+    chunk = {"env": largest_divisor(shard, max(1, CHUNK // max(1, row))), "time": block}
     group.create_array(
         name,
-        shape=tuple(sizes[dim] for dim in material.dims),
-        chunks=tuple(max(1, chunk.get(str(dim), sizes[dim])) for dim in material.dims),
-        dtype=material.dtype,
-        fill_value=empty_value(material.dtype),
-        dimension_names=[str(dim) for dim in material.dims],
-        attributes=dict(material.attrs),
-        compressors=compressors(material),
+        shape=tuple(sizes[dim] for dim in layout.dims),
+        chunks=tuple(max(1, chunk.get(str(dim), sizes[dim])) for dim in layout.dims),
+        dtype=layout.dtype,
+        fill_value=empty_value(layout.dtype),
+        dimension_names=[str(dim) for dim in layout.dims],
+        attributes=dict(layout.attrs),
+        compressors=compressors(layout),
     )
 
 
@@ -243,13 +243,15 @@ def empty_value(dtype: np.dtype[Any]) -> Any:
     return {"f": np.nan, "i": -1, "b": False}.get(dtype.kind, 0)
 
 
-def largest_part(envs: int, most: int) -> int:
+def largest_divisor(envs: int, most: int) -> int:
     """Returns the largest divisor of ``envs`` up to ``most``; where all are far smaller, the next larger one."""
     small = [part for part in range(1, math.isqrt(envs) + 1) if envs % part == 0]
     parts = sorted({*small, *(envs // part for part in small)})
     largest = max(part for part in parts if part <= max(1, most))
     # Of a prime number the others are 1 and the whole.
-    return largest if largest >= min(envs, most) / FAR else next(part for part in parts if part > most)
+    return (
+        largest if largest >= min(envs, most) / MIN_DIVISOR_RATIO else next(part for part in parts if part > most)
+    )
 
 
 class Ledger:
@@ -310,7 +312,7 @@ class Ledger:
             if name.startswith(f"{shard.name}-") and name != commit.checkpoint:
                 (checkpoints / name).remove()
 
-    def check(self, extent: Extent, *, contents: bool = False, checkpoints: bool = True) -> None:
+    def check(self, extent: RunExtent, *, contents: bool = False, checkpoints: bool = True) -> None:
         """Checks that all files that the committed steps of each shard lead to are recorded, and are there.
 
         Args:
@@ -322,8 +324,8 @@ class Ledger:
         Raises:
             RunDataError: If a file or its entry is missing, or is not of the run; names it.
         """
-        made = made_in(self.folder / COMMITS)
-        expected = Expected(self.folder, made, extent)
+        made = created_files(self.folder / COMMITS)
+        expected = ExpectedFiles(self.folder, made, extent)
         if problem := self._problem_of(made, "", contents):
             raise RunDataError(problem)
         commits = self.commits()
@@ -341,21 +343,21 @@ class Ledger:
 
     def _unknown_file(self, made: Files, commits: Mapping[int, Commit]) -> str | None:
         """Returns what is wrong if there is a file that no record names; unnamed chunks are never read."""
-        known = {*made, *(name for commit in commits.values() for name in commit.files)}
-        left = [self.folder / DATA]
-        while left:
-            folder = left.pop()
+        recorded = {*made, *(name for commit in commits.values() for name in commit.files)}
+        unmatched = [self.folder / DATA]
+        while unmatched:
+            folder = unmatched.pop()
             for path in map(folder.__truediv__, folder.names()):
                 name = "/".join(path.parts[1:])
                 # Other folders can be nested to any depth, and are not entered.
                 if is_chunk_folder(name) and path.is_real_folder():
-                    left.append(path)
+                    unmatched.append(path)
                 # Hidden files are those of file managers.
-                elif name not in known and not is_chunk(name) and not path.name.startswith("."):
+                elif name not in recorded and not is_chunk(name) and not path.name.startswith("."):
                     return f"{path}: is not of this run; remove it"
         return None
 
-    def _problem(self, commit: Commit, expected: Expected, contents: bool, checkpoints: bool) -> str | None:
+    def _problem(self, commit: Commit, expected: ExpectedFiles, contents: bool, checkpoints: bool) -> str | None:
         if (checkpoints or commit.finished) and (problem := expected.problem(commit, entries=contents)):
             return problem
         path = self.folder / CHECKPOINTS / str(commit.checkpoint)
@@ -406,19 +408,19 @@ class Staging:
         self._root = folder / STAGING / shard.name
         self.written: Files = {}
         self.empty: set[str] = set()
-        self._arrays: dict[str, Chunks] = {}
-        self._store = _made(folder)
-        self._beside = ThreadPoolExecutor(1)
+        self._arrays: dict[str, ChunkEncoder] = {}
+        self._store = _created_files(folder)
+        self._executor = ThreadPoolExecutor(1)
         self._writers = ThreadPoolExecutor(min(threads or available_threads(), WRITERS))
-        self._begun: Future[None] | None = None
+        self._pending: Future[None] | None = None
 
     def __enter__(self) -> "Staging":
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        self._beside.shutdown()
+        self._executor.shutdown()
         self._writers.shutdown()
-        failed = None if self._begun is None else self._begun.exception()
+        failed = None if self._pending is None else self._pending.exception()
         if error is not None and failed is not None:
             error.add_note(f"what was to be written meanwhile could not be: {failed}")
 
@@ -436,7 +438,7 @@ class Staging:
             OSError: If what was begun before could not be written.
         """
         self._end()
-        self._begun = self._beside.submit(self._write, group, values, first_frame)
+        self._pending = self._executor.submit(self._write, group, values, first_frame)
 
     def wait(self) -> None:
         """Waits until all is written, and on the disk.
@@ -449,18 +451,18 @@ class Staging:
 
     def _end(self) -> None:
         """Waits until what was begun is written."""
-        begun, self._begun = self._begun, None
-        if begun is not None:
-            begun.result()
+        pending, self._pending = self._pending, None
+        if pending is not None:
+            pending.result()
 
     def _write(self, group: str, values: Mapping[str, NDArray[Any]], first_frame: int) -> None:
         chunks, envs = {}, range(self._shard.first, self._shard.stop)
-        for name, own in values.items():
+        for name, data in values.items():
             path = f"{group}/{name}"
             array = self._chunks(path)
-            for chunk in array.cut(own, envs.start, envs.stop, first_frame):
+            for chunk in array.split(data, envs.start, envs.stop, first_frame):
                 chunks[f"{path}/{chunk.name}"] = chunk
-            frames = range(first_frame, first_frame + array.frames_of(own))
+            frames = range(first_frame, first_frame + array.frames_of(data))
             self.empty |= {f"{path}/{one}" for one in array.grid.names(envs, frames)} - chunks.keys()
         for folder in {(self._root / name).parent for name in chunks}:
             folder.make()
@@ -473,12 +475,12 @@ class Staging:
         name, chunk = item
         return name, chunk.write(self._root / name)
 
-    def _chunks(self, path: str) -> Chunks:
+    def _chunks(self, path: str) -> ChunkEncoder:
         """Returns what cuts a variable into chunks."""
         import zarr
 
         if path not in self._arrays:
-            self._arrays[path] = Chunks(zarr.open_array(self._store, path=path, mode="r", zarr_format=3))
+            self._arrays[path] = ChunkEncoder(zarr.open_array(self._store, path=path, mode="r", zarr_format=3))
         return self._arrays[path]
 
     def clear(self) -> None:

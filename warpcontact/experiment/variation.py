@@ -11,21 +11,21 @@ from typing import Any
 
 import numpy as np
 
-from warpcontact.checks import Array, there_are
+from warpcontact.checks import Array, available_names
 from warpcontact.environments import Environments
 from warpcontact.experiment.design import (
+    ConstantEntry,
     Design,
-    Drawn,
     Entry,
-    Form,
-    Listed,
-    Same,
-    Spaced,
-    SpacedWhole,
+    IntegerEntry,
+    LinearEntry,
+    ListedEntry,
+    SampledEntry,
     SphereInertia,
+    ValueConversion,
 )
-from warpcontact.experiment.distributions import is_discrete, marginal_of, shape_of
-from warpcontact.experiment.drawing import Columns
+from warpcontact.experiment.distributions import is_discrete, make_marginal, value_shape
+from warpcontact.experiment.drawing import SampleColumns
 from warpcontact.experiment.errors import Problems, key_path
 from warpcontact.experiment.rows_file import read_rows
 from warpcontact.experiment.variation_settings import (
@@ -49,7 +49,7 @@ def truncated(variation: Mapping[str, VariationSettings], envs: int) -> dict[str
     return _with_values(variation, tuple, lambda values: values[:envs])
 
 
-def relocated(
+def relocate(
     variation: Mapping[str, VariationSettings], moved: Callable[[str], str]
 ) -> dict[str, VariationSettings]:
     """Returns ``variation`` with the names of its files replaced by what ``moved`` returns of them."""
@@ -78,7 +78,7 @@ class Variation:
         seed: Seed of the experiment.
         folder: Folder to which the names of files with values are relative.
         problems: Receives what is wrong.
-        unsound: Tells of the name of a parameter whether its element has problems of its own.
+        is_invalid: Tells of the name of a parameter whether its element has problems of its own.
     """
 
     def __init__(
@@ -89,16 +89,16 @@ class Variation:
         seed: int,
         folder: Path,
         problems: Problems,
-        unsound: Callable[[str], bool],
+        is_invalid: Callable[[str], bool],
     ) -> None:
         self.variation = variation
         self.model = model
         self.envs = envs or 1
-        self.any_length = envs is None
+        self.check_any_length = envs is None
         self.seed = seed
         self.folder = folder
         self.problems = problems
-        self.unsound = unsound
+        self.is_invalid = is_invalid
 
     def design(self, method: str, correlation: Sequence[CorrelationSettings]) -> Design:
         """Returns the design of all sound entries.
@@ -108,38 +108,38 @@ class Variation:
             correlation: Which of them are drawn together.
         """
         entries: dict[str, Any] = {}
-        forms: dict[str, Form] = {}
-        columns = Columns(self.variation, method, self.envs, self.seed, self.problems)
+        conversions: dict[str, ValueConversion] = {}
+        columns = SampleColumns(self.variation, method, self.envs, self.seed, self.problems)
         for name, settings in self.variation.items():
             parameter = self._parameter(name)
             before = len(self.problems.lines)
             entry = None if parameter is None else self._entry(parameter, settings, columns)
             if parameter is None or entry is None or len(self.problems.lines) > before:
-                columns.unclear |= {name} & columns.first.keys()
+                columns.incomplete |= {name} & columns.first.keys()
                 continue
             entries[name] = entry
             if not isinstance(entry, SphereInertia):
-                forms[name] = _form(parameter, _shape(entry))
+                conversions[name] = _conversion(parameter, _shape(entry))
         for name, entry in list(entries.items()):
             if isinstance(entry, SphereInertia) and not entries.keys() >= set(entry.sources):
                 del entries[name]
-        sampler = columns.sampler(any_envs=self.any_length)
-        together = [columns.correlation(i, entry, self.unsound) for i, entry in enumerate(correlation)]
-        correlations = tuple(one for one in together if one is not None)
-        design = Design(self.envs, entries, forms, sampler, correlations)
+        sampler = columns.sampler(any_envs=self.check_any_length)
+        correlated = [columns.correlation(i, entry, self.is_invalid) for i, entry in enumerate(correlation)]
+        correlations = tuple(one for one in correlated if one is not None)
+        design = Design(self.envs, entries, conversions, sampler, correlations)
         self._check_all(design)
         return design
 
     def _parameter(self, name: str) -> Parameter | None:
         if name in self.model:
             return self.model.find_parameter(name)
-        if not self.unsound(name):
+        if not self.is_invalid(name):
             self.problems.add(_path(name), f"is not the name of a parameter{self._hint(name)}")
         return None
 
     def _entry(
-        self, parameter: Parameter, settings: VariationSettings, columns: Columns
-    ) -> Entry | Drawn | SphereInertia | None:
+        self, parameter: Parameter, settings: VariationSettings, columns: SampleColumns
+    ) -> Entry | SampledEntry | SphereInertia | None:
         """Returns the entry of a parameter, or ``None`` if it is wrong."""
         kind = settings.kind
         path, given = f"{_path(parameter.name)}.{kind}", getattr(settings, kind)
@@ -150,11 +150,11 @@ class Variation:
             self.problems.add(path, f"gives no whole numbers; {parameter.name} takes one of {allowed}")
             return None
         if kind == "value":
-            return Same(np.array(given)) if self._check_one(path, parameter, np.array(given)) else None
+            return ConstantEntry(np.array(given)) if self._check_one(path, parameter, np.array(given)) else None
         if kind == "values":
-            return self._listed(path, given)
+            return self._listed_entry(path, given)
         if kind == "grid":
-            return self._gridded(path, parameter, settings)
+            return self._grid_entry(path, parameter, settings)
         if kind == "distribution":
             if parameter.whole != is_discrete(given):
                 allowed, number = ("discrete", "whole") if parameter.whole else ("continuous", "real")
@@ -164,14 +164,14 @@ class Variation:
                 self.problems.add(f"{path}.name", message)
                 return None
         else:
-            self._check_ends(path, parameter, kind, given)
+            self._check_range(path, parameter, kind, given)
         if kind == "linspace":
             first, last = np.array(given, dtype=np.float64)
-            return (SpacedWhole if parameter.whole else Spaced)(first, last, self.envs)
-        marginal, name = marginal_of(kind, given, parameter.whole), parameter.name
-        return Drawn(marginal, shape_of(kind, given), columns.first[name], columns.numbers[name])
+            return (IntegerEntry if parameter.whole else LinearEntry)(first, last, self.envs)
+        marginal, name = make_marginal(kind, given, parameter.whole), parameter.name
+        return SampledEntry(marginal, value_shape(kind, given), columns.first[name], columns.numbers[name])
 
-    def _check_ends(self, path: str, parameter: Parameter, kind: str, given: Any) -> None:
+    def _check_range(self, path: str, parameter: Parameter, kind: str, given: Any) -> None:
         """Checks the ends of a range: whether a draw lies outside of the parameter's is a matter of luck."""
         ends = np.array(given, dtype=np.float64)
         # Of a deviation nothing is known, nor of the logarithm of a value.
@@ -180,7 +180,7 @@ class Variation:
             if not self._check_one(f"{path}[{i}]", parameter, end):
                 return
 
-    def _listed(self, path: str, given: Any) -> Listed | None:
+    def _listed_entry(self, path: str, given: Any) -> ListedEntry | None:
         if isinstance(given, str):
             try:
                 values = read_rows(self.folder / given)
@@ -193,15 +193,15 @@ class Variation:
                     path, f"must have at least one row for each of {self.envs} environments, got {got}"
                 )
                 return None
-            return Listed(values[: self.envs])
-        values = np.array(given)[: 1 if self.any_length else None]
+            return ListedEntry(values[: self.envs])
+        values = np.array(given)[: 1 if self.check_any_length else None]
         if len(values) != self.envs:
             message = f"must have one value for each of {self.envs} environments, got {len(values)}"
             self.problems.add(path, message)
             return None
-        return Listed(values)
+        return ListedEntry(values)
 
-    def _gridded(self, path: str, parameter: Parameter, settings: VariationSettings) -> Listed | None:
+    def _grid_entry(self, path: str, parameter: Parameter, settings: VariationSettings) -> ListedEntry | None:
         values = np.array(settings.grid)
         axes = grid_axes(dict(self.variation))
         axis = axis_of(parameter.name, settings)
@@ -210,11 +210,11 @@ class Variation:
             message = f"must have as many values as {next(others)!r} of the group {settings.group!r}, {axes[axis]}"
             self.problems.add(path, f"{message}, got {len(values)}")
             return None
-        if not self._check(path, parameter, _form(parameter, values.shape[1:]).applied(values), 0):
+        if not self._check(path, parameter, _conversion(parameter, values.shape[1:]).apply(values), 0):
             return None
         lengths = list(axes.values())
         # The last axis varies fastest.
-        return Listed(values, int(np.prod(lengths[list(axes).index(axis) + 1 :], dtype=object)))
+        return ListedEntry(values, int(np.prod(lengths[list(axes).index(axis) + 1 :], dtype=object)))
 
     def _sphere(self, path: str, target: Parameter, entry: SolidSphere) -> SphereInertia | None:
         if not target.name.endswith(".inertia"):
@@ -229,7 +229,7 @@ class Variation:
         if not isinstance(source, str):
             return np.array([source]) if target.single else np.array([[source]])
         if source not in self.model:
-            if not self.unsound(source):
+            if not self.is_invalid(source):
                 self.problems.add(path, f"must be a number or the name of a parameter{self._hint(source)}")
             return None
         parameter = self.model.find_parameter(source)
@@ -248,7 +248,7 @@ class Variation:
         for first in range(0, self.envs, CHECKED_AT_ONCE):
             if not pending:
                 return
-            rows = design.of(pending).rows(first, min(first + CHECKED_AT_ONCE, self.envs))
+            rows = design.subset(pending).rows(first, min(first + CHECKED_AT_ONCE, self.envs))
             wrong: set[str] = set()
             # What is wrong with a mass is not wrong with the inertia that follows from it.
             for name in sorted(pending, key=lambda name: isinstance(design.entries[name], SphereInertia)):
@@ -260,9 +260,9 @@ class Variation:
 
     def _is_within(self, design: Design, name: str) -> bool:
         """Whether no value of a parameter can be wrong, as it is checked already or lies between allowed ones."""
-        if isinstance(design.entries[name], Same):
+        if isinstance(design.entries[name], ConstantEntry):
             return True
-        parameter, ends = self.model.find_parameter(name), design.ends(name)
+        parameter, ends = self.model.find_parameter(name), design.value_range(name)
         # What is converted, such as a tensor, may be wrong between values that are right.
         if ends is None or parameter.convert is not None:
             return False
@@ -301,23 +301,23 @@ class Variation:
         alike = [other for other in known if other.startswith(f"{element}.") and other.endswith(f".{last}")]
         if len(alike) == 1:
             return f"; did you mean {alike[0]!r}?"
-        return suggestion(name, known) or f"; {there_are(name, known)}"
+        return suggestion(name, known) or f"; {available_names(name, known)}"
 
 
 def _path(name: str) -> str:
     return key_path(("variation", name))
 
 
-def _shape(entry: Entry | Drawn) -> tuple[int, ...]:
+def _shape(entry: Entry | SampledEntry) -> tuple[int, ...]:
     """Returns the shape of one value of an entry."""
-    return entry.shape if isinstance(entry, Drawn) else entry.rows(np.zeros(1, dtype=np.intp)).shape[1:]
+    return entry.shape if isinstance(entry, SampledEntry) else entry.rows(np.zeros(1, dtype=np.intp)).shape[1:]
 
 
-def _form(parameter: Parameter, shape: tuple[int, ...]) -> Form:
+def _conversion(parameter: Parameter, shape: tuple[int, ...]) -> ValueConversion:
     """Returns how values of ``shape`` become those of ``parameter``."""
     # Principal moments as tensors: those of three environments would pass for one tensor.
     tensor = parameter.tail == (3, 3) and shape == (3,)
     tails = parameter.given or (parameter.tail,)
     own = shape[:1] in ((1,), (parameter.count,)) and shape[1:] in tails
     # Values that may be meant either way stay as they are, and are refused.
-    return Form(tensor, not parameter.single and (tensor or (shape in tails and not own)))
+    return ValueConversion(tensor, not parameter.single and (tensor or (shape in tails and not own)))

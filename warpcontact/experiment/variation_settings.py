@@ -8,8 +8,8 @@ from pydantic import Field, PlainValidator, model_validator
 from warpcontact import checks
 from warpcontact.experiment import quantities as q
 from warpcontact.experiment.catalogue import Section
-from warpcontact.experiment.distributions import DRAWN, check_distribution
-from warpcontact.experiment.errors import shown
+from warpcontact.experiment.distributions import DISTRIBUTIONS, check_distribution
+from warpcontact.experiment.errors import abbreviated
 from warpcontact.experiment.sampling import METHODS
 
 #: What makes the two halves of a matrix of correlations differ: more than rounding.
@@ -53,7 +53,7 @@ class VariationSettings(Section):
     @property
     def drawn(self) -> bool:
         """Whether it is a distribution."""
-        return self.kind in DRAWN
+        return self.kind in DISTRIBUTIONS
 
     def _kinds(self) -> list[str]:
         return [key for key in type(self).model_fields if key != "group" and getattr(self, key) is not None]
@@ -79,7 +79,7 @@ def _names(value: Any) -> tuple[str, ...]:
     what = "a list of the names of two or more entries of [variation]"
     entries = tuple(value) if isinstance(value, list | tuple) else ()
     if len(entries) < 2 or not all(isinstance(entry, str) for entry in entries):
-        raise ValueError(f"must be {what}, got {shown(value)}")
+        raise ValueError(f"must be {what}, got {abbreviated(value)}")
     for i, name in enumerate(entries):
         if name in entries[:i]:
             raise ValueError(f"[{i}] must be another name, got {name!r} again")
@@ -94,7 +94,7 @@ def _correlations(value: Any) -> tuple[Any, ...]:
     except ValueError:  # rows of different length
         shape = ()
     if len(shape) != 2 or shape[0] != shape[1]:
-        raise ValueError(f"must be {what}, got {shown(value)}")
+        raise ValueError(f"must be {what}, got {abbreviated(value)}")
     matrix = checks.numbers("", rows, shape, checks.limits("-", at_least=-1.0, at_most=1.0))
     for i, row in enumerate(matrix):
         if row[i] != 1.0:
@@ -105,7 +105,9 @@ def _correlations(value: Any) -> tuple[Any, ...]:
     smallest = float(np.linalg.eigvalsh(matrix)[0])
     # Numbers of which one is made of the others to rounding have no factor to be drawn by.
     if smallest <= SYMMETRY:
-        raise ValueError(f"must be positive definite, got {shown(value)} with an eigenvalue of {smallest:.3g}")
+        raise ValueError(
+            f"must be positive definite, got {abbreviated(value)} with an eigenvalue of {smallest:.3g}"
+        )
     return tuple(rows)
 
 

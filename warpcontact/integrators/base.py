@@ -5,14 +5,14 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from warpcontact.arrays import Layout
-from warpcontact.schedule import Span, StepLength
+from warpcontact.arrays import AllocationPlan
+from warpcontact.schedule import ExecutionPlan, StepLength
 
 if TYPE_CHECKING:
-    from warpcontact.draft import PartDraft
+    from warpcontact.draft import DeviceModelPlan
     from warpcontact.model import Model
     from warpcontact.scene import Scene
-    from warpcontact.unilateral.hard_contacts import HardContacts
+    from warpcontact.unilateral.hard_contacts import NonsmoothContacts
 
 
 class Integrator(ABC):
@@ -36,42 +36,42 @@ class Integrator(ABC):
             ValueError: If it does not go with the settings.
         """
 
-    def declare(self, model: "Model | PartDraft", layout: Layout) -> "HardContacts | None":
+    def declare(self, model: "Model | DeviceModelPlan", layout: AllocationPlan) -> "NonsmoothContacts | None":
         """Declares what it takes beside the model; ``None``: contacts act by their forces alone."""
         return None
 
-    def may_end(self, span: Span) -> bool:
+    def can_accept(self, plan: ExecutionPlan) -> bool:
         """Whether ``step_stages`` can end steps of these environments, where nobody has to see them before."""
         return False
 
     @abstractmethod
     def step_stages(
         self,
-        span: Span,
+        plan: ExecutionPlan,
         dt: StepLength,
         state_in: Any,
         state_out: Any,
         mark: wp.array | None,
         *,
-        ends: bool = False,
+        accepts: bool = False,
     ) -> list[wp.Launch]:
         """Returns the launches that propose a step from ``state_in`` to ``state_out``.
 
-        With ``ends`` it is accepted at once, as far as clocks and the history of contacts go; and what formulas
+        With ``accepts`` it is accepted at once, as far as clocks and the history of contacts go; and what formulas
         remember, if the span is ``alone``.
 
         ``mark`` [0] is set, and the status of the environment changed, where a swept point crosses a surface;
         with ``None`` such a step is taken as it is.
         """
 
-    def in_place_stages(self, span: Span, dt: StepLength, state: Any) -> list[wp.Launch]:
+    def multi_step_stages(self, plan: ExecutionPlan, dt: StepLength, state: Any) -> list[wp.Launch]:
         """Returns the launches that take accepted steps of ``state`` in place, as many as ``span.slice`` says.
 
         Nobody sees them. None: these environments have no such steps.
         """
         return []
 
-    def change_stages(self, span: Span, change: wp.array, state: Any) -> list[wp.Launch]:
+    def change_stages(self, plan: ExecutionPlan, change: wp.array, state: Any) -> list[wp.Launch]:
         """Returns the launches that ready ``state`` for steps longer by ``change`` [env, 0] than those before [s].
 
         None: a state does not depend on the step that led to it.

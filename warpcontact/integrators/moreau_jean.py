@@ -7,20 +7,20 @@ from typing import TYPE_CHECKING, Any
 import warp as wp
 
 from warpcontact import checks
-from warpcontact.arrays import Layout
+from warpcontact.arrays import AllocationPlan
 from warpcontact.checks import limits
 from warpcontact.integrators.base import Integrator, formulas_of
 from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.kernels.motions import driven
 from warpcontact.kernels.unilateral import accelerated, gauss_seidel, restrain, sequence, step
-from warpcontact.schedule import Span, StepLength, force_stages
-from warpcontact.unilateral.materials import IMPACTS, check_rigid
+from warpcontact.schedule import ExecutionPlan, StepLength, force_stages
+from warpcontact.unilateral.materials import IMPACT_LAWS, check_rigid
 
 if TYPE_CHECKING:
-    from warpcontact.draft import PartDraft
+    from warpcontact.draft import DeviceModelPlan
     from warpcontact.model import Model
     from warpcontact.scene import Scene
-    from warpcontact.unilateral.hard_contacts import HardContacts
+    from warpcontact.unilateral.hard_contacts import NonsmoothContacts
 
 KERNELS = {"gauss_seidel": gauss_seidel, "accelerated": accelerated}
 #: What is chosen by a name: these, one where those before do not converge.
@@ -91,9 +91,9 @@ class MoreauJean(Integrator):
     def __post_init__(self) -> None:
         checks.numbers("theta", self.theta, (), THETA)
         checks.choice("solver", self.solver, tuple(SOLVERS))
-        checks.choice("impacts", self.impacts, IMPACTS)
+        checks.choice("impacts", self.impacts, IMPACT_LAWS)
         if self.iterations is not None:
-            checks.whole("iterations", self.iterations)
+            checks.integer("iterations", self.iterations)
         if self.tolerance is not None:
             checks.numbers("tolerance", self.tolerance, (), TOLERANCE)
         if self.recovery_time is not None:
@@ -143,73 +143,111 @@ class MoreauJean(Integrator):
                 "or more"
             )
 
-    def declare(self, model: "Model | PartDraft", layout: Layout) -> "HardContacts":
+    def declare(self, model: "Model | DeviceModelPlan", layout: AllocationPlan) -> "NonsmoothContacts":
         """Declares the nonsmooth contacts of ``model``."""
-        from warpcontact.unilateral.hard_contacts import HardContacts
+        from warpcontact.unilateral.hard_contacts import NonsmoothContacts
 
         scratch = {name: KERNELS[name].scratch for name in SOLVERS[self.solver]}
         tolerance = TOLERANCES[model.types.real] if self.tolerance is None else self.tolerance
         recovery = 0.0 if self.recovery_time is None else 1.0 / self.recovery_time
         sequential = self.impacts == "sequential"
-        return HardContacts(model, self.compliant, scratch, tolerance, recovery, layout, sequential)
+        return NonsmoothContacts(model, self.compliant, scratch, tolerance, recovery, layout, sequential)
 
     def step_stages(
         self,
-        span: Span,
+        plan: ExecutionPlan,
         dt: StepLength,
         state_in: Any,
         state_out: Any,
         mark: wp.array | None,
         *,
-        ends: bool = False,
+        accepts: bool = False,
     ) -> list[wp.Launch]:
         """Returns the launches: half a step, forces and contacts there, the contact problem, the whole step."""
-        model, hard = span.model, span.hard
-        assert hard is not None
-        a, real, moves, bodies = model.arrays, model.types.real, model.moves, model.body_count
-        middle = hard.middle
-        status, h = a.status, dt.dynamic
-        launches = hard.rest_stages(span, dt.clock)
-        launches += span.prepare(
-            step.middle(real, moves), bodies, [status, h, a.model, state_in, middle, hard.outcome, hard.restraint]
+        model, nonsmooth = plan.model, plan.nonsmooth
+        assert nonsmooth is not None
+        a, real, has_joints, bodies = model.arrays, model.types.real, model.has_joints, model.body_count
+        middle = nonsmooth.half_step_state
+        status, h = a.status, dt.real
+        launches = nonsmooth.sleep_stages(plan, dt.clock)
+        launches += plan.prepare(
+            step.half_step(real, has_joints),
+            bodies,
+            [status, h, a.model, state_in, middle, nonsmooth.solve_result, nonsmooth.restitution_limit],
         )
-        for drive in model.drives:
-            follow = driven.follow(drive.motion, real)
+        for motion_set in model.prescribed_motions:
+            follow = driven.follow(motion_set.motion, real)
             # Of the instant at which what rides on them moves as they do, from step to step.
             before, after = 2.0 * (0.5 - self.theta), 1.5 - self.theta
             for length, at, state in ((dt.half_clock, before, middle), (dt.clock, after, state_out)):
                 share = (at - INSTANT, at + INSTANT)
-                inputs = [status, length, a.time, a.model, a.guard, *drive.inputs, *share, a.wrenches, state]
-                launches += span.prepare(follow, drive.count, inputs)
-        launches += force_stages(span, middle, h, status)
-        launches += hard.collect_stages(span)
-        free_inputs = [h, a.model, state_in, middle, a.wrenches, state_out, hard.moving]
+                inputs = [status, length, a.time, a.model, a.guard, *motion_set.inputs, *share, a.wrenches, state]
+                launches += plan.prepare(follow, motion_set.count, inputs)
+        launches += force_stages(plan, middle, h, status)
+        launches += nonsmooth.collect_stages(plan)
+        free_inputs = [h, a.model, state_in, middle, a.wrenches, state_out, nonsmooth.body_response]
 
-        free = step.free(real, moves)
-        launches += span.prepare(free, bodies, [status, *free_inputs])
-        if hard.hits is not None and model.bounces:
-            inputs = [status, h, middle, hard.rows, hard.moving, hard.outcome, hard.tolerance, hard.hits]
-            launches += span.prepare(sequence.kernel(real, moves), 1, [*inputs, hard.change])
-        launches += self._solve(span, status)
-        for number in range(restrain.ROUNDS if model.bounces else 0):
-            inputs = [status, number, middle, hard.rows, hard.moving, hard.outcome, hard.change]
-            inputs += [hard.tolerance, hard.restraint]
-            launches += span.prepare(restrain.kernel(real, moves), 1, inputs)
-            launches += span.prepare(free, bodies, [hard.restraint.status, *free_inputs])
-            launches += self._solve(span, hard.restraint.status)
-        inputs = [status, h, float(self.theta), a.model, a.guard, state_in, middle, hard.moving, a.wrenches]
+        free_velocities = step.free_velocities(real, has_joints)
+        launches += plan.prepare(free_velocities, bodies, [status, *free_inputs])
+        if nonsmooth.impact_rows is not None and model.has_restitution:
+            inputs = [
+                status,
+                h,
+                middle,
+                nonsmooth.rows,
+                nonsmooth.body_response,
+                nonsmooth.solve_result,
+                nonsmooth.tolerance,
+                nonsmooth.impact_rows,
+            ]
+            launches += plan.prepare(sequence.kernel(real, has_joints), 1, [*inputs, nonsmooth.velocity_change])
+        launches += self._solve(plan, status)
+        for number in range(restrain.MAX_ROUNDS if model.has_restitution else 0):
+            inputs = [
+                status,
+                number,
+                middle,
+                nonsmooth.rows,
+                nonsmooth.body_response,
+                nonsmooth.solve_result,
+                nonsmooth.velocity_change,
+            ]
+            inputs += [nonsmooth.tolerance, nonsmooth.restitution_limit]
+            launches += plan.prepare(restrain.kernel(real, has_joints), 1, inputs)
+            launches += plan.prepare(free_velocities, bodies, [nonsmooth.restitution_limit.status, *free_inputs])
+            launches += self._solve(plan, nonsmooth.restitution_limit.status)
+        inputs = [
+            status,
+            h,
+            float(self.theta),
+            a.model,
+            a.guard,
+            state_in,
+            middle,
+            nonsmooth.body_response,
+            a.wrenches,
+        ]
         inputs.append(state_out)
-        return launches + span.prepare(step.advance(real, moves), bodies, inputs)
+        return launches + plan.prepare(step.full_step(real, has_joints), bodies, inputs)
 
-    def _solve(self, span: Span, status: wp.array) -> list[wp.Launch]:
+    def _solve(self, plan: ExecutionPlan, status: wp.array) -> list[wp.Launch]:
         """Returns the launches that solve the contact problem where ``status`` [env] is active."""
-        hard, real = span.hard, span.model.types.real
-        assert hard is not None
+        nonsmooth, real = plan.nonsmooth, plan.model.types.real
+        assert nonsmooth is not None
         launches: list[wp.Launch] = []
-        places: list[dict[str, bool]] = [{}] if len(hard.scratch) == 1 else [{"before": True}, {"after": True}]
-        for (name, scratch), place in zip(hard.scratch.items(), places, strict=True):
+        options: list[dict[str, bool]] = (
+            [{}] if len(nonsmooth.scratch) == 1 else [{"has_fallback": True}, {"is_fallback": True}]
+        )
+        for (name, scratch), option in zip(nonsmooth.scratch.items(), options, strict=True):
             iterations = ITERATIONS[name] if self.iterations is None else self.iterations
-            kernel = KERNELS[name].kernel(real, span.model.moves, hard.rolls, **place)
-            inputs = [status, hard.rows, hard.moving, hard.outcome, hard.tolerance, iterations]
-            launches += span.prepare(kernel, 1, [*inputs, scratch, hard.change])
+            kernel = KERNELS[name].kernel(real, plan.model.has_joints, nonsmooth.rolls, **option)
+            inputs = [
+                status,
+                nonsmooth.rows,
+                nonsmooth.body_response,
+                nonsmooth.solve_result,
+                nonsmooth.tolerance,
+                iterations,
+            ]
+            launches += plan.prepare(kernel, 1, [*inputs, scratch, nonsmooth.velocity_change])
         return launches

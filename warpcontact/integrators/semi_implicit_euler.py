@@ -9,8 +9,15 @@ from warpcontact.integrators.base import Integrator, formulas_of
 from warpcontact.kernels import integrate, sweep
 from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.kernels.motions import driven, step
-from warpcontact.piles.pile import touches_of
-from warpcontact.schedule import FEW_TOGETHER, Span, StepLength, alone_stages, force_stages, in_place_stages
+from warpcontact.piles.pile import particle_arrays
+from warpcontact.schedule import (
+    SMALL_BLOCK,
+    ExecutionPlan,
+    StepLength,
+    force_stages,
+    fused_step_stages,
+    multi_step_stages,
+)
 
 if TYPE_CHECKING:
     from warpcontact.scene import Scene
@@ -40,66 +47,84 @@ class SemiImplicitEuler(Integrator):
                         "integrator MoreauJean"
                     )
 
-    def may_end(self, span: Span) -> bool:
+    def can_accept(self, plan: ExecutionPlan) -> bool:
         """Of one body alone."""
-        return span.alone or span.ends_by_body
+        return plan.fuses_step or plan.accepts_in_integrator
 
     def step_stages(
         self,
-        span: Span,
+        plan: ExecutionPlan,
         dt: StepLength,
         state_in: Any,
         state_out: Any,
         mark: wp.array | None,
         *,
-        ends: bool = False,
+        accepts: bool = False,
     ) -> list[wp.Launch]:
         """Returns the launches of forces, of free bodies and of others, and those that look for crossings."""
-        if ends and span.alone:
-            return alone_stages(span, dt, state_in, state_out)
-        model = span.model
+        if accepts and plan.fuses_step:
+            return fused_step_stages(plan, dt, state_in, state_out)
+        model = plan.model
         a, real = model.arrays, model.types.real
-        by_block = span.sums_by_body
-        launches = force_stages(span, state_in, dt.dynamic, a.status, by_block=by_block)
-        pile = model.piles[0] if by_block and model.piles else None
-        sources = span.sources if by_block else None
-        kernel = integrate.semi_implicit_euler(real, model.moves, sources, ends, pile is not None)
-        inputs = [a.status, dt.dynamic, a.model, a.guard, state_in, a.cache.waiting, a.near, a.ends]
-        inputs += touches_of(pile, real)
+        by_cluster = plan.sums_by_body
+        launches = force_stages(plan, state_in, dt.real, a.status, by_cluster=by_cluster)
+        particle_set = model.particle_contact_sets[0] if by_cluster and model.particle_contact_sets else None
+        sources = plan.other_forces if by_cluster else None
+        kernel = integrate.semi_implicit_euler(real, model.has_joints, sources, accepts, particle_set is not None)
+        inputs = [
+            a.status,
+            dt.real,
+            a.model,
+            a.guard,
+            state_in,
+            a.cache.queue_count,
+            a.active_contacts,
+            a.coupling_wrenches,
+        ]
+        inputs += particle_arrays(particle_set, real)
         # Steps that nobody asks about them need no wrenches but those of bodies that are not free.
-        inputs += [span.watched or model.moves or bool(model.drives), a.wrenches]
-        inputs += [dt.clock, a.time, model.blocks.count, a.contacts, a.history, a.cache, state_out]
-        launches += span.prepare(kernel, model.body_count, inputs, together=FEW_TOGETHER if pile else None)
-        if model.moves:
-            inputs = [a.status, dt.dynamic, a.model, a.guard, a.constrained, state_in, a.wrenches, state_out]
-            launches += span.prepare(step.semi_implicit_euler(real), model.constrained_count, inputs)
-        for drive in model.drives:
-            inputs = [a.status, dt.clock, a.time, a.model, a.guard, *drive.inputs]
+        inputs += [plan.write_outputs or model.has_joints or bool(model.prescribed_motions), a.wrenches]
+        inputs += [dt.clock, a.time, model.clusters.count, a.contacts, a.history, a.cache, state_out]
+        launches += plan.prepare(kernel, model.body_count, inputs, block_dim=SMALL_BLOCK if particle_set else None)
+        if model.has_joints:
+            inputs = [a.status, dt.real, a.model, a.guard, a.constrained, state_in, a.wrenches, state_out]
+            launches += plan.prepare(step.semi_implicit_euler(real), model.constrained_count, inputs)
+        for motion_set in model.prescribed_motions:
+            inputs = [a.status, dt.clock, a.time, a.model, a.guard, *motion_set.inputs]
             inputs += [0.0, 1.0, a.wrenches, state_out]
-            launches += span.prepare(driven.follow(drive.motion, real), drive.count, inputs)
-        if model.sweeps:
+            launches += plan.prepare(driven.follow(motion_set.motion, real), motion_set.count, inputs)
+        if model.has_swept_contacts:
             marked = wp.zeros(1, dtype=wp.int32, device=model.device) if mark is None else mark
-            inputs = [a.status, a.model, state_in, state_out, span.cached, a.cache, a.contacts, a.near]
+            inputs = [
+                a.status,
+                a.model,
+                state_in,
+                state_out,
+                plan.uses_cache,
+                a.cache,
+                a.contacts,
+                a.active_contacts,
+            ]
             inputs += [int(mark is not None), marked]
-            launches += span.prepare(sweep.kernel(real), model.blocks.count, inputs)
+            launches += plan.prepare(sweep.kernel(real), model.clusters.count, inputs)
         return launches
 
-    def in_place_stages(self, span: Span, dt: StepLength, state: Any) -> list[wp.Launch]:
+    def multi_step_stages(self, plan: ExecutionPlan, dt: StepLength, state: Any) -> list[wp.Launch]:
         """Returns one launch, of bodies alone on a CPU; none of a subclass whose steps are others."""
         own = type(self).step_stages is SemiImplicitEuler.step_stages
-        return in_place_stages(span, dt, state) if own and span.in_place else []
+        return multi_step_stages(plan, dt, state) if own and plan.fuses_steps else []
 
-    def change_stages(self, span: Span, change: wp.array, state: Any) -> list[wp.Launch]:
+    def change_stages(self, plan: ExecutionPlan, change: wp.array, state: Any) -> list[wp.Launch]:
         """Returns the launches that take the velocities, half a step behind the positions, to another step."""
-        model = span.model
+        model = plan.model
         a, real = model.arrays, model.types.real
-        launches = force_stages(span, state, model.no_step, a.status)
+        launches = force_stages(plan, state, model.zero_step, a.status)
         inputs = [a.status, change, a.model, a.wrenches, state]
-        launches += span.prepare(integrate.change_step(real, model.moves), model.body_count, inputs)
-        if model.moves:
+        launches += plan.prepare(integrate.change_step(real, model.has_joints), model.body_count, inputs)
+        if model.has_joints:
             inputs = [a.status, change, a.model, a.constrained, a.wrenches, state]
-            launches += span.prepare(step.change_step(real), model.constrained_count, inputs)
-        for drive in model.drives:
-            inputs = [a.status, change, a.time, a.model, *drive.inputs, state]
-            launches += span.prepare(driven.change_step(drive.motion, real), drive.count, inputs)
+            launches += plan.prepare(step.change_step(real), model.constrained_count, inputs)
+        for motion_set in model.prescribed_motions:
+            inputs = [a.status, change, a.time, a.model, *motion_set.inputs, state]
+            launches += plan.prepare(driven.change_step(motion_set.motion, real), motion_set.count, inputs)
         return launches

@@ -5,7 +5,7 @@ Host code only: neither Warp nor SciPy nor what reads files is imported before i
 
 from typing import TYPE_CHECKING
 
-from warpcontact.kernels.on_demand import names_of
+from warpcontact.kernels.on_demand import lazy_names
 from warpcontact.meshes.generate import box, grid, icosphere, sinusoidal_terrain
 from warpcontact.meshes.mesh import Mesh, MeshError
 from warpcontact.meshes.repair import REPAIRS, repaired
@@ -44,4 +44,4 @@ __all__ = [
 ]
 
 if not TYPE_CHECKING:  # there it would know every name
-    __getattr__, __dir__ = names_of(__name__, _HOME, {})
+    __getattr__, __dir__ = lazy_names(__name__, _HOME, {})

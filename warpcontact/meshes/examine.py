@@ -51,11 +51,11 @@ def examine(
     finite: npt.NDArray[np.bool] = np.all(np.isfinite(v), axis=1)
     near: npt.NDArray[np.bool] = np.all(np.abs(v) <= COORDINATE_LIMIT, axis=1)  # false for NaN
     # Before the cast, which wraps large unsigned numbers.
-    known: npt.NDArray[np.bool] = np.all((f >= 0) & (f < len(v)), axis=1)
-    index = np.where(known[:, None], f, 0).astype(np.int64)
-    placed = known & near[index].all(axis=1)
+    in_range: npt.NDArray[np.bool] = np.all((f >= 0) & (f < len(v)), axis=1)
+    index = np.where(in_range[:, None], f, 0).astype(np.int64)
+    placed = in_range & near[index].all(axis=1)
     used = np.zeros(len(v), dtype=bool)
-    used[index[known]] = True
+    used[index[in_range]] = True
     box = v[near & used] if (near & used).any() else np.zeros((1, 3))
     lower, upper = box.min(axis=0), box.max(axis=0)
     ratio, ratio32 = np.full(len(f), np.inf), np.full(len(f), np.inf)
@@ -65,20 +65,20 @@ def examine(
 
     welded = representatives(v)
     corners = welded[index]
-    sound = np.flatnonzero(placed & (corners != corners[:, [1, 2, 0]]).all(axis=1))
+    valid_faces = np.flatnonzero(placed & (corners != corners[:, [1, 2, 0]]).all(axis=1))
     original = np.arange(len(f))
-    original[sound] = sound[representatives(np.sort(corners[sound], axis=1))]
+    original[valid_faces] = valid_faces[representatives(np.sort(corners[valid_faces], axis=1))]
     # A copy in the other direction stays: in a folded sheet some of the neighbours belong to it.
-    turn = corners[sound].argmin(axis=1)[:, None] + np.arange(3)
-    oriented = representatives(np.take_along_axis(corners[sound], turn % 3, axis=1))
-    sound = sound[oriented == np.arange(len(sound))]
-    facts, clash, halves = examine_surface(v, corners[sound])
+    flip = corners[valid_faces].argmin(axis=1)[:, None] + np.arange(3)
+    oriented = representatives(np.take_along_axis(corners[valid_faces], flip % 3, axis=1))
+    valid_faces = valid_faces[oriented == np.arange(len(valid_faces))]
+    facts, clash, halves = examine_surface(v, corners[valid_faces])
     if "components" in facts:  # numbers of faces as given
         facts["components"] = tuple(
-            replace(part, first_face=int(sound[part.first_face])) for part in facts["components"]
+            replace(part, first_face=int(valid_faces[part.first_face])) for part in facts["components"]
         )
     slivers, copies = ratio < SLIVER_LIMIT, original != np.arange(len(f))
-    flat = sound[~slivers[sound] & ~copies[sound]]
+    flat = valid_faces[~slivers[valid_faces] & ~copies[valid_faces]]
     cuts = intersections(v, corners[flat]) if overlaps and len(flat) <= MOST_FACES else None
 
     def vertex(i: int) -> str:
@@ -95,13 +95,13 @@ def examine(
 
     def edge(i: int) -> str:
         (here, there), corner = halves[i] // 3, halves[i][0] % 3
-        tail, head = np.roll(corners[sound[here]], -corner)[:2]
-        return f"faces {sound[here]} and {sound[there]} both run from vertex {tail} to vertex {head}"
+        tail, head = np.roll(corners[valid_faces[here]], -corner)[:2]
+        return f"faces {valid_faces[here]} and {valid_faces[there]} both run from vertex {tail} to vertex {head}"
 
     found = (
         _problem(~finite, "vertices", "not finite", vertex, "finite numbers"),
         _problem(finite & ~near, "vertices", "too far away", vertex, f"within ±{COORDINATE_LIMIT:g} m"),
-        _problem(~known, "faces", "out of index range", face, f"vertex indices 0 to {len(v) - 1}"),
+        _problem(~in_range, "faces", "out of index range", face, f"vertex indices 0 to {len(v) - 1}"),
         _problem(slivers, "faces", "degenerate", sliver, f'{SLIVER_LIMIT:g} or more; repair="degenerate"'),
         _problem(copies, "faces", "duplicate", duplicate, 'one face for three points; repair="duplicate"'),
         _problem(clash, "edges", "wound inconsistently", edge, 'one face in each direction; repair="orient"'),

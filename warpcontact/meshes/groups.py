@@ -68,8 +68,8 @@ def face_mask(label: str, choice: FaceChoice, mesh: Faces) -> npt.NDArray[np.boo
         mask = np.zeros(count, dtype=bool)
         for name in names:
             if name not in mesh.groups:
-                known = ", ".join(sorted(mesh.groups)[:20]) + (", …" if len(mesh.groups) > 20 else "")
-                raise ValueError(f"{label} must be groups of the mesh ({known or 'it has none'}), got {name!r}")
+                in_range = ", ".join(sorted(mesh.groups)[:20]) + (", …" if len(mesh.groups) > 20 else "")
+                raise ValueError(f"{label} must be groups of the mesh ({in_range or 'it has none'}), got {name!r}")
             mask[mesh.groups[name]] = True
         return mask
     return _mask(label, choice, count)
@@ -77,9 +77,9 @@ def face_mask(label: str, choice: FaceChoice, mesh: Faces) -> npt.NDArray[np.boo
 
 def _centroids(vertices: npt.NDArray[np.float64], faces: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
     """Returns the centroids (F, 3) of faces, not a number where one has a corner that there is not."""
-    known = np.all((faces >= 0) & (faces < len(vertices)), axis=1)
+    in_range = np.all((faces >= 0) & (faces < len(vertices)), axis=1)
     centroids = np.full((len(faces), 3), np.nan)
-    centroids[known] = vertices[faces[known]].mean(axis=1)
+    centroids[in_range] = vertices[faces[in_range]].mean(axis=1)
     return centroids
 
 

@@ -43,7 +43,7 @@ class Task:
     faces: int
 
 
-class Examined(NamedTuple):
+class ExaminedMesh(NamedTuple):
     """What is in a file, empty if it is not readable, and the report on it.
 
     Attributes:
@@ -74,7 +74,7 @@ class Examined(NamedTuple):
         return replace(report, active_face_count=len(chosen), active_area=area)
 
 
-def carry_out(task: Task, *, confined: bool) -> Examined:
+def examine_task(task: Task, *, confined: bool) -> ExaminedMesh:
     """Reads, repairs and examines a mesh file; what is wrong with it ends up in the report.
 
     Args:
@@ -94,7 +94,7 @@ def carry_out(task: Task, *, confined: bool) -> Examined:
         )
     except MeshError as error:
         report = MeshReport(task.title, errors=(str(error),))
-        return Examined(vertices, content.faces, content.groups, report)
+        return ExaminedMesh(vertices, content.faces, content.groups, report)
     report = examine(vertices, faces, task.title, overlaps=True)
     unit_warnings, unit_notes = _about_unit(task, content)
     report = replace(
@@ -103,12 +103,12 @@ def carry_out(task: Task, *, confined: bool) -> Examined:
         warnings=(*content.warnings, *unit_warnings, *report.warnings),
         notes=(*unit_notes, *content.notes, *report.notes),
     )
-    return Examined(vertices, faces, groups, report)
+    return ExaminedMesh(vertices, faces, groups, report)
 
 
 def answer(task: dict[str, Any]) -> tuple[dict[str, Any], list[npt.NDArray[Any]]]:
     """Returns what the process that reads answers: a header, and the arrays that it announces, flat."""
-    vertices, faces, groups, report = carry_out(Task(**task), confined=True)
+    vertices, faces, groups, report = examine_task(Task(**task), confined=True)
     arrays = [
         np.ascontiguousarray(vertices, dtype="<f8"),
         np.ascontiguousarray(faces, dtype="<i8"),
@@ -123,10 +123,10 @@ def answer(task: dict[str, Any]) -> tuple[dict[str, Any], list[npt.NDArray[Any]]
     return header, [array.reshape(-1) for array in arrays if array.size]
 
 
-def unreadable(title: str, error: Unreadable) -> Examined:
+def unreadable(title: str, error: Unreadable) -> ExaminedMesh:
     """Returns what there is of a file that cannot be read."""
     report = MeshReport(title, errors=(str(error),))
-    return Examined(np.empty((0, 3)), np.empty((0, 3), dtype=np.int64), {}, report)
+    return ExaminedMesh(np.empty((0, 3)), np.empty((0, 3), dtype=np.int64), {}, report)
 
 
 def _about_unit(task: Task, content: Content) -> tuple[list[str], list[str]]:

@@ -23,11 +23,11 @@ from typing import IO, Any, TypeVar
 import numpy as np
 
 from warpcontact.kernels.keywords import explain_keywords_of
-from warpcontact.meshes.intake import Examined, Task
+from warpcontact.meshes.intake import ExaminedMesh, Task
 from warpcontact.meshes.mesh import MeshError
 from warpcontact.meshes.reader_process import LIMITS_PROCESSOR_TIME, OUT_OF_MEMORY
 from warpcontact.meshes.readers import Unreadable
-from warpcontact.meshes.repair import mendable
+from warpcontact.meshes.repair import is_repairable
 from warpcontact.meshes.report import restored
 
 _Answer = TypeVar("_Answer")
@@ -90,7 +90,7 @@ class Limits:
                 raise ValueError(f"Limits.{name} must be a positive finite {kind}, got {value!r}")
 
 
-def carry_out_apart(task: Task, limits: Limits) -> Examined:
+def examine_task_sandboxed(task: Task, limits: Limits) -> ExaminedMesh:
     """Reads, repairs and examines a mesh file in a process of its own.
 
     Args:
@@ -100,10 +100,12 @@ def carry_out_apart(task: Task, limits: Limits) -> Examined:
     Raises:
         Unreadable: If doing so crashes or passes a limit.
     """
-    return read_apart("warpcontact.meshes.intake", asdict(task), limits, partial(_answer, limits=limits))
+    return read_sandboxed("warpcontact.meshes.intake", asdict(task), limits, partial(_answer, limits=limits))
 
 
-def read_apart(module: str, task: dict[str, Any], limits: Limits, take: Callable[[IO[bytes]], _Answer]) -> _Answer:
+def read_sandboxed(
+    module: str, task: dict[str, Any], limits: Limits, take: Callable[[IO[bytes]], _Answer]
+) -> _Answer:
     """Has a file read in a process of its own.
 
     Args:
@@ -137,12 +139,12 @@ def read_apart(module: str, task: dict[str, Any], limits: Limits, take: Callable
         except (EOFError, BrokenPipeError):
             # Nothing was read, or not all of it: how the process ended says why.
             output.close()
-            said = errors.read(2000).decode(errors="replace").split("\n")
+            messages = errors.read(2000).decode(errors="replace").split("\n")
             code = process.wait()
-            raise Unreadable(_reason(code, expired.is_set(), limits, said)) from None
+            raise Unreadable(_reason(code, expired.is_set(), limits, messages)) from None
 
 
-def longest_wait(seconds: float) -> float:
+def max_wall_time(seconds: float) -> float:
     """Returns the time on the clock after which a reader is ended [s]; ``seconds``: its processor time."""
     if not LIMITS_PROCESSOR_TIME:
         return min(seconds, threading.TIMEOUT_MAX)
@@ -173,7 +175,7 @@ def _process(seconds: float) -> Iterator[tuple[subprocess.Popen[bytes], threadin
         expired.set()
         process.kill()
 
-    timer = threading.Timer(longest_wait(seconds), expire)
+    timer = threading.Timer(max_wall_time(seconds), expire)
     timer.daemon = True
     timer.start()
     try:
@@ -185,7 +187,7 @@ def _process(seconds: float) -> Iterator[tuple[subprocess.Popen[bytes], threadin
             pass
 
 
-def _answer(output: IO[bytes], limits: Limits) -> Examined:
+def _answer(output: IO[bytes], limits: Limits) -> ExaminedMesh:
     """Takes the answer apart; sizes are checked before memory is taken for them.
 
     Raises:
@@ -197,8 +199,8 @@ def _answer(output: IO[bytes], limits: Limits) -> Examined:
         vertices, faces = header["vertices"], header["faces"]
         sizes = {str(name): size for name, size in header["groups"]}
         if max(faces, vertices / 3) > limits.faces or 8 * (sum(sizes.values()) + 3 * faces) > limits.memory:
-            raise nonsense("more than is allowed")
-        answer = Examined(
+            raise unexpected_answer("more than is allowed")
+        answer = ExaminedMesh(
             array_of(output, vertices * 3, "<f8").reshape(-1, 3),
             array_of(output, faces * 3, "<i8").reshape(-1, 3),
             {name: array_of(output, size, "<i8") for name, size in sizes.items()},
@@ -207,11 +209,11 @@ def _answer(output: IO[bytes], limits: Limits) -> Examined:
     except Unreadable:
         raise
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
-        raise nonsense(f"{type(error).__name__}: {error}") from error
+        raise unexpected_answer(f"{type(error).__name__}: {error}") from error
     # A process that was taken over may say that it has examined what it has not.
     groups = all(0 <= members.min() <= members.max() < faces for members in answer.groups.values() if len(members))
-    if not groups or (answer.report.usable and not mendable(answer.vertices, answer.faces)):
-        raise nonsense("what is no mesh")
+    if not groups or (answer.report.usable and not is_repairable(answer.vertices, answer.faces)):
+        raise unexpected_answer("what is no mesh")
     return answer
 
 
@@ -224,14 +226,14 @@ def header_of(output: IO[bytes], limits: Limits) -> dict[str, Any]:
     """
     length = int.from_bytes(_bytes(output, 8), "little")
     if length > min(limits.memory, _MOST_HEADER):
-        raise nonsense("a header that is too long")
+        raise unexpected_answer("a header that is too long")
     header: dict[str, Any] = json.loads(_bytes(output, length))
     if "error" in header:
         raise Unreadable(str(header["error"]))
     return header
 
 
-def nonsense(what: str) -> Unreadable:
+def unexpected_answer(what: str) -> Unreadable:
     """Returns what is said of a process that answers with what it cannot have been told to."""
     return Unreadable(f"the process that reads it answered with {' '.join(what.split())[:200]}")
 
@@ -255,9 +257,9 @@ def array_of(output: Any, count: int, dtype: str) -> Any:
     return array
 
 
-def _reason(code: int, expired: bool, limits: Limits, said: list[str]) -> str:
+def _reason(code: int, expired: bool, limits: Limits, messages: list[str]) -> str:
     """Why a process ended with ``code`` before it had answered."""
-    allowed, waited = f"{limits.seconds:g} s", f"{longest_wait(limits.seconds):g} s"
+    allowed, waited = f"{limits.seconds:g} s", f"{max_wall_time(limits.seconds):g} s"
     if expired and LIMITS_PROCESSOR_TIME:
         return (
             f"reading and examining it did not end within {waited} on the clock, with less than {allowed} of "
@@ -279,5 +281,5 @@ def _reason(code: int, expired: bool, limits: Limits, said: list[str]) -> str:
             f"the reader crashed on it ({name}), in a process of its own with {limits.memory / 2**30:.3g} GiB of "
             "memory; the file is damaged or hostile, or needs more, see Limits"
         )
-    last = next((line.strip() for line in reversed(said) if line.strip()), "no message")
+    last = next((line.strip() for line in reversed(messages) if line.strip()), "no message")
     return f"the process that reads it failed: {last[:200]}"

@@ -5,8 +5,8 @@ from pathlib import Path
 
 from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.meshes.groups import FaceChoice
-from warpcontact.meshes.intake import Examined, Task, carry_out, unreadable
-from warpcontact.meshes.isolation import Limits, carry_out_apart
+from warpcontact.meshes.intake import ExaminedMesh, Task, examine_task, unreadable
+from warpcontact.meshes.isolation import Limits, examine_task_sandboxed
 from warpcontact.meshes.mesh import Mesh, MeshError, positive
 from warpcontact.meshes.readers import SUFFIXES, USD_SUFFIXES, Unreadable
 from warpcontact.meshes.repair import RepairRequest, check_tolerance, steps_of
@@ -137,7 +137,7 @@ class Options:
         )
 
 
-def examined(path: Path, name: str | None, options: Options) -> Examined:
+def examined(path: Path, name: str | None, options: Options) -> ExaminedMesh:
     """Reads, repairs and examines a file, in a process of its own unless it is trusted."""
     suffix = path.suffix.lower()
     _check_file(path)
@@ -150,8 +150,8 @@ def examined(path: Path, name: str | None, options: Options) -> Examined:
         if suffix not in SUFFIXES:
             raise Unreadable(f"the extension {path.suffix!r} is not one of {', '.join(SUFFIXES)}")
         if options.trusted:
-            return carry_out(task, confined=False)
-        return carry_out_apart(task, options.limits)
+            return examine_task(task, confined=False)
+        return examine_task_sandboxed(task, options.limits)
     except Unreadable as error:
         return unreadable(task.title, error)
 

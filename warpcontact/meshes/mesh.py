@@ -11,16 +11,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from warpcontact.hostile import VisibleError
+from warpcontact.hostile import SafeTextError
 from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.meshes.examine import examine
 from warpcontact.meshes.groups import FaceChoice, checked_groups, face_mask
-from warpcontact.meshes.remarks import flipped, handed_on
+from warpcontact.meshes.remarks import flipped, with_inherited_warnings
 from warpcontact.meshes.report import MeshReport
 from warpcontact.meshes.topology import weld
 
 
-class MeshError(VisibleError):
+class MeshError(SafeTextError):
     """A mesh, or a mesh file, that cannot be used; the message says why, problem by problem."""
 
 
@@ -182,7 +182,7 @@ class Mesh:
             vertices = self._vertices * positive("factor", factor)
         # Anew: what is too large, or without area, is a matter of size.
         return self._changed(
-            vertices, self._faces, handed_on(self._report, examine(vertices, self._faces, self.name))
+            vertices, self._faces, with_inherited_warnings(self._report, examine(vertices, self._faces, self.name))
         )
 
     def _changed(self, vertices: npt.ArrayLike, faces: npt.ArrayLike, report: MeshReport) -> "Mesh":

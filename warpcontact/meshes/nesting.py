@@ -11,7 +11,7 @@ _SAMPLES = 3
 _OVERHEAD = 100
 
 
-def containers(
+def find_containing_parts(
     v: npt.NDArray[np.float64],
     faces: npt.NDArray[np.int64],
     part: npt.NDArray[np.integer],

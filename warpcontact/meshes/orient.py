@@ -3,14 +3,14 @@
 import numpy as np
 import numpy.typing as npt
 
-from warpcontact.meshes.nesting import containers
+from warpcontact.meshes.nesting import find_containing_parts
 from warpcontact.meshes.topology import Edges, area_vectors, components, representatives, volumes_of
 from warpcontact.vectors import norm
 
 _Integers = npt.NDArray[np.integer]
 
 
-def turned_over(v: npt.NDArray[np.float64], faces: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.bool], int]:
+def faces_to_flip(v: npt.NDArray[np.float64], faces: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.bool], int]:
     """Says which faces to turn over.
 
     Faces that share an edge with one other face only form patches. Within a patch all faces are made to agree; of
@@ -29,51 +29,51 @@ def turned_over(v: npt.NDArray[np.float64], faces: npt.NDArray[np.int64]) -> tup
     edges = Edges(faces)
     shared = edges.counts == 2
     pairs, opposed = edges.halves[shared] // 3, edges.balance[shared] != 0
-    patches, patch = components(pairs, count)
+    parts, part = components(pairs, count)
     # Every face twice, as it is (2 i) and turned over (2 i + 1), linked with what its neighbours then are.
     f, g = pairs.T
     links = [np.column_stack((2 * f + side, 2 * g + (side ^ opposed))) for side in (0, 1)]
     _, state = components(np.concatenate(links), 2 * count)
-    one_sided = np.zeros(patches, dtype=bool)
-    one_sided[patch[state[0::2] == state[1::2]]] = True
-    first = np.unique(patch, return_index=True)[1]
-    turn = (state[0::2] != state[2 * first[patch]]) & ~one_sided[patch]
+    one_sided = np.zeros(parts, dtype=bool)
+    one_sided[part[state[0::2] == state[1::2]]] = True
+    first = np.unique(part, return_index=True)[1]
+    flip = (state[0::2] != state[2 * first[part]]) & ~one_sided[part]
 
     areas = norm(area_vectors(v[faces]))
-    turn ^= (np.bincount(patch, areas * turn, patches) > 0.5 * np.bincount(patch, areas, patches))[patch]
-    agreed = np.bincount(patch, turn, patches) == 0  # as given
-    agreed |= np.bincount(patch, turn, patches) == np.bincount(patch, minlength=patches)
+    flip ^= (np.bincount(part, areas * flip, parts) > 0.5 * np.bincount(part, areas, parts))[part]
+    agreed = np.bincount(part, flip, parts) == 0  # as given
+    agreed |= np.bincount(part, flip, parts) == np.bincount(part, minlength=parts)
 
-    alike = np.where(turn[:, None], faces[:, ::-1], faces)
-    closed = _closed(alike, patch, patches) & ~one_sided
-    _, volumes, nothing = volumes_of(v, alike, patch, patches)
-    closed &= np.abs(volumes) > nothing
-    around = containers(v, alike, patch, closed)
-    over = np.zeros(patches, dtype=bool)  # which patches to turn over as a whole, after what was done above
-    for i in sorted(np.flatnonzero(closed).tolist(), key=lambda i: _depth(i, around)):
-        outer = around.get(i)
+    alike = np.where(flip[:, None], faces[:, ::-1], faces)
+    closed = _closed(alike, part, parts) & ~one_sided
+    _, volumes, zero_volume = volumes_of(v, alike, part, parts)
+    closed &= np.abs(volumes) > zero_volume
+    containing = find_containing_parts(v, alike, part, closed)
+    over = np.zeros(parts, dtype=bool)  # which patches to turn over as a whole, after what was done above
+    for i in sorted(np.flatnonzero(closed).tolist(), key=lambda i: _depth(i, containing)):
+        outer = containing.get(i)
         if outer is None:
             over[i] = volumes[i] < 0.0
         elif agreed[i]:
             over[i] = over[outer] and agreed[outer]
         else:
             over[i] = (volumes[i] > 0.0) == ((volumes[outer] > 0.0) != over[outer])
-    return turn ^ over[patch], int(one_sided.sum())
+    return flip ^ over[part], int(one_sided.sum())
 
 
-def _depth(i: int, around: dict[int, int]) -> int:
+def _depth(i: int, containing: dict[int, int]) -> int:
     depth = 0
-    while i in around and depth <= len(around):
-        i, depth = around[i], depth + 1
+    while i in containing and depth <= len(containing):
+        i, depth = containing[i], depth + 1
     return depth
 
 
-def _closed(faces: npt.NDArray[np.int64], patch: _Integers, patches: int) -> npt.NDArray[np.bool]:
+def _closed(faces: npt.NDArray[np.int64], part: _Integers, parts: int) -> npt.NDArray[np.bool]:
     """Which patches are closed by themselves: every edge runs as often one way as the other."""
     ends = np.stack((faces, faces[:, [1, 2, 0]]), axis=2).reshape(-1, 2)
-    owner = np.repeat(patch, 3)
+    owner = np.repeat(part, 3)
     edge = representatives(np.column_stack((np.sort(ends, axis=1), owner)))
     balance = np.bincount(edge, np.where(ends[:, 0] < ends[:, 1], 1, -1), len(ends))
-    closed = np.ones(patches, dtype=bool)
+    closed = np.ones(parts, dtype=bool)
     closed[owner[balance != 0]] = False
     return closed

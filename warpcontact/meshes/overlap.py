@@ -9,7 +9,7 @@ from warpcontact.vectors import bounds, norm
 #: Surfaces with more faces are not examined unless asked for.
 MOST_FACES = 100_000
 # Pairs of boxes that are looked at on one level of the tree, beyond which nothing is said.
-_BUDGET = 8_000_000
+_MAX_PAIRS = 8_000_000
 _CHUNK = 500_000
 
 _Pairs = npt.NDArray[np.int64]
@@ -39,13 +39,13 @@ def intersections(v: _Floats, faces: npt.NDArray[np.int64]) -> _Pairs | None:
     pairs = _candidates(corners)
     if pairs is None:
         return None
-    near = CRACK_LIMIT * float((upper - lower).max())
+    tolerance = CRACK_LIMIT * float((upper - lower).max())
     normals = area_vectors(corners)
     normals /= norm(normals)[:, None]
     found = [np.empty((0, 2), dtype=np.int64)]
     for start in range(0, len(pairs), _CHUNK):
-        some = pairs[start : start + _CHUNK]
-        found.append(some[_meet(corners, normals, faces, some, near)])
+        block = pairs[start : start + _CHUNK]
+        found.append(block[_intersect(corners, normals, faces, block, tolerance)])
     result = np.concatenate(found)
     return result[np.lexsort(result.T[::-1])]
 
@@ -68,19 +68,19 @@ def _candidates(corners: _Floats) -> _Pairs | None:
         a, b = 2 * pairs[:, 0], 2 * pairs[:, 1]
         twice = [(a, b), (a, b + 1), (a + 1, b + 1)]
         halves = [np.column_stack(pair) for pair in twice] + [np.column_stack((a + 1, b))[~own]]
-        if sum(map(len, halves)) > _BUDGET:
+        if sum(map(len, halves)) > _MAX_PAIRS:
             return None
-        pairs = np.concatenate([half[_boxes_meet(low, high, half)] for half in halves])
+        pairs = np.concatenate([half[_boxes_overlap(low, high, half)] for half in halves])
     pairs = pairs[pairs[:, 0] != pairs[:, 1]]
     return np.sort(order[pairs], axis=1)
 
 
-def _boxes_meet(low: _Floats, high: _Floats, pairs: _Pairs) -> npt.NDArray[np.bool]:
+def _boxes_overlap(low: _Floats, high: _Floats, pairs: _Pairs) -> npt.NDArray[np.bool]:
     a, b = pairs.T
-    meet = (low[a, 0] <= high[b, 0]) & (low[b, 0] <= high[a, 0])
+    overlapping = (low[a, 0] <= high[b, 0]) & (low[b, 0] <= high[a, 0])
     for axis in (1, 2):
-        meet &= (low[a, axis] <= high[b, axis]) & (low[b, axis] <= high[a, axis])
-    return meet
+        overlapping &= (low[a, axis] <= high[b, axis]) & (low[b, axis] <= high[a, axis])
+    return overlapping
 
 
 def _z_curve(points: _Floats) -> npt.NDArray[np.uint64]:
@@ -95,37 +95,37 @@ def _z_curve(points: _Floats) -> npt.NDArray[np.uint64]:
     return cells[:, 0] | cells[:, 1] << np.uint64(1) | cells[:, 2] << np.uint64(2)
 
 
-def _meet(
-    corners: _Floats, normals: _Floats, faces: npt.NDArray[np.int64], pairs: _Pairs, near: float
+def _intersect(
+    corners: _Floats, normals: _Floats, faces: npt.NDArray[np.int64], pairs: _Pairs, tolerance: float
 ) -> npt.NDArray[np.bool]:
     """Which pairs of faces cut each other or overlap in a plane."""
-    meet = np.zeros(len(pairs), dtype=bool)
-    left = np.arange(len(pairs))
+    overlapping = np.zeros(len(pairs), dtype=bool)
+    candidates = np.arange(len(pairs))
     heights: list[_Floats] = []
     for a, b in ((0, 1), (1, 0)):  # what is wholly on one side of the other face is out
-        p, q = pairs[left, a], pairs[left, b]
+        p, q = pairs[candidates, a], pairs[candidates, b]
         height = np.einsum("ijk,ik->ij", corners[p] - corners[q][:, :1], normals[q])
-        across = (height.min(axis=1) <= near) & (height.max(axis=1) >= -near)
-        heights = [known[across] for known in (*heights, height)]
-        left = left[across]
-    some = pairs[left]
-    same = faces[some[:, 0]][:, :, None] == faces[some[:, 1]][:, None, :]
-    found = np.zeros(len(some), dtype=bool)
+        across = (height.min(axis=1) <= tolerance) & (height.max(axis=1) >= -tolerance)
+        heights = [previous[across] for previous in (*heights, height)]
+        candidates = candidates[across]
+    block = pairs[candidates]
+    same = faces[block[:, 0]][:, :, None] == faces[block[:, 1]][:, None, :]
+    found = np.zeros(len(block), dtype=bool)
     for (a, b), height, own in zip(((0, 1), (1, 0)), heights, (same.any(axis=2), same.any(axis=1)), strict=True):
-        p, q = some[:, a], some[:, b]
+        p, q = block[:, a], block[:, b]
         for i in range(3):
             j = (i + 1) % 3
             low, high = np.minimum(height[:, i], height[:, j]), np.maximum(height[:, i], height[:, j])
             # An edge that ends in a corner of the other face touches it there.
-            todo = np.flatnonzero((low < -near) & (high > near) & ~own[:, i] & ~own[:, j] & ~found)
-            found[todo] = _passes(corners[p[todo], i], corners[p[todo], j], corners[q[todo]])
-        flat = np.flatnonzero((np.abs(height) <= near).all(axis=1) & ~found)
-        found[flat] = _overlap(corners[p[flat]], corners[q[flat]], normals[q[flat]], near)
-    meet[left] = found
-    return meet
+            todo = np.flatnonzero((low < -tolerance) & (high > tolerance) & ~own[:, i] & ~own[:, j] & ~found)
+            found[todo] = _line_crosses_face(corners[p[todo], i], corners[p[todo], j], corners[q[todo]])
+        flat = np.flatnonzero((np.abs(height) <= tolerance).all(axis=1) & ~found)
+        found[flat] = _overlap(corners[p[flat]], corners[q[flat]], normals[q[flat]], tolerance)
+    overlapping[candidates] = found
+    return overlapping
 
 
-def _passes(tail: _Floats, head: _Floats, q: _Floats) -> npt.NDArray[np.bool]:
+def _line_crosses_face(tail: _Floats, head: _Floats, q: _Floats) -> npt.NDArray[np.bool]:
     """Whether the line through two points (n, 3) passes through a triangle (n, 3, 3)."""
     a, b, c = (q[:, i] - tail for i in range(3))
     along = head - tail
@@ -134,17 +134,17 @@ def _passes(tail: _Floats, head: _Floats, q: _Floats) -> npt.NDArray[np.bool]:
     return (sides >= -1e-9 * total).all(axis=1) | (sides <= 1e-9 * total).all(axis=1)
 
 
-def _overlap(p: _Floats, q: _Floats, normal: _Floats, near: float) -> npt.NDArray[np.bool]:
+def _overlap(p: _Floats, q: _Floats, normal: _Floats, tolerance: float) -> npt.NDArray[np.bool]:
     """Whether triangles (n, 3, 3) in one plane have an area in common: no side of either keeps them apart."""
-    left = np.arange(len(p))
+    candidates = np.arange(len(p))
     for own in (True, False):
         for i in range(3):
-            shape = (p if own else q)[left]
-            side = np.cross(shape[:, (i + 1) % 3] - shape[:, i], normal[left])
-            reach = near * np.sqrt(np.einsum("ij,ij->i", side, side))
-            s, t = (np.matmul(x[left], side[:, :, None])[:, :, 0] for x in (p, q))
+            shape = (p if own else q)[candidates]
+            side = np.cross(shape[:, (i + 1) % 3] - shape[:, i], normal[candidates])
+            reach = tolerance * np.sqrt(np.einsum("ij,ij->i", side, side))
+            s, t = (np.matmul(x[candidates], side[:, :, None])[:, :, 0] for x in (p, q))
             apart = (s.min(axis=1) > t.max(axis=1) - reach) | (t.min(axis=1) > s.max(axis=1) - reach)
-            left = left[~apart]
+            candidates = candidates[~apart]
     overlap = np.zeros(len(p), dtype=bool)
-    overlap[left] = True
+    overlap[candidates] = True
     return overlap

@@ -32,9 +32,9 @@ def main(request: dict[str, Any]) -> None:
     limit(request["memory"], request["seconds"])
     answer = os.fdopen(os.dup(1), "wb")
     # What libraries print must neither mix with the answer nor fill a pipe that nobody empties.
-    nowhere = os.open(os.devnull, os.O_WRONLY)
+    devnull = os.open(os.devnull, os.O_WRONLY)
     for stream in (1, 2):
-        os.dup2(nowhere, stream)
+        os.dup2(devnull, stream)
     try:
         header, arrays = importlib.import_module(request["module"]).answer(request["task"])
     except MemoryError:

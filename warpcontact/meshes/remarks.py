@@ -56,7 +56,7 @@ def notes_of(report: MeshReport) -> tuple[str, ...]:
     return (f"{remark}are taken as one with it",) if report.coincident_vertex_count else ()
 
 
-def handed_on(old: MeshReport, new: MeshReport) -> MeshReport:
+def with_inherited_warnings(old: MeshReport, new: MeshReport) -> MeshReport:
     """Returns report ``new`` of a surface made of that of ``old`` with what else was said of it.
 
     That is what the file was like and what was repaired; and intersections, if they were not looked for again.
@@ -84,7 +84,7 @@ def flipped(report: MeshReport) -> MeshReport:
         outward_component_count=report.inward_component_count,
         components=tuple(replace(part, volume=_minus(part.volume)) for part in report.components),
     )
-    return handed_on(report, turned)
+    return with_inherited_warnings(report, turned)
 
 
 def _minus(volume: float | None) -> float | None:

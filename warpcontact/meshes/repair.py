@@ -14,7 +14,7 @@ import numpy.typing as npt
 from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.meshes.examine import COORDINATE_LIMIT, examine
 from warpcontact.meshes.mesh import Mesh, MeshError, positive
-from warpcontact.meshes.orient import turned_over
+from warpcontact.meshes.orient import faces_to_flip
 from warpcontact.meshes.report import RepairStep, counted
 from warpcontact.meshes.slivers import without_slivers
 from warpcontact.meshes.topology import CRACK_LIMIT, representatives
@@ -27,7 +27,7 @@ _MOST_PAIRS = 30
 
 
 @dataclass
-class Draft:
+class MeshUnderRepair:
     """A surface that is being repaired.
 
     Attributes:
@@ -47,7 +47,7 @@ class Draft:
         """Vertex indices of each triangle, with one for all vertices at the same place, (F, 3)."""
         return representatives(self.vertices)[self.faces]
 
-    def take(self, faces: npt.NDArray[np.int64], source: npt.NDArray[np.int64]) -> None:
+    def replace_faces(self, faces: npt.NDArray[np.int64], source: npt.NDArray[np.int64]) -> None:
         """Replaces the faces; each has the groups of face ``source``."""
         for name, members in self.groups.items():
             is_member = np.zeros(len(self.faces), dtype=bool)
@@ -55,9 +55,9 @@ class Draft:
             self.groups[name] = np.flatnonzero(is_member[source])
         self.faces = faces
 
-    def keep(self, kept: npt.NDArray[np.bool]) -> None:
+    def keep_faces(self, kept: npt.NDArray[np.bool]) -> None:
         """Drops all other faces."""
-        self.take(self.faces[kept], np.flatnonzero(kept))
+        self.replace_faces(self.faces[kept], np.flatnonzero(kept))
 
 
 def steps_of(repair: RepairRequest) -> tuple[str, ...]:
@@ -112,16 +112,16 @@ def repair_arrays(
     Raises:
         MeshError: If the tolerance is larger than the faces.
     """
-    if not mendable(vertices, faces):
+    if not is_repairable(vertices, faces):
         return vertices, faces, groups, ()
     v, f = np.array(vertices, dtype=np.float64), np.array(faces, dtype=np.int64)
     size = float(np.ptp(v[f], axis=(0, 1)).max())
-    draft = Draft(v, f, dict(groups), tolerance * size)
-    done = tuple(_STEPS[step](draft) for step in steps)
-    return draft.vertices, draft.faces, draft.groups, done
+    surface = MeshUnderRepair(v, f, dict(groups), tolerance * size)
+    done = tuple(_STEPS[step](surface) for step in steps)
+    return surface.vertices, surface.faces, surface.groups, done
 
 
-def mendable(vertices: npt.NDArray[Any], faces: npt.NDArray[Any]) -> bool:
+def is_repairable(vertices: npt.NDArray[Any], faces: npt.NDArray[Any]) -> bool:
     """Whether these are arrays of usable vertices, and of faces of them."""
     arrays = (vertices, "iuf"), (faces, "iu")
     if not all(a.ndim == 2 and a.shape[1] == 3 and len(a) and a.dtype.kind in kinds for a, kinds in arrays):
@@ -150,24 +150,24 @@ def repaired(mesh: Any, repair: RepairRequest = True, *, tolerance: float = CRAC
     """
     if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
         raise TypeError(f"mesh must have vertices and faces, like trimesh.Trimesh, got {type(mesh).__name__}")
-    steps, share = steps_of(repair), check_tolerance(tolerance)
+    steps, relative_tolerance = steps_of(repair), check_tolerance(tolerance)
     title = name or (mesh.name if isinstance(mesh, Mesh) else "mesh")
     groups = (
         {key: members.astype(np.int64) for key, members in mesh.groups.items()} if isinstance(mesh, Mesh) else {}
     )
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    vertices, faces, groups, done = repair_arrays(vertices, faces, groups, steps, share)
+    vertices, faces, groups, done = repair_arrays(vertices, faces, groups, steps, relative_tolerance)
     report = replace(examine(vertices, faces, title, overlaps=True), repairs=done)
     return Mesh._examined(vertices, faces, groups, report, f"mesh {title!r}")
 
 
-def _merge(draft: Draft) -> RepairStep:
-    before, v = len(draft.vertices), draft.vertices
+def _merge(surface: MeshUnderRepair) -> RepairStep:
+    before, v = len(surface.vertices), surface.vertices
     leader = representatives(v)
-    places = np.unique(leader)
-    near = _near_pairs(v[places], draft.tolerance)
+    unique_vertices = np.unique(leader)
+    near_pairs = _near_pairs(v[unique_vertices], surface.tolerance)
     distance = 0.0
-    for i, j in places[near].tolist():  # by j, then i: all before j are settled
+    for i, j in unique_vertices[near_pairs].tolist():  # by j, then i: all before j are settled
         if leader[j] == j and leader[i] == i:
             leader[j] = i
             distance = max(distance, float(np.linalg.norm(v[i] - v[j])))
@@ -175,11 +175,11 @@ def _merge(draft: Draft) -> RepairStep:
     kept = np.flatnonzero(leader == np.arange(before))
     number = np.empty(before, dtype=np.int64)
     number[kept] = np.arange(len(kept))
-    draft.vertices, draft.faces = v[kept], number[leader][draft.faces]
+    surface.vertices, surface.faces = v[kept], number[leader][surface.faces]
     count = before - len(kept)
     text = (
         f"merge: {count} of {counted(before, 'vertex').replace('vertexs', 'vertices')} joined with another one, "
-        f"{distance:.3g} m away at most (tolerance {draft.tolerance:.3g} m)"
+        f"{distance:.3g} m away at most (tolerance {surface.tolerance:.3g} m)"
     )
     return RepairStep("merge", count, distance, text if count else "merge: no vertices to join")
 
@@ -199,12 +199,12 @@ def _near_pairs(v: npt.NDArray[np.float64], distance: float) -> npt.NDArray[np.i
     return pairs[np.lexsort((pairs[:, 0], pairs[:, 1]))]
 
 
-def _drop_degenerate(draft: Draft) -> RepairStep:
-    before = len(draft.faces)
-    faces, source, split, height = without_slivers(draft.vertices, draft.corners)
+def _drop_degenerate(surface: MeshUnderRepair) -> RepairStep:
+    before = len(surface.faces)
+    faces, source, split, height = without_slivers(surface.vertices, surface.corners)
     dropped = before - len(faces)
     if dropped or split:
-        draft.take(faces, source)
+        surface.replace_faces(faces, source)
     parts = [f"{counted(dropped, 'face')} without area dropped"] if dropped else []
     if split:
         parts.append(f"{split} joined with the neighbour at the longest edge, {height:.3g} m away at most")
@@ -212,39 +212,39 @@ def _drop_degenerate(draft: Draft) -> RepairStep:
     return RepairStep("degenerate", dropped + split, height, text)
 
 
-def _drop_duplicates(draft: Draft) -> RepairStep:
-    original = representatives(np.sort(draft.corners, axis=1))
+def _drop_duplicates(surface: MeshUnderRepair) -> RepairStep:
+    original = representatives(np.sort(surface.corners, axis=1))
     kept = original == np.arange(len(original))
     count = int((~kept).sum())
-    draft.keep(kept)
+    surface.keep_faces(kept)
     text = f"{counted(count, 'face')} with the corners of an earlier one dropped" if count else "no copied face"
     return RepairStep("duplicate", count, 0.0, f"duplicate: {text}")
 
 
-def _orient(draft: Draft) -> RepairStep:
-    corners = draft.corners
-    sound = (corners != corners[:, [1, 2, 0]]).all(axis=1)
-    turn, one_sided = np.zeros(len(corners), dtype=bool), 0
-    if sound.any():
-        turn[sound], one_sided = turned_over(draft.vertices, corners[sound])
-    draft.faces = np.where(turn[:, None], draft.faces[:, [0, 2, 1]], draft.faces)
-    count = int(turn.sum())
-    text = f"orient: {count} of {counted(len(turn), 'face')} turned over" if count else "orient: no face turned"
+def _orient(surface: MeshUnderRepair) -> RepairStep:
+    corners = surface.corners
+    valid_faces = (corners != corners[:, [1, 2, 0]]).all(axis=1)
+    flip, one_sided = np.zeros(len(corners), dtype=bool), 0
+    if valid_faces.any():
+        flip[valid_faces], one_sided = faces_to_flip(surface.vertices, corners[valid_faces])
+    surface.faces = np.where(flip[:, None], surface.faces[:, [0, 2, 1]], surface.faces)
+    count = int(flip.sum())
+    text = f"orient: {count} of {counted(len(flip), 'face')} turned over" if count else "orient: no face turned"
     if one_sided:
         text += f"; {counted(one_sided, 'part')} one-sided, as a Möbius strip, left as is"
     return RepairStep("orient", count, 0.0, text)
 
 
-def _drop_unused(draft: Draft) -> RepairStep:
-    used = np.zeros(len(draft.vertices), dtype=bool)
-    used[draft.faces] = True
+def _drop_unused(surface: MeshUnderRepair) -> RepairStep:
+    used = np.zeros(len(surface.vertices), dtype=bool)
+    used[surface.faces] = True
     count = int((~used).sum())
-    draft.vertices, draft.faces = draft.vertices[used], (np.cumsum(used) - 1)[draft.faces]
+    surface.vertices, surface.faces = surface.vertices[used], (np.cumsum(used) - 1)[surface.faces]
     text = f"{count} of {len(used)} vertices dropped, of no face" if count else "every vertex is of a face"
     return RepairStep("unused", count, 0.0, f"unused: {text}")
 
 
-_STEPS: dict[str, Callable[[Draft], RepairStep]] = {
+_STEPS: dict[str, Callable[[MeshUnderRepair], RepairStep]] = {
     "merge": _merge,
     "degenerate": _drop_degenerate,
     "duplicate": _drop_duplicates,

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from warpcontact.hostile import visible
+from warpcontact.hostile import escape_controls
 from warpcontact.kernels.renamed import explain_renamed
 from warpcontact.meshes.topology import Component, Orientation
 
@@ -200,7 +200,7 @@ class MeshReport:
         }
         for title, entries in blocks.items():
             lines += [title, *(f"  - {entry}" for entry in entries)] if entries else []
-        return visible("\n".join(lines))
+        return escape_controls("\n".join(lines))
 
     def _groups(self) -> str:
         shown = [f"{name!r} ({counted(count, 'face')})" for name, count in self.groups[:20]]

@@ -29,18 +29,18 @@ def without_slivers(
         Faces; the number of the face as given that each is a part of, which tells its groups; how many were taken
         together with a neighbour; and the greatest height of those [m].
     """
-    thin = np.flatnonzero(slenderness(v[faces]) < SLIVER_LIMIT).tolist()
+    slivers = np.flatnonzero(slenderness(v[faces]) < SLIVER_LIMIT).tolist()
     surface = _Surface(v, faces)
-    queue, left, split, height = deque(thin), _ROUNDS * len(thin), 0, 0.0
+    queue, remaining_rounds, split, height = deque(slivers), _ROUNDS * len(slivers), 0, 0.0
     while queue:
         i = queue.popleft()
         if not surface.is_sliver(i):
             continue
-        found = surface.behind(i) if left > 0 else None
+        found = surface.face_behind(i) if remaining_rounds > 0 else None
         if found is None:
             surface.remove(i)
             continue
-        left -= 1
+        remaining_rounds -= 1
         a, b, c, j = found
         height = max(height, _height(v[a], v[b], v[c]))
         surface.split(i, j, a, b, c)
@@ -67,10 +67,10 @@ class _Surface:
         self.v = v
         self.corners: list[list[int]] = faces.tolist()
         self.source = list(range(len(faces)))
-        self._at: defaultdict[tuple[int, int], set[int]] = defaultdict(set)
+        self._faces_at_edge: defaultdict[tuple[int, int], set[int]] = defaultdict(set)
         for i, corners in enumerate(self.corners):
             for edge in _edges(corners):
-                self._at[edge].add(i)
+                self._faces_at_edge[edge].add(i)
 
     def is_sliver(self, i: int) -> bool:
         corners = self.corners[i]
@@ -79,7 +79,7 @@ class _Surface:
     def remove(self, i: int) -> None:
         self._set(i, [])
 
-    def behind(self, i: int) -> tuple[int, int, int, int] | None:
+    def face_behind(self, i: int) -> tuple[int, int, int, int] | None:
         """Ends of the longest edge of face i, the corner on it, and the one face behind it, if there is one."""
         corners = self.corners[i]
         if len(set(corners)) < 3:
@@ -87,29 +87,29 @@ class _Surface:
         lengths = [float(np.linalg.norm(self.v[corners[k]] - self.v[corners[k - 2]])) for k in range(3)]
         k = int(np.argmax(lengths))
         a, b, c = corners[k], corners[k - 2], corners[k - 1]
-        others = self._at[_edge(a, b)] - {i}
+        others = self._faces_at_edge[_edge(a, b)] - {i}
         if len(others) != 1:
             return None
         j = next(iter(others))
-        far = set(self.corners[j]) - {a, b}
+        opposite = set(self.corners[j]) - {a, b}
         # The edge from c to the far corner is new: with one there, it would be of more than two faces.
-        if len(far) != 1 or c in far or self._at[_edge(c, *far)]:
+        if len(opposite) != 1 or c in opposite or self._faces_at_edge[_edge(c, *opposite)]:
             return None
         return a, b, c, j
 
     def split(self, i: int, j: int, a: int, b: int, c: int) -> None:
         """Makes faces i and j the two parts of face j, which has the edge ab, on either side of c."""
-        whole = self.corners[j]
-        for k, gone in ((i, a), (j, b)):
-            self._set(k, [c if corner == gone else corner for corner in whole])
+        face = self.corners[j]
+        for k, replaced in ((i, a), (j, b)):
+            self._set(k, [c if corner == replaced else corner for corner in face])
         self.source[i] = self.source[j]
 
     def _set(self, i: int, corners: list[int]) -> None:
         for edge in _edges(self.corners[i]):
-            self._at[edge].discard(i)
+            self._faces_at_edge[edge].discard(i)
         self.corners[i] = corners
         for edge in _edges(corners):
-            self._at[edge].add(i)
+            self._faces_at_edge[edge].add(i)
 
 
 def _edge(p: int, q: int) -> tuple[int, int]:

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from warpcontact.meshes.nesting import containers
+from warpcontact.meshes.nesting import find_containing_parts
 from warpcontact.vectors import bounds, cross, dot, norm
 
 Orientation = Literal["outward", "inward", "open surface", "mixed", "undefined"]
@@ -118,7 +118,7 @@ def examine_surface(
     lower, upper = bounds(v[faces])
     loops, cracks = _boundary(v, ends[first[counts == 1]], CRACK_LIMIT * float((upper - lower).max()))
 
-    area, volumes, nothing = volumes_of(v, faces, part, parts)
+    area, volumes, zero_volume = volumes_of(v, faces, part, parts)
     odd, mixed = counts % 2 == 1, (counts % 2 == 0) & (balance != 0)
     bounding = np.ones(parts, dtype=bool)
     bounding[part[first[odd | mixed] // 3]] = False
@@ -128,7 +128,7 @@ def examine_surface(
         orientation = "mixed"
     elif odd.any():
         orientation = "open surface"
-    elif abs(total) > nothing:
+    elif abs(total) > zero_volume:
         orientation = "outward" if total > 0.0 else "inward"
     lengths = norm(v[ends[first, 0]] - v[ends[first, 1]])
     facts = {
@@ -141,8 +141,8 @@ def examine_surface(
         "crack_vertex_count": cracks,
         "component_count": parts,
         "components": _describe(v, faces, part, bounding, volumes),
-        "inward_component_count": int((bounding & (volumes < -nothing)).sum()),
-        "outward_component_count": int((bounding & (volumes > nothing)).sum()),
+        "inward_component_count": int((bounding & (volumes < -zero_volume)).sum()),
+        "outward_component_count": int((bounding & (volumes > zero_volume)).sum()),
         "orientation": orientation,
         "non_manifold_edge_count": int((counts > 2).sum()),
         "non_manifold_vertex_count": int((edges.fans(faces) > 1).sum()),
@@ -186,14 +186,14 @@ def _describe(
     """The first components, in the order of their first faces."""
     first = np.unique(part, return_index=True)[1]  # components are numbered by their first faces
     counts = np.bincount(part)
-    around = containers(v, faces, part, closed)
+    containing = find_containing_parts(v, faces, part, closed)
     return tuple(
         Component(
             first_face=int(first[i]),
             face_count=int(counts[i]),
             closed=bool(closed[i]),
             volume=float(volumes[i]) if closed[i] else None,
-            inside=around.get(i),
+            inside=containing.get(i),
         )
         for i in range(min(len(first), MOST_COMPONENTS))
     )
@@ -204,10 +204,10 @@ def _boundary(v: npt.NDArray[np.float64], edges: npt.NDArray[np.intp], near: flo
     vertices, links = np.unique(edges, return_inverse=True)
     if not len(edges):
         return 0, 0
-    return components(links.reshape(-1, 2), len(vertices))[0], int(meets_another(v[vertices], near).sum())
+    return components(links.reshape(-1, 2), len(vertices))[0], int(has_near_neighbor(v[vertices], near).sum())
 
 
-def meets_another(points: npt.NDArray[np.float64], near: float) -> npt.NDArray[np.bool]:
+def has_near_neighbor(points: npt.NDArray[np.float64], near: float) -> npt.NDArray[np.bool]:
     """Whether another one of the points (n, 3) is within ``near`` of each."""
     # Points that are near each other are so along any direction. Few others are along two, and with none to look
     # at there is no need for a tree, which takes as long to import as a model to build.
@@ -224,9 +224,9 @@ def meets_another(points: npt.NDArray[np.float64], near: float) -> npt.NDArray[n
 
         distances, _ = KDTree(points[found]).query(points[found], k=2, distance_upper_bound=near)
         found = found[np.isfinite(distances[:, 1])]
-    meets = np.zeros(len(points), dtype=bool)
-    meets[found] = True
-    return meets
+    has_neighbor = np.zeros(len(points), dtype=bool)
+    has_neighbor[found] = True
+    return has_neighbor
 
 
 def components(links: npt.NDArray[np.intp], count: int) -> tuple[int, npt.NDArray[np.int32]]:

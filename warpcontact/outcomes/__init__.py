@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from warpcontact.kernels.on_demand import names_of
+from warpcontact.kernels.on_demand import lazy_names
 from warpcontact.kernels.outcomes.base import OfContact, Outcome
 
 if TYPE_CHECKING:
@@ -48,4 +48,4 @@ __all__ = [
 
 if not TYPE_CHECKING:  # there it would know every name
     _LATER = [name for name in __all__ if name not in ("OfContact", "Outcome")]
-    __getattr__, __dir__ = names_of(__name__, dict.fromkeys(_LATER, ".kernels.outcomes.catalogue"), {})
+    __getattr__, __dir__ = lazy_names(__name__, dict.fromkeys(_LATER, ".kernels.outcomes.catalogue"), {})

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from warpcontact._version import __version__
 from warpcontact.environments import Environments
-from warpcontact.outcomes.observer import Kept, Observer
-from warpcontact.outcomes.watch import Watch
+from warpcontact.outcomes.observer import Monitor, OutcomeState
+from warpcontact.outcomes.watch import MonitorSettings
 from warpcontact.recorder import item_dimension
 from warpcontact.sensors import AXES
 from warpcontact.status import EnvironmentStatus, FailureCause
@@ -19,74 +19,74 @@ from warpcontact.status import EnvironmentStatus, FailureCause
 Variable = tuple[Sequence[str], NDArray[Any], Mapping[str, Any]]
 
 
-def outcomes_of(model: Environments, watch: Watch, observers: Sequence[Observer]) -> xr.Dataset:
+def outcomes_of(model: Environments, settings: MonitorSettings, monitors: Sequence[Monitor]) -> xr.Dataset:
     """Returns the outcomes of a simulation so far; see ``Simulation.outcomes``.
 
     Args:
         model: The model, the current state of which is seen.
-        watch: What is watched.
-        observers: Those of its parts; none: nothing is watched.
+        settings: What is watched.
+        monitors: Those of its parts; none: nothing is watched.
     """
     variables: dict[str, Variable] = {}
-    if watch.outcomes:
-        needs = {*observers[0].needs}
-        model.make_measures(needs)
+    if settings.outcomes:
+        needs = {*monitors[0].needs}
+        model.ensure_sensor_arrays(needs)
         # All parts are at work before the first is waited for.
         for part in model.parts:
-            part.prepare(needs)
-        model.check_piles()
-        for number, kept in enumerate(observers[0].kept):
-            values = np.concatenate([one.results(one.kept[number]) for one in observers])
-            variables[kept.name] = _outcome(model, kept, values)
+            part.evaluate_needs(needs)
+        model.check_neighbor_lists()
+        for number, outcome_state in enumerate(monitors[0].outcome_states):
+            values = np.concatenate([one.results(one.outcome_states[number]) for one in monitors])
+            variables[outcome_state.name] = _outcome(model, outcome_state, values)
     parts = model.parts
     status = np.concatenate([part.arrays.status.numpy() for part in parts]).astype(np.int8)
     cause = np.concatenate([part.arrays.guard.cause.numpy() for part in parts]).astype(np.int8)
     time = np.concatenate([part.arrays.time.numpy() for part in parts])
     resets = np.zeros(model.envs, np.int32)
-    if observers:
-        resets = np.concatenate([one.resets.numpy() for one in observers])
+    if monitors:
+        resets = np.concatenate([one.resets.numpy() for one in monitors])
     variables["status"] = (["env"], status, {"long_name": "state of the environment", **_flags(EnvironmentStatus)})
     variables["cause"] = (["env"], cause, {"long_name": "why it was frozen", **_flags(FailureCause)})
     variables["end_time"] = (["env"], time, {"units": "s", "long_name": "time that it has come to"})
     about = {"units": "-", "long_name": "times that it was put back to its initial state after it failed"}
     variables["resets"] = (["env"], resets, about)
-    if watch.stops:
-        stopped = np.concatenate([one.stops.stopped_by.numpy() for one in observers]).astype(np.int16)
-        about = {"long_name": "condition that stopped it; −1: none", **_named(watch.stops)}
+    if settings.stops:
+        stopped = np.concatenate([one.stops.stopped_by.numpy() for one in monitors]).astype(np.int16)
+        about = {"long_name": "condition that stopped it; −1: none", **_named(settings.stops)}
         variables["stopped_by"] = (["env"], stopped, about)
-    if watch.events is not None:
-        count = np.concatenate([one.events.count.numpy() for one in observers])
+    if settings.events is not None:
+        count = np.concatenate([one.events.count.numpy() for one in monitors])
         about = {"units": "-", "long_name": "events that were not kept"}
-        variables["events_missed"] = (["env"], np.maximum(count - watch.events.most, 0), about)
+        variables["events_missed"] = (["env"], np.maximum(count - settings.events.most, 0), about)
     return _dataset(model, variables)
 
 
-def events_of(model: Environments, watch: Watch, observers: Sequence[Observer]) -> xr.Dataset:
+def events_of(model: Environments, settings: MonitorSettings, monitors: Sequence[Monitor]) -> xr.Dataset:
     """Returns the events of a simulation so far; see ``Simulation.events``.
 
     Args:
         model: The model.
-        watch: What is watched.
-        observers: Those of its parts.
+        settings: What is watched.
+        monitors: Those of its parts.
 
     Raises:
         ValueError: If no events are watched.
     """
-    if watch.events is None:
+    if settings.events is None:
         raise ValueError("no events are watched: give the simulation events=wc.ContactEvents(['touch'])")
-    most = watch.events.most
-    first_places = np.array(observers[0].first_places)
-    count = np.concatenate([one.events.count.numpy() for one in observers])
+    most = settings.events.most
+    event_offsets = np.array(monitors[0].event_offsets)
+    count = np.concatenate([one.events.count.numpy() for one in monitors])
     # The oldest first.
     order = (np.arange(most) + np.where(count > most, count, 0)[:, None]) % most
     there = np.arange(most) < count[:, None]
-    time = np.concatenate([one.events.time.numpy() for one in observers])
-    what = np.concatenate([one.events.what.numpy() for one in observers])
+    time = np.concatenate([one.events.time.numpy() for one in monitors])
+    what = np.concatenate([one.events.what.numpy() for one in monitors])
     time, what = (np.take_along_axis(values, order, axis=1) for values in (time, what))
     place = what // 2
-    contact = np.searchsorted(first_places, place, side="right") - 1
+    contact = np.searchsorted(event_offsets, place, side="right") - 1
     dims = ["env", "event"]
-    named = _named(watch.events.contacts)
+    named = _named(settings.events.contacts)
     made = {"flag_values": [0, 1], "flag_meanings": "lost made"}
     return _dataset(
         model,
@@ -103,7 +103,7 @@ def events_of(model: Environments, watch: Watch, observers: Sequence[Observer]) 
             ),
             "item": (
                 dims,
-                np.where(there, place - first_places[contact], -1).astype(np.int32),
+                np.where(there, place - event_offsets[contact], -1).astype(np.int32),
                 {"long_name": "item of the contact; −1: no event"},
             ),
             "made": (
@@ -115,9 +115,9 @@ def events_of(model: Environments, watch: Watch, observers: Sequence[Observer]) 
     )
 
 
-def _outcome(model: Environments, kept: Kept, values: NDArray[np.float64]) -> Variable:
+def _outcome(model: Environments, outcome_state: OutcomeState, values: NDArray[np.float64]) -> Variable:
     """Returns the results of an outcome (env, item, component) as a variable."""
-    first = kept.seen[0]
+    first = outcome_state.sources[0]
     dims = ["env"]
     if first.sensor.items and first.source.items == "each":
         dims.append(item_dimension(model.scene, first.sensor.name.partition(".")[0]))
@@ -127,7 +127,11 @@ def _outcome(model: Environments, kept: Kept, values: NDArray[np.float64]) -> Va
         values = values[..., 0]
     else:
         dims.append(first.axis)
-    return dims, values, {"units": kept.outcome.unit(first.sensor.unit), "long_name": kept.outcome.long_name}
+    return (
+        dims,
+        values,
+        {"units": outcome_state.outcome.unit(first.sensor.unit), "long_name": outcome_state.outcome.long_name},
+    )
 
 
 def _dataset(model: Environments, variables: Mapping[str, Variable]) -> xr.Dataset:

@@ -8,39 +8,39 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from warpcontact.checks import look_up
+from warpcontact.checks import find_entry
 from warpcontact.kernels.outcomes.base import COMPONENTS, Source
-from warpcontact.kernels.outcomes.source import EACH, SUM, Form
-from warpcontact.looks import IN_PARTS
+from warpcontact.kernels.outcomes.source import EACH, SUM, SourceForm
+from warpcontact.looks import SLICE_NEEDS
 from warpcontact.sensors import AXES, Sensor
 
 if TYPE_CHECKING:
-    from warpcontact.draft import PartDraft
+    from warpcontact.draft import DeviceModelPlan
     from warpcontact.model import Model
-    from warpcontact.unilateral.hard_contacts import HardContacts
+    from warpcontact.unilateral.hard_contacts import NonsmoothContacts
 
 #: Those of a contact with a mesh that are not computed where it is known to be far.
-OF_NEAR = frozenset(("gap", "normal", "status", "point"))
+NEAR_ONLY = frozenset(("gap", "normal", "status", "point"))
 
 
 @dataclass(frozen=True)
-class Seen:
+class ResolvedSource:
     """A source that was found.
 
     Attributes:
         source: What was asked for.
         sensor: The sensor.
-        in_step: Whether it is there in every step.
-        searches: Whether for that all contacts have to be looked at in every step.
-        shown: Whether it is of a nonsmooth contact, which has to be shown first.
+        in_every_step: Whether it is there in every step.
+        needs_all_distances: Whether for that all contacts have to be looked at in every step.
+        is_nonsmooth: Whether it is of a nonsmooth contact, which has to be shown first.
         owner: What to call who asked, in a message.
     """
 
     source: Source
     sensor: Sensor
-    in_step: bool
-    searches: bool
-    shown: bool
+    in_every_step: bool
+    needs_all_distances: bool
+    is_nonsmooth: bool
     owner: str
 
     @property
@@ -58,59 +58,59 @@ class Seen:
         """Name of the dimension of its components; ``None``: it has one."""
         return AXES[self.components][0] if self.components > 1 else None
 
-    def form(self, real: type) -> Form:
+    def form(self, real: type) -> SourceForm:
         """Returns how its numbers become one; before there is an array of it, as if that were of ``real``."""
         items = SUM if self.sensor.total else self.source.items
-        return Form(real, self.source.component == "norm", items)
+        return SourceForm(real, self.source.component == "norm", items)
 
     def view(self, arrays: SimpleNamespace) -> wp.array:
         """Returns what is looked at as an array of numbers (env, item, component)."""
-        whole = self.sensor.array(arrays)
-        scalar = getattr(whole.dtype, "_wp_scalar_type_", whole.dtype)
+        array = self.sensor.array(arrays)
+        scalar = getattr(array.dtype, "_wp_scalar_type_", array.dtype)
         size = wp.types.type_size_in_bytes(scalar)
-        width = getattr(whole.dtype, "_length_", 1)
+        width = getattr(array.dtype, "_length_", 1)
         first = COMPONENTS[self.source.component] if self.source.component is not None else None
-        single = whole.ndim == 1
+        single = array.ndim == 1
         view = wp.array(
-            ptr=whole.ptr + (first or 0) * size,
+            ptr=array.ptr + (first or 0) * size,
             dtype=scalar,
-            shape=(whole.shape[0], 1 if single else whole.shape[1], width if first is None else 1),
-            strides=(whole.strides[0], size if single else whole.strides[1], size),
-            device=whole.device,
+            shape=(array.shape[0], 1 if single else array.shape[1], width if first is None else 1),
+            strides=(array.strides[0], size if single else array.strides[1], size),
+            device=array.device,
             copy=False,
         )
-        view.memory = whole  # which lives as long
+        view.memory = array  # which lives as long
         return view
 
 
-class Finder:
+class SourceResolver:
     """Finds sources among the sensors of a model.
 
     Args:
         model: The model, or what is drawn up of it.
-        hard: The contacts that are solved for impulses.
+        nonsmooth: The contacts that are solved for impulses.
     """
 
-    def __init__(self, model: "Model | PartDraft", hard: "HardContacts | None") -> None:
+    def __init__(self, model: "Model | DeviceModelPlan", nonsmooth: "NonsmoothContacts | None") -> None:
         self._sensors: Mapping[str, Sensor] = model.sensors
         self._scene = model.scene
         self._hard: Collection[str] = frozenset()
-        if hard is not None:
-            own = {one.name: one for one in hard.sensors()}
+        if nonsmooth is not None:
+            own = {one.name: one for one in nonsmooth.sensors()}
             self._sensors = {**model.sensors, **own}
-            self._hard = hard.names
-        self._meshed = {contact.name for contact in model.scene.contacts}
-        self._single = [contact.name for contact in model.scene.contacts]
-        self._single += [contact.name for contact in model.scene.shape_contacts]
-        self._piled = {contact.name for contact in model.scene.particle_contacts}
+            self._hard = nonsmooth.names
+        self._mesh_contacts = {contact.name for contact in model.scene.contacts}
+        self._single_contacts = [contact.name for contact in model.scene.contacts]
+        self._single_contacts += [contact.name for contact in model.scene.shape_contacts]
+        self._particle_contacts = {contact.name for contact in model.scene.particle_contacts}
         self._bodies = {body.name for body in model.scene.bodies}
 
     @property
-    def hard(self) -> frozenset[str]:
+    def nonsmooth(self) -> frozenset[str]:
         """Names of the contacts that are hard."""
         return frozenset(self._hard)
 
-    def find(self, owner: str, source: Source) -> Seen:
+    def resolve(self, owner: str, source: Source) -> ResolvedSource:
         """Returns what is known of ``source``.
 
         Raises:
@@ -121,54 +121,56 @@ class Finder:
 
         try:
             hint = partial(sensor_hint, scene=self._scene)
-            sensor = look_up("sensor", source.name, self._sensors, hint=hint)
+            sensor = find_entry("sensor", source.name, self._sensors, hint=hint)
         except KeyError as error:
             raise KeyError(f"{owner}: {error.args[0]}") from None
         if len(sensor.shape) > 1:
             raise ValueError(f"{owner}: {source.name} is a matrix; take sensors of numbers or vectors")
         width = sensor.shape[0] if sensor.shape else 1
-        at = COMPONENTS[source.component] if source.component is not None else 0
-        if source.component is not None and (width == 1 or (at or 0) >= width):
+        component = COMPONENTS[source.component] if source.component is not None else 0
+        if source.component is not None and (width == 1 or (component or 0) >= width):
             has = ", ".join([*map(repr, AXES[width][1]), "'norm'"]) if width > 1 else "no components"
             raise ValueError(f"{owner}: {source.name} has {has}, got component={source.component!r}")
         if source.items != EACH and not sensor.items:
             raise ValueError(f"{owner}: {source.name} is not of a set and takes no items, got {source.items!r}")
         element, _, quantity = source.name.rpartition(".")
-        return Seen(
+        return ResolvedSource(
             source,
             sensor,
-            in_step=self._lives(source.name),
-            searches=element in self._meshed and quantity in OF_NEAR,
-            shown=element in self._hard,
+            in_every_step=self._in_every_step(source.name),
+            needs_all_distances=element in self._mesh_contacts and quantity in NEAR_ONLY,
+            is_nonsmooth=element in self._hard,
             owner=owner,
         )
 
-    def find_in_step(self, owner: str, source: Source) -> Seen:
+    def resolve_in_step(self, owner: str, source: Source) -> ResolvedSource:
         """Returns the same of what is there in every step.
 
         Raises:
             KeyError: If there is no such sensor.
             ValueError: If it has no such component, or is not there in every step.
         """
-        found = self.find(owner, source)
-        if not found.in_step:
+        found = self.resolve(owner, source)
+        if not found.in_every_step:
             element = source.name.rpartition(".")[0]
-            others = [name for name in self._sensors if name.rpartition(".")[0] == element and self._lives(name)]
-            listed = ", ".join(others) or f"those of {', '.join(sorted(self._meshed | self._bodies))}"
+            others = [
+                name for name in self._sensors if name.rpartition(".")[0] == element and self._in_every_step(name)
+            ]
+            listed = ", ".join(others) or f"those of {', '.join(sorted(self._mesh_contacts | self._bodies))}"
             raise ValueError(
                 f"{owner}: {source.name} is not there in every step, and may only be Final; in every step there "
                 f"are {listed}"
             )
         return found
 
-    def find_number(self, owner: str, source: Source) -> Seen:
+    def resolve_scalar(self, owner: str, source: Source) -> ResolvedSource:
         """Returns the same of what is one number of an environment in every step.
 
         Raises:
             KeyError: If there is no such sensor.
             ValueError: If it is not one number, or not there in every step.
         """
-        found = self.find_in_step(owner, source)
+        found = self.resolve_in_step(owner, source)
         if found.components > 1:
             known = ", ".join([*map(repr, AXES[found.components][1]), "'norm'"])
             raise ValueError(f"{owner}: {source.name} is a vector; say which component: {known}")
@@ -176,7 +178,7 @@ class Finder:
             raise ValueError(f"{owner}: {source.name} is of a set; say items='sum', 'max' or 'min'")
         return found
 
-    def indicator(self, owner: str, contact: str) -> Seen:
+    def contact_indicator(self, owner: str, contact: str) -> ResolvedSource:
         """Returns what is above 0 where ``contact`` touches.
 
         Raises:
@@ -184,18 +186,18 @@ class Finder:
         """
         quantity = "mode" if contact in self._hard else "penetration"
         name = f"{contact}.{quantity}"
-        if contact not in self._single:
+        if contact not in self._single_contacts:
             what = "not a contact"
-            if contact in self._piled:
+            if contact in self._particle_contacts:
                 what = "a particle contact, the touches of which have no numbers"
-            known = ", ".join(map(repr, self._single)) or "none here"
+            known = ", ".join(map(repr, self._single_contacts)) or "none here"
             raise ValueError(f"{owner}: {contact!r} is {what}; events are of {known}")
-        return self.find_in_step(owner, Source(name))
+        return self.resolve_in_step(owner, Source(name))
 
-    def _lives(self, name: str) -> bool:
+    def _in_every_step(self, name: str) -> bool:
         """Whether a sensor is there in every step; wrenches are without impulses until they are asked for."""
         sensor: Any = self._sensors.get(name)
         element, _, quantity = name.rpartition(".")
         if self._hard and element in self._bodies and quantity in ("force", "torque"):
             return False
-        return sensor is not None and len(sensor.shape) < 2 and IN_PARTS.issuperset(sensor.needs)
+        return sensor is not None and len(sensor.shape) < 2 and SLICE_NEEDS.issuperset(sensor.needs)

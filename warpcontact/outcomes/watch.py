@@ -94,14 +94,14 @@ class ContactEvents:
             raise ValueError(f"ContactEvents.contacts must be one name of a contact or more, got {contacts!r}")
         if len(set(self.contacts)) < len(self.contacts):
             raise ValueError(f"ContactEvents.contacts must be different contacts, got {list(self.contacts)}")
-        self.most = checks.whole("ContactEvents.most", most)
+        self.most = checks.integer("ContactEvents.most", most)
 
     def __repr__(self) -> str:
         return f"<ContactEvents of {', '.join(self.contacts)}, the last {self.most}>"
 
 
 @dataclass(frozen=True)
-class Watch:
+class MonitorSettings:
     """What to watch while stepping.
 
     Attributes:
@@ -135,7 +135,7 @@ class Watch:
         stop: Mapping[str, StopCondition] | None,
         events: ContactEvents | None,
         quarantine: str,
-    ) -> "Watch":
+    ) -> "MonitorSettings":
         """Returns what the arguments of a ``Simulation`` ask for.
 
         Raises:
@@ -155,8 +155,8 @@ def _check_names(what: str, table: object, kind: type, example: str) -> None:
     for name, one in table.items():
         checks.key(what, name)
         if not isinstance(one, kind):
-            raise TypeError(f"{what}[{name!r}] must be such as {example}, got {_said(one)}")
+            raise TypeError(f"{what}[{name!r}] must be such as {example}, got {_describe(one)}")
 
 
-def _said(value: Any) -> str:
+def _describe(value: Any) -> str:
     return f"the class {value.__name__}; call it" if isinstance(value, type) else repr(value)

@@ -104,7 +104,7 @@ class ParticleContacts:
         among = frozenset(given)
         excluded = tuple(_pair(name, pair, among) for pair in exclude)
         if max_neighbors is not None:
-            checks.whole(f"{name}.max_neighbors", max_neighbors)
+            checks.integer(f"{name}.max_neighbors", max_neighbors)
         radii = np.concatenate([shape.sizes["radius"] for shape in given])
         contact = ParticleContact(
             name=name,

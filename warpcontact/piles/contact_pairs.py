@@ -7,8 +7,8 @@ import numpy as np
 import xarray as xr
 
 from warpcontact.checks import Array
-from warpcontact.kernels.piles.base import TOUCHES
-from warpcontact.piles.pile import Pile
+from warpcontact.kernels.piles.base import IN_CONTACT
+from warpcontact.piles.pile import ParticleContactSet
 
 if TYPE_CHECKING:
     from warpcontact.model import Model
@@ -24,13 +24,13 @@ _MEANINGS = {
 }
 
 
-def contact_pairs(parts: "Sequence[tuple[Model, int, Pile]]") -> xr.Dataset:
+def contact_pairs(parts: "Sequence[tuple[Model, int, ParticleContactSet]]") -> xr.Dataset:
     """Returns the pairs that touch in the state that forces were computed of last.
 
     Args:
         parts: The models, each with the number of its first environment and the pile.
     """
-    columns = [_of_part(model, first, pile) for model, first, pile in parts]
+    columns = [_pairs_of_model(model, first, pile) for model, first, pile in parts]
     together = {name: np.concatenate([own[name] for own in columns]) for name in columns[0]}
     contact = parts[0][2].contact
     labels = np.array([contact.label(number) for number in range(contact.count)], dtype=object)
@@ -56,22 +56,22 @@ def contact_pairs(parts: "Sequence[tuple[Model, int, Pile]]") -> xr.Dataset:
     return result
 
 
-def _of_part(model: "Model", first_env: int, pile: Pile) -> dict[str, Array]:
+def _pairs_of_model(model: "Model", first_env: int, pile: ParticleContactSet) -> dict[str, Array]:
     count = pile.contact.count
-    starts = pile.shapes.slot_start.numpy()
+    starts = pile.particles.slot_start.numpy()
     owner = np.repeat(np.arange(count), np.diff(starts))
-    place = np.arange(len(owner)) - starts[owner]
-    owned, partners = (array.numpy() for array in (pile.lists.owned, pile.lists.partner))
-    bits = pile.touches.bits.numpy()[:, : len(owner)]
-    envs, slots = np.nonzero((bits & TOUCHES != 0) & (place < owned[:, owner]))
-    one = owner[slots]
-    other = partners[envs, pile.shapes.entry_start.numpy()[one] + place[slots]]
-    shape_1, shape_2 = np.minimum(one, other), np.maximum(one, other)
+    offset = np.arange(len(owner)) - starts[owner]
+    owned, neighbors = (array.numpy() for array in (pile.neighbor_lists.owned, pile.neighbor_lists.neighbor))
+    flags = pile.pair_records.flags.numpy()[:, : len(owner)]
+    envs, slots = np.nonzero((flags & IN_CONTACT != 0) & (offset < owned[:, owner]))
+    shape_index = owner[slots]
+    other = neighbors[envs, pile.particles.entry_start.numpy()[shape_index] + offset[slots]]
+    shape_1, shape_2 = np.minimum(shape_index, other), np.maximum(shape_index, other)
     # The pairs of an environment by their shapes, whoever owns them.
     order = np.lexsort((shape_2, shape_1, envs))
     envs, slots, shape_1, shape_2 = envs[order], slots[order], shape_1[order], shape_2[order]
     records = {
-        name: getattr(pile.touches, name).numpy()[envs, slots]
+        name: getattr(pile.pair_records, name).numpy()[envs, slots]
         for name in ("gap", "normal", "normal_force", "force", "approach_speed", "arm")
     }
     body = pile.contact.bodies[shape_1]

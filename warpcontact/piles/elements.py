@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from warpcontact.checks import Array
 from warpcontact.elements import ContactMaterial
 from warpcontact.kernels.formula import Formula
-from warpcontact.kernels.touch import Parts
+from warpcontact.kernels.touch import ContactModel
 from warpcontact.smooth.elements import Shape
 
 
@@ -46,7 +46,7 @@ class ParticleContact:
         return self.starts[-1]
 
     @property
-    def parts(self) -> Parts:
+    def parts(self) -> ContactModel:
         """The classes of law and friction models."""
         return self.material.parts
 

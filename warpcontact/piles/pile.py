@@ -11,25 +11,25 @@ from numpy.typing import NDArray
 from warpcontact import checks, frames
 from warpcontact import elements as limits_of
 from warpcontact.allocation import COUNT
-from warpcontact.arrays import Layout, fixed, per_env
+from warpcontact.arrays import AllocationPlan, fixed, per_env
 from warpcontact.checks import Array
-from warpcontact.groups import compile_forces
+from warpcontact.groups import compile_force_kernel
 from warpcontact.kernels.formula import Formula, coefficient_struct
 from warpcontact.kernels.memory import memory_struct
 from warpcontact.kernels.piles import force, history, lists, measures, sums
-from warpcontact.kernels.piles.base import NONE, TOUCHED, TOUCHES, Form, pile_structs
+from warpcontact.kernels.piles.base import IN_CONTACT, NO_INDEX, WAS_IN_CONTACT, ParticleTraits, particle_structs
 from warpcontact.kernels.touch import group_structs
 from warpcontact.kernels.types import FREE
-from warpcontact.parameters import ClosedGap, Field, Parameter, Parameters, Upload, pack
+from warpcontact.parameters import ClosedGap, DeviceField, Field, Parameter, Parameters, pack
 from warpcontact.piles.elements import ParticleContact
-from warpcontact.piles.room import FEW, all_pairs, owned_of, partners_around
-from warpcontact.schedule import FEW_TOGETHER
+from warpcontact.piles.room import ALL_PAIRS_LIMIT, all_pair_lists, max_neighbors, owned_records
+from warpcontact.schedule import SMALL_BLOCK
 from warpcontact.sensors import Sensor, shape_in
 from warpcontact.smooth.elements import Shape
 
 if TYPE_CHECKING:
     from warpcontact.scene import Scene
-    from warpcontact.schedule import Span
+    from warpcontact.schedule import ExecutionPlan
 
 # What a step takes of the cache of a core: of an entry, and of a shape with the records of its touches.
 ENTRY_BYTES = 8
@@ -42,19 +42,19 @@ _RANGES = {
     "force_scale": limits_of.FORCE_SCALE,
     "enabled": limits_of.ENABLED,
 }
-_FOR_ALL = {
+_TOTALS = {
     "contacts": ("contacts", "-", "number of pairs that touch"),
     "normal_force": ("normal_force", "N", "sum of the normal forces of all pairs"),
     "max_penetration": ("max_penetration", "m", "deepest penetration of a pair, 0 without contact"),
     "max_normal_force": ("max_normal_force", "N", "largest normal force of a pair"),
 }
-_FOR_EACH = {
+_PER_PARTICLE = {
     "coordination": ("coordination", "-", "number of shapes that touch each shape"),
     "force": ("force", "N", "force of the others on each shape, world"),
 }
 
 
-class Pile:
+class ParticleContactSet:
     """A particle contact on a device.
 
     Args:
@@ -69,10 +69,10 @@ class Pile:
         fixed: Whether its lists are those of all pairs.
         entries: Entries of all lists of an environment.
         slots: Records of an environment.
-        shapes: Its shapes, lists and records on the device, and what lists are made with.
+        particles: Its shapes, lists and records on the device, and what lists are made with.
         lists: See there.
-        touches: See there.
-        grid: See there.
+        pair_records: See there.
+        cell_list: See there.
         measured: What sensors are measured into.
     """
 
@@ -80,7 +80,7 @@ class Pile:
         self,
         contact: ParticleContact,
         scene: "Scene",
-        layout: Layout,
+        layout: AllocationPlan,
         parameters: Parameters,
         types: SimpleNamespace,
     ) -> None:
@@ -88,36 +88,40 @@ class Pile:
         self.real = types.real
         self._types = types
         self._parts = contact.parts
-        t = pile_structs(self.real)
-        self.shapes, self.lists = t.Shapes(), t.Lists()
+        t = particle_structs(self.real)
+        self.particles, self.neighbor_lists = t.Particles(), t.NeighborLists()
         self._pose = {
             key: [_parameter(parameters, shape, key) for shape in contact.shapes]
             for key in ("radius", "half_length", "position", "orientation")
         }
         count = contact.count
-        self.fixed = count <= FEW
-        self._room = self._make_lists(layout, parameters)
+        self.all_pairs = count <= ALL_PAIRS_LIMIT
+        self._capacity = self._make_lists(layout, parameters)
         placed = any(shape.positions.any() for shape in contact.shapes)
-        self._form = Form(
-            placed=placed, long=any(one is not None for one in self._pose["half_length"]), fixed=self.fixed
+        self._traits = ParticleTraits(
+            has_offsets=placed,
+            has_capsules=any(one is not None for one in self._pose["half_length"]),
+            all_pairs=self.all_pairs,
         )
-        self.touches = layout.struct(
-            "piles",
-            t.Touches,
+        self.pair_records = layout.struct(
+            "particles",
+            t.PairRecords,
             per_env(self.slots),
             records=True,
-            transient=[name for name in t.Touches.vars if name not in ("entry_speed", "bits", "busy")],
-            ranges=dict.fromkeys(("bits", "busy"), (0, TOUCHES | TOUCHED)),
-            bits=per_env(self.slots),
-            busy=per_env(count),
+            transient=[
+                name for name in t.PairRecords.vars if name not in ("entry_speed", "flags", "particle_flags")
+            ],
+            ranges=dict.fromkeys(("flags", "particle_flags"), (0, IN_CONTACT | WAS_IN_CONTACT)),
+            flags=per_env(self.slots),
+            particle_flags=per_env(count),
         )
         self._buckets = 1 << (max(16, count) - 1).bit_length()
-        self.grid = self._make_grid(layout)
+        self.cell_list = self._make_cell_list(layout)
         self._add_shapes(layout, parameters, sum(body.count for body in scene.bodies))
         self._add_settings(parameters)
         self._add_formulas(layout, parameters)
         self.measured = layout.struct(
-            "piles",
+            "particles",
             measures.measured(self.real),
             per_env(),
             transient=True,
@@ -126,79 +130,81 @@ class Pile:
         )
         moves = self._parts.law.needs_mass and any(body.motion.kind != FREE for body in scene.bodies)
         # Of the CPU, where a slice of the environments has one thread at a time.
-        self._alone = layout.device.is_cpu
-        self._kernel = force.kernel(self._parts, self._form, self.real, moves, self._alone)
+        self._single_thread = layout.device.is_cpu
+        self._kernel = force.kernel(self._parts, self._traits, self.real, moves, self._single_thread)
 
     @property
-    def _finder(self) -> wp.Kernel:
+    def _detection_kernel(self) -> wp.Kernel:
         """The kernel that finds touches that have no force."""
-        return force.kernel(self._parts, self._form, self.real, moves=False, alone=True, hard=True)
+        return force.kernel(self._parts, self._traits, self.real, moves=False, single_thread=True, nonsmooth=True)
 
-    def _make_lists(self, layout: Layout, parameters: Parameters) -> NDArray[np.int_] | None:
+    def _make_lists(self, layout: AllocationPlan, parameters: Parameters) -> NDArray[np.int_] | None:
         """Declares the lists; returns how many partners each shape may have, ``None`` if they are all pairs."""
         contact = self.contact
         count = contact.count
-        if self.fixed:
-            owned, others = all_pairs(contact.bodies, *contact.kinds)
-            rows = [[*own, *other] for own, other in zip(owned, others, strict=True)]
+        if self.all_pairs:
+            owned, other_pairs = all_pair_lists(contact.bodies, *contact.kinds)
+            rows = [[*own, *other] for own, other in zip(owned, other_pairs, strict=True)]
             starts, slots = (np.cumsum([0, *map(len, each)]) for each in (rows, owned))
             slot_of = {
-                frozenset((shape, partner)): slots[shape] + k
+                frozenset((shape, neighbor)): slots[shape] + k
                 for shape, own in enumerate(owned)
-                for k, partner in enumerate(own)
+                for k, neighbor in enumerate(own)
             }
-            records = [slot_of[frozenset((shape, partner))] for shape, row in enumerate(rows) for partner in row]
+            records = [slot_of[frozenset((shape, neighbor))] for shape, row in enumerate(rows) for neighbor in row]
             # Shared by all environments.
             for name, values in (
                 ("owned", [len(own) for own in owned]),
                 ("count", [len(row) for row in rows]),
-                ("partner", [partner for row in rows for partner in row] or [NONE]),
-                ("slot", records or [NONE]),
+                ("neighbor", [neighbor for row in rows for neighbor in row] or [NO_INDEX]),
+                ("slot", records or [NO_INDEX]),
             ):
-                parameters.upload(self.lists, name, wp.int32, _constant(values))
-            room = None
+                parameters.device_field(self.neighbor_lists, name, wp.int32, _constant(values))
+            capacity = None
         else:
             if contact.max_neighbors is None:
-                room = partners_around(*self._sizes(), contact.skin).max(axis=0)
+                capacity = max_neighbors(*self._sizes(), contact.skin).max(axis=0)
             else:
-                room = np.full(count, min(contact.max_neighbors, count - 1))
-            starts, slots = (np.cumsum([0, *most]) for most in (room, owned_of(room)))
+                capacity = np.full(count, min(contact.max_neighbors, count - 1))
+            starts, slots = (np.cumsum([0, *most]) for most in (capacity, owned_records(capacity)))
             # Kept, as the history of a pair is found by them; after a checkpoint they are made again.
             ranges = {
                 "owned": (0, np.diff(slots)),
                 "count": (0, np.diff(starts)),
-                "partner": (0, count - 1),
-                "slot": (NONE, int(slots[-1]) - 1),
+                "neighbor": (0, count - 1),
+                "slot": (NO_INDEX, int(slots[-1]) - 1),
             }
             for name, entries in (
                 ("owned", count),
                 ("count", count),
-                ("partner", starts[-1]),
+                ("neighbor", starts[-1]),
                 ("slot", starts[-1]),
             ):
-                layout.array("piles", self.lists, name, wp.int32, per_env(int(entries)), ranges=ranges)
+                layout.array(
+                    "particles", self.neighbor_lists, name, wp.int32, per_env(int(entries)), ranges=ranges
+                )
         self.entries, self.slots = int(starts[-1]), max(1, int(slots[-1]))
-        layout.content("piles", self.shapes, "entry_start", starts, wp.int32)
-        layout.content("piles", self.shapes, "slot_start", slots, wp.int32)
-        return room
+        layout.constant("particles", self.particles, "entry_start", starts, wp.int32)
+        layout.constant("particles", self.particles, "slot_start", slots, wp.int32)
+        return capacity
 
-    def _make_grid(self, layout: Layout) -> Any:
+    def _make_cell_list(self, layout: AllocationPlan) -> Any:
         count = self.contact.count
-        each = fixed(1, 1) if self.fixed else per_env(count)
-        Grid = pile_structs(self.real).Grid
-        counts = dict.fromkeys(("made", "missing"), COUNT)
+        each = fixed(1, 1) if self.all_pairs else per_env(count)
+        CellList = particle_structs(self.real).CellList
+        counts = dict.fromkeys(("build_count", "overflow"), COUNT)
         return layout.struct(
-            "piles",
-            Grid,
+            "particles",
+            CellList,
             each,
-            transient=[name for name in Grid.vars if name not in counts],
+            transient=[name for name in CellList.vars if name not in counts],
             ranges=counts,
             stale=per_env(),
-            known=per_env(),
-            made=per_env(),
-            missing=per_env(),
-            head=fixed(1, 1) if self.fixed else per_env(self._buckets),
-            key=fixed(1, 1) if self.fixed else per_env(self.entries),
+            valid=per_env(),
+            build_count=per_env(),
+            overflow=per_env(),
+            head=fixed(1, 1) if self.all_pairs else per_env(self._buckets),
+            key=fixed(1, 1) if self.all_pairs else per_env(self.entries),
         )
 
     def _sizes(self) -> tuple[Array, Array]:
@@ -214,48 +220,50 @@ class Pile:
         envs = max(len(column) for column in columns)
         return np.concatenate([np.broadcast_to(c, (envs, *c.shape[1:])) for c in columns], axis=1)
 
-    def _add_shapes(self, layout: Layout, parameters: Parameters, body_count: int) -> None:
+    def _add_shapes(self, layout: AllocationPlan, parameters: Parameters, body_count: int) -> None:
         """Adds where the shapes are and how large they are, and which bodies have them."""
-        contact, shapes, vec3 = self.contact, self.shapes, self._types.vec3
+        contact, particles, vec3 = self.contact, self.particles, self._types.vec3
         kinds, allowed = contact.kinds
         for name, numbers in (("body", contact.bodies), ("kind", kinds), ("allowed", allowed)):
-            layout.content("piles", shapes, name, numbers, wp.int32)
+            layout.constant("particles", particles, name, numbers, wp.int32)
         order = np.argsort(contact.bodies, kind="stable")
         bodies, starts = np.unique(contact.bodies[order], return_index=True)
-        self._carriers = len(bodies)
+        self._owners = len(bodies)
         # Side by side in the order of their bodies, a shape is its own carrier.
-        self._single = np.array_equal(bodies, contact.bodies)
-        of_body = np.full(body_count, NONE)
-        of_body[contact.bodies] = np.arange(contact.count)
-        layout.content("piles", shapes, "of_body", of_body, wp.int32)
+        self._one_per_body = np.array_equal(bodies, contact.bodies)
+        particle_of_body = np.full(body_count, NO_INDEX)
+        particle_of_body[contact.bodies] = np.arange(contact.count)
+        layout.constant("particles", particles, "particle_of_body", particle_of_body, wp.int32)
         for name, values in (
-            ("carrier_body", bodies),
-            ("carrier_start", [*starts, contact.count]),
-            ("carrier_shape", order),
+            ("owner_body", bodies),
+            ("owner_start", [*starts, contact.count]),
+            ("owner_particle", order),
         ):
-            layout.content("piles", shapes, name, values, wp.int32)
+            layout.constant("particles", particles, name, values, wp.int32)
 
         def axes() -> Array:
             half = self._column("half_length")
             turn = self._column("orientation")
             ends = half[..., None] * np.array([0.0, 0.0, 1.0])
-            return frames.placed(ends[..., None, :], np.zeros(3), turn)[..., 0, :]
+            return frames.transform_points(ends[..., None, :], np.zeros(3), turn)[..., 0, :]
 
-        follow: dict[str, list[Upload]] = {
-            "radius": [parameters.upload(shapes, "radius", self.real, self._radii)],
+        follow: dict[str, list[DeviceField]] = {
+            "radius": [parameters.device_field(particles, "radius", self.real, self._radii)],
             "half_length": [],
             "position": [],
             "orientation": [],
         }
-        follow["position"] = [parameters.upload(shapes, "offset", vec3, self._offsets)]
-        if self._form.long:
-            follow["half_length"] = follow["orientation"] = [parameters.upload(shapes, "axis", vec3, axes)]
+        follow["position"] = [parameters.device_field(particles, "offset", vec3, self._offsets)]
+        if self._traits.long:
+            follow["half_length"] = follow["orientation"] = [
+                parameters.device_field(particles, "axis", vec3, axes)
+            ]
         else:
-            layout.array("piles", shapes, "axis", vec3, fixed(1, 1), transient=True)
-        for key, uploads in follow.items():
+            layout.array("particles", particles, "axis", vec3, fixed(1, 1), transient=True)
+        for key, device_fields in follow.items():
             for one in self._pose[key]:
                 if one is not None:
-                    one.uploads.extend(uploads)
+                    one.device_fields.extend(device_fields)
 
     def _offsets(self) -> Array:
         """Returns where the shapes are on their bodies, (1 or envs, n, 3).
@@ -264,7 +272,7 @@ class Pile:
             ValueError: If one has moved away from the centre of its body, and the kernels look for none elsewhere.
         """
         offsets = self._column("position")
-        if not self._form.placed and offsets.any():
+        if not self._traits.placed and offsets.any():
             raise ValueError(
                 f"{self.contact.name}: its shapes were all at the centre of mass of their body when the model was "
                 "built; give one another position in add_shape to let them be elsewhere"
@@ -278,13 +286,13 @@ class Pile:
             ValueError: If there is not.
         """
         radius, half = self._sizes()
-        if self._room is not None and self.contact.max_neighbors is None:
-            needed = partners_around(radius, half, self.contact.skin)
-            if (needed > self._room).any():
-                shape = int((needed - self._room).max(axis=0).argmax())
+        if self._capacity is not None and self.contact.max_neighbors is None:
+            needed = max_neighbors(radius, half, self.contact.skin)
+            if (needed > self._capacity).any():
+                shape = int((needed - self._capacity).max(axis=0).argmax())
                 raise ValueError(
                     f"{self.contact.name}: with these radii {self.contact.label(shape)!r} may have "
-                    f"{needed[:, shape].max()} partners, and there is room for {self._room[shape]}; build the "
+                    f"{needed[:, shape].max()} partners, and there is room for {self._capacity[shape]}; build the "
                     "scene with the largest and smallest radii that are to come, or give add_particle_contact "
                     "max_neighbors="
                 )
@@ -292,7 +300,7 @@ class Pile:
 
     def _add_settings(self, parameters: Parameters) -> None:
         contact = self.contact
-        struct = pile_structs(self.real).Settings
+        struct = particle_structs(self.real).ParticleContactSettings
         # A torsion radius that is not given follows from the overlap.
         values = {key: getattr(contact, key) for key in _RANGES}
         fields = {key: Field(np.array([-1.0 if value is None else value])) for key, value in values.items()}
@@ -305,12 +313,12 @@ class Pile:
             columns["cell"] = 2.0 * (radius + half).max(axis=1, keepdims=True) + contact.skin
             return pack(struct, columns)
 
-        upload = parameters.upload(self.shapes, "settings", struct, content)
-        self.closed = ClosedGap(fields["closed"], upload)
+        device_field = parameters.device_field(self.particles, "settings", struct, content)
+        self.closed = ClosedGap(fields["closed"], device_field)
         for key in ("radius", "half_length"):
             for one in self._pose[key]:
                 if one is not None:
-                    one.uploads.append(upload)
+                    one.device_fields.append(device_field)
         for key, allowed in _RANGES.items():
             if values[key] is not None:
                 parameters.add(
@@ -318,22 +326,22 @@ class Pile:
                     fields[key],
                     slice(0, 1),
                     allowed,
-                    [upload],
+                    [device_field],
                     convert=checks.switches if key == "enabled" else None,
                 )
 
-    def _add_formulas(self, layout: Layout, parameters: Parameters) -> None:
+    def _add_formulas(self, layout: AllocationPlan, parameters: Parameters) -> None:
         """Adds the parameters of law and friction models, the same for all pairs, and what these remember."""
         Coefficients, Memory = group_structs(self._parts, self.real)
-        self._coefficients, self._memory, self._kept = Coefficients(), Memory(), Memory()
+        self._coefficients, self._memory, self._history_out = Coefficients(), Memory(), Memory()
         for part, formula in self.contact.formulas.items():
             self._add_formula(part, formula, parameters)
-            for target in (self._memory, self._kept):
+            for target in (self._memory, self._history_out):
                 # Never looked at if the formula remembers nothing.
                 shape = per_env(self.slots) if formula.memories else fixed(1, 1)
-                transient = target is self._kept or not formula.memories
+                transient = target is self._history_out or not formula.memories
                 struct = memory_struct(type(formula), self.real)
-                layout.array("piles", target, part, struct, shape, transient=transient)
+                layout.array("particles", target, part, struct, shape, transient=transient)
 
     def _add_formula(self, part: str, formula: Formula, parameters: Parameters) -> None:
         struct = coefficient_struct(type(formula), self.real)
@@ -346,13 +354,13 @@ class Pile:
             computed = formula.coefficients(dict(zip(fields, np.broadcast_arrays(*values), strict=True)))
             return pack(struct, {name: computed[name] for name in formula.device_names()})
 
-        upload = parameters.upload(self._coefficients, part, struct, content, items=self.slots)
+        device_field = parameters.device_field(self._coefficients, part, struct, content, items=self.slots)
         for name, field in fields.items():
             full = f"{self.contact.name}.{part}.{name}"
-            parameters.add(full, field, slice(0, 1), formula.limits(name), [upload])
+            parameters.add(full, field, slice(0, 1), formula.limits(name), [device_field])
 
     @property
-    def bytes_near(self) -> int:
+    def bytes_per_step(self) -> int:
         """About what a step reads and writes of it in an environment [bytes]."""
         return ENTRY_BYTES * self.entries + SHAPE_BYTES * self.contact.count
 
@@ -362,83 +370,120 @@ class Pile:
         Raises:
             TypeError: If a law or friction does not compile.
         """
-        compile_forces(self._parts, lambda: self._kernel, device, self.real)
+        compile_force_kernel(self._parts, lambda: self._kernel, device, self.real)
 
     @property
     def sums_by_body(self) -> bool:
         """Whether who integrates a body may add its touches up: of one shape, and not added as they are found."""
-        return self._single and not self._alone
+        return self._one_per_body and not self._single_thread
 
     def force_stages(
-        self, span: "Span", state: Any, step: wp.array, status: wp.array, *, by_block: bool = False
+        self, plan: "ExecutionPlan", state: Any, step: wp.array, status: wp.array, *, by_cluster: bool = False
     ) -> list[wp.Launch]:
         """Returns the launches that add what its shapes do to each other to the wrenches of ``state``.
 
         Arguments are those of ``schedule.force_stages``. Of hard pairs, those that find where they touch.
         """
-        model = span.model.arrays.model
-        count, wrenches = self.contact.count, span.model.arrays.wrenches
-        shapes, lists_, touches, grid = self.shapes, self.lists, self.touches, self.grid
-        launches = [] if self.fixed else self._list_stages(span, state, status)
-        hard = self._is_hard(span)
-        kernel = self._finder if hard else self._kernel
-        inputs = [status, model, state, shapes, lists_, grid, self._memory, step, self._coefficients, touches]
-        inputs += [self._kept, span.watched, wrenches]
-        launches += span.prepare(kernel, count, inputs, together=FEW_TOGETHER)
-        if not (self._alone or hard or by_block):
-            adding = sums.add(self.real, self._single)
-            inputs = [status, state, shapes, lists_, touches, wrenches]
-            launches += span.prepare(adding, self._carriers, inputs, together=FEW_TOGETHER)
+        model = plan.model.arrays.model
+        count, wrenches = self.contact.count, plan.model.arrays.wrenches
+        particles, neighbor_lists, pair_records, cell_list = (
+            self.particles,
+            self.neighbor_lists,
+            self.pair_records,
+            self.cell_list,
+        )
+        launches = [] if self.all_pairs else self._list_stages(plan, state, status)
+        nonsmooth = self._is_nonsmooth(plan)
+        kernel = self._detection_kernel if nonsmooth else self._kernel
+        inputs = [
+            status,
+            model,
+            state,
+            particles,
+            neighbor_lists,
+            cell_list,
+            self._memory,
+            step,
+            self._coefficients,
+            pair_records,
+        ]
+        inputs += [self._history_out, plan.write_outputs, wrenches]
+        launches += plan.prepare(kernel, count, inputs, block_dim=SMALL_BLOCK)
+        if not (self._single_thread or nonsmooth or by_cluster):
+            adding = sums.add(self.real, self._one_per_body)
+            inputs = [status, state, particles, neighbor_lists, pair_records, wrenches]
+            launches += plan.prepare(adding, self._owners, inputs, block_dim=SMALL_BLOCK)
         return launches
 
-    def _list_stages(self, span: "Span", state: Any, status: wp.array) -> list[wp.Launch]:
+    def _list_stages(self, plan: "ExecutionPlan", state: Any, status: wp.array) -> list[wp.Launch]:
         """Returns the launches that make the lists anew where they do not hold."""
-        count, buckets, real, form = self.contact.count, self._buckets, self.real, self._form
-        shapes, lists_, touches, grid = self.shapes, self.lists, self.touches, self.grid
+        count, buckets, real, traits = self.contact.count, self._buckets, self.real, self._traits
+        particles, neighbor_lists, pair_records, cell_list = (
+            self.particles,
+            self.neighbor_lists,
+            self.pair_records,
+            self.cell_list,
+        )
         impulses = []
-        if span.hard is not None and self._is_hard(span):
-            inputs = [status, shapes, lists_, grid, span.hard.number_of(self.contact), span.hard.memory]
-            impulses = span.prepare(lists.carry_impulses(real), count, inputs)
+        if plan.nonsmooth is not None and self._is_nonsmooth(plan):
+            inputs = [
+                status,
+                particles,
+                neighbor_lists,
+                cell_list,
+                plan.nonsmooth.first_record_of(self.contact),
+                plan.nonsmooth.stored_impulses,
+            ]
+            impulses = plan.prepare(lists.transfer_impulses(real), count, inputs)
         return [
-            *span.prepare(lists.check(form, real), count, [status, state, shapes, grid]),
-            *span.prepare(lists.clear(real), buckets, [status, grid]),
-            *span.prepare(lists.fill(form, real), count, [status, buckets, state, shapes, grid]),
-            *span.prepare(
-                lists.gather(form, real), count, [status, buckets, state, shapes, lists_, touches, grid]
+            *plan.prepare(lists.check_validity(traits, real), count, [status, state, particles, cell_list]),
+            *plan.prepare(lists.clear(real), buckets, [status, cell_list]),
+            *plan.prepare(lists.fill(traits, real), count, [status, buckets, state, particles, cell_list]),
+            *plan.prepare(
+                lists.build(traits, real),
+                count,
+                [status, buckets, state, particles, neighbor_lists, pair_records, cell_list],
             ),
             *impulses,
-            *span.prepare(
-                lists.carry(self._parts, real),
+            *plan.prepare(
+                lists.transfer_history(self._parts, real),
                 count,
-                [status, shapes, lists_, touches, grid, self._kept, self._memory],
+                [status, particles, neighbor_lists, pair_records, cell_list, self._history_out, self._memory],
             ),
-            *span.prepare(lists.join(real), count, [status, shapes, lists_, grid]),
+            *plan.prepare(lists.build_reverse(real), count, [status, particles, neighbor_lists, cell_list]),
         ]
 
-    def accept_stages(self, span: "Span") -> list[wp.Launch]:
+    def accept_stages(self, plan: "ExecutionPlan") -> list[wp.Launch]:
         """Returns the launch that remembers what an accepted step led to."""
-        status = span.model.arrays.status
-        inputs = [status, self.shapes, self.lists, self.touches, self._kept, self._memory]
-        kernel = history.advance(self._parts, self.real, self._is_hard(span))
-        return span.prepare(kernel, self.contact.count, inputs, together=FEW_TOGETHER)
+        status = plan.model.arrays.status
+        inputs = [status, self.particles, self.neighbor_lists, self.pair_records, self._history_out, self._memory]
+        kernel = history.accept(self._parts, self.real, self._is_nonsmooth(plan))
+        return plan.prepare(kernel, self.contact.count, inputs, block_dim=SMALL_BLOCK)
 
-    def _is_hard(self, span: "Span") -> bool:
-        return span.hard is not None and not span.hard.acts(self.contact.name)
+    def _is_nonsmooth(self, plan: "ExecutionPlan") -> bool:
+        return plan.nonsmooth is not None and not plan.nonsmooth.is_compliant(self.contact.name)
 
-    def restart(self, chosen: wp.array, envs: int) -> None:
+    def reset_state(self, chosen: wp.array, envs: int) -> None:
         """Empties what the environments of the mask ``chosen`` [env] remember."""
-        inputs = [chosen, self.touches.bits, self.touches.busy, self.grid.known, self.grid.made, self.grid.missing]
+        inputs = [
+            chosen,
+            self.pair_records.flags,
+            self.pair_records.particle_flags,
+            self.cell_list.valid,
+            self.cell_list.build_count,
+            self.cell_list.overflow,
+        ]
         wp.launch(
-            history.forget(), dim=(envs, max(self.slots, self.contact.count)), inputs=inputs, device=chosen.device
+            history.reset(), dim=(envs, max(self.slots, self.contact.count)), inputs=inputs, device=chosen.device
         )
 
-    def forget_lists(self) -> None:
+    def invalidate_lists(self) -> None:
         """Lets all lists be made anew: they may not hold for other radii or places."""
-        self.grid.known.zero_()
+        self.cell_list.valid.zero_()
 
-    def shortage(self) -> str | None:
+    def overflow_message(self) -> str | None:
         """Returns what is wrong if a list was too short since reset; waits for the device."""
-        most = int(self.grid.missing.numpy().max(initial=0))
+        most = int(self.cell_list.overflow.numpy().max(initial=0))
         if most == 0:
             return None
         return (
@@ -448,10 +493,10 @@ class Pile:
 
     def measure(self, envs: int, device: wp.Device) -> None:
         """Measures what its sensors are, of the forces computed last."""
-        inputs = [self.shapes, self.lists, self.touches]
+        inputs = [self.particles, self.neighbor_lists, self.pair_records]
         outputs = [self.measured]
         count = self.contact.count
-        kernel = measures.shapes(self.real)
+        kernel = measures.particles(self.real)
         wp.launch(kernel, dim=(envs, count), inputs=inputs, outputs=outputs, device=device)
         kernel = measures.totals(self.real)
         wp.launch(kernel, dim=envs, inputs=[count, *inputs], outputs=outputs, device=device)
@@ -459,12 +504,12 @@ class Pile:
     def sensors(self) -> Iterator[Sensor]:
         """Iterates over what can be measured."""
         name, count = self.contact.name, self.contact.count
-        for quantity, (attribute, unit, meaning) in _FOR_ALL.items():
+        for quantity, (attribute, unit, meaning) in _TOTALS.items():
             array, shape = self._array(attribute), shape_in(self.measured, attribute)
-            yield Sensor(f"{name}.{quantity}", unit, meaning, array, needs=("contacts", "piles"), shape=shape)
-        for quantity, (attribute, unit, meaning) in _FOR_EACH.items():
+            yield Sensor(f"{name}.{quantity}", unit, meaning, array, needs=("contacts", "particles"), shape=shape)
+        for quantity, (attribute, unit, meaning) in _PER_PARTICLE.items():
             array = self._array(attribute)
-            shape, needs = shape_in(self.measured, attribute), ("contacts", "piles")
+            shape, needs = shape_in(self.measured, attribute), ("contacts", "particles")
             yield Sensor(f"{name}.{quantity}", unit, meaning, array, needs=needs, items=count, shape=shape)
 
     def _array(self, attribute: str) -> Any:
@@ -481,14 +526,16 @@ def _parameter(parameters: Parameters, shape: Shape, key: str) -> Parameter | No
     return parameters.by_name.get(f"{shape.name}.{key}")
 
 
-def touches_of(pile: Pile | None, real: type) -> list[Any]:
+def particle_arrays(pile: ParticleContactSet | None, real: type) -> list[Any]:
     """Returns shapes, lists and touches of a pile, as kernels take them; of none those that are not looked at."""
     if pile is not None:
-        return [pile.shapes, pile.lists, pile.touches]
-    t = pile_structs(real)
-    return [t.Shapes(), t.Lists(), t.Touches()]
+        return [pile.particles, pile.neighbor_lists, pile.pair_records]
+    t = particle_structs(real)
+    return [t.Particles(), t.NeighborLists(), t.PairRecords()]
 
 
-def make_piles(scene: "Scene", layout: Layout, parameters: Parameters, types: SimpleNamespace) -> list[Pile]:
+def make_particle_contact_sets(
+    scene: "Scene", layout: AllocationPlan, parameters: Parameters, types: SimpleNamespace
+) -> list[ParticleContactSet]:
     """Declares the arrays of all particle contacts, and adds their parameters."""
-    return [Pile(contact, scene, layout, parameters, types) for contact in scene.particle_contacts]
+    return [ParticleContactSet(contact, scene, layout, parameters, types) for contact in scene.particle_contacts]

@@ -8,7 +8,7 @@ import numpy as np
 
 from warpcontact.checks import Array
 from warpcontact.kernels.rendering.world import SPHERE
-from warpcontact.rendering.items import Items, same_everywhere
+from warpcontact.rendering.items import Items, is_static
 from warpcontact.replay.drawing import Drawing
 
 # Part of the picture that is left free around what moves.
@@ -16,7 +16,7 @@ MARGIN = 0.12
 # A picture shows at least so many sizes of the largest body.
 LEAST = 1.4
 # What never moves is in the picture as a whole if it is no longer than this many times what moves.
-BESIDE = 1.0
+STATIC_SURROUNDINGS = 1.0
 # What is lower, or farther off in other directions, in sizes of all that stands still, is not looked for.
 BELOW, AWAY = 0.25, 2.0
 # Part of what moves that a plane without end is at least below.
@@ -64,7 +64,7 @@ def _across(backward: Array) -> tuple[Array, Array]:
     return right, np.cross(backward, right)
 
 
-def framed(
+def frame_spheres(
     points: Array,
     radii: Array,
     backward: Array,
@@ -106,7 +106,7 @@ def framed(
     return Camera(middle + shift[0] * right + shift[1] * up, backward, distance, angle)
 
 
-def spheres_to_see(drawing: Drawing, items: Sequence[tuple[Items, bool]]) -> tuple[Array, Array]:
+def bounding_spheres(drawing: Drawing, items: Sequence[tuple[Items, bool]]) -> tuple[Array, Array]:
     """Returns spheres around what a picture is about: centres (n, 3) and radii (n,) [m].
 
     That is what moves, unless it is long gone, and what stands beside it, unless it is larger, as the ground is.
@@ -121,28 +121,28 @@ def spheres_to_see(drawing: Drawing, items: Sequence[tuple[Items, bool]]) -> tup
         # A plane without end is below nearly all that moves; a few bodies may have been thrown out of the world.
         middle = np.median(centres, axis=0)
         reach = float(np.quantile(np.linalg.norm((centres - middle)[:, :2], axis=1), NEARLY))
-        standing = [group.spread(middle, reach) for group in standing]
-    still, sizes, spans = _all_balls(standing)
+        standing = [group.extend(middle, reach) for group in standing]
+    static, sizes, spans = _all_balls(standing)
     if not len(centres):
-        centres, radii, still, sizes, spans = still, sizes, still[:0], sizes[:0], spans[:0]
+        centres, radii, static, sizes, spans = static, sizes, static[:0], sizes[:0], spans[:0]
     if not len(centres):
         return np.zeros((1, 3)), np.array([drawing.size])
-    if len(still):
-        low, high = (still - sizes[:, None]).min(axis=0), (still + sizes[:, None]).max(axis=0)
+    if len(static):
+        low, high = (static - sizes[:, None]).min(axis=0), (static + sizes[:, None]).max(axis=0)
         size = np.linalg.norm(high - low)
         low = low - np.array([AWAY, AWAY, BELOW]) * size
         near = ((centres > low) & (centres < high + AWAY * size)).all(axis=1)
         if near.any():
             centres, radii = centres[near], radii[near]
     span = np.ptp(np.concatenate([centres - radii[:, None], centres + radii[:, None]]), axis=0)
-    beside = spans <= BESIDE * float(np.linalg.norm(span))
-    return np.concatenate([centres, still[beside]]), np.concatenate([radii, sizes[beside]])
+    nearby = spans <= STATIC_SURROUNDINGS * float(np.linalg.norm(span))
+    return np.concatenate([centres, static[nearby]]), np.concatenate([radii, sizes[nearby]])
 
 
 def _all_balls(items: Sequence[Items]) -> tuple[Array, Array, Array]:
     """Returns what encloses items, one after the other, see ``_balls``."""
-    nothing = (np.zeros((0, 3)), np.zeros(0), np.zeros(0))
-    centres, radii, spans = zip(nothing, *map(_balls, items), strict=True)
+    empty = (np.zeros((0, 3)), np.zeros(0), np.zeros(0))
+    centres, radii, spans = zip(empty, *map(_balls, items), strict=True)
     return np.concatenate(centres), np.concatenate(radii), np.concatenate(spans)
 
 
@@ -155,10 +155,10 @@ def _balls(items: Items) -> tuple[Array, Array, Array]:
     corners = np.array([[i, j, k] for i in (-1.0, 1.0) for j in (-1.0, 1.0) for k in (-1.0, 1.0)])
     points = (centres[:, None] + corners * halves[:, None]).reshape(-1, 3)
     # A plane without end is longer than anything.
-    spans = np.full(len(halves), np.inf) if items.endless else 2.0 * np.linalg.norm(halves, axis=1)
+    spans = np.full(len(halves), np.inf) if items.infinite else 2.0 * np.linalg.norm(halves, axis=1)
     return points, np.zeros(len(points)), np.repeat(spans, 8)
 
 
 def moving(drawing: Drawing) -> list[bool]:
     """Returns whether each figure moves, or differs between environments."""
-    return [not same_everywhere(figure) for figure in drawing.figures]
+    return [not is_static(figure) for figure in drawing.figures]

@@ -11,13 +11,13 @@ import numpy as np
 
 from warpcontact import checks
 from warpcontact.checks import Array, limits
-from warpcontact.hostile import terminal, visible
+from warpcontact.hostile import escape_controls, terminal
 from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.picture_file import check_path
-from warpcontact.rendering.look import Look, LookOptions
+from warpcontact.rendering.look import RenderOptions, RenderStyle
 from warpcontact.rendering.painter import Picture
 from warpcontact.rendering.records import Source
-from warpcontact.rendering.show import Coloring, Show
+from warpcontact.rendering.show import Coloring, FrameRenderer
 from warpcontact.rendering.writers import GIF_FASTEST, write_gif, write_mp4
 from warpcontact.scene import Scene
 
@@ -28,7 +28,7 @@ FILMS = (".gif", ".mp4")
 # Pictures per second at most.
 FASTEST = 240.0
 # Pictures of a film that the colours of a GIF are chosen by.
-_TASTES = 6
+_PALETTE_PICTURES = 6
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def film(
     speed: float = 1.0,
     scene: Scene | None = None,
     progress: bool | None = None,
-    **look: Unpack[LookOptions],
+    **style: Unpack[RenderOptions],
 ) -> Film:
     """Films a recording, each picture the record nearest to its time: nothing is made up between records.
 
@@ -77,7 +77,7 @@ def film(
         speed: Simulated seconds in one second of it: 0.1 is ten times slower than real.
         scene: What was simulated; ``None``: what the recording remembers.
         progress: Whether to show a bar; ``None``: in a terminal.
-        **look: Size, place of the eye and more, see ``LookOptions`` and docs/pictures.md.
+        **look: Size, place of the eye and more, see ``RenderOptions`` and docs/pictures.md.
 
     Raises:
         ValueError: If the file cannot be written, an environment or a time is not in the recording, poses are not,
@@ -94,7 +94,7 @@ def film(
         speed=speed,
         scene=scene,
         progress=progress,
-        look=Look(**look),
+        style=RenderStyle(**style),
     )
 
 
@@ -108,7 +108,7 @@ def shoot(
     speed: float,
     scene: Scene | None,
     progress: bool | None,
-    look: Look,
+    style: RenderStyle,
 ) -> Film:
     """Films it, see ``film``."""
     from tqdm import tqdm
@@ -119,8 +119,8 @@ def shoot(
         checks.numbers("fps", fps, (), limits("1/s", above=0.0, at_most=GIF_FASTEST if is_gif else FASTEST))
     )
     speed = float(checks.numbers("speed", speed, (), limits("-", above=0.0)))
-    if not is_gif and (look.size[0] % 2 or look.size[1] % 2):
-        raise ValueError(f"size must be even for an .mp4 file, got {look.size[0]} × {look.size[1]} pixels")
+    if not is_gif and (style.size[0] % 2 or style.size[1] % 2):
+        raise ValueError(f"size must be even for an .mp4 file, got {style.size[0]} × {style.size[1]} pixels")
     source = Source.of(recording, scene, env)
     moments = _moments(source, time, speed / fps)
     shown = source.nearest(moments)
@@ -128,9 +128,9 @@ def shoot(
     records = sorted({*overview, *shown.tolist()})
     drawing = source.drawing(records)
     coloring = None
-    if look.color_by is not None:
-        coloring = Coloring.of(look.color_by, source.numbers(look.color_by, drawing.envs))
-    show = Show(drawing, look, coloring, [records.index(number) for number in overview])
+    if style.color_by is not None:
+        coloring = Coloring.of(style.color_by, source.numbers(style.color_by, drawing.envs))
+    frame_renderer = FrameRenderer(drawing, style, coloring, [records.index(number) for number in overview])
     order = np.searchsorted(records, shown)
 
     def pictures() -> Iterator[Picture]:
@@ -138,23 +138,25 @@ def shoot(
         bar = tqdm(
             order.tolist(),
             unit="picture",
-            desc=visible(file.name),
+            desc=escape_controls(file.name),
             disable=None if progress is None else not progress,
             file=terminal(),
         )
         with bar:
             for number in bar:
                 if picture is None or number != last:
-                    last, picture = number, show.picture(number, float(drawing.times[number]))
+                    last, picture = number, frame_renderer.picture(number, float(drawing.times[number]))
                 yield picture
 
     if is_gif:
-        tastes = np.unique(np.linspace(0, len(order) - 1, _TASTES).round().astype(int))
-        colors = [show.picture(int(order[i]), samples=1)[::2, ::2] for i in tastes]
+        palette_pictures = np.unique(np.linspace(0, len(order) - 1, _PALETTE_PICTURES).round().astype(int))
+        colors = [frame_renderer.picture(int(order[i]), samples=1)[::2, ::2] for i in palette_pictures]
         write_gif(file, pictures(), len(order), fps, colors)
     else:
-        write_mp4(file, pictures(), fps, look.size)
-    return Film(file, drawing.envs, drawing.times[order], len(order) / fps, bool(drawing.touches), source.partial)
+        write_mp4(file, pictures(), fps, style.size)
+    return Film(
+        file, drawing.envs, drawing.times[order], len(order) / fps, bool(drawing.contact_forces), source.partial
+    )
 
 
 def _moments(source: Source, time: tuple[float, float] | None, step: float) -> Array:

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.checks import Array
-from warpcontact.frames import placed, shortest_rotations
+from warpcontact.frames import shortest_rotations, transform_points
 from warpcontact.kernels.rendering.world import CONE, CYLINDER, MESH, SPHERE
-from warpcontact.replay.drawing import Curve, Figure, Shape, Touch
+from warpcontact.replay.drawing import ContactForces, Curve, Figure, Shape
 from warpcontact.replay.triangles import ball
 
 # Of an arrow, in its length at most and in widths of its shaft: the head.
@@ -37,8 +37,8 @@ class Items:
         rotations: (n, 4), x, y, z, w.
         scales: (n, 3), all above 0.
         colors: RGB as displayed, (n, 3) in 0…1.
-        ruled: Whether lines of a grid are on them where they are level.
-        endless: Whether they are parts of planes without end, z = 0, which fade into the background far away.
+        has_grid: Whether lines of a grid are on them where they are level.
+        infinite: Whether they are parts of planes without end, z = 0, which fade into the background far away.
     """
 
     kind: int
@@ -47,8 +47,8 @@ class Items:
     rotations: Array
     scales: Array
     colors: Array
-    ruled: bool = False
-    endless: bool = False
+    has_grid: bool = False
+    infinite: bool = False
 
     def boxes(self) -> tuple[Array, Array]:
         """Returns middles and halves of the sides of boxes around them, along the world's axes, (n, 3) [m]."""
@@ -56,18 +56,18 @@ class Items:
             middle, half = (np.array(values) for values in _BOXES[self.kind])
         else:
             middle, half = bounds(self.shape)
-        centres = placed((self.scales * middle)[:, None], self.positions, self.rotations)[:, 0]
+        centres = transform_points((self.scales * middle)[:, None], self.positions, self.rotations)[:, 0]
         axes = self.scales[:, :, None] * turned_axes(self.rotations)
         if self.kind == SPHERE:
             return centres, np.linalg.norm(axes, axis=1)
         return centres, np.abs(half[:, None] * axes).sum(axis=1)
 
-    def spread(self, point: Array, reach: float) -> "Items":
+    def extend(self, point: Array, reach: float) -> "Items":
         """Returns planes without end as squares about where they are nearest to a point [m].
 
         Half their sides are ``reach`` [m], or as long as they were. Other items are returned as they are.
         """
-        if not self.endless or self.shape is None:
+        if not self.infinite or self.shape is None:
             return self
         normals = turned_axes(self.rotations)[:, 2]
         above = ((point - self.positions) * normals).sum(axis=1, keepdims=True)
@@ -86,16 +86,16 @@ def turned_axes(rotations: Array) -> Array:
     """Returns where rotations turn the three axes to, (n, axis, 3)."""
     count = len(rotations)
     axes = np.broadcast_to(np.eye(3), (count, 3, 3))
-    return placed(axes, np.zeros((count, 3)), rotations)
+    return transform_points(axes, np.zeros((count, 3)), rotations)
 
 
-def of_figure(
+def place_figure(
     figure: Figure,
     record: int,
     row: int,
     *,
     color: Array | None = None,
-    ruled: bool = False,
+    has_grid: bool = False,
     least: float = 0.0,
 ) -> Items:
     """Returns the copies of a figure in an environment, those that are there and can be placed.
@@ -105,7 +105,7 @@ def of_figure(
         record: Number of the record, in the order of the drawing.
         row: Number of the environment, in the order of the drawing.
         color: RGB instead of its own.
-        ruled: Whether it has lines of a grid.
+        has_grid: Whether it has lines of a grid.
         least: Radius of points at least [m].
     """
     time = record if len(figure.positions) > 1 else 0
@@ -115,15 +115,15 @@ def of_figure(
         scales = np.maximum(scales, least)
     kind, shape = (SPHERE, None) if figure.shape is ball() else (MESH, figure.shape)
     finite = np.isfinite(np.concatenate([positions, rotations, scales], axis=1)).all(axis=1)
-    good = np.broadcast_to(figure.there[row], finite.shape) & finite & (scales > 0.0).all(axis=1)
+    good = np.broadcast_to(figure.present[row], finite.shape) & finite & (scales > 0.0).all(axis=1)
     count = int(good.sum())
     colors = np.broadcast_to(figure.color if color is None else color, (count, 3))
     return Items(
-        kind, shape, positions[good], rotations[good], scales[good], colors, ruled, figure.kind == "plane"
+        kind, shape, positions[good], rotations[good], scales[good], colors, has_grid, figure.kind == "plane"
     )
 
 
-def of_curve(curve: Curve, record: int, row: int, width: float) -> list[Items]:
+def curve_tube(curve: Curve, record: int, row: int, width: float) -> list[Items]:
     """Returns a curve as a tube [m]: cylinders with spheres between them; nothing of one that is not shown."""
     points = curve.points[record if len(curve.points) > 1 else 0, row]
     shown = curve.shown[record if len(curve.shown) > 1 else 0, row]
@@ -136,12 +136,12 @@ def of_curve(curve: Curve, record: int, row: int, width: float) -> list[Items]:
     return [spheres, _between(CYLINDER, points[:-1], lengths, 0.5 * width, curve.color)]
 
 
-def of_touch(touch: Touch, record: int, row: int, scale: float, width: float) -> list[Items]:
+def force_arrows(contact: ContactForces, record: int, row: int, scale: float, width: float) -> list[Items]:
     """Returns the forces of a contact as arrows from where they act, ``scale`` metres per newton long.
 
     ``width`` is that of their shafts [m]; short ones are all head.
     """
-    starts, arrows = touch.points[record, row], scale * touch.forces[record, row]
+    starts, arrows = contact.points[record, row], scale * contact.forces[record, row]
     lengths = np.linalg.norm(arrows, axis=-1)
     good = np.isfinite(starts).all(axis=-1) & np.isfinite(lengths) & (lengths > 0.0)
     starts, arrows, lengths = starts[good], arrows[good], lengths[good, None]
@@ -151,8 +151,8 @@ def of_touch(touch: Touch, record: int, row: int, scale: float, width: float) ->
     # Of a short one the head shrinks in all directions.
     thin = heads[:, 0] / (HEAD_SLENDER * head_width)
     return [
-        _between(CYLINDER, starts, shafts, 0.5 * width * thin, touch.color),
-        _between(CONE, starts + shafts, arrows - shafts, 0.5 * head_width * thin, touch.color),
+        _between(CYLINDER, starts, shafts, 0.5 * width * thin, contact.color),
+        _between(CONE, starts + shafts, arrows - shafts, 0.5 * head_width * thin, contact.color),
     ]
 
 
@@ -167,8 +167,8 @@ def _between(kind: int, starts: Array, lengths: Array, radius: Array | float, co
     return Items(kind, None, starts, rotations, scales, np.broadcast_to(color, starts.shape))
 
 
-def same_everywhere(figure: Figure) -> bool:
+def is_static(figure: Figure) -> bool:
     """Whether a figure never moves, and is the same in all environments."""
     arrays: Sequence[NDArray[np.float64]] = (figure.positions, figure.orientations)
-    still = all(len(values) == 1 and bool((values == values[:, :1]).all()) for values in arrays)
-    return still and bool((figure.scales == figure.scales[:1]).all()) and bool(figure.there.all())
+    static = all(len(values) == 1 and bool((values == values[:, :1]).all()) for values in arrays)
+    return static and bool((figure.scales == figure.scales[:1]).all()) and bool(figure.present.all())

@@ -24,7 +24,7 @@ SIDES = (16, 8192)
 SAMPLES = (1, 1024)
 # Where the eye may be: from steeper in front, over what is low; from other sides; from above, into what is deep.
 _FRONT, _SIDES, _SLOPES = -60.0, (30.0, -150.0, 120.0), (22.0, 35.0, 50.0)
-_PLACES = [
+_VIEW_DIRECTIONS = [
     *((_FRONT, elevation) for elevation in _SLOPES),
     *((side, elevation) for elevation in _SLOPES for side in _SIDES),
     *((_FRONT, elevation) for elevation in (65.0, 80.0, 90.0)),
@@ -32,8 +32,8 @@ _PLACES = [
 _HEX = re.compile(r"#([0-9a-fA-F]{2})([0-9a-fA-F]{2})([0-9a-fA-F]{2})")
 
 
-class LookOptions(TypedDict, total=False):
-    """The options of ``Look``, all of which may be left out."""
+class RenderOptions(TypedDict, total=False):
+    """The options of ``RenderStyle``, all of which may be left out."""
 
     size: tuple[int, int]
     view_from: tuple[float, float] | None
@@ -52,7 +52,7 @@ class LookOptions(TypedDict, total=False):
 
 
 @dataclass(frozen=True)
-class Look:
+class RenderStyle:
     """How pictures of a recording look.
 
     Args:
@@ -95,7 +95,7 @@ class Look:
 
     def __post_init__(self) -> None:
         sides = checks.numbers("size", self.size, (2,), limits("pixels", at_least=SIDES[0], at_most=SIDES[1]))
-        checks.whole_numbers("size", sides)
+        checks.integers("size", sides)
         if self.view_from is not None:
             checks.numbers("view_from", self.view_from, (2,))
             checks.numbers("view_from[1]", self.view_from[1], (), limits("degrees", at_least=-90.0, at_most=90.0))
@@ -110,12 +110,12 @@ class Look:
             value = getattr(self, name)
             if value is not None:
                 number = checks.numbers(name, value, (), limits("-", at_least=least, at_most=most))
-                checks.whole_numbers(name, number)
+                checks.integers(name, number)
         for name in ("forces", "together", "labels"):
             checks.switch(name, getattr(self, name))
-        self.colors_behind()
+        self.background_colors()
 
-    def colors_behind(self) -> Array:
+    def background_colors(self) -> Array:
         """Returns the colours at the top and the bottom as displayed, (2, 3) in 0…1."""
         if isinstance(self.background, str) and (found := _HEX.fullmatch(self.background)):
             return np.array([[int(part, 16) / 255.0 for part in found.groups()]] * 2)
@@ -129,10 +129,13 @@ class Look:
         return find_device(self.device)
 
     @property
-    def places(self) -> list[tuple[float, float]]:
+    def view_directions(self) -> list[tuple[float, float]]:
         """Azimuths and elevations of the eye [rad], the first from which what moves is seen is taken."""
-        places = _PLACES if self.view_from is None else [self.view_from]
-        return [(math.radians(float(azimuth)), math.radians(float(elevation))) for azimuth, elevation in places]
+        view_directions = _VIEW_DIRECTIONS if self.view_from is None else [self.view_from]
+        return [
+            (math.radians(float(azimuth)), math.radians(float(elevation)))
+            for azimuth, elevation in view_directions
+        ]
 
 
 def environment_numbers(env: Any) -> list[int] | None:

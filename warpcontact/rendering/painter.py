@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from warpcontact.available import available_threads
 from warpcontact.checks import Array
-from warpcontact.compiling import load_as_launched
+from warpcontact.compiling import compile_as_launched
 from warpcontact.kernels.rendering.paint import View, kernel
 from warpcontact.kernels.rendering.shade import Backdrop, Grid, Light
 from warpcontact.rendering.camera import Camera, direction
@@ -67,14 +67,14 @@ class Painter:
         device = self._stage.device
         # Lengths are in halves of the view, so that no tolerance depends on the scene.
         unit = camera.reach
-        items, (self._backdrop.fade_from, self._backdrop.fade_to) = without_edges(items, camera)
+        items, (self._backdrop.fade_from, self._backdrop.fade_to) = extend_planes(items, camera)
         worlds = [self._stage.world(group, camera.target, unit) for group in (items, marks)]
         view, light = _view(camera, unit, width, height, samples), light_of(camera)
         pixels = wp.empty((width * height, 3), dtype=wp.uint8, device=device)
         grid = _grid(camera, height)
         inputs = [view, *(world.struct for world in worlds), light, grid, self._backdrop]
         paint = kernel()
-        load_as_launched(paint, device)
+        compile_as_launched(paint, device)
         rows = height if device.is_cuda else _ROWS
         launches = []
         for first in range(0, width * height, rows * width):
@@ -91,15 +91,15 @@ class Painter:
         return pixels.numpy().reshape(height, width, 3)
 
 
-def without_edges(items: Sequence[Items], camera: Camera) -> tuple[list[Items], tuple[float, float]]:
+def extend_planes(items: Sequence[Items], camera: Camera) -> tuple[list[Items], tuple[float, float]]:
     """Returns items with planes without end as far as they are seen, and where these fade into the background.
 
     They begin to at the first distance from the target, and have at the second, in halves of the view.
     """
     unit = camera.reach
-    away = max([1.0, *(_farthest(group, camera.target) / unit for group in items if group.endless)])
-    begin, end = (away * distance for distance in _FADE)
-    return [group.spread(camera.target, end * unit) for group in items], (begin, end)
+    scale = max([1.0, *(_farthest(group, camera.target) / unit for group in items if group.infinite)])
+    begin, end = (scale * distance for distance in _FADE)
+    return [group.extend(camera.target, end * unit) for group in items], (begin, end)
 
 
 def _view(camera: Camera, unit: float, width: int, height: int, samples: int) -> View:
@@ -147,5 +147,5 @@ def light_of(camera: Camera) -> Light:
     light.sun_color = wp.vec3(0.76, 0.73, 0.68)
     light.sky_color = wp.vec3(0.40, 0.42, 0.46)
     light.ground_color = wp.vec3(0.24, 0.23, 0.22)
-    light.lamp, light.gloss, light.reach = 0.24, 0.12, 0.5
+    light.lamp, light.gloss, light.occlusion_range = 0.24, 0.12, 0.5
     return light

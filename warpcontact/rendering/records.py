@@ -11,7 +11,7 @@ from warpcontact.checks import Array
 from warpcontact.experiment.run import Run
 from warpcontact.kernels.names import suggestion
 from warpcontact.rendering.look import environment_numbers
-from warpcontact.replay.colors import number_of_each
+from warpcontact.replay.colors import per_environment_number
 from warpcontact.replay.drawing import Drawing
 from warpcontact.scene import Scene
 
@@ -115,4 +115,4 @@ class Source:
 
 
 def _number_of_each(array: xr.DataArray) -> xr.DataArray | None:
-    return None if "time" in array.dims else number_of_each(array)
+    return None if "time" in array.dims else per_environment_number(array)

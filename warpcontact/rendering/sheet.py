@@ -90,7 +90,7 @@ def write_scale(picture: NDArray[np.uint8], name: str, scale: Scale) -> None:
 
     height, width = picture.shape[:2]
     low, high = (scale.low, scale.high) if scale.low <= scale.high else (math.nan, math.nan)
-    name, ends = hostile.shortened(hostile.in_one_line(name), _LONGEST, middle=True), (f"{low:.3g}", f"{high:.3g}")
+    name, ends = hostile.truncate(hostile.single_line(name), _LONGEST, middle=True), (f"{low:.3g}", f"{high:.3g}")
     letters = _letters((0, 0, width, height), [name, "  ".join(ends)])
     if letters < _READABLE:
         return

@@ -8,20 +8,20 @@ import numpy as np
 
 from warpcontact.checks import Array
 from warpcontact.rendering import sheet
-from warpcontact.rendering.camera import LEAST, Camera, direction, framed, moving, spheres_to_see
-from warpcontact.rendering.items import Items, of_curve, of_figure, of_touch
-from warpcontact.rendering.look import Look
+from warpcontact.rendering.camera import LEAST, Camera, bounding_spheres, direction, frame_spheres, moving
+from warpcontact.rendering.items import Items, curve_tube, force_arrows, place_figure
+from warpcontact.rendering.look import RenderStyle
 from warpcontact.rendering.painter import Painter, Picture
-from warpcontact.rendering.sight import Sight, best_seen, targets
+from warpcontact.rendering.sight import Visibility, best_camera, find_targets
 from warpcontact.rendering.stage import Stage
 from warpcontact.replay.colors import Scale
 from warpcontact.replay.drawing import Drawing
 
 # Width of arrows and lines, in sizes of the largest body, and the least and the most in halves of the view.
 WIDTH = 0.03
-THINNEST, THICKEST = 0.007, 0.02
+MIN_WIDTH, MAX_WIDTH = 0.007, 0.02
 # Arrows are no longer than this, in halves of the view.
-LONGEST = 0.6
+MAX_ARROW = 0.6
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,12 +45,12 @@ class Coloring:
         return cls(name, scale, scale.colors(values))
 
 
-class Show:
+class FrameRenderer:
     """What is seen of a drawing.
 
     Args:
         drawing: The drawing.
-        look: How pictures look.
+        style: How pictures look.
         coloring: Colours of what moves, by environment; ``None``: its own.
         overview: Numbers of the records, in the order of the drawing, by which the place of the eye and the length
             of arrows are chosen; ``None``: all.
@@ -59,31 +59,31 @@ class Show:
     def __init__(
         self,
         drawing: Drawing,
-        look: Look,
+        style: RenderStyle,
         coloring: Coloring | None = None,
         overview: Sequence[int] | None = None,
     ) -> None:
         self.drawing = drawing
-        self._look = look
+        self._style = style
         self._coloring = coloring
-        self._stage = Stage(drawing, look.find_device())
-        self._painter = Painter(self._stage, look.colors_behind(), look.threads)
+        self._stage = Stage(drawing, style.find_device())
+        self._painter = Painter(self._stage, style.background_colors(), style.threads)
         self._moves = moving(drawing)
         rows = list(range(len(drawing.envs)))
         # The environments in each panel.
-        self._panels = [rows] if look.together else [[row] for row in rows]
-        width, height = look.size
+        self._panels = [rows] if style.together else [[row] for row in rows]
+        width, height = style.size
         self._places = sheet.places(len(self._panels), width, height)
         left, top, right, bottom = self._places[0]
         overview = range(len(drawing.times)) if overview is None else overview
         self._force_scale = (
-            _force_scale(drawing, overview) if look.force_scale is None else float(look.force_scale)
+            _force_scale(drawing, overview) if style.force_scale is None else float(style.force_scale)
         )
         self.camera = self._camera(overview, (right - left) / (bottom - top))
         reach = self.camera.reach
-        self._width = min(max(WIDTH * drawing.size, THINNEST * reach), THICKEST * reach)
-        if look.force_scale is None and (largest := _largest(drawing, range(len(drawing.times)))) > 0.0:
-            self._force_scale = min(self._force_scale, LONGEST * reach / largest)
+        self._width = min(max(WIDTH * drawing.size, MIN_WIDTH * reach), MAX_WIDTH * reach)
+        if style.force_scale is None and (largest := _largest(drawing, range(len(drawing.times)))) > 0.0:
+            self._force_scale = min(self._force_scale, MAX_ARROW * reach / largest)
 
     def picture(self, record: int, time: float | None = None, samples: int | None = None) -> Picture:
         """Returns a picture, (height, width, 3) sRGB.
@@ -93,17 +93,17 @@ class Show:
             time: What to write into it [s].
             samples: Most rays of a pixel; ``None``: as it should look.
         """
-        samples = self._look.samples if samples is None else samples
-        width, height = self._look.size
+        samples = self._style.samples if samples is None else samples
+        width, height = self._style.size
         whole = np.empty((height, width, 3), dtype=np.uint8)
         whole[:] = sheet.GAP_COLOR
         for rows, (left, top, right, bottom) in zip(self._panels, self._places, strict=True):
             items = [group for group, _ in self._items(record, rows, self._width)]
-            marks = self._arrows(record, rows) if self._look.forces else []
+            marks = self._arrows(record, rows) if self._style.forces else []
             whole[top:bottom, left:right] = self._painter.paint(
                 items, marks, self.camera, (right - left, bottom - top), samples
             )
-        if self._look.labels:
+        if self._style.labels:
             names = [f"environment {self.drawing.envs[rows[0]]}" for rows in self._panels]
             texts = names if len(self._panels) > 1 else [""]
             sheet.write(whole, self._places, texts, "" if time is None else f"{time:.3f} s")
@@ -120,18 +120,20 @@ class Show:
         for figure, moves in zip(self.drawing.figures, self._moves, strict=True):
             for row in rows if moves else rows[:1]:
                 color = self._coloring.colors[row] if self._coloring is not None and moves else None
-                found.append((of_figure(figure, record, row, color=color, ruled=not moves, least=width), moves))
+                found.append(
+                    (place_figure(figure, record, row, color=color, has_grid=not moves, least=width), moves)
+                )
         for curve in self.drawing.curves:
             for row in rows:
-                found += [(group, True) for group in of_curve(curve, record, row, width)]
+                found += [(group, True) for group in curve_tube(curve, record, row, width)]
         return found
 
     def _arrows(self, record: int, rows: list[int]) -> list[Items]:
         return [
             group
-            for touch in self.drawing.touches
+            for contact in self.drawing.contact_forces
             for row in rows
-            for group in of_touch(touch, record, row, self._force_scale, self._width)
+            for group in force_arrows(contact, record, row, self._force_scale, self._width)
         ]
 
     def _camera(self, overview: Sequence[int], aspect: float) -> Camera:
@@ -142,38 +144,38 @@ class Show:
             for group, moves in self._items(record, rows, WIDTH * self.drawing.size)
             if moves or record == overview[0]
         ]
-        centres, radii = spheres_to_see(self.drawing, items)
-        if self._look.forces:
+        centres, radii = bounding_spheres(self.drawing, items)
+        if self._style.forces:
             tips = [
                 (points + self._force_scale * forces)[(forces != 0.0).any(axis=-1)]
-                for touch in self.drawing.touches
-                for points, forces in [(touch.points[list(overview)], touch.forces[list(overview)])]
+                for contact in self.drawing.contact_forces
+                for points, forces in [(contact.points[list(overview)], contact.forces[list(overview)])]
             ]
             centres = np.concatenate([centres, *tips])
             radii = np.concatenate([radii, np.zeros(len(centres) - len(radii))])
-        target = None if self._look.look_at is None else np.array(self._look.look_at, dtype=np.float64)
+        target = None if self._style.look_at is None else np.array(self._style.look_at, dtype=np.float64)
         cameras = [
-            framed(
+            frame_spheres(
                 centres,
                 radii,
                 direction(azimuth, elevation),
-                math.radians(float(self._look.fov)),
+                math.radians(float(self._style.fov)),
                 aspect,
                 target=target,
-                distance=None if self._look.distance is None else float(self._look.distance),
+                distance=None if self._style.distance is None else float(self._style.distance),
                 least=LEAST * self.drawing.size,
             )
-            for azimuth, elevation in self._look.places
+            for azimuth, elevation in self._style.view_directions
         ]
         if len(cameras) == 1:
             return cameras[0]
-        panels = targets(self.drawing, self._panels, overview)
-        return best_seen(Sight(self._stage, panels, cameras[0]), cameras, aspect)
+        panels = find_targets(self.drawing, self._panels, overview)
+        return best_camera(Visibility(self._stage, panels, cameras[0]), cameras, aspect)
 
 
 def _largest(drawing: Drawing, records: Sequence[int]) -> float:
     """Returns the largest force in some records [N]."""
-    forces = (np.linalg.norm(touch.forces[list(records)], axis=-1) for touch in drawing.touches)
+    forces = (np.linalg.norm(contact.forces[list(records)], axis=-1) for contact in drawing.contact_forces)
     return max((float(sizes.max(initial=0.0)) for sizes in forces), default=0.0)
 
 

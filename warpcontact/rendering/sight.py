@@ -8,22 +8,22 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.checks import Array
-from warpcontact.frames import placed
+from warpcontact.frames import transform_points
 from warpcontact.kernels.rendering.sight import kernel
 from warpcontact.rendering.camera import Camera
-from warpcontact.rendering.items import Items, bounds, of_figure
-from warpcontact.rendering.painter import without_edges
+from warpcontact.rendering.items import Items, bounds, place_figure
+from warpcontact.rendering.painter import extend_planes
 from warpcontact.rendering.stage import Stage
 from warpcontact.replay.drawing import Drawing, Figure
 from warpcontact.replay.triangles import ball
 
 # A body is seen if it is in at least this part of the records; a place from which this part of the bodies is seen
 # is good enough.
-OF_RECORDS, OF_BODIES = 0.75, 0.95
+MIN_RECORD_FRACTION, MIN_BODY_FRACTION = 0.75, 0.95
 # Bodies of a panel, and panels, that are looked for at most.
 BODIES, PANELS = 400, 16
 # Within this distance of its middle nothing hides a body, in halves of the view: points lie on surfaces.
-_NEAR = 0.01
+_MIN_RADIUS = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,15 +33,15 @@ class Targets:
     Attributes:
         centres: Their middles, (record, body, 3), world [m]; NaN where a body is not there.
         radii: Of balls within them, (record, body) [m].
-        still: What never moves.
+        static: What never moves.
     """
 
     centres: Array
     radii: Array
-    still: list[Items]
+    static: list[Items]
 
 
-class Sight:
+class Visibility:
     """What can be seen of bodies.
 
     Args:
@@ -53,11 +53,11 @@ class Sight:
     def __init__(self, stage: Stage, panels: Sequence[Targets], camera: Camera) -> None:
         self._origin, self._unit, self._device = camera.target, camera.reach, stage.device
         self._panels = [
-            (panel, stage.world(without_edges(panel.still, camera)[0], self._origin, self._unit))
+            (panel, stage.world(extend_planes(panel.static, camera)[0], self._origin, self._unit))
             for panel in panels
         ]
 
-    def seen_from(self, camera: Camera, aspect: float) -> float:
+    def visible_fraction(self, camera: Camera, aspect: float) -> float:
         """Returns the part of the bodies that are seen in most of the records in which they are in the picture.
 
         1 if there are none. ``aspect`` is the width of the picture by its height.
@@ -67,13 +67,13 @@ class Sight:
         slope = np.tan(0.5 * camera.angle)
         found = []
         for panel, world in self._panels:
-            away = panel.centres - eye
-            depth = slope * (away @ forward)
+            offset = panel.centres - eye
+            depth = slope * (offset @ forward)
             # Without a warning where a body is not there.
-            inside = (np.abs(away @ right) <= aspect * depth) & (np.abs(away @ up) <= depth)
-            radii = np.maximum(panel.radii / self._unit, _NEAR)[inside]
+            inside = (np.abs(offset @ right) <= aspect * depth) & (np.abs(offset @ up) <= depth)
+            radii = np.maximum(panel.radii / self._unit, _MIN_RADIUS)[inside]
             points = (panel.centres[inside] - self._origin) / self._unit
-            free = wp.zeros(len(points), dtype=wp.uint8, device=self._device)
+            is_visible = wp.zeros(len(points), dtype=wp.uint8, device=self._device)
             if len(points):
                 wp.launch(
                     kernel(),
@@ -84,30 +84,30 @@ class Sight:
                         wp.array(points, dtype=wp.vec3, device=self._device),
                         wp.array(radii, dtype=wp.float32, device=self._device),
                     ],
-                    outputs=[free],
+                    outputs=[is_visible],
                     device=self._device,
                 )
-            seen = np.zeros(inside.shape)
-            seen[inside] = free.numpy()
-            there = inside.sum(axis=0)
-            found.append((seen.sum(axis=0) >= OF_RECORDS * there)[there > 0])
+            visible = np.zeros(inside.shape)
+            visible[inside] = is_visible.numpy()
+            in_picture = inside.sum(axis=0)
+            found.append((visible.sum(axis=0) >= MIN_RECORD_FRACTION * in_picture)[in_picture > 0])
         bodies = np.concatenate(found) if found else np.zeros(0, dtype=bool)
         return float(bodies.mean()) if len(bodies) else 1.0
 
 
-def best_seen(sight: Sight, cameras: Sequence[Camera], aspect: float) -> Camera:
+def best_camera(visibility: Visibility, cameras: Sequence[Camera], aspect: float) -> Camera:
     """Returns the first camera from which nearly all bodies are seen, or else the first that sees most of them."""
     best, most = cameras[0], -1.0
     for camera in cameras:
-        part = sight.seen_from(camera, aspect)
+        part = visibility.visible_fraction(camera, aspect)
         if part > most:
             best, most = camera, part
-        if part >= OF_BODIES:
+        if part >= MIN_BODY_FRACTION:
             break
     return best
 
 
-def targets(drawing: Drawing, panels: Sequence[Sequence[int]], records: Sequence[int]) -> list[Targets]:
+def find_targets(drawing: Drawing, panels: Sequence[Sequence[int]], records: Sequence[int]) -> list[Targets]:
     """Returns what is to be seen in some of the panels, and may be hidden; none if nothing may be.
 
     Args:
@@ -115,9 +115,9 @@ def targets(drawing: Drawing, panels: Sequence[Sequence[int]], records: Sequence
         panels: Rows of the environments in each.
         records: Numbers of the records that tell where bodies are.
     """
-    still = [figure for figure in drawing.figures if len(figure.positions) == len(figure.orientations) == 1]
-    moving = [figure for figure in drawing.figures if figure not in still]
-    if not still or not moving:
+    static = [figure for figure in drawing.figures if len(figure.positions) == len(figure.orientations) == 1]
+    moving = [figure for figure in drawing.figures if figure not in static]
+    if not static or not moving:
         return []
     found = []
     for number in _evenly(len(panels), PANELS):
@@ -125,8 +125,8 @@ def targets(drawing: Drawing, panels: Sequence[Sequence[int]], records: Sequence
         parts = [_bodies(figure, row, records) for figure in moving for row in rows]
         centres, radii = (np.concatenate(column, axis=1) for column in zip(*parts, strict=True))
         chosen = _evenly(centres.shape[1], BODIES)
-        standing = [of_figure(figure, 0, row) for figure in still for row in rows]
-        found.append(Targets(centres[:, chosen], radii[:, chosen], standing))
+        static_items = [place_figure(figure, 0, row) for figure in static for row in rows]
+        found.append(Targets(centres[:, chosen], radii[:, chosen], static_items))
     return found
 
 
@@ -138,9 +138,9 @@ def _bodies(figure: Figure, row: int, records: Sequence[int]) -> tuple[Array, Ar
     )
     scales = np.broadcast_to(figure.scales[row], positions.shape)
     middle, half = (np.zeros(3), np.ones(3)) if figure.shape is ball() else bounds(figure.shape)
-    good = np.isfinite(positions).all(axis=-1) & np.isfinite(rotations).all(axis=-1) & figure.there[row]
+    good = np.isfinite(positions).all(axis=-1) & np.isfinite(rotations).all(axis=-1) & figure.present[row]
     centres = np.full(positions.shape, np.nan)
-    centres[good] = placed((scales[good] * middle)[:, None], positions[good], rotations[good])[:, 0]
+    centres[good] = transform_points((scales[good] * middle)[:, None], positions[good], rotations[good])[:, 0]
     return centres, (scales * half).min(axis=-1)
 
 

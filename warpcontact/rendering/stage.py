@@ -7,7 +7,7 @@ import numpy as np
 import warp as wp
 
 from warpcontact.checks import Array
-from warpcontact.frames import placed
+from warpcontact.frames import transform_points
 from warpcontact.kernels.rendering.world import World
 from warpcontact.rendering.items import Items, bounds
 from warpcontact.replay.colors import linear
@@ -15,7 +15,7 @@ from warpcontact.replay.drawing import Drawing, Shape
 from warpcontact.replay.triangles import ball
 
 # Boxes are larger than what they hold by this part of it: no ray misses what is flat, or is lost to rounding.
-_ROOM = 1.0e-4
+_BOX_MARGIN = 1.0e-4
 # What is smaller than this, in units of the view, cannot be seen.
 _SMALLEST = 1.0e-7
 
@@ -77,10 +77,10 @@ class Stage:
         if items.shape is not None:
             number = self._numbers[id(items.shape)]
             middle, half = self._frames[number]
-            positions = placed((scales * middle)[:, None], positions, items.rotations)[:, 0]
+            positions = transform_points((scales * middle)[:, None], positions, items.rotations)[:, 0]
             scales = scales * half
         centres, halves = items.boxes()
-        room = _ROOM * halves.max(axis=1, keepdims=True) + 1.0e-5 * unit
+        margin = _BOX_MARGIN * halves.max(axis=1, keepdims=True) + 1.0e-5 * unit
         return {
             "kind": np.full(count, items.kind),
             "shape": np.full(count, number),
@@ -88,10 +88,10 @@ class Stage:
             "rotation": items.rotations,
             "scale": scales / unit,
             "color": linear(items.colors),
-            "ruled": np.full(count, items.ruled),
-            "endless": np.full(count, items.endless),
-            "lower": (centres - halves - room - origin) / unit,
-            "upper": (centres + halves + room - origin) / unit,
+            "has_grid": np.full(count, items.has_grid),
+            "infinite": np.full(count, items.infinite),
+            "lower": (centres - halves - margin - origin) / unit,
+            "upper": (centres + halves + margin - origin) / unit,
         }
 
     def _add_mesh(self, shape: Shape) -> None:
@@ -127,14 +127,14 @@ class PlacedWorld:
             "rotation": wp.quat,
             "scale": wp.vec3,
             "color": wp.vec3,
-            "ruled": wp.uint8,
-            "endless": wp.uint8,
+            "has_grid": wp.uint8,
+            "infinite": wp.uint8,
         }
         for name, dtype in types.items():
             setattr(self.struct, name, wp.array(columns[name], dtype=dtype, device=device))
         lower, upper = (wp.array(columns[name], dtype=wp.vec3, device=device) for name in ("lower", "upper"))
         self._tree = wp.Bvh(lower, upper)
-        self.struct.tree = self._tree.id
+        self.struct.bvh = self._tree.id
 
 
 def _check(name: str, shape: Shape) -> None:

@@ -8,13 +8,13 @@ from typing import Any, Unpack
 from PIL import Image
 
 from warpcontact import checks
-from warpcontact.durable import replacing
+from warpcontact.durable import atomic_file
 from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.picture_file import check_path
-from warpcontact.rendering.look import Look, LookOptions
+from warpcontact.rendering.look import RenderOptions, RenderStyle
 from warpcontact.rendering.painter import Picture
 from warpcontact.rendering.records import Source
-from warpcontact.rendering.show import Coloring, Show
+from warpcontact.rendering.show import Coloring, FrameRenderer
 from warpcontact.scene import Scene
 
 STILL = (".png",)
@@ -47,7 +47,7 @@ def render(
     env: int | Iterable[int] | None = None,
     time: float | None = None,
     scene: Scene | None = None,
-    **look: Unpack[LookOptions],
+    **style: Unpack[RenderOptions],
 ) -> Picture:
     """Draws a recording as it is at one time.
 
@@ -58,7 +58,7 @@ def render(
         time: Simulated time [s], of which the nearest record is drawn; ``None``: the last record, of a run that is
             not finished the last that all these environments have.
         scene: What was simulated; ``None``: what the recording remembers.
-        **look: Size, place of the eye and more, see ``LookOptions`` and docs/pictures.md.
+        **look: Size, place of the eye and more, see ``RenderOptions`` and docs/pictures.md.
 
     Returns:
         The picture, (height, width, 3) sRGB in 0…255.
@@ -69,7 +69,7 @@ def render(
         TypeError: If the recording is none.
         OSError: If writing fails.
     """
-    return still(recording, path, env=env, time=time, scene=scene, look=Look(**look)).picture
+    return still(recording, path, env=env, time=time, scene=scene, style=RenderStyle(**style)).picture
 
 
 def still(
@@ -79,7 +79,7 @@ def still(
     env: int | Iterable[int] | None,
     time: float | None,
     scene: Scene | None,
-    look: Look,
+    style: RenderStyle,
 ) -> Still:
     """Draws it, see ``render``, and tells what it is of."""
     file = None if path is None else check_path(path, STILL)
@@ -90,12 +90,12 @@ def still(
     records = sorted({*overview, record})
     drawing = source.drawing(records)
     coloring = None
-    if look.color_by is not None:
-        coloring = Coloring.of(look.color_by, source.numbers(look.color_by, drawing.envs))
-    show = Show(drawing, look, coloring, [records.index(number) for number in overview])
-    picture = show.picture(records.index(record))
+    if style.color_by is not None:
+        coloring = Coloring.of(style.color_by, source.numbers(style.color_by, drawing.envs))
+    frame_renderer = FrameRenderer(drawing, style, coloring, [records.index(number) for number in overview])
+    picture = frame_renderer.picture(records.index(record))
     if file is not None:
-        with replacing(file) as opened:
+        with atomic_file(file) as opened:
             Image.fromarray(picture).save(opened, format="png")
     time = float(drawing.times[records.index(record)])
-    return Still(picture, drawing.envs, time, bool(drawing.touches), source.partial)
+    return Still(picture, drawing.envs, time, bool(drawing.contact_forces), source.partial)

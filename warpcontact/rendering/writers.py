@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from warpcontact.durable import replaced, replacing
+from warpcontact.durable import atomic_file, atomic_path
 from warpcontact.rendering.painter import Picture
 
 #: Pictures per second that browsers still play as told; they show shorter ones for a tenth of a second.
@@ -26,7 +26,9 @@ _LONGEST = 2**16 - 1
 _ENDLESS = b"!\xff\x0bNETSCAPE2.0\x03\x01\0\0\0"
 
 
-def write_gif(path: Path, pictures: Iterable[Picture], count: int, fps: float, tastes: Sequence[Picture]) -> None:
+def write_gif(
+    path: Path, pictures: Iterable[Picture], count: int, fps: float, palette_pictures: Sequence[Picture]
+) -> None:
     """Writes an endless GIF, in the 255 colours that suit some pictures of it best.
 
     Args:
@@ -34,17 +36,19 @@ def write_gif(path: Path, pictures: Iterable[Picture], count: int, fps: float, t
         pictures: All pictures, (height, width, 3) sRGB.
         count: How many there are.
         fps: How many of them a second has.
-        tastes: Some pictures, of one size, to choose colours by.
+        palette_pictures: Some pictures, of one size, to choose colours by.
     """
     from PIL import Image
     from PIL.GifImagePlugin import getdata
 
-    palette = Image.fromarray(_spread(np.concatenate(tastes))).quantize(_COLORS, method=Image.Quantize.MEDIANCUT)
+    palette = Image.fromarray(_spread(np.concatenate(palette_pictures))).quantize(
+        _COLORS, method=Image.Quantize.MEDIANCUT
+    )
     colors = bytes(palette.getpalette() or ())
     # Each picture ends at the tick nearest to its time: rounding does not add up.
     ticks = np.diff([round(number / fps / _TICK) for number in range(count + 1)]).tolist()
     frames = (Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures)
-    with replacing(path) as file:
+    with atomic_file(path) as file:
         for number, (frame, wait) in enumerate(_changes(map(np.asarray, frames), ticks)):
             if not number:
                 height, width = frame.indices.shape
@@ -109,7 +113,7 @@ def write_mp4(path: Path, pictures: Iterable[Picture], fps: float, size: tuple[i
     program = shutil.which("ffmpeg")
     if program is None:
         raise ValueError(f"{path}: an .mp4 file needs ffmpeg, which is not on the PATH; .gif needs nothing")
-    with replaced(path) as part, tempfile.TemporaryFile() as said:
+    with atomic_path(path) as part, tempfile.TemporaryFile() as messages:
         command = [
             *(program, "-hide_banner", "-loglevel", "error", "-y"),
             *("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{size[0]}x{size[1]}", "-r", f"{fps:.9g}", "-i", "-"),
@@ -120,7 +124,9 @@ def write_mp4(path: Path, pictures: Iterable[Picture], fps: float, size: tuple[i
             *("-movflags", "+faststart", "-fflags", "+bitexact", "-flags", "+bitexact", "-f", "mp4"),
             str(part.resolve()),  # a name that begins with "-" would be an option
         ]
-        with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=said) as process:
+        with subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=messages
+        ) as process:
             assert process.stdin is not None
             try:
                 for picture in pictures:
@@ -132,8 +138,8 @@ def write_mp4(path: Path, pictures: Iterable[Picture], fps: float, size: tuple[i
                 process.kill()
                 raise
         if process.returncode:
-            said.seek(0)
-            reason = said.read().decode(errors="replace").strip().splitlines()
+            messages.seek(0)
+            reason = messages.read().decode(errors="replace").strip().splitlines()
             raise ValueError(
                 f"{path}: ffmpeg failed: {reason[-1] if reason else f'exit code {process.returncode}'}; "
                 ".gif needs no ffmpeg"

@@ -52,7 +52,7 @@ class Scale:
         return np.where(good[..., None], colors, MISSING)
 
 
-def number_of_each(array: xr.DataArray) -> xr.DataArray | None:
+def per_environment_number(array: xr.DataArray) -> xr.DataArray | None:
     """Returns a variable as one number for each environment, (env,) or, if it is one in each record, (time, env).
 
     That is so of a parameter of a set, too, if its items agree in each environment. ``None``: it is not so.

@@ -6,12 +6,12 @@ from typing import Any
 
 from warpcontact.checks import Array
 from warpcontact.replay.couplings import Coil, CouplingCurve
-from warpcontact.replay.forces import ForceLines, length_scale, resultants_of
-from warpcontact.replay.forms import FormPlacement, FormSwarm
+from warpcontact.replay.forces import ForceLines, length_scale, resultant_lines
+from warpcontact.replay.forms import ShapePlacement, ShapeSet
 from warpcontact.replay.replay import Replay
-from warpcontact.replay.spheres import Spheres, scene_size, spheres_of
+from warpcontact.replay.spheres import Spheres, find_spheres, scene_size
 from warpcontact.replay.surfaces import Placement
-from warpcontact.replay.swarms import Swarm, swarms_of
+from warpcontact.replay.swarms import BodySet, body_sets_of
 
 #: Width of what has no size, in sizes of its body.
 POINT = 0.03
@@ -27,8 +27,8 @@ class Content:
         placements: The surfaces by their names.
         spheres: Spheres and points of contacts.
         forms: Single shapes.
-        form_swarms: Shapes on sets of bodies.
-        swarms: Spheres and points on sets of bodies.
+        shape_sets: Shapes on sets of bodies.
+        body_sets: Spheres and points on sets of bodies.
         lines: Forces of contacts.
         resultants: Forces of contact couplings and of particle contacts, of which only sums are recorded.
         curves: Couplings.
@@ -40,9 +40,9 @@ class Content:
     poses: dict[str, tuple[Array, Array]]
     placements: dict[str, Placement]
     spheres: list[Spheres]
-    forms: list[FormPlacement]
-    form_swarms: list[FormSwarm]
-    swarms: list[Swarm]
+    forms: list[ShapePlacement]
+    shape_sets: list[ShapeSet]
+    body_sets: list[BodySet]
     lines: list[ForceLines]
     resultants: list[ForceLines]
     curves: list[CouplingCurve]
@@ -53,27 +53,27 @@ class Content:
     def of(cls, replay: Replay, coils: Mapping[str, Coil] | None = None) -> "Content":
         """Gathers it; ``coils``: of springs by their names, if ``replay`` holds not all records."""
         scene = replay.scene
-        spheres = spheres_of(replay)
+        spheres = find_spheres(replay)
         placements = {surface.name: Placement.of(replay, surface) for surface in scene.surfaces}
         poses = {body.name: replay.pose(body) for body in scene.bodies}
-        forms = [FormPlacement.of(replay, shape) for shape in scene.shapes]
+        forms = [ShapePlacement.of(replay, shape) for shape in scene.shapes]
         reaches = [2.0 * form.reach for form in forms if form.shape.body is not None]
         size = max([scene_size(replay, list(placements.values()), spheres), *reaches])
         pushing: list[Any] = [*scene.contacts, *scene.shape_contacts]
         lines = [line for contact in pushing if (line := ForceLines.of(replay, contact))]
-        resultants = resultants_of(replay, poses, lines)
+        resultants = resultant_lines(replay, poses, lines)
         return cls(
             replay=replay,
             poses=poses,
             placements=placements,
             spheres=spheres,
             forms=[form for form in forms if form.shape.single],
-            form_swarms=[
-                FormSwarm(form, poses[form.shape.body.name])
+            shape_sets=[
+                ShapeSet(form, poses[form.shape.body.name])
                 for form in forms
                 if form.shape.body is not None and not form.shape.single
             ],
-            swarms=swarms_of(scene, spheres, poses),
+            body_sets=body_sets_of(scene, spheres, poses),
             lines=lines,
             resultants=resultants,
             curves=[CouplingCurve(replay, one, (coils or {}).get(one.name)) for one in scene.couplings],

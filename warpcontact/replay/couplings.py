@@ -7,7 +7,7 @@ import numpy as np
 
 from warpcontact.checks import Array
 from warpcontact.couplings.elements import Catenary, Coupling, SpringDamper
-from warpcontact.frames import placed
+from warpcontact.frames import transform_points
 from warpcontact.kernels.types import COUPLING_BROKEN
 from warpcontact.replay.replay import Replay
 from warpcontact.replay.spheres import WORLD_COLOR
@@ -40,7 +40,7 @@ class Coil:
         length, axis = _axis(start, end)
         return cls(float(length.max()), np.abs(axis).reshape(-1, 3).max(axis=0))
 
-    def with_records_of(self, other: "Coil") -> "Coil":
+    def merge(self, other: "Coil") -> "Coil":
         """Returns it of the records of both."""
         return Coil(max(self.length, other.length), np.maximum(self.along, other.along))
 
@@ -72,10 +72,10 @@ class CouplingCurve:
         ends = [_places(replay, point) for point in (coupling.point_a, coupling.point_b)]
         self.coil: Coil | None = None
         if isinstance(coupling, Catenary):
-            self.points = hanging(replay, coupling, *ends)
-        elif _is_coiled(coupling):
+            self.points = catenary_points(replay, coupling, *ends)
+        elif _is_coil(coupling):
             self.coil = coil or Coil.of(*ends)
-            self.points = coiled(ends[0], ends[1], self.coil)
+            self.points = coil_points(ends[0], ends[1], self.coil)
         else:
             self.points = np.stack(ends, axis=2)
         status = replay.series(f"{coupling.name}.status")
@@ -84,20 +84,20 @@ class CouplingCurve:
         self.shown = status != COUPLING_BROKEN if may_break else everywhere
 
 
-def coiled(start: Array, end: Array, coil: Coil) -> Array:
+def coil_points(start: Array, end: Array, coil: Coil) -> Array:
     """Returns coils between two places, (…, n, 3), from these (…, 3), all of the radius of the longest."""
     along = end - start
     _, axis = _axis(start, end)
     # The coordinate axis that all of them are farthest from.
     across = np.cross(axis, np.eye(3)[int(np.argmin(coil.along))])
     across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1.0e-9)
-    beside = np.cross(axis, across)
+    normal = np.cross(axis, across)
     part = np.linspace(0.0, 1.0, TURNS * PER_TURN + 1)
     angle = 2.0 * math.pi * TURNS * part
     lead = 0.5 * (1.0 - COILED)
     rows = [start]
     for s, a in zip(lead + COILED * part, angle, strict=True):
-        rows.append(start + s * along + coil.radius * (math.cos(a) * across + math.sin(a) * beside))
+        rows.append(start + s * along + coil.radius * (math.cos(a) * across + math.sin(a) * normal))
     return np.stack([*rows, end], axis=-2)
 
 
@@ -108,7 +108,7 @@ def _axis(start: Array, end: Array) -> tuple[Array, Array]:
     return length, np.where(length > 0.0, along / np.where(length > 0.0, length, 1.0), (0.0, 0.0, 1.0))
 
 
-def hanging(replay: Replay, line: Catenary, start: Array, end: Array) -> Array:
+def catenary_points(replay: Replay, line: Catenary, start: Array, end: Array) -> Array:
     """Returns a catenary between two places over time, (time, env, LINE_POINTS, 3), world [m].
 
     Args:
@@ -131,22 +131,22 @@ def hanging(replay: Replay, line: Catenary, start: Array, end: Array) -> Array:
     )
     # Each record of each environment is an environment of its own.
     model = scene.build(start.shape[0] * start.shape[1], "cpu", "float64")
-    gravity = _over(replay, "scene.gravity", replay.scene.gravity)
+    gravity = _over_time(replay, "scene.gravity", replay.scene.gravity)
     values = {"a.position": start, "b.position": end, "scene.gravity": gravity}
     for key in ("length", "mass_per_length", "axial_stiffness", *(() if floor is None else ("floor",))):
-        values[f"line.{key}"] = _over(replay, f"{line.name}.{key}", getattr(line, key))
+        values[f"line.{key}"] = _over_time(replay, f"{line.name}.{key}", getattr(line, key))
     for name, value in values.items():
         model[name] = value.reshape(-1, *value.shape[2:])
     return model.catenary_shape("line", LINE_POINTS).reshape(*start.shape[:2], LINE_POINTS, 3)
 
 
-def _over(replay: Replay, name: str, default: Array) -> Array:
+def _over_time(replay: Replay, name: str, default: Array) -> Array:
     """Returns a parameter in every record, (time, env, …)."""
     values = replay.setting(name, default)
     return np.broadcast_to(values, (len(replay.codes), *values.shape))
 
 
-def _is_coiled(coupling: Coupling) -> bool:
+def _is_coil(coupling: Coupling) -> bool:
     return isinstance(coupling, SpringDamper) and not bool(coupling.tension_only)
 
 
@@ -156,4 +156,4 @@ def _places(replay: Replay, point: Points) -> Array:
     if point.body is None:
         return np.broadcast_to(local, (len(replay.codes), *local.shape))
     position, orientation = replay.pose(point.body)
-    return placed(np.broadcast_to(local, position.shape)[..., None, :], position, orientation)[..., 0, :]
+    return transform_points(np.broadcast_to(local, position.shape)[..., None, :], position, orientation)[..., 0, :]

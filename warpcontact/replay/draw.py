@@ -7,17 +7,17 @@ import numpy as np
 import xarray as xr
 
 from warpcontact.checks import Array
-from warpcontact.frames import placed, product
+from warpcontact.frames import product, transform_points
 from warpcontact.kernels.smooth import shapes
 from warpcontact.kernels.smooth.plane import Plane
 from warpcontact.replay.content import POINT, Content
-from warpcontact.replay.drawing import Curve, Drawing, Figure, Shape, Touch
-from warpcontact.replay.forms import PLANE, FormPlacement, FormSwarm
+from warpcontact.replay.drawing import ContactForces, Curve, Drawing, Figure, Shape
+from warpcontact.replay.forms import PLANE, ShapePlacement, ShapeSet
 from warpcontact.replay.replay import Replay
 from warpcontact.replay.spheres import Spheres, body_color, body_size
 from warpcontact.replay.surfaces import INACTIVE, Placement, surface_color
-from warpcontact.replay.swarms import Swarm
-from warpcontact.replay.triangles import ball, of_form
+from warpcontact.replay.swarms import BodySet
+from warpcontact.replay.triangles import analytic_shape, ball
 from warpcontact.scene import Body, Scene
 
 # What is round is scaled from one sphere.
@@ -54,7 +54,7 @@ def drawing_of(
             for curve in content.curves
             if curve.coupling.visible
         ],
-        touches=list(_touches(content)),
+        contact_forces=list(_contact_forces(content)),
         size=content.size,
         force_scale=content.force_scale,
     )
@@ -63,23 +63,23 @@ def drawing_of(
 def _figures(content: Content) -> Iterator[Figure]:
     for placement in content.placements.values():
         if placement.surface.visible:
-            yield from _of_surface(content, placement)
+            yield from _surface_figures(content, placement)
     for group in content.spheres:
         if not group.contacts[0].points.spread and any(contact.visible for contact in group.contacts):
-            yield _of_spheres(content, group)
-    for swarm in content.swarms:
-        if _is_seen(content, swarm):
-            yield _of_swarm(content, swarm)
-    yield from _marks(content)
+            yield _sphere_figure(content, group)
+    for body_set in content.body_sets:
+        if _is_visible(content, body_set):
+            yield _body_set_figure(content, body_set)
+    yield from _bare_body_figures(content)
     for form in content.forms:
         if form.shape.visible:
-            yield from _of_form(content, form)
-    for moving in content.form_swarms:
-        if moving.placement.shape.visible:
-            yield from _of_form_swarm(content, moving)
+            yield from _shape_figures(content, form)
+    for shape_set in content.shape_sets:
+        if shape_set.placement.shape.visible:
+            yield from _shape_set_figures(content, shape_set)
 
 
-def _carried(content: Content, body: Body | None, places: Array, turns: Array) -> tuple[Array, Array]:
+def _world_poses(content: Content, body: Body | None, places: Array, turns: Array) -> tuple[Array, Array]:
     """Returns poses (time, env, item, …) in the world of what is fixed to a single body or to the world.
 
     Args:
@@ -91,13 +91,13 @@ def _carried(content: Content, body: Body | None, places: Array, turns: Array) -
     if body is None:
         return places[None], turns[None]
     positions, orientations = content.poses[body.name]
-    moved = placed(places, positions, orientations)
+    moved = transform_points(places, positions, orientations)
     return moved, product(orientations[:, :, None], turns)
 
 
-def _of_surface(content: Content, placement: Placement) -> Iterator[Figure]:
+def _surface_figures(content: Content, placement: Placement) -> Iterator[Figure]:
     surface = placement.surface
-    poses = _carried(content, surface.body, placement.position[:, None], placement.orientation[:, None])
+    poses = _world_poses(content, surface.body, placement.position[:, None], placement.orientation[:, None])
     color = surface_color(surface)
     for index in sorted({int(mesh) for mesh in placement.mesh}):
         mesh, active = surface.meshes[index], surface.active[index]
@@ -107,26 +107,30 @@ def _of_surface(content: Content, placement: Placement) -> Iterator[Figure]:
         yield Figure(surface.name, "surface", shape, color, *poses, scales, (placement.mesh == index)[:, None])
 
 
-def _of_spheres(content: Content, group: Spheres) -> Figure:
+def _sphere_figure(content: Content, group: Spheres) -> Figure:
     turns = np.broadcast_to(_UPRIGHT, (*group.places.shape[:2], 4))
-    poses = _carried(content, group.body, group.places, turns)
+    poses = _world_poses(content, group.body, group.places, turns)
     own = 0.0 if group.body is None else body_size(group.body, content.placements.values(), content.spheres)
-    return _round(content, group.name, body_color(group.body), poses, group.radii, own)
+    return _sphere_figures(content, group.name, body_color(group.body), poses, group.radii, own)
 
 
-def _of_swarm(content: Content, swarm: Swarm) -> Figure:
-    _, orientations = content.poses[swarm.body.name]
-    return _round(content, swarm.name, body_color(swarm.body), (swarm.places, orientations), swarm.radii, 0.0)
+def _body_set_figure(content: Content, body_set: BodySet) -> Figure:
+    _, orientations = content.poses[body_set.body.name]
+    return _sphere_figures(
+        content, body_set.name, body_color(body_set.body), (body_set.places, orientations), body_set.radii, 0.0
+    )
 
 
-def _is_seen(content: Content, swarm: Swarm) -> bool:
+def _is_visible(content: Content, body_set: BodySet) -> bool:
     """Whether a swarm shows something: not hidden contacts, nor the centres of what has shapes of its own."""
-    if swarm.contacts:
-        return any(contact.visible for contact in content.replay.scene.contacts if contact.name in swarm.contacts)
-    return all(moving.placement.shape.body is not swarm.body for moving in content.form_swarms)
+    if body_set.contacts:
+        return any(
+            contact.visible for contact in content.replay.scene.contacts if contact.name in body_set.contacts
+        )
+    return all(shape_set.placement.shape.body is not body_set.body for shape_set in content.shape_sets)
 
 
-def _marks(content: Content) -> Iterator[Figure]:
+def _bare_body_figures(content: Content) -> Iterator[Figure]:
     """Yields a ball for each single body that carries nothing, or it would move unseen."""
     carriers = {placement.surface.body for placement in content.placements.values()}
     carriers |= {group.body for group in content.spheres} | {form.shape.body for form in content.forms}
@@ -140,7 +144,7 @@ def _marks(content: Content) -> Iterator[Figure]:
             )
 
 
-def _round(
+def _sphere_figures(
     content: Content, name: str, color: Array, poses: tuple[Array, Array], radii: Array, own: float
 ) -> Figure:
     """Returns spheres of radii (env, item) [m], or points where all are zero; ``own``: size of their body."""
@@ -151,22 +155,22 @@ def _round(
     return Figure(name, kind, ball(), color, *poses, np.repeat(reach[..., None], 3, axis=2), reach > 0.0)
 
 
-def _of_form(content: Content, form: FormPlacement) -> Iterator[Figure]:
-    poses = _carried(content, form.shape.body, form.positions, form.orientations)
+def _shape_figures(content: Content, form: ShapePlacement) -> Iterator[Figure]:
+    poses = _world_poses(content, form.shape.body, form.positions, form.orientations)
     yield from _by_size(content, form, poses)
 
 
-def _of_form_swarm(content: Content, moving: FormSwarm) -> Iterator[Figure]:
-    yield from _by_size(content, moving.placement, (moving.places, moving.turns))
+def _shape_set_figures(content: Content, shape_set: ShapeSet) -> Iterator[Figure]:
+    yield from _by_size(content, shape_set.placement, (shape_set.places, shape_set.turns))
 
 
-def _by_size(content: Content, form: FormPlacement, poses: tuple[Array, Array]) -> Iterator[Figure]:
+def _by_size(content: Content, form: ShapePlacement, poses: tuple[Array, Array]) -> Iterator[Figure]:
     """Yields one figure for all shapes of one size; what is round is scaled."""
     kind, sizes, shape = form.shape.kind, form.sizes, form.positions.shape[:2]
 
-    def figure(what: Shape, scales: Array, there: Any) -> Figure:
+    def figure(what: Shape, scales: Array, present: Any) -> Figure:
         drawn_as = "plane" if issubclass(kind, Plane) else "shape"
-        return Figure(form.shape.name, drawn_as, what, form.color, *poses, scales, there)
+        return Figure(form.shape.name, drawn_as, what, form.color, *poses, scales, present)
 
     everywhere = np.ones(shape, dtype=bool)
     if issubclass(kind, _ROUND):
@@ -175,17 +179,17 @@ def _by_size(content: Content, form: FormPlacement, poses: tuple[Array, Array]) 
         return
     ones = np.ones((*shape, 3))
     if issubclass(kind, Plane):
-        yield figure(of_form(kind, {}, PLANE * content.size), ones, everywhere)
+        yield figure(analytic_shape(kind, {}, PLANE * content.size), ones, everywhere)
         return
     rows = np.concatenate([values.reshape(*shape, -1) for values in sizes.values()], axis=-1)
     _, first, numbers = np.unique(rows.reshape(-1, rows.shape[-1]), axis=0, return_index=True, return_inverse=True)
     numbers = numbers.reshape(shape)
     for number, entry in enumerate(first.tolist()):
-        drawn = of_form(kind, form.of_item(*divmod(entry, shape[1])), PLANE * content.size)
+        drawn = analytic_shape(kind, form.item_sizes(*divmod(entry, shape[1])), PLANE * content.size)
         yield figure(drawn, ones, numbers == number)
 
 
-def _touches(content: Content) -> Iterator[Touch]:
+def _contact_forces(content: Content) -> Iterator[ContactForces]:
     for lines in content.lines:
         name = lines.contact.name
         if lines.contact.visible:
@@ -193,7 +197,7 @@ def _touches(content: Content) -> Iterator[Touch]:
             if gaps is not None:
                 gaps = gaps.reshape(lines.force.shape[:3])
                 gaps = np.where(gaps < NEAR * content.size, gaps, np.nan)
-            yield Touch(name, lines.color, lines.start, lines.force, gaps)
+            yield ContactForces(name, lines.color, lines.start, lines.force, gaps)
     for lines in content.resultants:
         if lines.contact.visible:
-            yield Touch(lines.contact.name, lines.color, lines.start, lines.force, None)
+            yield ContactForces(lines.contact.name, lines.color, lines.start, lines.force, None)

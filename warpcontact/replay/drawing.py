@@ -42,7 +42,7 @@ class Figure:
         positions: Origins of the frame of the shape, (time, env, item, 3), world [m].
         orientations: Rotations of the shape to the world, (time, env, item, 4), x, y, z, w.
         scales: Factors along the axes of the shape, (env, item, 3).
-        there: Whether it is in an environment at all, (env, item).
+        present: Whether it is in an environment at all, (env, item).
     """
 
     name: str
@@ -52,7 +52,7 @@ class Figure:
     positions: Array
     orientations: Array
     scales: Array
-    there: NDArray[np.bool_]
+    present: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,7 @@ class Curve:
 
 
 @dataclass(frozen=True, eq=False)
-class Touch:
+class ContactForces:
     """The points of a contact, with the forces that act on their body.
 
     Attributes:
@@ -100,7 +100,7 @@ class Drawing:
         envs: Numbers of the environments, in the order of the arrays.
         figures: Bodies and surfaces.
         curves: Couplings.
-        touches: Contacts of which force, normal and point were recorded.
+        contact_forces: Contacts of which force, normal and point were recorded.
         size: Length of the largest body [m], to draw arrows and widths by.
         force_scale: Metres per newton that draw the largest force at 1.5 times ``size``.
     """
@@ -109,7 +109,7 @@ class Drawing:
     envs: list[int]
     figures: list[Figure]
     curves: list[Curve]
-    touches: list[Touch]
+    contact_forces: list[ContactForces]
     size: float
     force_scale: float
 

@@ -9,20 +9,20 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from warpcontact.checks import Array
-from warpcontact.replay.forms import FormPlacement
+from warpcontact.replay.forms import ShapePlacement
 from warpcontact.replay.replay import Replay
-from warpcontact.replay.spheres import Spheres, spheres_of
+from warpcontact.replay.spheres import Spheres, find_spheres
 from warpcontact.replay.surfaces import Placement
 from warpcontact.scene import Body, Scene
 
 # With ``"auto"`` so many poses at most, over all bodies and records, and so many different looks of a body; beyond
 # that environments evenly spread over all.
-MOST_POSES = 2_000_000
-MOST_LOOKS = 256
+MAX_POSES = 2_000_000
+MAX_APPEARANCES = 256
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class BodyAppearance:
     """How the bodies of an element look: a few shapes, and which of them each has at which size.
 
     Attributes:
@@ -43,7 +43,7 @@ class Look:
     reach: float
     surfaces: list[Placement]
     spheres: list[Spheres]
-    forms: list[FormPlacement]
+    forms: list[ShapePlacement]
 
 
 class Ensemble:
@@ -54,13 +54,13 @@ class Ensemble:
 
     Attributes:
         replay: Those of them that are shown.
-        looks: One for each element.
+        appearances: One for each element.
         left_out: Numbers of environments that are not, as a pose of theirs is none.
     """
 
     def __init__(self, replay: Replay) -> None:
         self.replay = replay
-        self.looks = looks_of(replay)
+        self.appearances = body_appearances(replay)
         self.left_out: list[int] = []
         self._good = np.ones(len(replay.envs), dtype=bool)
 
@@ -73,9 +73,9 @@ class Ensemble:
         if ensemble is True:
             return cls(Replay.of(recording, scene, labels.tolist()))
         each = recording.sizes["time"] * sum(body.count for body in scene.bodies)
-        found = cls(Replay.of(recording, scene, _evenly(labels, MOST_POSES // max(1, each))))
-        if max(len(look.examples) for look in found.looks) > MOST_LOOKS:
-            fewer = _evenly(np.array(found.replay.envs), MOST_LOOKS)
+        found = cls(Replay.of(recording, scene, _evenly(labels, MAX_POSES // max(1, each))))
+        if max(len(appearance.examples) for appearance in found.appearances) > MAX_APPEARANCES:
+            fewer = _evenly(np.array(found.replay.envs), MAX_APPEARANCES)
             found = cls(Replay.of(recording, scene, fewer))
         return found
 
@@ -90,7 +90,7 @@ class Ensemble:
             length = np.linalg.norm(found[1], axis=-1, keepdims=True)
             return found[0], found[1] / length
 
-    def look_through(self, first: int, stop: int) -> None:
+    def scan_records(self, first: int, stop: int) -> None:
         """Notes which environments have no poses in some record of that range."""
         for body in self.replay.scene.bodies:
             for values in self.poses(body, first, stop):
@@ -107,11 +107,11 @@ class Ensemble:
         return dropped
 
 
-def looks_of(replay: Replay) -> list[Look]:
+def body_appearances(replay: Replay) -> list[BodyAppearance]:
     """Returns how each element looks."""
     placements = [Placement.of(replay, surface) for surface in replay.scene.surfaces]
-    spheres = spheres_of(replay)
-    forms = [FormPlacement.of(replay, shape) for shape in replay.scene.shapes]
+    spheres = find_spheres(replay)
+    forms = [ShapePlacement.of(replay, shape) for shape in replay.scene.shapes]
     found = []
     for body in replay.scene.bodies:
         carried = [one for one in placements if one.surface.body is body and one.surface.visible]
@@ -121,13 +121,13 @@ def looks_of(replay: Replay) -> list[Look]:
         if carried or shapes or solid:
             # Points are small, and tell nothing of what has a size.
             round_ones = solid
-        found.append(_look(replay, body, carried, round_ones, shapes))
+        found.append(_body_appearance(replay, body, carried, round_ones, shapes))
     return found
 
 
-def _look(
-    replay: Replay, body: Body, surfaces: list[Placement], spheres: list[Spheres], forms: list[FormPlacement]
-) -> Look:
+def _body_appearance(
+    replay: Replay, body: Body, surfaces: list[Placement], spheres: list[Spheres], forms: list[ShapePlacement]
+) -> BodyAppearance:
     envs, items = len(replay.envs), body.count
 
     def rows(values: Array, each: bool) -> Array:
@@ -165,7 +165,7 @@ def _look(
     reaches = [placement.reach for placement in surfaces] + [form.reach for form in forms]
     reaches += [float((np.linalg.norm(group.places, axis=-1) + group.radii).max()) for group in spheres]
     largest = max(reaches, default=0.0) / float(scales.max())
-    return Look(
+    return BodyAppearance(
         body,
         examples,
         numbers.reshape(envs, items),

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from warpcontact.checks import Array
-from warpcontact.frames import placed
+from warpcontact.frames import transform_points
 from warpcontact.piles.elements import ParticleContact
-from warpcontact.replay.forms import FormPlacement
+from warpcontact.replay.forms import ShapePlacement
 from warpcontact.replay.replay import Replay
 from warpcontact.scene import Contact
 from warpcontact.smooth.elements import ShapeContact
@@ -68,7 +68,7 @@ class ForceLines:
         return float(np.linalg.norm(self.force, axis=-1).max())
 
 
-def resultants_of(
+def resultant_lines(
     replay: Replay, poses: Mapping[str, tuple[Array, Array]], lines: list[ForceLines]
 ) -> list[ForceLines]:
     """Returns the forces of contact couplings, at the centre of mass, and of particle contacts, on each shape.
@@ -85,25 +85,25 @@ def resultants_of(
         meaning = "Force on the body of the first surface, from its centre of mass."
         each = force.astype(np.float64).reshape(*shape, 1, 3)
         found.append(ForceLines(coupling.contacts[0], start, each, coupling.name, meaning))
-    for pile in replay.scene.particle_contacts:
-        force = replay.series(f"{pile.name}.force")
+    for particle_contact in replay.scene.particle_contacts:
+        force = replay.series(f"{particle_contact.name}.force")
         if force is not None:
-            start = np.concatenate([_centres(replay, poses, one) for one in pile.shapes], axis=2)
-            each = force.astype(np.float64).reshape(*shape, pile.count, 3)
+            start = np.concatenate([_centres(replay, poses, one) for one in particle_contact.shapes], axis=2)
+            each = force.astype(np.float64).reshape(*shape, particle_contact.count, 3)
             meaning = "Force of the others on each shape, from its centre."
-            found.append(ForceLines(pile, start, each, meaning=meaning))
+            found.append(ForceLines(particle_contact, start, each, meaning=meaning))
     return found
 
 
 def _centres(replay: Replay, poses: Mapping[str, tuple[Array, Array]], shape: Any) -> Array:
     """Returns where shapes are, (time, env, item, 3), world [m]."""
-    local = FormPlacement.of(replay, shape).positions
+    local = ShapePlacement.of(replay, shape).positions
     if shape.body is None:
         return np.broadcast_to(local, (len(replay.codes), *local.shape))
     positions, orientations = poses[shape.body.name]
     if shape.single:
-        return placed(np.broadcast_to(local, (len(positions), *local.shape)), positions, orientations)
-    return placed(local[..., None, :], positions, orientations)[..., 0, :]
+        return transform_points(np.broadcast_to(local, (len(positions), *local.shape)), positions, orientations)
+    return transform_points(local[..., None, :], positions, orientations)[..., 0, :]
 
 
 def length_scale(lines: list[ForceLines], size: float) -> float:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from warpcontact.checks import Array
-from warpcontact.frames import placed, product
+from warpcontact.frames import product, transform_points
 from warpcontact.kernels.smooth import shapes
 from warpcontact.kernels.smooth.patch import ParametricSurface
 from warpcontact.kernels.smooth.plane import Plane
@@ -20,7 +20,7 @@ PLANE = 10.0
 
 
 @dataclass(frozen=True)
-class FormPlacement:
+class ShapePlacement:
     """A shape in the environments of a replay; arrays are (env, item, …).
 
     Attributes:
@@ -36,7 +36,7 @@ class FormPlacement:
     sizes: dict[str, Array]
 
     @classmethod
-    def of(cls, replay: Replay, shape: Shape) -> "FormPlacement":
+    def of(cls, replay: Replay, shape: Shape) -> "ShapePlacement":
         """Returns the shape as recorded, or else as in the scene."""
 
         def setting(key: str, default: Array) -> Array:
@@ -76,10 +76,10 @@ class FormPlacement:
         rows = [self.sizes[key].reshape(count, -1) for key in others]
         _, first = np.unique(np.concatenate([np.zeros((count, 1)), *rows], axis=1), axis=0, return_index=True)
         for number in first.tolist():
-            own = self.of_item(*divmod(number, self.positions.shape[1]))
+            own = self.item_sizes(*divmod(number, self.positions.shape[1]))
             yield {key: most.get(key, value) for key, value in own.items()}
 
-    def of_item(self, row: int, item: int) -> dict[str, Array]:
+    def item_sizes(self, row: int, item: int) -> dict[str, Array]:
         """Returns the parameters of one of them in environment number ``row``."""
         return {key: values[row, item] for key, values in self.sizes.items()}
 
@@ -89,7 +89,7 @@ class FormPlacement:
         return body_color(self.shape.body) if self.shape.color is None else self.shape.color
 
 
-class FormSwarm:
+class ShapeSet:
     """Shapes on the bodies of a set: where they are over time, and which of them are of one size.
 
     Args:
@@ -97,10 +97,10 @@ class FormSwarm:
         poses: Positions (time, env, item, 3) and orientations of the bodies.
     """
 
-    def __init__(self, placement: FormPlacement, poses: tuple[Array, Array]) -> None:
+    def __init__(self, placement: ShapePlacement, poses: tuple[Array, Array]) -> None:
         self.placement = placement
         positions, orientations = poses
-        self.places = placed(placement.positions[..., None, :], positions, orientations)[..., 0, :]
+        self.places = transform_points(placement.positions[..., None, :], positions, orientations)[..., 0, :]
         turns = np.broadcast_to(placement.orientations, orientations.shape)
         self.turns = product(orientations, turns)
         # One prototype for all of one size; spheres and ellipsoids are scaled from one.

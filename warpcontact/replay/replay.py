@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from warpcontact import checks
 from warpcontact.checks import Array
-from warpcontact.frames import placed
+from warpcontact.frames import transform_points
 from warpcontact.recorder import UNCHANGED
 from warpcontact.scene import Body, Contact, Points, Scene, Surface
 
 DEFAULT_ENVIRONMENTS = 16
 # Time codes per second of a single record, which has no interval; the default of USD.
-STILL_RATE = 24.0
+STATIC_RATE = 24.0
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ class Replay:
         recorded = self.static(name, default.shape)
         return np.repeat(default[None], len(self.envs), axis=0) if recorded is None else recorded
 
-    def known(self, name: str, default: Array) -> Array | None:
+    def value_or_default(self, name: str, default: Array) -> Array | None:
         """Returns parameter ``name``, (env, …), as recorded, or ``default`` where a recording says that it is so.
 
         ``None``: nobody knows whether it varied.
@@ -168,7 +168,7 @@ class Replay:
         if points.surface is None:
             return local
         position, orientation, scale = self.pose_of(points.surface)
-        return placed(scale[:, None, None] * local, position, orientation)
+        return transform_points(scale[:, None, None] * local, position, orientation)
 
     def series(self, name: str) -> NDArray[Any] | None:
         """Returns sensor ``name``, (time, env, …), or ``None`` if it was not recorded."""
@@ -226,7 +226,7 @@ def _time_codes(times: Array) -> tuple[list[float], float]:
     Evenly spaced records have codes 0, 1, 2, …; in others the shortest interval is one code.
     """
     if len(times) == 1:
-        return [0.0], STILL_RATE
+        return [0.0], STATIC_RATE
     intervals = np.diff(times)
     mean = float(times[-1] - times[0]) / len(intervals)
     # Times are multiples of the step in double precision; what differs by less than this is rounding.

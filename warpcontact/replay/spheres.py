@@ -52,7 +52,7 @@ class Spheres:
         return bool((self.radii[row] != self.radii[0]).any() or (self.places[row] != self.places[0]).any())
 
 
-def spheres_of(replay: Replay) -> list[Spheres]:
+def find_spheres(replay: Replay) -> list[Spheres]:
     """Returns the spheres and points of all contacts, each once however many contacts it is part of."""
     found: dict[tuple[str, bytes], Spheres] = {}
     for contact in replay.scene.contacts:

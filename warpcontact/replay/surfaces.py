@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from warpcontact.checks import Array
-from warpcontact.frames import placed
+from warpcontact.frames import transform_points
 from warpcontact.replay.replay import Replay
 from warpcontact.replay.spheres import body_color
 from warpcontact.scene import Surface
@@ -49,7 +49,7 @@ class Placement:
         """Corners of the boxes that it fills in its own frame, in that of its carrier, (n, 3) [m]."""
         bounds = np.array([mesh.bounds for mesh in self.surface.meshes])[self.mesh.astype(int)]
         box = np.stack([bounds[:, [i, j, k], [0, 1, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)], axis=1)
-        return placed(self.scale[:, None, None] * box, self.position, self.orientation).reshape(-1, 3)
+        return transform_points(self.scale[:, None, None] * box, self.position, self.orientation).reshape(-1, 3)
 
     @property
     def shared(self) -> bool:

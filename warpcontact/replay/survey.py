@@ -14,7 +14,7 @@ from warpcontact.scene import Body
 
 
 @dataclass
-class Survey:
+class SceneRanges:
     """What the chosen environments take of space and force over time.
 
     Attributes:
@@ -32,19 +32,19 @@ class Survey:
     coils: dict[str, Coil] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, blocks: Iterable[Content]) -> "Survey":
+    def of(cls, blocks: Iterable[Content]) -> "SceneRanges":
         """Returns it of records, block by block."""
-        survey: Survey | None = None
+        ranges: SceneRanges | None = None
         for content in blocks:
-            if survey is None:
+            if ranges is None:
                 count = len(content.replay.envs)
-                survey = cls(0.0, np.full((count, 3), np.inf), np.full((count, 3), -np.inf))
-                sized = _largest(content)
-            survey._add(content)
-        if survey is None:
+                ranges = cls(0.0, np.full((count, 3), np.inf), np.full((count, 3), -np.inf))
+                sized = _body_sizes(content)
+            ranges._add(content)
+        if ranges is None:
             raise ValueError("the recording holds no records")
-        survey._finish(content, sized)
-        return survey
+        ranges._finish(content, sized)
+        return ranges
 
     @property
     def force_scale(self) -> float:
@@ -53,14 +53,14 @@ class Survey:
 
     def _add(self, content: Content) -> None:
         for body in content.replay.scene.bodies:
-            self._reach(content.poses[body.name][0], reach_of(content, body))
+            self._reach(content.poses[body.name][0], body_reach(content, body))
         for curve in content.curves:
             ends = curve.points[:, :, [0, -1]]
             self._reach(curve.points if curve.coil is None else ends, 0.0)
             if curve.coil is not None:
                 name = curve.coupling.name
-                before = self.coils.get(name, curve.coil)
-                self.coils[name] = before.with_records_of(curve.coil)
+                previous = self.coils.get(name, curve.coil)
+                self.coils[name] = previous.merge(curve.coil)
         forces: list[ForceLines] = [*content.lines, *content.resultants]
         self.peak = max([self.peak, *(line.peak() for line in forces)])
 
@@ -74,25 +74,25 @@ class Survey:
         largest, reach = sized
         corners = [placement.corners for placement in content.placements.values()]
         if largest == 0.0:
-            all_of_it = np.concatenate([self.low, self.high, *corners])
-            largest = 0.1 * float(np.linalg.norm(np.ptp(all_of_it, axis=0))) or 1.0
+            all_points = np.concatenate([self.low, self.high, *corners])
+            largest = 0.1 * float(np.linalg.norm(np.ptp(all_points, axis=0))) or 1.0
         self.size = max(largest, reach)
-        around = max((coil.radius for coil in self.coils.values()), default=0.0)
-        self.low -= around
-        self.high += around
+        coil_radius = max((coil.radius for coil in self.coils.values()), default=0.0)
+        self.low -= coil_radius
+        self.high += coil_radius
 
 
-def reach_of(content: Content, body: Body) -> float:
+def body_reach(content: Content, body: Body) -> float:
     """Returns how far what a body carries reaches from its centre of mass in any environment [m]."""
-    forms = [*content.forms, *(moving.placement for moving in content.form_swarms)]
+    forms = [*content.forms, *(shape_set.placement for shape_set in content.shape_sets)]
     own = [form.reach for form in forms if form.shape.body is body]
     return max([0.5 * body_size(body, content.placements.values(), content.spheres), *own])
 
 
-def _largest(content: Content) -> tuple[float, float]:
+def _body_sizes(content: Content) -> tuple[float, float]:
     """Returns the largest diameter of a body by its surfaces and spheres, and by its shapes [m]."""
     bodies, placements = content.replay.scene.bodies, content.placements.values()
-    forms = [*content.forms, *(moving.placement for moving in content.form_swarms)]
+    forms = [*content.forms, *(shape_set.placement for shape_set in content.shape_sets)]
     by_shapes = [2.0 * form.reach for form in forms if form.shape.body is not None]
     by_surfaces = [body_size(body, placements, content.spheres) for body in bodies]
     return max(by_surfaces, default=0.0), max(by_shapes, default=0.0)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from warpcontact.checks import Array
-from warpcontact.frames import placed
+from warpcontact.frames import transform_points
 from warpcontact.replay.spheres import Spheres
 from warpcontact.scene import Body, Scene
 
@@ -15,7 +15,7 @@ CENTRES = "centres"
 
 
 @dataclass(frozen=True)
-class Swarm:
+class BodySet:
     """Spheres, or points, one on each body of a set.
 
     Attributes:
@@ -38,7 +38,9 @@ class Swarm:
         return not self.radii.any()
 
 
-def swarms_of(scene: Scene, spheres: Sequence[Spheres], poses: Mapping[str, tuple[Array, Array]]) -> list[Swarm]:
+def body_sets_of(
+    scene: Scene, spheres: Sequence[Spheres], poses: Mapping[str, tuple[Array, Array]]
+) -> list[BodySet]:
     """Returns what the sets of bodies carry.
 
     Args:
@@ -53,8 +55,8 @@ def swarms_of(scene: Scene, spheres: Sequence[Spheres], poses: Mapping[str, tupl
         positions, orientations = poses[body.name]
         own = [group for group in spheres if group.body is body]
         for group in own:
-            places = placed(group.places[..., None, :], positions, orientations)[..., 0, :]
-            found.append(Swarm(body, group.name, [one.name for one in group.contacts], places, group.radii))
+            places = transform_points(group.places[..., None, :], positions, orientations)[..., 0, :]
+            found.append(BodySet(body, group.name, [one.name for one in group.contacts], places, group.radii))
         if not own:
-            found.append(Swarm(body, CENTRES, [], positions, np.zeros(positions.shape[1:3])))
+            found.append(BodySet(body, CENTRES, [], positions, np.zeros(positions.shape[1:3])))
     return found

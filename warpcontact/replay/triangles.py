@@ -17,7 +17,7 @@ from warpcontact.replay.drawing import Shape
 from warpcontact.smooth.tessellate import tessellate
 
 # Faces that meet at less than this look round.
-SMOOTH = math.radians(25.0)
+SHAPE_CONTACT_MEASURES = math.radians(25.0)
 # Halvings of an icosahedron that make a sphere.
 LEVEL = 3
 # Sides of what has a circular edge.
@@ -34,7 +34,7 @@ def ball() -> Shape:
     return Shape(mesh.vertices, mesh.faces, normals=normals)
 
 
-def of_form(kind: type[Form], sizes: Mapping[str, Array], reach: float) -> Shape:
+def analytic_shape(kind: type[Form], sizes: Mapping[str, Array], reach: float) -> Shape:
     """Returns a shape of analytic form; ``reach``: half the side of what is drawn of a half-space [m]."""
     if kind is shapes.Cylinder:
         height = 2.0 * float(sizes["half_length"])
@@ -60,7 +60,7 @@ def smooth(vertices: Array, faces: Any) -> Shape:
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     mesh = trimesh.Trimesh(vertices, faces[area > NEAR**2 * size**2], process=False)
-    split = trimesh.graph.smooth_shade(mesh, angle=SMOOTH, facet_minarea=None)
+    split = trimesh.graph.smooth_shade(mesh, angle=SHAPE_CONTACT_MEASURES, facet_minarea=None)
     return Shape(
         np.asarray(split.vertices),
         np.asarray(split.faces, dtype=np.int32),

@@ -41,8 +41,8 @@ class Axis:
 
     def __post_init__(self) -> None:
         if not self.high - self.low > NOTHING:
-            room = abs(self.low) * 0.05 or 0.5
-            self.low, self.high = self.low - room, self.high + room
+            margin = abs(self.low) * 0.05 or 0.5
+            self.low, self.high = self.low - margin, self.high + margin
         self.factor, self.label = scaled(self.unit, max(abs(self.low), abs(self.high)))
 
     def place(self, values: Array) -> Array:

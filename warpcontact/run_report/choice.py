@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.health import Health
-from warpcontact.run_report.outcomes import Spread
+from warpcontact.run_report.outcomes import OutcomeSpread
 
 # Of those that nobody asked for.
 FIRST = 16
@@ -21,11 +21,11 @@ class Choice:
 
     Attributes:
         reasons: Why each was chosen, by its number.
-        asked: Whether somebody named them.
+        requested: Whether somebody named them.
     """
 
     reasons: dict[int, list[str]] = field(default_factory=dict)
-    asked: bool = False
+    requested: bool = False
 
     @property
     def envs(self) -> list[int]:
@@ -44,12 +44,12 @@ class Choice:
 
 
 def choose(
-    asked: Iterable[int] | None, numbers: NDArray[np.int64], health: Health, spreads: Sequence[Spread]
+    requested: Iterable[int] | None, numbers: NDArray[np.int64], health: Health, spreads: Sequence[OutcomeSpread]
 ) -> Choice:
     """Returns which environments are shown one by one.
 
     Args:
-        asked: Those that somebody named; ``None``: the first, some of those that are frozen, and those in which
+        requested: Those that the user named; ``None``: the first, some that are frozen, and those in which
             outcomes are smallest and largest.
         numbers: Those that there are.
         health: Which are frozen.
@@ -65,22 +65,22 @@ def choose(
         if spread.lowest is not None and spread.highest is not None and spread.lowest != spread.highest:
             reasons.add(spread.lowest, f"smallest {spread.column.name}")
             reasons.add(spread.highest, f"largest {spread.column.name}")
-    choice = Choice(asked=asked is not None)
-    there = set(numbers.tolist())
-    if asked is None:
-        wanted = [*numbers[:1].tolist(), *reasons.envs, *numbers[:FIRST].tolist()]
+    choice = Choice(requested=requested is not None)
+    available = set(numbers.tolist())
+    if requested is None:
+        candidates = [*numbers[:1].tolist(), *reasons.envs, *numbers[:FIRST].tolist()]
     else:
-        wanted = list(asked)
-        for env in wanted:
+        candidates = list(requested)
+        for env in candidates:
             if isinstance(env, bool) or not isinstance(env, int | np.integer):
                 raise ValueError(f"envs must be numbers of environments, got {env!r}")
-            if int(env) not in there:
-                known = f"{numbers.min()} to {numbers.max()}" if len(numbers) else "none"
-                raise ValueError(f"environment {env} has no results to report; there are: {known}")
-        if not wanted:
+            if int(env) not in available:
+                available_text = f"{numbers.min()} to {numbers.max()}" if len(numbers) else "none"
+                raise ValueError(f"environment {env} has no results to report; there are: {available_text}")
+        if not candidates:
             raise ValueError("envs must name at least one environment, got none")
-    for env in wanted:
-        if int(env) in there:
+    for env in candidates:
+        if int(env) in available:
             choice.add(env)
     for env in choice.envs:
         for reason in reasons.reasons.get(env, []):

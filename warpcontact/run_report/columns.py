@@ -74,9 +74,9 @@ def too_many_in(data: xr.Dataset) -> list[str]:
 def _is_shown(array: xr.DataArray) -> bool:
     if "env" not in array.dims or array.dtype.kind not in "biuf":
         return False
-    return _of_each(array) <= MOST or _of_each(merged_items(array)) <= MOST
+    return _values_per_env(array) <= MOST or _values_per_env(merged_items(array)) <= MOST
 
 
-def _of_each(array: xr.DataArray) -> int:
+def _values_per_env(array: xr.DataArray) -> int:
     """Returns the number of values of each environment."""
     return int(np.prod([array.sizes[dim] for dim in array.dims if dim != "env"], initial=1))

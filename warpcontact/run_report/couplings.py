@@ -31,8 +31,10 @@ def section(reports: Sequence[CouplingReport]) -> Markup | None:
         )
         if report.impact is not None:
             expected_gap, expected_area = quantity(report.impact.closest, "m"), quantity(report.impact.area, "m²")
-            told = f": the range was made for a closest distance of {expected_gap} and an area of {expected_area}."
-            expected.append(element("p", name(report.name), told, class_="note"))
+            sentences = (
+                f": the range was made for a closest distance of {expected_gap} and an area of {expected_area}."
+            )
+            expected.append(element("p", name(report.name), sentences, class_="note"))
     head = (
         "coupling",
         "in range",

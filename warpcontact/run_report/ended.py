@@ -25,17 +25,17 @@ def section(health: Health, outcome: xr.Dataset) -> Markup:
         parts.append(element("p", "No environment failed.", class_="note"))
     else:
         were = "was" if len(health.frozen) == 1 else "were"
-        told = (
+        sentences = (
             f"{several(len(health.frozen), 'environment')} failed, and {were} held at the last good state before."
         )
         if len(health.frozen) > ROWS:
-            told += f" The first {ROWS}:"
+            sentences += f" The first {ROWS}:"
         rows = [
             (replay_button(int(env)), quantity(time, "s", 6), _CAUSES.get(cause, cause.name))
             for env, cause, time in zip(health.frozen[:ROWS], health.causes, health.times, strict=False)
         ]
         parts += [
-            element("p", told, class_="note"),
+            element("p", sentences, class_="note"),
             table(("environment", "held at", "cause"), rows, numbers=(1,)),
         ]
     if len(health.stopped):

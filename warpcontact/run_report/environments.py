@@ -17,10 +17,10 @@ COLUMNS = 40
 # Names in a note.
 NAMED = 6
 # Of these a column that is the same everywhere says nothing.
-_QUIET = ("resets", "events_missed", "stopped_by", "cause", "end_time")
+_OMITTED_COLUMNS = ("resets", "events_missed", "stopped_by", "cause", "end_time")
 
 
-def rows_of(envs: NDArray[np.int64], first: Iterable[int]) -> NDArray[np.intp]:
+def table_rows(envs: NDArray[np.int64], first: Iterable[int]) -> NDArray[np.intp]:
     """Returns where the environments of the table are: those that have to be in it, and others evenly spread."""
     if len(envs) <= ROWS:
         return np.arange(len(envs))
@@ -39,30 +39,30 @@ def section(params: xr.Dataset, outcome: xr.Dataset, first: Iterable[int]) -> tu
         first: Environments that must not be missing if there is no room for all.
     """
     envs = np.asarray(outcome["env"].values)
-    rows = rows_of(envs, first)
+    rows = table_rows(envs, first)
     shown = outcome.isel(env=rows)
     both = [name for name in params if name in outcome]
     own = params.drop_vars(both).sel(env=shown["env"])
-    given = _telling(columns_of(own), parameters=True)
-    measured = _telling(columns_of(shown), parameters=False)
+    given = _informative_columns(columns_of(own), parameters=True)
+    measured = _informative_columns(columns_of(shown), parameters=False)
     columns = list(islice((*measured, *given), COLUMNS))
     more = len(measured) + len(given) - len(columns)
-    told = [f"{several(len(envs), 'environment')}."]
+    sentences = [f"{several(len(envs), 'environment')}."]
     if len(rows) < len(envs):
-        told = [
+        sentences = [
             f"{count(len(rows))} of {several(len(envs), 'environment')}: those that failed or are replayed, and "
             "others evenly spread. All of them: warpcontact export DIR --csv FILE."
         ]
     if more:
-        told.append(f"{several(more, 'further column')} left out.")
+        sentences.append(f"{several(more, 'further column')} left out.")
     if sets := [*too_many_in(shown), *too_many_in(own)]:
         named = ", ".join(short(one, 40) for one in sets[:NAMED])
         others = f" and {count(len(sets) - NAMED)} more" if len(sets) > NAMED else ""
-        told.append(f"What has many numbers in each environment is left out: {named}{others}.")
-    told.append("Parameters that are the same everywhere are left out.")
+        sentences.append(f"What has many numbers in each environment is left out: {named}{others}.")
+    sentences.append("Parameters that are the same everywhere are left out.")
     content = joined(
         [
-            element("p", " ".join(told), class_="note"),
+            element("p", " ".join(sentences), class_="note"),
             _filter(),
             element(
                 "div",
@@ -83,13 +83,13 @@ def section(params: xr.Dataset, outcome: xr.Dataset, first: Iterable[int]) -> tu
     return content, data
 
 
-def _telling(columns: Iterable[Column], *, parameters: bool) -> list[tuple[Column, NDArray[Any]]]:
+def _informative_columns(columns: Iterable[Column], *, parameters: bool) -> list[tuple[Column, NDArray[Any]]]:
     """Returns the columns that tell anything, with their values."""
     found: list[tuple[Column, NDArray[Any]]] = []
     for column in columns:
         values = column.values
         alike = len(values) > 1 and bool((values == values[:1]).all())
-        if alike and (parameters or column.variable in _QUIET):
+        if alike and (parameters or column.variable in _OMITTED_COLUMNS):
             continue
         if parameters and any(
             other.variable == column.variable and np.array_equal(known, values) for other, known in found

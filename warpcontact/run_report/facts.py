@@ -7,7 +7,7 @@ from typing import Any
 
 from warpcontact.contact_warning import WarningLevel, split_label
 from warpcontact.experiment.folder import EXPERIMENT
-from warpcontact.experiment.probe import spoken
+from warpcontact.experiment.probe import duration_text
 from warpcontact.experiment.status import RunStatus
 from warpcontact.number_format import count, number, quantity, several
 from warpcontact.run_folder import RunPath
@@ -17,7 +17,7 @@ from warpcontact.run_report.markup import Markup, clean, element, joined, name, 
 SETTINGS = 100_000
 NOTICES = 50
 NOTICE = 600
-_HOW_IT_IS = {
+_STATE_TEXTS = {
     "running": "is at work",
     "stopped": "was ended from outside, and can go on with --resume",
     "interrupted": "was interrupted, and can go on with --resume",
@@ -27,22 +27,22 @@ _HOW_IT_IS = {
 
 def tiles(summary: Mapping[str, Any], status: RunStatus) -> Markup:
     """Returns the first glance."""
-    told = [
+    entries = [
         ("environments", count(summary["envs"])),
         ("simulated", quantity(summary["duration"], "s", 6)),
         ("time step", quantity(summary["dt"], "s", 6)),
-        ("stepping took", spoken(_wall_time(summary, status))),
+        ("stepping took", duration_text(_wall_time(summary, status))),
         ("env. steps per second", number(_rate(summary, status), 3)),
         ("quarantined", count(status.frozen)),
     ]
-    entries = [element("div", element("dt", label), element("dd", value)) for label, value in told]
-    return element("dl", joined(entries), class_="tiles")
+    tiles_html = [element("div", element("dt", label), element("dd", value)) for label, value in entries]
+    return element("dl", joined(tiles_html), class_="tiles")
 
 
 def subtitle(summary: Mapping[str, Any]) -> str:
     """Returns what is below the title."""
-    told = [summary.get("device", ""), summary.get("precision", ""), summary.get("integrator", "")]
-    return " · ".join(short(word, 80) for word in told if word)
+    entries = [summary.get("device", ""), summary.get("precision", ""), summary.get("integrator", "")]
+    return " · ".join(short(word, 80) for word in entries if word)
 
 
 def notices(summary: Mapping[str, Any], status: RunStatus) -> Markup:
@@ -50,12 +50,12 @@ def notices(summary: Mapping[str, Any], status: RunStatus) -> Markup:
     parts = []
     if status.state != "finished":
         every = several(summary["envs"], "environment")
-        told = (
-            f"This run {_HOW_IT_IS.get(status.state, status.state)}: {count(status.finished_envs)} of {every} "
+        entries = (
+            f"This run {_STATE_TEXTS.get(status.state, status.state)}: {count(status.finished_envs)} of {every} "
             f"are finished, in {count(status.finished_shards)} of {several(status.shards, 'shard')}. "
             "The report has what was committed when it was made."
         )
-        parts.append(element("p", told, class_="notice bad", role="status"))
+        parts.append(element("p", entries, class_="notice bad", role="status"))
     for shard, message in summary.get("failed", {}).items():
         parts.append(element("p", name(shard), " failed: ", short(message, NOTICE), class_="notice bad"))
     listed = summary.get("warnings", [])
@@ -79,7 +79,7 @@ def section(folder: Path, summary: Mapping[str, Any], status: RunStatus) -> Mark
     """Returns the section of the page: everything by which the run can be told and repeated."""
     versions = summary.get("versions")
     programs = versions.items() if isinstance(versions, dict) else ()
-    told: list[tuple[Any, Any]] = [
+    entries: list[tuple[Any, Any]] = [
         ("name", name(summary["name"])),
         ("state", status.state),
         ("environments", count(summary["envs"])),
@@ -93,13 +93,13 @@ def section(folder: Path, summary: Mapping[str, Any], status: RunStatus) -> Mark
         ("device", name(summary["device"])),
         ("machine", name(summary.get("machine", "–"))),
         ("started", name(summary.get("started", "–"))),
-        ("time of stepping", spoken(_wall_time(summary, status))),
+        ("time of stepping", duration_text(_wall_time(summary, status))),
         ("versions", joined(element("div", name(key), " ", name(value)) for key, value in programs)),
         ("fingerprint", element("code", short(summary["fingerprint"], 80), class_="wrap")),
     ]
     for file, sha in summary.get("law_files", {}).items():
-        told.append((name(file), element("code", short(sha, 80), class_="wrap")))
-    facts = table(("", "value"), ((element("b", key), value) for key, value in told), class_="plain")
+        entries.append((name(file), element("code", short(sha, 80), class_="wrap")))
+    facts = table(("", "value"), ((element("b", key), value) for key, value in entries), class_="plain")
     return joined([facts, _settings(folder)])
 
 
@@ -118,10 +118,10 @@ def _settings(folder: Path) -> Markup:
 
 
 def _wall_time(summary: Mapping[str, Any], status: RunStatus) -> float:
-    told = summary.get("wall_time")
-    return float(told) if isinstance(told, int | float) else status.wall_time
+    entries = summary.get("wall_time")
+    return float(entries) if isinstance(entries, int | float) else status.wall_time
 
 
 def _rate(summary: Mapping[str, Any], status: RunStatus) -> float:
-    told = summary.get("env_steps_per_second")
-    return float(told) if isinstance(told, int | float) else status.rate
+    entries = summary.get("env_steps_per_second")
+    return float(entries) if isinstance(entries, int | float) else status.rate

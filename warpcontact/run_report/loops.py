@@ -42,7 +42,7 @@ class Loop:
     time: float
 
 
-def pairs_of(series: xr.Dataset) -> list[tuple[str, str, str]]:
+def contact_sensors(series: xr.Dataset) -> list[tuple[str, str, str]]:
     """Returns contacts with normal force, and penetration or gap: name, sensor of depth, sensor of force."""
     found = []
     for key in series.data_vars:
@@ -57,21 +57,23 @@ def pairs_of(series: xr.Dataset) -> list[tuple[str, str, str]]:
 
 def section(series: xr.Dataset | None, chosen: list[int]) -> Markup | None:
     """Returns the section of the page, ``None``: there is nothing to draw."""
-    pairs = [] if series is None else pairs_of(series)
+    pairs = [] if series is None else contact_sensors(series)
     if series is None or not pairs:
         return None
-    there = [env for env in chosen if env in series["env"].values]
-    drawn = [(*pair, _loops(series.sel(env=there), *pair[1:])) for pair in pairs[:CHARTS]]
+    available = [env for env in chosen if env in series["env"].values]
+    drawn = [(*pair, _loops(series.sel(env=available), *pair[1:])) for pair in pairs[:CHARTS]]
     pictures = [
         _picture(title, loops, series[force].isel(time=0, env=0).size) for title, _, force, loops in drawn if loops
     ]
-    told = [f"Normal force over penetration at the records of {several(len(there), 'environment')}."]
-    told.append("Records farther apart than a contact lasts show dots, not its loop: [record] every sets it.")
+    sentences = [f"Normal force over penetration at the records of {several(len(available), 'environment')}."]
+    sentences.append("Records farther apart than a contact lasts show dots, not its loop: [record] every sets it.")
     if len(pairs) > CHARTS:
-        told.append(f"{several(len(pairs) - CHARTS, 'further contact')} left out.")
+        sentences.append(f"{several(len(pairs) - CHARTS, 'further contact')} left out.")
     if not pictures:
-        told = ["No record of the chosen environments is in contact."]
-    return joined([element("p", " ".join(told), class_="note"), element("div", joined(pictures), class_="charts")])
+        sentences = ["No record of the chosen environments is in contact."]
+    return joined(
+        [element("p", " ".join(sentences), class_="note"), element("div", joined(pictures), class_="charts")]
+    )
 
 
 def _loops(series: xr.Dataset, depth: str, force: str) -> list[Loop]:
@@ -79,21 +81,21 @@ def _loops(series: xr.Dataset, depth: str, force: str) -> list[Loop]:
     found = []
     for env in series["env"].values:
         # One environment and one point at a time: sets may have many points.
-        own = series[[depth, force]].sel(env=env)
-        items = [dim for dim in own[force].dims if dim != "time"]
+        env_series = series[[depth, force]].sel(env=env)
+        items = [dim for dim in env_series[force].dims if dim != "time"]
         if items:
-            own = own.isel(dict(zip(items, _strongest(own[force], items), strict=True)))
-        forces, depths = own[force].values.astype(np.float64), own[depth].values.astype(np.float64)
-        through = np.maximum(0.0, depths if depth.endswith("penetration") else -depths)
+            env_series = env_series.isel(dict(zip(items, _strongest(env_series[force], items), strict=True)))
+        forces, depths = env_series[force].values.astype(np.float64), env_series[depth].values.astype(np.float64)
+        depths_inside = np.maximum(0.0, depths if depth.endswith("penetration") else -depths)
         good = np.isfinite(forces) & np.isfinite(depths)
-        touching = good & ((through > 0.0) | (forces != 0.0))
-        if not forces[touching].any():
+        in_contact = good & ((depths_inside > 0.0) | (forces != 0.0))
+        if not forces[in_contact].any():
             continue
         # Contact phases with the records around them, and gaps within.
-        near = touching.copy()
-        near[1:] |= touching[:-1]
-        near[:-1] |= touching[1:]
-        values = np.where(good[:, None], np.stack([through, forces], axis=1), np.nan)[near]
+        in_contact_or_next = in_contact.copy()
+        in_contact_or_next[1:] |= in_contact[:-1]
+        in_contact_or_next[:-1] |= in_contact[1:]
+        values = np.where(good[:, None], np.stack([depths_inside, forces], axis=1), np.nan)[in_contact_or_next]
         some = values[kept_samples(values, SAMPLES, _length(values))]
         peak = int(np.where(good, forces, -np.inf).argmax())
         found.append(Loop(int(env), some[:, 0], some[:, 1], float(forces[peak]), float(seconds[peak])))
@@ -131,12 +133,12 @@ def _picture(title: str, loops: list[Loop], items: int) -> Markup:
     marks: list[Markup] = []
     for loop in loops:
         across, up = x.place(loop.penetration), y.place(loop.force)
-        touching = (loop.penetration > 0.0) | (np.nan_to_num(loop.force) != 0.0)
+        in_contact = (loop.penetration > 0.0) | (np.nan_to_num(loop.force) != 0.0)
         marks.append(
             element(
                 "g",
                 chart.polyline(across, up, "loop"),
-                chart.dots(across[touching], up[touching], "dots"),
+                chart.dots(across[in_contact], up[in_contact], "dots"),
                 data_env=loop.env,
             )
         )
@@ -151,9 +153,9 @@ def _picture(title: str, loops: list[Loop], items: int) -> Markup:
     )
     force = quantity(y.factor * strongest.largest, y.label, DIGITS)
     depth = quantity(x.factor * deepest, x.label, DIGITS)
-    told = (
+    sentences = (
         f"{several(len(loops), 'environment')} in contact; largest force {force} at "
         f"{quantity(strongest.time, 's', DIGITS)} in environment {strongest.env}; largest penetration {depth}"
     )
     drawing = chart.chart(x, y, marks, about, "penetration", data_loops=True)
-    return element("figure", caption, drawing, element("p", told, class_="note"), class_="chart")
+    return element("figure", caption, drawing, element("p", sentences, class_="note"), class_="chart")

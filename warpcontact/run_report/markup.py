@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from warpcontact.hostile import shortened
+from warpcontact.hostile import truncate
 
 #: Longer texts are shortened; the whole is in their title, up to ``TITLE`` characters.
 SHORT = 60
@@ -38,7 +38,7 @@ def escaped(value: Any) -> Markup:
 
 def short(value: Any, most: int = SHORT) -> str:
     """Returns ``value`` as text of at most ``most`` characters."""
-    return shortened(clean(value), most)
+    return truncate(clean(value), most)
 
 
 def element(tag: str, *content: Any, **attributes: Any) -> Markup:

@@ -15,14 +15,14 @@ TRIANGLES = 120_000
 FEWER = ((4096, 1), (256, 2))
 
 
-def drawable(shape: Shape, copies: int) -> Shape:
+def drawable_shape(shape: Shape, copies: int) -> Shape:
     """Returns what is drawn for a shape of which there are so many copies."""
     if shape is ball():
         level = next((level for count, level in FEWER if copies > count), None)
         if level is not None:
             return _sphere(level)
         return shape
-    return shape if len(shape.faces) <= TRIANGLES else _coarser(shape)
+    return shape if len(shape.faces) <= TRIANGLES else _coarsen(shape)
 
 
 @functools.cache
@@ -48,7 +48,7 @@ def add_shape(pack: Pack, shape: Shape, finest: float) -> dict[str, bool]:
     return {"normals": shape.normals is not None, "colors": shape.colors is not None}
 
 
-def _coarser(shape: Shape) -> Shape:
+def _coarsen(shape: Shape) -> Shape:
     """Returns a shape with the points of each cell of a grid in one place."""
     low = shape.vertices.min(axis=0)
     size = float(np.ptp(shape.vertices, axis=0).max()) or 1.0

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from warpcontact.analysis.results import frozen
 from warpcontact.checks import Array
-from warpcontact.experiment.bars import are_counts, edges_of_bars
+from warpcontact.experiment.bars import bin_edges, has_integer_bins
 from warpcontact.number_format import count, number, scaled, several, unit_suffix
 from warpcontact.outcomes.watch import RESERVED
 from warpcontact.run_report import chart
@@ -23,7 +23,7 @@ QUANTILES = (0.05, 0.5, 0.95)
 
 
 @dataclass(frozen=True, eq=False)
-class Spread:
+class OutcomeSpread:
     """One outcome over the environments that are not frozen.
 
     Attributes:
@@ -41,7 +41,7 @@ class Spread:
     histogram: Markup | None
 
 
-def spreads_of(outcome: xr.Dataset) -> tuple[list[Spread], int]:
+def make_spreads(outcome: xr.Dataset) -> tuple[list[OutcomeSpread], int]:
     """Returns the first outcomes, one in memory at a time, and how many more there are, sets as one."""
     every = columns_of(outcome, without=RESERVED)
     envs = np.asarray(outcome["env"].values)
@@ -50,25 +50,25 @@ def spreads_of(outcome: xr.Dataset) -> tuple[list[Spread], int]:
     return found, sum(1 for _ in every) + len(too_many_in(outcome))
 
 
-def _spread(column: Column, envs: NDArray[np.int64], halted: NDArray[np.bool_], *, drawn: bool) -> Spread:
+def _spread(column: Column, envs: NDArray[np.int64], halted: NDArray[np.bool_], *, drawn: bool) -> OutcomeSpread:
     values = column.values.astype(np.float64)
     good = np.isfinite(values) & ~halted
     finite, labels = values[good], envs[good]
     if not len(finite):
         unit = "" if column.unit == "-" else column.unit
-        return Spread(column, None, None, (name(column.name), unit, "0", *["–"] * 7), None)
+        return OutcomeSpread(column, None, None, (name(column.name), unit, "0", *["–"] * 7), None)
     factor, unit = scaled(column.unit, float(np.abs(finite).max()))
     least, most = int(finite.argmin()), int(finite.argmax())
     # Offset, so that squares of large numbers neither overflow nor cancel.
     deviation = float(np.std(finite - finite[0]))
     low, middle, high = np.quantile(finite, QUANTILES)
-    told = (finite[least], low, middle, finite.mean(), high, finite[most], deviation)
-    cells = (name(column.name), unit, count(len(finite)), *(number(factor * value) for value in told))
+    sentences = (finite[least], low, middle, finite.mean(), high, finite[most], deviation)
+    cells = (name(column.name), unit, count(len(finite)), *(number(factor * value) for value in sentences))
     picture = _histogram(column, finite, int((~halted).sum() - len(finite))) if drawn else None
-    return Spread(column, int(labels[least]), int(labels[most]), cells, picture)
+    return OutcomeSpread(column, int(labels[least]), int(labels[most]), cells, picture)
 
 
-def section(spreads: list[Spread], more: int, envs: int, halted: int) -> Markup:
+def section(spreads: list[OutcomeSpread], more: int, envs: int, halted: int) -> Markup:
     """Returns the section of the page.
 
     Args:
@@ -96,9 +96,9 @@ def section(spreads: list[Spread], more: int, envs: int, halted: int) -> Markup:
 
 
 def _histogram(column: Column, values: Array, missing: int) -> Markup:
-    edges = edges_of_bars(values)
+    edges = bin_edges(values)
     heights, _ = np.histogram(values, bins=edges)
-    x = chart.horizontal(float(edges[0]), float(edges[-1]), column.unit, whole=are_counts(values))
+    x = chart.horizontal(float(edges[0]), float(edges[-1]), column.unit, whole=has_integer_bins(values))
     y = chart.vertical(0.0, float(heights.max()), "-", whole=True)
     unit, factor = x.label or "-", x.factor
     floor, tops, sides = float(y.place(np.zeros(()))), y.place(heights), x.place(edges)
@@ -117,9 +117,9 @@ def _histogram(column: Column, values: Array, missing: int) -> Markup:
     about = (
         f"Histogram of {column.name}: 5 % below {low}{suffix}, median {middle}{suffix}, 95 % below {high}{suffix}"
     )
-    told = f"median {middle}{suffix}; 90 % from {low} to {high}{suffix}"
+    sentences = f"median {middle}{suffix}; 90 % from {low} to {high}{suffix}"
     if missing:
-        told += f"; {count(missing)} without a finite value"
+        sentences += f"; {count(missing)} without a finite value"
     title = element("figcaption", element("strong", name(column.name, 40)), element("span", column.about))
     drawing = chart.chart(x, y, [*bars, *rules], about, "value")
-    return element("figure", title, drawing, element("p", told, class_="note"), class_="chart")
+    return element("figure", title, drawing, element("p", sentences, class_="note"), class_="chart")

@@ -26,7 +26,7 @@ class Pack:
     def __init__(self) -> None:
         self._parts: list[bytes] = []
         self._numbers: dict[tuple[Any, ...], int] = {}
-        self._about: list[dict[str, Any]] = []
+        self._array_headers: list[dict[str, Any]] = []
 
     @property
     def raw(self) -> int:
@@ -82,7 +82,7 @@ class Pack:
 
     def content(self) -> dict[str, Any]:
         """Returns the pack as it is put into a page."""
-        return {"arrays": self._about, "data": self.text()}
+        return {"arrays": self._array_headers, "data": self.text()}
 
     def _whole(self, values: NDArray[np.uint16], low: Array, step: Array) -> None:
         rows = values.reshape(len(values), -1)
@@ -92,10 +92,10 @@ class Pack:
         self._add("short", values.shape, data, low=low.tolist(), step=step.tolist())
 
     def _add(self, kind: str, shape: tuple[int, ...], data: bytes, **more: Any) -> None:
-        same = self._numbers.setdefault((kind, shape, data, str(more)), len(self._about))
-        if same < len(self._about):
+        same = self._numbers.setdefault((kind, shape, data, str(more)), len(self._array_headers))
+        if same < len(self._array_headers):
             # Figures of one body share its poses.
-            self._about.append({"type": "same", "of": same})
+            self._array_headers.append({"type": "same", "of": same})
             return
-        self._about.append({"type": kind, "shape": list(shape), **more})
+        self._array_headers.append({"type": kind, "shape": list(shape), **more})
         self._parts.append(data)

@@ -14,7 +14,7 @@ from warpcontact.replay.colors import GAPS
 from warpcontact.replay.drawing import Drawing, Shape
 from warpcontact.run_report.choice import Choice
 from warpcontact.run_report.markup import short
-from warpcontact.run_report.meshes import add_shape, drawable
+from warpcontact.run_report.meshes import add_shape, drawable_shape
 from warpcontact.run_report.packing import Pack
 from warpcontact.scene import Scene
 
@@ -23,10 +23,10 @@ FRAMES = 256
 # Poses that are in memory at once.
 POSES = 2_000_000
 # Size of all environments in the page [bytes]; of those that somebody named.
-ROOM = 3 * 2**20
-ROOM_ASKED = 48 * 2**20
+MAX_BYTES = 3 * 2**20
+MAX_BYTES_REQUESTED = 48 * 2**20
 # Steps of positions in this part of the largest body are not seen.
-FINEST = 1.0e-3
+POSITION_STEP = 1.0e-3
 
 
 @dataclass
@@ -71,18 +71,18 @@ def replay_of(recording: xr.Dataset, scene: Scene, choice: Choice) -> Replay:
     if drawing is None:
         return replay
     shapes, replay.scene = _described(drawing)
-    room = ROOM_ASKED if choice.asked else ROOM
+    remaining_bytes = MAX_BYTES_REQUESTED if choice.requested else MAX_BYTES
     for row, env in enumerate(drawing.envs):
         packed = _packed(drawing, row)
-        room -= len(packed["data"])
-        if room < 0 and replay.packs:
+        remaining_bytes -= len(packed["data"])
+        if remaining_bytes < 0 and replay.packs:
             break
         replay.packs[env] = packed
     shown = sorted(replay.packs)
     replay.scene["shapes"] = shapes
     replay.scene["envs"] = [{"env": env, "label": short(choice.label(env), 200)} for env in shown]
     if len(shown) < len(choice.envs):
-        named = "" if choice.asked else "; warpcontact report DIR --envs N … chooses others"
+        named = "" if choice.requested else "; warpcontact report DIR --envs N … chooses others"
         replay.notes.append(f"There is room for {count(len(shown))} of {len(choice.envs)} environments{named}.")
     if len(rows) < records:
         replay.notes.append(f"{count(len(rows))} of {count(records)} records are drawn.")
@@ -143,11 +143,11 @@ def _described(drawing: Drawing) -> tuple[dict[str, Any], dict[str, Any]]:
     about: list[dict[str, bool]] = []
     numbers: dict[int, int] = {}
     figures = []
-    finest = FINEST * drawing.size
+    finest = POSITION_STEP * drawing.size
     kept: list[Shape] = []  # alive, so that no two have one id
     for figure in drawing.figures:
         copies = figure.scales.shape[1]
-        shape = drawable(figure.shape, copies)
+        shape = drawable_shape(figure.shape, copies)
         if id(shape) not in numbers:
             numbers[id(shape)] = len(about)
             about.append(add_shape(pack, shape, finest))
@@ -161,7 +161,9 @@ def _described(drawing: Drawing) -> tuple[dict[str, Any], dict[str, Any]]:
                 "moves": len(figure.positions) > 1 or len(figure.orientations) > 1,
             }
         )
-    gaps = [touch.gaps[np.isfinite(touch.gaps)] for touch in drawing.touches if touch.gaps is not None]
+    gaps = [
+        contact.gaps[np.isfinite(contact.gaps)] for contact in drawing.contact_forces if contact.gaps is not None
+    ]
     every = np.concatenate(gaps) if gaps else np.zeros(0)
     scene = {
         "times": drawing.times.tolist(),
@@ -171,14 +173,17 @@ def _described(drawing: Drawing) -> tuple[dict[str, Any], dict[str, Any]]:
         "figures": figures,
         "curves": [{"name": short(curve.name, 200), "color": _color(curve.color)} for curve in drawing.curves],
         "touches": [
-            {"name": short(touch.name, 200), "color": _color(touch.color), "gaps": touch.gaps is not None}
-            for touch in drawing.touches
+            {"name": short(contact.name, 200), "color": _color(contact.color), "gaps": contact.gaps is not None}
+            for contact in drawing.contact_forces
         ],
         "deepest": max(0.0, -float(every.min(initial=0.0))),
         "gaps": bool(len(every)),
         "gapColors": GAPS,
         "largestForce": max(
-            (float(np.linalg.norm(touch.forces, axis=-1).max(initial=0.0)) for touch in drawing.touches),
+            (
+                float(np.linalg.norm(contact.forces, axis=-1).max(initial=0.0))
+                for contact in drawing.contact_forces
+            ),
             default=0.0,
         ),
     }
@@ -188,29 +193,29 @@ def _described(drawing: Drawing) -> tuple[dict[str, Any], dict[str, Any]]:
 def _packed(drawing: Drawing, row: int) -> dict[str, Any]:
     """Returns environment number ``row`` of a drawing as a pack."""
     pack = Pack()
-    finest = FINEST * drawing.size
+    finest = POSITION_STEP * drawing.size
     for figure in drawing.figures:
         items = figure.scales.shape[1]
-        there = np.broadcast_to(figure.there[row], (items,))
-        _add(pack, _of(figure.positions, row, items)[:, there], finest)
-        turns = _of(figure.orientations, row, items)[:, there]
+        there = np.broadcast_to(figure.present[row], (items,))
+        _add(pack, _env_values(figure.positions, row, items)[:, there], finest)
+        turns = _env_values(figure.orientations, row, items)[:, there]
         if len(turns) > 1 and there.any():
             pack.rotations(turns)
         else:
             pack.exact(turns[:1])
         pack.exact(figure.scales[row, there])
     for curve in drawing.curves:
-        _add(pack, _of(curve.points, row), finest)
-        pack.exact(_of(curve.shown[..., None], row))
-    for touch in drawing.touches:
-        _add(pack, _of(touch.points, row), finest)
-        _add(pack, _of(touch.forces, row), 0.0)
-        if touch.gaps is not None:
-            _add(pack, _of(touch.gaps, row)[..., None], 0.0)
+        _add(pack, _env_values(curve.points, row), finest)
+        pack.exact(_env_values(curve.shown[..., None], row))
+    for contact in drawing.contact_forces:
+        _add(pack, _env_values(contact.points, row), finest)
+        _add(pack, _env_values(contact.forces, row), 0.0)
+        if contact.gaps is not None:
+            _add(pack, _env_values(contact.gaps, row)[..., None], 0.0)
     return pack.content()
 
 
-def _of(values: np.ndarray, row: int, items: int | None = None) -> np.ndarray:
+def _env_values(values: np.ndarray, row: int, items: int | None = None) -> np.ndarray:
     """Returns an array (time|1, env|1, …) of environment ``row``, with so many items."""
     own = values[:, row if values.shape[1] > 1 else 0]
     if items is not None and own.shape[1] != items:

@@ -15,7 +15,7 @@ from warpcontact.experiment.curves import (
     VALUES,
     Extreme,
     SensorCurves,
-    can_be_drawn,
+    is_drawable,
     read_curves,
     sample_size,
 )
@@ -35,7 +35,7 @@ ROUNDING = 16.0
 
 
 @dataclass(frozen=True, eq=False)
-class Sampled:
+class SampledResults:
     """What a fan takes from a run, of some environments and times; see ``analysis.results.Figures``."""
 
     outcome: xr.Dataset
@@ -61,7 +61,7 @@ class Curves:
 
 
 @dataclass(frozen=True, eq=False)
-class _Measured:
+class _ChartData:
     """The numbers in a chart.
 
     Attributes:
@@ -104,12 +104,12 @@ def sensors_of(series: xr.Dataset) -> list[tuple[str, str | None]]:
     """
     found: list[tuple[str, str | None]] = []
     for key, array in series.data_vars.items():
-        if can_be_drawn(str(key), array):
+        if is_drawable(str(key), array):
             found += [(str(key), axis) for axis in ("xyz" if "axis" in array.dims else (None,))]
     return found
 
 
-def curves_of(outcome: xr.Dataset, series: xr.Dataset, chosen: list[int]) -> tuple[list[Curves], int]:
+def make_curves(outcome: xr.Dataset, series: xr.Dataset, chosen: list[int]) -> tuple[list[Curves], int]:
     """Returns the first charts, and how many more there could be.
 
     Args:
@@ -117,13 +117,15 @@ def curves_of(outcome: xr.Dataset, series: xr.Dataset, chosen: list[int]) -> tup
         series: Sensors (time, env, …).
         chosen: Numbers of the environments that have a curve of their own.
     """
-    every = sensors_of(series)
-    measured = [_measured(outcome, series, sensor, axis, chosen) for sensor, axis in every[:CHARTS]]
+    sensors = sensors_of(series)
+    charts = [_chart_data(outcome, series, sensor, axis, chosen) for sensor, axis in sensors[:CHARTS]]
     scales: dict[str, float] = {}
-    for one in measured:
-        unit = one.curves.unit
-        scales[unit] = max(scales.get(unit, 0.0), one.magnitude)
-    return [_curves(one, scales[one.curves.unit]) for one in measured], len(every) - len(measured)
+    for chart_data in charts:
+        unit = chart_data.curves.unit
+        scales[unit] = max(scales.get(unit, 0.0), chart_data.magnitude)
+    return [_curves(chart_data, scales[chart_data.curves.unit]) for chart_data in charts], len(sensors) - len(
+        charts
+    )
 
 
 def section(curves: list[Curves], more: int, envs: int, records: int, health: Health) -> Markup:
@@ -139,114 +141,122 @@ def section(curves: list[Curves], more: int, envs: int, records: int, health: He
     if not curves:
         return element("p", "No sensor that is one number was recorded over time.", class_="note")
     left_out = f", without {several(len(health.frozen), 'frozen one')}" if len(health.frozen) else ""
-    told = [f"{several(records, 'record')} of {several(envs, 'environment')}{left_out}."]
+    sentences = [f"{several(records, 'record')} of {several(envs, 'environment')}{left_out}."]
     if envs > 1:
-        told.append("Bands: 5 % to 95 % and 25 % to 75 % of the environments; line: median.")
+        sentences.append("Bands: 5 % to 95 % and 25 % to 75 % of the environments; line: median.")
         if len(health.stopped):
-            told.append(f"{several(len(health.stopped), 'stopped one')} stay in them as they were.")
-        told.append("Orange: the environment that the replay shows.")
+            sentences.append(f"{several(len(health.stopped), 'stopped one')} stay in them as they were.")
+        sentences.append("Orange: the environment that the replay shows.")
     if records > SAMPLES:
-        told.append("Curves have fewer points than there are records; peaks stay at their times and heights.")
-    sampled = min(one.sampled for one in curves)
+        sentences.append("Curves have fewer points than there are records; peaks stay at their times and heights.")
+    sampled = min(chart_data.sampled for chart_data in curves)
     if sampled < envs:
-        told.append(f"Quantiles are those of {count(sampled)} environments or more, evenly spread over all.")
+        sentences.append(f"Quantiles are those of {count(sampled)} environments or more, evenly spread over all.")
     if more:
-        told.append(f"{several(more, 'further sensor')} left out; all are in data.zarr.")
+        sentences.append(f"{several(more, 'further sensor')} left out; all are in data.zarr.")
     return joined(
         [
-            element("p", " ".join(told), class_="note"),
-            element("div", joined(one.picture for one in curves), class_="charts"),
+            element("p", " ".join(sentences), class_="note"),
+            element("div", joined(chart_data.picture for chart_data in curves), class_="charts"),
         ]
     )
 
 
 def data(curves: list[Curves]) -> list[dict[str, Any]]:
     """Returns the data of the charts for the script of the page, in their order."""
-    return [one.about | {"lines": one.lines} for one in curves]
+    return [chart_data.about | {"lines": chart_data.lines} for chart_data in curves]
 
 
-def _measured(
+def _chart_data(
     outcome: xr.Dataset, series: xr.Dataset, sensor: str, axis: str | None, chosen: list[int]
-) -> _Measured:
+) -> _ChartData:
     array = series[sensor]
     envs = np.asarray(array["env"].values)
     halted = np.isin(envs, frozen(outcome))
     sample = evenly(len(envs), sample_size(array))
-    known = [env for env in chosen if env in envs][: max(1, VALUES // array.sizes["time"])]
-    own = np.array([int(np.flatnonzero(envs == env)[0]) for env in known], dtype=np.intp)
-    rows = np.union1d(sample, own)
+    shown_envs = [env for env in chosen if env in envs][: max(1, VALUES // array.sizes["time"])]
+    env_rows = np.array([int(np.flatnonzero(envs == env)[0]) for env in shown_envs], dtype=np.intp)
+    rows = np.union1d(sample, env_rows)
     curves = read_curves(array, rows, halted, axis)
     sampled = xr.DataArray(
         curves.values[:, np.searchsorted(rows, sample)],
         dims=("time", "env"),
         coords={"time": curves.seconds, "env": envs[sample]},
     )
-    fan = quantile_fan(Sampled(outcome, sampled.to_dataset(name=sensor)), sensor, LEVELS, missing="drop")
+    fan = quantile_fan(SampledResults(outcome, sampled.to_dataset(name=sensor)), sensor, LEVELS, missing="drop")
     # Those of the others are not held for all charts.
-    lines = curves.values[:, np.searchsorted(rows, own)]
-    return _Measured(
+    lines = curves.values[:, np.searchsorted(rows, env_rows)]
+    return _ChartData(
         label=sensor if axis is None else f"{sensor}.{axis}",
         meaning=f"{curves.reduction} {array.attrs.get('long_name', '')}".strip(),
         precision=float(np.finfo(array.dtype).eps) if array.dtype.kind == "f" else 0.0,
-        curves=replace(curves, envs=envs[own], values=lines),
+        curves=replace(curves, envs=envs[env_rows], values=lines),
         fan=fan.values,
-        failed=halted[own],
+        failed=halted[env_rows],
         sampled=len(sample),
         total=len(envs),
         active=int((~halted).sum()),
     )
 
 
-def _curves(one: _Measured, scale: float) -> Curves:
+def _curves(chart_data: _ChartData, scale: float) -> Curves:
     """Draws a sensor; ``scale``: the largest value of all sensors of its unit."""
-    seconds = one.curves.seconds
-    span = _range(one.fan, one.curves.values, one.failed)
-    low, high = visible(*span, one.precision, scale)
+    seconds = chart_data.curves.seconds
+    span = _range(chart_data.fan, chart_data.curves.values, chart_data.failed)
+    low, high = visible_range(*span, chart_data.precision, scale)
     x = chart.horizontal(float(seconds[0]), float(seconds[-1]), "s")
-    y = chart.vertical(low, high, one.curves.unit)
+    y = chart.vertical(low, high, chart_data.curves.unit)
 
     def line(values: Array) -> tuple[Array, Array]:
-        some = kept_samples(values, SAMPLES)
-        return x.place(seconds[some]), y.place(values[some])
+        kept = kept_samples(values, SAMPLES)
+        return x.place(seconds[kept]), y.place(values[kept])
 
     def band(low: Array, high: Array, style: str) -> Markup:
-        some = np.union1d(kept_samples(low, SAMPLES), kept_samples(high, SAMPLES))
-        return chart.band(x.place(seconds[some]), y.place(low[some]), y.place(high[some]), style)
+        kept = np.union1d(kept_samples(low, SAMPLES), kept_samples(high, SAMPLES))
+        return chart.band(x.place(seconds[kept]), y.place(low[kept]), y.place(high[kept]), style)
 
-    marks = [chart.polyline(*line(one.fan[2]), "curve" if one.single else "median")]
-    if not one.single:
-        marks = [band(one.fan[0], one.fan[4], "band"), band(one.fan[1], one.fan[3], "band inner"), *marks]
-    about = f"{one.label} over time: median and quantiles over the environments"
+    marks = [chart.polyline(*line(chart_data.fan[2]), "curve" if chart_data.single else "median")]
+    if not chart_data.single:
+        marks = [
+            band(chart_data.fan[0], chart_data.fan[4], "band"),
+            band(chart_data.fan[1], chart_data.fan[3], "band inner"),
+            *marks,
+        ]
+    about = f"{chart_data.label} over time: median and quantiles over the environments"
     drawing = chart.chart(x, y, marks, about, "time", data_t0=seconds[0], data_t1=seconds[-1], data_series=True)
-    unit_told = element("span", f"[{y.label}]" if y.label else "", class_="unit")
-    heading = element("strong", name(one.label, 40), " ", unit_told)
-    caption = element("figcaption", heading, element("span", one.meaning))
-    extremes = element("p", _extremes(one, y), class_="note")
-    drawn = [] if one.single else zip(one.curves.envs, map(line, one.curves.values.T), strict=True)
+    unit_label = element("span", f"[{y.label}]" if y.label else "", class_="unit")
+    heading = element("strong", name(chart_data.label, 40), " ", unit_label)
+    caption = element("figcaption", heading, element("span", chart_data.meaning))
+    extremes = element("p", _extremes(chart_data, y), class_="note")
+    drawn = (
+        []
+        if chart_data.single
+        else zip(chart_data.curves.envs, map(line, chart_data.curves.values.T), strict=True)
+    )
     return Curves(
         picture=element("figure", caption, drawing, extremes, class_="chart"),
-        about={"name": short(one.label, 200), "unit": one.curves.unit, "low": y.low, "high": y.high},
-        lines={str(env): _differences(*places) for env, places in drawn},
-        sampled=one.sampled,
+        about={"name": short(chart_data.label, 200), "unit": chart_data.curves.unit, "low": y.low, "high": y.high},
+        lines={str(env): _differences(*points) for env, points in drawn},
+        sampled=chart_data.sampled,
     )
 
 
-def _extremes(one: _Measured, axis: chart.Axis) -> str:
+def _extremes(chart_data: _ChartData, axis: chart.Axis) -> str:
     """Returns the extremes of a sensor, with their times and environments."""
 
-    def told(word: str, extreme: Extreme) -> str:
+    def sentences(word: str, extreme: Extreme) -> str:
         value = quantity(axis.factor * extreme.value, axis.label, DIGITS)
-        where = "" if one.single else f" in environment {extreme.env}"
+        where = "" if chart_data.single else f" in environment {extreme.env}"
         return f"{word} {value} at {quantity(extreme.time, 's', DIGITS)}{where}"
 
-    low, high, searched = one.curves.smallest, one.curves.largest, one.curves.searched
+    low, high, searched = chart_data.curves.smallest, chart_data.curves.largest, chart_data.curves.searched
     if low is None or high is None:
         return "no finite value"
-    sampled = f", of {several(searched, 'sampled environment')}" if searched < one.active else ""
-    return f"{told('smallest', low)}; {told('largest', high)}{sampled}"
+    sampled = f", of {several(searched, 'sampled environment')}" if searched < chart_data.active else ""
+    return f"{sentences('smallest', low)}; {sentences('largest', high)}{sampled}"
 
 
-def visible(low: float, high: float, precision: float, scale: float) -> tuple[float, float]:
+def visible_range(low: float, high: float, precision: float, scale: float) -> tuple[float, float]:
     """Returns the ends of an axis on which what is only rounding looks flat.
 
     Args:
@@ -257,11 +267,11 @@ def visible(low: float, high: float, precision: float, scale: float) -> tuple[fl
     """
     size = max(abs(low), abs(high))
     # Sums of larger numbers leave their rounding, in double precision at the best.
-    nothing = ROUNDING * float(np.finfo(np.float64).eps) * scale
-    if high - low > max(nothing, ROUNDING * precision * size):
+    rounding = ROUNDING * float(np.finfo(np.float64).eps) * scale
+    if high - low > max(rounding, ROUNDING * precision * size):
         return low, high
-    room = 0.05 * (size if size > nothing else scale)
-    return low - room, high + room
+    margin = 0.05 * (size if size > rounding else scale)
+    return low - margin, high + margin
 
 
 def _range(fan: Array, lines: Array, failed: NDArray[np.bool_]) -> tuple[float, float]:
@@ -269,19 +279,19 @@ def _range(fan: Array, lines: Array, failed: NDArray[np.bool_]) -> tuple[float, 
 
     Curves of frozen environments may leave it.
     """
-    shown = np.concatenate([fan[np.isfinite(fan)], lines[:, ~failed][np.isfinite(lines[:, ~failed])]])
-    own = lines[np.isfinite(lines)]
-    shown = shown if len(shown) else own
-    if not len(shown):
+    values = np.concatenate([fan[np.isfinite(fan)], lines[:, ~failed][np.isfinite(lines[:, ~failed])]])
+    env_rows = lines[np.isfinite(lines)]
+    values = values if len(values) else env_rows
+    if not len(values):
         return 0.0, 1.0
-    low, high = float(shown.min()), float(shown.max())
-    if len(own):
+    low, high = float(values.min()), float(values.max())
+    if len(env_rows):
         # Those of frozen environments, up to as much again.
         reach = high - low
-        low = max(low - reach, min(low, float(own.min())))
-        high = min(high + reach, max(high, float(own.max())))
-    room = 0.06 * (high - low)
-    return low - room, high + room
+        low = max(low - reach, min(low, float(env_rows.min())))
+        high = min(high + reach, max(high, float(env_rows.max())))
+    margin = 0.06 * (high - low)
+    return low - margin, high + margin
 
 
 def _differences(across: Array, up: Array) -> dict[str, list[Any]]:
@@ -293,6 +303,6 @@ def _differences(across: Array, up: Array) -> dict[str, list[Any]]:
     return {"x": _steps(across), "y": y}
 
 
-def _steps(places: Array) -> list[int]:
-    steps: list[int] = np.diff(np.round(10.0 * places).astype(np.int64), prepend=0).tolist()
+def _steps(points: Array) -> list[int]:
+    steps: list[int] = np.diff(np.round(10.0 * points).astype(np.int64), prepend=0).tolist()
     return steps

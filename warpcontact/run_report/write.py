@@ -9,12 +9,12 @@ import xarray as xr
 
 from warpcontact.checks import entries
 from warpcontact.contact_coupling_report import CouplingReport
-from warpcontact.durable import check_place, replacing
+from warpcontact.durable import atomic_file, check_writable
 from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.own import TrustError
 from warpcontact.experiment.records import RunDataError
 from warpcontact.experiment.run import Run, open_run
-from warpcontact.experiment.status import status_of
+from warpcontact.experiment.status import run_status
 from warpcontact.experiment.trust import Trust
 from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.run_report import couplings, ended, environments, facts, loops, outcomes, series, viewer
@@ -62,21 +62,21 @@ def report(
     path = run.folder / REPORT if path is None else Path(path)
     if path.suffix.lower() not in SUFFIXES:
         raise ValueError(f"path must end in {' or '.join(SUFFIXES)}, got {str(path)!r}")
-    check_place(path)
-    asked = None if envs is None else entries(envs)
-    text = _page(run, asked).html()
-    with replacing(path) as file:
+    check_writable(path)
+    requested = None if envs is None else entries(envs)
+    text = _page(run, requested).html()
+    with atomic_file(path) as file:
         file.write(text.encode())
     return path
 
 
-def _page(run: Run, asked: Iterable[int] | None) -> Page:
-    status = status_of(run.folder)
+def _page(run: Run, requested: Iterable[int] | None) -> Page:
+    status = run_status(run.folder)
     outcome, health = run.outcome, run.health
-    spreads, more_outcomes = outcomes.spreads_of(outcome)
-    choice = choose(asked, np.asarray(outcome["env"].values), health, spreads)
+    spreads, more_outcomes = outcomes.make_spreads(outcome)
+    choice = choose(requested, np.asarray(outcome["env"].values), health, spreads)
     recorded = _series(run)
-    shown = None if recorded is None else _of(recorded, outcome["env"])
+    shown = None if recorded is None else _select_envs(recorded, outcome["env"])
     replay, reports = _drawn(run, choice)
     title = str(run.summary["name"])
     head = joined(
@@ -99,7 +99,7 @@ def _page(run: Run, asked: Iterable[int] | None) -> Page:
     add("replay-section", "Replay", viewer.section(replay))
     add("outcomes", "Outcomes", outcomes.section(spreads, more_outcomes, finished, len(health.frozen)))
     if shown is not None and finished:
-        curves, more_sensors = series.curves_of(outcome, shown, choice.envs)
+        curves, more_sensors = series.make_curves(outcome, shown, choice.envs)
         page.data["series"] = series.data(curves)
         add(
             "series",
@@ -147,6 +147,6 @@ def _drawn(run: Run, choice: Choice) -> tuple[Replay, tuple[CouplingReport, ...]
     return replay_of(run.recording, scene, choice), reports
 
 
-def _of(data: xr.Dataset, envs: xr.DataArray) -> xr.Dataset:
+def _select_envs(data: xr.Dataset, envs: xr.DataArray) -> xr.Dataset:
     """Returns the environments ``envs`` of a data set that has these, and maybe more."""
     return data if data.sizes["env"] == envs.size else data.sel(env=envs)

@@ -176,14 +176,14 @@ def check_material(name: str, material: ContactMaterial, torsion_radius: float |
 def _check_pair(name: str, kind: type[Form], other: type[Form], material: ContactMaterial) -> None:
     """Raises ``ValueError`` if it is not known how two shapes meet, or what a material takes of them."""
     # With their solvers, which only shape contacts need.
-    from warpcontact.kernels.smooth.curvature import relative
-    from warpcontact.kernels.smooth.force import looks_at_curvature
-    from warpcontact.kernels.smooth.meet import meet
+    from warpcontact.kernels.smooth.curvature import pair_curvature
+    from warpcontact.kernels.smooth.force import uses_curvature
+    from warpcontact.kernels.smooth.meet import pair_function
 
     try:
-        meet(kind, other)
-        if looks_at_curvature(material.parts):
-            relative(kind, other)
+        pair_function(kind, other)
+        if uses_curvature(material.parts):
+            pair_curvature(kind, other)
     except TypeError as error:
         raise ValueError(f"{name}: {kind.__name__} and {other.__name__}: {error}") from None
 

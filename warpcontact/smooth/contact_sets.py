@@ -13,22 +13,22 @@ from warpcontact import elements as limits_of
 from warpcontact.allocation import COUNT, SWITCH
 from warpcontact.arrays import fixed, per_env
 from warpcontact.compiling import load
-from warpcontact.formula_errors import of_users, told_by_warp
-from warpcontact.groups import compile_forces, memory_view
+from warpcontact.formula_errors import compile_error_text, has_user_code
+from warpcontact.groups import compile_force_kernel, history_view
 from warpcontact.kernels import reset
 from warpcontact.kernels.formula import Formula, coefficient_struct
 from warpcontact.kernels.memory import memory_struct
 from warpcontact.kernels.smooth import detect, force, history, measures
 from warpcontact.kernels.smooth.base import Shape as Form
 from warpcontact.kernels.smooth.records import (
-    OF_CURVATURE,
-    OF_DIRECTION,
-    Members,
-    Seeds,
-    Settings,
-    contact_structs,
+    CURVATURE_ARRAYS,
+    ORIENTATION_ARRAYS,
+    ContactShapes,
+    ShapeContactSettings,
+    WarmStarts,
+    shape_contact_structs,
 )
-from warpcontact.kernels.touch import Parts, group_structs
+from warpcontact.kernels.touch import ContactModel, group_structs
 from warpcontact.parameters import ClosedGap, Field, pack
 from warpcontact.sensors import CONTACT_SENSORS, Sensor, shape_in
 from warpcontact.smooth.elements import ShapeContact
@@ -37,10 +37,10 @@ from warpcontact.smooth.shape_sets import ShapeSet
 from warpcontact.status import ContactStatus
 
 if TYPE_CHECKING:
-    from warpcontact.arrays import Layout
-    from warpcontact.parameters import Parameters, Upload
+    from warpcontact.arrays import AllocationPlan
+    from warpcontact.parameters import DeviceField, Parameters
     from warpcontact.scene import Scene
-    from warpcontact.schedule import Span
+    from warpcontact.schedule import ExecutionPlan
 
 _RANGES = {
     "kappa": limits_of.KAPPA,
@@ -115,12 +115,12 @@ class ShapeContactSet:
         first: int,
         first_end: int,
         shapes: Mapping[type[Form], ShapeSet],
-        layout: "Layout",
+        layout: "AllocationPlan",
         parameters: "Parameters",
         real: type,
         moves: bool,
     ) -> None:
-        self.parts: Parts = contacts[0].parts
+        self.parts: ContactModel = contacts[0].parts
         self.first = first
         self.first_end = first_end
         self.shapes = shapes
@@ -131,7 +131,10 @@ class ShapeContactSet:
         }
         self.count: int = starts[-1]
         self.ranges = _ranges(self.items)
-        self.curved, self.oriented = force.looks_at_curvature(self.parts), self.parts.oriented
+        self.needs_curvature, self.needs_surface_axes = (
+            force.uses_curvature(self.parts),
+            self.parts.needs_surface_axes,
+        )
         # Only a mass depends on how bodies may move.
         self.kernel = force.kernel(self.parts, real, moves and self.parts.law.needs_mass)
         self._declare(layout)
@@ -139,18 +142,18 @@ class ShapeContactSet:
         for part, formula in self.parts._asdict().items():
             self._add_formula(parameters, part, formula)
 
-    def _declare(self, layout: "Layout") -> None:
+    def _declare(self, layout: "AllocationPlan") -> None:
         each, nothing = per_env(self.count), fixed(1, 1)
-        absent = ((OF_CURVATURE, self.curved), (OF_DIRECTION, self.oriented))
-        apart: dict[str, Any] = {name: nothing for names, there in absent if not there for name in names}
-        Smooth = contact_structs(self.real).Smooth
-        computed = [name for name in Smooth.vars if name not in ("entry_speed", "failures")]
-        self.smooth = layout.struct(
-            "shape contacts", Smooth, each, transient=computed, ranges={"failures": COUNT}, **apart
+        absent = ((CURVATURE_ARRAYS, self.needs_curvature), (ORIENTATION_ARRAYS, self.needs_surface_axes))
+        other_shapes: dict[str, Any] = {name: nothing for names, there in absent if not there for name in names}
+        ShapeContacts = shape_contact_structs(self.real).ShapeContacts
+        computed = [name for name in ShapeContacts.vars if name not in ("entry_speed", "failures")]
+        self.shape_contacts = layout.struct(
+            "shape contacts", ShapeContacts, each, transient=computed, ranges={"failures": COUNT}, **other_shapes
         )
-        self.held = layout.struct("shape contacts", Seeds, each, ranges={"seed.known": SWITCH})
-        self.found = layout.struct("shape contacts", Seeds, each, transient=True)
-        self.members = Members()
+        self.warm_starts = layout.struct("shape contacts", WarmStarts, each, ranges={"warm_start.valid": SWITCH})
+        self.new_warm_starts = layout.struct("shape contacts", WarmStarts, each, transient=True)
+        self.contact_shapes = ContactShapes()
         bodies = {
             key: np.concatenate([_each(getattr(contact, key).body_numbers, contact) for contact in self.items])
             for key in ("shape", "other_shape")
@@ -163,15 +166,15 @@ class ShapeContactSet:
         }
         self.bodies = np.stack([bodies["shape"], bodies["other_shape"]], axis=1)
         for key, suffix in (("shape", "a"), ("other_shape", "b")):
-            layout.content("shape contacts", self.members, f"shape_{suffix}", numbers[key], wp.int32)
-            layout.content("shape contacts", self.members, f"body_{suffix}", bodies[key], wp.int32)
+            layout.constant("shape contacts", self.contact_shapes, f"shape_{suffix}", numbers[key], wp.int32)
+            layout.constant("shape contacts", self.contact_shapes, f"body_{suffix}", bodies[key], wp.int32)
         Coefficients, Memory = group_structs(self.parts, self.real)
-        self.coefficients, self.memory, self.kept = Coefficients(), Memory(), Memory()
+        self.coefficients, self.memory, self.history_out = Coefficients(), Memory(), Memory()
         for part, formula in self.parts._asdict().items():
-            for target in (self.memory, self.kept):
+            for target in (self.memory, self.history_out):
                 # Never looked at if the formula remembers nothing.
                 shape = each if formula.memories else nothing
-                transient = target is self.kept or not formula.memories
+                transient = target is self.history_out or not formula.memories
                 struct = memory_struct(formula, self.real)
                 layout.array("shape contacts", target, part, struct, shape, transient=transient)
 
@@ -196,17 +199,17 @@ class ShapeContactSet:
         fields["closed"] = Field(np.zeros(self.count))
 
         def content() -> NDArray[Any]:
-            return pack(Settings, {key: field.values for key, field in fields.items()})
+            return pack(ShapeContactSettings, {key: field.values for key, field in fields.items()})
 
-        upload = parameters.upload(self, "settings", Settings, content)
-        self.closed = ClosedGap(fields["closed"], upload)
+        device_field = parameters.device_field(self, "settings", ShapeContactSettings, content)
+        self.closed = ClosedGap(fields["closed"], device_field)
         for contact, items in self.items.items():
             for key, allowed in _RANGES.items():
                 if getattr(contact, key) is not None:
                     convert = checks.switches if key == "enabled" else None
                     name = f"{contact.name}.{key}"
                     parameters.add(
-                        name, fields[key], items, allowed, [upload], single=contact.single, convert=convert
+                        name, fields[key], items, allowed, [device_field], single=contact.single, convert=convert
                     )
 
     def _add_formula(self, parameters: "Parameters", part: str, formula: type[Formula]) -> None:
@@ -235,54 +238,71 @@ class ShapeContactSet:
                     column.append(np.broadcast_to(computed[name], (envs, contact.count)))
             return pack(struct, {name: np.concatenate(parts, axis=1) for name, parts in columns.items()})
 
-        upload: Upload = parameters.upload(self.coefficients, part, struct, content)
+        device_field: DeviceField = parameters.device_field(self.coefficients, part, struct, content)
         for contact, own in fields.items():
             for name, field in own.items():
                 full = f"{contact.name}.{part}.{name}"
                 items = slice(0, contact.count)
-                parameters.add(full, field, items, formula.limits(name), [upload], single=contact.single)
+                parameters.add(full, field, items, formula.limits(name), [device_field], single=contact.single)
 
     def memories(self) -> Iterator[tuple[type[Formula], wp.array, wp.array]]:
         """Iterates over (formula, memory, kept) of the parts that remember anything."""
         for part, formula in self.parts._asdict().items():
             if formula.memories:
-                yield formula, getattr(self.memory, part), getattr(self.kept, part)
+                yield formula, getattr(self.memory, part), getattr(self.history_out, part)
 
-    def force_stages(self, span: "Span", state: Any, step: wp.array, status: wp.array) -> list[wp.Launch]:
+    def force_stages(self, plan: "ExecutionPlan", state: Any, step: wp.array, status: wp.array) -> list[wp.Launch]:
         """Returns the launches that find where its shapes meet in ``state``, and the forces at its ends.
 
         Nonsmooth contacts have none.
 
         ``step`` [env, 0] is what these act over [s]; ``status`` [env] says which environments are active.
         """
-        a, settings = span.model.arrays, self.settings
+        a, settings = plan.model.arrays, self.settings
         launches = []
         for kinds, items in self.ranges:
-            kernel = detect.kernel(*kinds, self.real, self.curved, self.oriented)
+            kernel = detect.kernel(*kinds, self.real, self.needs_curvature, self.needs_surface_axes)
             arrays = (self.shapes[kind].arrays for kind in kinds)
-            inputs = [status, state, items.start, self.members, *arrays, settings]
-            inputs += [self.held, self.found, self.smooth]
-            launches += span.prepare(kernel, items.stop - items.start, inputs)
-        acting = [(0, self.count)] if span.hard is None else span.hard.compliant_items(self.items)
+            inputs = [status, state, items.start, self.contact_shapes, *arrays, settings]
+            inputs += [self.warm_starts, self.new_warm_starts, self.shape_contacts]
+            launches += plan.prepare(kernel, items.stop - items.start, inputs)
+        acting = [(0, self.count)] if plan.nonsmooth is None else plan.nonsmooth.compliant_items(self.items)
         for first, count in acting:
-            inputs = [status, a.model, state, self.memory, step, first, self.first_end, self.members, settings]
-            inputs += [self.coefficients, self.smooth, self.kept, a.ends]
-            launches += span.prepare(self.kernel, count, inputs)
+            inputs = [
+                status,
+                a.model,
+                state,
+                self.memory,
+                step,
+                first,
+                self.first_end,
+                self.contact_shapes,
+                settings,
+            ]
+            inputs += [self.coefficients, self.shape_contacts, self.history_out, a.coupling_wrenches]
+            launches += plan.prepare(self.kernel, count, inputs)
         return launches
 
-    def accept_stages(self, span: "Span") -> list[wp.Launch]:
+    def accept_stages(self, plan: "ExecutionPlan") -> list[wp.Launch]:
         """Returns the launches that remember what an accepted step led to."""
-        status = span.model.arrays.status
-        inputs = [status, self.found, self.held, self.smooth]
-        launches = span.prepare(history.remember(self.real), self.count, inputs)
-        for formula, memory, kept in self.memories():
-            launches += span.prepare(history.advance(formula, self.real), self.count, [status, kept, memory])
+        status = plan.model.arrays.status
+        inputs = [status, self.new_warm_starts, self.warm_starts, self.shape_contacts]
+        launches = plan.prepare(history.accept(self.real), self.count, inputs)
+        for formula, memory, history_out in self.memories():
+            launches += plan.prepare(
+                history.advance(formula, self.real), self.count, [status, history_out, memory]
+            )
         return launches
 
-    def restart(self, chosen: wp.array, envs: int) -> None:
+    def reset_state(self, chosen: wp.array, envs: int) -> None:
         """Empties what the environments of the mask ``chosen`` [env] remember."""
         shape, device = (envs, self.count), chosen.device
-        wp.launch(history.forget(self.real), dim=shape, inputs=[chosen, self.held, self.smooth], device=device)
+        wp.launch(
+            history.reset(self.real),
+            dim=shape,
+            inputs=[chosen, self.warm_starts, self.shape_contacts],
+            device=device,
+        )
         for formula, memory, _ in self.memories():
             wp.launch(reset.memory(formula, self.real), dim=shape, inputs=[chosen, memory], device=device)
 
@@ -293,13 +313,13 @@ class ShapeContactSet:
             TypeError: If a law, a friction or a shape does not compile.
         """
         for kinds, _ in self.ranges:
-            if not of_users(kinds):
+            if not has_user_code(kinds):
                 continue
-            kernel = detect.kernel(*kinds, self.real, self.curved, self.oriented)
+            kernel = detect.kernel(*kinds, self.real, self.needs_curvature, self.needs_surface_axes)
             try:
                 load(kernel, device)
             except Exception as error:
-                text = told_by_warp(error, kinds)
+                text = compile_error_text(error, kinds)
                 given = "\n".join(
                     f"In {kind.__name__}, p has {', '.join(kind.device_names()) or 'nothing'}." for kind in kinds
                 )
@@ -307,11 +327,11 @@ class ShapeContactSet:
                     f"shape {kinds[0].__name__} with shape {kinds[1].__name__} does not compile: {text}\n{given}\n"
                     "All of a shape is in float64: constants are written as wp.float64(1.5)."
                 ) from error
-        compile_forces(self.parts, lambda: self.kernel, device, self.real)
+        compile_force_kernel(self.parts, lambda: self.kernel, device, self.real)
 
     def failures(self, contact: ShapeContact) -> NDArray[np.int32]:
         """Returns in how many steps since reset it was not found where ``contact`` is, (envs, items)."""
-        values: NDArray[np.int32] = self.smooth.failures.numpy()[:, self.items[contact]]
+        values: NDArray[np.int32] = self.shape_contacts.failures.numpy()[:, self.items[contact]]
         return values
 
     def sensors(self) -> Iterator[Sensor]:
@@ -325,7 +345,7 @@ class ShapeContactSet:
                 codes = ContactStatus if key == "status" else None
                 array = self._column(attribute, own)
                 name = f"{contact.name}.{key}"
-                shape = shape_in(self.smooth, attribute)
+                shape = shape_in(self.shape_contacts, attribute)
                 options: dict[str, Any] = {"items": several, "codes": codes, "shape": shape}
                 yield Sensor(name, unit, text, array, needs=("contacts",), **options)
             of_curvature = _CURVATURES | _GRADIENTS if has_curvatures(contact.kinds) else {}
@@ -340,7 +360,7 @@ class ShapeContactSet:
                 for key, memory in formula.memories.items():
                     frame = ", axes of its other shape" if memory.tangent else ""
                     meaning = f"{memory.meaning}, as of the last step{frame}"
-                    array = self._remembered(part, key, own)
+                    array = self._history_values(part, key, own)
                     options = {"items": several, "shape": (3,) if memory.tangent else ()}
                     yield Sensor(f"{contact.name}.{part}.{key}", memory.unit, meaning, array, **options)
 
@@ -357,10 +377,10 @@ class ShapeContactSet:
                 first += width
 
     def _column(self, attribute: str, items: int | slice) -> Callable[[SimpleNamespace], wp.array]:
-        return lambda _: getattr(self.smooth, attribute)[:, items]
+        return lambda _: getattr(self.shape_contacts, attribute)[:, items]
 
-    def _remembered(self, part: str, key: str, items: int | slice) -> Callable[[SimpleNamespace], wp.array]:
-        return lambda _: memory_view(getattr(self.memory, part), key)[:, items]
+    def _history_values(self, part: str, key: str, items: int | slice) -> Callable[[SimpleNamespace], wp.array]:
+        return lambda _: history_view(getattr(self.memory, part), key)[:, items]
 
 
 def _measured(measure: str, attribute: str, items: int | slice) -> Callable[[SimpleNamespace], wp.array]:
@@ -405,7 +425,7 @@ def _ranges(items: Mapping[ShapeContact, slice]) -> list[tuple[tuple[type[Form],
 
 def sorted_contacts(scene: "Scene") -> list[list[ShapeContact]]:
     """Returns the shape contacts of a scene by the code of their forces, and within by kinds, as they appear."""
-    sets: dict[Parts, dict[Any, list[ShapeContact]]] = {}
+    sets: dict[ContactModel, dict[Any, list[ShapeContact]]] = {}
     for contact in scene.shape_contacts:
         sets.setdefault(contact.parts, {}).setdefault(contact.kinds, []).append(contact)
     return [[contact for alike in own.values() for contact in alike] for own in sets.values()]
@@ -414,7 +434,7 @@ def sorted_contacts(scene: "Scene") -> list[list[ShapeContact]]:
 def make_shape_contact_sets(
     scene: "Scene",
     shapes: Mapping[type[Form], ShapeSet],
-    layout: "Layout",
+    layout: "AllocationPlan",
     parameters: "Parameters",
     real: type,
     moves: bool,

@@ -10,7 +10,7 @@ from warpcontact.checks import Array
 from warpcontact.elements import Body, ContactMaterial
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.smooth.base import Shape as Form
-from warpcontact.kernels.touch import Parts
+from warpcontact.kernels.touch import ContactModel
 from warpcontact.kernels.types import WORLD
 
 #: All groups.
@@ -87,7 +87,7 @@ class ShapeContact:
         return self.shape.kind, self.other_shape.kind
 
     @property
-    def parts(self) -> Parts:
+    def parts(self) -> ContactModel:
         """The classes of its law and friction models: contacts that agree in them share the code of their forces."""
         return self.material.parts
 

@@ -6,7 +6,7 @@ import warp as wp
 
 from warpcontact.kernels.smooth import measures
 from warpcontact.kernels.smooth.base import Shape as Form
-from warpcontact.kernels.smooth.curvature import relative
+from warpcontact.kernels.smooth.curvature import pair_curvature
 
 if TYPE_CHECKING:
     from warpcontact.model import Model
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 def measure(name: str, model: "Model") -> None:
     """Computes the measure ``name`` of all shape contacts, as they were computed last."""
-    for own in model.smooth:
+    for own in model.shape_contact_sets:
         for kinds, items in own.ranges:
             if name == "shape_points":
                 kernel, inputs = _points(model, own, kinds, items.start)
@@ -31,7 +31,7 @@ def measure(name: str, model: "Model") -> None:
 def has_curvatures(kinds: tuple[type[Form], type[Form]]) -> bool:
     """Whether the curvatures of a pair of kinds are known, which those of a user's own shape need not be."""
     try:
-        relative(*kinds)
+        pair_curvature(*kinds)
     except TypeError:
         return False
     return True
@@ -40,11 +40,19 @@ def has_curvatures(kinds: tuple[type[Form], type[Form]]) -> bool:
 def _points(
     model: "Model", own: "ShapeContactSet", kinds: tuple[type[Form], type[Form]], first: int
 ) -> tuple[wp.Kernel, list[Any]]:
-    mounts = own.shapes[kinds[1]].arrays.mount
-    inputs = [model.arrays.state, first, own.first, own.members, mounts, own.settings, own.smooth]
+    shape_poses = own.shapes[kinds[1]].arrays.pose
+    inputs = [
+        model.arrays.state,
+        first,
+        own.first,
+        own.contact_shapes,
+        shape_poses,
+        own.settings,
+        own.shape_contacts,
+    ]
     return measures.points(own.real), inputs
 
 
 def _inputs(model: "Model", own: "ShapeContactSet", kinds: tuple[type[Form], type[Form]], first: int) -> list[Any]:
     arrays = [own.shapes[kind].arrays for kind in kinds]
-    return [model.arrays.state, first, own.first, own.members, *arrays, own.held]
+    return [model.arrays.state, first, own.first, own.contact_shapes, *arrays, own.warm_starts]

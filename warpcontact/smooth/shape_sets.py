@@ -11,7 +11,7 @@ from warpcontact import checks
 from warpcontact.checks import Array, limits
 from warpcontact.kernels.formula import coefficient_struct
 from warpcontact.kernels.smooth.base import Shape as Form
-from warpcontact.kernels.smooth.records import Mount, shapes_struct
+from warpcontact.kernels.smooth.records import ShapePose, shapes_struct
 from warpcontact.parameters import Field, pack
 from warpcontact.smooth.elements import Shape
 
@@ -28,7 +28,7 @@ class ShapeSet:
 
     Attributes:
         kind: Their class.
-        arrays: Struct of arrays [env, shape]: ``coefficients`` and ``mount``, in float64.
+        arrays: Struct of arrays [env, shape]: ``coefficients`` and ``pose``, in float64.
     """
 
     def __init__(self, shapes: Sequence[Shape], parameters: "Parameters") -> None:
@@ -39,7 +39,7 @@ class ShapeSet:
             shape: slice(first, first + shape.count) for shape, first in zip(shapes, starts, strict=False)
         }
         self.count: int = starts[-1]
-        self._add_mounts(parameters)
+        self._add_poses(parameters)
         self._add_sizes(parameters)
 
     def numbers(self, shape: Shape) -> NDArray[np.int32]:
@@ -47,25 +47,25 @@ class ShapeSet:
         items = self._items[shape]
         return np.arange(items.start, items.stop, dtype=np.int32)
 
-    def _add_mounts(self, parameters: "Parameters") -> None:
+    def _add_poses(self, parameters: "Parameters") -> None:
         position = Field(np.concatenate([shape.positions for shape in self._items]))
         orientation = Field(np.concatenate([shape.orientations for shape in self._items]))
 
         def content() -> NDArray[Any]:
-            return pack(Mount, {"position": position.values, "orientation": orientation.values})
+            return pack(ShapePose, {"position": position.values, "orientation": orientation.values})
 
-        upload = parameters.upload(self.arrays, "mount", Mount, content)
+        device_field = parameters.device_field(self.arrays, "pose", ShapePose, content)
         for shape, items in self._items.items():
             single = shape.single
             parameters.add(
-                f"{shape.name}.position", position, items, limits("m"), [upload], tail=(3,), single=single
+                f"{shape.name}.position", position, items, limits("m"), [device_field], tail=(3,), single=single
             )
             parameters.add(
                 f"{shape.name}.orientation",
                 orientation,
                 items,
                 checks.FINITE,
-                [upload],
+                [device_field],
                 tail=(4,),
                 single=single,
                 convert=checks.unit_quaternions,
@@ -85,13 +85,13 @@ class ShapeSet:
             computed = kind.coefficients(values)
             return pack(struct, {key: computed[key] for key in kind.device_names()})
 
-        upload = parameters.upload(self.arrays, "coefficients", struct, content)
+        device_field = parameters.device_field(self.arrays, "coefficients", struct, content)
         for shape, items in self._items.items():
             for key, field in fields.items():
                 allowed = kind.limits(key)
                 tail = field.values.shape[2:]
                 name = f"{shape.name}.{key}"
-                parameters.add(name, field, items, allowed, [upload], tail=tail, single=shape.single)
+                parameters.add(name, field, items, allowed, [device_field], tail=tail, single=shape.single)
 
 
 def _of_all(values: Array, envs: int) -> Array:

@@ -7,7 +7,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from warpcontact.captures import beside_captures
+from warpcontact.captures import shared_capture_lock
 from warpcontact.checks import Array
 from warpcontact.devices import find_device
 from warpcontact.kernels.formula import coefficient_struct
@@ -49,7 +49,7 @@ def tessellate(kind: type[Form], sizes: Mapping[str, Array], reach: float = 1.0)
     return _computed(kind, sizes, tessellation.support_points(kind), ball.vertices, wp.vec3d), ball.faces
 
 
-@beside_captures()
+@shared_capture_lock()
 def _computed(
     kind: type[Form], sizes: Mapping[str, Array], kernel: wp.Kernel, given: Array, dtype: Any
 ) -> NDArray[np.float64]:

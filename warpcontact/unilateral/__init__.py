@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from warpcontact.kernels.on_demand import names_of
+from warpcontact.kernels.on_demand import lazy_names
 
 if TYPE_CHECKING:
     from warpcontact.unilateral.diagnosis import Diagnosis
@@ -53,4 +53,4 @@ __all__ = [
 ]
 
 if not TYPE_CHECKING:  # there it would know every name
-    __getattr__, __dir__ = names_of(__name__, _HOME, {})
+    __getattr__, __dir__ = lazy_names(__name__, _HOME, {})

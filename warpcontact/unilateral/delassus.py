@@ -74,16 +74,20 @@ class Delassus:
         if not self.contacts:
             return np.zeros(self.count)
         w = self.velocity(lam) if w is None else w
-        moved = w.copy()
-        moved[..., 0] += self.mu * length(w[..., 1:])
-        off = length(lam - project(lam - self.rho[..., None] * moved, self.mu))
+        de_saxce = w.copy()
+        de_saxce[..., 0] += self.mu * length(w[..., 1:])
+        deviation = length(lam - project(lam - self.rho[..., None] * de_saxce, self.mu))
         pressed = np.maximum(lam[..., 0] - self.rho * w[..., 0], 0.0)
-        off = np.maximum(off, np.abs(lam[..., 0] - pressed)) - self.rho * self.rounding
-        return np.maximum((off / self.unit).max(axis=1), _ROUNDING * np.abs(lam).max(axis=(1, 2)) / self.scale)
+        deviation = np.maximum(deviation, np.abs(lam[..., 0] - pressed)) - self.rho * self.rounding
+        return np.maximum(
+            (deviation / self.unit).max(axis=1), _ROUNDING * np.abs(lam).max(axis=(1, 2)) / self.scale
+        )
 
     def part(self, which: NDArray[np.intp]) -> "Delassus":
         """Returns the problems of an index array."""
-        return Delassus(_of(self.W, which), self.q[which], _of(self.mu, which), _of(self.rounding, which))
+        return Delassus(
+            _select(self.W, which), self.q[which], _select(self.mu, which), _select(self.rounding, which)
+        )
 
     def normals(self) -> "Delassus":
         """Returns the problems without friction: of each contact the normal alone."""
@@ -106,10 +110,10 @@ def project(z: Array, mu: Array) -> Array:
     sin = mu * cos
     inside = (normal >= 0.0) & (cos * across <= sin * normal)
     along = np.maximum(cos * normal + sin * across, 0.0)
-    height, share = cos * along, sin * along / np.where(across > 0.0, across, 1.0)
-    nearest = np.concatenate([height[..., None], share[..., None] * z[..., 1:]], axis=-1)
+    height, fraction = cos * along, sin * along / np.where(across > 0.0, across, 1.0)
+    nearest = np.concatenate([height[..., None], fraction[..., None] * z[..., 1:]], axis=-1)
     return np.where(inside[..., None], z, nearest)
 
 
-def _of(shared: Array, which: NDArray[np.intp]) -> Array:
+def _select(shared: Array, which: NDArray[np.intp]) -> Array:
     return shared if len(shared) == 1 else shared[which]

@@ -11,11 +11,17 @@ from numpy.typing import ArrayLike
 from warpcontact.checks import Array
 from warpcontact.unilateral import intake
 from warpcontact.unilateral.delassus import Delassus
-from warpcontact.unilateral.elimination import eliminate, regular
-from warpcontact.unilateral.enumeration import MOST
-from warpcontact.unilateral.freedom import ZERO, kernel, loose, null_space, unopposed
-from warpcontact.unilateral.residual import Judge
-from warpcontact.unilateral.scaled import Scaled
+from warpcontact.unilateral.elimination import eliminate, is_regular
+from warpcontact.unilateral.enumeration import MAX_CONTACTS
+from warpcontact.unilateral.freedom import (
+    ZERO_EIGENVALUE,
+    free_motion,
+    null_space,
+    row_null_space,
+    unopposed_motion,
+)
+from warpcontact.unilateral.residual import ResidualEvaluator
+from warpcontact.unilateral.scaled import ScaledProblem
 from warpcontact.unilateral.solution import Solution
 from warpcontact.unilateral.states import all_states, as_solutions
 
@@ -27,7 +33,7 @@ _RANK = 1e-11
 #: Most displacements of a sparse K whose eigenvalues are looked at.
 _DENSE = 2000
 #: Most states for which all solutions are looked for.
-_FEW_STATES = 5000
+_MAX_STATES = 5000
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +85,7 @@ def diagnose(problem: Problem) -> Diagnosis:
     """Returns what can be said of a single problem."""
     if problem.count is not None:
         raise ValueError(f"one problem at a time is diagnosed, got {problem.count} problems")
-    scaled = Scaled.of(problem)
+    scaled = ScaledProblem.of(problem)
     stiffness, definite = _kind(problem, scaled)
     friction = bool(np.asarray(problem.mu).any())
     system = None
@@ -97,30 +103,30 @@ def diagnose(problem: Problem) -> Diagnosis:
     unique_lam: bool | None = None
     largest = float(np.asarray(problem.mu).max(initial=0.0))
     if stiffness == "positive definite":
-        room = np.inf if rank == rows else _room(problem, friction)
+        opening = np.inf if rank == rows else _common_opening(problem, friction)
         if not friction:
             # A minimum over a convex set, if that is not empty.
-            exists = room >= 0.0
+            exists = opening >= 0.0
             unique_u = True if exists else None
             unique_lam = True if rank == rows else None
         else:
-            exists = True if room > 0.0 else None
+            exists = True if opening > 0.0 else None
             if rank == rows and bound is not None and largest < bound:
                 unique_u = unique_lam = True
     elif stiffness == "singular":
-        free = kernel(scaled.flat().T)
-        motions = null_space(scaled, Judge.of(problem).scale[0])
-        held = unopposed(scaled, motions) is None and _room(problem, False) >= 0.0
+        free = row_null_space(scaled.flat_rows().T)
+        motions = null_space(scaled, ResidualEvaluator.of(problem).scale[0])
+        load_is_held = unopposed_motion(scaled, motions) is None and _common_opening(problem, False) >= 0.0
         # Without friction a convex energy that has a lower bound has a minimum (Frank and Wolfe, 1956).
-        exists = False if not held else True if definite and not friction else None
+        exists = False if not load_is_held else True if definite and not friction else None
     solutions = None
-    if (exists is None or unique_u is None) and _are_few(problem, scaled):
+    if (exists is None or unique_u is None) and _can_enumerate(problem, scaled):
         found = all_states(problem, 1e-10)[1]
         solutions = as_solutions(problem, scaled, found, 1e-10)
         exists = bool(solutions) if exists is None else exists
         if found and stiffness == "singular" and definite and not friction:
             # Solutions without friction are a convex set.
-            unique_u = loose(scaled, motions, found[0].u, found[0].lam, 1e-10) is None
+            unique_u = free_motion(scaled, motions, found[0].u, found[0].lam, 1e-10) is None
             unique_lam = unique_u and not free.shape[1]
         elif len(found) > 1:
             unique_u = all(one.same_u(found[0]) for one in found)
@@ -131,9 +137,9 @@ def diagnose(problem: Problem) -> Diagnosis:
     return Diagnosis(stiffness, rows, rank, free, exists, unique_u, unique_lam, bound, solutions, text)
 
 
-def _kind(problem: Problem, scaled: Scaled) -> tuple[str, bool]:
+def _kind(problem: Problem, scaled: ScaledProblem) -> tuple[str, bool]:
     """Returns the kind of the stiffness, and whether no eigenvalue is negative."""
-    if not regular(problem, Judge.of(problem)).all():
+    if not is_regular(problem, ResidualEvaluator.of(problem)).all():
         kind = "singular"
     elif hasattr(problem.K, "tocsc") and problem.K.shape[0] > _DENSE:
         return "unknown", False
@@ -143,7 +149,7 @@ def _kind(problem: Problem, scaled: Scaled) -> tuple[str, bool]:
         return kind, False
     sizes = np.linalg.eigvalsh(scaled.dense())
     if kind:
-        return kind, bool(sizes[0] >= -ZERO * np.abs(sizes).max())
+        return kind, bool(sizes[0] >= -ZERO_EIGENVALUE * np.abs(sizes).max())
     return ("positive definite", True) if sizes[0] > 0.0 else ("indefinite", False)
 
 
@@ -158,7 +164,7 @@ def _spectrum(system: Delassus) -> tuple[int, Array, float]:
     return int((~zero).sum()), scale[:, None] * vectors[:, zero], condition
 
 
-def _room(problem: Problem, friction: bool) -> float:
+def _common_opening(problem: Problem, friction: bool) -> float:
     """Returns how open all gaps can be at once, in units of the largest, at most 1; negative: not even closed.
 
     With friction, at rest along the tangents: if all gaps can be open then, there is a solution whatever the
@@ -171,16 +177,19 @@ def _room(problem: Problem, friction: bool) -> float:
     size = np.abs(targets).max(initial=0.0) or 1.0
     lengths = np.linalg.norm(G, axis=-1, keepdims=True)
     G, targets = G / np.where(lengths > 0.0, lengths, 1.0), targets / np.where(lengths > 0.0, lengths, 1.0)[..., 0]
-    rest = {}
+    equalities = {}
     if friction:
         across = G[:, 1:].reshape(-1, n)
-        rest = {"A_eq": np.hstack([across, np.zeros((len(across), 1))]), "b_eq": targets[:, 1:].reshape(-1) / size}
+        equalities = {
+            "A_eq": np.hstack([across, np.zeros((len(across), 1))]),
+            "b_eq": targets[:, 1:].reshape(-1) / size,
+        }
     found = linprog(
         np.append(np.zeros(n), -1.0),
         A_ub=np.hstack([G[:, 0], np.ones((len(G), 1))]),
         b_ub=targets[:, 0] / size,
         bounds=[(None, None)] * n + [(None, 1.0)],
-        **rest,
+        **equalities,
     )
     if found.status != 0:
         return -np.inf
@@ -188,10 +197,10 @@ def _room(problem: Problem, friction: bool) -> float:
     return 0.0 if abs(found.x[-1]) < 1e-9 else float(found.x[-1])
 
 
-def _are_few(problem: Problem, scaled: Scaled) -> bool:
+def _can_enumerate(problem: Problem, scaled: ScaledProblem) -> bool:
     """Returns whether there are few states of the contacts, and few displacements."""
     dim, contacts = scaled.dim, scaled.contacts
-    few = dim < 3 and contacts <= MOST[dim] and (2 * dim) ** contacts <= _FEW_STATES
+    few = dim < 3 and contacts <= MAX_CONTACTS[dim] and (2 * dim) ** contacts <= _MAX_STATES
     return few and problem.K.shape[-1] <= 200
 
 

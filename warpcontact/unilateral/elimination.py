@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from warpcontact.checks import Array
 from warpcontact.unilateral.delassus import Delassus
-from warpcontact.unilateral.residual import ROUNDINGS, Judge
+from warpcontact.unilateral.residual import ROUNDINGS, ResidualEvaluator
 
 if TYPE_CHECKING:
     from warpcontact.unilateral.problem import Problem
@@ -33,15 +33,15 @@ def eliminate(problem: "Problem") -> tuple[Delassus, Array, Array]:
     G = np.asarray(problem.G)
     G = G.reshape(-1 if G.ndim == 4 else 1, contacts * problem.dim, n) if G.size else np.zeros((1, 0, n))
     f = np.asarray(problem.f).reshape(-1, n)
-    turned = np.swapaxes(G, -1, -2)
+    transposed = np.swapaxes(G, -1, -2)
     if hasattr(problem.K, "tocsc"):
         inverse = _sparse(problem.K)
-        by_contact = np.stack([inverse(one) for one in turned])
+        by_contact = np.stack([inverse(one) for one in transposed])
         u_free = inverse(f.T).T
     else:
         K = np.asarray(problem.K).reshape(-1, n, n)
         try:
-            by_contact = np.linalg.solve(K, turned)
+            by_contact = np.linalg.solve(K, transposed)
             u_free = np.linalg.solve(K, f[..., None])[..., 0]
         except np.linalg.LinAlgError:
             raise SingularError from None
@@ -50,11 +50,11 @@ def eliminate(problem: "Problem") -> tuple[Delassus, Array, Array]:
     u_free = np.broadcast_to(u_free, (count, n))
     targets, shape = problem.targets(), (count, contacts, problem.dim)
     q = targets - (G @ u_free[..., None])[..., 0].reshape(shape)
-    parts = np.abs(targets) + (np.abs(G) @ np.abs(u_free)[..., None])[..., 0].reshape(shape)
-    return Delassus(W, q, np.atleast_2d(problem.mu), ROUNDINGS * parts.max(axis=2)), u_free, by_contact
+    magnitudes = np.abs(targets) + (np.abs(G) @ np.abs(u_free)[..., None])[..., 0].reshape(shape)
+    return Delassus(W, q, np.atleast_2d(problem.mu), ROUNDINGS * magnitudes.max(axis=2)), u_free, by_contact
 
 
-def regular(problem: "Problem", judge: Judge) -> NDArray[np.bool_]:
+def is_regular(problem: "Problem", evaluator: ResidualEvaluator) -> NDArray[np.bool_]:
     """Returns whether K of each problem can be inverted, independent of units; (problems,)."""
     count, n = 1 if problem.count is None else problem.count, problem.K.shape[-1]
     if hasattr(problem.K, "tocsc"):
@@ -64,7 +64,9 @@ def regular(problem: "Problem", judge: Judge) -> NDArray[np.bool_]:
             return np.zeros(count, dtype=bool)
         return np.ones(count, dtype=bool)
     K = np.asarray(problem.K).reshape(-1, n, n)
-    scale = judge.scale if len(judge.scale) == len(K) else np.broadcast_to(judge.scale[:1], (len(K), n))
+    scale = (
+        evaluator.scale if len(evaluator.scale) == len(K) else np.broadcast_to(evaluator.scale[:1], (len(K), n))
+    )
     found = np.empty(len(K), dtype=bool)
     for i, one in enumerate(scale[:, :, None] * K * scale[:, None, :]):
         try:

@@ -9,7 +9,7 @@ from warpcontact.checks import Array
 from warpcontact.unilateral.delassus import Delassus
 
 #: Most contacts: 2 states of each without friction, 4 in the plane, and 65 536 of all.
-MOST = {1: 16, 2: 8}
+MAX_CONTACTS = {1: 16, 2: 8}
 _CHUNK = 2048
 # Solution of a system over its right side, from which on it is computed by its singular values.
 _LARGE = 1e8
@@ -25,7 +25,7 @@ def check_size(contacts: int, dim: int) -> None:
             "method 'enumeration' goes through open, stick and both ways of slip of each contact; in space there "
             "are infinitely many ways to slip: take 'projection' or 'gauss_seidel'"
         )
-    most, states = MOST[dim], 2 * dim
+    most, states = MAX_CONTACTS[dim], 2 * dim
     if contacts > most:
         raise ValueError(
             f"method 'enumeration' goes through {states} states of each contact and takes at most {most} of them, "
@@ -35,19 +35,19 @@ def check_size(contacts: int, dim: int) -> None:
 
 def enumerate_states(problem: Delassus, tolerance: float) -> tuple[Array, Array]:
     """Returns of each problem the first solution found, or what is least off, and the states looked at."""
-    found, taken = np.zeros(problem.q.shape), np.zeros(problem.count, dtype=int)
+    found, state_counts = np.zeros(problem.q.shape), np.zeros(problem.count, dtype=int)
     for k in range(problem.count):
         one, least = problem.part(np.array([k])), np.inf
-        for lam in candidates(one):
+        for lam in candidate_forces(one):
             residual = _residuals(one, lam)
             good = np.flatnonzero(residual <= tolerance)
             i = good[0] if len(good) else int(np.argmin(residual))
             if residual[i] < least:
                 least, found[k] = residual[i], lam[i]
-            taken[k] += i + 1 if len(good) else len(lam)
+            state_counts[k] += i + 1 if len(good) else len(lam)
             if len(good):
                 break
-    return found, taken
+    return found, state_counts
 
 
 def states(contacts: int, dim: int) -> Iterator[NDArray[np.int64]]:
@@ -58,57 +58,59 @@ def states(contacts: int, dim: int) -> Iterator[NDArray[np.int64]]:
         yield number[:, None] // base ** np.arange(contacts) % base
 
 
-def candidates(problem: Delassus) -> Iterator[Array]:
+def candidate_forces(problem: Delassus) -> Iterator[Array]:
     """Yields what l would be in the states of a single problem, (chunk, contacts, dim)."""
     size = problem.contacts * problem.dim
     # Rows in the unit of l.
     rho = np.repeat(problem.rho[0], problem.dim)
     W, q = rho[:, None] * problem.W[0], rho * problem.q[0].reshape(-1)
     for chunk in states(problem.contacts, problem.dim):
-        matrix, right = rows_of(chunk, W, q, np.eye(size), problem.mu[0], problem.dim)
-        yield solve_all(matrix, right).reshape(len(chunk), problem.contacts, problem.dim)
+        matrix, right_side = state_equations(chunk, W, q, np.eye(size), problem.mu[0], problem.dim)
+        yield solve_all(matrix, right_side).reshape(len(chunk), problem.contacts, problem.dim)
 
 
-def rows_of(chunk: NDArray[np.int64], W: Array, q: Array, lam: Array, mu: Array, dim: int) -> tuple[Array, Array]:
+def state_equations(
+    chunk: NDArray[np.int64], W: Array, q: Array, lam: Array, mu: Array, dim: int
+) -> tuple[Array, Array]:
     """Returns the equations of states: (chunk, rows, unknowns) and right sides.
 
     ``W`` and ``q`` give w, and ``lam`` gives l, of the unknowns.
     """
     closed = chunk != OPEN
-    pick = np.repeat(closed[..., None], dim, axis=-1)
+    is_velocity_row = np.repeat(closed[..., None], dim, axis=-1)
     if dim == 2:
-        pick[..., 1] = chunk == STICK
-    pick = pick.reshape(len(chunk), -1)
-    matrix = np.where(pick[..., None], W, lam)
-    right = np.where(pick, -q, 0.0)
+        is_velocity_row[..., 1] = chunk == STICK
+    is_velocity_row = is_velocity_row.reshape(len(chunk), -1)
+    matrix = np.where(is_velocity_row[..., None], W, lam)
+    right_side = np.where(is_velocity_row, -q, 0.0)
     if dim == 2:
         # Of a contact that slips l_t ∓ μ l_n = 0.
         side = np.where(chunk == SLIP_UP, 1.0, np.where(chunk == SLIP_DOWN, -1.0, 0.0)) * mu
         matrix[:, 1::2] -= side[..., None] * lam[0::2]
-    return matrix, right
+    return matrix, right_side
 
 
-def solve_all(matrix: Array, right: Array) -> Array:
+def solve_all(matrix: Array, right_side: Array) -> Array:
     """Returns the solutions of many systems; of a singular one, one of small size if there is one."""
     try:
-        found = _solved(matrix, right)
+        found = _solved(matrix, right_side)
         bad = ~np.isfinite(found).all(axis=1)
         # A solution this large is that of a matrix that is singular to rounding.
-        bad |= np.abs(found).max(axis=1, initial=0.0) > _LARGE * np.abs(right).max(axis=1, initial=0.0)
+        bad |= np.abs(found).max(axis=1, initial=0.0) > _LARGE * np.abs(right_side).max(axis=1, initial=0.0)
     except np.linalg.LinAlgError:
-        found, bad = np.zeros(right.shape), np.ones(len(right), dtype=bool)
+        found, bad = np.zeros(right_side.shape), np.ones(len(right_side), dtype=bool)
     if bad.any():
         inverse = np.linalg.pinv(matrix[bad], rcond=1e-12)
-        found[bad] = (inverse @ right[bad][..., None])[..., 0]
-        found[bad] += (inverse @ (right[bad] - _times(matrix[bad], found[bad]))[..., None])[..., 0]
+        found[bad] = (inverse @ right_side[bad][..., None])[..., 0]
+        found[bad] += (inverse @ (right_side[bad] - _times(matrix[bad], found[bad]))[..., None])[..., 0]
     if not bad.all():
         # Refinement: small entries of the right side become as exact as large ones.
-        found[~bad] += _solved(matrix[~bad], right[~bad] - _times(matrix[~bad], found[~bad]))
+        found[~bad] += _solved(matrix[~bad], right_side[~bad] - _times(matrix[~bad], found[~bad]))
     return found
 
 
-def _solved(matrix: Array, right: Array) -> Array:
-    return np.asarray(np.linalg.solve(matrix, right[..., None]), dtype=np.float64)[..., 0]
+def _solved(matrix: Array, right_side: Array) -> Array:
+    return np.asarray(np.linalg.solve(matrix, right_side[..., None]), dtype=np.float64)[..., 0]
 
 
 def _times(matrix: Array, x: Array) -> Array:

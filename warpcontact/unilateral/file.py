@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from warpcontact.durable import writing
+from warpcontact.durable import open_for_writing
 from warpcontact.numpy_files import check_numbers
 from warpcontact.run_folder import open_file
 from warpcontact.unilateral.problem import Problem
@@ -33,7 +33,7 @@ def save(problem: Problem, path: str | Path) -> Path:
         entries[name] = getattr(problem, name)
     if problem.dim == 1:
         entries["G"] = entries["G"][..., 0, :]
-    with writing(path) as stream:
+    with open_for_writing(path) as stream:
         np.savez_compressed(stream, **entries)
     return path
 

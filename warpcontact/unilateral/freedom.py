@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.checks import Array
-from warpcontact.unilateral.scaled import Scaled
+from warpcontact.unilateral.scaled import ScaledProblem
 
 #: Eigenvalues below this share of the largest are zero.
-ZERO = 1e-12
+ZERO_EIGENVALUE = 1e-12
 # A rest of a least squares problem below this is rounding, in scaled units.
-_REST = 1e-10
+_RESIDUAL_TOLERANCE = 1e-10
 # Tangents of the polygon around the friction cone in space.
 _TANGENTS = 32
 # Displacements of a sparse K whose null space follows from all eigenvalues.
@@ -27,7 +27,7 @@ _SHIFT = 1e-10
 _STEPS = 6
 
 
-def null_space(problem: Scaled, scale: Array) -> Array:
+def null_space(problem: ScaledProblem, scale: Array) -> Array:
     """Returns an orthonormal basis of the null space of the scaled K, (n, freedoms).
 
     Args:
@@ -35,20 +35,20 @@ def null_space(problem: Scaled, scale: Array) -> Array:
         scale: D of ``scaling`` (n,), that of the stiffness, in which eigenvalues of K are compared.
     """
     K, n = problem.K, len(problem.f)
-    turn = scale / problem.scale
+    rescale = scale / problem.scale
     if hasattr(K, "tocsc"):
         from scipy.sparse import diags_array
 
-        K = diags_array(turn) @ K @ diags_array(turn)
+        K = diags_array(rescale) @ K @ diags_array(rescale)
         basis = _sparse_null_space(K) if n > _DENSE else _dense_null_space(K.toarray())
     else:
-        basis = _dense_null_space(turn[:, None] * K * turn)
-    return np.asarray(np.linalg.qr(turn[:, None] * basis)[0])
+        basis = _dense_null_space(rescale[:, None] * K * rescale)
+    return np.asarray(np.linalg.qr(rescale[:, None] * basis)[0])
 
 
 def _dense_null_space(K: Array) -> Array:
     sizes, vectors = np.linalg.eigh(K)
-    return np.asarray(vectors[:, np.abs(sizes) <= ZERO * np.abs(sizes).max()])
+    return np.asarray(vectors[:, np.abs(sizes) <= ZERO_EIGENVALUE * np.abs(sizes).max()])
 
 
 def _sparse_null_space(K: Any) -> Array:
@@ -63,28 +63,28 @@ def _sparse_null_space(K: Any) -> Array:
         basis = np.linalg.qr(np.random.default_rng(0).normal(size=(n, min(count, n))))[0]
         for _ in range(_STEPS):
             basis = np.linalg.qr(factors.solve(basis))[0]
-        sizes, turn = np.linalg.eigh(basis.T @ (K @ basis))
+        sizes, rescale = np.linalg.eigh(basis.T @ (K @ basis))
         zero = np.abs(sizes) <= 1e-12 * size
         if not zero.all() or count >= n:
-            return np.asarray((basis @ turn)[:, zero])
+            return np.asarray((basis @ rescale)[:, zero])
         count *= 2
 
 
-def unopposed(problem: Scaled, free: Array) -> Array | None:
+def unopposed_motion(problem: ScaledProblem, free: Array) -> Array | None:
     """Returns a motion (n,) in ``free`` along which the load acts, and which no contact opposes, or None."""
     if not free.shape[1]:
         return None
     load = free.T @ problem.f
-    pushes = _edges(problem) @ free
-    lengths = np.linalg.norm(pushes, axis=1)
-    pushes = pushes[lengths > _REST] / lengths[lengths > _REST, None]
-    rest = load - pushes.T @ _nonnegative(pushes.T, load)
-    if np.linalg.norm(rest) <= _REST * np.linalg.norm(problem.f):
+    directions = _cone_edges(problem) @ free
+    lengths = np.linalg.norm(directions, axis=1)
+    directions = directions[lengths > _RESIDUAL_TOLERANCE] / lengths[lengths > _RESIDUAL_TOLERANCE, None]
+    remainder = load - directions.T @ _nonnegative(directions.T, load)
+    if np.linalg.norm(remainder) <= _RESIDUAL_TOLERANCE * np.linalg.norm(problem.f):
         return None
-    return np.asarray(free @ rest / np.linalg.norm(rest))
+    return np.asarray(free @ remainder / np.linalg.norm(remainder))
 
 
-def _edges(problem: Scaled) -> Array:
+def _cone_edges(problem: ScaledProblem) -> Array:
     """Returns generalized forces −Gᵀλ (edges, n), turned over, whose sums are all that the contacts can exert.
 
     In space they span a polygonal cone around the cone of friction.
@@ -92,33 +92,33 @@ def _edges(problem: Scaled) -> Array:
     if problem.dim == 1:
         return problem.G[:, 0]
     if problem.dim == 2:
-        across = np.array([[-1.0], [1.0]])
+        tangential = np.array([[-1.0], [1.0]])
     else:
         angles = 2.0 * np.pi * np.arange(_TANGENTS) / _TANGENTS
-        across = np.stack([np.cos(angles), np.sin(angles)], axis=1) / np.cos(np.pi / _TANGENTS)
+        tangential = np.stack([np.cos(angles), np.sin(angles)], axis=1) / np.cos(np.pi / _TANGENTS)
     # Divided by √(1 + μ²), for strong friction.
     cos = 1.0 / np.hypot(1.0, problem.mu)
     normal = cos[:, None] * problem.G[:, 0]
-    tangents = (cos * problem.mu)[:, None, None] * np.einsum("ta,man->mtn", across, problem.G[:, 1:])
+    tangents = (cos * problem.mu)[:, None, None] * np.einsum("ta,man->mtn", tangential, problem.G[:, 1:])
     return np.asarray((normal[:, None] + tangents).reshape(-1, problem.G.shape[2]))
 
 
-def leaves_no_room(problem: Scaled) -> bool:
+def gaps_infeasible(problem: ScaledProblem) -> bool:
     """Returns whether no displacements keep all gaps open or closed."""
     rows, gaps = problem.G[:, 0], problem.targets[:, 0]
     if not (gaps < 0.0).any():
         return False
     lengths = np.linalg.norm(rows, axis=1)
-    fixed = lengths <= _REST
+    fixed = lengths <= _RESIDUAL_TOLERANCE
     if (gaps[fixed] < 0.0).any():
         return True
     rows, gaps = rows[~fixed] / lengths[~fixed, None], gaps[~fixed] / lengths[~fixed]
     matrix = np.vstack([rows.T, gaps / np.abs(gaps).max()])
     goal = np.append(np.zeros(rows.shape[1]), -1.0)
-    return bool(np.linalg.norm(goal - matrix @ _nonnegative(matrix, goal)) <= _REST)
+    return bool(np.linalg.norm(goal - matrix @ _nonnegative(matrix, goal)) <= _RESIDUAL_TOLERANCE)
 
 
-def loose(problem: Scaled, free: Array, u: Array, lam: Array, tolerance: float) -> Array | None:
+def free_motion(problem: ScaledProblem, free: Array, u: Array, lam: Array, tolerance: float) -> Array | None:
     """Returns a motion (n,) in ``free`` that changes no force of a solution, None if u is the only one.
 
     Closed contacts that press stay closed, those that carry nothing may open, sticking ones stick, and slipping
@@ -127,39 +127,39 @@ def loose(problem: Scaled, free: Array, u: Array, lam: Array, tolerance: float) 
     if not free.shape[1]:
         return None
     scales, w = problem.scales(u, lam), problem.targets - problem.G @ u
-    near = np.maximum(10.0 * tolerance * scales.length[0], scales.rounding[0])
-    presses = lam[:, 0] > 10.0 * tolerance * scales.force[0]
-    grazes = ~presses & (w[:, 0] <= near)
-    held = [problem.G[presses, 0] @ free]
-    for i in np.flatnonzero(presses & (problem.mu > 0.0)) if problem.dim > 1 else []:
-        across, slip = problem.G[i, 1:] @ free, np.linalg.norm(w[i, 1:])
-        if slip > near[i]:
+    closed_below = np.maximum(10.0 * tolerance * scales.length[0], scales.rounding[0])
+    is_pressing = lam[:, 0] > 10.0 * tolerance * scales.force[0]
+    is_touching = ~is_pressing & (w[:, 0] <= closed_below)
+    constraints = [problem.G[is_pressing, 0] @ free]
+    for i in np.flatnonzero(is_pressing & (problem.mu > 0.0)) if problem.dim > 1 else []:
+        tangential, slip = problem.G[i, 1:] @ free, np.linalg.norm(w[i, 1:])
+        if slip > closed_below[i]:
             e = w[i, 1:] / slip
-            across = across - np.outer(e, e @ across)
-        held.append(across)
-    motions = free @ kernel(np.concatenate(held))
+            tangential = tangential - np.outer(e, e @ tangential)
+        constraints.append(tangential)
+    motions = free @ row_null_space(np.concatenate(constraints))
     if not motions.shape[1]:
         return None
-    rows = problem.G[grazes, 0] @ motions
+    rows = problem.G[is_touching, 0] @ motions
     lengths = np.linalg.norm(rows, axis=1)
-    rows = rows[lengths > _REST] / lengths[lengths > _REST, None]
-    fixed = kernel(rows)
+    rows = rows[lengths > _RESIDUAL_TOLERANCE] / lengths[lengths > _RESIDUAL_TOLERANCE, None]
+    fixed = row_null_space(rows)
     if fixed.shape[1]:
         return np.asarray(motions @ fixed[:, 0])
     # Without a motion that opens some of these and closes none, weights of at least 1 balance (Stiemke).
-    pull = rows.sum(axis=0)
-    rest = -pull - rows.T @ _nonnegative(rows.T, -pull)
-    size = np.linalg.norm(rest)
-    return np.asarray(motions @ rest / size) if size > _REST * max(1, len(rows)) else None
+    opening = rows.sum(axis=0)
+    remainder = -opening - rows.T @ _nonnegative(rows.T, -opening)
+    size = np.linalg.norm(remainder)
+    return np.asarray(motions @ remainder / size) if size > _RESIDUAL_TOLERANCE * max(1, len(rows)) else None
 
 
-def kernel(rows: Array) -> Array:
+def row_null_space(rows: Array) -> Array:
     """Returns an orthonormal basis of what all ``rows`` take to zero."""
     n = rows.shape[1]
     if not len(rows) or not n:
         return np.eye(n)
     _, sizes, right = np.linalg.svd(rows)
-    rank = int((sizes > _REST * max(sizes.max(initial=0.0), 1.0)).sum())
+    rank = int((sizes > _RESIDUAL_TOLERANCE * max(sizes.max(initial=0.0), 1.0)).sum())
     return np.asarray(right[rank:].T)
 
 

@@ -10,29 +10,29 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.allocation import COUNT, SWITCH, Allowed
-from warpcontact.arrays import Layout, per_env
-from warpcontact.captures import beside_captures
+from warpcontact.arrays import AllocationPlan, per_env
+from warpcontact.captures import shared_capture_lock
 from warpcontact.checks import similar
-from warpcontact.footprint import Need
-from warpcontact.groups import Group, by_code
-from warpcontact.kernels.smooth.records import contact_structs
+from warpcontact.footprint import MemoryItem
+from warpcontact.groups import ContactGroup, group_by_model
+from warpcontact.kernels.smooth.records import shape_contact_structs
 from warpcontact.kernels.types import MODE_OPEN, MODE_SLIP
 from warpcontact.kernels.unilateral import collect, impulses, remember, rest, sequence
 from warpcontact.kernels.unilateral.records import record_structs
-from warpcontact.kernels.unilateral.rows import moving_struct, row_structs
+from warpcontact.kernels.unilateral.rows import body_response_struct, row_structs
 from warpcontact.parameters import Parameter
 from warpcontact.piles.elements import ParticleContact
-from warpcontact.piles.pile import Pile
+from warpcontact.piles.pile import ParticleContactSet
 from warpcontact.scene import Contact, Scene
 from warpcontact.sensors import Sensor
 from warpcontact.smooth.elements import ShapeContact
 from warpcontact.status import ContactMode
-from warpcontact.unilateral.materials import CLOSED, Hard, material_upload, parameters_of
+from warpcontact.unilateral.materials import CONTACT_GAP, NonsmoothSource, material_upload, parameters_of
 
 if TYPE_CHECKING:
-    from warpcontact.draft import PartDraft
+    from warpcontact.draft import DeviceModelPlan
     from warpcontact.model import Model
-    from warpcontact.schedule import Span
+    from warpcontact.schedule import ExecutionPlan
     from warpcontact.smooth.contact_sets import ShapeContactSet
 
 
@@ -40,7 +40,7 @@ PURPOSE = "nonsmooth contacts"
 
 
 @dataclass
-class _List:
+class _ItemList:
     """Which of the items of some arrays are hard.
 
     Attributes:
@@ -59,7 +59,7 @@ class _List:
         return len(self.numbers)
 
 
-class HardContacts:
+class NonsmoothContacts:
     """What stepping nonsmooth contacts takes beside a model.
 
     Contacts are numbered: those with meshes as they lie on the device, then smooth ones, then the records of pairs
@@ -79,30 +79,30 @@ class HardContacts:
         compliant: Names of the contacts that are not hard.
         tolerance: Of a solve.
         recovery: Share of an overlap that is taken back in a second [1/s].
-        watched: Whether every step is looked at, so that none is left out.
+        monitored: Whether every step is looked at, so that none is left out.
         capacity: Most rows of an environment.
-        middle: State at half a step.
+        half_step_state: State at half a step.
         rows: The closed contacts of a step.
-        moving: The bodies under impulses.
-        outcome: How the last solve went.
-        change: What impulses have changed of these.
-        hits: What impacts one after the other work in; ``None``: they are simultaneous.
-        restraint: How far restitution was lowered in the last step.
-        memory: Of each contact, from the last step in which it was closed.
-        account: Of each environment, since reset.
-        shown: What sensors show.
+        body_response: The bodies under impulses.
+        solve_result: How the last solve went.
+        velocity_change: What impulses have changed of these.
+        impact_rows: What impacts one after the other work in; ``None``: they are simultaneous.
+        restitution_limit: How far restitution was lowered in the last step.
+        stored_impulses: Of each contact, from the last step in which it was closed.
+        statistics: Of each environment, since reset.
+        displayed: What sensors show.
         reactions: Mean wrenches of the last step on the bodies.
         material: [env, material].
     """
 
     def __init__(
         self,
-        model: "Model | PartDraft",
+        model: "Model | DeviceModelPlan",
         compliant: Collection[str],
         scratch: Mapping[str, Callable[[type, bool], Any]],
         tolerance: float,
         recovery: float,
-        layout: Layout,
+        layout: AllocationPlan,
         sequential: bool = False,
     ) -> None:
         t = model.types
@@ -110,139 +110,154 @@ class HardContacts:
         forces = [contact.name for contact in scene.contacts if contact.facing is not None]
         self.compliant = frozenset([*compliant, *forces])
         self.tolerance, self.recovery = tolerance, recovery
-        self.watched = False
+        self.monitored = False
         self._real = t.real
         self._contacts = t.Contacts
         self._device = layout.device
         rows, records = row_structs(t.real), record_structs(t.real)
-        contacts = [contact for group in by_code(scene.contacts) for contact in group]
+        contacts = [contact for group in group_by_model(scene.contacts) for contact in group]
         starts = np.cumsum([0] + [contact.count for contact in contacts]).tolist()
-        meshes = {contact: _items(start, contact.count) for contact, start in zip(contacts, starts, strict=False)}
+        meshes = {contact: _slice(start, contact.count) for contact, start in zip(contacts, starts, strict=False)}
         self._blocks_of = {
-            contact: _items(*model.blocks.of_contacts(own.start, contact.count)) for contact, own in meshes.items()
+            contact: _slice(*model.clusters.range_of_contacts(own.start, contact.count))
+            for contact, own in meshes.items()
         }
-        self._mesh = self._list(0, meshes, layout)
-        self._mesh_blocks = self._list(0, self._blocks_of, layout)
+        self._mesh = self._item_list(0, meshes, layout)
+        self._mesh_blocks = self._item_list(0, self._blocks_of, layout)
         # What sensors show of single contacts.
-        self._shown: dict[Contact | ShapeContact, slice] = dict(meshes.items())
-        self._smooth: list[tuple[ShapeContactSet, _List]] = []
-        for one in model.smooth:
+        self._displayed: dict[Contact | ShapeContact, slice] = dict(meshes.items())
+        self._shape_contact_sets: list[tuple[ShapeContactSet, _ItemList]] = []
+        for one in model.shape_contact_sets:
             first = starts[-1] + one.first
-            self._shown |= {
+            self._displayed |= {
                 contact: slice(first + own.start, first + own.stop) for contact, own in one.items.items()
             }
-            self._smooth.append((one, self._list(first, one.items, layout)))
-        count = starts[-1] + model.smooth_count
-        known = count
-        self._number_of: dict[ParticleContact, int] = {}
-        self._piles: list[tuple[Pile, int]] = []  # those that are hard, with their material
-        for pile in model.piles:
-            if not self.acts(pile.contact.name):
-                self._piles.append((pile, count + len(self._piles)))
-                self._number_of[pile.contact] = known
-                known += pile.slots
-        self.capacity = self._mesh.count + sum(own.count for _, own in self._smooth)
-        self.capacity += sum(pile.slots for pile, _ in self._piles)
-        everything = (*self._shown, *self._number_of)
-        self._hard = [contact for contact in everything if not self.acts(contact.name)]
+            self._shape_contact_sets.append((one, self._item_list(first, one.items, layout)))
+        count = starts[-1] + model.shape_contact_count
+        stored_count = count
+        self._first_records: dict[ParticleContact, int] = {}
+        self._particle_contact_sets: list[
+            tuple[ParticleContactSet, int]
+        ] = []  # those that are hard, with their material
+        for pile in model.particle_contact_sets:
+            if not self.is_compliant(pile.contact.name):
+                self._particle_contact_sets.append((pile, count + len(self._particle_contact_sets)))
+                self._first_records[pile.contact] = stored_count
+                stored_count += pile.slots
+        self.capacity = self._mesh.count + sum(own.count for _, own in self._shape_contact_sets)
+        self.capacity += sum(pile.slots for pile, _ in self._particle_contact_sets)
+        everything = (*self._displayed, *self._first_records)
+        self._nonsmooth = [contact for contact in everything if not self.is_compliant(contact.name)]
 
         bodies, each_row = per_env(model.body_count), per_env(max(1, self.capacity))
-        self.middle = layout.struct(PURPOSE, t.State, bodies, transient=True)
+        self.half_step_state = layout.struct(PURPOSE, t.State, bodies, transient=True)
         made = {
             "rows": (rows.Row, each_row),
-            "moving": (moving_struct(t.real, model.moves), bodies),
-            "change": (impulses.change_struct(t.real), bodies),
-            "memory": (records.Memory, per_env(max(1, known))),
+            "body_response": (body_response_struct(t.real, model.has_joints), bodies),
+            "velocity_change": (impulses.velocity_change_struct(t.real), bodies),
+            "stored_impulses": (records.StoredImpulse, per_env(max(1, stored_count))),
         }
-        self.rows = self.moving = self.change = self.memory = None
-        remembered: dict[str, Allowed] = {"memory.mode": (MODE_OPEN, MODE_SLIP), "memory.stamp": COUNT}
+        self.rows = self.body_response = self.velocity_change = self.stored_impulses = None
+        remembered: dict[str, Allowed] = {
+            "stored_impulses.mode": (MODE_OPEN, MODE_SLIP),
+            "stored_impulses.stamp": COUNT,
+        }
         for name, (struct, shape) in made.items():
-            layout.array(PURPOSE, self, name, struct, shape, transient=name != "memory", ranges=remembered)
+            layout.array(
+                PURPOSE, self, name, struct, shape, transient=name != "stored_impulses", ranges=remembered
+            )
         self._scratch = SimpleNamespace()
         for name, make in scratch.items():
             setattr(self._scratch, name, None)
             layout.array(PURPOSE, self._scratch, name, make(t.real, self.rolls), each_row, transient=True)
-        self.hits: Any = None
+        self.impact_rows: Any = None
         if sequential:
-            layout.array(PURPOSE, self, "hits", sequence.scratch(t.real), each_row, transient=True)
+            layout.array(PURPOSE, self, "impact_rows", sequence.scratch(t.real), each_row, transient=True)
         solved = {"count": (0, self.capacity), "iterations": COUNT, "converged": SWITCH}
-        self.outcome = layout.struct(PURPOSE, rows.Outcome, per_env(), transient=("slack",), ranges=solved)
-        self.restraint = layout.struct(PURPOSE, records.Restraint, per_env(), transient=True)
+        self.solve_result = layout.struct(
+            PURPOSE, rows.SolveResult, per_env(), transient=("slack",), ranges=solved
+        )
+        self.restitution_limit = layout.struct(PURPOSE, records.RestitutionLimit, per_env(), transient=True)
         counts = dict.fromkeys(("step", "failures", "restitution_limited"), COUNT)
-        self.account = layout.struct(PURPOSE, records.Account, per_env(), transient=("calm",), ranges=counts)
-        self.shown = layout.struct(PURPOSE, records.Shown, per_env(max(1, count)), transient=True)
+        self.statistics = layout.struct(
+            PURPOSE, records.StepStatistics, per_env(), transient=("unchanged_steps",), ranges=counts
+        )
+        self.displayed = layout.struct(PURPOSE, records.DisplayedImpulses, per_env(max(1, count)), transient=True)
         self.reactions = layout.struct(PURPOSE, t.Wrenches, bodies)
         self.material: Any = None
         self._bodies, self._step = 0, None
         self._upload: Any = None
         self._materials = [
-            Hard(one, one.material.formulas, own.stop - own.start) for one, own in self._shown.items()
+            NonsmoothSource(one, one.material.formulas, own.stop - own.start)
+            for one, own in self._displayed.items()
         ]
-        self._materials += [Hard(one, one.formulas, 1) for one in self._number_of]
+        self._materials += [NonsmoothSource(one, one.formulas, 1) for one in self._first_records]
 
-    def _list(self, first: int, items: Mapping[Any, slice], layout: Layout) -> _List:
+    def _item_list(self, first: int, items: Mapping[Any, slice], layout: AllocationPlan) -> _ItemList:
         """Declares the list of those of ``items``, by contact, that are hard."""
-        hard = [np.arange(own.start, own.stop) for contact, own in items.items() if not self.acts(contact.name)]
-        numbers = np.concatenate([np.zeros(0, np.int64), *hard])
-        made = _List(first, numbers)
+        nonsmooth = [
+            np.arange(own.start, own.stop) for contact, own in items.items() if not self.is_compliant(contact.name)
+        ]
+        numbers = np.concatenate([np.zeros(0, np.int64), *nonsmooth])
+        made = _ItemList(first, numbers)
         # No array is empty.
-        layout.content(PURPOSE, made, "items", numbers if len(numbers) else [0], wp.int32)
+        layout.constant(PURPOSE, made, "items", numbers if len(numbers) else [0], wp.int32)
         return made
 
-    def material_need(self, parameters: Mapping[str, Parameter], envs: int, varied: Collection[str]) -> Need:
+    def material_need(self, parameters: Mapping[str, Parameter], envs: int, varied: Collection[str]) -> MemoryItem:
         """Returns what the materials of ``envs`` environments take; ``varied`` are to have a value in each."""
-        upload = self._upload or material_upload(self, self._materials, parameters, self._device, self._real)
+        device_field = self._upload or material_upload(self, self._materials, parameters, self._device, self._real)
         fields = {id(parameters[name].field) for name in varied}
         own = any(
             id(source.field) in fields or not source.field.shared
             for source in parameters_of(self._materials, parameters)
         )
-        return Need(PURPOSE, str(self._device), *upload.size(envs, own))
+        return MemoryItem(PURPOSE, str(self._device), *device_field.size(envs, own))
 
-    def begin(self, model: "Model", step: wp.array) -> None:
+    def attach_simulation(self, model: "Model", step: wp.array) -> None:
         """Takes what is allocated: the model, and the length of a step [env, 0] [s]."""
         self.check_shares(model.parameters)
         self._bodies, self._step = model.body_count, step
         self._upload = material_upload(self, self._materials, model.parameters, model.device, self._real)
 
-    def follow(self, model: "Model") -> None:
+    def activate(self, model: "Model") -> None:
         """Lets restitution and coefficients of friction follow their parameters; no contact remembers anything.
 
         Losses and counts go on.
         """
         for parameter in parameters_of(self._materials, model.parameters):
-            if self._upload not in parameter.uploads:
-                parameter.uploads.append(self._upload)
-        model.send([self._upload], [self._upload.content()])
-        self._close_at(model, CLOSED[self._real])
-        self._forget(wp.full(model.envs, True, dtype=wp.bool, device=model.device), everything=False)
-        self._leave_laws(model)
+            if self._upload not in parameter.device_fields:
+                parameter.device_fields.append(self._upload)
+        model.upload([self._upload], [self._upload.content()])
+        self._set_contact_gap(model, CONTACT_GAP[self._real])
+        self._reset(wp.full(model.envs, True, dtype=wp.bool, device=model.device), all_statistics=False)
+        self._reset_laws(model)
 
-    def let_go(self, model: "Model") -> None:
+    def deactivate(self, model: "Model") -> None:
         """Follows the parameters no longer."""
-        self._leave_laws(model)
-        self._close_at(model, 0.0)
+        self._reset_laws(model)
+        self._set_contact_gap(model, 0.0)
         for parameter in parameters_of(self._materials, model.parameters):
-            if self._upload in parameter.uploads:
-                parameter.uploads.remove(self._upload)
+            if self._upload in parameter.device_fields:
+                parameter.device_fields.remove(self._upload)
 
-    def _close_at(self, model: "Model", gap: float) -> None:
+    def _set_contact_gap(self, model: "Model", gap: float) -> None:
         """Sets the gap below which the nonsmooth contacts are closed [m]."""
         closed = [(model.arrays.closed, self._mesh.numbers)] if self._mesh.count else []
-        closed += [(one.closed, own.numbers) for one, own in self._smooth if own.count]
-        closed += [(pile.closed, np.arange(1)) for pile, _ in self._piles]
+        closed += [(one.closed, own.numbers) for one, own in self._shape_contact_sets if own.count]
+        closed += [(pile.closed, np.arange(1)) for pile, _ in self._particle_contact_sets]
         for one, items in closed:
             one.assign(items, gap)
-        model.send([one.upload for one, _ in closed], [one.upload.content() for one, _ in closed])
+        model.upload([one.device_field for one, _ in closed], [one.device_field.content() for one, _ in closed])
 
-    def _leave_laws(self, model: "Model") -> None:
+    def _reset_laws(self, model: "Model") -> None:
         """Lets laws and friction models of nonsmooth contacts begin anew should they act again: none has been going on."""
         history, contacts = model.arrays.history, model.arrays.contacts
         if self._mesh.count:
-            hard = self._mesh.items.numpy()
+            nonsmooth = self._mesh.items.numpy()
             for array, nothing in ((history.entry_speed, -1.0), (contacts.approach_speed, 0.0)):
                 values = array.numpy()
-                values[:, hard] = nothing
+                values[:, nonsmooth] = nothing
                 array.assign(values)
 
     @property
@@ -250,27 +265,29 @@ class HardContacts:
         """What each solver, by its name, works in [env, row]."""
         return vars(self._scratch)
 
-    def acts(self, name: str) -> bool:
+    def is_compliant(self, name: str) -> bool:
         """Whether the contact ``name`` acts by the force of its law."""
         return name in self.compliant
 
-    def number_of(self, contact: ParticleContact) -> int:
+    def first_record_of(self, contact: ParticleContact) -> int:
         """Returns the number of the first record of a particle contact that is hard."""
-        return self._number_of[contact]
+        return self._first_records[contact]
 
     @property
     def names(self) -> frozenset[str]:
         """Names of the contacts that are hard."""
-        return frozenset(contact.name for contact in self._hard)
+        return frozenset(contact.name for contact in self._nonsmooth)
 
     @property
     def rolls(self) -> bool:
         """Whether anything opposes rolling or spinning of a nonsmooth contact."""
-        return any(contact.material.parts.rolls or contact.material.parts.twists for contact in self._hard)
+        return any(
+            contact.material.parts.has_rolling or contact.material.parts.has_torsion for contact in self._nonsmooth
+        )
 
-    def bounces(self, parameters: Mapping[str, Parameter]) -> bool:
+    def has_restitution(self, parameters: Mapping[str, Parameter]) -> bool:
         """Whether any nonsmooth contact has a restitution now: impacts may then bring energy."""
-        names = [f"{one.name}.law.restitution" for one in self._hard]
+        names = [f"{one.name}.law.restitution" for one in self._nonsmooth]
         return any(bool(parameters[name].field.values.any()) for name in names if name in parameters)
 
     def check_shares(self, parameters: Mapping[str, Parameter]) -> None:
@@ -279,7 +296,7 @@ class HardContacts:
         Raises:
             ValueError: If one has; names the contact.
         """
-        for one in self._hard:
+        for one in self._nonsmooth:
             own = parameters.get(f"{one.name}.force_scale")
             if own is not None:
                 self.check_share(own.name, own.values)
@@ -293,108 +310,177 @@ class HardContacts:
                 f"{element}.enabled to 0 to switch it off"
             )
 
-    def compliant_blocks(self, group: Group) -> list[tuple[int, int]]:
+    def compliant_clusters(self, group: ContactGroup) -> list[tuple[int, int]]:
         """Returns the blocks of the contacts of ``group`` that are not hard: the first and their number."""
-        last = group.first_block + group.block_count
+        last = group.first_cluster + group.cluster_count
         return self.compliant_items(
-            {contact: own for contact, own in self._blocks_of.items() if group.first_block <= own.start < last}
+            {contact: own for contact, own in self._blocks_of.items() if group.first_cluster <= own.start < last}
         )
 
     def compliant_items(self, items: Mapping[Any, slice]) -> list[tuple[int, int]]:
         """Returns where those of ``items``, by contact, are that are not hard: the first and how many follow."""
-        return _runs(own for contact, own in items.items() if self.acts(contact.name))
+        return _runs(own for contact, own in items.items() if self.is_compliant(contact.name))
 
-    def collect_stages(self, span: "Span") -> list[wp.Launch]:
+    def collect_stages(self, plan: "ExecutionPlan") -> list[wp.Launch]:
         """Returns the launches that list the closed contacts of the middle of the step."""
-        a, real = span.model.arrays, self._real
-        outputs = [self.recovery, self.material, self.memory, self.account, self.rows, self.outcome]
+        a, real = plan.model.arrays, self._real
+        outputs = [
+            self.recovery,
+            self.material,
+            self.stored_impulses,
+            self.statistics,
+            self.rows,
+            self.solve_result,
+        ]
         launches = []
         if self._mesh.count:
             blocks = self._mesh_blocks
-            inputs = [a.status, a.model, self.middle, a.contacts, a.near, blocks.items, blocks.count]
-            launches += span.prepare(collect.mesh(real), 1, [*inputs, *outputs])
-        for one, own in self._smooth:
+            inputs = [
+                a.status,
+                a.model,
+                self.half_step_state,
+                a.contacts,
+                a.active_contacts,
+                blocks.items,
+                blocks.count,
+            ]
+            launches += plan.prepare(collect.mesh_rows(real), 1, [*inputs, *outputs])
+        for one, own in self._shape_contact_sets:
             if own.count:
-                inputs = [a.status, self.middle, own.first, own.items, own.count, one.members, one.settings]
-                launches += span.prepare(collect.smooth(real, one.curved), 1, [*inputs, one.smooth, *outputs])
-        for pile, material in self._piles:
+                inputs = [
+                    a.status,
+                    self.half_step_state,
+                    own.first,
+                    own.items,
+                    own.count,
+                    one.contact_shapes,
+                    one.settings,
+                ]
+                launches += plan.prepare(
+                    collect.shape_rows(real, one.needs_curvature), 1, [*inputs, one.shape_contacts, *outputs]
+                )
+        for pile, material in self._particle_contact_sets:
             contact = pile.contact
-            inputs = [a.status, self.middle, contact.count, pile.shapes, pile.lists, pile.touches]
-            inputs += [self._number_of[contact], material]
-            launches += span.prepare(collect.pile(real), 1, [*inputs, *outputs])
+            inputs = [
+                a.status,
+                self.half_step_state,
+                contact.count,
+                pile.particles,
+                pile.neighbor_lists,
+                pile.pair_records,
+            ]
+            inputs += [self._first_records[contact], material]
+            launches += plan.prepare(collect.particle_rows(real), 1, [*inputs, *outputs])
         return launches
 
-    def rest_stages(self, span: "Span", step: wp.array) -> list[wp.Launch]:
+    def sleep_stages(self, plan: "ExecutionPlan", step: wp.array) -> list[wp.Launch]:
         """Returns the launch that leaves environments at rest out of a step, none where that may be wrong.
 
         Only contacts with surfaces do the same in every step in which nothing moves.
         """
-        model = span.model
-        others = model.moves or model.drives or model.couplings or model.smooth or model.piles or model.follows
-        if self.watched or others or any(self.compliant_blocks(group) for group in model.groups):
+        model = plan.model
+        others = (
+            model.has_joints
+            or model.prescribed_motions
+            or model.couplings
+            or model.shape_contact_sets
+            or model.particle_contact_sets
+            or model.has_latched_contacts
+        )
+        if self.monitored or others or any(self.compliant_clusters(group) for group in model.groups):
             return []
-        inputs = [model.arrays.status, step, model.arrays.time, self.account]
-        return span.prepare(rest.kernel(self._real), 1, inputs)
+        inputs = [model.arrays.status, step, model.arrays.time, self.statistics]
+        return plan.prepare(rest.kernel(self._real), 1, inputs)
 
-    @beside_captures()
+    @shared_capture_lock()
     def wake(self) -> None:
         """Lets no environment rest: something may have been changed from outside."""
-        self.account.calm.zero_()
+        self.statistics.unchanged_steps.zero_()
 
-    @beside_captures()
-    def forget_residuals(self) -> None:
+    @shared_capture_lock()
+    def reset_residuals(self) -> None:
         """Sets the largest residuals of unsolved problems to 0."""
-        self.account.largest_residual.zero_()
+        self.statistics.largest_residual.zero_()
 
-    def accept_stages(self, span: "Span", step: wp.array) -> list[wp.Launch]:
+    def accept_stages(self, plan: "ExecutionPlan", step: wp.array) -> list[wp.Launch]:
         """Returns the launch that remembers what an accepted step led to; ``step`` [env, 0] [s]."""
-        inputs = [span.model.arrays.status, step, self.tolerance, span.model.body_count]
-        inputs += [self.middle, self.rows, self.moving]
-        inputs += [self.outcome, self.restraint, self.memory, self.account, self.reactions]
-        return span.prepare(remember.kernel(self._real, span.model.moves, self.rolls), 1, inputs)
+        inputs = [plan.model.arrays.status, step, self.tolerance, plan.model.body_count]
+        inputs += [self.half_step_state, self.rows, self.body_response]
+        inputs += [
+            self.solve_result,
+            self.restitution_limit,
+            self.stored_impulses,
+            self.statistics,
+            self.reactions,
+        ]
+        return plan.prepare(remember.kernel(self._real, plan.model.has_joints, self.rolls), 1, inputs)
 
-    def restart(self, chosen: wp.array) -> None:
+    def reset_state(self, chosen: wp.array) -> None:
         """Empties what the environments of the mask ``chosen`` [env] remember."""
-        self._forget(chosen, everything=True)
+        self._reset(chosen, all_statistics=True)
 
-    def _forget(self, chosen: wp.array, everything: bool) -> None:
-        inputs = [chosen, int(everything), self._bodies, self.outcome, self.account, self.reactions]
-        wp.launch(remember.forget(self._real), dim=len(chosen), inputs=inputs, device=self._device)
+    def _reset(self, chosen: wp.array, all_statistics: bool) -> None:
+        inputs = [chosen, int(all_statistics), self._bodies, self.solve_result, self.statistics, self.reactions]
+        wp.launch(remember.reset(self._real), dim=len(chosen), inputs=inputs, device=self._device)
 
-    def show_stages(self, span: "Span", status: wp.array) -> list[wp.Launch]:
+    def show_stages(self, plan: "ExecutionPlan", status: wp.array) -> list[wp.Launch]:
         """Returns the launches that put the last step where sensors of contacts look, but for those of piles.
 
         ``status`` [env] says which environments are active.
         """
-        a, real = span.model.arrays, self._real
-        targets = [(self._mesh, remember.read(real, self._contacts), a.contacts)]
-        for one, own in self._smooth:
-            targets.append((own, remember.read(real, contact_structs(real).Smooth), one.smooth))
+        a, real = plan.model.arrays, self._real
+        targets = [(self._mesh, remember.display_contacts(real, self._contacts), a.contacts)]
+        for one, own in self._shape_contact_sets:
+            targets.append(
+                (
+                    own,
+                    remember.display_contacts(real, shape_contact_structs(real).ShapeContacts),
+                    one.shape_contacts,
+                )
+            )
         launches = []
         for own, kernel, target in targets:
-            inputs = [status, self._step, own.first, own.items, self.memory, self.account, target, self.shown]
-            launches += span.prepare(kernel, own.count, inputs)
+            inputs = [
+                status,
+                self._step,
+                own.first,
+                own.items,
+                self.stored_impulses,
+                self.statistics,
+                target,
+                self.displayed,
+            ]
+            launches += plan.prepare(kernel, own.count, inputs)
         return launches
 
     def show(self, model: "Model") -> None:
         """Puts the last step where sensors look; forces are the mean over it."""
-        from warpcontact.schedule import Span
+        from warpcontact.schedule import ExecutionPlan
 
         a, device, real = model.arrays, self._device, self._real
-        for launch in self.show_stages(Span(model, model.envs, cached=False, ordered=True), model.all_active):
+        for launch in self.show_stages(
+            ExecutionPlan(model, model.envs, uses_cache=False, ordered_sum=True), model.active_status
+        ):
             launch.launch()
-        known = [self.memory, self.account]
-        for pile, _ in self._piles:
-            inputs = [self._step, self._number_of[pile.contact], pile.shapes, pile.lists, *known, pile.touches]
+        stored_count = [self.stored_impulses, self.statistics]
+        for pile, _ in self._particle_contact_sets:
+            inputs = [
+                self._step,
+                self._first_records[pile.contact],
+                pile.particles,
+                pile.neighbor_lists,
+                *stored_count,
+                pile.pair_records,
+            ]
             shape = (model.envs, pile.contact.count)
-            wp.launch(remember.read_pile(real), dim=shape, inputs=inputs, device=device)
+            wp.launch(remember.display_particles(real), dim=shape, inputs=inputs, device=device)
         shape = (model.envs, model.body_count)
-        wp.launch(remember.push(real), dim=shape, inputs=[self.reactions, a.wrenches], device=device)
+        wp.launch(remember.reaction_forces(real), dim=shape, inputs=[self.reactions, a.wrenches], device=device)
 
     def sensors(self) -> Iterator[Sensor]:
         """Iterates over what can be measured of nonsmooth contacts."""
-        for contact, numbers in self._shown.items():
-            if self.acts(contact.name):
+        for contact, numbers in self._displayed.items():
+            if self.is_compliant(contact.name):
                 continue
             if isinstance(contact, ShapeContact):
                 single, on = contact.single, "the body of its first shape"
@@ -402,10 +488,10 @@ class HardContacts:
                 single, on = contact.points.single, "the point's body"
             own: int | slice = numbers.start if single else numbers
             several = 0 if single else contact.count
-            name, array = f"{contact.name}.impulse", _shown("impulse", own)
+            name, array = f"{contact.name}.impulse", _displayed("impulse", own)
             text = f"impulse of the last step on {on}, world"
             yield Sensor(name, "N·s", text, array, needs=("contacts",), items=several, shape=(3,))
-            name, array = f"{contact.name}.mode", _shown("mode", own)
+            name, array = f"{contact.name}.mode", _displayed("mode", own)
             text = "whether it stuck or slipped in the last step"
             yield Sensor(name, "-", text, array, needs=("contacts",), items=several, codes=ContactMode)
         for key, (part, attribute, unit, meaning) in OF_SCENE.items():
@@ -414,11 +500,11 @@ class HardContacts:
 
 # name: (struct, array, unit, what it is)
 OF_SCENE = {
-    "closed_contacts": ("outcome", "count", "-", "nonsmooth contacts that were closed in the last step"),
-    "solve_residual": ("outcome", "residual", "-", "what is left of the contact problem of the last step"),
-    "solve_iterations": ("outcome", "iterations", "-", "iterations of its solver"),
-    "solve_converged": ("outcome", "converged", "-", "1: to its tolerance"),
-    "solve_failures": ("account", "failures", "-", "steps that were not solved to it, since reset"),
+    "closed_contacts": ("solve_result", "count", "-", "nonsmooth contacts that were closed in the last step"),
+    "solve_residual": ("solve_result", "residual", "-", "what is left of the contact problem of the last step"),
+    "solve_iterations": ("solve_result", "iterations", "-", "iterations of its solver"),
+    "solve_converged": ("solve_result", "converged", "-", "1: to its tolerance"),
+    "solve_failures": ("statistics", "failures", "-", "steps that were not solved to it, since reset"),
     "restitution_limited": (
         "account",
         "restitution_limited",
@@ -440,30 +526,30 @@ OF_SCENE = {
 }
 
 
-def is_of_hard_contact(name: str) -> bool:
+def is_nonsmooth_sensor(name: str) -> bool:
     """Whether a sensor is one of nonsmooth contacts alone, by its name."""
     element, _, quantity = name.rpartition(".")
     return quantity in OF_SCENE if element == "scene" else quantity in ("impulse", "mode")
 
 
-def sensor_hint(name: str, known: Collection[str], scene: Scene) -> str:
+def sensor_hint(name: str, stored_count: Collection[str], scene: Scene) -> str:
     """Returns the end of a message about an unknown sensor: the integrator that has it, or similar names."""
     element = name.rpartition(".")[0]
     contacts = {contact.name for contact in scene.contacts} | {contact.name for contact in scene.shape_contacts}
-    if is_of_hard_contact(name) and (element == "scene" or element in contacts):
+    if is_nonsmooth_sensor(name) and (element == "scene" or element in contacts):
         return "; only nonsmooth contact has it, with the integrator MoreauJean"
-    return similar(name, known)
+    return similar(name, stored_count)
 
 
-def _shown(attribute: str, own: int | slice) -> Any:
-    return lambda arrays: getattr(arrays.hard.shown, attribute)[:, own]
+def _displayed(attribute: str, own: int | slice) -> Any:
+    return lambda arrays: getattr(arrays.nonsmooth.displayed, attribute)[:, own]
 
 
 def _of_scene(part: str, attribute: str) -> Any:
-    return lambda arrays: getattr(getattr(arrays.hard, part), attribute)
+    return lambda arrays: getattr(getattr(arrays.nonsmooth, part), attribute)
 
 
-def _items(first: int, count: int) -> slice:
+def _slice(first: int, count: int) -> slice:
     return slice(first, first + count)
 
 

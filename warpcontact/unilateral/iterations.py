@@ -24,17 +24,17 @@ def iterate(
     device: str,
 ) -> tuple[Array, Array]:
     """Returns l and the iterations taken of each problem; l is 0 if they diverged."""
-    found, taken = np.empty_like(lam), np.zeros(problem.count, dtype=int)
+    found, iteration_counts = np.empty_like(lam), np.zeros(problem.count, dtype=int)
     rows = max(problem.contacts * problem.dim, 1)
     size = max(_ENTRIES // rows**2, 1)
     for start in range(0, problem.count, size):
         part = np.arange(start, min(start + size, problem.count))
-        found[part], taken[part] = _launch(
+        found[part], iteration_counts[part] = _launch(
             method, problem.part(part), lam[part], tolerance, iterations, parameter, device
         )
     # Iterations diverge if W is not positive semidefinite.
     found[~(np.abs(found).max(axis=(1, 2), initial=0.0) < _FARTHEST * problem.scale)] = 0.0
-    return found, taken
+    return found, iteration_counts
 
 
 def _launch(
@@ -51,12 +51,12 @@ def _launch(
     from warpcontact.kernels.unilateral import dense
 
     count, contacts, dim = problem.q.shape
-    upload = functools.partial(wp.array, dtype=wp.float64, device=device)
+    device_field = functools.partial(wp.array, dtype=wp.float64, device=device)
     p = dense.Dense()
-    p.W, p.mu, p.rho = upload(problem.W), upload(problem.mu), upload(problem.rho)
-    p.q, p.unit = upload(problem.q.reshape(count, -1)), upload(problem.unit)
-    p.lam = upload(lam.reshape(count, -1))
-    p.w, p.ahead = wp.empty_like(p.q), wp.empty_like(p.q)
+    p.W, p.mu, p.rho = device_field(problem.W), device_field(problem.mu), device_field(problem.rho)
+    p.q, p.unit = device_field(problem.q.reshape(count, -1)), device_field(problem.unit)
+    p.lam = device_field(lam.reshape(count, -1))
+    p.w, p.extrapolated = wp.empty_like(p.q), wp.empty_like(p.q)
     p.step, p.shift = (wp.empty((count, contacts), dtype=wp.float64, device=device) for _ in range(2))
     p.residual = wp.empty(count, dtype=wp.float64, device=device)
     p.iterations = wp.empty(count, dtype=wp.int32, device=device)

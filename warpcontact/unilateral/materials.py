@@ -12,15 +12,15 @@ from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.friction import Friction, Frictionless
 from warpcontact.kernels.laws import Law
 from warpcontact.kernels.unilateral.records import record_structs
-from warpcontact.parameters import Parameter, Upload, pack
+from warpcontact.parameters import DeviceField, Parameter, pack
 
 #: Gaps below this are closed [m], by precision: more than rounding leaves of bodies of a few meters.
-CLOSED = {wp.float32: 1.0e-6, wp.float64: 1.0e-9}
+CONTACT_GAP = {wp.float32: 1.0e-6, wp.float64: 1.0e-9}
 #: Laws of multiple impacts: how contacts that are hit together bounce.
-IMPACTS = ("simultaneous", "sequential")
+IMPACT_LAWS = ("simultaneous", "sequential")
 
 
-class Touching(Protocol):
+class NamedContact(Protocol):
     """A contact of a scene, of whatever kind."""
 
     @property
@@ -28,9 +28,9 @@ class Touching(Protocol):
         """Its name."""
 
 
-def of_cone(friction: Any) -> tuple[str, str] | None:
+def cone_coefficients(friction: Any) -> tuple[str, str] | None:
     """Returns the names of the coefficients at rest and in motion; ``None``: there is no friction."""
-    return None if isinstance(friction, Frictionless) else friction.of_cone()
+    return None if isinstance(friction, Frictionless) else friction.cone_coefficients()
 
 
 def check_rigid(name: str, formulas: Mapping[str, Formula], remedy: str) -> None:
@@ -51,7 +51,11 @@ def check_rigid(name: str, formulas: Mapping[str, Formula], remedy: str) -> None
                 f"{name}.law must be a law that does not pull, got {kind} with pulls = True: rigid contact has no "
                 f"tension. {remedy}"
             )
-        if isinstance(formula, Friction) and not isinstance(formula, Frictionless) and formula.of_cone() is None:
+        if (
+            isinstance(formula, Friction)
+            and not isinstance(formula, Frictionless)
+            and formula.cone_coefficients() is None
+        ):
             raise ValueError(
                 f"{name}.{part} is {kind}, which has no coefficient of friction for nonsmooth contact. Take a model "
                 f"with mu, such as wc.friction.Coulomb. {remedy}"
@@ -59,7 +63,7 @@ def check_rigid(name: str, formulas: Mapping[str, Formula], remedy: str) -> None
 
 
 @dataclass(frozen=True)
-class Hard:
+class NonsmoothSource:
     """A contact that is hard, and how many materials it has on the device.
 
     Attributes:
@@ -68,52 +72,58 @@ class Hard:
         count: Number of its items; 1 for all pairs of a particle contact.
     """
 
-    contact: Touching
+    contact: NamedContact
     formulas: Mapping[str, Formula]
     count: int
 
-    def sources(self) -> dict[str, tuple[str, str] | None]:
+    def parameter_paths(self) -> dict[str, tuple[str, str] | None]:
         """Returns the part and the parameter that each number of the material is taken from, ``None``: it is 0."""
         table: dict[str, tuple[str, str] | None] = {"restitution": None}
         if "restitution" in self.formulas["law"].parameters():
             table["restitution"] = ("law", "restitution")
         names = {"mu_static": "friction", "mu_dynamic": "friction", "rolling": "rolling", "spinning": "torsion"}
         for key, part in names.items():
-            cone = of_cone(self.formulas[part])
-            table[key] = (part, cone[key != "mu_static"]) if cone else None
+            coefficients = cone_coefficients(self.formulas[part])
+            table[key] = (part, coefficients[key != "mu_static"]) if coefficients else None
         return table
 
-    def given(self, parameters: Mapping[str, Parameter]) -> dict[str, Parameter | None]:
+    def resolved(self, parameters: Mapping[str, Parameter]) -> dict[str, Parameter | None]:
         """Returns the parameter that each number of the material is taken from."""
         return {
             key: None if source is None else parameters[f"{self.contact.name}.{source[0]}.{source[1]}"]
-            for key, source in self.sources().items()
+            for key, source in self.parameter_paths().items()
         }
 
 
-def parameters_of(hard: Sequence[Hard], parameters: Mapping[str, Parameter]) -> Iterator[Parameter]:
+def parameters_of(
+    nonsmooth: Sequence[NonsmoothSource], parameters: Mapping[str, Parameter]
+) -> Iterator[Parameter]:
     """Iterates over the parameters that the materials of all contacts are taken from."""
-    tables = (one.given(parameters).values() for one in hard)
+    tables = (one.resolved(parameters).values() for one in nonsmooth)
     return (parameter for table in tables for parameter in table if parameter is not None)
 
 
 def material_upload(
-    target: Any, hard: Sequence[Hard], parameters: Mapping[str, Parameter], device: wp.Device, real: type
-) -> Upload:
+    target: Any,
+    nonsmooth: Sequence[NonsmoothSource],
+    parameters: Mapping[str, Parameter],
+    device: wp.Device,
+    real: type,
+) -> DeviceField:
     """Returns what puts the materials of all contacts into ``target.material``."""
-    struct = record_structs(real).Material
-    own = [one.given(parameters) for one in hard]
+    struct = record_structs(real).NonsmoothMaterial
+    own = [one.resolved(parameters) for one in nonsmooth]
 
     def content() -> NDArray[Any]:
         columns: dict[str, list[NDArray[Any]]] = {name: [] for name in struct.vars}
-        given = [parameter for table in own for parameter in table.values() if parameter is not None]
-        envs = max((len(parameter.field.values) for parameter in given), default=1)
-        for one, table in zip(hard, own, strict=True):
+        resolved = [parameter for table in own for parameter in table.values() if parameter is not None]
+        envs = max((len(parameter.field.values) for parameter in resolved), default=1)
+        for one, table in zip(nonsmooth, own, strict=True):
             for key, parameter in table.items():
                 values = np.zeros((1, 1)) if parameter is None else parameter.field.values[:, parameter.items]
                 columns[key].append(np.broadcast_to(values, (envs, one.count)))
-        if not hard:
+        if not nonsmooth:
             return pack(struct, {name: np.zeros((1, 1)) for name in columns})
         return pack(struct, {name: np.concatenate(parts, axis=1) for name, parts in columns.items()})
 
-    return Upload(target, "material", struct, content, device)
+    return DeviceField(target, "material", struct, content, device)

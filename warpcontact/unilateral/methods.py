@@ -15,7 +15,7 @@ from warpcontact.unilateral.newton import newton
 #: Most iterations by default.
 ITERATIONS = {"enumeration": 0, "energy": 50_000, "projection": 600, "prox": 100_000, "gauss_seidel": 20_000}
 # They are counted in 32 bits.
-_MOST = 2**31 - 1
+_MAX_ITERATIONS = 2**31 - 1
 #: Methods with a parameter of one's own, and its name.
 PARAMETERS = {"projection": "c", "prox": "r"}
 
@@ -35,8 +35,8 @@ def run(
         device = str(find_device(device))
     if system.dim > 1 and not system.mu.any():
         normals = None if initial is None else initial[..., :1]
-        lam, taken = run(system.normals(), method, tolerance, iterations, normals, parameter, device)
-        return np.concatenate([lam, np.zeros(system.q[..., 1:].shape)], axis=-1), taken
+        lam, iteration_counts = run(system.normals(), method, tolerance, iterations, normals, parameter, device)
+        return np.concatenate([lam, np.zeros(system.q[..., 1:].shape)], axis=-1), iteration_counts
     if method == "enumeration":
         if initial is not None:
             raise ValueError("initial: method 'enumeration' has no start")
@@ -46,11 +46,11 @@ def run(
         return lam, np.zeros(system.count, dtype=int)
     if method == "enumeration":
         return enumerate_states(system, tolerance)
-    most = ITERATIONS[method] if iterations is None else iterations
+    max_iterations = ITERATIONS[method] if iterations is None else iterations
     # Rounding of the measure here is not that of the methods.
     if method == "projection":
-        return newton(system, lam, 0.5 * tolerance, most, parameter, device)
-    return iterate(method, system, lam, 0.5 * tolerance, most, parameter, device)
+        return newton(system, lam, 0.5 * tolerance, max_iterations, parameter, device)
+    return iterate(method, system, lam, 0.5 * tolerance, max_iterations, parameter, device)
 
 
 def check_options(method: Any, tolerance: Any, iterations: Any, parameter: Any) -> None:
@@ -61,10 +61,10 @@ def check_options(method: Any, tolerance: Any, iterations: Any, parameter: Any) 
     if iterations is not None:
         if method == "enumeration":
             raise ValueError(f"iterations: method 'enumeration' has none to limit, got {iterations!r}")
-        whole = isinstance(iterations, int | np.integer) and not isinstance(iterations, bool)
-        if not whole or not 1 <= iterations <= _MOST:
+        is_integer = isinstance(iterations, int | np.integer) and not isinstance(iterations, bool)
+        if not is_integer or not 1 <= iterations <= _MAX_ITERATIONS:
             raise ValueError(
-                f"iterations must be a whole number, at least 1 and at most {_MOST}, got {iterations!r}"
+                f"iterations must be a whole number, at least 1 and at most {_MAX_ITERATIONS}, got {iterations!r}"
             )
     if parameter is not None:
         if method not in PARAMETERS:

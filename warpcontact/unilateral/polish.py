@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.checks import Array
-from warpcontact.unilateral.scaled import Scaled
+from warpcontact.unilateral.scaled import ScaledProblem
 
 # Steps: few are needed from near a solution; further ones refine against rounding.
 _STEPS = 12
 # Residual that further steps do not improve, and one below which a step that does not halve it is the last.
 _ROUNDING = 1e-15
-_FINE = 1e-12
+_LAST_STEP_BELOW = 1e-12
 # Pivots below this share of the largest are zero: contacts that share a force, displacements that nothing holds.
 _SINGULAR = 1e-12
 # Most unknowns of a system that is solved by orthogonal factors; shift and refinements of larger ones.
@@ -22,7 +22,7 @@ _SHIFT = 1e-8
 _REFINEMENTS = 3
 
 
-def polish(problem: Scaled, u: Array, lam: Array) -> tuple[Array, Array, float]:
+def refine(problem: ScaledProblem, u: Array, lam: Array) -> tuple[Array, Array, float]:
     """Returns displacements (n,), forces (contacts, dim) and their residual, no larger than before.
 
     Each step solves K u + Gᵀλ = f with the equations of the state of each contact, open, closed, sticking or
@@ -39,12 +39,12 @@ def polish(problem: Scaled, u: Array, lam: Array) -> tuple[Array, Array, float]:
         found = problem.residual(u, inside)
         if found < least:
             best_u, best_lam, least = u, inside, found
-        if least <= _ROUNDING or (before <= _FINE and found > 0.5 * before):
+        if least <= _ROUNDING or (before <= _LAST_STEP_BELOW and found > 0.5 * before):
             break
     return best_u, best_lam, least
 
 
-def _step(problem: Scaled, u: Array, lam: Array) -> tuple[Array, Array] | None:
+def _step(problem: ScaledProblem, u: Array, lam: Array) -> tuple[Array, Array] | None:
     """Returns the changes of u and λ of a step of Newton's method, None if there is no system to be solved."""
     n, dim = len(u), problem.dim
     scales = problem.scales(u, lam)
@@ -54,24 +54,24 @@ def _step(problem: Scaled, u: Array, lam: Array) -> tuple[Array, Array] | None:
     closed = np.flatnonzero(z[:, 0] > 0.0)
     change = -lam
     rows = problem.G[closed].reshape(len(closed) * dim, n)
-    A, B, right = _law(problem, lam, w, z, rho, closed)
-    off = problem.f - problem.K @ u - problem.flat().T @ lam.reshape(-1)
+    A, B, right = _linearized_law(problem, lam, w, z, rho, closed)
+    off = problem.f - problem.K @ u - problem.flat_rows().T @ lam.reshape(-1)
     # The forces of open contacts vanish.
     is_open = np.ones(problem.contacts, dtype=bool)
     is_open[closed] = False
     off = off + problem.G[is_open].reshape(-1, n).T @ lam[is_open].reshape(-1)
-    wanted = np.concatenate([off, right.reshape(-1)])
-    if not (np.isfinite(wanted).all() and np.isfinite(A).all() and np.isfinite(B).all()):
+    right_side = np.concatenate([off, right.reshape(-1)])
+    if not (np.isfinite(right_side).all() and np.isfinite(A).all() and np.isfinite(B).all()):
         return None
-    x = _solve(problem.K, rows, A, B, wanted)
+    x = _solve(problem.K, rows, A, B, right_side)
     if x is None or not np.isfinite(x).all():
         return None
     change[closed] = x[n:].reshape(len(closed), dim)
     return x[:n], change
 
 
-def _law(
-    problem: Scaled, lam: Array, w: Array, z: Array, rho: Array, closed: NDArray[np.intp]
+def _linearized_law(
+    problem: ScaledProblem, lam: Array, w: Array, z: Array, rho: Array, closed: NDArray[np.intp]
 ) -> tuple[Array, Array, Array]:
     """Returns the linearized laws of closed contacts, A G Δu + B Δλ = right, in blocks (closed, dim, dim).
 
@@ -108,31 +108,31 @@ def _solve(K: Any, rows: Array, A: Array, B: Array, right: Array) -> Array | Non
     the shift is taken back by refinement.
     """
     count, dim = A.shape[:2]
-    n, held = rows.shape[1], len(rows)
-    lower = (A @ rows.reshape(count, dim, n)).reshape(held, n)
-    shift = np.append(np.full(n, _SHIFT), np.full(held, -_SHIFT))
-    if hasattr(K, "tocsc") and n + held > _SMALL:
+    n, active = rows.shape[1], len(rows)
+    lower = (A @ rows.reshape(count, dim, n)).reshape(active, n)
+    shift = np.append(np.full(n, _SHIFT), np.full(active, -_SHIFT))
+    if hasattr(K, "tocsc") and n + active > _SMALL:
         from scipy.sparse import block_array, block_diag, csc_array, diags_array
         from scipy.sparse.linalg import splu
 
         matrix: Any = K
-        if held:
+        if active:
             blocks = [[K, csc_array(rows.T)], [csc_array(lower), block_diag(list(B), format="csc")]]
             matrix = block_array(blocks, format="csc")
         try:
             return _refined(matrix, splu((matrix + diags_array(shift)).tocsc()).solve, right)
         except RuntimeError:
             return None
-    matrix = np.zeros((n + held, n + held))
+    matrix = np.zeros((n + active, n + active))
     matrix[:n, :n] = K.toarray() if hasattr(K, "tocsc") else K
     matrix[:n, n:], matrix[n:, :n] = rows.T, lower
-    k = np.arange(held).reshape(count, dim)
+    k = np.arange(active).reshape(count, dim)
     matrix[n + k[:, :, None], n + k[:, None, :]] = B
-    if n + held > _SMALL:
+    if n + active > _SMALL:
         from scipy.linalg.lapack import dgetrf, dgetrs
 
-        factors, swaps, info = dgetrf(matrix + np.diag(shift))
-        return _refined(matrix, lambda x: dgetrs(factors, swaps, x)[0], right) if info == 0 else None
+        factors, pivots, info = dgetrf(matrix + np.diag(shift))
+        return _refined(matrix, lambda x: dgetrs(factors, pivots, x)[0], right) if info == 0 else None
     from scipy.linalg import lstsq
 
     return np.asarray(lstsq(matrix, right, cond=_SINGULAR, lapack_driver="gelsy")[0])

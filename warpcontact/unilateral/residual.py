@@ -1,6 +1,7 @@
 """Residual of static contact problems in displacements, and the lengths and forces that it is relative to.
 
-``Judge`` takes displacements u and forces λ from any method. The residual is the largest of three violations, each
+``ResidualEvaluator`` takes displacements u and forces λ from any method. The residual is the largest of three
+violations, each
 without unit: of equilibrium, row by row; of the gaps and slips, relative to the lengths of the problem; of the
 forces, relative to the terms of the equilibrium that they enter. ``docs/unilateral.md`` has the formulas.
 """
@@ -24,7 +25,7 @@ _NO_ENTRY = 1e-6
 
 
 @dataclass(frozen=True)
-class Scales:
+class ResidualScales:
     """Lengths and forces that the residual of each problem is relative to.
 
     Attributes:
@@ -38,7 +39,7 @@ class Scales:
     rounding: Array
 
 
-class Judge:
+class ResidualEvaluator:
     """Residual of problems K u + Gᵀλ = f with gaps and slips in targets − G u.
 
     Every array has one more axis, the first: of all problems, or of length 1 if they share it.
@@ -69,11 +70,11 @@ class Judge:
         self._entries = np.where(counts, entries, 1.0)[:, contact, self._entered]
 
     @staticmethod
-    def of(problem: "Problem") -> "Judge":
+    def of(problem: "Problem") -> "ResidualEvaluator":
         """Returns the judge of one problem or of all."""
         K, n = problem.K, problem.K.shape[-1]
         G, targets = np.asarray(problem.G), problem.targets()
-        return Judge(
+        return ResidualEvaluator(
             K if hasattr(K, "tocsc") else K.reshape(-1, n, n),
             np.asarray(problem.f).reshape(-1, n),
             G if G.ndim == 4 else G[None],
@@ -85,38 +86,38 @@ class Judge:
         """Returns the residual (problems,) of u (problems, n) and λ (problems, contacts, dim)."""
         lam = lam[..., : self.dim]
         with np.errstate(over="ignore", invalid="ignore"):
-            terms, load, held = self._terms(u, lam)
-            off = np.abs(_times(self.K, u) + _forces(self.G, lam) - self.f)
+            terms, load, contact_terms = self._terms(u, lam)
+            imbalance = np.abs(_times(self.K, u) + _forces(self.G, lam) - self.f)
             allowed = self._row_rounding(terms)
-            found = _share(np.maximum(off - allowed, 0.0), terms).max(axis=1)
+            residual = _ratio(np.maximum(imbalance - allowed, 0.0), terms).max(axis=1)
             # Forces far beyond the load hide it in their rounding.
-            hidden = EPS * (self.scale * held).max(axis=1)
-            found = np.maximum(found, _share(hidden, (self.scale * load).max(axis=1)))
+            hidden = EPS * (self.scale * contact_terms).max(axis=1)
+            residual = np.maximum(residual, _ratio(hidden, (self.scale * load).max(axis=1)))
             if lam.shape[1]:
-                found = np.maximum(found, self._of_law(u, lam).max(axis=1))
-        return np.where(np.isfinite(found), found, np.inf)
+                residual = np.maximum(residual, self._law_violation(u, lam).max(axis=1))
+        return np.where(np.isfinite(residual), residual, np.inf)
 
-    def scales(self, u: Array, lam: Array) -> Scales:
+    def scales(self, u: Array, lam: Array) -> ResidualScales:
         """Returns the scales at displacements and forces."""
         lam = lam[..., : self.dim]
-        terms, _, held = self._terms(u, lam)
+        terms, _, contact_terms = self._terms(u, lam)
         size = self._sizes[1]
         moved = _rows(self.G, u)
         rounding = ROUNDINGS * (np.abs(self.targets) + _rows(size, np.abs(u))).max(axis=-1)
         given = np.maximum(_largest(self.targets), np.zeros(len(u)))
-        own = np.maximum(given, _largest(moved))
+        length_scale = np.maximum(given, _largest(moved))
         diagonal = np.abs(_diagonal(self.K))
-        springs = _share(np.abs(self.f) + held, np.broadcast_to(diagonal, terms.shape))
+        springs = _ratio(np.abs(self.f) + contact_terms, np.broadcast_to(diagonal, terms.shape))
         deflection = np.maximum(_rows(size, springs).max(axis=(1, 2), initial=0.0), 0.0)
         # A problem without gaps has no length but this one.
-        lengths = np.where(given == 0.0, np.maximum(own, deflection), own)
-        return Scales(np.where(lengths > 0.0, lengths, 1.0), self._force(terms), rounding)
+        lengths = np.where(given == 0.0, np.maximum(length_scale, deflection), length_scale)
+        return ResidualScales(np.where(lengths > 0.0, lengths, 1.0), self._force(terms), rounding)
 
     def _terms(self, u: Array, lam: Array) -> tuple[Array, Array, Array]:
         """Returns the sums of the magnitudes of all terms of equilibrium, of load and springs, and of contacts."""
         load = np.abs(self.f) + _times(self._sizes[0], np.abs(u))
-        held = _forces(self._sizes[1], np.abs(lam))
-        return load + held, load, held
+        contact_terms = _forces(self._sizes[1], np.abs(lam))
+        return load + contact_terms, load, contact_terms
 
     def _row_rounding(self, terms: Array) -> Array:
         """Returns what equations in comparable units leave in each row."""
@@ -129,26 +130,28 @@ class Judge:
         if len(self._entering):
             shares = np.where(self._counts, rows[:, self._entered] / self._entries, np.inf)
             force[:, self._entering] = np.minimum.reduceat(shares, self._starts, axis=1)
-        usual = np.where(np.isfinite(force), force, 0.0).max(axis=1, initial=0.0)[:, None]
-        force = np.where(np.isfinite(force) & (force > 0.0), force, usual)
+        largest = np.where(np.isfinite(force), force, 0.0).max(axis=1, initial=0.0)[:, None]
+        force = np.where(np.isfinite(force) & (force > 0.0), force, largest)
         return np.where(force > 0.0, force, 1.0)
 
-    def _of_law(self, u: Array, lam: Array) -> Array:
+    def _law_violation(self, u: Array, lam: Array) -> Array:
         """Returns the violation of the law of each contact, (problems, contacts)."""
         scales = self.scales(u, lam)
-        own, force, rounding = scales.length[:, None], scales.force, scales.rounding
+        length_scale, force, rounding = scales.length[:, None], scales.force, scales.rounding
         w = self.targets - _rows(self.G, u)
         gap = np.sign(w[..., 0]) * np.maximum(np.abs(w[..., 0]) - rounding, 0.0)
-        found = np.abs(np.minimum(lam[..., 0] / force, gap / own))
+        residual = np.abs(np.minimum(lam[..., 0] / force, gap / length_scale))
         if self.dim > 1:
             slip = length(w[..., 1:])
             # Friction acts along the displacement since rest, −w_t.
             direction = -w[..., 1:] / np.where(slip > 0.0, slip, 1.0)[..., None]
             limit = self.mu * np.maximum(lam[..., 0], 0.0)
-            found = np.maximum(found, (length(lam[..., 1:]) - limit) / force)
-            off = length(lam[..., 1:] - limit[..., None] * direction)
-            found = np.maximum(found, np.minimum(off / force, np.maximum(slip - rounding, 0.0) / own))
-        return np.asarray(found, dtype=np.float64)
+            residual = np.maximum(residual, (length(lam[..., 1:]) - limit) / force)
+            imbalance = length(lam[..., 1:] - limit[..., None] * direction)
+            residual = np.maximum(
+                residual, np.minimum(imbalance / force, np.maximum(slip - rounding, 0.0) / length_scale)
+            )
+        return np.asarray(residual, dtype=np.float64)
 
 
 def scaling(K: Any, f: Array, G: Array, targets: Array, loaded: bool = False) -> tuple[Array, Array]:
@@ -158,15 +161,15 @@ def scaling(K: Any, f: Array, G: Array, targets: Array, loaded: bool = False) ->
     largest stiffness of a displacement that contacts see, or without stiffness the load over the gaps; the larger
     of both if ``loaded``. All are powers of two, so that scaling rounds nothing.
     """
-    diagonal, seen = np.abs(_diagonal(K)), (G**2).sum(axis=(-3, -2))
-    has = seen > 0.0
-    rho = np.where(has, diagonal / np.where(has, seen, 1.0), 0.0).max(axis=-1)
-    pushed = np.where(has, np.abs(f) / np.sqrt(np.where(has, seen, 1.0)), 0.0).max(axis=-1)
-    opened = _largest(targets)
-    over = np.where(opened > 0.0, pushed / np.where(opened > 0.0, opened, 1.0), 0.0)
-    rho = np.maximum(rho, over) if loaded else np.where(rho > 0.0, rho, over)
+    diagonal, row_squares = np.abs(_diagonal(K)), (G**2).sum(axis=(-3, -2))
+    touched = row_squares > 0.0
+    rho = np.where(touched, diagonal / np.where(touched, row_squares, 1.0), 0.0).max(axis=-1)
+    load_ratio = np.where(touched, np.abs(f) / np.sqrt(np.where(touched, row_squares, 1.0)), 0.0).max(axis=-1)
+    largest_gap = _largest(targets)
+    load_stiffness = np.where(largest_gap > 0.0, load_ratio / np.where(largest_gap > 0.0, largest_gap, 1.0), 0.0)
+    rho = np.maximum(rho, load_stiffness) if loaded else np.where(rho > 0.0, rho, load_stiffness)
     rho = _power_of_two(np.where(rho > 0.0, rho, 1.0))
-    size = diagonal + rho[..., None] * seen
+    size = diagonal + rho[..., None] * row_squares
     # What neither has a stiffness nor a contact of its own takes that of its neighbors.
     largest = abs(K).max(axis=-1)
     largest = np.asarray(largest.toarray() if hasattr(largest, "tocsc") else largest).reshape(-1, size.shape[-1])
@@ -214,5 +217,5 @@ def _largest(vectors: Array) -> Array:
     return np.maximum(normal, length(vectors[..., 1:]).max(axis=-1, initial=0.0))
 
 
-def _share(part: Array, whole: Array) -> Array:
+def _ratio(part: Array, whole: Array) -> Array:
     return np.where(whole > 0.0, part / np.where(whole > 0.0, whole, 1.0), 0.0)

@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpcontact.checks import Array
-from warpcontact.unilateral.residual import Judge, Scales, scaling
+from warpcontact.unilateral.residual import ResidualEvaluator, ResidualScales, scaling
 
 if TYPE_CHECKING:
     from warpcontact.unilateral.problem import Problem
 
 
 @dataclass(frozen=True)
-class Scaled:
+class ScaledProblem:
     """K u + Gᵀλ = f with gaps and slips in targets − G u, in units that follow from the problem.
 
     Without friction G and the targets have the normals only. The units are powers of two: nothing is rounded.
@@ -27,7 +27,7 @@ class Scaled:
         scale: Unit of each displacement over ``size`` (n,).
         root: Unit of the forces over ``size``.
         size: Largest entry of load and targets before division by it.
-        judge: Computes residuals of scaled displacements and forces.
+        evaluator: Computes residuals of scaled displacements and forces.
         rows: Rows of a contact in the problem that was scaled.
     """
 
@@ -39,11 +39,11 @@ class Scaled:
     scale: Array
     root: float
     size: float
-    judge: Judge
+    evaluator: ResidualEvaluator
     rows: int
 
     @staticmethod
-    def of(problem: "Problem") -> "Scaled":
+    def of(problem: "Problem") -> "ScaledProblem":
         """Returns a single problem, scaled."""
         mu = np.asarray(problem.mu)
         dim = problem.dim if mu.any() else 1
@@ -63,8 +63,10 @@ class Scaled:
         else:
             K = scale[:, None] * K * scale
         f, G, targets = loads / size, root * G * scale, gaps / size
-        judge = Judge(K if hasattr(K, "tocsc") else K[None], f[None], G[None], targets[None], mu[None])
-        return Scaled(K, f, G, targets, mu, scale, root, size, judge, problem.dim)
+        evaluator = ResidualEvaluator(
+            K if hasattr(K, "tocsc") else K[None], f[None], G[None], targets[None], mu[None]
+        )
+        return ScaledProblem(K, f, G, targets, mu, scale, root, size, evaluator, problem.dim)
 
     @property
     def contacts(self) -> int:
@@ -76,7 +78,7 @@ class Scaled:
         """Rows of a contact that count."""
         return self.G.shape[1]
 
-    def flat(self) -> Array:
+    def flat_rows(self) -> Array:
         """Returns all rows of G, (contacts · dim, n)."""
         return self.G.reshape(self.contacts * self.dim, self.G.shape[2])
 
@@ -86,17 +88,17 @@ class Scaled:
 
     def residual(self, u: Array, lam: Array) -> float:
         """Returns the residual of scaled displacements (n,) and forces (contacts, dim)."""
-        return float(self.judge.residual(u[None], lam[None])[0])
+        return float(self.evaluator.residual(u[None], lam[None])[0])
 
-    def scales(self, u: Array, lam: Array) -> Scales:
+    def scales(self, u: Array, lam: Array) -> ResidualScales:
         """Returns the scales of the residual at scaled displacements and forces."""
-        return self.judge.scales(u[None], lam[None])
+        return self.evaluator.scales(u[None], lam[None])
 
-    def into(self, u: Array, lam: Array) -> tuple[Array, Array]:
+    def to_scaled(self, u: Array, lam: Array) -> tuple[Array, Array]:
         """Returns displacements (…, n) and forces (…, contacts, rows) of the problem in the scaled units."""
         return u / (self.size * self.scale), lam[..., : self.dim] / (self.size * self.root)
 
-    def out_of(self, u: Array, lam: Array) -> tuple[Array, Array]:
+    def from_scaled(self, u: Array, lam: Array) -> tuple[Array, Array]:
         """Returns scaled displacements (…, n) and forces (…, contacts, dim) in the units of the problem."""
         forces = np.zeros((*lam.shape[:-1], self.rows))
         forces[..., : self.dim] = self.size * self.root * lam

@@ -8,11 +8,11 @@ import numpy as np
 from warpcontact.checks import Array
 from warpcontact.unilateral import methods
 from warpcontact.unilateral.elimination import SingularError, eliminate
-from warpcontact.unilateral.freedom import leaves_no_room, loose, null_space, unopposed
-from warpcontact.unilateral.polish import polish
+from warpcontact.unilateral.freedom import free_motion, gaps_infeasible, null_space, unopposed_motion
+from warpcontact.unilateral.polish import refine
 from warpcontact.unilateral.problem import Problem
-from warpcontact.unilateral.residual import Judge
-from warpcontact.unilateral.scaled import Scaled
+from warpcontact.unilateral.residual import ResidualEvaluator
+from warpcontact.unilateral.scaled import ScaledProblem
 from warpcontact.unilateral.solution import Termination
 from warpcontact.unilateral.states import candidates, solutions
 
@@ -23,7 +23,7 @@ _ADDED = 1e-3
 _LEAST_ADDED = 1e-9
 _STEPS = 40
 # Factor on it if the method does not converge in a step, twice at most.
-_STIFFER = 30.0
+_STIFFENING = 30.0
 # Most Newton steps of a proximal step, without friction and with it.
 _NEWTON_STEPS = (50, 120)
 # Scaled displacements beyond which steps diverge.
@@ -34,7 +34,7 @@ _FEW_DISPLACEMENTS = 100
 
 
 @dataclass(frozen=True)
-class Options:
+class SolverOptions:
     """Options of a method, checked."""
 
     method: str
@@ -45,7 +45,7 @@ class Options:
 
 
 @dataclass
-class Result:
+class SearchResult:
     """Result of a single problem, in scaled units.
 
     Attributes:
@@ -67,12 +67,12 @@ class Result:
 
 def search(
     problem: Problem,
-    options: Options,
+    options: SolverOptions,
     guess: Array | None,
     start: tuple[Array, Array] | None,
     taken: int,
-    ended: bool,
-) -> tuple[Array, Array, Result]:
+    method_converged: bool,
+) -> tuple[Array, Array, SearchResult]:
     """Returns displacements (n,), forces (contacts, dim), and the result of a single problem.
 
     Args:
@@ -81,60 +81,65 @@ def search(
         guess: Forces to start from, or None for zero.
         start: Displacements and forces that the method found by elimination, None if K is singular.
         taken: Iterations of the method up to there.
-        ended: Whether the method converged by its own measure.
+        method_converged: Whether the method converged by its own measure.
     """
-    scaled = Scaled.of(problem)
+    scaled = ScaledProblem.of(problem)
     singular = start is None
     n, contacts = len(scaled.f), scaled.contacts
     if start is None:
         u, lam = np.zeros(n), np.zeros((contacts, scaled.dim))
     else:
-        u, lam = scaled.into(*start)
-    result = Result(u, lam, scaled.residual(u, lam), taken)
-    free = null_space(scaled, Judge.of(problem).scale[0]) if singular else np.zeros((n, 0))
-    cut = options.iterations is not None and not ended
-    if not singular and not cut:
-        _improve(scaled, result, u, lam)
+        u, lam = scaled.to_scaled(*start)
+    result = SearchResult(u, lam, scaled.residual(u, lam), taken)
+    free = null_space(scaled, ResidualEvaluator.of(problem).scale[0]) if singular else np.zeros((n, 0))
+    limited = options.iterations is not None and not method_converged
+    if not singular and not limited:
+        _keep_refined(scaled, result, u, lam)
     if result.residual > options.tolerance:
-        _without_solution(scaled, free, result)
+        _prove_no_solution(scaled, free, result)
     if result.termination == Termination.NOT_CONVERGED and result.residual > options.tolerance:
-        few = (2 * scaled.dim) ** contacts <= _FEW_STATES and scaled.dim < 3 and n <= _FEW_DISPLACEMENTS
+        can_enumerate = (2 * scaled.dim) ** contacts <= _FEW_STATES and scaled.dim < 3 and n <= _FEW_DISPLACEMENTS
         if options.method == "enumeration":
             _by_states(scaled, result, options.tolerance)
         else:
-            if singular or ended:
+            if singular or method_converged:
                 _by_proximal_steps(problem, scaled, result, options, guess)
-            if result.residual > options.tolerance and options.method == "projection" and few and not cut:
+            if (
+                result.residual > options.tolerance
+                and options.method == "projection"
+                and can_enumerate
+                and not limited
+            ):
                 _by_states(scaled, result, options.tolerance)
     if result.residual <= options.tolerance:
         result.termination = Termination.CONVERGED
-        result.direction = loose(scaled, free, result.u, result.lam, options.tolerance)
+        result.direction = free_motion(scaled, free, result.u, result.lam, options.tolerance)
         if result.direction is not None:
             result.termination = Termination.NOT_UNIQUE
     if result.direction is not None:
         motion = scaled.scale * result.direction
         result.direction = motion / np.abs(motion).max()
-    return *scaled.out_of(result.u, result.lam), result
+    return *scaled.from_scaled(result.u, result.lam), result
 
 
-def _improve(scaled: Scaled, result: Result, u: Array, lam: Array) -> None:
+def _keep_refined(scaled: ScaledProblem, result: SearchResult, u: Array, lam: Array) -> None:
     """Polishes displacements and forces, and stores them if they have a smaller residual."""
-    u, lam, residual = polish(scaled, u, lam)
+    u, lam, residual = refine(scaled, u, lam)
     if residual <= result.residual:
         result.u, result.lam, result.residual = u, lam, residual
 
 
-def _without_solution(scaled: Scaled, free: Array, result: Result) -> None:
+def _prove_no_solution(scaled: ScaledProblem, free: Array, result: SearchResult) -> None:
     """Stores the proof that there is no solution, if one is found."""
-    if leaves_no_room(scaled):
+    if gaps_infeasible(scaled):
         result.termination = Termination.INFEASIBLE
         return
-    result.direction = unopposed(scaled, free)
+    result.direction = unopposed_motion(scaled, free)
     if result.direction is not None:
         result.termination = Termination.UNBOUNDED
 
 
-def _by_states(scaled: Scaled, result: Result, tolerance: float) -> None:
+def _by_states(scaled: ScaledProblem, result: SearchResult, tolerance: float) -> None:
     """Stores the first state of the contacts that is a solution, or the one of least residual."""
     state = next(solutions(scaled, tolerance), None)
     if state is None:
@@ -148,57 +153,57 @@ def _by_states(scaled: Scaled, result: Result, tolerance: float) -> None:
 
 
 def _by_proximal_steps(
-    problem: Problem, scaled: Scaled, result: Result, options: Options, guess: Array | None
+    problem: Problem, scaled: ScaledProblem, result: SearchResult, options: SolverOptions, guess: Array | None
 ) -> None:
     """Repeats proximal steps: solves (K + δ) u' + Gᵀλ = f + δ u with the method, and continues from u = u'.
 
     Without friction and with K positive semidefinite these steps converge to a solution if there is one
     (Rockafellar, 1976). Each is polished, which ends them once the state of the contacts is right.
     """
-    near, u, f = problem.one(0), np.zeros(len(scaled.f)), np.asarray(problem.f)
-    share, tried, stiffer = _added(scaled, options.method), None, 2
+    proximal, u, f = problem.one(0), np.zeros(len(scaled.f)), np.asarray(problem.f)
+    relative_stiffness, last_state, stiffenings = _added_stiffness(scaled, options.method), None, 2
     for _ in range(_STEPS):
-        left = None if options.iterations is None else options.iterations - result.number
-        if left is not None and left <= 0:
+        remaining = None if options.iterations is None else options.iterations - result.number
+        if remaining is not None and remaining <= 0:
             return
         if options.method == "projection":
             # Newton steps that need more cycle.
             most = _NEWTON_STEPS[scaled.dim > 1]
-            left = most if left is None else min(left, most)
-        added = share / scaled.scale**2
-        near.K, near.f = _with_diagonal(problem.K, added), f + added * u
+            remaining = most if remaining is None else min(remaining, most)
+        added = relative_stiffness / scaled.scale**2
+        proximal.K, proximal.f = _with_diagonal(problem.K, added), f + added * u
         try:
-            system, u_free, by_contact = eliminate(near)
+            system, u_free, by_contact = eliminate(proximal)
         except SingularError:
             return
         lam, taken = methods.run(
-            system, options.method, options.tolerance, left, guess, options.parameter, options.device
+            system, options.method, options.tolerance, remaining, guess, options.parameter, options.device
         )
         result.number += int(taken[0])
-        judged = system if system.mu.any() else system.normals()
-        reached = judged.residual(lam[..., : judged.dim])[0]
+        measured = system if system.mu.any() else system.normals()
+        residual = measured.residual(lam[..., : measured.dim])[0]
         new = u_free[0] - by_contact[0] @ lam.reshape(-1)
-        now = scaled.into(new, lam[0])
-        if reached <= options.tolerance and np.abs(now[0]).max() < _FARTHEST:
+        now = scaled.to_scaled(new, lam[0])
+        if residual <= options.tolerance and np.abs(now[0]).max() < _FARTHEST:
             u, guess, state = new, lam, (lam[0, :, 0] > 0.0).tobytes()
             # Without friction, the same closed contacts lead to the same solution.
-            if scaled.dim > 1 or state != tried:
-                _improve(scaled, result, *now)
-            tried = state
+            if scaled.dim > 1 or state != last_state:
+                _keep_refined(scaled, result, *now)
+            last_state = state
             if result.residual <= options.tolerance:
                 return
-        elif stiffer:
+        elif stiffenings:
             # Shorter steps are easier for the method.
-            share, stiffer = _STIFFER * share, stiffer - 1
+            relative_stiffness, stiffenings = _STIFFENING * relative_stiffness, stiffenings - 1
         else:
             return
 
 
-def _added(scaled: Scaled, method: str) -> float:
+def _added_stiffness(scaled: ScaledProblem, method: str) -> float:
     """Returns the added stiffness, with which the load still moves what nothing else holds across the gaps."""
     load, gap = np.abs(scaled.f).max(), np.abs(scaled.targets).max(initial=0.0)
-    share = _ADDED_DIRECT if method == "projection" else _ADDED
-    return float(np.clip(0.01 * load / gap, _LEAST_ADDED, share)) if gap > 0.0 else share
+    relative_stiffness = _ADDED_DIRECT if method == "projection" else _ADDED
+    return float(np.clip(0.01 * load / gap, _LEAST_ADDED, relative_stiffness)) if gap > 0.0 else relative_stiffness
 
 
 def _with_diagonal(K: Any, added: Array) -> Any:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from warpcontact.checks import Array
 from warpcontact.status import ContactMode
 from warpcontact.unilateral.delassus import Delassus, length
-from warpcontact.unilateral.residual import Judge
+from warpcontact.unilateral.residual import ResidualEvaluator
 
 if TYPE_CHECKING:
     from warpcontact.unilateral.problem import Problem
@@ -84,7 +84,7 @@ class Solution:
 
 
 @dataclass
-class Found:
+class RawSolution:
     """Displacements and forces of many problems before they are given to the user.
 
     Attributes:
@@ -102,16 +102,18 @@ class Found:
     direction: Array
 
 
-def of_displacements(problem: Problem, judge: Judge, found: Found, tolerance: float, method: str) -> Solution:
+def solution_of_displacements(
+    problem: Problem, evaluator: ResidualEvaluator, found: RawSolution, tolerance: float, method: str
+) -> Solution:
     """Returns the solution of problems in displacements, in the shapes of their arguments."""
     u, lam = found.u, found.lam
     w = problem.targets() - np.einsum("...mdn,...n->...md", problem.G, u)
-    residual, scales = judge.residual(u, lam), judge.scales(u, lam)
+    residual, scales = evaluator.residual(u, lam), evaluator.scales(u, lam)
     # Within the residual, and within rounding, forces and slips are zero.
     allowed = np.minimum(np.maximum(residual, tolerance), 1.0)[:, None]
     status = np.full(lam.shape[:2], int(ContactMode.STICK))
-    slides = length(w[..., 1:]) > 2.0 * (allowed * scales.length[:, None] + scales.rounding)
-    status[slides | (np.atleast_2d(problem.mu) == 0.0)] = ContactMode.SLIP
+    slips = length(w[..., 1:]) > 2.0 * (allowed * scales.length[:, None] + scales.rounding)
+    status[slips | (np.atleast_2d(problem.mu) == 0.0)] = ContactMode.SLIP
     status[lam[..., 0] <= allowed * scales.force] = ContactMode.OPEN
     direction = found.direction if found.direction.any() else None
     return _shaped(
@@ -119,10 +121,10 @@ def of_displacements(problem: Problem, judge: Judge, found: Found, tolerance: fl
     )
 
 
-def of_contacts(
+def solution_of_delassus(
     system: Delassus,
     lam: Array,
-    taken: NDArray[Any],
+    iteration_counts: NDArray[Any],
     tolerance: float,
     method: str,
     single: bool,
@@ -130,20 +132,22 @@ def of_contacts(
 ) -> Solution:
     """Returns the solution of problems in W and q, in the shapes of their arguments."""
     w = system.velocity(lam)
-    judged = system if system.mu.any() else system.normals()
-    residual = judged.residual(lam[..., : judged.dim], w[..., : judged.dim])
+    measured = system if system.mu.any() else system.normals()
+    residual = measured.residual(lam[..., : measured.dim], w[..., : measured.dim])
     termination = np.where(residual <= tolerance, Termination.CONVERGED, Termination.NOT_CONVERGED)
     status = _modes(system, lam, w, residual, tolerance)
-    return _shaped(None, lam, w, 1.0, residual, taken, termination, None, status, method, None, single, flat)
+    return _shaped(
+        None, lam, w, 1.0, residual, iteration_counts, termination, None, status, method, None, single, flat
+    )
 
 
 def _shaped(
     u: Array | None,
     lam: Array,
     w: Array,
-    side: float,
+    sign: float,
     residual: Array,
-    taken: NDArray[Any],
+    iteration_counts: NDArray[Any],
     termination: NDArray[Any],
     direction: Array | None,
     status: NDArray[np.int64],
@@ -154,13 +158,25 @@ def _shaped(
 ) -> Solution:
     if problem is not None:
         single, flat = problem.count is None, problem.dim == 1
-    gap, slip = w[..., 0], None if flat else side * w[..., 1:]
+    gap, slip = w[..., 0], None if flat else sign * w[..., 1:]
     if flat:
         lam, w = lam[..., 0], w[..., 0]
     converged = termination <= Termination.NOT_UNIQUE
     if not single:
         return Solution(
-            u, lam, w, gap, slip, residual, taken, converged, status, method, problem, termination, direction
+            u,
+            lam,
+            w,
+            gap,
+            slip,
+            residual,
+            iteration_counts,
+            converged,
+            status,
+            method,
+            problem,
+            termination,
+            direction,
         )
     return Solution(
         None if u is None else u[0],
@@ -169,7 +185,7 @@ def _shaped(
         gap[0],
         None if slip is None else slip[0],
         float(residual[0]),
-        int(taken[0]),
+        int(iteration_counts[0]),
         bool(converged[0]),
         status[0],
         method,
@@ -183,7 +199,7 @@ def _modes(system: Delassus, lam: Array, w: Array, residual: Array, tolerance: f
     """Returns the ``ContactMode`` of each contact; what the residual leaves open, or is rounding, is none."""
     small = np.maximum(np.maximum(residual, tolerance)[:, None] * system.unit, system.rho * system.rounding)
     status = np.full(lam.shape[:2], int(ContactMode.STICK))
-    slides = system.rho * length(w[..., 1:]) > 2.0 * small
-    status[slides | (system.mu == 0.0)] = ContactMode.SLIP
+    slips = system.rho * length(w[..., 1:]) > 2.0 * small
+    status[slips | (system.mu == 0.0)] = ContactMode.SLIP
     status[lam[..., 0] <= small] = ContactMode.OPEN
     return status

@@ -11,13 +11,19 @@ from warpcontact.checks import Array
 from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.unilateral import intake
 from warpcontact.unilateral.delassus import Delassus
-from warpcontact.unilateral.elimination import eliminate, regular
+from warpcontact.unilateral.elimination import eliminate, is_regular
 from warpcontact.unilateral.enumeration import check_size
 from warpcontact.unilateral.methods import check_options, run
 from warpcontact.unilateral.problem import Problem
-from warpcontact.unilateral.residual import Judge
-from warpcontact.unilateral.search import Options, search
-from warpcontact.unilateral.solution import Found, Solution, Termination, of_contacts, of_displacements
+from warpcontact.unilateral.residual import ResidualEvaluator
+from warpcontact.unilateral.search import SolverOptions, search
+from warpcontact.unilateral.solution import (
+    RawSolution,
+    Solution,
+    Termination,
+    solution_of_delassus,
+    solution_of_displacements,
+)
 
 
 @explain_keywords
@@ -87,7 +93,7 @@ def solve_problem(
 ) -> Solution:
     """Returns a solution of ``problem``."""
     check_options(method, tolerance, iterations, parameter)
-    judge, single, flat = Judge.of(problem), problem.count is None, problem.dim == 1
+    evaluator, single, flat = ResidualEvaluator.of(problem), problem.count is None, problem.dim == 1
     if method == "enumeration":
         check_size(problem.contacts, problem.dim if np.asarray(problem.mu).any() else 1)
     count = 1 if problem.count is None else problem.count
@@ -95,38 +101,38 @@ def solve_problem(
     guess = None if initial is None else _guess(initial, (count, *shape), single, flat)
     if guess is not None and method == "enumeration":
         raise ValueError("initial: method 'enumeration' has no start")
-    found = Found(
+    found = RawSolution(
         np.zeros((count, problem.K.shape[-1])),
         np.zeros((count, *shape)),
         np.zeros(count, dtype=np.int64),
         np.full(count, int(Termination.NOT_CONVERGED)),
         np.zeros((count, problem.K.shape[-1])),
     )
-    invertible, ended = regular(problem, judge), np.zeros(count, dtype=bool)
-    which = np.flatnonzero(invertible)
-    if len(which):
-        part = problem if len(which) == count else problem.part(which)
+    invertible, method_converged = is_regular(problem, evaluator), np.zeros(count, dtype=bool)
+    indices = np.flatnonzero(invertible)
+    if len(indices):
+        part = problem if len(indices) == count else problem.part(indices)
         system, u_free, by_contact = eliminate(part)
-        start = None if guess is None else guess[which]
+        start = None if guess is None else guess[indices]
         lam, taken = run(system, method, tolerance, iterations, start, parameter, device)
-        found.lam[which], found.iterations[which] = lam, taken
-        found.u[which] = u_free - (by_contact @ lam.reshape(len(which), -1, 1))[..., 0]
-        judged = system if system.mu.any() else system.normals()
-        ended[which] = judged.residual(lam[..., : judged.dim]) <= tolerance
-    good = invertible & (judge.residual(found.u, found.lam) <= tolerance)
-    found.termination[good] = Termination.CONVERGED
-    options = Options(method, tolerance, iterations, parameter, device)
-    for k in np.flatnonzero(~good):
+        found.lam[indices], found.iterations[indices] = lam, taken
+        found.u[indices] = u_free - (by_contact @ lam.reshape(len(indices), -1, 1))[..., 0]
+        measured = system if system.mu.any() else system.normals()
+        method_converged[indices] = measured.residual(lam[..., : measured.dim]) <= tolerance
+    solved = invertible & (evaluator.residual(found.u, found.lam) <= tolerance)
+    found.termination[solved] = Termination.CONVERGED
+    options = SolverOptions(method, tolerance, iterations, parameter, device)
+    for k in np.flatnonzero(~solved):
         first = (found.u[k], found.lam[k]) if invertible[k] else None
         start = None if guess is None else guess[k : k + 1]
         u, lam, result = search(
-            problem.one(int(k)), options, start, first, int(found.iterations[k]), bool(ended[k])
+            problem.one(int(k)), options, start, first, int(found.iterations[k]), bool(method_converged[k])
         )
         found.u[k], found.lam[k], found.iterations[k] = u, lam, result.number
         found.termination[k] = result.termination
         if result.direction is not None:
             found.direction[k] = result.direction
-    return of_displacements(problem, judge, found, tolerance, method)
+    return solution_of_displacements(problem, evaluator, found, tolerance, method)
 
 
 @explain_keywords
@@ -201,7 +207,7 @@ def solve_delassus(
     )
     guess = None if initial is None else _guess(initial, system.q.shape, count is None, flat)
     lam, taken = run(system, method, tolerance, iterations, guess, parameter, device)
-    return of_contacts(system, lam, taken, tolerance, method, count is None, flat or system.dim == 1)
+    return solution_of_delassus(system, lam, taken, tolerance, method, count is None, flat or system.dim == 1)
 
 
 def _guess(initial: ArrayLike, wanted: tuple[int, ...], single: bool, flat: bool) -> Array:

@@ -13,25 +13,25 @@ from warpcontact.unilateral.enumeration import (
     SLIP_UP,
     STICK,
     check_size,
-    rows_of,
     solve_all,
+    state_equations,
     states,
 )
-from warpcontact.unilateral.freedom import kernel
-from warpcontact.unilateral.polish import polish
+from warpcontact.unilateral.freedom import row_null_space
+from warpcontact.unilateral.polish import refine
 from warpcontact.unilateral.problem import Problem
-from warpcontact.unilateral.residual import Judge
-from warpcontact.unilateral.scaled import Scaled
-from warpcontact.unilateral.solution import Found, Solution, Termination, of_displacements
+from warpcontact.unilateral.residual import ResidualEvaluator
+from warpcontact.unilateral.scaled import ScaledProblem
+from warpcontact.unilateral.solution import RawSolution, Solution, Termination, solution_of_displacements
 
 # Solutions that differ by less than this part of the largest of their displacements and forces, scaled, are one.
 _ALIKE = 1e-8
 # Residual of a state from which on it is refined.
-_NEAR = 1e-6
+_REFINE_BELOW = 1e-6
 
 
 @dataclass(frozen=True)
-class State:
+class ContactState:
     """A state of the contacts that keeps equilibrium.
 
     Attributes:
@@ -46,26 +46,26 @@ class State:
     residual: float
     number: int
 
-    def same_u(self, other: "State") -> bool:
+    def same_u(self, other: "ContactState") -> bool:
         """Whether both have the same displacements."""
-        return self._near(self.u, other.u, other)
+        return self._is_close(self.u, other.u, other)
 
-    def same_lam(self, other: "State") -> bool:
+    def same_lam(self, other: "ContactState") -> bool:
         """Whether both have the same forces."""
-        return self._near(self.lam, other.lam, other)
+        return self._is_close(self.lam, other.lam, other)
 
-    def _near(self, one: Array, another: Array, other: "State") -> bool:
+    def _is_close(self, one: Array, another: Array, other: "ContactState") -> bool:
         # Loads and gaps are of order 1.
         size = max(1.0, *(np.abs(x).max(initial=0.0) for x in (self.u, self.lam, other.u, other.lam)))
         return bool(np.abs(one - another).max(initial=0.0) <= _ALIKE * size)
 
 
-def all_states(problem: Problem, tolerance: float) -> tuple[Scaled, list[State]]:
+def all_states(problem: Problem, tolerance: float) -> tuple[ScaledProblem, list[ContactState]]:
     """Returns a single problem, scaled, and the states that are different solutions of it."""
     if problem.count is not None:
         raise ValueError(f"all states are gone through of a single problem, got {problem.count} problems")
-    scaled = Scaled.of(problem)
-    found: list[State] = []
+    scaled = ScaledProblem.of(problem)
+    found: list[ContactState] = []
     for state in solutions(scaled, tolerance):
         if not any(state.same_u(other) and state.same_lam(other) for other in found):
             found.append(state)
@@ -77,54 +77,58 @@ def all_solutions(problem: Problem, tolerance: float) -> list[Solution]:
     return as_solutions(problem, *all_states(problem, tolerance), tolerance)
 
 
-def as_solutions(problem: Problem, scaled: Scaled, found: list[State], tolerance: float) -> list[Solution]:
+def as_solutions(
+    problem: Problem, scaled: ScaledProblem, found: list[ContactState], tolerance: float
+) -> list[Solution]:
     """Returns states of a single problem in its own units."""
-    judge, listed = Judge.of(problem), []
+    evaluator, listed = ResidualEvaluator.of(problem), []
     for state in found:
-        u, lam = scaled.out_of(state.u, state.lam)
+        u, lam = scaled.from_scaled(state.u, state.lam)
         number, converged = np.array([state.number]), np.array([int(Termination.CONVERGED)])
-        one = Found(u[None], lam[None], number, converged, np.zeros((1, len(u))))
-        listed.append(of_displacements(problem, judge, one, tolerance, "enumeration"))
+        one = RawSolution(u[None], lam[None], number, converged, np.zeros((1, len(u))))
+        listed.append(solution_of_displacements(problem, evaluator, one, tolerance, "enumeration"))
     return listed
 
 
-def solutions(scaled: Scaled, tolerance: float) -> Iterator[State]:
+def solutions(scaled: ScaledProblem, tolerance: float) -> Iterator[ContactState]:
     """Yields the states that are solutions to the tolerance."""
     for state in candidates(scaled):
-        if state.residual <= _NEAR:
-            u, lam, residual = polish(scaled, state.u, state.lam)
+        if state.residual <= _REFINE_BELOW:
+            u, lam, residual = refine(scaled, state.u, state.lam)
             if residual <= tolerance:
-                yield State(u, lam, residual, state.number)
+                yield ContactState(u, lam, residual, state.number)
 
 
-def candidates(scaled: Scaled) -> Iterator[State]:
+def candidates(scaled: ScaledProblem) -> Iterator[ContactState]:
     """Yields what displacements and forces would be in each state of the contacts."""
     contacts, dim, n = scaled.contacts, scaled.dim, len(scaled.f)
     check_size(contacts, dim)
-    rows, G, target = contacts * dim, scaled.flat(), scaled.targets.reshape(-1)
+    rows, G, target = contacts * dim, scaled.flat_rows(), scaled.targets.reshape(-1)
     gaps = np.concatenate([-G, np.zeros((rows, rows))], axis=1)
     forces = np.concatenate([np.zeros((rows, n)), np.eye(rows)], axis=1)
     equilibrium = np.concatenate([scaled.dense(), G.T], axis=1)
     taken = 0
     for chunk in states(contacts, dim):
-        matrix, right = rows_of(chunk, gaps, target, forces, scaled.mu, dim)
+        matrix, right = state_equations(chunk, gaps, target, forces, scaled.mu, dim)
         matrix = np.concatenate([np.broadcast_to(equilibrium, (len(chunk), n, n + rows)), matrix], axis=1)
         right = np.concatenate([np.broadcast_to(scaled.f, (len(chunk), n)), right], axis=1)
         x = solve_all(matrix, right)
         u, lam = x[:, :n], x[:, n:].reshape(len(x), contacts, dim)
-        for k, residual in enumerate(scaled.judge.residual(u, lam)):
+        for k, residual in enumerate(scaled.evaluator.residual(u, lam)):
             number = taken + k + 1
-            if dim == 2 and residual > _NEAR:
+            if dim == 2 and residual > _REFINE_BELOW:
                 other = _admissible(scaled, chunk[k], matrix[k], right[k], x[k])
                 if other is not None:
                     one, forces_of = other[:n], other[n:].reshape(contacts, dim)
-                    yield State(one, forces_of, scaled.residual(one, forces_of), number)
+                    yield ContactState(one, forces_of, scaled.residual(one, forces_of), number)
                     continue
-            yield State(u[k], lam[k], float(residual), number)
+            yield ContactState(u[k], lam[k], float(residual), number)
         taken += len(x)
 
 
-def _admissible(scaled: Scaled, state: NDArray[np.int64], matrix: Array, right: Array, x: Array) -> Array | None:
+def _admissible(
+    scaled: ScaledProblem, state: NDArray[np.int64], matrix: Array, right: Array, x: Array
+) -> Array | None:
     """Returns a solution of the equations of a singular state that satisfies its inequalities, or None.
 
     Args:
@@ -134,9 +138,9 @@ def _admissible(scaled: Scaled, state: NDArray[np.int64], matrix: Array, right: 
         right: Their right sides.
         x: A solution of them, displacements and forces.
     """
-    if np.abs(matrix @ x - right).max() > _NEAR:
+    if np.abs(matrix @ x - right).max() > _REFINE_BELOW:
         return None
-    free = kernel(matrix)
+    free = row_null_space(matrix)
     if not free.shape[1]:
         return None
     from scipy.optimize import linprog
@@ -147,18 +151,18 @@ def _admissible(scaled: Scaled, state: NDArray[np.int64], matrix: Array, right: 
     w = scaled.targets - scaled.G @ x[:n]
     # Each is at least 0: its value at x and its changes along the kernel.
     values, changes = [], []
-    for i, what in enumerate(state):
-        if what == OPEN:
+    for i, contact_mode in enumerate(state):
+        if contact_mode == OPEN:
             values.append(w[i, 0])
             changes.append(-scaled.G[i, 0] @ motion)
             continue
         values.append(lam[i, 0])
         changes.append(force[i, 0])
         for side in (1.0, -1.0):
-            if what == STICK:
+            if contact_mode == STICK:
                 values.append(mu[i] * lam[i, 0] - side * lam[i, 1])
                 changes.append(mu[i] * force[i, 0] - side * force[i, 1])
-            elif what == (SLIP_UP if side > 0.0 else SLIP_DOWN):
+            elif contact_mode == (SLIP_UP if side > 0.0 else SLIP_DOWN):
                 values.append(-side * w[i, 1])
                 changes.append(side * scaled.G[i, 1] @ motion)
     found = linprog(np.zeros(free.shape[1]), A_ub=-np.array(changes), b_ub=np.array(values), bounds=(None, None))

@@ -17,7 +17,7 @@ SHAFT = 0.012
 HEAD = 2.5
 HEAD_LENGTH = 7.0
 # A short arrow is a smaller one: the head is at most this part of it.
-MOST_HEAD = 0.5
+MAX_HEAD = 0.5
 
 
 def define_arrows(stage: Any, path: str, count: int, color: ArrayLike, meaning: str, scale: float) -> None:
@@ -53,10 +53,10 @@ def write_arrows(prim: Any, samples: Samples, lines: ForceLines, row: int, scale
 
     start, vector = lines.start[:, row], scale * lines.force[:, row]
     poses, hidden = _shapes(start, vector, SHAFT * size)
-    positions, turns, scales = poses
+    positions, orientations, scales = poses
     arrows = UsdGeom.PointInstancer(prim)
     samples.write(arrows.CreatePositionsAttr(), [vectors(frame) for frame in positions])
-    samples.write(arrows.CreateOrientationsfAttr(), [quaternions(frame) for frame in turns])
+    samples.write(arrows.CreateOrientationsfAttr(), [quaternions(frame) for frame in orientations])
     samples.write(arrows.CreateScalesAttr(), [vectors(frame) for frame in scales])
     masked = [long_integers(np.flatnonzero(frame)) for frame in hidden]
     samples.write(arrows.CreateInvisibleIdsAttr(), masked)
@@ -78,7 +78,7 @@ def _shapes(start: Array, vector: Array, radius: float) -> tuple[tuple[Array, Ar
     length = np.linalg.norm(vector, axis=-1, keepdims=True)
     hidden = length <= 0.0
     along = np.where(hidden, (0.0, 0.0, 1.0), vector / np.where(hidden, 1.0, length))
-    shrunk = np.where(hidden, 1.0, np.minimum(1.0, MOST_HEAD * length / (HEAD_LENGTH * radius)))
+    shrunk = np.where(hidden, 1.0, np.minimum(1.0, MAX_HEAD * length / (HEAD_LENGTH * radius)))
     head = shrunk * HEAD_LENGTH * radius
     shaft = np.where(hidden, 1.0, length - head)
     middles = np.concatenate([start + 0.5 * shaft * along, start + (shaft + 0.5 * head) * along], axis=1)
@@ -86,7 +86,9 @@ def _shapes(start: Array, vector: Array, radius: float) -> tuple[tuple[Array, Ar
     shafts = np.concatenate([width, width, shaft], axis=-1)
     heads = np.concatenate([HEAD * width, HEAD * width, head], axis=-1)
     scales = np.concatenate([shafts, heads], axis=1)
-    turns = shortest_rotations((0.0, 0.0, 1.0), along)
+    orientations = shortest_rotations((0.0, 0.0, 1.0), along)
     both = np.concatenate([hidden, hidden], axis=1)
     # What nobody sees is the same from frame to frame, which files keep once.
-    return (np.where(both, 0.0, middles), np.concatenate([turns, turns], axis=1), scales), both[..., 0]
+    return (np.where(both, 0.0, middles), np.concatenate([orientations, orientations], axis=1), scales), both[
+        ..., 0
+    ]

@@ -41,7 +41,7 @@ def identifiers(names: Iterable[str], reserved: Iterable[str] = ()) -> dict[str,
     return table
 
 
-def mark(prim: Any, name: str) -> None:
+def store_element_name(prim: Any, name: str) -> None:
     """Keeps the name that an element has in the scene on its prim."""
     prim.SetCustomDataByKey("warpcontact:name", name)
     if prim.GetName() != name:

@@ -24,7 +24,7 @@ LIBRARY: Mapping[type[Formula], tuple[type[Any], ...]] = {
 _ALL = frozenset(kind for kinds in LIBRARY.values() for kind in kinds)
 
 
-def is_own(kind: type[Formula]) -> bool:
+def is_custom(kind: type[Formula]) -> bool:
     """Whether a class is none of the library."""
     return kind not in _ALL
 
@@ -41,29 +41,29 @@ class Catalogue:
     """
 
     def __init__(self, custom_types: Iterable[type[Formula]] = ()) -> None:
-        self._own: dict[str, type[Formula]] = {}
+        self._custom_types: dict[str, type[Formula]] = {}
         for kind in custom_types:
             if not isinstance(kind, type) or not issubclass(kind, tuple(LIBRARY)):
                 raise TypeError(
                     "custom_types must be classes derived from wc.Law, wc.Friction, wc.Spring, wc.Damper, wc.Motion or "
                     f"wc.ParametricSurface, got {kind!r}"
                 )
-            if self._own.setdefault(kind.__name__, kind) is not kind:
+            if self._custom_types.setdefault(kind.__name__, kind) is not kind:
                 raise ValueError(f"custom_types has two classes of the name {kind.__name__!r}")
 
-    def find(self, base: type[Formula], name: str, own: bool) -> type[Formula]:
+    def find(self, base: type[Formula], name: str, custom_types: bool) -> type[Formula]:
         """Returns the class of a name.
 
         Args:
             base: What it must be.
             name: Its name.
-            own: Whether it is one of a user.
+            custom_types: Whether it is one of a user.
 
         Raises:
             LookupError: If there is none; the message says what there is.
         """
-        if own:
-            kind = self._own.get(name)
+        if custom_types:
+            kind = self._custom_types.get(name)
             if kind is None or not issubclass(kind, base):
                 raise LookupError(
                     f"{name!r} is a {base.__name__.lower()} of one's own; hand the class in: custom_types=[{name}]"

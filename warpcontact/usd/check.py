@@ -43,8 +43,8 @@ def check_usd(path: str | Path) -> list[str]:
     except Tf.ErrorException as error:
         raise OSError(f"cannot read {path}: {str(error).strip()}") from error
     validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
-    told = UsdValidation.ValidationContext(validators).Validate(stage)
-    found = [f"{_site(error)}: {error.GetMessage()}" for error in told]
+    messages = UsdValidation.ValidationContext(validators).Validate(stage)
+    found = [f"{_site(error)}: {error.GetMessage()}" for error in messages]
     for layer in stage.GetUsedLayers(includeClipLayers=True):
         # USD keeps them sorted, and has no place for those at times that are none.
         bad = [code for code in layer.ListAllTimeSamples() if not np.isfinite(code)]
@@ -129,7 +129,7 @@ def _quaternions(prim: Any) -> Iterator[str]:
                 break
 
 
-def _together(*attributes: Any) -> Iterator[tuple[str, list[Any]]]:
+def _values_over_time(*attributes: Any) -> Iterator[tuple[str, list[Any]]]:
     """Iterates over the values of attributes at their defaults and all times of any, with where that is in words.
 
     What has no value is empty. An attribute with time samples alone has no default that goes with the others.
@@ -145,7 +145,7 @@ def _together(*attributes: Any) -> Iterator[tuple[str, list[Any]]]:
         yield f" at time {code:g}", [() if value is None else value for value in values]
 
 
-def _outside(values: Any, count: int) -> NDArray[Any]:
+def _out_of_range(values: Any, count: int) -> NDArray[Any]:
     """Returns the indices that are not from 0 to before ``count``."""
     indices = np.array(values, dtype=np.int64)
     return indices[(indices < 0) | (indices >= count)]
@@ -159,9 +159,9 @@ def _mesh(prim: Any) -> Iterator[str]:
     mesh = UsdGeom.Mesh(prim)
     counts = mesh.GetFaceVertexCountsAttr()
     topology = mesh.GetPointsAttr(), mesh.GetFaceVertexIndicesAttr(), counts
-    for where, (points, indices, given) in _together(*topology):
+    for where, (points, indices, given) in _values_over_time(*topology):
         found, sizes = False, np.array(given, dtype=np.int64)
-        if len(worst := _outside(indices, len(points))):
+        if len(worst := _out_of_range(indices, len(points))):
             found = True
             yield f"faceVertexIndices{where} must be from 0 to {len(points) - 1}, the last point, got {worst[0]}"
         if (sizes < 3).any():
@@ -173,8 +173,8 @@ def _mesh(prim: Any) -> Iterator[str]:
         if found:
             break
     for subset in UsdGeom.Subset.GetAllGeomSubsets(mesh):
-        for where, (chosen, faces) in _together(subset.GetIndicesAttr(), counts):
-            if len(_outside(chosen, len(faces))):
+        for where, (chosen, faces) in _values_over_time(subset.GetIndicesAttr(), counts):
+            if len(_out_of_range(chosen, len(faces))):
                 name = subset.GetPrim().GetName()
                 yield f"indices of {name}{where} must be from 0 to {len(faces) - 1}, the last face"
                 break
@@ -188,7 +188,7 @@ def _curves(prim: Any) -> Iterator[str]:
     curves = UsdGeom.Curves(prim)
     if prim.IsAbstract() and not curves.GetPointsAttr().HasAuthoredValue():
         return  # a class says what its curves have in common; where they are, who refers to it
-    for where, (counts, points) in _together(curves.GetCurveVertexCountsAttr(), curves.GetPointsAttr()):
+    for where, (counts, points) in _values_over_time(curves.GetCurveVertexCountsAttr(), curves.GetPointsAttr()):
         total = np.array(counts, dtype=np.int64).sum()
         if total != len(points):
             yield f"curveVertexCounts{where} must add up to the {len(points)} points, got {total}"
@@ -204,10 +204,10 @@ def _instancer(prim: Any) -> Iterator[str]:
     which = instancer.GetProtoIndicesAttr()
     prototypes = len(instancer.GetPrototypesRel().GetForwardedTargets())
     for where, value in _samples(which):
-        if len(worst := _outside(value, prototypes)):
+        if len(worst := _out_of_range(value, prototypes)):
             yield f"protoIndices{where} must be from 0 to {prototypes - 1}, the last prototype, got {worst[0]}"
     for name in ("positions", "orientations", "orientationsf", "scales", "ids"):
-        for where, (numbers, value) in _together(which, prim.GetAttribute(name)):
+        for where, (numbers, value) in _values_over_time(which, prim.GetAttribute(name)):
             if len(value) not in (0, len(numbers)):
                 yield f"{name}{where} must be as many as the {len(numbers)} protoIndices, got {len(value)}"
                 break
@@ -218,7 +218,7 @@ def _instancer(prim: Any) -> Iterator[str]:
     for name, api in _primvars(prim):
         if api.GetInterpolation() not in ("vertex", "varying"):
             continue
-        for where, (numbers, value) in _together(which, api.GetAttr()):
+        for where, (numbers, value) in _values_over_time(which, api.GetAttr()):
             if len(value) != len(numbers):
                 count = len(numbers)
                 yield f"primvar {name}{where} must have one value for each of {count} instances, got {len(value)}"
@@ -248,7 +248,7 @@ def _extent(prim: Any) -> Iterator[str]:
         if found.shape != (2, 3):
             yield f"extent must be two corners, got {found.tolist()}"
             return
-        needed = _needed(prim, boundable, code)
+        needed = _required_extent(prim, boundable, code)
         if needed is None:
             continue
         slack = ROUNDING * (1.0 + np.abs(needed).max())
@@ -258,7 +258,7 @@ def _extent(prim: Any) -> Iterator[str]:
             return
 
 
-def _needed(prim: Any, boundable: Any, code: Any) -> NDArray[Any] | None:
+def _required_extent(prim: Any, boundable: Any, code: Any) -> NDArray[Any] | None:
     """Returns the corners of what a prim takes of space, (2, 3), or ``None`` if nobody can say."""
     from pxr import UsdGeom
 

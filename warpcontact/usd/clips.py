@@ -28,7 +28,7 @@ from warpcontact.run_folder import RunPath, below_run
 from warpcontact.usd.author import Samples
 from warpcontact.usd.files import remove_file, save_layer
 from warpcontact.usd.layout import WORLD
-from warpcontact.usd.stage import Export, Tell
+from warpcontact.usd.stage import Export, ProgressCallback
 
 FOLDER_SUFFIX = ".clips"
 RECORD = "clips.json"
@@ -69,7 +69,7 @@ class Clips:
         self.blocks = [(first, min(first + frames, count)) for first in range(0, count, frames)]
         self._inputs: list[str] = []
 
-    def write(self, tell: Tell) -> None:
+    def write(self, report_progress: ProgressCallback) -> None:
         """Writes what is not there yet.
 
         Raises:
@@ -77,14 +77,14 @@ class Clips:
         """
         from pxr import Sdf, Usd
 
-        owner = self._told().get("stage", self.path.name)
+        owner = self._read_manifest().get("stage", self.path.name)
         if owner != self.path.name:
             raise FileExistsError(f"cannot write {self.path}: {self.folder} holds the clips of {owner!r}")
-        survey = self.export.survey(self._contents(noting=True))
+        ranges = self.export.ranges(self._contents(noting=True))
         stage = Usd.Stage.CreateInMemory()
         manifest = Sdf.Layer.CreateAnonymous(".usdc")
-        first = self._content((0, 1), survey.coils)
-        self.export.define(stage, first, survey)
+        first = self._content((0, 1), ranges.coils)
+        self.export.define(stage, first, ranges)
         header = Samples([], None, declared=manifest)
         self.export.animate(stage, first, header, (0, 1), lambda _: None)
         topology = self.folder / "topology.usdc"
@@ -96,16 +96,16 @@ class Clips:
             "topology": _sha(topology),
             "codes": _digest(np.array(self.export.replay.codes)),
         }
-        known = self._known(about)
+        known = self._reusable(about)
         done: list[dict[str, Any]] = []
         for number, (block, given) in enumerate(zip(self.blocks, self._inputs, strict=True)):
             file = self.folder / _name(number)
             entry = {"file": file.name, "records": list(block), "input": given}
             earlier = known.get(file.name, {})
             if {**entry, "sha256": earlier.get("sha256")} == earlier and _sha(file) == earlier["sha256"]:
-                tell((block[1] - block[0]) * len(self.export.replay.envs))
+                report_progress((block[1] - block[0]) * len(self.export.replay.envs))
             else:
-                self._write_clip(stage, file, block, survey.coils, tell)
+                self._write_clip(stage, file, block, ranges.coils, report_progress)
             done.append({**entry, "sha256": _sha(file)})
             # Those of an earlier attempt that come later may be whole as well.
             later = [known[name] for name in sorted(known) if name > file.name]
@@ -142,33 +142,37 @@ class Clips:
                 values.append(coloring.of(ensemble.replay.envs, *records))
         return _digest(*values)
 
-    def _known(self, about: dict[str, str]) -> dict[str, dict[str, Any]]:
+    def _reusable(self, about: dict[str, str]) -> dict[str, dict[str, Any]]:
         """Returns the clips of an earlier attempt that are of the same export, by the names of their files."""
-        told = self._told()
+        manifest = self._read_manifest()
         try:
-            same = all(told[key] == value for key, value in about.items())
-            return {str(entry["file"]): dict(entry) for entry in told["clips"]} if same else {}
+            same = all(manifest[key] == value for key, value in about.items())
+            return {str(entry["file"]): dict(entry) for entry in manifest["clips"]} if same else {}
         except (ValueError, KeyError, TypeError):
             return {}
 
-    def _told(self) -> dict[str, Any]:
+    def _read_manifest(self) -> dict[str, Any]:
         """Returns what the folder says of itself; nothing if that cannot be read."""
         try:
-            told = json.loads((self.folder / RECORD).read())
+            manifest = json.loads((self.folder / RECORD).read())
         except UnsafeFileError:
             raise
         except (OSError, ValueError, RecursionError):
             return {}
-        return told if isinstance(told, dict) else {}
+        return manifest if isinstance(manifest, dict) else {}
 
-    def _write_clip(self, stage: Any, file: RunPath, block: Range, coils: dict[str, Coil], tell: Tell) -> None:
+    def _write_clip(
+        self, stage: Any, file: RunPath, block: Range, coils: dict[str, Coil], report_progress: ProgressCallback
+    ) -> None:
         from pxr import Sdf
 
         records = self._with_next(block)
         content = self._content(records, coils)
         layer = Sdf.Layer.CreateAnonymous(".usdc")
         samples = Samples(content.replay.codes, layer, defaults=False)
-        self.export.animate(stage, content, samples, records, lambda envs: tell(envs * (block[1] - block[0])))
+        self.export.animate(
+            stage, content, samples, records, lambda envs: report_progress(envs * (block[1] - block[0]))
+        )
         save_layer(layer, file)
 
     def _root(self, topology: Any) -> Any:

@@ -7,7 +7,7 @@ import xarray as xr
 
 from warpcontact.checks import Array
 from warpcontact.kernels.names import stored_name, suggestion
-from warpcontact.replay.colors import COLORMAP, Scale, number_of_each
+from warpcontact.replay.colors import COLORMAP, Scale, per_environment_number
 from warpcontact.usd.author import attribute_name
 
 
@@ -21,9 +21,9 @@ def named_number(recording: xr.Dataset, name: str, outcome: xr.Dataset | None = 
         return recording[stored_name(name)]
     tables = [recording] if outcome is None else [recording, outcome]
     variables = [(str(key), one) for table in tables for key, one in table.data_vars.items()]
-    there = sorted({key for key, one in variables if _could_color(one)})
+    available = sorted({key for key, one in variables if _could_color(one)})
     outcomes = "" if outcome is not None else " (an outcome is given as its values, run.outcome[name])"
-    hint = suggestion(name, there) or f"; there are: {', '.join(there) or 'none'}"
+    hint = suggestion(name, available) or f"; there are: {', '.join(available) or 'none'}"
     raise ValueError(f"color_by must be something that was recorded, got {name!r}{hint}{outcomes}")
 
 
@@ -42,7 +42,7 @@ class Coloring:
     Attributes:
         name: Name of the variable.
         unit: Its unit.
-        moves: Whether there is a number in each record.
+        is_time_dependent: Whether there is a number in each record.
         scale: The colours of all numbers that were looked through.
     """
 
@@ -57,14 +57,14 @@ class Coloring:
         # Instances of sets have the number of their environment under this name.
         if attribute_name(self.name) == attribute_name("environment"):
             raise ValueError(f"color_by must have another name than {self.name!r}, which instances have already")
-        found = number_of_each(values)
+        found = per_environment_number(values)
         if found is None:
             raise ValueError(
                 f"color_by must be one number for each environment, got {self.name!r} of {values.dtype} along "
                 f"{', '.join(map(str, values.dims)) or 'nothing'}; items of a set must agree"
             )
-        self.moves = "time" in found.dims
-        if self.moves and found.sizes["time"] != recording.sizes["time"]:
+        self.is_time_dependent = "time" in found.dims
+        if self.is_time_dependent and found.sizes["time"] != recording.sizes["time"]:
             raise ValueError(
                 f"color_by must have the {recording.sizes['time']} records of the recording, got "
                 f"{found.sizes['time']} of {self.name!r}"
@@ -75,22 +75,22 @@ class Coloring:
 
     def of(self, envs: list[int], first: int, stop: int) -> Array:
         """Returns the numbers of environments in a range of records, (time or 1, env); NaN where there is none."""
-        chosen = self._values.isel(time=slice(first, stop)) if self.moves else self._values
-        known = chosen["env"].values
-        values = np.full((chosen.sizes["time"] if self.moves else 1, len(envs)), np.nan)
-        there = np.isin(envs, known)
-        order = np.argsort(known, kind="stable")
-        rows = order[np.searchsorted(known, np.asarray(envs)[there], sorter=order)]
-        values[:, there] = chosen.isel(env=rows).values.astype(np.float64)
+        chosen = self._values.isel(time=slice(first, stop)) if self.is_time_dependent else self._values
+        recorded = chosen["env"].values
+        values = np.full((chosen.sizes["time"] if self.is_time_dependent else 1, len(envs)), np.nan)
+        available = np.isin(envs, recorded)
+        order = np.argsort(recorded, kind="stable")
+        rows = order[np.searchsorted(recorded, np.asarray(envs)[available], sorter=order)]
+        values[:, available] = chosen.isel(env=rows).values.astype(np.float64)
         return values
 
-    def look_through(self, envs: list[int], first: int, stop: int) -> None:
+    def scan_records(self, envs: list[int], first: int, stop: int) -> None:
         """Widens the range to the numbers of a range of records."""
         self.scale = self.scale.widened(self.of(envs, first, stop))
 
     def legend(self) -> dict[str, Any]:
         """Returns what the colours mean."""
-        told: dict[str, Any] = {"colorBy": self.name, "unit": self.unit, "colormap": COLORMAP}
+        legend: dict[str, Any] = {"colorBy": self.name, "unit": self.unit, "colormap": COLORMAP}
         if self.scale.low <= self.scale.high:
-            told |= {"low": self.scale.low, "high": self.scale.high}
-        return told
+            legend |= {"low": self.scale.low, "high": self.scale.high}
+        return legend

@@ -16,13 +16,13 @@ from warpcontact.checks import Array
 from warpcontact.contact_range import ContactRange
 from warpcontact.elements import ContactMaterial
 from warpcontact.kernels.formula import ROWS, Formula
-from warpcontact.kernels.touch import Parts
+from warpcontact.kernels.touch import ContactModel
 from warpcontact.meshes import Mesh
 from warpcontact.scene import Scene
 from warpcontact.usd.author import identifiers
-from warpcontact.usd.catalogue import is_own
+from warpcontact.usd.catalogue import is_custom
 from warpcontact.usd.importing.records import SCHEMA
-from warpcontact.usd.words import Form, Words, words_of
+from warpcontact.usd.words import ElementCall, ShapeParameters, element_calls
 
 #: Where exports have the description.
 ROOT = "/World/Description"
@@ -57,10 +57,10 @@ def read_description(stage: Any, custom_types: Iterable[type[Formula]] = ()) -> 
         UsdError: If the description is damaged, or a class is missing; the message names the prims.
     """
     from warpcontact.usd.importing.records import read_records
-    from warpcontact.usd.importing.restore import restored
+    from warpcontact.usd.importing.restore import restore_scene
 
     records = read_records(stage)
-    return None if records is None else restored(records, custom_types)
+    return None if records is None else restore_scene(records, custom_types)
 
 
 class _Description:
@@ -72,12 +72,12 @@ class _Description:
         self.root = root
         self.paths = {name: f"{root}/Elements/{names[name]}" for name in scene.element_names()}
         # Materials and meshes that elements share; each is kept beside its path, so that no other gets its id.
-        self.shared: dict[tuple[int, int], tuple[Any, str]] = {}
+        self.shared_paths: dict[tuple[int, int], tuple[Any, str]] = {}
         self.counts = {"Materials": 0, "Meshes": 0}
 
     def write(self) -> None:
         """Writes the scene, its elements, and what they share."""
-        words = words_of(self.scene)
+        calls = element_calls(self.scene)
         self._prim(self.root)
         self._value(self.root, "schema", SCHEMA)
         self._value(self.root, "version", __version__)
@@ -85,35 +85,37 @@ class _Description:
             self._value(self.root, name, getattr(self.scene, name))
         for folder in ("Elements", "Materials", "Meshes"):
             self._prim(f"{self.root}/{folder}")
-        self._targets(self.root, "elements", [self.paths[one.name] for one in words])
-        for one in words:
+        self._targets(self.root, "elements", [self.paths[one.name] for one in calls])
+        for one in calls:
             self._element(one)
 
-    def _element(self, words: Words) -> None:
-        path = self.paths[words.name]
+    def _element(self, call: ElementCall) -> None:
+        path = self.paths[call.name]
         self._prim(path)
-        self._value(path, "kind", words.kind)
-        self._value(path, "name", words.name)
-        for name, value in words.arguments.items():
-            self._argument(path, name, value, name in words.rows)
+        self._value(path, "kind", call.kind)
+        self._value(path, "name", call.name)
+        for name, value in call.arguments.items():
+            self._argument(path, name, value, name in call.rows)
 
     def _argument(self, path: str, name: str, value: Any, rows: bool) -> None:
         """Writes one argument of an element, as what it is."""
         match value:
             case ContactMaterial() | Mesh():
-                self._targets(path, name, [self._share(value)])
+                self._targets(path, name, [self._shared_path(value)])
             case tuple() if isinstance(value[0], Mesh):
                 # A relationship has each of its targets once: a mesh that comes again is written again.
-                again = [sum(mesh is other for other in value[:i]) for i, mesh in enumerate(value)]
-                self._targets(path, name, [self._share(*each) for each in zip(value, again, strict=True)])
+                copy_index = [sum(mesh is other for other in value[:i]) for i, mesh in enumerate(value)]
+                self._targets(
+                    path, name, [self._shared_path(*each) for each in zip(value, copy_index, strict=True)]
+                )
             case tuple():
                 self._targets(path, name, [self.paths[one.name] for one in value])
             case list():  # a mask for each mesh
                 self._value(path, name, np.concatenate(value), rows=True)
-            case Form():
+            case ShapeParameters():
                 self._formula(f"{path}/{name}", value.kind, value.sizes, each=True)
             case Formula():
-                self._formula(f"{path}/{name}", type(value), _given(value))
+                self._formula(f"{path}/{name}", type(value), _formula_values(value))
             case ContactRange():
                 self._range(f"{path}/{name}", value)
             case _ if hasattr(value, "name"):
@@ -121,21 +123,21 @@ class _Description:
             case _:
                 self._value(path, name, value, rows)
 
-    def _share(self, thing: Any, again: int = 0) -> str:
-        """Returns the path of a material or mesh, which is written when it comes first; ``again``: of a copy."""
-        if (id(thing), again) not in self.shared:
-            folder, word = ("Materials", "material") if isinstance(thing, ContactMaterial) else ("Meshes", "mesh")
+    def _shared_path(self, shared: Any, copy_index: int = 0) -> str:
+        """Returns the path of a material or mesh, written when first used; ``copy_index``: of a copy."""
+        if (id(shared), copy_index) not in self.shared_paths:
+            folder, word = ("Materials", "material") if isinstance(shared, ContactMaterial) else ("Meshes", "mesh")
             path = f"{self.root}/{folder}/{word}_{self.counts[folder]}"
             self.counts[folder] += 1
-            self.shared[id(thing), again] = (thing, path)
+            self.shared_paths[id(shared), copy_index] = (shared, path)
             self._prim(path)
-            if isinstance(thing, ContactMaterial):
-                for part in Parts._fields:
-                    formula = getattr(thing, part)
-                    self._formula(f"{path}/{part}", type(formula), _given(formula))
+            if isinstance(shared, ContactMaterial):
+                for part in ContactModel._fields:
+                    formula = getattr(shared, part)
+                    self._formula(f"{path}/{part}", type(formula), _formula_values(formula))
             else:
-                self._mesh(path, thing)
-        return self.shared[id(thing), again][1]
+                self._mesh(path, shared)
+        return self.shared_paths[id(shared), copy_index][1]
 
     def _mesh(self, path: str, mesh: Mesh) -> None:
         self._value(path, "name", mesh.name)
@@ -156,7 +158,7 @@ class _Description:
         """Writes a law, friction, spring, damper, motion or shape; ``each``: values have one entry per shape."""
         self._prim(path)
         self._value(path, "type", kind.__name__)
-        if is_own(kind):
+        if is_custom(kind):
             self._value(path, "own", True)
         names = identifiers(field.name for field in dataclasses.fields(kind))
         for name, value in values.items():
@@ -192,7 +194,7 @@ class _Description:
     def _value(self, path: str, name: str, value: Any, rows: bool = False, note: str = "") -> None:
         from pxr import Sdf
 
-        kind, written = _written(value, rows)
+        kind, written = _usd_value(value, rows)
         owner = self.layer.GetPrimAtPath(path)
         spec = Sdf.AttributeSpec(owner, f"warpcontact:{name}", kind, Sdf.VariabilityUniform, True)
         spec.default = written
@@ -200,7 +202,7 @@ class _Description:
             spec.documentation = note
 
 
-def _given(formula: Formula) -> dict[str, Any]:
+def _formula_values(formula: Formula) -> dict[str, Any]:
     values = {field.name: getattr(formula, field.name) for field in dataclasses.fields(formula)}
     return {name: value for name, value in values.items() if value is not None}
 
@@ -209,7 +211,7 @@ def _given(formula: Formula) -> dict[str, Any]:
 _ROWS = {(): "Double", (2,): "Double2", (3,): "Double3", (4,): "Double4", (3, 3): "Matrix3d"}
 
 
-def _written(value: Any, rows: bool) -> tuple[Any, Any]:
+def _usd_value(value: Any, rows: bool) -> tuple[Any, Any]:
     """Returns the type of a value in USD, and what is written of it; ``rows``: its first axis counts."""
     from pxr import Sdf, Vt
 

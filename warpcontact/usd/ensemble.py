@@ -7,7 +7,7 @@ import numpy as np
 
 from warpcontact.checks import Array
 from warpcontact.replay.content import POINT
-from warpcontact.replay.ensemble import Ensemble, Look
+from warpcontact.replay.ensemble import BodyAppearance, Ensemble
 from warpcontact.replay.spheres import body_color
 from warpcontact.usd.author import (
     Samples,
@@ -15,12 +15,12 @@ from warpcontact.usd.author import (
     identifiers,
     integers,
     long_integers,
-    mark,
     quaternions,
+    store_element_name,
     vectors,
 )
 from warpcontact.usd.coloring import Coloring
-from warpcontact.usd.forms import write_form
+from warpcontact.usd.forms import write_shape
 from warpcontact.usd.geometry import set_color
 from warpcontact.usd.layout import ENSEMBLE, Layout
 from warpcontact.usd.surfaces import write_surface
@@ -48,39 +48,43 @@ def define_ensemble(stage: Any, ensemble: Ensemble, layout: Layout, coloring: Co
         root.SetCustomDataByKey("warpcontact:leftOut", Vt.IntArray(ensemble.left_out))
     for key, value in (coloring.legend() if coloring else {}).items():
         root.SetCustomDataByKey(f"warpcontact:{key}", value)
-    for look in ensemble.looks:
-        _define(stage, ensemble, look, layout, coloring)
+    for appearance in ensemble.appearances:
+        _define(stage, ensemble, appearance, layout, coloring)
 
 
-def _define(stage: Any, ensemble: Ensemble, look: Look, layout: Layout, coloring: Coloring | None) -> None:
+def _define(
+    stage: Any, ensemble: Ensemble, appearance: BodyAppearance, layout: Layout, coloring: Coloring | None
+) -> None:
     from pxr import Sdf, UsdGeom
 
-    body, envs = look.body, np.array(ensemble.replay.envs)
+    body, envs = appearance.body, np.array(ensemble.replay.envs)
     path = f"{ENSEMBLE}/{layout.names[body.name]}"
     instancer = UsdGeom.PointInstancer.Define(stage, path)
-    mark(instancer.GetPrim(), body.name)
+    store_element_name(instancer.GetPrim(), body.name)
     targets = []
-    for number, (row, item) in enumerate(look.examples.tolist()):
+    for number, (row, item) in enumerate(appearance.examples.tolist()):
         own = f"{path}/look_{number}"
-        _define_look(stage, own, look, row, item, layout, color=coloring is None)
+        _define_appearance(stage, own, appearance, row, item, layout, color=coloring is None)
         targets.append(Sdf.Path(own))
     instancer.CreatePrototypesRel().SetTargets(targets)
-    instancer.CreateProtoIndicesAttr(integers(look.numbers.reshape(-1)))
+    instancer.CreateProtoIndicesAttr(integers(appearance.numbers.reshape(-1)))
     numbers = np.repeat(envs, body.count)
     ids = numbers if body.single else numbers * body.count + np.tile(np.arange(body.count), len(envs))
     instancer.CreateIdsAttr(long_integers(ids))
     masked = ids[np.isin(numbers, layout.envs)]
     if len(masked):
         instancer.CreateInvisibleIdsAttr(long_integers(masked))
-    if (look.scales != 1.0).any():
-        instancer.CreateScalesAttr(vectors(np.repeat(look.scales.reshape(-1, 1), 3, axis=1)))
+    if (appearance.scales != 1.0).any():
+        instancer.CreateScalesAttr(vectors(np.repeat(appearance.scales.reshape(-1, 1), 3, axis=1)))
     if not body.single:
         names = Sdf.ValueTypeNames
         primvar = UsdGeom.PrimvarsAPI(instancer).CreatePrimvar("warpcontact:environment", names.IntArray, "vertex")
         primvar.Set(integers(numbers))
 
 
-def _define_look(stage: Any, path: str, look: Look, row: int, item: int, layout: Layout, *, color: bool) -> None:
+def _define_appearance(
+    stage: Any, path: str, appearance: BodyAppearance, row: int, item: int, layout: Layout, *, color: bool
+) -> None:
     """Writes one body as it is in one environment; without ``color`` it has that of its instance."""
     from pxr import UsdGeom
 
@@ -89,25 +93,25 @@ def _define_look(stage: Any, path: str, look: Look, row: int, item: int, layout:
     # Of a set of bodies each has one sphere of its own.
     spheres = {
         f"{layout.names[group.name]}.{number}": (group, number)
-        for group in look.spheres
-        for number in (range(group.radii.shape[1]) if look.body.single else [item])
+        for group in appearance.spheres
+        for number in (range(group.radii.shape[1]) if appearance.body.single else [item])
     }
-    surfaces = {layout.names[placement.surface.name]: placement for placement in look.surfaces}
-    forms = {layout.names[form.shape.name]: form for form in look.forms}
+    surfaces = {layout.names[placement.surface.name]: placement for placement in appearance.surfaces}
+    forms = {layout.names[form.shape.name]: form for form in appearance.forms}
     # Elements keep their names; a sphere whose name one of them has gets another.
     names = identifiers([*surfaces, *forms, *spheres])
     for name, placement in surfaces.items():
         write_surface(stage, f"{path}/{names[name]}", placement, row, physics=False, color=color)
     for name, (group, number) in spheres.items():
         radius = float(group.radii[row, number]) or small
-        shade = body_color(look.body) if color else None
+        shade = body_color(appearance.body) if color else None
         _define_sphere(stage, f"{path}/{names[name]}", radius, group.places[row, number], shade)
     for name, form in forms.items():
         number = 0 if form.shape.single else item
         own = f"{path}/{names[name]}"
-        write_form(stage, own, form, row, layout.size, item=number, physics=False, color=color)
-    if not (look.surfaces or look.spheres or look.forms):
-        _define_sphere(stage, f"{path}/centre", small, np.zeros(3), body_color(look.body) if color else None)
+        write_shape(stage, own, form, row, layout.size, item=number, physics=False, color=color)
+    if not (appearance.surfaces or appearance.spheres or appearance.forms):
+        _define_sphere(stage, f"{path}/centre", small, np.zeros(3), body_color(appearance.body) if color else None)
 
 
 def _define_sphere(stage: Any, path: str, radius: float, place: Array, color: Array | None) -> None:
@@ -133,19 +137,21 @@ def write_ensemble(
     """Writes where all bodies are in the records from the first of ``records`` to before the second."""
     from pxr import UsdGeom
 
-    for look in ensemble.looks:
-        body = look.body
+    for appearance in ensemble.appearances:
+        body = appearance.body
         instancer = UsdGeom.PointInstancer(stage.GetPrimAtPath(f"{ENSEMBLE}/{layout.names[body.name]}"))
         positions, orientations = ensemble.poses(body, *records)
         places = positions.reshape(len(positions), -1, 3)
         turns = orientations.reshape(len(places), -1, 4)
         # USD takes the corners of the boxes that instances fill in their own frames.
-        reach = (math.sqrt(3.0) * look.scales * max(look.reach, 0.5 * POINT * layout.size)).reshape(-1, 1)
+        reach = (math.sqrt(3.0) * appearance.scales * max(appearance.reach, 0.5 * POINT * layout.size)).reshape(
+            -1, 1
+        )
         extents = np.stack([(places - reach).min(axis=1), (places + reach).max(axis=1)], axis=1)
         samples.write(instancer.CreatePositionsAttr(), [vectors(frame) for frame in places])
         samples.write(instancer.CreateOrientationsfAttr(), [quaternions(frame) for frame in turns])
         samples.write(instancer.CreateExtentAttr(), [vectors(frame) for frame in extents])
-        if coloring is not None and (coloring.moves or samples.defaults):
+        if coloring is not None and (coloring.is_time_dependent or samples.defaults):
             _color(instancer, ensemble, coloring, body.count, samples, records)
 
 
@@ -167,9 +173,9 @@ def _color(
     name = attribute_name(coloring.name)
     numbers = api.CreatePrimvar(name, names.DoubleArray, UsdGeom.Tokens.vertex).GetAttr()
     numbers.SetDocumentation(f"{coloring.name} [{coloring.unit}]")
-    told = [Vt.DoubleArray.FromNumpy(np.ascontiguousarray(frame)) for frame in values]
-    for attribute, series in ((colors, shown), (numbers, told)):
-        if coloring.moves:
+    label = [Vt.DoubleArray.FromNumpy(np.ascontiguousarray(frame)) for frame in values]
+    for attribute, series in ((colors, shown), (numbers, label)):
+        if coloring.is_time_dependent:
             samples.write(attribute, series)
         else:
             attribute.Set(series[0])

@@ -8,24 +8,24 @@ import numpy as np
 from warpcontact.checks import Array
 from warpcontact.replay.content import Content
 from warpcontact.replay.replay import Replay
-from warpcontact.replay.survey import Survey
+from warpcontact.replay.survey import SceneRanges
 from warpcontact.scene import Body
 from warpcontact.usd import geometry, physics
 from warpcontact.usd.arrows import write_arrows
 from warpcontact.usd.author import Samples, identifiers, series, write_box
 from warpcontact.usd.curves import WIDTH, write_curves
-from warpcontact.usd.forms import write_form, write_form_swarm
+from warpcontact.usd.forms import write_shape, write_shape_set
 from warpcontact.usd.joints import is_joint, write_joint
 from warpcontact.usd.layout import PROTOTYPE, RESERVED, SHAPES, WORLD, Layout
 from warpcontact.usd.materials import UsdMaterial, UsdMaterials, material_path, set_material
 from warpcontact.usd.prototype import Prototype
 from warpcontact.usd.sensors import Sensors
 from warpcontact.usd.surfaces import write_surface
-from warpcontact.usd.swarms import write_swarm
+from warpcontact.usd.swarms import write_body_set
 
 
 def layout_of(
-    content: Content, survey: Survey, spacing: Array, force_scale: float, materials: UsdMaterials
+    content: Content, ranges: SceneRanges, spacing: Array, force_scale: float, materials: UsdMaterials
 ) -> Layout:
     """Returns where things are; what differs between environments is in each of them."""
     apart = bool(spacing.any())
@@ -41,7 +41,7 @@ def layout_of(
         names=identifiers(content.replay.scene.element_names(), RESERVED),
         envs=content.replay.envs,
         spacing=spacing,
-        size=survey.size,
+        size=ranges.size,
         force_scale=force_scale,
         own_surfaces=frozenset(found),
     )
@@ -65,7 +65,7 @@ class Environments:
         self.gravity = replay.setting("scene.gravity", replay.scene.gravity)
         self.one_gravity = bool((self.gravity == self.gravity[0]).all())
 
-    def define(self, content: Content, survey: Survey) -> None:
+    def define(self, content: Content, ranges: SceneRanges) -> None:
         """Writes what does not change over time; ``content`` begins with the first record."""
         layout = self.layout
         scene_path = f"{WORLD if self.one_gravity else PROTOTYPE}/PhysicsScene"
@@ -76,7 +76,7 @@ class Environments:
         prototype.write()
         physics.define_gravity(self.stage, scene_path, self.gravity[0])
         self._write_stepping(content.replay, scene_path)
-        space, masses = self._space(content, survey), physics.Masses(content.replay)
+        space, masses = self._space(content, ranges), physics.Masses(content.replay)
         for row in range(len(layout.envs)):
             self._define_environment(prototype, content, masses, row)
             write_box(self.stage.GetPrimAtPath(layout.env(row)), *space[row])
@@ -127,7 +127,7 @@ class Environments:
                 if form.shape.body is None:
                     UsdGeom.Scope.Define(stage, f"{path}/Surfaces")
                 own = layout.form(path, form)
-                write_form(stage, own, form, row, layout.size)
+                write_shape(stage, own, form, row, layout.size)
                 prototype.bind(own, "shape", form.shape.name, path)
         for group in content.spheres:
             if not group.contacts[0].points.spread and group.differs(row):
@@ -139,22 +139,22 @@ class Environments:
             path = material_path(material, self.layout.names, env)
             set_material(self.stage.GetPrimAtPath(path), material, row)
 
-    def _space(self, content: Content, survey: Survey) -> Array:
+    def _space(self, content: Content, ranges: SceneRanges) -> Array:
         """Returns the corners of the space of environments, arrows included, (env, 2, 3), in their frames [m]."""
-        longest = survey.peak * self.layout.force_scale + self.layout.size
-        low, high = survey.low - longest, survey.high + longest
+        longest = ranges.peak * self.layout.force_scale + self.layout.size
+        low, high = ranges.low - longest, ranges.high + longest
         fixed = [one.corners for one in content.placements.values() if one.surface.body is None]
         if fixed and (self.layout.apart or self.layout.own_surfaces):
             corners = np.concatenate(fixed)
             low, high = np.minimum(low, corners.min(axis=0)), np.maximum(high, corners.max(axis=0))
         return np.stack([low, high], axis=1)
 
-    def animate(self, content: Content, samples: Samples, tell: Callable[[int], None]) -> None:
-        """Writes what changes over time, of the records in ``content``; ``tell``: is told of each environment."""
+    def animate(self, content: Content, samples: Samples, report_progress: Callable[[int], None]) -> None:
+        """Writes what changes over time, of the records in ``content``; calls ``report_progress``."""
         sensors = sensors_of(content.replay)
         for row in range(len(self.layout.envs)):
             self._animate_environment(content, sensors, samples, row)
-            tell(1)
+            report_progress(1)
 
     def _animate_environment(
         self, content: Content, sensors: dict[str, Sensors], samples: Samples, row: int
@@ -169,11 +169,11 @@ class Environments:
                 self._move(prim, content, body, samples, row)
                 physics.write_velocity(prim, samples, replay, body, row)
             sensors[body.name].write(prim, samples, row)
-        for moving in content.form_swarms:
+        for moving in content.shape_sets:
             own = stage.GetPrimAtPath(layout.form(path, moving.placement))
-            write_form_swarm(own, samples, moving, row)
-        for swarm in content.swarms:
-            write_swarm(stage.GetPrimAtPath(layout.swarm(path, swarm)), samples, swarm, row)
+            write_shape_set(own, samples, moving, row)
+        for body_set in content.body_sets:
+            write_body_set(stage.GetPrimAtPath(layout.body_set(path, body_set)), samples, body_set, row)
         for name in (one.name for one in _touching(replay)):
             sensors[name].write(stage.GetPrimAtPath(layout.contact(path, name)), samples, row)
         for lines in (*content.lines, *content.resultants):

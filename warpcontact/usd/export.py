@@ -6,14 +6,14 @@ from pathlib import Path
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from warpcontact.hostile import terminal, visible
+from warpcontact.hostile import escape_controls, terminal
 from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.replay.content import Content
 from warpcontact.scene import Scene
 from warpcontact.usd.author import Samples
 from warpcontact.usd.clips import Clips, check_frames
 from warpcontact.usd.files import check_path, save_stage
-from warpcontact.usd.stage import Export, Tell
+from warpcontact.usd.stage import Export, ProgressCallback
 
 
 @explain_keywords
@@ -78,7 +78,7 @@ def export_usd(
         total=len(replay.codes) * len(replay.envs),
         unit="record",
         unit_scale=True,
-        desc=visible(path.name),
+        desc=escape_controls(path.name),
         delay=1.0,
         file=terminal(),
         disable=None if progress is None else not progress,
@@ -91,13 +91,13 @@ def export_usd(
     return path
 
 
-def _write(export: Export, path: Path, tell: Tell) -> None:
+def _write(export: Export, path: Path, report_progress: ProgressCallback) -> None:
     """Writes a single file."""
     from pxr import Usd
 
     stage = Usd.Stage.CreateInMemory()
     content, records = Content.of(export.replay), (0, len(export.replay.codes))
-    survey = export.survey([(records, content)])
-    export.define(stage, content, survey)
-    export.animate(stage, content, Samples(export.replay.codes, stage.GetRootLayer()), records, tell)
+    ranges = export.ranges([(records, content)])
+    export.define(stage, content, ranges)
+    export.animate(stage, content, Samples(export.replay.codes, stage.GetRootLayer()), records, report_progress)
     save_stage(stage, path)

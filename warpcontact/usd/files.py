@@ -39,7 +39,7 @@ def save_layer(layer: Any, path: Path | RunPath) -> None:
     Raises:
         OSError: If the file cannot be written; names it.
     """
-    with _replacing(path) as partial:
+    with _atomic_replace(path) as partial:
         layer.Export(str(partial))
 
 
@@ -61,7 +61,10 @@ def remove_file(path: Path) -> None:
 def _save_package(stage: Any, path: Path) -> None:
     from pxr import Sdf, UsdUtils
 
-    with _replacing(path) as partial, tempfile.TemporaryDirectory(prefix=f".{path.stem}.", dir=path.parent) as own:
+    with (
+        _atomic_replace(path) as partial,
+        tempfile.TemporaryDirectory(prefix=f".{path.stem}.", dir=path.parent) as own,
+    ):
         content = Path(own) / f"{path.stem}.usdc"
         stage.GetRootLayer().Export(str(content))
         if not UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(str(content)), str(partial)):
@@ -69,7 +72,7 @@ def _save_package(stage: Any, path: Path) -> None:
 
 
 @contextlib.contextmanager
-def _replacing(path: Path | RunPath) -> Iterator[Path]:
+def _atomic_replace(path: Path | RunPath) -> Iterator[Path]:
     """Yields the name of a file that takes the place of ``path`` when the block ends without an error."""
     from pxr import Sdf, Tf
 
@@ -81,7 +84,7 @@ def _replacing(path: Path | RunPath) -> Iterator[Path]:
         with place.replaced(f".{path.stem}{PARTIAL}{path.suffix}") as partial:
             yield partial.path
     except (Tf.ErrorException, OSError) as error:
-        reason = error.strerror or str(error) if isinstance(error, OSError) else _reason(str(error))
+        reason = error.strerror or str(error) if isinstance(error, OSError) else _first_sentence(str(error))
         raise OSError(f"cannot write {path}: {reason}") from error
     # Who has an earlier version of the file open sees the new one: USD keeps open files by name.
     opened = Sdf.Layer.Find(str(path.resolve()))
@@ -89,7 +92,7 @@ def _replacing(path: Path | RunPath) -> Iterator[Path]:
         opened.Reload(force=True)
 
 
-def _reason(told: str) -> str:
+def _first_sentence(message: str) -> str:
     """Returns the first sentence of an error of USD, without the places in its source."""
-    parts = [line.partition(" : ")[2].strip(" '") for line in told.strip().splitlines()]
-    return next(filter(None, parts), told.strip())
+    parts = [line.partition(" : ")[2].strip(" '") for line in message.strip().splitlines()]
+    return next(filter(None, parts), message.strip())

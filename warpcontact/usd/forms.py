@@ -7,22 +7,22 @@ from typing import Any
 import numpy as np
 
 from warpcontact.checks import Array
-from warpcontact.frames import placed
+from warpcontact.frames import transform_points
 from warpcontact.kernels.smooth import shapes
 from warpcontact.kernels.smooth.base import Shape as Form
 from warpcontact.kernels.smooth.patch import ParametricSurface
 from warpcontact.kernels.smooth.plane import Plane
 from warpcontact.kernels.smooth.torus import Torus
-from warpcontact.replay.forms import PLANE, FormPlacement, FormSwarm
+from warpcontact.replay.forms import PLANE, ShapePlacement, ShapeSet
 from warpcontact.smooth.tessellate import tessellate
-from warpcontact.usd.author import Samples, add_pose, integers, mark, quaternions, vectors, write_box
+from warpcontact.usd.author import Samples, add_pose, integers, quaternions, store_element_name, vectors, write_box
 from warpcontact.usd.geometry import set_color
 
 
-def write_form(
+def write_shape(
     stage: Any,
     path: str,
-    form: FormPlacement,
+    form: ShapePlacement,
     row: int,
     size: float,
     *,
@@ -44,7 +44,7 @@ def write_form(
     """
     from pxr import Usd, UsdGeom, UsdPhysics
 
-    gprim = define_form(stage, path, form.shape.kind, form.of_item(row, item), PLANE * size)
+    gprim = define_shape(stage, path, form.shape.kind, form.item_sizes(row, item), PLANE * size)
     prim = gprim.GetPrim()
     shift = (
         np.array([0.0, 0.0, form.sizes["height"][row, item] / 2])
@@ -52,8 +52,8 @@ def write_form(
         else np.zeros(3)
     )
     position, orientation = form.positions[row, item], form.orientations[row, item]
-    add_pose(UsdGeom.Xformable(prim), placed(shift[None], position, orientation)[0], orientation)
-    mark(prim, form.shape.name)
+    add_pose(UsdGeom.Xformable(prim), transform_points(shift[None], position, orientation)[0], orientation)
+    store_element_name(prim, form.shape.name)
     if not form.shape.visible:
         UsdGeom.Imageable(prim).MakeInvisible()
     if color:
@@ -111,7 +111,7 @@ _PRIMITIVES: dict[type[Form], Callable[..., Any]] = {
 }
 
 
-def define_form(stage: Any, path: str, kind: type[Form], sizes: Mapping[str, Array], reach: float) -> Any:
+def define_shape(stage: Any, path: str, kind: type[Form], sizes: Mapping[str, Array], reach: float) -> Any:
     """Writes a shape without its pose; without sizes a sphere of 1 m. Returns its ``UsdGeom.Gprim``.
 
     An ellipsoid is a mesh: a sphere that is scaled unevenly cannot collide on a stage.
@@ -140,41 +140,41 @@ def define_form(stage: Any, path: str, kind: type[Form], sizes: Mapping[str, Arr
     return mesh
 
 
-def declare_form_swarm(stage: Any, path: str, swarm: FormSwarm, size: float) -> None:
+def define_shape_set(stage: Any, path: str, body_set: ShapeSet, size: float) -> None:
     """Writes what they have in common in all environments."""
     from pxr import Sdf, UsdGeom
 
-    shape, items = swarm.placement.shape, swarm.placement.positions.shape[1]
+    shape, items = body_set.placement.shape, body_set.placement.positions.shape[1]
     instancer = UsdGeom.PointInstancer.Define(stage, path)
     targets = []
-    for number, first in enumerate([0] if swarm.scaled else swarm.first):
-        sizes = {} if swarm.scaled else swarm.placement.of_item(first // items, first % items)
+    for number, first in enumerate([0] if body_set.scaled else body_set.first):
+        sizes = {} if body_set.scaled else body_set.placement.item_sizes(first // items, first % items)
         own = f"{path}/form_{number}"
-        gprim = define_form(stage, own, shape.kind, sizes, PLANE * size)
-        set_color(gprim, swarm.placement.color)
+        gprim = define_shape(stage, own, shape.kind, sizes, PLANE * size)
+        set_color(gprim, body_set.placement.color)
         targets.append(Sdf.Path(own))
     instancer.CreatePrototypesRel().SetTargets(targets)
     if not shape.visible:
         instancer.MakeInvisible()
-    mark(instancer.GetPrim(), shape.name)
+    store_element_name(instancer.GetPrim(), shape.name)
 
 
-def write_form_swarm(prim: Any, samples: Samples, swarm: FormSwarm, row: int) -> None:
+def write_shape_set(prim: Any, samples: Samples, body_set: ShapeSet, row: int) -> None:
     """Writes where they are in environment number ``row`` of the export."""
     from pxr import UsdGeom
 
-    instancer, sizes = UsdGeom.PointInstancer(prim), swarm.placement.sizes
+    instancer, sizes = UsdGeom.PointInstancer(prim), body_set.placement.sizes
     # USD takes the corners of the boxes that instances fill in their own frames.
-    reach = math.sqrt(3.0) * swarm.placement.reach
+    reach = math.sqrt(3.0) * body_set.placement.reach
     if samples.defaults:
-        numbers = np.zeros_like(swarm.numbers[row]) if swarm.scaled else swarm.numbers[row]
+        numbers = np.zeros_like(body_set.numbers[row]) if body_set.scaled else body_set.numbers[row]
         instancer.CreateProtoIndicesAttr(integers(numbers))
-        if swarm.scaled:
+        if body_set.scaled:
             radii = np.repeat(sizes["radius"][..., None], 3, axis=2) if "radius" in sizes else sizes["semi_axes"]
             instancer.CreateScalesAttr(vectors(radii[row]))
-    places = swarm.places[:, row]
+    places = body_set.places[:, row]
     extents = np.stack([places.min(axis=1) - reach, places.max(axis=1) + reach], axis=1)
     samples.write(instancer.CreatePositionsAttr(), [vectors(entry) for entry in places])
-    turns = [quaternions(entry) for entry in swarm.turns[:, row]]
+    turns = [quaternions(entry) for entry in body_set.turns[:, row]]
     samples.write(instancer.CreateOrientationsfAttr(), turns)
     samples.write(instancer.CreateExtentAttr(), [vectors(entry) for entry in extents])

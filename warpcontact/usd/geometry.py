@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warpcontact.replay.spheres import Spheres, body_color
-from warpcontact.usd.author import mark, vectors
+from warpcontact.usd.author import store_element_name, vectors
 
 
 def set_color(gprim: Any, color: ArrayLike) -> None:
@@ -37,7 +37,7 @@ def define_spheres(stage: Any, path: str, group: Spheres, point_width: float) ->
             set_color(sphere, body_color(group.body))
             UsdPhysics.CollisionAPI.Apply(sphere.GetPrim())
     prim = stage.GetPrimAtPath(path)
-    mark(prim, group.name)
+    store_element_name(prim, group.name)
     prim.SetCustomDataByKey("warpcontact:contacts", Vt.StringArray([c.name for c in group.contacts]))
     set_spheres(stage, path, group, 0)
 

@@ -5,12 +5,12 @@ from typing import Any
 import numpy as np
 
 from warpcontact.checks import Array
-from warpcontact.frames import inverse, placed, product, shortest_rotations
+from warpcontact.frames import inverse, product, shortest_rotations, transform_points
 from warpcontact.kernels.formula import unit_vectors
 from warpcontact.kernels.types import BALL, HINGE, PLANAR, SLIDER, TRANSLATION
 from warpcontact.replay.replay import Replay
 from warpcontact.scene import Body
-from warpcontact.usd.author import mark
+from warpcontact.usd.author import store_element_name
 
 #: Freedoms that a joint without a schema of its own takes away, in its frame, whose x axis is that of the motion.
 _LOCKED = {PLANAR: ("transX", "rotY", "rotZ"), TRANSLATION: ("rotX", "rotY", "rotZ")}
@@ -36,7 +36,7 @@ def define_joint(stage: Any, path: str, body: Body, body_path: str) -> None:
         # Locked, as UsdPhysics has it: the lower limit is above the upper one.
         limit.CreateLowAttr(1.0)
         limit.CreateHighAttr(-1.0)
-    mark(joint.GetPrim(), body.name)
+    store_element_name(joint.GetPrim(), body.name)
     joint.GetPrim().SetDocumentation(f"{type(body.motion).__name__} of {body.name} on the world.")
 
 
@@ -63,7 +63,7 @@ def write_joint(prim: Any, replay: Replay, body: Body, pose: tuple[Array, Array]
     along = np.array([1.0, 0.0, 0.0]) if axis is None else unit_vectors("axis", axis)
     turn = shortest_rotations((1.0, 0.0, 0.0), along)
     back = inverse(orientation)
-    inside = placed((place - position)[None], np.zeros(3), back)[0]
+    inside = transform_points((place - position)[None], np.zeros(3), back)[0]
     joint = UsdPhysics.Joint(prim)
     joint.CreateLocalPos0Attr(Gf.Vec3f(*(place + np.asarray(offset)).tolist()))
     joint.CreateLocalRot0Attr(_quaternion(turn))

@@ -4,9 +4,9 @@ import math
 from dataclasses import dataclass
 
 from warpcontact.checks import Array
-from warpcontact.replay.forms import FormPlacement
+from warpcontact.replay.forms import ShapePlacement
 from warpcontact.replay.surfaces import Placement
-from warpcontact.replay.swarms import CENTRES, Swarm
+from warpcontact.replay.swarms import CENTRES, BodySet
 from warpcontact.scene import Body
 
 WORLD = "/World"
@@ -73,16 +73,16 @@ class Layout:
         """Returns the path of a body, or of what points on the world are in."""
         return f"{env}/{'FixedPoints' if body is None else self.names[body.name]}"
 
-    def swarm(self, env: str, swarm: Swarm) -> str:
+    def body_set(self, env: str, body_set: BodySet) -> str:
         """Returns the path of spheres or points on a set of bodies."""
-        return f"{self.body(env, swarm.body)}/{self.names[swarm.name] if swarm.contacts else CENTRES}"
+        return f"{self.body(env, body_set.body)}/{self.names[body_set.name] if body_set.contacts else CENTRES}"
 
     def surface(self, env: str, placement: Placement) -> str:
         """Returns the path of a surface in an environment."""
         surface = placement.surface
         return f"{self._carrier(env, surface.body)}/{self.names[surface.name]}"
 
-    def form(self, env: str, form: FormPlacement) -> str:
+    def form(self, env: str, form: ShapePlacement) -> str:
         """Returns the path of a shape in an environment."""
         return f"{self._carrier(env, form.shape.body)}/{self.names[form.shape.name]}"
 

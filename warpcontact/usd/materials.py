@@ -20,7 +20,7 @@ DYNAMIC = (("mu_dynamic",), ("mu",), ("mu_1", "mu_2"))
 # Schema attributes by the names of the coefficients.
 _ATTRIBUTES = {"static": "StaticFriction", "dynamic": "DynamicFriction", "restitution": "Restitution"}
 # Those of NewtonMaterialAPI, all of type float.
-_OF_NEWTON = {
+_NEWTON_ATTRIBUTES = {
     "stiffness": "newton:contactStiffness",
     "damping": "newton:contactDamping",
     "rolling": "newton:rollingFriction",
@@ -62,18 +62,18 @@ class UsdMaterials:
 
     def __init__(self, replay: Replay) -> None:
         found: dict[tuple[tuple[str, bytes], ...], UsdMaterial] = {}
-        self._of: dict[tuple[str, str], UsdMaterial] = {}
+        self._by_collider: dict[tuple[str, str], UsdMaterial] = {}
         for contact, colliders in _contacts(replay):
             material = _material(replay, contact)
             material = found.setdefault(material.key, material)
             for collider in colliders if material.values else ():
-                self._of.setdefault(collider, material)
-        used = {id(one) for one in self._of.values()}
+                self._by_collider.setdefault(collider, material)
+        used = {id(one) for one in self._by_collider.values()}
         self.all = [one for one in found.values() if id(one) in used]
 
     def of(self, kind: str, name: str) -> UsdMaterial | None:
         """Returns that of ``"points"``, a ``"surface"`` or a ``"shape"`` by its name."""
-        return self._of.get((kind, name))
+        return self._by_collider.get((kind, name))
 
     def differ(self, kind: str, name: str) -> bool:
         """Whether something has others in other environments."""
@@ -176,7 +176,7 @@ def define_material(stage: Any, path: str, material: UsdMaterial, row: int) -> N
     prim = UsdShade.Material.Define(stage, path).GetPrim()
     prim.SetDocumentation(f"Friction and restitution of contact {material.name}.")
     UsdPhysics.MaterialAPI.Apply(prim)
-    if not _OF_NEWTON.keys().isdisjoint(material.values):
+    if not _NEWTON_ATTRIBUTES.keys().isdisjoint(material.values):
         prim.AddAppliedSchema("NewtonMaterialAPI")
     set_material(prim, material, row)
 
@@ -190,7 +190,7 @@ def set_material(prim: Any, material: UsdMaterial, row: int) -> None:
         if name in _ATTRIBUTES:
             getattr(api, f"Create{_ATTRIBUTES[name]}Attr")(float(values[row]))
         else:
-            prim.CreateAttribute(_OF_NEWTON[name], Sdf.ValueTypeNames.Float, False).Set(float(values[row]))
+            prim.CreateAttribute(_NEWTON_ATTRIBUTES[name], Sdf.ValueTypeNames.Float, False).Set(float(values[row]))
 
 
 def bind_material(prim: Any, path: str) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from warpcontact.checks import Array
-from warpcontact.kernels.types import DRIVEN, FIXED, PRESCRIBED
+from warpcontact.kernels.types import FIXED, PRESCRIBED, TIME_FUNCTION
 from warpcontact.replay.replay import Replay
 from warpcontact.scene import Body
 from warpcontact.usd.author import Samples, vectors
@@ -59,7 +59,7 @@ def apply_rigid_body(prim: Any, body: Body, scene: str | None) -> None:
     from pxr import Gf, UsdPhysics
 
     api = UsdPhysics.RigidBodyAPI.Apply(prim)
-    if body.motion.kind in (FIXED, PRESCRIBED, DRIVEN):
+    if body.motion.kind in (FIXED, PRESCRIBED, TIME_FUNCTION):
         api.CreateKinematicEnabledAttr(True)
     if scene is not None:
         api.CreateSimulationOwnerRel().SetTargets([scene])
@@ -74,22 +74,22 @@ class Masses:
     """
 
     def __init__(self, replay: Replay) -> None:
-        self._of = {
-            body.name: (replay.known(f"{body.name}.mass", body.mass), self._principal(replay, body))
+        self._by_body = {
+            body.name: (replay.value_or_default(f"{body.name}.mass", body.mass), self._principal(replay, body))
             for body in replay.scene.bodies
             if body.single
         }
 
     @staticmethod
     def _principal(replay: Replay, body: Body) -> list[tuple[Array, Array]] | None:
-        inertia = replay.known(f"{body.name}.inertia", body.inertia)
+        inertia = replay.value_or_default(f"{body.name}.inertia", body.inertia)
         return None if inertia is None else [principal(tensor) for tensor in inertia]
 
     def write(self, prim: Any, body: Body, row: int) -> None:
         """Writes those of a body in environment number ``row`` of the export."""
         from pxr import Gf, UsdPhysics
 
-        api, (mass, inertia) = UsdPhysics.MassAPI(prim), self._of[body.name]
+        api, (mass, inertia) = UsdPhysics.MassAPI(prim), self._by_body[body.name]
         if mass is not None:
             api.CreateMassAttr(float(mass[row]))
         if inertia is not None:

@@ -6,19 +6,19 @@ import numpy as np
 
 from warpcontact.replay.content import POINT, Content
 from warpcontact.replay.spheres import body_size
-from warpcontact.replay.survey import reach_of
+from warpcontact.replay.survey import body_reach
 from warpcontact.scene import Body
 from warpcontact.usd import geometry, physics
 from warpcontact.usd.arrows import define_arrows
-from warpcontact.usd.author import add_pose_operations, mark, write_box
+from warpcontact.usd.author import add_pose_operations, store_element_name, write_box
 from warpcontact.usd.curves import WIDTH, define_curves
-from warpcontact.usd.forms import declare_form_swarm, write_form
+from warpcontact.usd.forms import define_shape_set, write_shape
 from warpcontact.usd.joints import define_joint, is_joint
 from warpcontact.usd.layout import PROTOTYPE, SHAPES, WORLD, Layout
 from warpcontact.usd.materials import UsdMaterials, bind_material, define_material, material_path
 from warpcontact.usd.sensors import Sensors
 from warpcontact.usd.surfaces import define_shapes, define_surfaces, write_surface
-from warpcontact.usd.swarms import declare_swarm
+from warpcontact.usd.swarms import define_body_set
 
 
 class Prototype:
@@ -88,7 +88,7 @@ class Prototype:
         for form in self.content.forms:
             name = form.shape.name
             if form.shape.body is None and name not in layout.own_surfaces:
-                write_form(self.stage, f"{layout.surfaces}/{names[name]}", form, 0, layout.size)
+                write_shape(self.stage, f"{layout.surfaces}/{names[name]}", form, 0, layout.size)
                 self.bind(f"{layout.surfaces}/{names[name]}", "shape", name, env)
         define_shapes(self.stage, SHAPES, placements, names, layout.own_surfaces & placements.keys())
 
@@ -100,11 +100,11 @@ class Prototype:
         xform = UsdGeom.Xform.Define(self.stage, path)
         prim = xform.GetPrim()
         Usd.ModelAPI(prim).SetKind(Kind.Tokens.component)
-        mark(prim, body.name)
+        store_element_name(prim, body.name)
         if body.single:
             physics.apply_rigid_body(prim, body, self.physics_scene)
             add_pose_operations(xform)
-            reach = np.full(3, max(reach_of(content, body), 0.5 * POINT * layout.size))
+            reach = np.full(3, max(body_reach(content, body), 0.5 * POINT * layout.size))
             write_box(prim, -reach, reach)
         self.sensors[body.name].declare(prim)
         for name, placement in content.placements.items():
@@ -133,8 +133,8 @@ class Prototype:
             geometry.define_spheres(self.stage, path, group, POINT * (own or layout.size))
             if not group.are_points:
                 self.bind(path, "points", group.contacts[0].points.name, PROTOTYPE)
-        for swarm in content.swarms:
-            declare_swarm(self.stage, layout.swarm(PROTOTYPE, swarm), swarm, POINT * layout.size)
+        for body_set in content.body_sets:
+            define_body_set(self.stage, layout.body_set(PROTOTYPE, body_set), body_set, POINT * layout.size)
 
     def _shapes(self) -> None:
         layout = self.layout
@@ -142,11 +142,11 @@ class Prototype:
             name = form.shape.name
             if form.shape.body is not None and name not in layout.own_surfaces:
                 path = layout.form(PROTOTYPE, form)
-                write_form(self.stage, path, form, 0, layout.size)
+                write_shape(self.stage, path, form, 0, layout.size)
                 self.bind(path, "shape", name, PROTOTYPE)
-        for moving in self.content.form_swarms:
+        for moving in self.content.shape_sets:
             path = layout.form(PROTOTYPE, moving.placement)
-            declare_form_swarm(self.stage, path, moving, layout.size)
+            define_shape_set(self.stage, path, moving, layout.size)
 
     def _contacts(self) -> None:
         from pxr import UsdGeom
@@ -159,7 +159,7 @@ class Prototype:
             UsdGeom.Scope.Define(self.stage, f"{PROTOTYPE}/contacts")
         for name, visible in shown.items():
             prim = UsdGeom.Scope.Define(self.stage, layout.contact(PROTOTYPE, name)).GetPrim()
-            mark(prim, name)
+            store_element_name(prim, name)
             self.sensors[name].declare(prim)
             if not visible:
                 UsdGeom.Imageable(prim).MakeInvisible()
@@ -177,7 +177,7 @@ class Prototype:
         for curve in self.content.curves:
             path = layout.coupling(PROTOTYPE, curve.coupling.name)
             prim = UsdGeom.Scope.Define(self.stage, path).GetPrim()
-            mark(prim, curve.coupling.name)
+            store_element_name(prim, curve.coupling.name)
             self.sensors[curve.coupling.name].declare(prim)
             if not curve.coupling.visible:
                 UsdGeom.Imageable(prim).MakeInvisible()

@@ -54,7 +54,7 @@ def define_lights(stage: Any, path: str) -> None:
     sky.CreateIntensityAttr(0.35)
 
 
-def define_look(stage: Any, scope: str, prim: Any) -> None:
+def define_display_material(stage: Any, scope: str, prim: Any) -> None:
     """Writes a material that shows ``displayColor`` into ``scope`` and binds it to ``prim`` and all below.
 
     Renderers other than Hydra's own draw only what a material says.

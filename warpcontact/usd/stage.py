@@ -13,7 +13,7 @@ from warpcontact.checks import Array, limits
 from warpcontact.replay.content import Content
 from warpcontact.replay.ensemble import Ensemble
 from warpcontact.replay.replay import Replay
-from warpcontact.replay.survey import Survey
+from warpcontact.replay.survey import SceneRanges
 from warpcontact.scene import Scene
 from warpcontact.usd.author import Samples, write_box
 from warpcontact.usd.coloring import Coloring
@@ -22,12 +22,12 @@ from warpcontact.usd.ensemble import define_ensemble, write_ensemble
 from warpcontact.usd.environments import Environments, layout_of
 from warpcontact.usd.layout import WORLD, Layout
 from warpcontact.usd.materials import UsdMaterials
-from warpcontact.usd.scenery import define_camera, define_lights, define_look
+from warpcontact.usd.scenery import define_camera, define_display_material, define_lights
 
 #: Goes up when what is on a stage is to be read in another way.
 SCHEMA = 1
 # What recordings say of themselves, and what a stage calls it.
-_TOLD = {
+_METADATA_KEYS = {
     "source": "source",
     "name": "name",
     "device": "device",
@@ -36,7 +36,7 @@ _TOLD = {
     "fingerprint": "fingerprint",
 }
 #: Is told how much more is done.
-Tell = Callable[[int], None]
+ProgressCallback = Callable[[int], None]
 
 
 class Export:
@@ -74,47 +74,52 @@ class Export:
         self._layout: Layout | None = None
         self._environments: Environments | None = None
 
-    def survey(self, blocks: Iterable[tuple[tuple[int, int], Content]]) -> Survey:
+    def ranges(self, blocks: Iterable[tuple[tuple[int, int], Content]]) -> SceneRanges:
         """Returns what has to be known of all records, given as ranges with what is in them."""
 
         def contents() -> Iterator[Content]:
             for records, content in blocks:
                 if self.ensemble is not None:
-                    self.ensemble.look_through(*records)
+                    self.ensemble.scan_records(*records)
                     if self.coloring is not None:
-                        self.coloring.look_through(self.ensemble.replay.envs, *records)
+                        self.coloring.scan_records(self.ensemble.replay.envs, *records)
                 yield content
 
-        survey = Survey.of(contents())
+        ranges = SceneRanges.of(contents())
         if self.ensemble is not None:
             self.ensemble = self.ensemble.drop()
-        return survey
+        return ranges
 
-    def define(self, stage: Any, content: Content, survey: Survey) -> None:
+    def define(self, stage: Any, content: Content, ranges: SceneRanges) -> None:
         """Writes all that does not change over time; ``content`` begins with the first record."""
         from pxr import Kind, Usd, UsdGeom
 
         materials = UsdMaterials(self.replay)
-        scale = survey.force_scale if self.force_scale is None else self.force_scale
-        self._layout = layout = layout_of(content, survey, self.spacing, scale, materials)
+        scale = ranges.force_scale if self.force_scale is None else self.force_scale
+        self._layout = layout = layout_of(content, ranges, self.spacing, scale, materials)
         self._metadata(stage, layout)
         world = UsdGeom.Xform.Define(stage, WORLD).GetPrim()
         Usd.ModelAPI(world).SetKind(Kind.Tokens.assembly)
         stage.SetDefaultPrim(world)
-        define_look(stage, f"{WORLD}/Looks", world)
+        define_display_material(stage, f"{WORLD}/Looks", world)
         places = np.array([layout.place(row) for row in range(len(layout.envs))])
-        low, high = (survey.low + places).min(axis=0), (survey.high + places).max(axis=0)
+        low, high = (ranges.low + places).min(axis=0), (ranges.high + places).max(axis=0)
         define_camera(stage, f"{WORLD}/Camera", low, high)
         define_lights(stage, f"{WORLD}/Lights")
         self._environments = Environments(stage, content, layout, materials)
-        self._environments.define(content, survey)
+        self._environments.define(content, ranges)
         if self.ensemble is not None:
             define_ensemble(stage, self.ensemble, layout, self.coloring)
-        self._say_space(world, low, high)
+        self._write_extents(world, low, high)
         write_description(stage, self.replay.scene, layout.names)
 
     def animate(
-        self, stage: Any, content: Content, samples: Samples, records: tuple[int, int], tell: Tell
+        self,
+        stage: Any,
+        content: Content,
+        samples: Samples,
+        records: tuple[int, int],
+        report_progress: ProgressCallback,
     ) -> None:
         """Writes what changes over time in a range of records.
 
@@ -123,15 +128,15 @@ class Export:
             content: What is in these records.
             samples: Receives it.
             records: The first of them, and the one behind the last.
-            tell: Called with the number of environments that are done.
+            report_progress: Called with the number of environments that are done.
         """
         assert self._environments is not None
         assert self._layout is not None
-        self._environments.animate(content, samples, tell)
+        self._environments.animate(content, samples, report_progress)
         if self.ensemble is not None:
             write_ensemble(stage, self.ensemble, self._layout, self.coloring, samples, records)
 
-    def _say_space(self, world: Any, low: Array, high: Array) -> None:
+    def _write_extents(self, world: Any, low: Array, high: Array) -> None:
         """Says what space all takes at all times; of an ensemble nobody knows it before all records are read."""
         from pxr import Usd, UsdGeom
 
@@ -163,7 +168,7 @@ class Export:
             "startTime": float(replay.times[0]),
             "forceScale": layout.force_scale,
         }
-        notes |= {key: str(attrs[name]) for name, key in _TOLD.items() if name in attrs}
+        notes |= {key: str(attrs[name]) for name, key in _METADATA_KEYS.items() if name in attrs}
         if "frozen_environments" in attrs:
             frozen = set(attrs["frozen_environments"])
             notes["frozenEnvironments"] = Vt.IntArray([env for env in replay.envs if env in frozen])

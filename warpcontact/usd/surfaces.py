@@ -7,7 +7,7 @@ import numpy as np
 
 from warpcontact.replay.surfaces import INACTIVE, Placement, surface_color
 from warpcontact.scene import Surface
-from warpcontact.usd.author import add_pose, mark, vectors, write_box
+from warpcontact.usd.author import add_pose, store_element_name, vectors, write_box
 from warpcontact.usd.geometry import set_color
 
 
@@ -77,7 +77,7 @@ def define_mesh(
 
     mesh = UsdGeom.Mesh.Define(stage, path)
     prim = mesh.GetPrim()
-    mark(prim, surface.name)
+    store_element_name(prim, surface.name)
     vertices, faces = surface.meshes[index].vertices, surface.meshes[index].faces
     mesh.CreatePointsAttr(vectors(vertices))
     mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(faces), 3, dtype=np.int32)))

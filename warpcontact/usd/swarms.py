@@ -5,40 +5,40 @@ from typing import Any
 import numpy as np
 
 from warpcontact.replay.spheres import body_color
-from warpcontact.replay.swarms import Swarm
-from warpcontact.usd.author import Samples, integers, mark, vectors
+from warpcontact.replay.swarms import BodySet
+from warpcontact.usd.author import Samples, integers, store_element_name, vectors
 from warpcontact.usd.geometry import set_color
 
 
-def declare_swarm(stage: Any, path: str, swarm: Swarm, width: float) -> None:
+def define_body_set(stage: Any, path: str, body_set: BodySet, width: float) -> None:
     """Writes what they have in common in all environments; ``width`` is that of points [m]."""
     from pxr import UsdGeom, Vt
 
-    if swarm.are_points:
+    if body_set.are_points:
         points = UsdGeom.Points.Define(stage, path)
         points.CreateWidthsAttr(Vt.FloatArray([width]))
         points.SetWidthsInterpolation(UsdGeom.Tokens.constant)
-        set_color(points, body_color(swarm.body))
+        set_color(points, body_color(body_set.body))
     else:
         spheres = UsdGeom.PointInstancer.Define(stage, path)
         ball = UsdGeom.Sphere.Define(stage, f"{path}/ball")
         ball.CreateRadiusAttr(1.0)
         ball.CreateExtentAttr(vectors(np.array([[-1.0] * 3, [1.0] * 3])))
-        set_color(ball, body_color(swarm.body))
+        set_color(ball, body_color(body_set.body))
         spheres.CreatePrototypesRel().SetTargets([ball.GetPath()])
-        spheres.CreateProtoIndicesAttr(integers(np.zeros(swarm.body.count)))
+        spheres.CreateProtoIndicesAttr(integers(np.zeros(body_set.body.count)))
     prim = stage.GetPrimAtPath(path)
-    mark(prim, swarm.name)
-    if swarm.contacts:
-        prim.SetCustomDataByKey("warpcontact:contacts", Vt.StringArray(swarm.contacts))
+    store_element_name(prim, body_set.name)
+    if body_set.contacts:
+        prim.SetCustomDataByKey("warpcontact:contacts", Vt.StringArray(body_set.contacts))
 
 
-def write_swarm(prim: Any, samples: Samples, swarm: Swarm, row: int) -> None:
+def write_body_set(prim: Any, samples: Samples, body_set: BodySet, row: int) -> None:
     """Writes where they are in environment number ``row`` of the export."""
     from pxr import UsdGeom
 
-    places, reach = swarm.places[:, row], swarm.radii[row][:, None]
-    if swarm.are_points:
+    places, reach = body_set.places[:, row], body_set.radii[row][:, None]
+    if body_set.are_points:
         points = UsdGeom.Points(prim)
         attribute, reach = points.CreatePointsAttr(), np.full((1, 1), 0.5 * points.GetWidthsAttr().Get()[0])
     else:

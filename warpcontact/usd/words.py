@@ -39,11 +39,11 @@ ADDERS = {
 #: What an element keeps as 0 or 1 and is given as false or true.
 SWITCHES = ("enabled", "tension_only")
 # Arguments that say what another one says already: the faces of the meshes of a surface are turned.
-_SAID = {"surface": ("flip",)}
+_DERIVED_ARGUMENTS = {"surface": ("flip",)}
 
 
 @dataclass(frozen=True)
-class Words:
+class ElementCall:
     """An element as the call that adds it.
 
     Attributes:
@@ -60,7 +60,7 @@ class Words:
 
 
 @dataclass(frozen=True)
-class Form:
+class ShapeParameters:
     """The form of a shape, or those of a set of shapes.
 
     Attributes:
@@ -73,39 +73,41 @@ class Form:
 
 
 @functools.cache
-def arguments_of(kind: str) -> tuple[str, ...]:
+def argument_names(kind: str) -> tuple[str, ...]:
     """Returns the names of the arguments that elements of a kind have; points may have ``normals``, too."""
     names = tuple(inspect.signature(getattr(Scene, ADDERS[kind])).parameters)[1:]
-    left = tuple(name for name in names if name != "name" and name not in _SAID.get(kind, ()))
-    return (*left, "normals") if kind == "points" else left
+    names_without_derived = tuple(
+        name for name in names if name != "name" and name not in _DERIVED_ARGUMENTS.get(kind, ())
+    )
+    return (*names_without_derived, "normals") if kind == "points" else names_without_derived
 
 
 @functools.cache
-def required_of(kind: str) -> tuple[str, ...]:
+def required_names(kind: str) -> tuple[str, ...]:
     """Returns the names of the arguments that elements of a kind cannot be made without."""
     parameters = inspect.signature(getattr(Scene, ADDERS[kind])).parameters.values()
     return tuple(one.name for one in parameters if one.default is inspect.Parameter.empty)[1:]
 
 
-def words_of(scene: Scene) -> list[Words]:
+def element_calls(scene: Scene) -> list[ElementCall]:
     """Returns all elements in the order in which they were added; parts of a contact coupling are left to it."""
     parts = set[str]()
     for coupling in scene.contact_couplings:
         for contact in coupling.contacts:
             parts |= {contact.name, contact.points.name}
-    return [_words(element) for element in scene.elements() if element.name not in parts]
+    return [_element_call(element) for element in scene.elements() if element.name not in parts]
 
 
-def _words(element: Any) -> Words:
-    kind, own, rows = _own(element)
+def _element_call(element: Any) -> ElementCall:
+    kind, overrides, rows = _call_arguments(element)
     arguments = {}
-    for name in arguments_of(kind):
-        value = own[name] if name in own else getattr(element, name)
+    for name in argument_names(kind):
+        value = overrides[name] if name in overrides else getattr(element, name)
         if value is not None:
             plain = _plain(name, value)
-            if not _is(plain, _defaults(kind).get(name)):
+            if not _is_default(plain, _defaults(kind).get(name)):
                 arguments[name] = plain
-    return Words(kind, element.name, arguments, frozenset(rows) & arguments.keys())
+    return ElementCall(kind, element.name, arguments, frozenset(rows) & arguments.keys())
 
 
 @functools.cache
@@ -114,7 +116,7 @@ def _defaults(kind: str) -> dict[str, Any]:
     return {one.name: one.default for one in parameters if one.default is not inspect.Parameter.empty}
 
 
-def _is(value: Any, default: Any) -> bool:
+def _is_default(value: Any, default: Any) -> bool:
     """Whether a value is the default of its argument, to the bit."""
     if isinstance(value, np.ndarray):
         return isinstance(default, tuple) and value.tobytes() == np.array(default, dtype=np.float64).tobytes()
@@ -131,13 +133,13 @@ def _plain(name: str, value: Any) -> Any:
     return value.item() if isinstance(value, np.ndarray) and value.ndim == 0 else value
 
 
-def _own(element: Any) -> tuple[str, dict[str, Any], tuple[str, ...]]:
+def _call_arguments(element: Any) -> tuple[str, dict[str, Any], tuple[str, ...]]:
     """Returns the kind of an element, the arguments that are not attributes of their name, and those in rows."""
     match element:
         case Body(single=True):
             return "body", {"motion": _motion(element)}, ()
         case Body():
-            words = {
+            attributes = {
                 "positions": element.position,
                 "orientations": element.orientation,
                 "linear_velocities": element.linear_velocity,
@@ -145,12 +147,12 @@ def _own(element: Any) -> tuple[str, dict[str, Any], tuple[str, ...]]:
                 "external_forces": element.external_force,
                 "external_torques": element.external_torque,
             }
-            return "bodies", words | {"motion": _motion(element)}, (*words, "mass", "inertia")
+            return "bodies", attributes | {"motion": _motion(element)}, (*attributes, "mass", "inertia")
         case Surface():
-            several = len(element.meshes) > 1
-            chosen = [None if mask.all() else mask for mask in element.active]
-            whole = all(mask is None for mask in chosen)
-            active = None if whole else list(element.active) if several else element.active[0]
+            has_meshes = len(element.meshes) > 1
+            masks = [None if mask.all() else mask for mask in element.active]
+            active_status = all(mask is None for mask in masks)
+            active = None if active_status else list(element.active) if has_meshes else element.active[0]
             return "surface", {"mesh": element.meshes, "active_faces": active}, ()
         case Points():
             carrier = element.body if element.surface is None else element.surface
@@ -158,9 +160,9 @@ def _own(element: Any) -> tuple[str, dict[str, Any], tuple[str, ...]]:
                 return "point", {"body": carrier, "position": element.positions[0]}, ()
             return "points", {"body": carrier}, ("positions", "areas", "normals")
         case Contact():
-            return "contact", _depth(element), ("radius",) if element.radius.ndim else ()
+            return "contact", _max_depth(element), ("radius",) if element.radius.ndim else ()
         case ContactCoupling():
-            return "contact_coupling", _of_coupling(element), ()
+            return "contact_coupling", _coupling_arguments(element), ()
         case SpringDamper():
             plain = {
                 "stiffness": element.spring.stiffness if element.plain_spring else None,
@@ -176,19 +178,19 @@ def _own(element: Any) -> tuple[str, dict[str, Any], tuple[str, ...]]:
         case Catenary():
             return "catenary", {}, ()
         case Shape():
-            form = Form(element.kind, element.sizes)
+            form = ShapeParameters(element.kind, element.sizes)
             if element.single:
-                own = {"position": element.positions[0], "orientation": element.orientations[0]}
-                return "shape", own | {"form": form}, ()
-            own = {"position": element.positions, "orientation": element.orientations}
-            return "shape", own | {"form": form}, ("position", "orientation")
+                overrides = {"position": element.positions[0], "orientation": element.orientations[0]}
+                return "shape", overrides | {"form": form}, ()
+            overrides = {"position": element.positions, "orientation": element.orientations}
+            return "shape", overrides | {"form": form}, ("position", "orientation")
         case ShapeContact():
-            return "shape_contact", _depth(element), ()
+            return "shape_contact", _max_depth(element), ()
         case ParticleContact():
             # By numbers: a relationship has each of its targets once.
             pairs = [[element.shapes.index(shape) for shape in pair] for pair in element.excluded]
             excluded = np.array(pairs, dtype=np.int32) if pairs else None
-            return "particle_contact", {"exclude": excluded, **_depth(element)}, ("exclude",)
+            return "particle_contact", {"exclude": excluded, **_max_depth(element)}, ("exclude",)
     raise TypeError(f"{element.name!r} is a {type(element).__name__}, which has no words")
 
 
@@ -196,12 +198,12 @@ def _motion(body: Body) -> Motion | None:
     return None if type(body.motion) is Free else body.motion
 
 
-def _depth(contact: Contact | ShapeContact | ParticleContact) -> dict[str, Any]:
+def _max_depth(contact: Contact | ShapeContact | ParticleContact) -> dict[str, Any]:
     """Returns the greatest depth; ``None``: any."""
     return {"max_depth": contact.max_depth if np.isfinite(contact.max_depth) else None}
 
 
-def _of_coupling(coupling: ContactCoupling) -> dict[str, Any]:
+def _coupling_arguments(coupling: ContactCoupling) -> dict[str, Any]:
     first = coupling.contacts[0]
     law: Any = first.material.law
     # As many points for each active face.

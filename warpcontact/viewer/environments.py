@@ -7,14 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from warpcontact.viewer.show import Show
+    from warpcontact.viewer.show import ViewerThread
 
 
 class Picker:
     """What chooses an environment: its number, the next, the one before, the next of those that failed.
 
     Args:
-        show: What it is of.
+        viewer_thread: What it is of.
         choose: Called with the number of another environment.
 
     Attributes:
@@ -23,20 +23,20 @@ class Picker:
         input: The number on the page.
     """
 
-    def __init__(self, show: "Show", choose: Callable[[int], None]) -> None:
-        self.show = show
+    def __init__(self, viewer_thread: "ViewerThread", choose: Callable[[int], None]) -> None:
+        self.viewer_thread = viewer_thread
         self.choose = choose
         self.numbers: NDArray[np.int_] = np.zeros(0, dtype=np.int_)
         self.marked: NDArray[np.int_] = np.zeros(0, dtype=np.int_)
         self.env: int | None = None
-        gui = show.server.gui
+        gui = viewer_thread.server.gui
         with gui.add_folder("Environment"):
-            self.input = show.listen(gui.add_number("Number", 0, step=1), self.pick)
-            self._walk = gui.add_button_group("Go to", ("Previous", "Next", "Next frozen"))
-            self._walk.on_click(lambda event: show.do(lambda: self._go(event.target.value)))
+            self.input = viewer_thread.on_change(gui.add_number("Number", 0, step=1), self.pick)
+            self._step_through = gui.add_button_group("Go to", ("Previous", "Next", "Next frozen"))
+            self._step_through.on_click(lambda event: viewer_thread.post(lambda: self._select(event.target.value)))
             self._text = gui.add_html("")
 
-    def offer(self, numbers: NDArray[np.int_], marked: NDArray[np.int_]) -> None:
+    def set_environments(self, numbers: NDArray[np.int_], marked: NDArray[np.int_]) -> None:
         """Offers environments; ``marked`` are the numbers of those that failed."""
         self.numbers, self.marked = numbers, marked
 
@@ -44,9 +44,9 @@ class Picker:
         """Chooses an environment by its number; the problem is told if there is none."""
         if env not in self.numbers:
             there = f"{self.numbers.min()} to {self.numbers.max()}" if len(self.numbers) else "none yet"
-            self.show.tell(f"there is no environment {env}; there are {there}")
+            self.viewer_thread.show_problem(f"there is no environment {env}; there are {there}")
             return
-        self.show.tell("")
+        self.viewer_thread.show_problem("")
         self.env = int(env)
         self.input.value = self.env
         self.choose(self.env)
@@ -55,12 +55,16 @@ class Picker:
         """Writes what is known of the chosen one."""
         failed = f"{len(self.marked)} frozen" if len(self.marked) else "none frozen"
         count = len(self.numbers)
-        self.show.write(self._text, f"{count} environment{'' if count == 1 else 's'}, {failed}\n{text}".strip())
+        self.viewer_thread.write(
+            self._text, f"{count} environment{'' if count == 1 else 's'}, {failed}\n{text}".strip()
+        )
 
-    def _go(self, where: str) -> None:
+    def _select(self, where: str) -> None:
         among = self.marked if where == "Next frozen" else self.numbers
         if not len(among):
-            self.show.tell("no environment is frozen" if where == "Next frozen" else "there are none yet")
+            self.viewer_thread.show_problem(
+                "no environment is frozen" if where == "Next frozen" else "there are none yet"
+            )
             return
         if self.env is None:
             self.pick(int(among[0]))

@@ -17,7 +17,7 @@ from warpcontact.recording import Recording
 from warpcontact.simulation import Simulation
 
 if TYPE_CHECKING:
-    from warpcontact.viewer.show import Show
+    from warpcontact.viewer.show import ViewerThread
 
 PORT = 8080
 #: Environments of an experiment that is stepped live.
@@ -32,13 +32,13 @@ class Viewer:
     """A page that is served; a context manager that ends it.
 
     Attributes:
-        show: What goes on behind it.
+        viewer_thread: What goes on behind it.
         url: Its address.
     """
 
-    def __init__(self, show: "Show") -> None:
-        self.show = show
-        self.url: str = show.server.url
+    def __init__(self, viewer_thread: "ViewerThread") -> None:
+        self.viewer_thread = viewer_thread
+        self.url: str = viewer_thread.server.url
         self._serves = True
 
     def open(self) -> None:
@@ -61,7 +61,7 @@ class Viewer:
         """Ends the page; a simulation stays as it is then, and may be stepped by others."""
         if self._serves:
             self._serves = False
-            self.show.close()
+            self.viewer_thread.close()
 
     def __enter__(self) -> "Viewer":
         return self
@@ -120,9 +120,9 @@ def view(
         target = Experiment.from_toml(target, trust=trust)
     if envs is not None and not isinstance(target, Experiment):
         raise ValueError(f"envs is of an experiment, got {envs!r}; the page of a run has all it has")
-    viewer = Viewer(_show_of(target, port, float(speed), envs, device, trust))
+    viewer = Viewer(_make_viewer_thread(target, port, float(speed), envs, device, trust))
     try:
-        viewer.show.start()
+        viewer.viewer_thread.start()
         if open_browser:
             viewer.open()
     except BaseException:
@@ -133,9 +133,9 @@ def view(
     return viewer
 
 
-def _show_of(
+def _make_viewer_thread(
     target: "Target", port: int, speed: float, envs: int | None, device: str | Sequence[str], trust: Trust
-) -> "Show":
+) -> "ViewerThread":
     """Makes what is behind the page; the server is opened when all else is there."""
     from warpcontact.viewer.live import Live
     from warpcontact.viewer.page import LocalServer

@@ -47,13 +47,13 @@ class LocalServer(viser.ViserServer):
             super().__init__(host=HOST, port=port, label=shortened(title), verbose=False)
         thread = self._websock_server._server_thread.ident
 
-        def is_news(record: logging.LogRecord) -> bool:
+        def is_reportable(record: logging.LogRecord) -> bool:
             # Browsers open connections ahead and close them unused, which is no fault of anybody.
             error = record.exc_info[1] if record.exc_info else None
             return record.thread != thread or not isinstance(error, InvalidHandshake)
 
-        self._is_news = is_news
-        _LOGGER.addFilter(is_news)
+        self._is_reportable = is_reportable
+        _LOGGER.addFilter(is_reportable)
         self.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
 
         async def check(connection: Any) -> None:
@@ -80,7 +80,7 @@ class LocalServer(viser.ViserServer):
         """Ends the server and its connections."""
         with _silence():
             super().stop()
-        _LOGGER.removeFilter(self._is_news)
+        _LOGGER.removeFilter(self._is_reportable)
 
 
 def is_own(host: str | None, origin: str | None) -> bool:
@@ -92,7 +92,7 @@ def is_own(host: str | None, origin: str | None) -> bool:
 
 def shortened(text: str, most: int = LONGEST) -> str:
     """Returns a text in one line of at most ``most`` characters."""
-    return hostile.shortened(hostile.in_one_line(text), most)
+    return hostile.truncate(hostile.single_line(text), most)
 
 
 def table(rows: Iterable[tuple[str, str]]) -> str:

@@ -21,7 +21,7 @@ class Parameters:
     for nothing.
 
     Args:
-        show: What they are of.
+        viewer_thread: What they are of.
         model: The model.
         first: Names of those that are offered at once.
 
@@ -32,28 +32,28 @@ class Parameters:
         item: Text of the number of an item of it; empty: all of them.
     """
 
-    def __init__(self, show: "Live", model: Environments, first: Sequence[str]) -> None:
-        self.show = show
+    def __init__(self, viewer_thread: "Live", model: Environments, first: Sequence[str]) -> None:
+        self.viewer_thread = viewer_thread
         self.model = model
         self.fields: dict[str, Any] = {}
         self._known: dict[str, str] = {}
-        gui = show.server.gui
+        gui = viewer_thread.server.gui
         names = list(first)[:MOST]
         if names:
             with gui.add_form("Varied parameters") as form:
                 for name in names:
                     self.fields[name] = gui.add_text(shortened(name, 40), "", hint=self._hint(name))
-                self.set_button = show.button("Set", lambda: self._set_all(form))
+                self.set_button = viewer_thread.button("Set", lambda: self._set_all(form))
             form.on_submit(lambda event: self._submitted(event, self._set_all))
         # Names are shown shortened, and are told apart by their number.
         self._names = {f"{i + 1}. {shortened(name, 60)}": name for i, name in enumerate(model)}
         with gui.add_form("Any parameter", expand_by_default=not names) as form_of_one:
-            self.choice = show.listen(gui.add_dropdown("Name", list(self._names)), self._choose)
-            self.item = show.listen(
+            self.choice = viewer_thread.on_change(gui.add_dropdown("Name", list(self._names)), self._choose)
+            self.item = viewer_thread.on_change(
                 gui.add_text("Item", "", hint="its number from 0; empty: all"), self._show_item
             )
             self.field = gui.add_text("Value", "")
-            self.set_one_button = show.button("Set", lambda: self._set_one(form_of_one))
+            self.set_one_button = viewer_thread.button("Set", lambda: self._set_one(form_of_one))
         form_of_one.on_submit(lambda event: self._submitted(event, self._set_one))
         self._result = gui.add_html("")
         self.chosen = next(iter(model))
@@ -61,7 +61,7 @@ class Parameters:
     def _submitted(self, event: Any, command: Callable[[], None]) -> None:
         # By Enter on the page; what the thread submits was taken.
         if event.client is not None:
-            self.show.do(command)
+            self.viewer_thread.post(command)
 
     def _hint(self, name: str) -> str:
         text = ParameterText(self.model, name)
@@ -91,7 +91,7 @@ class Parameters:
         text = ParameterText(self.model, self.chosen)
         self.item.visible = text.is_set
         self.field.hint = self._hint(self.chosen)
-        env = self.show.picker.env
+        env = self.viewer_thread.picker.env
         if env is not None:
             self.field.value = text.read(env, self._item(text))
 
@@ -107,21 +107,21 @@ class Parameters:
         """Sets those of the fields that are not as they were shown."""
         changed = {name: field.value for name, field in self.fields.items() if field.value != self._known[name]}
         self._set({name: (value, None) for name, value in changed.items()})
-        self._settle(form)
+        self._acknowledge(form)
 
     def _set_one(self, form: Any = None) -> None:
         text = ParameterText(self.model, self.chosen)
         self._set({self.chosen: (self.field.value, self._item(text))})
-        self._settle(form)
+        self._acknowledge(form)
 
-    def _settle(self, form: Any) -> None:
+    def _acknowledge(self, form: Any) -> None:
         """Lets the page know that what was written was taken."""
         if form is not None:
             form.submit()
 
     def _set(self, values: dict[str, tuple[str, int | None]]) -> None:
         """Sets parameters of the environment that is shown; what is wrong with one does not keep the others."""
-        env = self.show.picker.env
+        env = self.viewer_thread.picker.env
         if env is None:
             return
         done, wrong, initial = [], [], False
@@ -138,8 +138,8 @@ class Parameters:
                 self._write(name, self.fields[name], text.read(env))
         if initial:
             done.append("(an initial value: it counts from the next reset on)")
-        self.show.write(self._result, f"environment {env}: {'; '.join(done)}" if done else "")
-        self.show.tell("\n".join(wrong))
+        self.viewer_thread.write(self._result, f"environment {env}: {'; '.join(done)}" if done else "")
+        self.viewer_thread.show_problem("\n".join(wrong))
         if done:
             self._show_one()
-            self.show.refresh()
+            self.viewer_thread.refresh()

@@ -8,14 +8,14 @@ import numpy as np
 from warpcontact.replay.drawing import Drawing
 from warpcontact.viewer.environments import Picker
 from warpcontact.viewer.page import LocalServer
-from warpcontact.viewer.show import Show
+from warpcontact.viewer.show import ViewerThread
 from warpcontact.viewer.sources import Source
 
 #: Time between looks whether a run has committed more [s].
-LOOK = 1.0
+UPDATE_INTERVAL = 1.0
 
 
-class Replay(Show):
+class Replay(ViewerThread):
     """Replays a run, or a recording.
 
     Args:
@@ -33,17 +33,17 @@ class Replay(Show):
         self.record = 0
         self._clock = 0.0
         self._drawing: Drawing | None = None
-        self._looked = 0.0
+        self._last_update = 0.0
 
     def add_panel(self) -> None:
         """Puts all that can be read and done on the page."""
         gui = self.server.gui
         self.add_time()
-        self.time_input = self.listen(gui.add_slider("Time [s]", 0.0, 1.0, 1.0, 0.0), self._seek)
+        self.time_input = self.on_change(gui.add_slider("Time [s]", 0.0, 1.0, 1.0, 0.0), self._seek)
         self._steps = gui.add_button_group("Record", ("First", "Back", "On", "Last"))
-        self._steps.on_click(lambda event: self.do(lambda: self._walk(event.target.value)))
-        self.picker = Picker(self, self._choose)
-        self.add_looks()
+        self._steps.on_click(lambda event: self.post(lambda: self._step_through(event.target.value)))
+        self.picker = Picker(self, self._select_env)
+        self.add_display_options()
         self._facts = {}
         for name in ("Outcomes", "Parameters"):
             with gui.add_folder(name):
@@ -51,24 +51,24 @@ class Replay(Show):
 
     def begin(self) -> None:
         """Shows the first environment."""
-        self._offer()
+        self._update_environments()
 
-    def _offer(self) -> None:
+    def _update_environments(self) -> None:
         """Offers the environments that there are, and shows the first if none was chosen."""
         frozen = np.array(sorted(self.source.frozen), dtype=np.int_)
-        self.picker.offer(self.source.envs, frozen)
+        self.picker.set_environments(self.source.envs, frozen)
         if self.picker.env is None and len(self.source.envs):
             self.picker.pick(int(self.source.envs[0]))
-            self._look()
-        self._tell()
+            self._frame_bodies()
+        self._show_state()
 
-    def _choose(self, env: int) -> None:
+    def _select_env(self, env: int) -> None:
         """Shows another environment, at the same time."""
         self._drawing = self.source.drawing(env)
         self._write_facts(env)
-        self._fit(None)
+        self._set_time_range(None)
         if self._drawing is not None:
-            self.stage.aim(self._drawing, self.record)
+            self.stage.follow(self._drawing, self.record)
 
     def _write_facts(self, env: int) -> None:
         facts = self.source.facts(env)
@@ -79,11 +79,11 @@ class Replay(Show):
                 self.write(handle, "not known yet" if name in facts else "none")
         self.picker.describe(self.source.frozen.get(env, ""))
 
-    def _fit(self, end: float | None) -> None:
+    def _set_time_range(self, end: float | None) -> None:
         """Fits the time to the records; ``end``: the time up to which they were [s], which is followed."""
         if self._drawing is None:
             self.stage.clear()
-            self._tell()
+            self._show_state()
             return
         times = self._drawing.times
         slider = self.time_input
@@ -98,9 +98,9 @@ class Replay(Show):
 
     def tick(self, seconds: float) -> None:
         """Goes on in time, and looks whether there is more."""
-        if time.monotonic() - self._looked > LOOK:
-            self._looked = time.monotonic()
-            self._follow()
+        if time.monotonic() - self._last_update > UPDATE_INTERVAL:
+            self._last_update = time.monotonic()
+            self._load_committed()
         drawing = self._drawing
         if self.playing and drawing is not None:
             self._clock = min(self._clock + self.speed * seconds, float(drawing.times[-1]))
@@ -108,17 +108,17 @@ class Replay(Show):
             if self._clock >= drawing.times[-1] and self.source.state in ("", "finished"):
                 self.pause()
 
-    def _follow(self) -> None:
+    def _load_committed(self) -> None:
         """Takes up what was committed meanwhile."""
         if not self.source.refresh():
-            self._tell()
+            self._show_state()
             return
         end = None if self._drawing is None else float(self._drawing.times[-1])
-        self._offer()
+        self._update_environments()
         if self.picker.env is not None:
             self._drawing = self.source.drawing(self.picker.env)
             self._write_facts(self.picker.env)
-            self._fit(end)
+            self._set_time_range(end)
 
     def redraw(self) -> None:
         """Draws the record of the time that it is."""
@@ -130,14 +130,14 @@ class Replay(Show):
         self.record = max(0, int(np.searchsorted(drawing.times, self._clock + slack, side="right")) - 1)
         self.draw(drawing, self.record, drawing.force_scale)
         self.time_input.value = self._clock
-        self._tell()
+        self._show_state()
 
-    def _tell(self) -> None:
+    def _show_state(self) -> None:
         drawing = self._drawing
         where = "nothing is committed of it yet"
         if drawing is not None:
             where = f"record {self.record + 1} of {len(drawing.times)}, at {drawing.times[self.record]:.6g} s"
-        self.say("\n".join(filter(None, (self.source.state, where))))
+        self.show_status("\n".join(filter(None, (self.source.state, where))))
 
     def _seek(self, seconds: float) -> None:
         """Goes to a time [s]: to the record that is nearest."""
@@ -146,7 +146,7 @@ class Replay(Show):
             self._clock = float(times[int(np.abs(times - seconds).argmin())])
             self.redraw()
 
-    def _walk(self, where: str) -> None:
+    def _step_through(self, where: str) -> None:
         if self._drawing is None:
             return
         times = self._drawing.times
@@ -162,6 +162,6 @@ class Replay(Show):
             self.redraw()
         super().play()
 
-    def drawn(self) -> tuple[Drawing, int] | None:
+    def current_drawing(self) -> tuple[Drawing, int] | None:
         """Returns what is seen, and the record of it."""
         return None if self._drawing is None else (self._drawing, self.record)

@@ -13,17 +13,17 @@ from warpcontact.viewer.page import LocalServer, gap_legend, message, table
 from warpcontact.viewer.stage import DEEP, FAR, Stage
 
 #: Time from picture to picture, at the least [s].
-PICTURE = 1.0 / 30.0
+FRAME_TIME = 1.0 / 30.0
 # Of what nobody plays there is no picture; how often it is looked whether there is anything new [s].
-IDLE = 0.1
+IDLE_TIME = 0.1
 #: Speeds that a page offers, of simulated time to that on the wall.
 SLOWEST, FASTEST = 1.0e-3, 1.0e3
 
 # What a user may do wrong, or a machine lack: its message says all there is to say.
-_TOLD = (ValueError, KeyError, OSError, MemoryError, RuntimeError)
+_REPORTED_ERRORS = (ValueError, KeyError, OSError, MemoryError, RuntimeError)
 
 
-class Show(ABC):
+class ViewerThread(ABC):
     """A page and the thread behind it.
 
     Everything that is shown belongs to the thread. What happens on the page is put into a queue, which it empties
@@ -62,12 +62,12 @@ class Show(ABC):
     def close(self) -> None:
         """Ends the thread, then the server."""
         self._ended.set()
-        self.do(lambda: None)
+        self.post(lambda: None)
         if self._thread.is_alive():
             self._thread.join()
         self.server.stop()
 
-    def do(self, command: Callable[[], None]) -> None:
+    def post(self, command: Callable[[], None]) -> None:
         """Lets the thread do something, after what it was asked before."""
         self._commands.put(command)
 
@@ -84,36 +84,36 @@ class Show(ABC):
         """Goes on by so much time on the wall [s], and shows what there is."""
 
     @abstractmethod
-    def drawn(self) -> tuple[Drawing, int] | None:
+    def current_drawing(self) -> tuple[Drawing, int] | None:
         """Returns what is seen, and the record of it; ``None``: nothing."""
 
     def _run(self) -> None:
-        self.guarded(self.begin)
+        self.run_guarded(self.begin)
         last = time.monotonic()
         while not self._ended.is_set():
-            self._take_commands(PICTURE if self.playing else IDLE, last)
+            self._take_commands(FRAME_TIME if self.playing else IDLE_TIME, last)
             now = time.monotonic()
             seconds, last = now - last, now
-            self.guarded(lambda: self.tick(seconds))  # noqa: B023
+            self.run_guarded(lambda: self.tick(seconds))  # noqa: B023
             self.pictures += 1
 
     def _take_commands(self, period: float, last: float) -> None:
         """Takes commands until the next picture is due."""
         while not self._ended.is_set():
-            left = last + period - time.monotonic()
+            remaining = last + period - time.monotonic()
             try:
-                command = self._commands.get(timeout=left) if left > 0.0 else self._commands.get_nowait()
+                command = self._commands.get(timeout=remaining) if remaining > 0.0 else self._commands.get_nowait()
             except queue.Empty:
                 return
-            self.guarded(command)
+            self.run_guarded(command)
             if not self.playing:
-                period = PICTURE  # to show what it did
+                period = FRAME_TIME  # to show what it did
 
-    def guarded(self, work: Callable[[], None]) -> None:
+    def run_guarded(self, work: Callable[[], None]) -> None:
         """Does ``work``; what goes wrong stops the time and is told on the page."""
         try:
             work()
-        except _TOLD as error:
+        except _REPORTED_ERRORS as error:
             self.fail(str(error.args[0]) if isinstance(error, KeyError) and error.args else str(error))
         except Exception as error:
             traceback.print_exc()
@@ -122,23 +122,23 @@ class Show(ABC):
     def fail(self, text: str) -> None:
         """Stops the time and tells why."""
         self.pause()
-        self.tell(text)
+        self.show_problem(text)
 
-    def tell(self, text: str) -> None:
+    def show_problem(self, text: str) -> None:
         """Says on the page what is wrong; empty: nothing."""
         self.problem = text
         self._problem_text.content = message(text, bad=True) if text else ""
 
     # What both pages have.
 
-    def listen(self, handle: Any, command: Callable[[Any], None]) -> Any:
+    def on_change(self, handle: Any, command: Callable[[Any], None]) -> Any:
         """Lets the thread do ``command`` with the value of an input, when somebody changes it; returns it."""
 
         def changed(event: Any) -> None:
             # What the thread itself writes into an input is known to it.
             if threading.current_thread() is not self._thread:
                 value = event.target.value
-                self.do(lambda: command(value))
+                self.post(lambda: command(value))
 
         handle.on_update(changed)
         return handle
@@ -146,7 +146,7 @@ class Show(ABC):
     def button(self, label: str, command: Callable[[], None], **options: Any) -> Any:
         """Adds a button that lets the thread do ``command``."""
         handle = self.server.gui.add_button(label, **options)
-        handle.on_click(lambda _: self.do(command))
+        handle.on_click(lambda _: self.post(command))
         return handle
 
     def add_time(self) -> None:
@@ -155,7 +155,7 @@ class Show(ABC):
         self._status = gui.add_html("")
         self._problem_text = gui.add_html("")
         self.play_button = self.button("Play", self.toggle)
-        self.speed_input = self.listen(
+        self.speed_input = self.on_change(
             gui.add_text("Speed", f"{self.speed:g}", hint="simulated time to that on the wall"), self._set_speed
         )
 
@@ -166,49 +166,49 @@ class Show(ABC):
             return  # not yet written to the end
         if SLOWEST <= speed <= FASTEST:
             self.speed = speed
-            self.tell("")
+            self.show_problem("")
         else:
-            self.tell(f"the speed must be from {SLOWEST:g} to {FASTEST:g}, got {speed:g}")
+            self.show_problem(f"the speed must be from {SLOWEST:g} to {FASTEST:g}, got {speed:g}")
 
-    def add_looks(self) -> None:
+    def add_display_options(self) -> None:
         """Adds what chooses how things look."""
         gui = self.server.gui
         with gui.add_folder("Look"):
-            self.forces_input = self.listen(
+            self.forces_input = self.on_change(
                 gui.add_checkbox("Forces", self.stage.forces, hint="arrows of contact forces"),
-                lambda on: self._set_look("forces", on),
+                lambda on: self._set_display_option("forces", on),
             )
-            self.length_input = self.listen(
+            self.length_input = self.on_change(
                 gui.add_slider("Arrows", 0.1, 20.0, 0.1, 1.0, hint="their length, of that of the largest force"),
-                lambda length: self._set_look("length", length),
+                lambda length: self._set_display_option("length", length),
             )
-            self.gaps_input = self.listen(
+            self.gaps_input = self.on_change(
                 gui.add_checkbox(
                     "Gaps", self.stage.gaps, hint="red: inside, pale: in touch, blue: away, grey: unknown"
                 ),
-                lambda on: self._set_look("gaps", on),
+                lambda on: self._set_display_option("gaps", on),
             )
             self._gap_legend = gui.add_html("")
-            self.follow_input = self.listen(
+            self.follow_input = self.on_change(
                 gui.add_checkbox("Follow", self.stage.following, hint="the camera moves with the bodies"),
-                lambda on: self._set_look("following", on),
+                lambda on: self._set_display_option("following", on),
             )
-            self.button("Look at the bodies", self._look)
+            self.button("Look at the bodies", self._frame_bodies)
 
-    def _set_look(self, name: str, value: Any) -> None:
+    def _set_display_option(self, name: str, value: Any) -> None:
         setattr(self.stage, name, value)
         self.redraw()
 
-    def _look(self) -> None:
-        seen = self.drawn()
+    def _frame_bodies(self) -> None:
+        seen = self.current_drawing()
         if seen is not None:
-            self.stage.look(*seen)
+            self.stage.frame_bodies(*seen)
 
     def draw(self, drawing: Drawing, record: int, force_scale: float) -> None:
         """Draws a record of a drawing, and says what its colours mean; arguments as of ``Stage.show``."""
         self.stage.show(drawing, record, force_scale)
         legend = ""
-        if self.stage.gaps and any(touch.gaps is not None for touch in drawing.touches):
+        if self.stage.gaps and any(contact.gaps is not None for contact in drawing.contact_forces):
             legend = gap_legend(DEEP * drawing.size, FAR * drawing.size)
         self._gap_legend.content = legend
 
@@ -225,7 +225,7 @@ class Show(ABC):
 
     def play(self) -> None:
         """Lets time go on."""
-        self.tell("")
+        self.show_problem("")
         self.playing = True
         self.play_button.label = "Pause"
 
@@ -242,6 +242,6 @@ class Show(ABC):
         """Writes a table on the page, if it is another."""
         handle.content = table(rows) if rows else ""
 
-    def say(self, text: str) -> None:
+    def show_status(self, text: str) -> None:
         """Writes where things stand."""
         self.write(self._status, text)

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from warpcontact.experiment.folder import SUMMARY
 from warpcontact.experiment.records import COMMITS
 from warpcontact.experiment.run import Run, open_run
-from warpcontact.experiment.status import status_of
+from warpcontact.experiment.status import run_status
 from warpcontact.experiment.trust import Trust
 from warpcontact.replay.drawing import Drawing
 from warpcontact.run_folder import RunPath
 from warpcontact.scene import Scene
 from warpcontact.status import FailureCause
-from warpcontact.viewer.values import rows_of, rows_of_parameters, spoken
+from warpcontact.viewer.values import rows_of, rows_of_parameters, value_text
 
 Facts = dict[str, list[tuple[str, str]]]
 
@@ -65,17 +65,17 @@ class Source(ABC):
         Raises:
             ValueError: If its poses were not recorded.
         """
-        own = self.recording.sel(env=[env])
-        poses = [f"{body.name}.position" for body in self.scene.bodies if f"{body.name}.position" in own]
+        env_data = self.recording.sel(env=[env])
+        poses = [f"{body.name}.position" for body in self.scene.bodies if f"{body.name}.position" in env_data]
         if poses:
             # Records that are not committed yet are NaN, from some time on.
-            places = own[poses[0]].values
+            places = env_data[poses[0]].values
             known = np.isfinite(places).reshape(len(places), -1).all(axis=1)
             count = len(known) if known.all() else int(known.argmin())
             if not count:
                 return None
-            own = own.isel(time=slice(0, count))
-        return Drawing.of(own, self.scene, [env])
+            env_data = env_data.isel(time=slice(0, count))
+        return Drawing.of(env_data, self.scene, [env])
 
 
 class RecordingSource(Source):
@@ -102,8 +102,8 @@ class RecordingSource(Source):
 
     def facts(self, env: int) -> Facts:
         """Returns the parameters of an environment."""
-        own = self.recording.sel(env=env)
-        return {"Parameters": rows_of_parameters(own.drop_dims("time"))}
+        env_data = self.recording.sel(env=env)
+        return {"Parameters": rows_of_parameters(env_data.drop_dims("time"))}
 
 
 class RunSource(Source):
@@ -122,7 +122,7 @@ class RunSource(Source):
 
     def __init__(self, folder: str | PathLike[str], scene: Scene | None = None, trust: Trust = False) -> None:
         self.folder = Path(folder)
-        self._seen = self._signature()
+        self._last_signature = self._signature()
         self._open(open_run(folder, trust=trust), scene)
 
     def _open(self, run: Run, scene: Scene | None) -> None:
@@ -132,8 +132,8 @@ class RunSource(Source):
         self.name = str(run.summary["name"])
         self.recording = self.run.recording
         self._table = self.run.table()
-        self._frozen = _of_health(self.run)
-        self._state = status_of(self.folder)
+        self._frozen = _frozen_texts(self.run)
+        self._state = run_status(self.folder)
 
     def _signature(self) -> tuple[tuple[str, int, int], ...]:
         """Returns what changes when anything is committed."""
@@ -149,13 +149,13 @@ class RunSource(Source):
         """Opens the folder anew if anything was committed; returns whether it was."""
         if self._state.state == "finished":
             return False
-        seen = self._signature()
-        if seen == self._seen:
+        signature = self._signature()
+        if signature == self._last_signature:
             # What runs and does not commit yet tells how far it is all the same.
-            self._state = status_of(self.folder)
+            self._state = run_status(self.folder)
             return False
         self._open(open_run(self.folder, trust=self.run._trust), self.scene)
-        self._seen = seen
+        self._last_signature = signature
         return True
 
     @property
@@ -177,16 +177,18 @@ class RunSource(Source):
         found: Facts = {"Outcomes": [], "Parameters": []}
         parameters = [str(name) for name in self.run.params.data_vars]
         if env in self._table["env"].values:
-            own = self._table.sel(env=env)
-            found["Outcomes"] = rows_of(own[[name for name in own.data_vars if str(name) not in parameters]])
+            env_data = self._table.sel(env=env)
+            found["Outcomes"] = rows_of(
+                env_data[[name for name in env_data.data_vars if str(name) not in parameters]]
+            )
         if env in self.run.params["env"].values:
             found["Parameters"] = rows_of_parameters(self.run.params.sel(env=env))
         return found
 
 
-def _of_health(run: Run) -> dict[int, str]:
+def _frozen_texts(run: Run) -> dict[int, str]:
     health = run.health
     return {
-        int(env): f"frozen: {FailureCause(cause).name}, at {spoken(float(time))} s"
+        int(env): f"frozen: {FailureCause(cause).name}, at {value_text(float(time))} s"
         for env, cause, time in zip(health.frozen, health.causes, health.times, strict=True)
     }

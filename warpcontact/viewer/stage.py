@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from warpcontact.checks import Array
 from warpcontact.replay.colors import gap_colors, linear
-from warpcontact.replay.drawing import Curve, Drawing, Figure, Shape, Touch
+from warpcontact.replay.drawing import ContactForces, Curve, Drawing, Figure, Shape
 
 # Lights: of all around, grey from below, and from one side.
 SKY = 1.8
 GROUND = (150, 150, 150)
 SUN = 1.8
-SUN_FROM = (-4.0, -6.0, 10.0)
+SUN_DIRECTION = (-4.0, -6.0, 10.0)
 
 # Widths in sizes of the largest body.
 ARROW = 0.03
@@ -28,8 +28,8 @@ DEEP, FAR = 0.02, 1.0
 # So many copies are drawn in full; of more, those that are far away are drawn with fewer faces.
 FEW = 64
 # The camera stands in this direction from what it looks at, so many times its radius away.
-FROM = np.array([0.8, -1.5, 0.7]) / np.linalg.norm([0.8, -1.5, 0.7])
-AWAY_BY = 2.6
+CAMERA_DIRECTION = np.array([0.8, -1.5, 0.7]) / np.linalg.norm([0.8, -1.5, 0.7])
+CAMERA_DISTANCE = 2.6
 
 
 def by_color(shape: Shape, color: Array) -> Iterator[tuple[Array, NDArray[Any], Array]]:
@@ -95,7 +95,7 @@ class Stage:
         server.scene.configure_default_lights(False)
         server.scene.add_light_hemisphere("/lights/sky", ground_color=GROUND, intensity=SKY)
         server.scene.add_light_directional(
-            "/lights/sun", intensity=SUN, cast_shadow=True, position=tuple(SUN_FROM)
+            "/lights/sun", intensity=SUN, cast_shadow=True, position=tuple(SUN_DIRECTION)
         )
 
     def show(self, drawing: Drawing, record: int, force_scale: float) -> None:
@@ -107,20 +107,24 @@ class Stage:
             force_scale: Length of arrows [m/N].
         """
         with self.server.atomic():
-            names = [[one.name for one in group] for group in (drawing.figures, drawing.curves, drawing.touches)]
+            names = [
+                [one.name for one in group] for group in (drawing.figures, drawing.curves, drawing.contact_forces)
+            ]
             if names != self._names:
                 self.clear()
                 self._names = names
                 self._curves = [self._add_curve(i, curve, drawing) for i, curve in enumerate(drawing.curves)]
-                self._touches = [self._add_touch(i, touch, drawing) for i, touch in enumerate(drawing.touches)]
-            colors = {} if not self.gaps else {one.name: one.gaps for one in drawing.touches}
+                self._touches = [
+                    self._add_touch(i, contact, drawing) for i, contact in enumerate(drawing.contact_forces)
+                ]
+            colors = {} if not self.gaps else {one.name: one.gaps for one in drawing.contact_forces}
             spheres = set()
             for number, figure in enumerate(drawing.figures):
                 gaps = colors.get(figure.name)
                 if (
                     gaps is not None
                     and figure.kind in ("sphere", "point")
-                    and gaps.shape[2:] == figure.there.shape[1:]
+                    and gaps.shape[2:] == figure.present.shape[1:]
                 ):
                     spheres.add(figure.name)
                     self._place(number, figure, record, _gap_colors(gaps[record, 0], drawing.size))
@@ -130,11 +134,11 @@ class Stage:
                 points = at(curve.points, record)
                 node.points = np.stack([points[:-1], points[1:]], axis=1)
                 node.visible = bool(at(curve.shown, record))
-            for touch, (arrows, spots) in zip(drawing.touches, self._touches, strict=True):
-                self._draw_forces(arrows, touch, record, force_scale)
-                self._draw_spots(spots, touch, record, drawing.size, shown=touch.name not in spheres)
+            for contact, (arrows, spots) in zip(drawing.contact_forces, self._touches, strict=True):
+                self._draw_forces(arrows, contact, record, force_scale)
+                self._draw_spots(spots, contact, record, drawing.size, shown=contact.name not in spheres)
             if self.following:
-                self.aim(drawing, record)
+                self.follow(drawing, record)
 
     def clear(self) -> None:
         """Takes everything off the page."""
@@ -145,29 +149,29 @@ class Stage:
             node.remove()
         self._figures, self._curves, self._touches, self._names = [], [], [], []
 
-    def look(self, drawing: Drawing, record: int) -> None:
+    def frame_bodies(self, drawing: Drawing, record: int) -> None:
         """Puts the cameras where all that moves is seen."""
         centre, radius = middle(drawing, record)
         self._centre = centre
-        place = centre + AWAY_BY * radius * FROM
+        place = centre + CAMERA_DISTANCE * radius * CAMERA_DIRECTION
         for camera in self._cameras():
             # In this order: a camera that is moved takes what it looks at along.
             camera.position, camera.look_at = place, centre
         self.server.initial_camera.near = 0.01 * radius
         self.server.initial_camera.far = max(1000.0, 1000.0 * radius)
 
-    def aim(self, drawing: Drawing, record: int) -> None:
+    def follow(self, drawing: Drawing, record: int) -> None:
         """Moves the cameras along with the bodies, as they look and as far away as they are."""
         centre, _ = middle(drawing, record)
         if self._centre is None:
-            self.look(drawing, record)
+            self.frame_bodies(drawing, record)
             return
-        way = centre - self._centre
-        if not way.any():
+        displacement = centre - self._centre
+        if not displacement.any():
             return
         self._centre = centre
         for camera in self._cameras():
-            camera.position, camera.look_at = camera.position + way, camera.look_at + way
+            camera.position, camera.look_at = camera.position + displacement, camera.look_at + displacement
 
     def _cameras(self) -> list[Any]:
         """Returns those of the pages that are open, and of those that will be."""
@@ -175,35 +179,37 @@ class Stage:
 
     def _place(self, number: int, figure: Figure, record: int, colors: Array | None) -> None:
         """Puts a figure where it is; ``colors``: of each item, instead of its own."""
-        there = figure.there[0]
-        positions, turns = at(figure.positions, record)[there], at(figure.orientations, record)[there]
-        turns, scales = turns[:, [3, 0, 1, 2]], figure.scales[0][there]
-        old = self._figures[number] if number < len(self._figures) else None
-        if old is None or not is_same(old.shape, figure.shape) or (old.color != figure.color).any():
-            for node in [] if old is None else old.nodes:
+        there = figure.present[0]
+        positions, orientations = at(figure.positions, record)[there], at(figure.orientations, record)[there]
+        orientations, scales = orientations[:, [3, 0, 1, 2]], figure.scales[0][there]
+        previous = self._figures[number] if number < len(self._figures) else None
+        if previous is None or not is_same(previous.shape, figure.shape) or (previous.color != figure.color).any():
+            for node in [] if previous is None else previous.nodes:
                 node.remove()
             self._figures[number:] = [
-                self._add_figure(number, figure, turns, positions, scales),
+                self._add_figure(number, figure, orientations, positions, scales),
                 *self._figures[number + 1 :],
             ]
-            old = self._figures[number]
-        for node, color in zip(old.nodes, old.colors, strict=True):
+            previous = self._figures[number]
+        for node, color in zip(previous.nodes, previous.colors, strict=True):
             node.visible = bool(there.any())
             if there.any():
-                node.batched_positions, node.batched_wxyzs, node.batched_scales = positions, turns, scales
+                node.batched_positions, node.batched_wxyzs, node.batched_scales = positions, orientations, scales
                 node.batched_colors = _bytes(linear(color if colors is None else colors[there]))
 
-    def _add_figure(self, number: int, figure: Figure, turns: Array, positions: Array, scales: Array) -> _Drawn:
+    def _add_figure(
+        self, number: int, figure: Figure, orientations: Array, positions: Array, scales: Array
+    ) -> _Drawn:
         nodes, colors = [], []
         if not len(positions):
-            turns, positions, scales = np.array([[1.0, 0.0, 0.0, 0.0]]), np.zeros((1, 3)), np.ones((1, 3))
+            orientations, positions, scales = np.array([[1.0, 0.0, 0.0, 0.0]]), np.zeros((1, 3)), np.ones((1, 3))
         for i, (vertices, faces, color) in enumerate(by_color(figure.shape, figure.color)):
             nodes.append(
                 self.server.scene.add_batched_meshes_simple(
                     f"/figures/{number}_{_plain(figure.name)}/{i}",
                     vertices,
                     faces,
-                    turns,
+                    orientations,
                     positions,
                     batched_scales=scales,
                     batched_colors=_bytes(linear(color)),
@@ -224,12 +230,12 @@ class Stage:
             thickness=LINE * drawing.size,
         )
 
-    def _add_touch(self, number: int, touch: Touch, drawing: Drawing) -> tuple[Any, Any]:
-        name, size = f"/contacts/{number}_{_plain(touch.name)}", drawing.size
+    def _add_touch(self, number: int, contact: ContactForces, drawing: Drawing) -> tuple[Any, Any]:
+        name, size = f"/contacts/{number}_{_plain(contact.name)}", drawing.size
         arrows = self.server.scene.add_arrows(
             f"{name}/force",
             np.zeros((1, 2, 3)),
-            _bytes(linear(touch.color)),
+            _bytes(linear(contact.color)),
             shaft_radius=ARROW * size,
             head_radius=2.0 * ARROW * size,
             head_length=4.0 * ARROW * size,
@@ -246,22 +252,22 @@ class Stage:
         )
         return arrows, spots
 
-    def _draw_forces(self, node: Any, touch: Touch, record: int, force_scale: float) -> None:
-        force = at(touch.forces, record)
+    def _draw_forces(self, node: Any, contact: ContactForces, record: int, force_scale: float) -> None:
+        force = at(contact.forces, record)
         acting = force.any(axis=-1)
         if self.forces and acting.any():
-            start = at(touch.points, record)[acting]
+            start = at(contact.points, record)[acting]
             node.points = np.stack([start, start + self.length * force_scale * force[acting]], axis=1)
         node.visible = bool(self.forces and acting.any())
 
-    def _draw_spots(self, node: Any, touch: Touch, record: int, size: float, *, shown: bool) -> None:
-        gaps = None if touch.gaps is None else at(touch.gaps, record)
+    def _draw_spots(self, node: Any, contact: ContactForces, record: int, size: float, *, shown: bool) -> None:
+        gaps = None if contact.gaps is None else at(contact.gaps, record)
         # Where two are far from each other there is nothing to see between them.
         known = np.zeros(0, bool) if gaps is None or not (shown and self.gaps) else gaps < FAR * size
         if gaps is not None and known.any():
             # Both at once: a cloud with fewer colours than points is drawn black.
             with self.server.atomic():
-                node.points = at(touch.points, record)[known].astype(np.float32)
+                node.points = at(contact.points, record)[known].astype(np.float32)
                 node.colors = _bytes(_gap_colors(gaps[known], size))
         node.visible = bool(known.any())
 
@@ -274,9 +280,9 @@ def at(values: NDArray[Any], record: int) -> NDArray[Any]:
 def middle(drawing: Drawing, record: int) -> tuple[Array, float]:
     """Returns the middle of all that moves, world [m], and the radius of what is to be seen around it [m]."""
     moving = [figure for figure in drawing.figures if figure.kind != "surface" or len(figure.positions) > 1]
-    places = [at(figure.positions, record)[figure.there[0]] for figure in moving]
+    places = [at(figure.positions, record)[figure.present[0]] for figure in moving]
     if not places or not sum(map(len, places)):
-        places = [touch.points[min(record, len(touch.points) - 1), 0] for touch in drawing.touches]
+        places = [contact.points[min(record, len(contact.points) - 1), 0] for contact in drawing.contact_forces]
     if not places or not sum(map(len, places)):
         return np.zeros(3), 5.0 * drawing.size
     box = np.concatenate(places)

@@ -14,13 +14,13 @@ from warpcontact.equal_items import merged_items
 MOST = 9
 
 
-def spoken(values: Any, flags: dict[str, Any] | None = None) -> str:
+def value_text(values: Any, flags: dict[str, Any] | None = None) -> str:
     """Returns a value as text: numbers with commas; codes by their names, as CF attributes tell them."""
     array = np.asarray(values)
     if flags and "flag_values" in flags:
         names = dict(zip(flags["flag_values"], str(flags["flag_meanings"]).split(), strict=False))
-        told = [names.get(int(one), str(one)) for one in array.reshape(-1)[:MOST]]
-        return ", ".join(told) + (", …" if array.size > MOST else "")
+        named = [names.get(int(one), str(one)) for one in array.reshape(-1)[:MOST]]
+        return ", ".join(named) + (", …" if array.size > MOST else "")
     if array.dtype.kind not in "fiub":
         return ", ".join(map(str, array.reshape(-1)[:MOST]))
     if array.size > MOST:
@@ -40,7 +40,7 @@ def rows_of(data: xr.Dataset) -> list[tuple[str, str]]:
     rows = []
     for name, array in data.data_vars.items():
         unit = str(array.attrs.get("units", ""))
-        value = spoken(array.values, array.attrs)
+        value = value_text(array.values, array.attrs)
         rows.append((str(name), f"{value} {unit}".strip() if unit not in ("", "-", "1") else value))
     return rows
 
@@ -79,7 +79,7 @@ class ParameterText:
     @property
     def is_initial(self) -> bool:
         """Whether it is of the initial state, which counts from the next reset on."""
-        return any(part.starts_from(part.parameters[self.name]) for part in self.model.parts)
+        return any(part.sets_initial_state(part.parameters[self.name]) for part in self.model.parts)
 
     def read(self, env: int, item: int | None = None) -> str:
         """Returns the value, or that of an item; of all items if they are the same, else nothing.

@@ -11,7 +11,7 @@ from warpcontact.meshes.overlap import intersections
 from warpcontact.meshes.topology import (
     CRACK_LIMIT,
     Edges,
-    meets_another,
+    has_near_neighbor,
     representatives,
     slenderness,
     volumes_of,
@@ -45,35 +45,37 @@ def find_defects(vertices: npt.NDArray[np.float64], faces: npt.NDArray[Any], *, 
     ``cuts``: whether to look for faces that cut each other, which takes longest.
     """
     near: Mask = np.all(np.abs(vertices) <= COORDINATE_LIMIT, axis=1)  # false for NaN
-    known: Mask = np.all((faces >= 0) & (faces < len(vertices)), axis=1)
-    index = np.where(known[:, None], faces, 0).astype(np.int64)
-    drawable: Mask = known & np.all(near[index], axis=1)
+    in_range: Mask = np.all((faces >= 0) & (faces < len(vertices)), axis=1)
+    index = np.where(in_range[:, None], faces, 0).astype(np.int64)
+    drawable: Mask = in_range & np.all(near[index], axis=1)
     degenerate = np.zeros(len(faces), dtype=bool)
     degenerate[drawable] = slenderness(vertices[index[drawable]]) < SLIVER_LIMIT
 
     corners = representatives(vertices)[index]
-    sound = np.flatnonzero(drawable & (corners != corners[:, [1, 2, 0]]).all(axis=1))
+    valid_faces = np.flatnonzero(drawable & (corners != corners[:, [1, 2, 0]]).all(axis=1))
     duplicate = np.zeros(len(faces), dtype=bool)
-    first = representatives(np.sort(corners[sound], axis=1))
-    duplicate[sound] = np.bincount(first, minlength=len(sound))[first] > 1
+    first = representatives(np.sort(corners[valid_faces], axis=1))
+    duplicate[valid_faces] = np.bincount(first, minlength=len(valid_faces))[first] > 1
     # A copy in the other direction has edges of its own, as in the report.
-    turn = (corners[sound].argmin(axis=1)[:, None] + np.arange(3)) % 3
-    sound = sound[representatives(np.take_along_axis(corners[sound], turn, axis=1)) == np.arange(len(sound))]
+    flip = (corners[valid_faces].argmin(axis=1)[:, None] + np.arange(3)) % 3
+    valid_faces = valid_faces[
+        representatives(np.take_along_axis(corners[valid_faces], flip, axis=1)) == np.arange(len(valid_faces))
+    ]
 
-    ends = np.stack((corners[sound], corners[sound][:, [1, 2, 0]]), axis=2).reshape(-1, 2)
+    ends = np.stack((corners[valid_faces], corners[valid_faces][:, [1, 2, 0]]), axis=2).reshape(-1, 2)
     edge = representatives(np.sort(ends, axis=1))
     count = np.bincount(edge, minlength=len(edge))
     balance = np.bincount(edge, np.where(ends[:, 0] < ends[:, 1], 1.0, -1.0), len(edge))
     inward = np.zeros(len(faces), dtype=bool)
-    inward[sound] = _inward(vertices, corners[sound], edge, (count % 2 == 1) | (balance != 0.0))
+    inward[valid_faces] = _inward(vertices, corners[valid_faces], edge, (count % 2 == 1) | (balance != 0.0))
     boundary, seamed = ends[count == 1], np.zeros(0, dtype=np.int64)
     pinched, cutting = seamed, np.zeros(len(faces), dtype=bool)
-    if len(sound):
+    if len(valid_faces):
         rim = np.unique(boundary)
-        size = float(np.ptp(vertices[corners[sound]], axis=(0, 1)).max())
-        seamed = rim[meets_another(vertices[rim], CRACK_LIMIT * size)]
-        pinched = np.flatnonzero(Edges(corners[sound]).fans(corners[sound]) > 1)
-        whole = sound[~degenerate[sound]]
+        size = float(np.ptp(vertices[corners[valid_faces]], axis=(0, 1)).max())
+        seamed = rim[has_near_neighbor(vertices[rim], CRACK_LIMIT * size)]
+        pinched = np.flatnonzero(Edges(corners[valid_faces]).fans(corners[valid_faces]) > 1)
+        whole = valid_faces[~degenerate[valid_faces]]
         pairs = intersections(vertices, corners[whole]) if cuts else None
         if pairs is not None:
             cutting[whole[np.unique(pairs)]] = True
@@ -113,7 +115,7 @@ def _inward(
     half = np.arange(len(edge))
     links = coo_array((np.ones(len(edge), dtype=bool), (half // 3, edge // 3)), shape=(len(corners),) * 2)
     parts, part = connected_components(links, directed=False)
-    _, volume, nothing = volumes_of(vertices, corners, part, parts)
+    _, volume, zero_volume = volumes_of(vertices, corners, part, parts)
     bounding = np.ones(parts, dtype=bool)
     bounding[part[half[open_edge[edge]] // 3]] = False
-    return (bounding & (volume < -nothing))[part]
+    return (bounding & (volume < -zero_volume))[part]

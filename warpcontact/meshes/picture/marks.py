@@ -80,7 +80,7 @@ def draw_marks(
     for kind in line_kinds(defects, faces):
         edges = np.unique(np.sort(kind.ends, axis=1), axis=0)
         places = view.project(vertices[edges])
-        seen, hidden = _split(places, view, depth)
+        seen, hidden = _split_by_visibility(places, view, depth)
         for lines, width, strength in ((hidden, HIDDEN, FAINT), (seen, SEEN, 1.0)):
             axes.add_collection(
                 LineCollection(lines, colors=[kind.color], linewidths=width, alpha=strength, capstyle="round")
@@ -88,19 +88,19 @@ def draw_marks(
         spots = _small(places, edges)
         clear = view.visible(spots, depth)
         for chosen, strength in ((~clear, FAINT), (clear, 1.0)):
-            at = _apart(spots[chosen, :2])
+            at = _thin_out(spots[chosen, :2])
             axes.scatter(*at.T, s=70.0, facecolors="none", edgecolors=[kind.color], linewidths=1.1, alpha=strength)
     for spot in spot_kinds(defects):
         places = view.project(vertices[spot.vertices])
         clear = view.visible(places, depth)
         for chosen, strength in ((~clear, FAINT), (clear, 1.0)):
-            at = _apart(places[chosen, :2])
+            at = _thin_out(places[chosen, :2])
             axes.scatter(*at.T, s=34.0, color=[spot.color], marker="D", edgecolors="white", alpha=strength)
     _draw_axes(axes, view)
     _draw_bar(axes, view)
 
 
-def _split(places: Array, view: View, depth: Array) -> tuple[list[Array], list[Array]]:
+def _split_by_visibility(places: Array, view: View, depth: Array) -> tuple[list[Array], list[Array]]:
     """Returns the parts of lines (n, 2, 3) that are seen and that are hidden, each as points (2, 2)."""
     length = np.linalg.norm(places[:, 1, :2] - places[:, 0, :2], axis=1)
     counts = np.clip(np.ceil(length / STEP), 1, MOST).astype(np.int64)
@@ -138,7 +138,7 @@ def _small(places: Array, edges: npt.NDArray[np.int64]) -> Array:
     return 0.5 * (low + high)[small]
 
 
-def _apart(spots: Array) -> Array:
+def _thin_out(spots: Array) -> Array:
     """Returns ``spots`` (n, 2) thinned out to one per cell of a coarse grid."""
     _, first = np.unique(np.round(spots / RING), axis=0, return_index=True)
     return spots[np.sort(first)]

@@ -12,7 +12,7 @@ from warpcontact.meshes.isolation import Limits
 from warpcontact.meshes.picture.defects import Defects, find_defects
 from warpcontact.meshes.picture.marks import draw_marks, line_kinds, spot_kinds
 from warpcontact.meshes.picture.painter import paint
-from warpcontact.meshes.picture.view import View, best_direction, in_words
+from warpcontact.meshes.picture.view import View, best_direction, direction_text
 from warpcontact.meshes.repair import RepairRequest
 from warpcontact.meshes.report import MeshReport
 from warpcontact.meshes.topology import CRACK_LIMIT, area_vectors
@@ -130,7 +130,7 @@ def plot_arrays(
         view = View.towards(eye, corners.reshape(-1, 3), (FINE * ROWS, FINE * COLUMNS))
         depth = _draw_surface(axes, view, corners, cross, shown, defects, active)
         draw_marks(axes, view, depth, v, f, defects)
-        axes.set_title(in_words(eye), fontsize="medium")
+        axes.set_title(direction_text(eye), fontsize="medium")
     figure.suptitle(
         _heading(report, corners), fontsize="large", y=1.0 - 0.1 * DPI / height, va="top", parse_math=False
     )
@@ -153,9 +153,9 @@ def _draw_surface(
     outer = normal @ view.direction > 0.0
     # Of two faces at the same place the one that shows its outer side is painted last.
     order = np.argsort(outer, kind="stable")
-    seen, depth = paint(view.project(corners)[order], view.size)
-    empty = seen < 0
-    seen = order[np.where(empty, 0, seen)]
+    face_in_pixel, depth = paint(view.project(corners)[order], view.size)
+    empty = face_in_pixel < 0
+    face_in_pixel = order[np.where(empty, 0, face_in_pixel)]
 
     color = np.where(outer[:, None], OUTER, INNER)
     if active is not None:
@@ -169,8 +169,8 @@ def _draw_surface(
     light = np.clip(towards @ (LIGHT @ frame) / np.linalg.norm(LIGHT), 0.0, 1.0)
     color *= (SHADE + (1.0 - SHADE) * light)[:, None]
 
-    image = color[seen]
-    image *= _lines(seen, empty, towards)[..., None]
+    image = color[face_in_pixel]
+    image *= _lines(face_in_pixel, empty, towards)[..., None]
     image[empty] = 1.0
     rows, columns = view.size
     image = image.reshape(rows // FINE, FINE, columns // FINE, FINE, 3).mean(axis=(1, 3))
@@ -181,16 +181,16 @@ def _draw_surface(
     return depth
 
 
-def _lines(seen: npt.NDArray[np.intp], empty: npt.NDArray[np.bool_], towards: Array) -> Array:
+def _lines(face_in_pixel: npt.NDArray[np.intp], empty: npt.NDArray[np.bool_], towards: Array) -> Array:
     """Returns how bright each pixel is left by the lines between faces: at creases, and between large faces."""
-    count = len(np.unique(seen[~empty])) or 1
+    count = len(np.unique(face_in_pixel[~empty])) or 1
     large = (~empty).sum() / count > LARGE
-    bright = np.ones(seen.shape)
+    bright = np.ones(face_in_pixel.shape)
     for axis in (0, 1):
         here = (slice(None, -1), slice(None)) if axis == 0 else (slice(None), slice(None, -1))
         there = (slice(1, None), slice(None)) if axis == 0 else (slice(None), slice(1, None))
-        differ = (seen[here] != seen[there]) & ~empty[here] & ~empty[there]
-        a, b = seen[here][differ], seen[there][differ]
+        differ = (face_in_pixel[here] != face_in_pixel[there]) & ~empty[here] & ~empty[there]
+        a, b = face_in_pixel[here][differ], face_in_pixel[there][differ]
         crease = np.einsum("ij,ij->i", towards[a], towards[b]) < CREASE_COSINE
         line = np.where(crease, CREASE, EDGE if large else 1.0)
         bright[here][differ] = np.minimum(bright[here][differ], line)

@@ -99,7 +99,7 @@ def best_direction(cross: Array) -> Array:
     return candidates[int(worth.argmax())]
 
 
-def in_words(direction: Array) -> str:
+def direction_text(direction: Array) -> str:
     """Returns a direction as text: azimuth from x towards y, elevation above the plane of x and y."""
     elevation = np.degrees(np.arcsin(np.clip(direction[2], -1.0, 1.0)))
     if abs(elevation) > 89.0:

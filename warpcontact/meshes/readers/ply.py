@@ -168,8 +168,8 @@ class _BinaryBody(_Body):
                 self.at += table.nbytes
                 return {name: _column(table, name, lengths.get(name)) for name, _, _ in element.properties}
         elif not lengths:
-            raise self._cut(element)
-        return self._uneven(element)
+            raise self._truncated(element)
+        return self._variable_lists(element)
 
     def _lengths(self, element: _Element) -> dict[str, int]:
         """Lengths of the lists in the next row."""
@@ -177,11 +177,11 @@ class _BinaryBody(_Body):
         for name, kind, length in element.properties:
             if length:
                 if at + int(length[1]) > len(self.data):
-                    raise self._cut(element)
+                    raise self._truncated(element)
                 lengths[name] = self._count(element, length, at)
                 at += int(length[1]) + lengths[name] * int(kind[1])
                 if at > len(self.data):  # before a type is made of that length
-                    raise self._cut(element)
+                    raise self._truncated(element)
             else:
                 at += int(kind[1])
         return lengths
@@ -203,7 +203,7 @@ class _BinaryBody(_Body):
                 fields.append((name, self.order + kind))
         return np.dtype(fields)
 
-    def _uneven(self, element: _Element) -> _Columns:
+    def _variable_lists(self, element: _Element) -> _Columns:
         """The list of corners of rows whose lists differ in length."""
         name = next((n for n, _, length in element.properties if length and n in _CORNERS), "")
         kind, counts, places, end = "i1", list[int](), list[int](), len(self.data)
@@ -211,7 +211,7 @@ class _BinaryBody(_Body):
             for key, size, length in element.properties:
                 if length:
                     if self.at + int(length[1]) > end:
-                        raise self._cut(element)
+                        raise self._truncated(element)
                     count = self._count(element, length, self.at)
                     self.at += int(length[1])
                     if key == name:
@@ -222,7 +222,7 @@ class _BinaryBody(_Body):
                 else:
                     self.at += int(size[1])
             if self.at > end:
-                raise self._cut(element)
+                raise self._truncated(element)
         if not name:
             return {}
         lengths, width = np.array(counts, dtype=np.int64), int(kind[1])
@@ -231,7 +231,7 @@ class _BinaryBody(_Body):
         entries = np.frombuffer(self.data, np.uint8)[starts[:, None] + np.arange(width)]
         return {name: (lengths, entries.view(self.order + kind).reshape(-1).astype(np.int64))}
 
-    def _cut(self, element: _Element) -> Unreadable:
+    def _truncated(self, element: _Element) -> Unreadable:
         return Unreadable(
             f"the header announces {element.count} {element.name} rows, but the file ends before; "
             "is the file cut short?"

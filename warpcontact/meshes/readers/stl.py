@@ -14,7 +14,7 @@ def read_stl(data: bytes) -> Content:
     announced = struct.unpack_from("<I", data, 80)[0] if len(data) >= 84 else None
     # The size decides and not the first word, which is "solid" in many binary files too.
     if announced is not None and len(data) == 84 + 50 * announced:
-        return _soup(np.frombuffer(data, dtype=_RECORD, offset=84)["corners"].astype(np.float64))
+        return _separate_triangles(np.frombuffer(data, dtype=_RECORD, offset=84)["corners"].astype(np.float64))
     text = data.lstrip()
     if text[:5].lower() != b"solid" or b"\0" in text:
         if announced is None:
@@ -26,7 +26,7 @@ def read_stl(data: bytes) -> Content:
     return _read_text(text)
 
 
-def _soup(corners: np.ndarray) -> Content:
+def _separate_triangles(corners: np.ndarray) -> Content:
     return Content(corners.reshape(-1, 3), np.arange(3 * len(corners), dtype=np.int64).reshape(-1, 3))
 
 
@@ -63,6 +63,6 @@ def _read_text(text: bytes) -> Content:
         raise Unreadable(
             f"the text ends within solid {solid!r}, after {complete} triangles; is the file cut short?"
         )
-    content = _soup(lists_as_arrays(vertices, [])[0].reshape(-1, 3, 3))
+    content = _separate_triangles(lists_as_arrays(vertices, [])[0].reshape(-1, 3, 3))
     content.groups = groups.members(complete, np.arange(complete))
     return content

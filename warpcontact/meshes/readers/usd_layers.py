@@ -57,12 +57,12 @@ def _open(identifier: str) -> Any:
 
 def reason(error: Exception) -> str:
     """Returns the first that USD says went wrong, without names in its own source and folders of the file."""
-    said = re.findall(r"(?m)' at line \d+ in file .*? : '(.*?)'?$", str(error)) or [str(error)]
+    messages = re.findall(r"(?m)' at line \d+ in file .*? : '(.*?)'?$", str(error)) or [str(error)]
     # What its parser says of a place in a text, which it may say before without the place.
-    placed = (re.search(r"([^/]*):(\d+):(\d+): (.*?)(?: at '| in <|$)", one) for one in said)
+    placed = (re.search(r"([^/]*):(\d+):(\d+): (.*?)(?: at '| in <|$)", one) for one in messages)
     found = next((one for one in placed if one), None)
     if found is None:
-        return " ".join(re.sub(r"<?\S*/([^\s/>]*)>?", r"\1", said[0]).split())[:200]
+        return " ".join(re.sub(r"<?\S*/([^\s/>]*)>?", r"\1", messages[0]).split())[:200]
     file, line, column, text = found.groups()
     text = "what stands there is not understood" if text.startswith("parse error matching") else text
     return f"{file}, line {line}, column {column}: {text}"[:200]

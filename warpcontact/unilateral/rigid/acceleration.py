@@ -16,22 +16,22 @@ from warpcontact.kernels.types import MODE_OPEN, MODE_SLIP, MODE_STICK
 
 # Accelerations below this share of the largest without contact are none: more than what a solver leaves, whatever
 # that is. What follows from it is checked.
-SMALL = (1.0e-7, 1.0e-5, 1.0e-3)
+SLIP_TOLERANCES = (1.0e-7, 1.0e-5, 1.0e-3)
 # What forces may be outside of their cones, as a share of the largest: those of redundant contacts are a solver's.
-OUTSIDE = 1.0e-7
+CONE_TOLERANCE = 1.0e-7
 # What a linear system may leave, as a share of that: rounding, of bodies as unlike as 1 to 1e6.
-LEFT = 1.0e-8
+SOLVE_TOLERANCE = 1.0e-8
 # Singular values below this share of the largest are zero: of redundant contacts.
 SINGULAR = 1.0e-11
 # Steps of Newton's method from the answer of a solver: a few bring it to rounding.
-NEWTON = 20
+MAX_NEWTON_STEPS = 20
 # Methods that take friction in space: the first are asked after the one that is wanted.
-METHODS = ("projection", "gauss_seidel", "prox", "energy")
-ASKED = METHODS[:3]
+FRICTION_METHODS = ("projection", "gauss_seidel", "prox", "energy")
+FALLBACK_METHODS = FRICTION_METHODS[:3]
 # Most sliding contacts of which all sets are looked at.
-MOST_MINORS = 10
+MAX_MINOR_SIZE = 10
 # Turns of the friction of contacts that slide.
-TURNS = 30
+MAX_FRICTION_STEPS = 30
 
 
 class ParadoxError(RuntimeError):
@@ -47,7 +47,7 @@ class ParadoxError(RuntimeError):
 
 
 @dataclass(frozen=True)
-class Modes:
+class ContactModes:
     """What closed contacts do from an instant on.
 
     Attributes:
@@ -63,7 +63,7 @@ class Modes:
     acceleration: Array
 
 
-def find_modes(
+def find_contact_modes(
     W: Array,
     b: Array,
     mu_static: Array,
@@ -72,7 +72,7 @@ def find_modes(
     sliding: NDArray[np.bool_],
     labels: list[str],
     method: str = "gauss_seidel",
-) -> Modes:
+) -> ContactModes:
     """Returns what closed contacts do.
 
     Args:
@@ -90,22 +90,27 @@ def find_modes(
     """
     count = len(b)
     direction = np.zeros((count, 2))
-    rubs = sliding & (mu > 0.0)
-    direction[rubs] = slip[rubs] / np.linalg.norm(slip[rubs], axis=1, keepdims=True)
+    slides_with_friction = sliding & (mu > 0.0)
+    direction[slides_with_friction] = slip[slides_with_friction] / np.linalg.norm(
+        slip[slides_with_friction], axis=1, keepdims=True
+    )
     if not count:
-        return Modes(np.zeros(0, dtype=int), direction, np.zeros((0, 3)), np.zeros((0, 3)))
-    check_slides(bent(W, mu, direction, np.flatnonzero(rubs)), [labels[i] for i in np.flatnonzero(rubs)])
-    holding = np.where(sliding, 0.0, mu_static)
-    for guess in _guesses(W, b, mu, direction, rubs, holding, method):
+        return ContactModes(np.zeros(0, dtype=int), direction, np.zeros((0, 3)), np.zeros((0, 3)))
+    check_slides(
+        normal_response(W, mu, direction, np.flatnonzero(slides_with_friction)),
+        [labels[i] for i in np.flatnonzero(slides_with_friction)],
+    )
+    stick_mu = np.where(sliding, 0.0, mu_static)
+    for guess in _guesses(W, b, mu, direction, slides_with_friction, stick_mu, method):
         # What is checked to rounding needs no word of a solver.
-        for small in SMALL:
-            found = _exact(W, b, mu_static, mu, direction, guess, sliding, small)
+        for tolerance in SLIP_TOLERANCES:
+            found = _refine_modes(W, b, mu_static, mu, direction, guess, sliding, tolerance)
             if found is not None:
                 return found
-    rigid = [labels[i] for i in np.flatnonzero((np.diag(W)[::3] == 0.0) & (b[:, 0] < 0.0))]
-    if rigid:
+    immovable = [labels[i] for i in np.flatnonzero((np.diag(W)[::3] == 0.0) & (b[:, 0] < 0.0))]
+    if immovable:
         raise ParadoxError(
-            f"{', '.join(rigid)} must open, but neither body can give way: both are driven or fixed"
+            f"{', '.join(immovable)} must open, but neither body can give way: both are driven or fixed"
         )
     raise ParadoxError(
         f"no accelerations were found of {', '.join(labels)} that agree with Coulomb friction. Where friction is "
@@ -118,27 +123,31 @@ def _guesses(
     b: Array,
     mu: Array,
     direction: Array,
-    rubs: NDArray[np.bool_],
-    holding: Array,
+    slides_with_friction: NDArray[np.bool_],
+    stick_mu: Array,
     method: str,
 ) -> Iterator[Array]:
     """Iterates over forces (contacts, 3) that may be near the solution, what is likely first."""
     count = len(b)
-    for name in dict.fromkeys((method, *ASKED)):
+    for name in dict.fromkeys((method, *FALLBACK_METHODS)):
         force = np.zeros((count, 3))
         # The friction of contacts that slide follows their normal forces, one turn behind.
-        for _ in range(TURNS if rubs.any() else 1):
-            given = np.zeros((count, 3))
-            given[rubs, 1:] = -mu[rubs, None] * force[rubs, :1] * direction[rubs]
+        for _ in range(MAX_FRICTION_STEPS if slides_with_friction.any() else 1):
+            friction = np.zeros((count, 3))
+            friction[slides_with_friction, 1:] = (
+                -mu[slides_with_friction, None] * force[slides_with_friction, :1] * direction[slides_with_friction]
+            )
             last = force[:, 0].copy()
-            force = _solved(W, b + (W @ given.reshape(-1)).reshape(-1, 3), holding, name)
-            force[rubs, 1:] = -mu[rubs, None] * force[rubs, :1] * direction[rubs]
+            force = _solved(W, b + (W @ friction.reshape(-1)).reshape(-1, 3), stick_mu, name)
+            force[slides_with_friction, 1:] = (
+                -mu[slides_with_friction, None] * force[slides_with_friction, :1] * direction[slides_with_friction]
+            )
             yield force
-            if np.abs(force[:, 0] - last).max() <= LEFT * np.abs(force[:, 0]).max():
+            if np.abs(force[:, 0] - last).max() <= SOLVE_TOLERANCE * np.abs(force[:, 0]).max():
                 break
-    if not (holding > 0.0).any() and count <= MOST_MINORS:
+    if not (stick_mu > 0.0).any() and count <= MAX_MINOR_SIZE:
         # Every set of contacts that press.
-        matrix = bent(W, mu, direction, np.arange(count))
+        matrix = normal_response(W, mu, direction, np.arange(count))
         for subset in range(2**count):
             chosen = [i for i in range(count) if subset >> i & 1]
             force = np.zeros((count, 3))
@@ -159,51 +168,57 @@ def _solved(W: Array, b: Array, mu: Array, method: str) -> Array:
     return force
 
 
-def bent(W: Array, mu: Array, direction: Array, chosen: NDArray[np.int_]) -> Array:
+def normal_response(W: Array, mu: Array, direction: Array, chosen: NDArray[np.int_]) -> Array:
     """Returns normal accelerations by normal forces, with the friction that these bring along in sliding."""
     blocks = W.reshape(len(mu), 3, len(mu), 3)[chosen][:, 0][:, chosen]
     result: Array = blocks[..., 0] - mu[chosen] * (blocks[..., 1:] * direction[chosen]).sum(axis=-1)
     return result
 
 
-def columns(mode: NDArray[np.int_], direction: Array, mu: Array) -> Array:
+def force_basis(mode: NDArray[np.int_], direction: Array, mu: Array) -> Array:
     """Returns the forces that unknowns stand for, as columns (3 contacts, unknowns).
 
     Three of a contact that sticks, the normal force with the friction of it of one that slides.
     """
     found = []
-    for contact, what in enumerate(mode):
+    for contact, contact_mode in enumerate(mode):
         block = np.zeros((len(mode), 3, 3))
         block[contact] = np.eye(3)
-        if what == MODE_STICK:
+        if contact_mode == MODE_STICK:
             found.append(block.reshape(-1, 3))
-        elif what == MODE_SLIP:
+        elif contact_mode == MODE_SLIP:
             block[contact, 1:, 0] = -mu[contact] * direction[contact]
             found.append(block.reshape(-1, 3)[:, :1])
     return np.hstack(found) if found else np.zeros((3 * len(mode), 0))
 
 
-def equations(mode: NDArray[np.int_]) -> NDArray[np.int_]:
+def zero_rows(mode: NDArray[np.int_]) -> NDArray[np.int_]:
     """Returns the rows of w that are zero: those of contacts that stick, the first of those that slide."""
-    each = [range(3 * i, 3 * i + (3 if what == MODE_STICK else 1)) for i, what in enumerate(mode) if what]
+    each = [
+        range(3 * i, 3 * i + (3 if contact_mode == MODE_STICK else 1))
+        for i, contact_mode in enumerate(mode)
+        if contact_mode
+    ]
     return np.array([row for rows in each for row in rows], dtype=int)
 
 
-def forces_of_modes(W: Array, b: Array, mu: Array, mode: NDArray[np.int_], direction: Array, near: Array) -> Array:
+def forces_of_modes(
+    W: Array, b: Array, mu: Array, mode: NDArray[np.int_], direction: Array, guess: Array
+) -> Array:
     """Returns the forces (contacts, 3) with which contacts do what their modes say.
 
-    Of those that do it, the one nearest to ``near`` (contacts, 3).
+    Of those that do it, the one nearest to ``guess`` (contacts, 3).
     """
-    push, rows = columns(mode, direction, mu), equations(mode)
-    start = np.where((mode == MODE_OPEN)[:, None], 0.0, near)
+    basis, rows = force_basis(mode, direction, mu), zero_rows(mode)
+    start = np.where((mode == MODE_OPEN)[:, None], 0.0, guess)
     slides = mode == MODE_SLIP
     start[slides, 1:] = -mu[slides, None] * start[slides, :1] * direction[slides]
-    lacking = (W @ start.reshape(-1) + b.reshape(-1))[rows]
-    change = np.linalg.lstsq((W @ push)[rows], -lacking, rcond=SINGULAR)[0]
-    return start + (push @ change).reshape(-1, 3)
+    residual = (W @ start.reshape(-1) + b.reshape(-1))[rows]
+    change = np.linalg.lstsq((W @ basis)[rows], -residual, rcond=SINGULAR)[0]
+    return start + (basis @ change).reshape(-1, 3)
 
 
-def _exact(
+def _refine_modes(
     W: Array,
     b: Array,
     mu_static: Array,
@@ -211,73 +226,79 @@ def _exact(
     direction: Array,
     force: Array,
     sliding: NDArray[np.bool_],
-    small: float,
-) -> Modes | None:
+    tolerance: float,
+) -> ContactModes | None:
     """Returns the solution that has the modes of ``force`` to rounding, ``None`` if there is none of those.
 
-    Accelerations under ``force`` below the part ``small`` of the largest without are none.
+    Accelerations under ``force`` below the part ``tolerance`` of the largest without are none.
     """
     scale = np.abs(b).max() or 1.0
     w = (W @ force.reshape(-1)).reshape(-1, 3) + b
-    starts = ~sliding & (np.linalg.norm(w[:, 1:], axis=1) > small * scale)
-    mode = np.where(sliding | starts | (mu_static == 0.0), MODE_SLIP, MODE_STICK)
-    mode[w[:, 0] > small * scale] = MODE_OPEN
-    starts &= (mode == MODE_SLIP) & (mu > 0.0)
+    starts_to_slip = ~sliding & (np.linalg.norm(w[:, 1:], axis=1) > tolerance * scale)
+    mode = np.where(sliding | starts_to_slip | (mu_static == 0.0), MODE_SLIP, MODE_STICK)
+    mode[w[:, 0] > tolerance * scale] = MODE_OPEN
+    starts_to_slip &= (mode == MODE_SLIP) & (mu > 0.0)
     direction = direction.copy()
     # The friction of a slide that starts is unknown like that of a contact that sticks.
-    unknown = np.where(starts, MODE_STICK, mode)
-    push, rows = columns(unknown, direction, mu), equations(unknown)
-    if starts.any():
+    unknown = np.where(starts_to_slip, MODE_STICK, mode)
+    basis, rows = force_basis(unknown, direction, mu), zero_rows(unknown)
+    if starts_to_slip.any():
         # In sliding friction may be less than what held.
-        direction[starts] = w[starts, 1:] / np.linalg.norm(w[starts, 1:], axis=1, keepdims=True)
+        direction[starts_to_slip] = w[starts_to_slip, 1:] / np.linalg.norm(
+            w[starts_to_slip, 1:], axis=1, keepdims=True
+        )
         force = forces_of_modes(W, b, mu, mode, direction, force)
     force = np.where((mode == MODE_OPEN)[:, None], 0.0, force)
     last = np.inf
-    for _ in range(NEWTON):
+    for _ in range(MAX_NEWTON_STEPS):
         w = (W @ force.reshape(-1)).reshape(-1, 3) + b
-        left, slopes = w.copy(), W.copy()
-        for contact in np.flatnonzero(starts).tolist():
-            _oppose(contact, W, mu[contact], force, w, left, slopes)
-        change = push @ np.linalg.lstsq(slopes[rows] @ push, -left.reshape(-1)[rows], rcond=SINGULAR)[0]
+        residual, slopes = w.copy(), W.copy()
+        for contact in np.flatnonzero(starts_to_slip).tolist():
+            _add_slip_equation(contact, W, mu[contact], force, w, residual, slopes)
+        change = basis @ np.linalg.lstsq(slopes[rows] @ basis, -residual.reshape(-1)[rows], rcond=SINGULAR)[0]
         size = np.abs(change).max(initial=0.0)
         if size >= last:
             break
         last = size
         force = force + change.reshape(-1, 3)
     w = (W @ force.reshape(-1)).reshape(-1, 3) + b
-    sizes = np.linalg.norm(w[starts, 1:], axis=1, keepdims=True)
-    direction[starts] = w[starts, 1:] / np.where(sizes > 0.0, sizes, 1.0)
+    sizes = np.linalg.norm(w[starts_to_slip, 1:], axis=1, keepdims=True)
+    direction[starts_to_slip] = w[starts_to_slip, 1:] / np.where(sizes > 0.0, sizes, 1.0)
     force = forces_of_modes(W, b, mu, mode, direction, force)
     w = (W @ force.reshape(-1)).reshape(-1, 3) + b
-    found = Modes(mode, np.where((mode == MODE_SLIP)[:, None], direction, 0.0), force, w)
+    found = ContactModes(mode, np.where((mode == MODE_SLIP)[:, None], direction, 0.0), force, w)
     heaviest = scale / max(np.diag(W).max(), np.finfo(np.float64).tiny)
-    most = max(np.abs(force).max(), heaviest)
-    return found if _agrees(found, mu_static, starts, scale, most) else None
+    force_scale = max(np.abs(force).max(), heaviest)
+    return found if _is_consistent(found, mu_static, starts_to_slip, scale, force_scale) else None
 
 
-def _agrees(found: Modes, mu_static: Array, starts: NDArray[np.bool_], scale: float, most: float) -> bool:
+def _is_consistent(
+    found: ContactModes, mu_static: Array, starts_to_slip: NDArray[np.bool_], scale: float, force_scale: float
+) -> bool:
     """Whether a solution fulfils all conditions, in comparison with the largest acceleration and force."""
     w, force, mode = found.acceleration, found.force, found.mode
     sticks = mode == MODE_STICK
-    pulled = np.linalg.norm(force[sticks, 1:], axis=1) - mu_static[sticks] * force[sticks, 0]
-    along = (w[starts, 1:] * found.direction[starts]).sum(axis=1)
+    friction_excess = np.linalg.norm(force[sticks, 1:], axis=1) - mu_static[sticks] * force[sticks, 0]
+    along = (w[starts_to_slip, 1:] * found.direction[starts_to_slip]).sum(axis=1)
     return bool(
-        np.abs(w.reshape(-1)[equations(mode)]).max(initial=0.0) <= LEFT * scale
-        and (w[:, 0] >= -LEFT * scale).all()
-        and (force[:, 0] >= -OUTSIDE * most).all()
-        and (pulled <= OUTSIDE * most).all()
-        and (np.linalg.norm(w[starts, 1:], axis=1) - along <= OUTSIDE * scale).all()
+        np.abs(w.reshape(-1)[zero_rows(mode)]).max(initial=0.0) <= SOLVE_TOLERANCE * scale
+        and (w[:, 0] >= -SOLVE_TOLERANCE * scale).all()
+        and (force[:, 0] >= -CONE_TOLERANCE * force_scale).all()
+        and (friction_excess <= CONE_TOLERANCE * force_scale).all()
+        and (np.linalg.norm(w[starts_to_slip, 1:], axis=1) - along <= CONE_TOLERANCE * scale).all()
     )
 
 
-def _oppose(contact: int, W: Array, mu: float, force: Array, w: Array, left: Array, slopes: Array) -> None:
+def _add_slip_equation(
+    contact: int, W: Array, mu: float, force: Array, w: Array, residual: Array, slopes: Array
+) -> None:
     """Writes that friction is opposite to sliding, λ_t |w_t| + μ λ_n w_t = 0, and its slopes, in place of w_t."""
     own = slice(3 * contact + 1, 3 * contact + 3)
     l_n, l_t, w_t = force[contact, 0], force[contact, 1:], w[contact, 1:]
     speed = np.linalg.norm(w_t)
     if speed == 0.0:
         return
-    left[contact, 1:] = l_t * speed + mu * l_n * w_t
+    residual[contact, 1:] = l_t * speed + mu * l_n * w_t
     slopes[own] = np.outer(l_t, w_t / speed) @ W[own] + mu * l_n * W[own]
     slopes[own, 3 * contact] += mu * w_t
     slopes[own, own] += speed * np.eye(2)
@@ -290,9 +311,9 @@ def check_slides(matrix: Array, labels: list[str]) -> None:
     """
     count = len(matrix)
     scale = np.abs(np.diag(matrix)).max(initial=0.0)
-    for subset in range(1, 2 ** min(count, MOST_MINORS)):
+    for subset in range(1, 2 ** min(count, MAX_MINOR_SIZE)):
         chosen = [i for i in range(count) if subset >> i & 1]
-        if np.linalg.det(matrix[np.ix_(chosen, chosen)] / (scale or 1.0)) < -LEFT:
+        if np.linalg.det(matrix[np.ix_(chosen, chosen)] / (scale or 1.0)) < -SOLVE_TOLERANCE:
             raise ParadoxError(
                 f"sliding, {', '.join(labels[i] for i in chosen)} would press itself on: friction makes the "
                 "accelerations ambiguous, or leaves none (Painlevé)"

@@ -12,8 +12,8 @@ from warpcontact.checks import Array
 from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.kernels.types import WORLD
 from warpcontact.unilateral.rigid.bodies import Bodies
-from warpcontact.unilateral.rigid.candidates import Candidates, Measured
-from warpcontact.unilateral.rigid.snapshot import Place, Snapshot, find_environment
+from warpcontact.unilateral.rigid.candidates import Candidates, MeasuredPairs
+from warpcontact.unilateral.rigid.snapshot import EnvironmentAccess, Snapshot, find_environment
 from warpcontact.vectors import cross
 
 
@@ -100,18 +100,18 @@ class Assembler:
 
     def __init__(self, model: Any, env: int = 0) -> None:
         self.model, self.env = find_environment(model, env)
-        self.place = Place(self.model, self.env)
+        self.environment = EnvironmentAccess(self.model, self.env)
         self.bodies = Bodies(self.model, self.env)
-        self.candidates = Candidates(self.place)
+        self.candidates = Candidates(self.environment)
 
-    def assembly(self, snapshot: Snapshot, measured: Measured, chosen: NDArray[np.int_]) -> Assembly:
+    def assembly(self, snapshot: Snapshot, measured: MeasuredPairs, chosen: NDArray[np.int_]) -> Assembly:
         """Returns the assembly of ``chosen`` pairs (numbers of candidates) in a state that was measured last."""
         own, bodies = self.candidates, self.bodies
         response = bodies.response(snapshot)
         weight = np.zeros((bodies.count, 6))
         weight[:, :3] = bodies.mass[:, None] * bodies.gravity
         force = measured.force + weight.reshape(-1)
-        free = response.inverse_mass @ force + response.bias + bodies.driven_accelerations()
+        free = response.inverse_mass @ force + response.bias + bodies.prescribed_accelerations()
         axes = contact_axes(measured.normal[chosen])
         return Assembly(
             body_names=bodies.names,
@@ -150,11 +150,11 @@ def contact_rows(axes: Array, point: Array, bodies: NDArray[np.int_], position: 
     count = len(position)
     rows = np.zeros((len(axes), 3, count, 6))
     for side, sign in ((0, 1.0), (1, -1.0)):
-        held = np.flatnonzero(bodies[:, side] != WORLD)
-        own = bodies[held, side]
-        arm = (point[held] - position[own])[:, None, :]
-        rows[held, :, own, :3] += sign * axes[held]
-        rows[held, :, own, 3:] += sign * cross(arm, axes[held])
+        moved_rows = np.flatnonzero(bodies[:, side] != WORLD)
+        own = bodies[moved_rows, side]
+        arm = (point[moved_rows] - position[own])[:, None, :]
+        rows[moved_rows, :, own, :3] += sign * axes[moved_rows]
+        rows[moved_rows, :, own, 3:] += sign * cross(arm, axes[moved_rows])
     return rows.reshape(len(axes), 3, 6 * count)
 
 
@@ -176,9 +176,9 @@ def assemble(model: Any, env: int = 0, closed: float = 1.0e-6) -> Assembly:
         ValueError: If an argument is out of range, or a contact has a friction that a cone cannot take.
         RuntimeError: If it was not found where smooth shapes meet.
     """
-    most = float(checks.numbers("closed", closed, (), checks.limits("m", at_least=0.0)))
+    max_gap = float(checks.numbers("closed", closed, (), checks.limits("m", at_least=0.0)))
     assembler = Assembler(model, env)
-    snapshot = assembler.place.read()
-    with assembler.place.kept():
+    snapshot = assembler.environment.read()
+    with assembler.environment.preserved_state():
         measured = assembler.candidates.measure(snapshot)
-        return assembler.assembly(snapshot, measured, np.flatnonzero(measured.gap <= most))
+        return assembler.assembly(snapshot, measured, np.flatnonzero(measured.gap <= max_gap))

@@ -6,7 +6,7 @@ import numpy as np
 
 from warpcontact.checks import Array
 from warpcontact.frames import inverse, product
-from warpcontact.kernels.types import BALL, DRIVEN, FREE, HINGE, PLANAR, SLIDER, TRANSLATION
+from warpcontact.kernels.types import BALL, FREE, HINGE, PLANAR, SLIDER, TIME_FUNCTION, TRANSLATION
 from warpcontact.model import Model
 from warpcontact.unilateral.rigid.snapshot import Snapshot
 from warpcontact.vectors import cross
@@ -42,7 +42,7 @@ class Bodies:
         self.inertia = device.body_inertia.numpy()[env].astype(np.float64)
         self.gravity = device.gravity.numpy()[env, 0].astype(np.float64)
         self.kinds = np.full(self.count, FREE)
-        if model.moves:
+        if model.has_joints:
             motions = device.body_motion.numpy()[env]
             self.kinds = motions["kind"].copy()
             self.axis, self.anchor = motions["axis"].copy(), motions["anchor"].copy()
@@ -54,7 +54,7 @@ class Bodies:
             for item in range(body.count)
         ]
 
-    def settled(self, snapshot: Snapshot) -> Snapshot:
+    def project_anchors(self, snapshot: Snapshot) -> Snapshot:
         """Returns ``snapshot`` with bodies on hinges and balls exactly at their anchors, by their orientations."""
         if not self.anchored.any():
             return snapshot
@@ -69,31 +69,31 @@ class Bodies:
         """Returns how the bodies answer to forces in a state; of bodies that follow a function of time not yet."""
         inverse_mass = np.zeros((self.count, 6, self.count, 6))
         bias = np.zeros((self.count, 6))
-        turns = rotation_matrices(snapshot.orientation)
+        rotations = rotation_matrices(snapshot.orientation)
         for body in range(self.count):
-            free = self._freedoms(body, snapshot)
-            if not free.shape[1]:
+            directions = self._free_directions(body, snapshot)
+            if not directions.shape[1]:
                 continue
-            inertia = turns[body] @ self.inertia[body] @ turns[body].T
+            inertia = rotations[body] @ self.inertia[body] @ rotations[body].T
             mass = np.zeros((6, 6))
             mass[:3, :3], mass[3:, 3:] = self.mass[body] * np.eye(3), inertia
-            block = free @ np.linalg.solve(free.T @ mass @ free, free.T)
+            block = directions @ np.linalg.solve(directions.T @ mass @ directions, directions.T)
             inverse_mass[body, :, body, :] = block
             spin = snapshot.angular_velocity[body]
             if self.anchored[body]:
                 bias[body, :3] = cross(spin, cross(spin, self._arm(body, snapshot)))
-            lacking = mass @ bias[body]
-            lacking[3:] += cross(spin, inertia @ spin)
-            bias[body] -= block @ lacking
+            inertia_force = mass @ bias[body]
+            inertia_force[3:] += cross(spin, inertia @ spin)
+            bias[body] -= block @ inertia_force
         return Response(inverse_mass.reshape(6 * self.count, 6 * self.count), bias.reshape(-1))
 
-    def driven_accelerations(self) -> Array:
+    def prescribed_accelerations(self) -> Array:
         """Returns accelerations (6 bodies,) of those that follow a function of time; 0 of others.
 
         As ``Model.prepare`` measured them last.
         """
         result = np.zeros((self.count, 6))
-        own = self.kinds == DRIVEN
+        own = self.kinds == TIME_FUNCTION
         if own.any():
             measured = self.model.arrays.reactions
             result[own, :3] = measured.linear.numpy()[self.env][own]
@@ -102,20 +102,20 @@ class Bodies:
 
     def _arm(self, body: int, snapshot: Snapshot) -> Array:
         """From the anchor of a hinge or a ball to the centre of mass, world axes [m]."""
-        turn = product(snapshot.orientation[body], inverse(self.start_orientation[body]))
-        return rotation_matrices(turn[None])[0] @ (self.start[body] - self.anchor[body])
+        rotation = product(snapshot.orientation[body], inverse(self.start_orientation[body]))
+        return rotation_matrices(rotation[None])[0] @ (self.start[body] - self.anchor[body])
 
-    def _freedoms(self, body: int, snapshot: Snapshot) -> Array:
+    def _free_directions(self, body: int, snapshot: Snapshot) -> Array:
         """Returns the velocities that the motion of a body leaves to it, as columns (6, freedoms)."""
         kind = self.kinds[body]
-        nothing, all_ways = np.zeros((3, 3)), np.eye(3)
+        zeros, identity = np.zeros((3, 3)), np.eye(3)
         if kind == FREE:
             return np.eye(6)
         if kind == TRANSLATION:
-            return np.vstack([all_ways, nothing])
+            return np.vstack([identity, zeros])
         if kind == BALL:
             arm = self._arm(body, snapshot)
-            return np.vstack([cross(all_ways, arm).T, all_ways])
+            return np.vstack([cross(identity, arm).T, identity])
         axis = self.axis[body]
         if kind == HINGE:
             return np.concatenate([cross(axis, self._arm(body, snapshot)), axis])[:, None]

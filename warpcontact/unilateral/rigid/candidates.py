@@ -8,16 +8,16 @@ from numpy.typing import NDArray
 from warpcontact.checks import Array
 from warpcontact.elements import Contact
 from warpcontact.kernels.friction import Frictionless
-from warpcontact.kernels.types import DRIVEN, UNSOLVED, WORLD
+from warpcontact.kernels.types import TIME_FUNCTION, UNSOLVED, WORLD
 from warpcontact.piles.elements import ParticleContact
-from warpcontact.piles.pile import Pile
+from warpcontact.piles.pile import ParticleContactSet
 from warpcontact.smooth.elements import ShapeContact
 from warpcontact.status import ContactStatus
-from warpcontact.unilateral.materials import Hard, check_rigid
+from warpcontact.unilateral.materials import NonsmoothSource, check_rigid
 from warpcontact.unilateral.rigid.bodies import rotation_matrices
 from warpcontact.unilateral.rigid.events import Event, EventKind
 from warpcontact.unilateral.rigid.segments import closest_on_segments
-from warpcontact.unilateral.rigid.snapshot import Place, Snapshot
+from warpcontact.unilateral.rigid.snapshot import EnvironmentAccess, Snapshot
 from warpcontact.vectors import cross
 
 AnyContact = Contact | ShapeContact | ParticleContact
@@ -27,7 +27,7 @@ LATCHED_IN = 1.0e-6
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredPairs:
     """Where contacts are in a state.
 
     Attributes:
@@ -50,7 +50,7 @@ class Candidates:
     Contact couplings are forces like those of other couplings, and none of these.
 
     Args:
-        place: The environment.
+        environment: The environment.
 
     Attributes:
         names: Name of the contact of each pair, (n,).
@@ -65,19 +65,19 @@ class Candidates:
         ValueError: If a friction of a contact is none that a cone can take, or its share is not 1.
     """
 
-    def __init__(self, place: Place) -> None:
-        self.place = place
-        self.model, self.env = place.model, place.env
-        model = place.model
+    def __init__(self, environment: EnvironmentAccess) -> None:
+        self.environment = environment
+        self.model, self.env = environment.model, environment.env
+        model = environment.model
         scene = model.scene
         own = [contact for contact in scene.contacts if contact.facing is None]
         self.elements: list[Contact | ShapeContact] = [*own, *scene.shape_contacts]
-        self.piles = [(pile, _pairs(pile)) for pile in model.piles]
+        self.particle_contact_sets = [(pile, _pairs(pile)) for pile in model.particle_contact_sets]
         names: list[str] = []
         items: list[int] = []
         labels: list[str] = []
         bodies: list[NDArray[np.int_]] = []
-        factors: list[Array] = []
+        coefficients: list[Array] = []
         for contact in self.elements:
             single = contact.points.single if isinstance(contact, Contact) else contact.single
             numbers = [-1] if single else list(range(contact.count))
@@ -85,26 +85,26 @@ class Candidates:
             items += numbers
             labels += [contact.name if item < 0 else f"{contact.name}[{item}]" for item in numbers]
             bodies.append(_bodies_of(contact))
-            factors.append(self._factors(contact, contact.count))
-        for pile, pairs in self.piles:
-            one = pile.contact
-            names += [one.name] * len(pairs)
+            coefficients.append(self._coefficients(contact, contact.count))
+        for pile, pairs in self.particle_contact_sets:
+            index_1 = pile.contact
+            names += [index_1.name] * len(pairs)
             items += range(len(pairs))
-            labels += [f"{one.name}: {one.label(i)} on {one.label(j)}" for i, j in pairs]
-            bodies.append(one.bodies[pairs].astype(int))
-            factors.append(self._factors(one, len(pairs)))
+            labels += [f"{index_1.name}: {index_1.label(i)} on {index_1.label(j)}" for i, j in pairs]
+            bodies.append(index_1.bodies[pairs].astype(int))
+            coefficients.append(self._coefficients(index_1, len(pairs)))
         self.names, self.items, self.labels = np.array(names, dtype=object), np.array(items, dtype=int), labels
         self.bodies = np.concatenate([np.zeros((0, 2), dtype=int), *bodies])
-        table = np.concatenate([np.zeros((0, 4)), *factors])
+        table = np.concatenate([np.zeros((0, 4)), *coefficients])
         self.mu_static, self.mu, self.restitution, self.enabled = table.T
         self._needs = {"contacts", "distances"}
         if scene.contacts:
             self._needs.add("points")
         if scene.shape_contacts:
             self._needs.add("shape_points")
-        if any(body.motion.kind == DRIVEN for body in scene.bodies):
+        if any(body.motion.kind == TIME_FUNCTION for body in scene.bodies):
             self._needs |= {"wrenches", "reactions"}
-        model.make_measures(self._needs)
+        model.ensure_sensor_arrays(self._needs)
         self._views: tuple[int, dict[str, Array]] = (-1, {})
 
     @property
@@ -133,22 +133,22 @@ class Candidates:
             separation_speed=float(separation) + 0.0,
         )
 
-    def measure(self, snapshot: Snapshot) -> Measured:
+    def measure(self, snapshot: Snapshot) -> MeasuredPairs:
         """Returns where they are in a state, which becomes the current one of the environment.
 
         Raises:
             RuntimeError: If it was not found where smooth shapes meet.
         """
-        self.place.write(snapshot)
-        self.model.prepare(self._needs)
+        self.environment.write(snapshot)
+        self.model.evaluate_needs(self._needs)
         parts = [(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)))]
         parts += [self._of_sensor(contact) for contact in self.elements]
-        parts += [self._of_pile(pile, pairs, snapshot) for pile, pairs in self.piles]
+        parts += [self._particle_pairs(pile, pairs, snapshot) for pile, pairs in self.particle_contact_sets]
         gap, normal, point = (np.concatenate([part[i] for part in parts]) for i in range(3))
         gap = np.where(self.enabled > 0.0, gap, np.inf)
-        return Measured(gap, normal, point, self._forces())
+        return MeasuredPairs(gap, normal, point, self._forces())
 
-    def _factors(self, contact: AnyContact, count: int) -> Array:
+    def _coefficients(self, contact: AnyContact, count: int) -> Array:
         """Returns μ at rest, μ sliding, restitution and whether it is enabled, of each item (count, 4)."""
         for part in ("rolling", "torsion"):
             if not isinstance(contact.material.formulas[part], Frictionless):
@@ -156,7 +156,7 @@ class Candidates:
                     f"{contact.name}.{part} must be left out: resistance to rolling and spinning is not part of "
                     f"this method, got {type(contact.material.formulas[part]).__name__}"
                 )
-        sources = Hard(contact, contact.material.formulas, count).sources()
+        sources = NonsmoothSource(contact, contact.material.formulas, count).parameter_paths()
         check_rigid(contact.name, contact.material.formulas, "Or use SemiImplicitEuler")
         if (self._values(f"{contact.name}.force_scale", count, 1.0) != 1.0).any():
             raise ValueError(f"{contact.name}.force_scale must be 1: a nonsmooth contact cannot be a part of one")
@@ -177,7 +177,7 @@ class Candidates:
     def _sensor(self, name: str) -> Array:
         """Returns a sensor of this environment as it was computed last."""
         if not self.model.device.is_cpu:
-            return self.model.measured(name)[self.env].astype(np.float64)
+            return self.model.last_value(name)[self.env].astype(np.float64)
         revision, views = self._views
         if revision != self.model.revision:
             self._views = revision, views = self.model.revision, {}
@@ -193,40 +193,47 @@ class Candidates:
         gap, status = read("gap")[:, 0], read("status")[:, 0].astype(int)
         if (status == UNSOLVED).any():
             raise RuntimeError(f"{contact.name}: it was not found where the shapes meet")
-        meets = (status == ContactStatus.OPEN) | (status == ContactStatus.CONTACT)
-        meets |= (status == ContactStatus.WRONG_SIDE) & (gap > -LATCHED_IN)
-        return np.where(meets, gap, np.inf), read("normal"), read("point")
+        may_touch = (status == ContactStatus.OPEN) | (status == ContactStatus.CONTACT)
+        may_touch |= (status == ContactStatus.WRONG_SIDE) & (gap > -LATCHED_IN)
+        return np.where(may_touch, gap, np.inf), read("normal"), read("point")
 
-    def _of_pile(self, pile: Pile, pairs: NDArray[np.int_], snapshot: Snapshot) -> tuple[Array, Array, Array]:
-        shapes, bodies = pile.shapes, pile.contact.bodies
-        turns = rotation_matrices(snapshot.orientation)[bodies]
+    def _particle_pairs(
+        self, pile: ParticleContactSet, pairs: NDArray[np.int_], snapshot: Snapshot
+    ) -> tuple[Array, Array, Array]:
+        shapes, bodies = pile.particles, pile.contact.bodies
+        rotations = rotation_matrices(snapshot.orientation)[bodies]
         offset, axis = (getattr(shapes, key).numpy()[self.env].astype(np.float64) for key in ("offset", "axis"))
         radius = shapes.radius.numpy()[self.env].astype(np.float64)
-        middle = snapshot.position[bodies] + (turns @ offset[..., None])[..., 0]
-        axis = (turns @ axis[..., None])[..., 0]
-        one, other = pairs.T
-        s, t = closest_on_segments(middle[one] - middle[other], axis[one], axis[other])
-        near, far = middle[one] + s[:, None] * axis[one], middle[other] + t[:, None] * axis[other]
-        distance = np.linalg.norm(near - far, axis=1)
+        center = snapshot.position[bodies] + (rotations @ offset[..., None])[..., 0]
+        axis = (rotations @ axis[..., None])[..., 0]
+        index_1, index_2 = pairs.T
+        s, t = closest_on_segments(center[index_1] - center[index_2], axis[index_1], axis[index_2])
+        point_1, point_2 = (
+            center[index_1] + s[:, None] * axis[index_1],
+            center[index_2] + t[:, None] * axis[index_2],
+        )
+        distance = np.linalg.norm(point_1 - point_2, axis=1)
         # Where centres coincide there is no direction; any keeps them apart.
-        normal = np.where(distance[:, None] > 0.0, near - far, [0.0, 0.0, 1.0])
+        normal = np.where(distance[:, None] > 0.0, point_1 - point_2, [0.0, 0.0, 1.0])
         normal = normal / np.where(distance > 0.0, distance, 1.0)[:, None]
-        gap = distance - radius[one] - radius[other]
-        return gap, normal, far + (radius[other] + 0.5 * gap)[:, None] * normal
+        gap = distance - radius[index_1] - radius[index_2]
+        return gap, normal, point_2 + (radius[index_2] + 0.5 * gap)[:, None] * normal
 
     def _forces(self) -> Array:
         """Returns what couplings and forces from outside apply to each body (6 bodies,)."""
         model, env = self.model, self.env
         a, scene = model.arrays, model.scene
         result = np.zeros((model.body_count, 6))
-        if model.pushed:
+        if model.has_external_forces:
             result[:, :3] = a.model.body_external_force.numpy()[env]
             result[:, 3:] = a.model.body_external_torque.numpy()[env]
         if scene.couplings:
             ends = np.array([end for couplings in model.couplings for end in couplings.end_bodies()])
-            force, torque = (getattr(a.ends, key).numpy()[env][: len(ends)] for key in ("force", "torque"))
-            held = ends != WORLD
-            np.add.at(result, ends[held], np.hstack([force, torque])[held])
+            force, torque = (
+                getattr(a.coupling_wrenches, key).numpy()[env][: len(ends)] for key in ("force", "torque")
+            )
+            moves_body = ends != WORLD
+            np.add.at(result, ends[moves_body], np.hstack([force, torque])[moves_body])
         for contact in scene.contacts:
             if contact.facing is not None:
                 self._add_compliant(contact, result)
@@ -240,11 +247,13 @@ class Candidates:
 
         force = read("normal_force") * read("normal") + read("friction_force")
         point, couple = read("point"), read("torque")
-        position = self.place.read().position
+        position = self.environment.read().position
         for sign, numbers in zip((1.0, -1.0), _bodies_of(contact).T, strict=True):
-            held = (numbers != WORLD) & (force != 0.0).any(axis=1)
-            moment = cross(point[held] - position[numbers[held]], force[held]) + couple[held]
-            np.add.at(result, numbers[held], sign * np.hstack([force[held], moment]))
+            moves_body = (numbers != WORLD) & (force != 0.0).any(axis=1)
+            moment = (
+                cross(point[moves_body] - position[numbers[moves_body]], force[moves_body]) + couple[moves_body]
+            )
+            np.add.at(result, numbers[moves_body], sign * np.hstack([force[moves_body], moment]))
 
 
 def _bodies_of(contact: Contact | ShapeContact) -> NDArray[np.int_]:
@@ -257,9 +266,11 @@ def _bodies_of(contact: Contact | ShapeContact) -> NDArray[np.int_]:
     return np.stack([np.broadcast_to(side, contact.count) for side in sides], axis=1).astype(int)
 
 
-def _pairs(pile: Pile) -> NDArray[np.int_]:
+def _pairs(pile: ParticleContactSet) -> NDArray[np.int_]:
     """Returns the pairs of shapes of a particle contact that may touch (pairs, 2), the lower number first."""
-    one, other = np.triu_indices(pile.contact.count, 1)
+    index_1, index_2 = np.triu_indices(pile.contact.count, 1)
     kind, allowed = pile.contact.kinds
-    may = (allowed[kind[one], kind[other]] > 0) & (pile.contact.bodies[one] != pile.contact.bodies[other])
-    return np.stack([one[may], other[may]], axis=1)
+    allowed_pairs = (allowed[kind[index_1], kind[index_2]] > 0) & (
+        pile.contact.bodies[index_1] != pile.contact.bodies[index_2]
+    )
+    return np.stack([index_1[allowed_pairs], index_2[allowed_pairs]], axis=1)

@@ -8,24 +8,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.unilateral.rigid.snapshot import Snapshot
-from warpcontact.unilateral.rigid.trajectory import Gone, Hold, Trajectory, View, held
+from warpcontact.unilateral.rigid.trajectory import (
+    EvaluatedState,
+    HeldContacts,
+    LostContact,
+    Trajectory,
+    contact_margins,
+)
 
 # Speeds below this are zero: above the rounding of speeds, below those of impacts that are not summed up [m/s].
-STILL = 1.0e-9
+SPEED_TOLERANCE = 1.0e-9
 # Forces below this share of the largest are zero.
 NO_FORCE = 1.0e-9
 # Part of the length that is closed by which a gap must be closed for an impact.
-UNSEEN = 1.0e-3
+GAP_FRACTION = 1.0e-3
 # Halvings of a step in search of where a contact was still open, or still on its surface.
-HALVINGS = 45
+MAX_HALVINGS = 45
 
 
-class _Watched(IntEnum):
+class _Monitored(IntEnum):
     """What is positive as long as contacts do what they do."""
 
     GAP = 0  # of a pair that is open
-    PRESS = 1  # normal force of a contact that is held
-    GRIP = 2  # what is left until it slides
+    NORMAL_FORCE = 1  # normal force of a contact that is held
+    FRICTION_RESERVE = 2  # what is left until it slides
     SLIDE = 3  # speed in the direction in which it slides
 
 
@@ -34,29 +40,31 @@ class _Crossing:
     """A function of the state that turns negative within a step.
 
     Attributes:
-        watched: What.
+        monitored: What.
         number: Of the pair, or of the contact that is held.
         threshold: Below its negative the function is negative.
     """
 
-    watched: _Watched
+    monitored: _Monitored
     number: int
     threshold: float
 
     @property
-    def decided(self) -> bool:
+    def velocities_decide(self) -> bool:
         """Whether velocities say what comes next; if not, contacts must be seen a little later."""
-        return self.watched not in (_Watched.PRESS, _Watched.GRIP)
+        return self.monitored not in (_Monitored.NORMAL_FORCE, _Monitored.FRICTION_RESERVE)
 
-    def value(self, view: View, hold: Hold) -> float:
+    def value(self, evaluated: EvaluatedState, held_contacts: HeldContacts) -> float:
         """Returns the function in a state."""
-        if self.watched is _Watched.GAP:
+        if self.monitored is _Monitored.GAP:
             # Where nothing can touch it is large.
-            return float(min(view.measured.gap[self.number], 1.0e9))
-        if self.watched is _Watched.SLIDE:
-            return float(view.slide[self.number])
-        press, grip = held(view, hold)
-        return float((press if self.watched is _Watched.PRESS else grip)[self.number])
+            return float(min(evaluated.measured.gap[self.number], 1.0e9))
+        if self.monitored is _Monitored.SLIDE:
+            return float(evaluated.slide[self.number])
+        normal_force, friction_reserve = contact_margins(evaluated, held_contacts)
+        return float(
+            (normal_force if self.monitored is _Monitored.NORMAL_FORCE else friction_reserve)[self.number]
+        )
 
 
 class Step:
@@ -64,30 +72,37 @@ class Step:
 
     Args:
         trajectory: How bodies move.
-        view: What is seen of ``start``.
+        evaluated: What is seen of ``start``.
         start: The state at its start.
-        hold: What contacts do.
+        held_contacts: What contacts do.
         length: How long it is to be [s]; it ends sooner where a contact that is held leaves its surface.
 
     Attributes:
         length: How long it is [s].
         end: The state at its end.
-        gone: Pairs that leave their surfaces there (contacts,).
+        lost: Pairs that leave their surfaces there (contacts,).
     """
 
-    def __init__(self, trajectory: Trajectory, view: View, start: Snapshot, hold: Hold, length: float) -> None:
-        self.start, self.hold = start, hold
-        self._trajectory, self._first = trajectory, view
-        self.length, self.end, self.gone = self._as_far_as_held(length)
-        self._last = self.seen(self.end)
+    def __init__(
+        self,
+        trajectory: Trajectory,
+        evaluated: EvaluatedState,
+        start: Snapshot,
+        held_contacts: HeldContacts,
+        length: float,
+    ) -> None:
+        self.start, self.held_contacts = start, held_contacts
+        self._trajectory, self._first = trajectory, evaluated
+        self.length, self.end, self.lost = self._until_contact_lost(length)
+        self._last = self.evaluate(self.end)
 
     def at(self, time: float) -> Snapshot:
         """Returns the state at a time after the start [s]."""
-        return self._trajectory.advance(self.start, self.hold, time)
+        return self._trajectory.advance(self.start, self.held_contacts, time)
 
-    def seen(self, state: Snapshot) -> View:
+    def evaluate(self, state: Snapshot) -> EvaluatedState:
         """Returns what is seen of a state in which contacts do what they do."""
-        return self._trajectory.view(state, self.hold)
+        return self._trajectory.evaluate(state, self.held_contacts)
 
     def first_crossing(self, closed: float) -> tuple[float, bool] | None:
         """Returns when the first event is [s], and if velocities say what comes next; ``None`` if there is none.
@@ -96,74 +111,78 @@ class Step:
             closed: Gaps up to this are zero [m].
         """
         first: tuple[float, bool] | None = None
-        for crossing in self._crossings(UNSEEN * closed):
+        for crossing in self._crossings(GAP_FRACTION * closed):
             end: float | None = self.length if first is None else first[0]
-            late = self._last if first is None else self.seen(self.at(first[0]))
-            if crossing.value(late, self.hold) >= -crossing.threshold:
-                end = self._dip(crossing, late, end)
+            final = self._last if first is None else self.evaluate(self.at(first[0]))
+            if crossing.value(final, self.held_contacts) >= -crossing.threshold:
+                end = self._minimum_gap_time(crossing, final, end)
             if end is None:
                 continue
 
             def value(time: float, one: _Crossing = crossing) -> float:
-                return one.value(self.seen(self.at(time)), self.hold)
+                return one.value(self.evaluate(self.at(time)), self.held_contacts)
 
-            time = _root(value, crossing.value(self._first, self.hold), end)
+            time = _root(value, crossing.value(self._first, self.held_contacts), end)
             if first is None or time < first[0]:
-                first = (time, crossing.decided)
+                first = (time, crossing.velocities_decide)
         return first
 
-    def _as_far_as_held(self, length: float) -> tuple[float, Snapshot, NDArray[np.int_]]:
+    def _until_contact_lost(self, length: float) -> tuple[float, Snapshot, NDArray[np.int_]]:
         """Returns how long held contacts stay on their surfaces, the state then, and the pairs that leave."""
         try:
             return length, self.at(length), np.zeros(0, dtype=int)
-        except Gone as leaves:
-            gone = leaves.pairs
+        except LostContact as lost_contact:
+            lost = lost_contact.pairs
         low, high = 0.0, length
-        for _ in range(HALVINGS):
+        for _ in range(MAX_HALVINGS):
             middle = 0.5 * (low + high)
             try:
                 self.at(middle)
-            except Gone as leaves:
-                high, gone = middle, leaves.pairs
+            except LostContact as lost_contact:
+                high, lost = middle, lost_contact.pairs
             else:
                 low = middle
-        return low, self.at(low), gone
+        return low, self.at(low), lost
 
-    def _crossings(self, tiny: float) -> Iterator[_Crossing]:
-        """Iterates over what may have turned negative; gaps up to ``tiny`` [m] are rounding."""
-        first, last, hold = self._first, self._last, self.hold
+    def _crossings(self, gap_tolerance: float) -> Iterator[_Crossing]:
+        """Iterates over what may have turned negative; gaps up to ``gap_tolerance`` [m] are rounding."""
+        first, last, held_contacts = self._first, self._last, self.held_contacts
         is_open = np.isfinite(first.measured.gap) | np.isfinite(last.measured.gap)
-        is_open[hold.pairs] = False
-        dips = (first.rate < 0.0) & (last.rate > 0.0)
-        for pair in np.flatnonzero(is_open & ((last.measured.gap < -tiny) | dips)).tolist():
-            yield _Crossing(_Watched.GAP, pair, tiny)
+        is_open[held_contacts.pairs] = False
+        has_minimum = (first.rate < 0.0) & (last.rate > 0.0)
+        for pair in np.flatnonzero(is_open & ((last.measured.gap < -gap_tolerance) | has_minimum)).tolist():
+            yield _Crossing(_Monitored.GAP, pair, gap_tolerance)
         scale = NO_FORCE * max(np.abs(first.force).max(initial=0.0), np.abs(last.force).max(initial=0.0))
-        press, grip = held(last, hold)
-        for number in range(len(hold.pairs)):
-            if press[number] < -scale:
-                yield _Crossing(_Watched.PRESS, number, scale)
-            if grip[number] < -scale:
-                yield _Crossing(_Watched.GRIP, number, scale)
-            if last.slide[number] < -STILL:
-                yield _Crossing(_Watched.SLIDE, number, STILL)
+        normal_force, friction_reserve = contact_margins(last, held_contacts)
+        for number in range(len(held_contacts.pairs)):
+            if normal_force[number] < -scale:
+                yield _Crossing(_Monitored.NORMAL_FORCE, number, scale)
+            if friction_reserve[number] < -scale:
+                yield _Crossing(_Monitored.FRICTION_RESERVE, number, scale)
+            if last.slide[number] < -SPEED_TOLERANCE:
+                yield _Crossing(_Monitored.SLIDE, number, SPEED_TOLERANCE)
 
-    def _dip(self, crossing: _Crossing, late: View, end: float | None) -> float | None:
+    def _minimum_gap_time(self, crossing: _Crossing, final: EvaluatedState, end: float | None) -> float | None:
         """Returns when a gap that closes and opens before ``end`` is least, if it is closed then."""
         from scipy.optimize import brentq
 
         pair = crossing.number
         if (
-            crossing.watched is not _Watched.GAP
+            crossing.monitored is not _Monitored.GAP
             or end is None
-            or not self._first.rate[pair] < 0.0 < late.rate[pair]
+            or not self._first.rate[pair] < 0.0 < final.rate[pair]
         ):
             return None
 
         def rate(time: float) -> float:
-            return float(self.seen(self.at(time)).rate[pair])
+            return float(self.evaluate(self.at(time)).rate[pair])
 
         least = float(brentq(rate, 0.0, end, xtol=1.0e-3 * end))
-        return least if crossing.value(self.seen(self.at(least)), self.hold) < -crossing.threshold else None
+        return (
+            least
+            if crossing.value(self.evaluate(self.at(least)), self.held_contacts) < -crossing.threshold
+            else None
+        )
 
 
 def _root(value: Callable[[float], float], at_start: float, end: float) -> float:
@@ -173,7 +192,7 @@ def _root(value: Callable[[float], float], at_start: float, end: float) -> float
     start = 0.0
     if at_start <= 0.0:
         start = end
-        for _ in range(HALVINGS):
+        for _ in range(MAX_HALVINGS):
             start *= 0.5
             if value(start) > 0.0:
                 break

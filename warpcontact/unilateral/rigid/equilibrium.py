@@ -10,7 +10,7 @@ from warpcontact import checks
 from warpcontact.checks import Array
 from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.status import ContactMode
-from warpcontact.unilateral.rigid.acceleration import METHODS, SINGULAR, columns, find_modes
+from warpcontact.unilateral.rigid.acceleration import FRICTION_METHODS, SINGULAR, find_contact_modes, force_basis
 from warpcontact.unilateral.rigid.assembly import Assembler, Assembly
 
 # Accelerations below this share of the largest without contact are those of bodies at rest.
@@ -123,13 +123,13 @@ def equilibrium(model: Any, env: int = 0, closed: float = 1.0e-6, method: str = 
         RuntimeError: If it was not found where smooth shapes meet.
         ParadoxError: If no accelerations were found.
     """
-    most = float(checks.numbers("closed", closed, (), checks.limits("m", at_least=0.0)))
-    checks.choice("method", method, METHODS)
+    max_gap = float(checks.numbers("closed", closed, (), checks.limits("m", at_least=0.0)))
+    checks.choice("method", method, FRICTION_METHODS)
     assembler = Assembler(model, env)
-    still = assembler.place.read().with_velocity(np.zeros(6 * assembler.bodies.count))
-    with assembler.place.kept():
-        measured = assembler.candidates.measure(still)
-        own = assembler.assembly(still, measured, np.flatnonzero(measured.gap <= most))
+    at_rest = assembler.environment.read().with_velocity(np.zeros(6 * assembler.bodies.count))
+    with assembler.environment.preserved_state():
+        measured = assembler.candidates.measure(at_rest)
+        own = assembler.assembly(at_rest, measured, np.flatnonzero(measured.gap <= max_gap))
     # At rest: not what functions of time do.
     own = replace(own, free_acceleration=own.inverse_mass @ own.force)
     return _solved(own, method)
@@ -138,7 +138,7 @@ def equilibrium(model: Any, env: int = 0, closed: float = 1.0e-6, method: str = 
 def _solved(own: Assembly, method: str) -> Equilibrium:
     count = own.count
     b = (own.rows @ own.free_acceleration).reshape(count, 3)
-    found = find_modes(
+    found = find_contact_modes(
         own.delassus,
         b,
         own.mu_static,
@@ -151,8 +151,8 @@ def _solved(own: Assembly, method: str) -> Equilibrium:
     acceleration = own.accelerations(found.force)
     scale = np.abs(own.free_acceleration).max(initial=0.0) or 1.0
     pressed = found.force[:, 0] > 0.0
-    wrong = np.where(pressed, found.acceleration[:, 0], np.minimum(found.acceleration[:, 0], 0.0))
-    free = _free_to_choose(own, found.mode, found.direction)
+    violation = np.where(pressed, found.acceleration[:, 0], np.minimum(found.acceleration[:, 0], 0.0))
+    free = _undetermined(own, found.mode, found.direction)
     return Equilibrium(
         assembly=own,
         holds=bool(np.abs(acceleration).max(initial=0.0) <= AT_REST * scale),
@@ -163,21 +163,21 @@ def _solved(own: Assembly, method: str) -> Equilibrium:
         normal_determined=np.logical_not(free[:, 0]),
         linear_acceleration=acceleration.reshape(-1, 6)[:, :3],
         angular_acceleration=acceleration.reshape(-1, 6)[:, 3:],
-        residual=float(np.abs(wrong).max(initial=0.0) / scale),
+        residual=float(np.abs(violation).max(initial=0.0) / scale),
     )
 
 
-def _free_to_choose(own: Assembly, mode: NDArray[np.int_], direction: Array) -> NDArray[np.bool_]:
+def _undetermined(own: Assembly, mode: NDArray[np.int_], direction: Array) -> NDArray[np.bool_]:
     """Returns which components of the forces another solution may have otherwise (contacts, 3)."""
-    push = columns(mode, direction, own.mu)
-    effect = own.inverse_mass @ own.rows.T @ push
-    if not push.shape[1]:
+    basis = force_basis(mode, direction, own.mu)
+    effect = own.inverse_mass @ own.rows.T @ basis
+    if not basis.shape[1]:
         return np.zeros((own.count, 3), dtype=bool)
     _, sizes, right = np.linalg.svd(effect)
     rank = int((sizes > SINGULAR * sizes.max(initial=0.0)).sum())
-    idle = np.abs(push @ right[rank:].T).max(axis=1, initial=0.0).reshape(own.count, 3)
+    undetermined = np.abs(basis @ right[rank:].T).max(axis=1, initial=0.0).reshape(own.count, 3)
     # Far above the rounding of a null space of unit vectors.
-    return idle > 1.0e-8
+    return undetermined > 1.0e-8
 
 
 def _vector(values: Array) -> str:

@@ -9,25 +9,25 @@ from numpy.typing import NDArray
 from warpcontact import checks
 from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.kernels.types import MODE_OPEN, MODE_STICK
-from warpcontact.unilateral.materials import CLOSED, IMPACTS
-from warpcontact.unilateral.rigid.acceleration import METHODS, ParadoxError, find_modes
+from warpcontact.unilateral.materials import CONTACT_GAP, IMPACT_LAWS
+from warpcontact.unilateral.rigid.acceleration import FRICTION_METHODS, ParadoxError, find_contact_modes
 from warpcontact.unilateral.rigid.assembly import Assembler
-from warpcontact.unilateral.rigid.crossings import STILL, Step
-from warpcontact.unilateral.rigid.events import Event, EventKind, EventRun, in_order
+from warpcontact.unilateral.rigid.crossings import SPEED_TOLERANCE, Step
+from warpcontact.unilateral.rigid.events import Event, EventKind, EventRun, sorted_by_time
 from warpcontact.unilateral.rigid.impacts import Impacts
 from warpcontact.unilateral.rigid.snapshot import Snapshot
-from warpcontact.unilateral.rigid.trajectory import Hold, Trajectory, View
+from warpcontact.unilateral.rigid.trajectory import EvaluatedState, HeldContacts, Trajectory
 
 # Most that a body turns between two looks at contacts [rad].
-TURN = 0.5
+MAX_TURN = 0.5
 # How far beyond where a contact may close at the earliest the next look is, so that it is seen closed.
-BEYOND = 1.3
+OVERSHOOT = 1.3
 # Parts of a step after an event at which it is looked what the contacts do: at the event itself it is undecided.
-AFTER = (1.0e-6, 1.0e-5, 1.0e-4, 1.0e-3, 1.0e-2)
+TIME_FRACTIONS = (1.0e-6, 1.0e-5, 1.0e-4, 1.0e-3, 1.0e-2)
 # Events and steps without any time between them after which a run is given up.
-MOST_IDLE = 20
+MAX_IDLE = 20
 # No pairs.
-NOTHING = np.zeros(0, dtype=int)
+NO_PAIRS = np.zeros(0, dtype=int)
 
 
 @explain_keywords_of
@@ -70,7 +70,7 @@ class EventDriven:
         model: Any,
         env: int = 0,
         *,
-        closed: float = CLOSED[wp.float64],
+        closed: float = CONTACT_GAP[wp.float64],
         step: float = 0.02,
         zeno: float = 1.0e-5,
         method: str = "gauss_seidel",
@@ -81,16 +81,16 @@ class EventDriven:
         self.closed = float(checks.numbers("closed", closed, (), checks.limits("m", above=0.0)))
         self.step = float(checks.numbers("step", step, (), seconds))
         self.zeno = float(checks.numbers("zeno", zeno, (), seconds))
-        self.method = checks.choice("method", method, METHODS)
-        whole = isinstance(most_events, int | np.integer) and not isinstance(most_events, bool)
-        if not whole or most_events < 1:
+        self.method = checks.choice("method", method, FRICTION_METHODS)
+        is_integer = isinstance(most_events, int | np.integer) and not isinstance(most_events, bool)
+        if not is_integer or most_events < 1:
             raise ValueError(f"most_events must be a whole number, at least 1, got {most_events!r}")
         self.most_events = most_events
-        self.impacts = checks.choice("impacts", impacts, IMPACTS)
+        self.impacts = checks.choice("impacts", impacts, IMPACT_LAWS)
         self.assembler = Assembler(model, env)
         self.trajectory = Trajectory(self.assembler)
-        self.state = self.assembler.bodies.settled(self.assembler.place.read())
-        self._hold: Hold | None = None
+        self.state = self.assembler.bodies.project_anchors(self.assembler.environment.read())
+        self._held_contacts: HeldContacts | None = None
         self._impacts = Impacts(self.assembler, self.zeno, method, impacts == "sequential")
         self._events: list[Event] = []
 
@@ -113,86 +113,88 @@ class EventDriven:
         end = self.state.time + float(checks.numbers("duration", duration, (), seconds))
         if every is not None:
             every = float(checks.numbers("every", every, (), seconds))
-        kept = _Kept(self.state.time, every)
+        stored = _StoredStates(self.state.time, every)
         self._events = []
         try:
-            with self.assembler.place.kept():
-                self._go(end, kept)
+            with self.assembler.environment.preserved_state():
+                self._advance_to(end, stored)
         except ParadoxError as error:
-            told = ParadoxError(f"t = {self.state.time:.9g} s: {error}")
-            told.run = self._result(kept)
-            raise told from error
-        return self._result(kept)
+            located_error = ParadoxError(f"t = {self.state.time:.9g} s: {error}")
+            located_error.run = self._result(stored)
+            raise located_error from error
+        return self._result(stored)
 
-    def _result(self, kept: "_Kept") -> EventRun:
-        times = np.array([state.time for state in kept.states])
-        return EventRun(times, tuple(kept.states), in_order(self._events), self.assembler.model.scene)
+    def _result(self, stored: "_StoredStates") -> EventRun:
+        times = np.array([state.time for state in stored.states])
+        return EventRun(times, tuple(stored.states), sorted_by_time(self._events), self.assembler.model.scene)
 
-    def _go(self, end: float, kept: "_Kept") -> None:
-        if self._hold is None:
-            self.state = self.assembler.place.follow(self.state)
-            self._hold = Hold.nothing()
-            self._refuse_overlaps()
+    def _advance_to(self, end: float, stored: "_StoredStates") -> None:
+        if self._held_contacts is None:
+            self.state = self.assembler.environment.apply_prescribed_motion(self.state)
+            self._held_contacts = HeldContacts.none()
+            self._check_overlaps()
             start = self.state
-            kept.first(start)
-            self._meet(start)
+            stored.first(start)
+            self._resolve_impacts(start)
             # What contacts do from the start on is nothing that happens, unless velocities jump.
             self._events = [one for one in self._events if one.kind is EventKind.IMPACT]
             if self._events:
-                kept.step(self.state)
+                stored.step(self.state)
             else:
-                kept.states[0] = self.state
+                stored.states[0] = self.state
         else:
-            kept.first(self.state)
-        view = self.trajectory.view(self.state, self._hold)
+            stored.first(self.state)
+        evaluated = self.trajectory.evaluate(self.state, self._held_contacts)
         idle = 0
         while self.state.time < end:
             before = self.state.time
-            self.trajectory.check(view, self._hold)
-            length = min(self._safe_step(view), end - self.state.time)
-            step = Step(self.trajectory, view, self.state, self._hold, length)
+            self.trajectory.check(evaluated, self._held_contacts)
+            length = min(self._safe_step(evaluated), end - self.state.time)
+            step = Step(self.trajectory, evaluated, self.state, self._held_contacts, length)
             found = step.first_crossing(self.closed)
             if found is not None:
-                self._to_event(step, *found, kept)
+                self._advance_to_event(step, *found, stored)
             else:
-                kept.between(step, step.length)
+                stored.between(step, step.length)
                 # The last step of a run ends there, whatever the sum of times is rounded to.
                 last = step.length == end - self.state.time
-                self.state = step.end if len(step.gone) else self.trajectory.projected(step.end, step.hold)
+                self.state = (
+                    step.end if len(step.lost) else self.trajectory.projected(step.end, step.held_contacts)
+                )
                 self.state = self.state.at(end) if last else self.state
-                kept.step(self.state)
-                if len(step.gone):
-                    self._meet(self.state, step.gone)
-                    kept.step(self.state)
+                stored.step(self.state)
+                if len(step.lost):
+                    self._resolve_impacts(self.state, step.lost)
+                    stored.step(self.state)
             if len(self._events) > self.most_events:
                 raise RuntimeError(
                     f"more than {self.most_events} events up to t = {self.state.time:.9g} s; "
                     "zeno= may be too small for them, or most_events="
                 )
             idle = idle + 1 if self.state.time == before else 0
-            if idle > MOST_IDLE:
-                self._refuse_to_go_on()
-            view = self.trajectory.view(self.state, self._hold)
+            if idle > MAX_IDLE:
+                self._raise_no_progress()
+            evaluated = self.trajectory.evaluate(self.state, self._held_contacts)
 
-    def _refuse_to_go_on(self) -> None:
-        labels = ", ".join(dict.fromkeys(one.label for one in self._events[-MOST_IDLE:])) or "the contacts"
+    def _raise_no_progress(self) -> None:
+        labels = ", ".join(dict.fromkeys(one.label for one in self._events[-MAX_IDLE:])) or "the contacts"
         raise RuntimeError(
             f"at t = {self.state.time:.9g} s {labels} close and part again and again: in an inner edge of one "
             "mesh a point touches one face at a time; let the faces be surfaces of their own"
         )
 
-    def _to_event(self, step: Step, time: float, decided: bool, kept: "_Kept") -> None:
+    def _advance_to_event(self, step: Step, time: float, velocities_decide: bool, stored: "_StoredStates") -> None:
         """Goes to the event that is ``time`` after the start of a step, and finds what contacts do after it."""
-        kept.between(step, time)
+        stored.between(step, time)
         self.state = step.at(time)
-        kept.step(self.state)
-        if decided:
-            self._meet(self.state)
+        stored.step(self.state)
+        if velocities_decide:
+            self._resolve_impacts(self.state)
         else:
-            self._change(step, time)
-        kept.step(self.state)
+            self._change_modes(step, time)
+        stored.step(self.state)
 
-    def _refuse_overlaps(self) -> None:
+    def _check_overlaps(self) -> None:
         gap = self.assembler.candidates.measure(self.state).gap
         deep = np.flatnonzero(gap < -self.closed)
         if len(deep):
@@ -201,80 +203,82 @@ class EventDriven:
                 f"{label} begins in overlap, {-gap[deep[0]]:.3g} m deep; nonsmooth contacts begin apart or closed"
             )
 
-    def _safe_step(self, view: View) -> float:
+    def _safe_step(self, evaluated: EvaluatedState) -> float:
         """Returns a time [s] within which no contact that is open closes unseen by more than ``closed``."""
-        assert self._hold is not None
+        assert self._held_contacts is not None
         longest = self.step
         spin = np.linalg.norm(self.state.angular_velocity, axis=1).max(initial=0.0)
         if spin > 0.0:
-            longest = min(longest, TURN / spin)
-        is_open = np.isfinite(view.measured.gap)
-        is_open[self._hold.pairs] = False
-        gap, rate, change = (values[is_open] for values in (view.measured.gap, view.rate, view.change))
+            longest = min(longest, MAX_TURN / spin)
+        is_open = np.isfinite(evaluated.measured.gap)
+        is_open[self._held_contacts.pairs] = False
+        gap, rate, change = (
+            values[is_open] for values in (evaluated.measured.gap, evaluated.rate, evaluated.acceleration_bound)
+        )
         gap = np.maximum(gap, 0.0)
         with np.errstate(divide="ignore", invalid="ignore"):
-            bent = (rate + np.sqrt(rate**2 + 2.0 * change * gap)) / change
+            normal_response = (rate + np.sqrt(rate**2 + 2.0 * change * gap)) / change
             straight = np.where(rate < 0.0, -gap / rate, np.inf)
-            earliest = np.where(change > 0.0, bent, straight)
+            earliest = np.where(change > 0.0, normal_response, straight)
             shortest = np.sqrt(8.0 * self.closed / change)
-        return float(np.maximum(BEYOND * earliest, shortest).min(initial=longest))
+        return float(np.maximum(OVERSHOOT * earliest, shortest).min(initial=longest))
 
-    def _closed_pairs(self, state: Snapshot, before: Hold) -> NDArray[np.int_]:
+    def _closed_pairs(self, state: Snapshot, before: HeldContacts) -> NDArray[np.int_]:
         gap = self.assembler.candidates.measure(state).gap
         is_closed = np.abs(gap) <= self.closed
         is_closed[before.pairs] = np.isfinite(gap[before.pairs])
         return np.flatnonzero(is_closed)
 
-    def _meet(self, state: Snapshot, gone: NDArray[np.int_] = NOTHING) -> None:
-        """Lets contacts that are closed impact, and finds what they do from then on; ``gone`` do nothing more."""
-        before = self._hold
+    def _resolve_impacts(self, state: Snapshot, lost: NDArray[np.int_] = NO_PAIRS) -> None:
+        """Lets contacts that are closed impact, and finds what they do from then on; ``lost`` do nothing more."""
+        before = self._held_contacts
         assert before is not None
         pairs = self._closed_pairs(state, before)
-        pairs = pairs[np.isin(pairs, gone, invert=True)]
-        state, parted, events = self._impacts.meet(state, pairs)
+        pairs = pairs[np.isin(pairs, lost, invert=True)]
+        state, parted, events = self._impacts.resolve(state, pairs)
         self._events += events
-        self._hold = self._held_from(state, pairs[~parted])
-        self._tell_changes(state.time, before, self._hold)
-        self.state = self.trajectory.projected(state, self._hold)
+        self._held_contacts = self._held_contacts_from(state, pairs[~parted])
+        self._record_changes(state.time, before, self._held_contacts)
+        self.state = self.trajectory.projected(state, self._held_contacts)
 
-    def _change(self, step: Step, time: float) -> None:
+    def _change_modes(self, step: Step, time: float) -> None:
         """Finds what contacts do after they came to the edge of what they did, ``time`` after the start.
 
         A little later, forces that they cannot have show what they do instead. Redundant contacts may share them
         out otherwise, and go on.
         """
-        before = self._hold
+        before = self._held_contacts
         assert before is not None
         state = later = self.state
-        for part in AFTER:
+        for part in TIME_FRACTIONS:
             later = step.at(time + part * step.length)
-            found = self._held_from(later, self._closed_pairs(later, before))
+            found = self._held_contacts_from(later, self._closed_pairs(later, before))
             same = np.array_equal(found.pairs, before.pairs) and np.array_equal(found.mode, before.mode)
             if not same:
-                self._tell_changes(state.time, before, found)
+                self._record_changes(state.time, before, found)
                 later = state
                 break
-        self._hold = found
+        self._held_contacts = found
         self.state = self.trajectory.projected(later, found)
 
-    def _held_from(self, state: Snapshot, pairs: NDArray[np.int_]) -> Hold:
+    def _held_contacts_from(self, state: Snapshot, pairs: NDArray[np.int_]) -> HeldContacts:
         """Returns what closed contacts that do not part do from a state on."""
         measured = self.assembler.candidates.measure(state)
         own = self.assembler.assembly(state, measured, pairs)
         b = self.trajectory.free_relative(state, own, pairs)
         slip = own.contact_velocity[:, 1:]
-        sliding = np.linalg.norm(slip, axis=1) > STILL
-        found = find_modes(own.delassus, b, own.mu_static, own.mu, slip, sliding, own.labels, self.method)
+        sliding = np.linalg.norm(slip, axis=1) > SPEED_TOLERANCE
+        found = find_contact_modes(own.delassus, b, own.mu_static, own.mu, slip, sliding, own.labels, self.method)
         stays = found.mode != MODE_OPEN
         tangents = own.axes[stays, 1:]
-        return Hold(
+        return HeldContacts(
             pairs=pairs[stays],
             mode=found.mode[stays],
             direction=(found.direction[stays, None, :] @ tangents)[:, 0],
             force=(found.force[stays, None, :] @ own.axes[stays])[:, 0],
         )
 
-    def _tell_changes(self, time: float, before: Hold, after: Hold) -> None:
+    def _record_changes(self, time: float, before: HeldContacts, after: HeldContacts) -> None:
         """Adds the events of contacts that do something else than before."""
         candidates = self.assembler.candidates
         was = dict(zip(before.pairs.tolist(), before.mode.tolist(), strict=True))
@@ -289,7 +293,7 @@ class EventDriven:
                 self._events.append(candidates.event(time, kind, pair))
 
 
-class _Kept:
+class _StoredStates:
     """The states that a run keeps."""
 
     def __init__(self, start: float, every: float | None) -> None:

@@ -126,11 +126,11 @@ class EventRun:
 
     def __str__(self) -> str:
         counts = {kind: sum(one.kind is kind for one in self.events) for kind in EventKind}
-        told = ", ".join(f"{count} {kind}" for kind, count in counts.items() if count) or "no events"
-        return f"event-driven run from {self.times[0]:g} s to {self.times[-1]:g} s: {told}"
+        counted = ", ".join(f"{count} {kind}" for kind, count in counts.items() if count) or "no events"
+        return f"event-driven run from {self.times[0]:g} s to {self.times[-1]:g} s: {counted}"
 
 
-def in_order(events: list[Event]) -> tuple[Event, ...]:
+def sorted_by_time(events: list[Event]) -> tuple[Event, ...]:
     """Returns events by their time; those of one time as they are given."""
     order: NDArray[np.int_] = np.argsort([one.time for one in events], kind="stable")
     return tuple(events[number] for number in order)

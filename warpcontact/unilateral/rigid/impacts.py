@@ -4,18 +4,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.checks import Array
-from warpcontact.unilateral.rigid.acceleration import find_modes
+from warpcontact.unilateral.rigid.acceleration import find_contact_modes
 from warpcontact.unilateral.rigid.assembly import Assembler, Assembly
-from warpcontact.unilateral.rigid.crossings import NO_FORCE, STILL
+from warpcontact.unilateral.rigid.crossings import NO_FORCE, SPEED_TOLERANCE
 from warpcontact.unilateral.rigid.events import Event, EventKind
 from warpcontact.unilateral.rigid.sequence import parting_speeds
 from warpcontact.unilateral.rigid.snapshot import Snapshot
 
 # Work of impulses over that of all single ones that is rounding, and halvings of the restitution that brings more.
-NO_GAIN = 1.0e-12
-PARTS = 45
+WORK_TOLERANCE = 1.0e-12
+MAX_HALVINGS = 45
 # Speed of sliding over that of the last impact of a series up to which both end together.
-SLENDER = 20.0
+SLIDE_SPEED_RATIO = 20.0
 
 
 class Impacts:
@@ -33,19 +33,19 @@ class Impacts:
         self._sequential = sequential
         self._last: dict[int, tuple[float, float]] = {}  # of a pair: when it was last, and how long before that
 
-    def meet(self, state: Snapshot, pairs: NDArray[np.int_]) -> tuple[Snapshot, NDArray[np.bool_], list[Event]]:
+    def resolve(self, state: Snapshot, pairs: NDArray[np.int_]) -> tuple[Snapshot, NDArray[np.bool_], list[Event]]:
         """Returns the state after impacts of closed contacts, which of these part (contacts,), and the events."""
         candidates = self._assembler.candidates
         own = self._assembler.assembly(state, candidates.measure(state), pairs)
         speed = own.contact_velocity
-        if not (speed[:, 0] < -STILL).any():
-            return state, speed[:, 0] > STILL, []
+        if not (speed[:, 0] < -SPEED_TOLERANCE).any():
+            return state, speed[:, 0] > SPEED_TOLERANCE, []
         ending = self._series(state.time, pairs, speed[:, 0])
         ends = np.isin(pairs, list(ending))
         force = self._impulses(own, speed, np.where(ends, 0.0, own.restitution))
         velocity = state.velocity + own.inverse_mass @ (own.rows.T @ force.reshape(-1))
         if ending:
-            velocity = _ended(own, velocity, ends, -speed[:, 0].min())
+            velocity = _end_series(own, velocity, ends, -speed[:, 0].min())
         after = (own.rows @ velocity).reshape(-1, 3)[:, 0]
         impulse = (force[:, None, :] @ own.axes)[:, 0]
         events = [
@@ -54,7 +54,7 @@ class Impacts:
             if force[number, 0] > NO_FORCE * force[:, 0].max()
         ]
         events += [candidates.event(time, EventKind.REST, pair) for pair, time in ending.items()]
-        return state.with_velocity(velocity), after > STILL, events
+        return state.with_velocity(velocity), after > SPEED_TOLERANCE, events
 
     def _impulses(self, own: Assembly, speed: Array, restitution: Array) -> Array:
         """Returns the impulses of an impact by local axes (contacts, 3) [N·s].
@@ -65,35 +65,35 @@ class Impacts:
         lowered, of all contacts alike, until it brings none.
         """
         none = np.zeros(own.count, dtype=bool)
-        parting = -restitution * np.minimum(speed[:, 0], 0.0)
+        separation_speed = -restitution * np.minimum(speed[:, 0], 0.0)
         if self._sequential and restitution.any():
             normals = 3 * np.arange(own.count)
             W = own.delassus[np.ix_(normals, normals)]
-            parting = parting_speeds(W, speed[:, 0], restitution, own.bodies, self._method)
+            separation_speed = parting_speeds(W, speed[:, 0], restitution, own.bodies, self._method)
 
-        def solved(part: float) -> tuple[Array, float]:
-            asked = speed.copy()
-            asked[:, 0] -= part * parting
+        def solve_impact(factor: float) -> tuple[Array, float]:
+            target = speed.copy()
+            target[:, 0] -= factor * separation_speed
             slip = np.zeros((own.count, 2))
-            found = find_modes(own.delassus, asked, own.mu, own.mu, slip, none, own.labels, self._method)
+            found = find_contact_modes(own.delassus, target, own.mu, own.mu, slip, none, own.labels, self._method)
             after = speed + (own.delassus @ found.force.reshape(-1)).reshape(-1, 3)
             work = found.force * (speed + after)
             return found.force, float(work.sum() / (np.abs(work).sum() or 1.0))
 
-        force, gain = solved(1.0)
-        if gain <= NO_GAIN or not restitution.any():
+        force, gain = solve_impact(1.0)
+        if gain <= WORK_TOLERANCE or not restitution.any():
             return force
         low, high = 0.0, 1.0
-        for _ in range(PARTS):
-            part = 0.5 * (low + high)
-            low, high = (part, high) if solved(part)[1] <= NO_GAIN else (low, part)
-        return solved(low)[0]
+        for _ in range(MAX_HALVINGS):
+            factor = 0.5 * (low + high)
+            low, high = (factor, high) if solve_impact(factor)[1] <= WORK_TOLERANCE else (low, factor)
+        return solve_impact(low)[0]
 
     def _series(self, time: float, pairs: NDArray[np.int_], speed: Array) -> dict[int, float]:
         """Returns contacts of which impacts that come ever closer are summed up, and when these have ended."""
         limit = None
         for pair, approach in zip(pairs.tolist(), speed, strict=True):
-            if approach >= -STILL:
+            if approach >= -SPEED_TOLERANCE:
                 continue
             last, interval = self._last.get(pair, (-np.inf, np.inf))
             since = time - last
@@ -111,14 +111,14 @@ class Impacts:
         return ending
 
 
-def _ended(own: Assembly, velocity: Array, ending: NDArray[np.bool_], approach: float) -> Array:
+def _end_series(own: Assembly, velocity: Array, ending: NDArray[np.bool_], approach: float) -> Array:
     """Returns velocities (6 bodies,) after all of a series of impacts: without what is left of parting.
 
     And of sliding that is no faster than the last ``approach`` [m/s] by more than bodies are longer than wide.
     """
     U = (own.rows @ velocity).reshape(-1, 3)
-    slow = (np.linalg.norm(U[:, 1:], axis=1) < SLENDER * approach) & (own.mu > 0.0)
-    chosen = np.stack([ending, ending & slow, ending & slow], axis=1).reshape(-1)
+    is_slow = (np.linalg.norm(U[:, 1:], axis=1) < SLIDE_SPEED_RATIO * approach) & (own.mu > 0.0)
+    chosen = np.stack([ending, ending & is_slow, ending & is_slow], axis=1).reshape(-1)
     rows = own.rows[chosen]
     response = own.inverse_mass @ rows.T
     return velocity - response @ np.linalg.lstsq(rows @ response, rows @ velocity, rcond=1.0e-11)[0]

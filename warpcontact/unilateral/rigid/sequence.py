@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.checks import Array
-from warpcontact.kernels.unilateral.sequence import IMPACTS, TIE
+from warpcontact.kernels.unilateral.sequence import MAX_IMPACTS_PER_CONTACT, TIE
 
 # Approach speeds below this share of the largest are zero.
 SMALL = 1.0e-12
@@ -20,7 +20,7 @@ def parting_speeds(W: Array, speed: Array, restitution: Array, bodies: NDArray[n
 
     The pair of bodies that approaches fastest collides first: its contacts are solved together, without friction,
     by Newton's law with the velocities so far, and so on until no contact approaches. What still approaches after
-    ``IMPACTS`` for each contact does not bounce.
+    ``MAX_IMPACTS_PER_CONTACT`` for each contact does not bounce.
 
     Args:
         W: Delassus matrix of the normals (contacts, contacts) [1/kg].
@@ -32,20 +32,20 @@ def parting_speeds(W: Array, speed: Array, restitution: Array, bodies: NDArray[n
     from warpcontact.unilateral.solving import solve_delassus
 
     pairs = np.sort(bodies, axis=1)
-    yields = np.diag(W) > 0.0
-    now, hit = speed.copy(), np.zeros(len(speed), dtype=bool)
+    can_move = np.diag(W) > 0.0
+    speeds, was_hit = speed.copy(), np.zeros(len(speed), dtype=bool)
     small = SMALL * max(-speed.min(), 0.0)
-    for _ in range(IMPACTS * len(speed)):
-        approach = np.where(yields, -now, 0.0)
+    for _ in range(MAX_IMPACTS_PER_CONTACT * len(speed)):
+        approach = np.where(can_move, -speeds, 0.0)
         if approach.max() <= small:
             break
-        fastest, most = 0, 0.0
-        for contact, one in enumerate(approach.tolist()):
-            if one > most * (1.0 + TIE):
-                fastest, most = contact, one
-        own = np.flatnonzero((pairs == pairs[fastest]).all(axis=1) & yields)
-        asked = now[own] + restitution[own] * np.minimum(now[own], 0.0)
-        impulse = np.asarray(solve_delassus(W[np.ix_(own, own)], asked, method=method).lam)
-        now = now + W[:, own] @ impulse
-        hit[own[impulse > 0.0]] = True
-    return np.where(hit, np.maximum(now, 0.0), 0.0)
+        fastest, fastest_speed = 0, 0.0
+        for contact, approach_speed in enumerate(approach.tolist()):
+            if approach_speed > fastest_speed * (1.0 + TIE):
+                fastest, fastest_speed = contact, approach_speed
+        chosen = np.flatnonzero((pairs == pairs[fastest]).all(axis=1) & can_move)
+        target = speeds[chosen] + restitution[chosen] * np.minimum(speeds[chosen], 0.0)
+        impulse = np.asarray(solve_delassus(W[np.ix_(chosen, chosen)], target, method=method).lam)
+        speeds = speeds + W[:, chosen] @ impulse
+        was_hit[chosen[impulse > 0.0]] = True
+    return np.where(was_hit, np.maximum(speeds, 0.0), 0.0)

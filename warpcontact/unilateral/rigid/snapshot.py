@@ -50,20 +50,22 @@ class Snapshot:
         rows = velocity.reshape(-1, 6)
         return replace(self, linear_velocity=rows[:, :3].copy(), angular_velocity=rows[:, 3:].copy())
 
-    def moved(self, way: Array) -> "Snapshot":
-        """Returns the same with poses moved by ``way`` (6 bodies,): displacements, rotation vectors [m, rad]."""
-        rows = way.reshape(-1, 6)
+    def displaced(self, displacement: Array) -> "Snapshot":
+        """Returns the same with poses moved by (6 bodies,): displacements and rotation vectors [m, rad]."""
+        rows = displacement.reshape(-1, 6)
         return replace(
-            self, position=self.position + rows[:, :3], orientation=turned(self.orientation, rows[:, 3:])
+            self,
+            position=self.position + rows[:, :3],
+            orientation=rotate_quaternions(self.orientation, rows[:, 3:]),
         )
 
 
-def turned(orientation: Array, angle: Array) -> Array:
+def rotate_quaternions(orientation: Array, angle: Array) -> Array:
     """Returns quaternions (n, 4) turned by rotation vectors (n, 3) in world axes [rad], of length 1."""
     size = np.linalg.norm(angle, axis=1, keepdims=True)
     # sin(x/2)/x, by its limit where x is 0.
-    turn = np.hstack([0.5 * np.sinc(size / (2.0 * np.pi)) * angle, np.cos(0.5 * size)])
-    result = product(turn, orientation)
+    increment = np.hstack([0.5 * np.sinc(size / (2.0 * np.pi)) * angle, np.cos(0.5 * size)])
+    result = product(increment, orientation)
     return result / np.linalg.norm(result, axis=1, keepdims=True)
 
 
@@ -84,7 +86,7 @@ def find_environment(model: Any, env: int) -> tuple[Model, int]:
     raise AssertionError("the parts of a model have all its environments")
 
 
-class Place:
+class EnvironmentAccess:
     """One environment of a model, to be read and written in float64.
 
     Args:
@@ -101,7 +103,7 @@ class Place:
         self._views = {name: array.numpy() for name, array in self._arrays.items()} if model.device.is_cpu else {}
         self._real = wp.dtype_to_numpy(model.types.real)
         chosen = np.arange(model.envs) == env
-        self._chosen = wp.array(chosen, dtype=wp.bool, device=model.device) if model.drives else None
+        self._mask = wp.array(chosen, dtype=wp.bool, device=model.device) if model.prescribed_motions else None
 
     def read(self) -> Snapshot:
         """Returns the current state."""
@@ -121,7 +123,7 @@ class Place:
         self._assign(values)
 
     @contextmanager
-    def kept(self) -> Iterator[None]:
+    def preserved_state(self) -> Iterator[None]:
         """Puts the state back afterwards as it was, to the bit."""
         before = {name: array.numpy()[self.env].copy() for name, array in self._arrays.items()}
         try:
@@ -131,22 +133,22 @@ class Place:
 
     def _assign(self, values: dict[str, Any]) -> None:
         for name, array in self._arrays.items():
-            whole = self._views[name] if self._views else array.numpy()
-            whole[self.env] = values[name]
+            array_view = self._views[name] if self._views else array.numpy()
+            array_view[self.env] = values[name]
             if not self._views:
-                array.assign(whole)
+                array.assign(array_view)
 
-    def follow(self, snapshot: Snapshot) -> Snapshot:
+    def apply_prescribed_motion(self, snapshot: Snapshot) -> Snapshot:
         """Returns ``snapshot`` with bodies that follow functions of time where they are at its time.
 
         If there are any, that is the current state then.
         """
         model, a = self.model, self.model.arrays
-        if not model.drives:
+        if not model.prescribed_motions:
             return snapshot
         self.write(snapshot)
-        for drive in model.drives:
+        for drive in model.prescribed_motions:
             kernel = driven.start(drive.motion, model.types.real)
-            inputs = [self._chosen, a.time, a.model, *drive.inputs, a.state]
+            inputs = [self._mask, a.time, a.model, *drive.inputs, a.state]
             wp.launch(kernel, dim=(model.envs, drive.count), inputs=inputs, device=model.device)
         return self.read()

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.checks import Array
-from warpcontact.kernels.types import DRIVEN, MODE_SLIP, MODE_STICK, WORLD
-from warpcontact.unilateral.rigid.acceleration import bent, check_slides, equations, forces_of_modes
+from warpcontact.kernels.types import MODE_SLIP, MODE_STICK, TIME_FUNCTION, WORLD
+from warpcontact.unilateral.rigid.acceleration import check_slides, forces_of_modes, normal_response, zero_rows
 from warpcontact.unilateral.rigid.assembly import Assembler, Assembly, contact_rows
-from warpcontact.unilateral.rigid.candidates import Measured
+from warpcontact.unilateral.rigid.candidates import MeasuredPairs
 from warpcontact.unilateral.rigid.snapshot import Snapshot
 from warpcontact.vectors import cross
 
@@ -17,7 +17,7 @@ from warpcontact.vectors import cross
 RELATIVE, ABSOLUTE = 1.0e-12, 1.0e-13
 # Both, in contact with a body that follows a function of time: its accelerations are differences in time, good to
 # 1e-6, and steps that ask for more shrink for ever.
-DRIVEN_ERROR = 1.0e-8
+PRESCRIBED_ERROR = 1.0e-8
 # Way over which the rows of H are differentiated [rad, m]: the error of the formula, of its fourth power, and that
 # of rounding are both below 1e-12.
 DIFFERENCE = 3.0e-4
@@ -28,7 +28,7 @@ ROUNDING = 1.0e-13
 
 
 @dataclass(frozen=True)
-class Hold:
+class HeldContacts:
     """Contacts that stay closed, and what they do; vectors in world axes, whatever tangents are called.
 
     Attributes:
@@ -44,12 +44,12 @@ class Hold:
     force: Array
 
     @staticmethod
-    def nothing() -> "Hold":
+    def none() -> "HeldContacts":
         """Returns that of bodies in flight."""
-        return Hold(np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros((0, 3)), np.zeros((0, 3)))
+        return HeldContacts(np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros((0, 3)), np.zeros((0, 3)))
 
 
-class Gone(Exception):
+class LostContact(Exception):
     """A contact that is held has left its surface: beyond its boundary nothing can touch."""
 
     def __init__(self, pairs: NDArray[np.int_]) -> None:
@@ -58,7 +58,7 @@ class Gone(Exception):
 
 
 @dataclass(frozen=True)
-class View:
+class EvaluatedState:
     """What one sees of a state.
 
     Attributes:
@@ -68,16 +68,16 @@ class View:
         force: Their forces, by local axes (contacts, 3) [N].
         slide: Their speeds along the direction in which each slides (contacts,) [m/s].
         acceleration: Of all bodies (6 bodies,) [m/s², rad/s²].
-        change: Bounds on accelerations of the gaps of all pairs (pairs,) [m/s²].
+        acceleration_bound: Bounds on accelerations of the gaps of all pairs (pairs,) [m/s²].
     """
 
-    measured: Measured
+    measured: MeasuredPairs
     rate: Array
     assembly: Assembly
     force: Array
     slide: Array
     acceleration: Array
-    change: Array
+    acceleration_bound: Array
 
 
 class Trajectory:
@@ -87,61 +87,68 @@ class Trajectory:
         self.assembler = assembler
         scene, bodies = assembler.model.scene, assembler.bodies
         self.pairs = assembler.candidates.bodies
-        self.driven = bodies.kinds == DRIVEN
+        self.prescribed = bodies.kinds == TIME_FUNCTION
         # Whether accelerations in flight do not depend on where bodies are, but for gyroscopic ones.
         self.uniform = not (
-            scene.couplings or scene.contact_couplings or bodies.anchored.any() or assembler.model.drives
+            scene.couplings
+            or scene.contact_couplings
+            or bodies.anchored.any()
+            or assembler.model.prescribed_motions
         )
 
-    def view(self, snapshot: Snapshot, hold: Hold) -> View:
-        """Returns what is seen of a state in which ``hold`` holds."""
+    def evaluate(self, snapshot: Snapshot, held_contacts: HeldContacts) -> EvaluatedState:
+        """Returns what is seen of a state in which ``held_contacts`` holds."""
         measured = self.assembler.candidates.measure(snapshot)
-        own = self.assembler.assembly(snapshot, measured, hold.pairs)
-        local = self._forces(snapshot, own, hold)
+        own = self.assembler.assembly(snapshot, measured, held_contacts.pairs)
+        local = self._forces(snapshot, own, held_contacts)
         acceleration = own.accelerations(local)
-        slips = hold.mode == MODE_SLIP
+        is_slipping = held_contacts.mode == MODE_SLIP
         speed = own.contact_velocity[:, None, :] @ own.axes
-        slide = np.where(slips, (speed[:, 0] * hold.direction).sum(axis=1), 0.0)
+        slide = np.where(is_slipping, (speed[:, 0] * held_contacts.direction).sum(axis=1), 0.0)
         rows = self.normal_rows(snapshot, measured)
         # What bodies that move alike have in common counts little; of turning it is at most ω² times the arm of K.
-        change = 2.0 * np.abs(rows @ acceleration) + 0.1 * np.abs(rows) @ np.abs(acceleration)
+        acceleration_bound = 2.0 * np.abs(rows @ acceleration) + 0.1 * np.abs(rows) @ np.abs(acceleration)
         arms = np.linalg.norm(
             np.nan_to_num(measured.point)[:, None] - snapshot.position[np.maximum(self.pairs, 0)], axis=2
         )
         fastest = (snapshot.angular_velocity**2).sum(axis=1)[np.maximum(self.pairs, 0)]
-        change += (fastest * arms * (self.pairs >= 0)).sum(axis=1)
-        return View(measured, rows @ snapshot.velocity, own, local, slide, acceleration, change)
+        acceleration_bound += (fastest * arms * (self.pairs >= 0)).sum(axis=1)
+        return EvaluatedState(
+            measured, rows @ snapshot.velocity, own, local, slide, acceleration, acceleration_bound
+        )
 
-    def normal_rows(self, snapshot: Snapshot, measured: Measured) -> Array:
+    def normal_rows(self, snapshot: Snapshot, measured: MeasuredPairs) -> Array:
         """Returns the rows of H of all gaps (pairs, 6 bodies); zeros of pairs that cannot touch."""
-        there = np.isfinite(measured.gap)
-        normal = np.where(there[:, None], measured.normal, 0.0)
-        point = np.where(there[:, None], measured.point, 0.0)
+        valid = np.isfinite(measured.gap)
+        normal = np.where(valid[:, None], measured.normal, 0.0)
+        point = np.where(valid[:, None], measured.point, 0.0)
         return contact_rows(normal[:, None, :], point, self.pairs, snapshot.position)[:, 0]
 
     def free_relative(self, snapshot: Snapshot, own: Assembly, pairs: NDArray[np.int_]) -> Array:
         """Returns relative accelerations of contacts without contact forces (contacts, 3) [m/s²]."""
         b = (own.rows @ own.free_acceleration).reshape(-1, 3)
-        return b + self._turning(snapshot, own, pairs)
+        return b + self._convective_acceleration(snapshot, own, pairs)
 
-    def advance(self, snapshot: Snapshot, hold: Hold, duration: float) -> Snapshot:
-        """Returns the state after ``duration`` [s], in which ``hold`` holds.
+    def advance(self, snapshot: Snapshot, held_contacts: HeldContacts, duration: float) -> Snapshot:
+        """Returns the state after ``duration`` [s], in which ``held_contacts`` holds.
 
         In closed form where accelerations are uniform; to rounding otherwise, by DOP853.
 
         Raises:
-            Gone: If a contact that is held leaves its surface before.
+            LostContact: If a contact that is held leaves its surface before.
         """
         if duration == 0.0:
             return snapshot
-        if self.uniform and not len(hold.pairs):
+        if self.uniform and not len(held_contacts.pairs):
             uniform = self._uniform(snapshot)
             if uniform is not None:
-                way = duration * snapshot.velocity
-                way[np.arange(len(way)) % 6 < 3] += (0.5 * duration**2 * uniform).reshape(-1, 6)[:, :3].reshape(-1)
-                moved = snapshot.moved(way).with_velocity(snapshot.velocity + duration * uniform)
+                displacement = duration * snapshot.velocity
+                displacement[np.arange(len(displacement)) % 6 < 3] += (
+                    (0.5 * duration**2 * uniform).reshape(-1, 6)[:, :3].reshape(-1)
+                )
+                moved = snapshot.displaced(displacement).with_velocity(snapshot.velocity + duration * uniform)
                 return replace(moved, time=snapshot.time + duration)
-        return self._integrated(snapshot, hold, duration)
+        return self._integrated(snapshot, held_contacts, duration)
 
     def _uniform(self, snapshot: Snapshot) -> Array | None:
         """Returns the accelerations of bodies in flight (6 bodies,), ``None`` if they are going to change."""
@@ -158,11 +165,11 @@ class Trajectory:
         acceleration: Array = response.inverse_mass @ force.reshape(-1)
         return acceleration
 
-    def _integrated(self, snapshot: Snapshot, hold: Hold, duration: float) -> Snapshot:
+    def _integrated(self, snapshot: Snapshot, held_contacts: HeldContacts, duration: float) -> Snapshot:
         from scipy.integrate import solve_ivp
 
         count = len(snapshot.position)
-        normal = self.assembler.candidates.measure(snapshot).normal[hold.pairs]
+        normal = self.assembler.candidates.measure(snapshot).normal[held_contacts.pairs]
         start = np.concatenate(
             [snapshot.position.reshape(-1), snapshot.orientation.reshape(-1), snapshot.velocity]
         )
@@ -175,30 +182,30 @@ class Trajectory:
                 position=values[: 3 * count].reshape(count, 3),
                 orientation=orientation / np.linalg.norm(orientation, axis=1, keepdims=True),
             ).with_velocity(values[7 * count :])
-            moved = self.assembler.bodies.settled(moved)
-            return self.assembler.place.follow(moved)
+            moved = self.assembler.bodies.project_anchors(moved)
+            return self.assembler.environment.apply_prescribed_motion(moved)
 
-        def slopes(time: float, values: Array) -> Array:
+        def derivatives(time: float, values: Array) -> Array:
             now = state(time, values)
             measured = self.assembler.candidates.measure(now)
-            there = _touches(measured, hold.pairs, normal)
-            if not there.all():
-                raise Gone(hold.pairs[np.logical_not(there)])
-            own = self.assembler.assembly(now, measured, hold.pairs)
-            acceleration = own.accelerations(self._forces(now, own, hold))
+            valid = _same_surface(measured, held_contacts.pairs, normal)
+            if not valid.all():
+                raise LostContact(held_contacts.pairs[np.logical_not(valid)])
+            own = self.assembler.assembly(now, measured, held_contacts.pairs)
+            acceleration = own.accelerations(self._forces(now, own, held_contacts))
             spin, q = now.angular_velocity, values[3 * count : 7 * count].reshape(count, 4)
             turn = np.hstack(
                 [q[:, 3:] * spin + cross(spin, q[:, :3]), -(spin * q[:, :3]).sum(axis=1, keepdims=True)]
             )
             # Bodies that follow functions of time are put where these say.
             parts = (now.linear_velocity, 0.5 * turn, acceleration.reshape(count, 6))
-            return np.concatenate([np.where(self.driven[:, None], 0.0, part).reshape(-1) for part in parts])
+            return np.concatenate([np.where(self.prescribed[:, None], 0.0, part).reshape(-1) for part in parts])
 
-        bodies = self.pairs[hold.pairs]
-        shaken = bool(self.driven[bodies[bodies != WORLD]].any())
-        relative, absolute = (DRIVEN_ERROR, DRIVEN_ERROR) if shaken else (RELATIVE, ABSOLUTE)
+        bodies = self.pairs[held_contacts.pairs]
+        is_prescribed = bool(self.prescribed[bodies[bodies != WORLD]].any())
+        relative, absolute = (PRESCRIBED_ERROR, PRESCRIBED_ERROR) if is_prescribed else (RELATIVE, ABSOLUTE)
         result = solve_ivp(
-            slopes, (0.0, duration), start, "DOP853", rtol=relative, atol=absolute, first_step=duration
+            derivatives, (0.0, duration), start, "DOP853", rtol=relative, atol=absolute, first_step=duration
         )
         if not result.success:
             raise RuntimeError(
@@ -206,52 +213,54 @@ class Trajectory:
             )
         return state(duration, result.y[:, -1])
 
-    def _forces(self, snapshot: Snapshot, own: Assembly, hold: Hold) -> Array:
+    def _forces(self, snapshot: Snapshot, own: Assembly, held_contacts: HeldContacts) -> Array:
         """Returns the forces of contacts that are held, by local axes (contacts, 3) [N]."""
-        if not len(hold.pairs):
+        if not len(held_contacts.pairs):
             return np.zeros((0, 3))
-        b = self.free_relative(snapshot, own, hold.pairs)
-        near = (own.axes @ hold.force[..., None])[..., 0]
-        return forces_of_modes(own.delassus, b, own.mu, hold.mode, self.directions(own, hold), near)
+        b = self.free_relative(snapshot, own, held_contacts.pairs)
+        guess = (own.axes @ held_contacts.force[..., None])[..., 0]
+        return forces_of_modes(
+            own.delassus, b, own.mu, held_contacts.mode, self.slide_directions(own, held_contacts), guess
+        )
 
-    def directions(self, own: Assembly, hold: Hold) -> Array:
+    def slide_directions(self, own: Assembly, held_contacts: HeldContacts) -> Array:
         """Returns the directions of sliding by local axes (contacts, 2).
 
         Beyond the end of a slide it is continued, so that the end can be found.
         """
-        kept = (own.axes[:, 1:] @ hold.direction[..., None])[..., 0]
-        sizes = np.linalg.norm(kept, axis=1, keepdims=True)
-        kept = np.divide(kept, sizes, out=np.zeros_like(kept), where=sizes > 0.0)
+        directions = (own.axes[:, 1:] @ held_contacts.direction[..., None])[..., 0]
+        sizes = np.linalg.norm(directions, axis=1, keepdims=True)
+        directions = np.divide(directions, sizes, out=np.zeros_like(directions), where=sizes > 0.0)
         slip = own.contact_velocity[:, 1:]
         speed = np.linalg.norm(slip, axis=1, keepdims=True)
-        goes_on = ((slip * kept).sum(axis=1, keepdims=True) > SLOW) & (sizes > 0.0)
-        return np.where(goes_on, slip / np.where(speed > 0.0, speed, 1.0), kept)
+        keeps_sliding = ((slip * directions).sum(axis=1, keepdims=True) > SLOW) & (sizes > 0.0)
+        return np.where(keeps_sliding, slip / np.where(speed > 0.0, speed, 1.0), directions)
 
-    def check(self, view: View, hold: Hold) -> None:
+    def check(self, evaluated: EvaluatedState, held_contacts: HeldContacts) -> None:
         """Raises ``ParadoxError`` if contacts that slide do not determine their normal forces."""
-        own = view.assembly
-        rubs = np.flatnonzero((hold.mode == MODE_SLIP) & (own.mu > 0.0))
-        if len(rubs):
-            matrix = bent(own.delassus, own.mu, self.directions(own, hold), rubs)
-            check_slides(matrix, [own.labels[i] for i in rubs])
+        own = evaluated.assembly
+        sliding = np.flatnonzero((held_contacts.mode == MODE_SLIP) & (own.mu > 0.0))
+        if len(sliding):
+            matrix = normal_response(own.delassus, own.mu, self.slide_directions(own, held_contacts), sliding)
+            check_slides(matrix, [own.labels[i] for i in sliding])
 
-    def projected(self, snapshot: Snapshot, hold: Hold) -> Snapshot:
+    def projected(self, snapshot: Snapshot, held_contacts: HeldContacts) -> Snapshot:
         """Returns the state with the gaps of closed contacts, and their velocities, at zero."""
-        if not len(hold.pairs):
+        if not len(held_contacts.pairs):
             return snapshot
         for _ in range(2):
             measured = self.assembler.candidates.measure(snapshot)
-            own = self.assembler.assembly(snapshot, measured, hold.pairs)
+            own = self.assembler.assembly(snapshot, measured, held_contacts.pairs)
             normals = 3 * np.arange(own.count)
-            snapshot = snapshot.moved(_pull(own, normals, -own.gap))
-            snapshot = self.assembler.bodies.settled(snapshot)
+            snapshot = snapshot.displaced(_least_energy_change(own, normals, -own.gap))
+            snapshot = self.assembler.bodies.project_anchors(snapshot)
         measured = self.assembler.candidates.measure(snapshot)
-        own = self.assembler.assembly(snapshot, measured, hold.pairs)
-        rows = equations(hold.mode)
-        change = _pull(own, rows, -own.contact_velocity.reshape(-1)[rows])
-        return self.assembler.bodies.settled(snapshot.with_velocity(snapshot.velocity + change))
+        own = self.assembler.assembly(snapshot, measured, held_contacts.pairs)
+        rows = zero_rows(held_contacts.mode)
+        change = _least_energy_change(own, rows, -own.contact_velocity.reshape(-1)[rows])
+        return self.assembler.bodies.project_anchors(snapshot.with_velocity(snapshot.velocity + change))
 
-    def _turning(self, snapshot: Snapshot, own: Assembly, pairs: NDArray[np.int_]) -> Array:
+    def _convective_acceleration(self, snapshot: Snapshot, own: Assembly, pairs: NDArray[np.int_]) -> Array:
         """Returns Ḣ v of contacts (contacts, 3): accelerations of K that turning and rolling bring about [m/s²].
 
         By differences along the motion: the shapes of bodies need not be known.
@@ -263,43 +272,43 @@ class Trajectory:
             return np.zeros((len(pairs), 3))
         step = DIFFERENCE / rate
         values = {0: (own.rows @ velocity).reshape(-1, 3)}
-        there = np.ones(len(pairs), dtype=bool)
+        valid = np.ones(len(pairs), dtype=bool)
         for steps in (-2, -1, 1, 2):
-            moved = snapshot.moved(steps * step * velocity)
+            moved = snapshot.displaced(steps * step * velocity)
             measured = self.assembler.candidates.measure(moved)
             if steps > 0:
-                there &= _touches(measured, pairs, own.axes[:, 0])
+                valid &= _same_surface(measured, pairs, own.axes[:, 0])
             axes = np.concatenate([measured.normal[pairs][:, None], own.axes[:, 1:]], axis=1)
             rows = contact_rows(axes, measured.point[pairs], self.pairs[pairs], moved.position)
             values[steps] = (rows.reshape(3 * len(pairs), -1) @ velocity).reshape(-1, 3)
         result = values[-2] - 8.0 * values[-1] + 8.0 * values[1] - values[2]
         # At the boundary of a surface, by what lies behind.
-        behind = 6.0 * (values[-2] - 4.0 * values[-1] + 3.0 * values[0])
-        result = np.where(there[:, None], result, behind)
-        self.assembler.place.write(snapshot)
+        one_sided = 6.0 * (values[-2] - 4.0 * values[-1] + 3.0 * values[0])
+        result = np.where(valid[:, None], result, one_sided)
+        self.assembler.environment.write(snapshot)
         return result / (12.0 * step)
 
 
-def _touches(measured: Measured, pairs: NDArray[np.int_], normal: Array) -> NDArray[np.bool_]:
+def _same_surface(measured: MeasuredPairs, pairs: NDArray[np.int_], normal: Array) -> NDArray[np.bool_]:
     """Whether contacts that were closed with these normals a little before touch the same part of a surface.
 
     What is beside the boundary of a surface is turned away from it.
     """
-    alike = (measured.normal[pairs] * normal).sum(axis=1) > 0.5
-    result: NDArray[np.bool_] = np.isfinite(measured.gap[pairs]) & alike
+    same_side = (measured.normal[pairs] * normal).sum(axis=1) > 0.5
+    result: NDArray[np.bool_] = np.isfinite(measured.gap[pairs]) & same_side
     return result
 
 
-def _pull(own: Assembly, rows: NDArray[np.int_], wanted: Array) -> Array:
-    """Returns the change (6 bodies,) of least kinetic energy that changes rows of H by ``wanted``."""
+def _least_energy_change(own: Assembly, rows: NDArray[np.int_], targets: Array) -> Array:
+    """Returns the change (6 bodies,) of least kinetic energy that changes rows of H by ``targets``."""
     H = own.rows[rows]
     response = own.inverse_mass @ H.T
-    return response @ np.linalg.lstsq(H @ response, wanted, rcond=1.0e-11)[0]
+    return response @ np.linalg.lstsq(H @ response, targets, rcond=1.0e-11)[0]
 
 
-def held(view: View, hold: Hold) -> tuple[Array, Array]:
+def contact_margins(evaluated: EvaluatedState, held_contacts: HeldContacts) -> tuple[Array, Array]:
     """Returns how far contacts that are held are from parting and sliding (contacts,) [N]; ∞: they cannot."""
-    normal = view.force[:, 0]
-    sticks = (hold.mode == MODE_STICK) & (view.assembly.mu_static > 0.0)
-    left = view.assembly.mu_static * normal - np.linalg.norm(view.force[:, 1:], axis=1)
-    return normal, np.where(sticks, left, np.inf)
+    normal = evaluated.force[:, 0]
+    sticks = (held_contacts.mode == MODE_STICK) & (evaluated.assembly.mu_static > 0.0)
+    friction_reserve = evaluated.assembly.mu_static * normal - np.linalg.norm(evaluated.force[:, 1:], axis=1)
+    return normal, np.where(sticks, friction_reserve, np.inf)

@@ -100,11 +100,15 @@ class _Expected:
                 return "collider" if self.carriers.get(name, carrier) == carrier else None
         return None
 
-    def _named(self, prim: str, mark: Any) -> bool:
+    def _named(self, prim: str, store_element_name: Any) -> bool:
         """Whether the name of a prim is that of the element whose name it is marked with."""
         from pxr import Tf
 
         if prim in self.names:
-            return self.names[prim] == mark
+            return self.names[prim] == store_element_name
         # Contacts that a coupling made are elements which the description does not list.
-        return isinstance(mark, str) and mark not in self.names.values() and Tf.MakeValidIdentifier(mark) == prim
+        return (
+            isinstance(store_element_name, str)
+            and store_element_name not in self.names.values()
+            and Tf.MakeValidIdentifier(store_element_name) == prim
+        )

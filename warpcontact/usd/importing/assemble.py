@@ -14,10 +14,10 @@ from warpcontact.kernels.motions import Fixed, Prescribed
 from warpcontact.scene import Scene
 from warpcontact.usd.importing.contact_materials import FRICTION, PhysicsMaterial
 from warpcontact.usd.importing.errors import UsdError, shortened
-from warpcontact.usd.importing.findings import Unsupported, Wrong
-from warpcontact.usd.importing.forms import Part, part_of
+from warpcontact.usd.importing.findings import InvalidValue, Unsupported
+from warpcontact.usd.importing.forms import ColliderShape, collider_shape
 from warpcontact.usd.importing.solids import Weight
-from warpcontact.usd.importing.touching import Collider, Touching
+from warpcontact.usd.importing.touching import Collider, ContactBuilder
 
 #: Density where nothing says one [kg/m³].
 DENSITY = 1000.0
@@ -25,7 +25,7 @@ DENSITY = 1000.0
 _LONGEST = 60
 
 
-def assembled(
+def build_scene(
     physics: dict[str, Any],
     subject: str,
     *,
@@ -58,25 +58,27 @@ class _Assembly:
             list(findings[key]) for key in ("wrong", "unsupported", "remarks")
         )
         paths = [one["path"] for one in (*physics["bodies"], *physics["colliders"])]
-        names = names_of(paths)
+        names = element_names(paths)
         self.body_names, self.collider_names = names[: len(physics["bodies"])], names[len(physics["bodies"]) :]
 
     def scene(
         self, subject: str, material: ContactMaterial | None, contact_time: float, samples: int | str, skip: bool
     ) -> Scene:
-        found = [self._tried(one, partial(self._part, one, name)) for one, name in self._named_colliders()]
+        found = [
+            self._collect_errors(one, partial(self._part, one, name)) for one, name in self._named_colliders()
+        ]
         scene = Scene(self.physics["gravity"])
         bodies: list[Body | None] = []
         centres = []
-        carried: list[list[tuple[dict[str, Any], Part]]] = [[] for _ in self.body_names]
+        carried: list[list[tuple[dict[str, Any], ColliderShape]]] = [[] for _ in self.body_names]
         for collider, part in zip(self.physics["colliders"], found, strict=True):
             if collider["body"] >= 0 and part is not None:
                 carried[collider["body"]].append((collider, part))
-        for record, name, own in zip(self.physics["bodies"], self.body_names, carried, strict=True):
-            made = self._tried(record, partial(self._body, scene, record, name, own))
+        for record, name, geometry in zip(self.physics["bodies"], self.body_names, carried, strict=True):
+            made = self._collect_errors(record, partial(self._body, scene, record, name, geometry))
             bodies.append(made)
             centres.append(np.zeros(3) if made is None else _local(record, made.position))
-        self._refuse(subject, skip)
+        self._raise_problems(subject, skip)
         colliders: list[Collider] = []
         numbers = np.full(len(found), -1)  # among those that are not left out
         for i, ((record, name), one) in enumerate(zip(self._named_colliders(), found, strict=True)):
@@ -87,19 +89,23 @@ class _Assembly:
             numbers[i] = len(colliders)
             colliders.append(self._collider(record, name, carrier, one, shift))
         for one in colliders:
-            self._tried({"path": one.path}, partial(one.add, scene))
-        touching = Touching(scene, material, contact_time, samples)
+            self._collect_errors({"path": one.path}, partial(one.add, scene))
+        contact_builder = ContactBuilder(scene, material, contact_time, samples)
         apart = numbers[self.physics["apart"]]
-        self._tried({"path": "/"}, partial(touching.add, colliders, apart[(apart >= 0).all(axis=1)]))
-        self._refuse(subject, skip)
-        bare = sum(record["material"] is None for record in self.physics["colliders"])
-        if bare and material is None:
-            self.remarks.append(f"{bare} colliders have no physics material: friction {FRICTION}, restitution 0")
+        self._collect_errors(
+            {"path": "/"}, partial(contact_builder.add, colliders, apart[(apart >= 0).all(axis=1)])
+        )
+        self._raise_problems(subject, skip)
+        without_material = sum(record["material"] is None for record in self.physics["colliders"])
+        if without_material and material is None:
+            self.remarks.append(
+                f"{without_material} colliders have no physics material: friction {FRICTION}, restitution 0"
+            )
         scene.suggested_dt = self.physics["stepping"]["dt"]
         scene.suggested_iterations = self.physics["stepping"]["iterations"]
         scene.import_warnings = (
             *self.remarks,
-            *touching.remarks,
+            *contact_builder.remarks,
             *(f"left out: {one}" for one in self.unsupported),
         )
         return scene
@@ -107,7 +113,7 @@ class _Assembly:
     def _named_colliders(self) -> list[tuple[dict[str, Any], str]]:
         return list(zip(self.physics["colliders"], self.collider_names, strict=True))
 
-    def _tried(self, record: dict[str, Any], make: Callable[[], Any]) -> Any:
+    def _collect_errors(self, record: dict[str, Any], make: Callable[[], Any]) -> Any:
         try:
             return make()
         except Unsupported as error:
@@ -116,45 +122,49 @@ class _Assembly:
             self.wrong.append(f"{shortened(record['path'])}: {error}")
         return None
 
-    def _refuse(self, subject: str, skip: bool) -> None:
+    def _raise_problems(self, subject: str, skip: bool) -> None:
         problems = self.wrong + ([] if skip else [f"{one} (not supported)" for one in self.unsupported])
         if problems:
             raise UsdError(subject, problems)
 
-    def _part(self, record: dict[str, Any], name: str) -> Part:
+    def _part(self, record: dict[str, Any], name: str) -> ColliderShape:
         """Returns a collider in the frame of its body, the origin of which is that of the prim."""
         shape, placement = record["shape"], record["placement"]
         if record["body"] < 0:
-            return part_of(shape, placement[:3, :3], placement[:3, 3], name, filled=False)
+            return collider_shape(shape, placement[:3, :3], placement[:3, 3], name, filled=False)
         carrier = self.physics["bodies"][record["body"]]
-        linear, place = carrier["turn"].T @ placement[:3, :3], _local(carrier, placement[:3, 3])
-        return part_of(shape, linear, place, name, filled=True)
+        linear, position = carrier["turn"].T @ placement[:3, :3], _local(carrier, placement[:3, 3])
+        return collider_shape(shape, linear, position, name, filled=True)
 
     def _body(
-        self, scene: Scene, record: dict[str, Any], name: str, colliders: list[tuple[dict[str, Any], Part]]
+        self,
+        scene: Scene,
+        record: dict[str, Any],
+        name: str,
+        colliders: list[tuple[dict[str, Any], ColliderShape]],
     ) -> Body:
-        turn = record["turn"]
+        rotation = record["turn"]
         weight = self._weight(record, colliders)
         still = not (record["velocity"].any() or record["angular_velocity"].any())
         motion = None if not record["kinematic"] else Fixed() if still else Prescribed()
         return scene.add_body(
             mass=weight.mass,
             inertia=weight.inertia,
-            position=record["placement"][:3, 3] + turn @ weight.centre,
-            orientation=Rotation.from_matrix(turn).as_quat(),
+            position=record["placement"][:3, 3] + rotation @ weight.centre,
+            orientation=Rotation.from_matrix(rotation).as_quat(),
             linear_velocity=record["velocity"],
             angular_velocity=record["angular_velocity"],
             motion=motion,
             name=name,
         )
 
-    def _weight(self, record: dict[str, Any], colliders: list[tuple[dict[str, Any], Part]]) -> Weight:
+    def _weight(self, record: dict[str, Any], colliders: list[tuple[dict[str, Any], ColliderShape]]) -> Weight:
         """Returns mass, centre and inertia of a body in its frame.
 
         What MassAPI says of the body comes before what it says of its colliders, and that before what follows
         from their volumes and densities.
         """
-        parts = [_weight_of(record, one, own) for one, own in colliders]
+        parts = [_weight_of(record, one, geometry) for one, geometry in colliders]
         weights = [part for part in parts if part is not None]
         weight = Weight.total(weights) if weights else None
         centre = None if record["centre"] is None else _local(record, record["centre"])
@@ -162,41 +172,45 @@ class _Assembly:
         if weight is None:
             complete = mass > 0.0 and moments is not None
             if not complete and not record["kinematic"]:
-                lacking = "physics:mass" if mass == 0.0 else "physics:diagonalInertia"
-                raise Wrong(f"it has neither {lacking} nor colliders with a volume to take it from")
+                missing = "physics:mass" if mass == 0.0 else "physics:diagonalInertia"
+                raise InvalidValue(f"it has neither {missing} nor colliders with a volume to take it from")
             origin = np.zeros(3) if centre is None else centre
             weight = Weight(mass or 1.0, origin, np.eye(3))
         if mass > 0.0:
             weight = weight.scaled(mass)
         if centre is not None:
-            weight = weight.about(centre)
+            weight = weight.with_center(centre)
         if moments is not None:
             weight = Weight(weight.mass, weight.centre, _tensor(moments, record["axes"]))
         return weight
 
-    def _collider(self, record: dict[str, Any], name: str, body: Body | None, own: Part, shift: Array) -> Collider:
-        self.remarks += [f"{shortened(record['path'])}: {remark}" for remark in own.remarks]
-        placed = Part(own.form, own.mesh, own.position - shift, own.orientation, own.solid)
+    def _collider(
+        self, record: dict[str, Any], name: str, body: Body | None, geometry: ColliderShape, shift: Array
+    ) -> Collider:
+        self.remarks += [f"{shortened(record['path'])}: {remark}" for remark in geometry.remarks]
+        placed = ColliderShape(
+            geometry.form, geometry.mesh, geometry.position - shift, geometry.orientation, geometry.solid
+        )
         moves = record["body"] >= 0 and not self.physics["bodies"][record["body"]]["kinematic"]
         material = PhysicsMaterial.of(record["material"])
         return Collider(record["path"], name, body, moves, placed, material, bool(record["visible"]))
 
 
-def _local(body: dict[str, Any], place: Array) -> Array:
+def _local(body: dict[str, Any], position: Array) -> Array:
     """Returns a place of the world in the frame of a body, the origin of which is that of its prim [m]."""
-    local: Array = body["turn"].T @ (place - body["placement"][:3, 3])
+    local: Array = body["turn"].T @ (position - body["placement"][:3, 3])
     return local
 
 
-def _weight_of(body: dict[str, Any], record: dict[str, Any], own: Part) -> Weight | None:
+def _weight_of(body: dict[str, Any], record: dict[str, Any], geometry: ColliderShape) -> Weight | None:
     """Returns the weight of a collider in the frame of its body; ``None`` if it has none."""
     # UsdPhysics: the density of a material has the lowest precedence.
     density = record["density"] or body["density"] or (record["material"] or {}).get("density") or DENSITY
-    if own.solid is None or not own.solid.volume > 0.0:
+    if geometry.solid is None or not geometry.solid.volume > 0.0:
         return None
-    weight = Weight.of(own.solid, record["mass"] or density * own.solid.volume)
+    weight = Weight.of(geometry.solid, record["mass"] or density * geometry.solid.volume)
     if record["centre"] is not None:
-        weight = weight.about(_local(body, record["centre"]))
+        weight = weight.with_center(_local(body, record["centre"]))
     if record["moments"] is not None:
         axes = body["turn"].T @ _rotation(record["placement"][:3, :3])
         weight = Weight(weight.mass, weight.centre, axes @ _tensor(record["moments"], record["axes"]) @ axes.T)
@@ -206,17 +220,17 @@ def _weight_of(body: dict[str, Any], record: dict[str, Any], own: Part) -> Weigh
 def _rotation(linear: Array) -> Array:
     """Returns the rotation nearest to a transformation."""
     left, _, right = np.linalg.svd(linear)
-    turn: Array = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
-    return turn
+    rotation: Array = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    return rotation
 
 
 def _tensor(moments: Array, axes: Array | None) -> Array:
     """Returns the inertia with these principal moments, about principal axes (quaternion to the body)."""
-    turn = np.eye(3) if axes is None else Rotation.from_quat(axes).as_matrix()
-    return turn @ np.diag(moments) @ turn.T
+    rotation = np.eye(3) if axes is None else Rotation.from_quat(axes).as_matrix()
+    return rotation @ np.diag(moments) @ rotation.T
 
 
-def names_of(paths: list[str]) -> list[str]:
+def element_names(paths: list[str]) -> list[str]:
     """Returns a name for each path of a prim: that of the prim, made valid and told apart by a number."""
     taken = {"scene"}
     last: dict[str, int] = {}  # number given to each name that several have

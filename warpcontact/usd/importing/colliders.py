@@ -6,7 +6,7 @@ import numpy as np
 
 from warpcontact.meshes.readers.polygons import triangulate
 from warpcontact.meshes.readers.usd import polygons, without_holes
-from warpcontact.usd.importing.findings import Unsupported, Wrong, number
+from warpcontact.usd.importing.findings import InvalidValue, Unsupported, number
 from warpcontact.usd.importing.schemas import has, value_of
 
 # What is done with a mesh, by what the stage asks for; other approximations have no counterpart.
@@ -36,7 +36,7 @@ def shape_of(prim: Any, time: Any, most_faces: int) -> dict[str, Any]:
     all but sphere, box and mesh have ``axes`` (3, 3), of which the rows are their x, y and z axes in that frame.
 
     Raises:
-        Wrong: If it makes no sense.
+        InvalidValue: If it makes no sense.
         Unsupported: If there is no counterpart for it.
     """
     from pxr import UsdGeom
@@ -71,7 +71,7 @@ def _length(prim: Any, name: str, time: Any) -> float:
 def _axes(prim: Any, time: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
     axis = str(prim.GetAttribute("axis").Get(time))
     if axis not in AXES:
-        raise Wrong(f"axis must be one of {', '.join(AXES)}, got {axis!r}")
+        raise InvalidValue(f"axis must be one of {', '.join(AXES)}, got {axis!r}")
     return np.array(AXES[axis])
 
 
@@ -81,18 +81,18 @@ def _mesh(prim: Any, time: Any, most_faces: int) -> dict[str, Any]:
     mesh = UsdGeom.Mesh(prim)
     vertices, counts, corners = polygons(mesh, time)
     if max(counts.sum() - 2 * len(counts), len(vertices) / 3) > most_faces:
-        raise Wrong(f"it has {len(counts)} faces or more; allowed: {most_faces} triangles, see Limits")
+        raise InvalidValue(f"it has {len(counts)} faces or more; allowed: {most_faces} triangles, see Limits")
     bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
     if len(bad):
-        raise Wrong(f"points[{bad[0]}] must be finite, got {vertices[bad[0]].tolist()}")
+        raise InvalidValue(f"points[{bad[0]}] must be finite, got {vertices[bad[0]].tolist()}")
     outside = np.flatnonzero((corners < 0) | (corners >= len(vertices)))
     if len(outside):
         got = corners[outside[0]]
-        raise Wrong(f"faceVertexIndices[{outside[0]}] must be from 0 to {len(vertices) - 1}, got {got}")
+        raise InvalidValue(f"faceVertexIndices[{outside[0]}] must be from 0 to {len(vertices) - 1}, got {got}")
     faces, owner = triangulate(vertices, counts, corners)
     faces = faces[without_holes(mesh, time, len(counts))[owner]]
     if not len(faces):
-        raise Wrong("the mesh has no faces")
+        raise InvalidValue("the mesh has no faces")
     if str(mesh.GetOrientationAttr().Get(time)) == "leftHanded":
         faces = faces[:, ::-1]
     asked = "none"

@@ -58,16 +58,16 @@ class PhysicsMaterial:
             **{key: record[key] for key in ("stiffness", "damping", "rolling", "torsion")},
         )
 
-    def with_other(self, other: "PhysicsMaterial") -> "PhysicsMaterial":
+    def with_other(self, second: "PhysicsMaterial") -> "PhysicsMaterial":
         """Returns the means of two materials; of a value that only one of them gives, that value."""
         return PhysicsMaterial(
-            static=0.5 * (self.static + other.static),
-            dynamic=0.5 * (self.dynamic + other.dynamic),
-            restitution=0.5 * (self.restitution + other.restitution),
-            stiffness=_mean(self.stiffness, other.stiffness),
-            damping=_mean(self.damping, other.damping),
-            rolling=_mean(self.rolling, other.rolling),
-            torsion=_mean(self.torsion, other.torsion),
+            static=0.5 * (self.static + second.static),
+            dynamic=0.5 * (self.dynamic + second.dynamic),
+            restitution=0.5 * (self.restitution + second.restitution),
+            stiffness=_mean(self.stiffness, second.stiffness),
+            damping=_mean(self.damping, second.damping),
+            rolling=_mean(self.rolling, second.rolling),
+            torsion=_mean(self.torsion, second.torsion),
         )
 
 
@@ -109,26 +109,26 @@ class ContactMaterials:
         self._elastic = 0  # contacts that take the damping of a material and not its restitution
         self._rolling: list[str] = []  # contacts without the rolling friction of a material
 
-    def between(
-        self, label: str, one: Side, other: Side, radius: float | None
+    def combine(
+        self, label: str, first: Side, second: Side, radius: float | None
     ) -> tuple[ContactMaterial, dict[str, Any]]:
         """Returns law and friction of a contact, and its options.
 
         Args:
             label: The contact in remarks.
-            one: One side.
-            other: The other one.
+            first: One side.
+            second: The other one.
             radius: Radius of rolling [m]; ``None``: none, or it depends on where both touch.
         """
         if self.given is not None:
             return self.given, {}
-        mixed = one.material.with_other(other.material)
+        mixed = first.material.with_other(second.material)
         if mixed.damping is not None and mixed.restitution > 0.0:
             self._elastic += 1
         if mixed.rolling and radius is None:
             self._rolling.append(label)
-        mass = 1.0 / (1.0 / one.mass + 1.0 / other.mass)
-        inertia = 1.0 / (1.0 / one.inertia + 1.0 / other.inertia)
+        mass = 1.0 / (1.0 / first.mass + 1.0 / second.mass)
+        inertia = 1.0 / (1.0 / first.inertia + 1.0 / second.inertia)
         key = (mass, *astuple(mixed), *((inertia, radius) if mixed.rolling or mixed.torsion else ()))
         if key not in self.made:
             self.made[key] = self._contact_material(mixed, mass, inertia, radius), _options(mixed)
@@ -192,7 +192,7 @@ def _options(mixed: PhysicsMaterial) -> dict[str, Any]:
     return {"torsion_radius": mixed.torsion} if mixed.torsion else {}
 
 
-def _mean(one: float | None, two: float | None) -> float | None:
-    if one is None or two is None:
-        return two if one is None else one
-    return 0.5 * (one + two)
+def _mean(first: float | None, second: float | None) -> float | None:
+    if first is None or second is None:
+        return second if first is None else first
+    return 0.5 * (first + second)

@@ -22,12 +22,12 @@ class UsdError(ValueError):
         if len(self.problems) > _LISTED:
             shown.append(f"and {len(self.problems) - _LISTED} more, in the attribute problems of this error")
         if len(self.problems) == 1:
-            super().__init__(hostile.visible(f"{subject}: {shown[0]}"))
+            super().__init__(hostile.escape_controls(f"{subject}: {shown[0]}"))
         else:
             listed = "".join(f"\n  - {o}" for o in shown)
-            super().__init__(hostile.visible(f"{subject} has {len(self.problems)} problems:{listed}"))
+            super().__init__(hostile.escape_controls(f"{subject} has {len(self.problems)} problems:{listed}"))
 
 
 def shortened(text: object, most: int = 120) -> str:
     """Returns a text in one line, its middle left out if it is longer than ``most``, for paths end in names."""
-    return hostile.shortened(hostile.in_one_line(text), most, middle=True)
+    return hostile.truncate(hostile.single_line(text), most, middle=True)

@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from warpcontact.usd.importing.findings import Wrong
+from warpcontact.usd.importing.findings import InvalidValue
 
 # Pairs beyond this number are no scene that anyone wrote.
 _MOST_PAIRS = 5_000_000
 
 
-def apart(
+def excluded_pairs(
     stage: Any, paths: Sequence[str], owners: Sequence[str | None], rigid: Collection[Any]
 ) -> npt.NDArray[np.int64]:
     """Returns the pairs of colliders that do not touch, (n, 2), by their numbers among ``paths``.
@@ -24,7 +24,7 @@ def apart(
         rigid: Paths of all rigid bodies.
 
     Raises:
-        Wrong: If there are too many.
+        InvalidValue: If there are too many.
     """
     from pxr import Sdf, Usd, UsdPhysics
 
@@ -35,9 +35,9 @@ def apart(
     groups = [UsdPhysics.CollisionGroup(prim) for prim in prims if prim.IsA(UsdPhysics.CollisionGroup)]
     members = {group.GetPath(): _members(group, colliders) for group in groups}
     grouped = set().union(*members.values())
-    alone = [i for i in range(len(colliders)) if i not in grouped]
-    for first, second in _apart(groups):
-        _add(found, members[first.GetPath()], alone if second is None else members[second.GetPath()])
+    ungrouped = [i for i in range(len(colliders)) if i not in grouped]
+    for first, second in _excluded_groups(groups):
+        _add(found, members[first.GetPath()], ungrouped if second is None else members[second.GetPath()])
 
     def below(root: Any) -> list[int]:
         # A body stands for its own colliders, without those of bodies that are nested in it.
@@ -52,7 +52,7 @@ def apart(
     return np.array(sorted(found), dtype=np.int64).reshape(-1, 2)
 
 
-def _apart(groups: Sequence[Any]) -> Iterator[tuple[Any, Any | None]]:
+def _excluded_groups(groups: Sequence[Any]) -> Iterator[tuple[Any, Any | None]]:
     """Iterates over the pairs of groups that do not touch; a group may be one of a pair with itself.
 
     The second is ``None`` for the colliders that are in no group, which an inverted group does not touch.
@@ -83,4 +83,4 @@ def _add(found: set[tuple[int, int]], own: Iterable[int], others: Sequence[int])
     for i in own:
         found.update((min(i, j), max(i, j)) for j in others if i != j)
         if len(found) > _MOST_PAIRS:
-            raise Wrong(f"more than {_MOST_PAIRS} pairs of colliders are filtered")
+            raise InvalidValue(f"more than {_MOST_PAIRS} pairs of colliders are filtered")

@@ -25,11 +25,11 @@ class Findings:
     unsupported: list[str] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
 
-    def blame(self, prim: Any, reason: object) -> None:
+    def add_invalid(self, prim: Any, reason: object) -> None:
         """Notes that a prim makes no sense."""
         self.wrong.append(f"{path_of(prim)}: {reason}")
 
-    def pass_over(self, prim: Any, reason: object) -> None:
+    def add_unsupported(self, prim: Any, reason: object) -> None:
         """Notes that there is no counterpart for a prim."""
         self.unsupported.append(f"{path_of(prim)}: {reason}")
 
@@ -38,7 +38,7 @@ class Findings:
         self.remarks.append(f"{path_of(prim)}: {text}")
 
 
-class Wrong(ValueError):
+class InvalidValue(ValueError):
     """A value of a prim that makes no sense, in words; the prim is known."""
 
 
@@ -71,7 +71,7 @@ def number(
         fallback: What a value is that is nowhere given.
 
     Raises:
-        Wrong: If it is not finite or out of range.
+        InvalidValue: If it is not finite or out of range.
     """
     value = float(value_of(attribute, time, fallback))
     if not (-inf < value < inf and least <= value <= most and value > above):
@@ -80,7 +80,7 @@ def number(
             *([f"at least {least:g}"] if least > -inf else []),
             *([f"at most {most:g}"] if most < inf else []),
         ]
-        raise Wrong(f"{attribute.GetName()} must be {' and '.join(rules) or 'finite'}, got {value:g}")
+        raise InvalidValue(f"{attribute.GetName()} must be {' and '.join(rules) or 'finite'}, got {value:g}")
     return value
 
 
@@ -88,9 +88,9 @@ def vector(attribute: Any, time: Any, size: int = 3) -> npt.NDArray[np.float64]:
     """Returns the numbers of an attribute, zero if it has no value.
 
     Raises:
-        Wrong: If one of them is not finite.
+        InvalidValue: If one of them is not finite.
     """
     values = np.array(value_of(attribute, time, np.zeros(size)), dtype=np.float64)
     if values.shape != (size,) or not np.isfinite(values).all():
-        raise Wrong(f"{attribute.GetName()} must be {size} finite numbers, got {values.tolist()}")
+        raise InvalidValue(f"{attribute.GetName()} must be {size} finite numbers, got {values.tolist()}")
     return values

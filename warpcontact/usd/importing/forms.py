@@ -15,7 +15,7 @@ from warpcontact.meshes.repair import repaired
 from warpcontact.meshes.topology import area_vectors
 from warpcontact.usd.importing import solids
 from warpcontact.usd.importing.colliders import APPROXIMATIONS
-from warpcontact.usd.importing.findings import Unsupported, Wrong
+from warpcontact.usd.importing.findings import InvalidValue, Unsupported
 
 # Scales, and right angles between axes, are equal but for so much: more than rounding to float32.
 _EQUAL = 1.0e-5
@@ -26,7 +26,7 @@ REACH = 1000.0
 
 
 @dataclass(frozen=True)
-class Part:
+class ColliderShape:
     """A collider in the frame of its body, or of the world.
 
     Attributes:
@@ -53,55 +53,63 @@ class Part:
         return triangles(self.form, name)
 
 
-def part_of(shape: dict[str, Any], linear: Array, place: Array, name: str, *, filled: bool) -> Part:
+def collider_shape(
+    shape: dict[str, Any], linear: Array, position: Array, name: str, *, filled: bool
+) -> ColliderShape:
     """Returns what a collider is.
 
     Args:
         shape: As ``colliders.shape_of`` returns it.
         linear: From its prim to the frame of its body, (3, 3), with all scales [m].
-        place: Origin of its prim in that frame (3,) [m].
+        position: Origin of its prim in that frame (3,) [m].
         name: For its mesh.
         filled: Whether it is sure to be a solid, and no room.
 
     Raises:
-        Wrong: If its mesh cannot carry contact.
+        InvalidValue: If its mesh cannot carry contact.
         Unsupported: If its transformation makes no shape of it.
     """
     kind = shape["kind"]
     if kind == "mesh":
-        return _mesh(shape, linear, place, name, filled)
+        return _mesh(shape, linear, position, name, filled)
     if kind == "sphere":
-        return _sphere(shape["radius"], linear, place)
+        return _sphere(shape["radius"], linear, position)
     if kind == "box":
-        return _box(shape["half"], linear, place)
+        return _box(shape["half"], linear, position)
     if kind == "plane":
         normal = np.linalg.solve(linear.T, shape["axes"][2])
-        aside = np.linalg.svd(normal[None])[2][1]
-        return Part(shapes.Plane(), None, place, _turn(aside, normal), None)
-    return _about_axis(shape, linear, place)
+        tangent = np.linalg.svd(normal[None])[2][1]
+        return ColliderShape(shapes.Plane(), None, position, _rotation_from_axes(tangent, normal), None)
+    return _about_axis(shape, linear, position)
 
 
-def _turn(u: Array, w: Array) -> Array:
+def _rotation_from_axes(u: Array, w: Array) -> Array:
     """Returns the rotation whose x and z axes are along two directions at right angles."""
     x, z = u / np.linalg.norm(u), w / np.linalg.norm(w)
     return Rotation.from_matrix(np.column_stack([x, np.cross(z, x), z])).as_quat()
 
 
-def _sphere(radius: float, linear: Array, place: Array) -> Part:
+def _sphere(radius: float, linear: Array, position: Array) -> ColliderShape:
     axes, sizes, _ = np.linalg.svd(linear)
-    solid = solids.ball(radius).placed(linear, place)
+    solid = solids.ball(radius).transformed(linear, position)
     if sizes[0] - sizes[2] <= _EQUAL * sizes[0]:
-        return Part(shapes.Sphere(radius * float(sizes.mean())), None, place, np.array([0.0, 0, 0, 1]), solid)
+        return ColliderShape(
+            shapes.Sphere(radius * float(sizes.mean())), None, position, np.array([0.0, 0, 0, 1]), solid
+        )
     semi_axes: Any = tuple((radius * sizes).tolist())
-    return Part(shapes.Ellipsoid(semi_axes), None, place, _turn(axes[:, 0], axes[:, 2]), solid)
+    return ColliderShape(
+        shapes.Ellipsoid(semi_axes), None, position, _rotation_from_axes(axes[:, 0], axes[:, 2]), solid
+    )
 
 
-def _box(half: Array, linear: Array, place: Array) -> Part:
+def _box(half: Array, linear: Array, position: Array) -> ColliderShape:
     lengths = np.linalg.norm(linear, axis=0)
     _check_square(linear / lengths, "box")
     extents: Any = tuple((half * lengths).tolist())
-    solid = solids.cuboid(half).placed(linear, place)
-    return Part(shapes.RoundedBox(extents), None, place, _turn(linear[:, 0], linear[:, 2]), solid)
+    solid = solids.cuboid(half).transformed(linear, position)
+    return ColliderShape(
+        shapes.RoundedBox(extents), None, position, _rotation_from_axes(linear[:, 0], linear[:, 2]), solid
+    )
 
 
 def _check_square(axes: Array, kind: str) -> None:
@@ -109,62 +117,64 @@ def _check_square(axes: Array, kind: str) -> None:
         raise Unsupported(f"a {kind} that is sheared")
 
 
-def _about_axis(shape: dict[str, Any], linear: Array, place: Array) -> Part:
+def _about_axis(shape: dict[str, Any], linear: Array, position: Array) -> ColliderShape:
     kind, radius, half, frame = shape["kind"], shape["radius"], shape["half"], shape["axes"].T
-    own = linear @ frame  # columns: x, y and z of the shape in the frame of the body
-    lengths = np.linalg.norm(own, axis=0)
-    _check_square(own / lengths, kind)
+    shape_axes = linear @ frame  # columns: x, y and z of the shape in the frame of the body
+    lengths = np.linalg.norm(shape_axes, axis=0)
+    _check_square(shape_axes / lengths, kind)
     if abs(lengths[0] - lengths[1]) > _EQUAL * lengths[0]:
         raise Unsupported(f"a {kind} that is scaled unevenly around its axis, by {lengths[:2].tolist()}")
     if kind == "capsule" and abs(lengths[2] - lengths[0]) > _EQUAL * lengths[0]:
         raise Unsupported(f"a capsule that is scaled unevenly, by {lengths.tolist()}")
-    solid_of = {"capsule": solids.pill, "cylinder": solids.rod, "cone": solids.cone}[kind]
-    solid = solid_of(radius, half).placed(own, place)
-    thick, long = radius * float(lengths[0]), half * float(lengths[2])
-    orientation = _turn(own[:, 0], own[:, 2])
+    make_solid = {"capsule": solids.capsule, "cylinder": solids.rod, "cone": solids.cone}[kind]
+    solid = make_solid(radius, half).transformed(shape_axes, position)
+    scaled_radius, scaled_half = radius * float(lengths[0]), half * float(lengths[2])
+    orientation = _rotation_from_axes(shape_axes[:, 0], shape_axes[:, 2])
     if kind == "capsule":
-        return Part(shapes.Capsule(thick, long), None, place, orientation, solid)
+        return ColliderShape(shapes.Capsule(scaled_radius, scaled_half), None, position, orientation, solid)
     if kind == "cylinder":
-        return Part(shapes.Cylinder(thick, long), None, place, orientation, solid)
-    return Part(shapes.Cone(thick, 2.0 * long), None, place - half * own[:, 2], orientation, solid)
+        return ColliderShape(shapes.Cylinder(scaled_radius, scaled_half), None, position, orientation, solid)
+    return ColliderShape(
+        shapes.Cone(scaled_radius, 2.0 * scaled_half), None, position - half * shape_axes[:, 2], orientation, solid
+    )
 
 
-def _mesh(shape: dict[str, Any], linear: Array, place: Array, name: str, filled: bool) -> Part:
-    vertices, faces, asked = shape["vertices"], shape["faces"], shape["approximation"]
+def _mesh(shape: dict[str, Any], linear: Array, position: Array, name: str, filled: bool) -> ColliderShape:
+    vertices, faces, approximation_name = shape["vertices"], shape["faces"], shape["approximation"]
     used = vertices[np.unique(faces)]
-    way = APPROXIMATIONS[asked]
-    if way == "box":
+    approximation = APPROXIMATIONS[approximation_name]
+    if approximation == "box":
         lower, upper = used.min(axis=0), used.max(axis=0)
         if (upper <= lower).any():
-            raise Wrong(f"the box around its points must have a volume, got {(upper - lower).tolist()}")
-        return _box(0.5 * (upper - lower), linear, place + linear @ (0.5 * (lower + upper)))
+            raise InvalidValue(f"the box around its points must have a volume, got {(upper - lower).tolist()}")
+        return _box(0.5 * (upper - lower), linear, position + linear @ (0.5 * (lower + upper)))
     points = used @ linear.T
-    if way == "sphere":
+    if approximation == "sphere":
         middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
         radius = float(np.linalg.norm(points - middle, axis=1).max())
-        return _sphere(radius, np.eye(3), place + middle)
+        return _sphere(radius, np.eye(3), position + middle)
     remarks = []
-    if way == "hull":
+    if approximation == "hull":
         mesh = hull(points, name)
     else:
-        if asked != "none":
-            remarks.append(f"the approximation {asked} is not carried out: the mesh itself touches")
-        turned = faces[:, ::-1] if np.linalg.det(linear) < 0.0 else faces
-        mesh = _sound(vertices @ linear.T, turned, name, remarks)
-        if mesh.report.orientation == "inward" and (filled or asked != "none"):
+        if approximation_name != "none":
+            remarks.append(f"the approximation {approximation_name} is not carried out: the mesh itself touches")
+        flipped = faces[:, ::-1] if np.linalg.det(linear) < 0.0 else faces
+        mesh = _repaired_if_needed(vertices @ linear.T, flipped, name, remarks)
+        if mesh.report.orientation == "inward" and (filled or approximation_name != "none"):
             mesh = mesh.flipped()
             remarks.append("its faces looked inward and were turned: it is a solid")
-    solid = solids.enclosed(mesh)
+    solid = solids.mesh_solid(mesh)
     if solid is None and mesh.report.closed is False:
         try:
-            solid = solids.enclosed(hull(points, name))
-        except Wrong:
+            solid = solids.mesh_solid(hull(points, name))
+        except InvalidValue:
             solid = None  # a flat one weighs nothing
-    placed = None if solid is None else solid.placed(np.eye(3), place)
-    return Part(None, mesh, place, np.array([0.0, 0.0, 0.0, 1.0]), placed, tuple(remarks))
+    placed = None if solid is None else solid.transformed(np.eye(3), position)
+    return ColliderShape(None, mesh, position, np.array([0.0, 0.0, 0.0, 1.0]), placed, tuple(remarks))
 
 
-def _sound(vertices: Array, faces: Any, name: str, remarks: list[str]) -> Mesh:
+def _repaired_if_needed(vertices: Array, faces: Any, name: str, remarks: list[str]) -> Mesh:
     """Returns a mesh as it is, or else repaired."""
     try:
         return Mesh(vertices, faces, name=name)
@@ -172,7 +182,7 @@ def _sound(vertices: Array, faces: Any, name: str, remarks: list[str]) -> Mesh:
         try:
             mesh = repaired(_Triangles(vertices, faces), name=name)
         except MeshError as error:
-            raise Wrong(error) from error
+            raise InvalidValue(error) from error
     remarks += [f"its mesh was repaired: {step.text}" for step in mesh.report.repairs if step.count]
     return mesh
 
@@ -187,18 +197,18 @@ def hull(points: Array, name: str) -> Mesh:
     """Returns the convex hull of points (n, 3).
 
     Raises:
-        Wrong: If they lie in a plane.
+        InvalidValue: If they lie in a plane.
     """
     try:
         found = ConvexHull(points)
     except (QhullError, ValueError) as error:
-        raise Wrong("the convex hull of its points has no volume: they lie in a plane") from error
+        raise InvalidValue("the convex hull of its points has no volume: they lie in a plane") from error
     faces, corners = found.simplices, points[found.simplices]
     outward = area_vectors(corners)
     back = (outward * found.equations[:, :3]).sum(axis=1) < 0.0
     faces = np.where(back[:, None], faces[:, ::-1], faces)
     used, numbers = np.unique(faces, return_inverse=True)
-    return _sound(points[used], numbers.reshape(-1, 3), name, [])
+    return _repaired_if_needed(points[used], numbers.reshape(-1, 3), name, [])
 
 
 def triangles(form: Form, name: str) -> Mesh:

@@ -52,11 +52,11 @@ class Prims:
     colliders: list[Any] = field(default_factory=list)
 
 
-def sorted_out(stage: Any, findings: Findings) -> Prims:
+def find_prims(stage: Any, findings: Findings) -> Prims:
     """Returns the prims of physics of a stage, instances as well; notes those that there is no counterpart for."""
     from pxr import Usd, UsdGeom, UsdPhysics
 
-    prims, tuning, looks = Prims(), Counter[str](), 0
+    prims, tuning, attributes = Prims(), Counter[str](), 0
     time = Usd.TimeCode.EarliestTime()
     instanced = _prototypes(stage)
     walk = iter(below(stage.GetPseudoRoot()))
@@ -64,11 +64,11 @@ def sorted_out(stage: Any, findings: Findings) -> Prims:
         if prim.GetPath() in instanced or prim.IsA(UsdGeom.PointInstancer):
             physical = next((one for one in below(prim) if _is_physical(one)), None)
             if physical is not None:
-                findings.pass_over(physical, "physics of a PointInstancer")
+                findings.add_unsupported(physical, "physics of a PointInstancer")
             walk.PruneChildren()
             continue
         for reason in reasons(prim):
-            findings.pass_over(prim, reason)
+            findings.add_unsupported(prim, reason)
         tuning.update(name for name in applied(prim) if _is_tuning(name))
         if prim.IsA(UsdPhysics.Scene):
             prims.scenes.append(prim)
@@ -86,11 +86,11 @@ def sorted_out(stage: Any, findings: Findings) -> Prims:
                 findings.remark(prim, "it has no shape to collide with; those below it that collide are read")
             else:
                 kind = prim.GetTypeName() or "no type"
-                findings.pass_over(prim, f"a collider of type {kind}, which has no shape of its own")
+                findings.add_unsupported(prim, f"a collider of type {kind}, which has no shape of its own")
         elif prim.IsA(UsdGeom.Gprim):
-            looks += 1
-    if looks and (prims.bodies or prims.colliders):
-        findings.remarks.append(f"{looks} shapes without CollisionAPI are for looks and were left out")
+            attributes += 1
+    if attributes and (prims.bodies or prims.colliders):
+        findings.remarks.append(f"{attributes} shapes without CollisionAPI are for looks and were left out")
     if tuning:
         listed = ", ".join(f"{count} {name}" for name, count in sorted(tuning.items()))
         findings.remarks.append(f"settings of other programs were not looked at: {listed}")

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from warpcontact.usd.importing.findings import Wrong, number, vector
+from warpcontact.usd.importing.findings import InvalidValue, number, vector
 from warpcontact.usd.importing.schemas import has, is_authored, value_of
 
 Array = npt.NDArray[np.float64]
@@ -31,7 +31,7 @@ def read_mass(prim: Any, placement: Array, time: Any, metres: float, kilograms: 
         not given.
 
     Raises:
-        Wrong: If a value is out of range.
+        InvalidValue: If a value is out of range.
     """
     from pxr import UsdPhysics
 
@@ -46,7 +46,7 @@ def read_mass(prim: Any, placement: Array, time: Any, metres: float, kilograms: 
         moments, axes = vector(api.GetDiagonalInertiaAttr(), time), _axes(api, time)
     if moments.any():
         if (moments < 0.0).any():
-            raise Wrong(f"physics:diagonalInertia must be positive, got {moments.tolist()}")
+            raise InvalidValue(f"physics:diagonalInertia must be positive, got {moments.tolist()}")
         found["moments"], found["axes"] = kilograms * metres**2 * moments, axes
     # The fallback, -inf in all components, means that it is not given.
     if value_of(api.GetCenterOfMassAttr(), time, (-inf,) * 3) != (-inf,) * 3:
@@ -63,7 +63,7 @@ def _axes(api: Any, time: Any) -> Array | None:
     turn = np.array([*axes.GetImaginary(), axes.GetReal()], dtype=np.float64)
     length = float(np.linalg.norm(turn))
     if not isfinite(length):
-        raise Wrong(f"physics:principalAxes must be finite, got {turn.tolist()}")
+        raise InvalidValue(f"physics:principalAxes must be finite, got {turn.tolist()}")
     return turn / length if length > 0.0 else None
 
 
@@ -75,11 +75,11 @@ def _tensor(prim: Any, time: Any) -> tuple[Array | None, Array | None]:
         return None, None
     values = np.array(given, dtype=np.float64)
     if values.shape != (6,) or not np.isfinite(values).all():
-        raise Wrong(f"newton:inertia must be 6 finite numbers, got {values.tolist()}")
+        raise InvalidValue(f"newton:inertia must be 6 finite numbers, got {values.tolist()}")
     xx, yy, zz, xy, xz, yz = values
     moments, axes = np.linalg.eigh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     if moments[0] < -_ROUNDING * moments[2] or not moments[2] > 0.0:
-        raise Wrong(f"newton:inertia must have positive principal moments, got {moments.tolist()}")
+        raise InvalidValue(f"newton:inertia must have positive principal moments, got {moments.tolist()}")
     if np.linalg.det(axes) < 0.0:
         axes[:, 0] = -axes[:, 0]
     return np.maximum(moments, 0.0), Rotation.from_matrix(axes).as_quat()

@@ -38,7 +38,7 @@ def read_material(prim: Any, time: Any, metres: float, kilograms: float, finding
         ``torsion`` [m], ``None`` if not authored; ``density`` [kg/m³], 0 if not authored.
 
     Raises:
-        Wrong: If a value is out of range.
+        InvalidValue: If a value is out of range.
     """
     from pxr import UsdPhysics
 

@@ -5,7 +5,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from warpcontact.meshes.isolation import Limits, array_of, header_of, nonsense
+from warpcontact.meshes.isolation import Limits, array_of, header_of, unexpected_answer
 from warpcontact.meshes.readers.unreadable import Unreadable
 
 # No name of USD: what stands for an array in the header.
@@ -46,9 +46,9 @@ def unpack(output: IO[bytes], limits: Limits) -> Any:
         header = header_of(output, limits)
         shapes = [(str(kind), [int(size) for size in shape]) for kind, *shape in header["arrays"]]
         if any(kind not in _TYPES or min(shape, default=0) < 0 for kind, shape in shapes):
-            raise nonsense("arrays of unknown types")
+            raise unexpected_answer("arrays of unknown types")
         if sum(np.dtype(kind).itemsize * prod(shape) for kind, shape in shapes) > limits.memory:
-            raise nonsense("more than is allowed")
+            raise unexpected_answer("more than is allowed")
         arrays = [array_of(output, prod(shape), kind).reshape(shape) for kind, shape in shapes]
 
         def put(value: Any) -> Any:
@@ -60,4 +60,4 @@ def unpack(output: IO[bytes], limits: Limits) -> Any:
     except (Unreadable, EOFError):
         raise
     except (ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError, RecursionError) as error:
-        raise nonsense(f"{type(error).__name__}: {error}") from error
+        raise unexpected_answer(f"{type(error).__name__}: {error}") from error

@@ -13,8 +13,8 @@ import numpy.typing as npt
 from warpcontact.meshes.readers.unreadable import Unreadable
 from warpcontact.usd.importing import kinds
 from warpcontact.usd.importing.colliders import shape_of
-from warpcontact.usd.importing.filters import apart
-from warpcontact.usd.importing.findings import Findings, Unsupported, Wrong, path_of, vector
+from warpcontact.usd.importing.filters import excluded_pairs
+from warpcontact.usd.importing.findings import Findings, InvalidValue, Unsupported, path_of, vector
 from warpcontact.usd.importing.masses import read_mass
 from warpcontact.usd.importing.materials import is_material, read_material
 from warpcontact.usd.importing.schemas import is_authored, value_of
@@ -39,7 +39,7 @@ def read_physics(stage: Any, most_faces: int) -> dict[str, Any]:
 
     Returns:
         ``gravity`` (3,) [m/s²]; ``stepping``, see ``Stepping``; ``bodies`` and ``colliders``, see ``_Reader``;
-        ``apart``, pairs of numbers of colliders that do not touch (n, 2); and the ``Findings``.
+        ``excluded_pairs``, pairs of numbers of colliders that do not touch (n, 2); and the ``Findings``.
 
     Raises:
         Unreadable: If it has too many rigid bodies or colliders.
@@ -86,17 +86,21 @@ class _Reader:
 
     def read(self) -> dict[str, Any]:
         self.metres, self.kilograms, self.up = self._units()
-        prims = kinds.sorted_out(self.stage, self.findings)
+        prims = kinds.find_prims(self.stage, self.findings)
         for what, count in (("rigid bodies", len(prims.bodies)), ("colliders", len(prims.colliders))):
             if count > MOST:
                 raise Unreadable(f"it has {count} {what}; allowed: {MOST}")
         self.rigid = {prim.GetPath() for prim in prims.bodies}
-        bodies = [found for prim in prims.bodies if (found := self._tried(prim, self._body)) is not None]
-        colliders = [found for prim in prims.colliders if (found := self._tried(prim, self._collider)) is not None]
+        bodies = [found for prim in prims.bodies if (found := self._collect_errors(prim, self._body)) is not None]
+        colliders = [
+            found for prim in prims.colliders if (found := self._collect_errors(prim, self._collider)) is not None
+        ]
         gravity, stepping = self._gravity(prims.scenes), self._stepping(prims.scenes)
         owners = [bodies[one["body"]]["path"] if one["body"] >= 0 else None for one in colliders]
         paths = [one["path"] for one in colliders]
-        pairs = self._tried(self.stage.GetPseudoRoot(), lambda root: apart(self.stage, paths, owners, self.rigid))
+        pairs = self._collect_errors(
+            self.stage.GetPseudoRoot(), lambda root: excluded_pairs(self.stage, paths, owners, self.rigid)
+        )
         self._remark_nested()
         if not prims.bodies and not prims.colliders and not self.findings.unsupported:
             self.findings.wrong.append(
@@ -111,14 +115,14 @@ class _Reader:
             "findings": asdict(self.findings),
         }
 
-    def _tried(self, prim: Any, read: Any) -> Any:
+    def _collect_errors(self, prim: Any, read: Any) -> Any:
         try:
             return read(prim)
-        except (Wrong, Unreadable) as error:
-            self.findings.blame(prim, error)
+        except (InvalidValue, Unreadable) as error:
+            self.findings.add_invalid(prim, error)
             self.wrong.add(prim.GetPath())
         except Unsupported as error:
-            self.findings.pass_over(prim, error)
+            self.findings.add_unsupported(prim, error)
         return None
 
     def _units(self) -> tuple[float, float, Array]:
@@ -153,9 +157,9 @@ class _Reader:
             self.findings.remarks.append(f"there is no PhysicsScene: gravity is {GRAVITY} m/s² down")
             return GRAVITY * down
         for other in scenes[1:]:
-            self.findings.pass_over(other, f"a scene beside {path_of(scenes[0])}; one file is one scene")
+            self.findings.add_unsupported(other, f"a scene beside {path_of(scenes[0])}; one file is one scene")
         scene = UsdPhysics.Scene(scenes[0])
-        found = self._tried(scenes[0], lambda prim: vector(scene.GetGravityDirectionAttr(), self.time))
+        found = self._collect_errors(scenes[0], lambda prim: vector(scene.GetGravityDirectionAttr(), self.time))
         direction = np.zeros(3) if found is None else self.up @ found
         length = float(np.linalg.norm(direction))
         if not has_gravity(scenes[0], self.time):
@@ -163,7 +167,7 @@ class _Reader:
             return np.zeros(3)
         magnitude = value_of(scene.GetGravityMagnitudeAttr(), self.time, -inf)
         if not magnitude < inf:  # nor NaN
-            self.findings.blame(scenes[0], f"physics:gravityMagnitude must be a number, got {magnitude:g}")
+            self.findings.add_invalid(scenes[0], f"physics:gravityMagnitude must be a number, got {magnitude:g}")
             return down
         own = GRAVITY if magnitude < 0.0 else float(magnitude) * self.metres
         return own * (direction / length if length > 0.0 else down)
@@ -171,7 +175,7 @@ class _Reader:
     def _stepping(self, scenes: list[Any]) -> Stepping:
         found: Stepping | None = None
         if scenes:
-            found = self._tried(scenes[0], lambda prim: read_stepping(prim, self.time))
+            found = self._collect_errors(scenes[0], lambda prim: read_stepping(prim, self.time))
         return NOTHING if found is None else found
 
     def _remark_nested(self) -> None:
@@ -191,10 +195,12 @@ class _Reader:
         placement = np.array(self.places.GetLocalToWorldTransform(prim)).T
         placement[:3] = self.metres * self.up @ placement[:3]
         if not np.isfinite(placement).all():
-            raise Wrong("its transformation must be finite")
+            raise InvalidValue("its transformation must be finite")
         sizes = np.linalg.svd(placement[:3, :3], compute_uv=False)
         if sizes[2] <= 1.0e-9 * sizes[0]:
-            raise Wrong(f"its transformation must not flatten it, got scales {(sizes / self.metres).tolist()}")
+            raise InvalidValue(
+                f"its transformation must not flatten it, got scales {(sizes / self.metres).tolist()}"
+            )
         return placement
 
     def _turn(self, prim: Any) -> Array:
@@ -206,7 +212,7 @@ class _Reader:
         from pxr import UsdGeom, UsdPhysics
 
         if not prim.IsA(UsdGeom.Xformable):
-            raise Wrong(f"a rigid body must be an Xformable, got {prim.GetTypeName() or 'no type'}")
+            raise InvalidValue(f"a rigid body must be an Xformable, got {prim.GetTypeName() or 'no type'}")
         if (outer_body := self._outer_of(prim)) is not None:
             self.nested.append((prim, outer_body))
         api = UsdPhysics.RigidBodyAPI(prim)
@@ -306,7 +312,7 @@ class _Reader:
                 prim, f"newton:maxHullVertices {most} is not used: a convex hull has all vertices"
             )
         if model == "shell":
-            self.findings.pass_over(prim, "newton:massModel shell; its mass is that of a solid")
+            self.findings.add_unsupported(prim, "newton:massModel shell; its mass is that of a solid")
 
     def _mass(self, prim: Any, placement: Array) -> dict[str, Any]:
         return read_mass(prim, placement, self.time, self.metres, self.kilograms)
@@ -320,7 +326,7 @@ class _Reader:
             return None
         own = material.GetPrim()
         if own.GetPath() not in self.materials:
-            self.materials[own.GetPath()] = self._tried(
+            self.materials[own.GetPath()] = self._collect_errors(
                 own, lambda prim: read_material(prim, self.time, self.metres, self.kilograms, self.findings)
             )
         found: dict[str, Any] | None = self.materials[own.GetPath()]

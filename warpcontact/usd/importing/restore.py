@@ -13,30 +13,30 @@ from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.friction import Friction
 from warpcontact.kernels.laws import Law
 from warpcontact.kernels.motions import Motion
-from warpcontact.kernels.smooth.base import Shape as Form
+from warpcontact.kernels.smooth.base import Shape as ShapeParameters
 from warpcontact.kernels.springs import Damper, Spring
-from warpcontact.kernels.touch import Parts
+from warpcontact.kernels.touch import ContactModel
 from warpcontact.meshes import Mesh, SurfaceSamples
 from warpcontact.scene import Scene
 from warpcontact.usd.author import identifiers
 from warpcontact.usd.catalogue import Catalogue
 from warpcontact.usd.importing.errors import UsdError, shortened
 from warpcontact.usd.importing.records import SCHEMA, Record
-from warpcontact.usd.words import ADDERS, arguments_of, required_of
+from warpcontact.usd.words import ADDERS, argument_names, required_names
 
 _FORMULAS: dict[str, type[Formula]] = {
     "motion": Motion,
     "spring": Spring,
     "damper": Damper,
     "friction": Friction,
-    "form": Form,
+    "form": ShapeParameters,
 }
 # Arguments that are elements of the scene; the first is none if it is the world.
 _ELEMENTS = ("body", "points", "surface", "surface_a", "surface_b", "point_a", "point_b", "shape", "other_shape")
-_SURE_TO_BE_GIVEN = {"point": ("body",), "points": ("body",), "shape": ("body",)}
+_ALWAYS_GIVEN = {"point": ("body",), "points": ("body",), "shape": ("body",)}
 
 
-def restored(
+def restore_scene(
     records: Record, custom_types: Iterable[type[Formula]] = (), subject: str = "the description of the scene"
 ) -> Scene:
     """Returns the scene of a description.
@@ -58,7 +58,7 @@ class _Restoration:
         self.subject = subject
         self.catalogue = catalogue
         self.problems: list[str] = []
-        self.made: dict[str, Any] = {}  # elements, materials and meshes by path
+        self.objects: dict[str, Any] = {}  # elements, materials and meshes by path
 
     def scene(self) -> Scene:
         values = self.root["values"]
@@ -66,10 +66,10 @@ class _Restoration:
             version = shortened(values.get("version", "an unknown version"))
             raise self._error([f"{self.root['path']} was written by warpcontact {version}, which is newer"])
         given = {name: values[name] for name in ("gravity", "max_speed", "max_distance") if name in values}
-        scene = self._tried(self.root, lambda: Scene(**given))
+        scene = self._collect_errors(self.root, lambda: Scene(**given))
         for folder, make in (("Materials", self._contact_material), ("Meshes", self._mesh)):
             for record in self._folder(folder).values():
-                self.made[record["path"]] = self._tried(record, partial(make, record))
+                self.objects[record["path"]] = self._collect_errors(record, partial(make, record))
         elements = {record["path"]: record for record in self._folder("Elements").values()}
         order = self.root["targets"].get("elements", [])
         if sorted(order) != sorted(elements):
@@ -82,7 +82,7 @@ class _Restoration:
         for path in order:
             record = elements[path]
             # One that could not be added would only be missed by those after it.
-            self.made[path] = self._tried(record, partial(self._element, scene, record))
+            self.objects[path] = self._collect_errors(record, partial(self._element, scene, record))
             if self.problems:
                 raise self._error(self.problems)
         return scene
@@ -90,11 +90,11 @@ class _Restoration:
     def _error(self, problems: list[str]) -> UsdError:
         return UsdError(self.subject, problems)
 
-    def _tried(self, record: Record, make: Callable[[], Any]) -> Any:
+    def _collect_errors(self, record: Record, make: Callable[[], Any]) -> Any:
         try:
             return make()
         except (ValueError, TypeError, LookupError, OverflowError) as error:
-            self.problems.append(f"{shortened(record['path'])}: {_said(error)}")
+            self.problems.append(f"{shortened(record['path'])}: {_error_text(error)}")
             return None
 
     def _folder(self, name: str) -> dict[str, Record]:
@@ -105,25 +105,25 @@ class _Restoration:
         kind, name = record["values"].get("kind"), record["values"].get("name")
         if kind not in ADDERS:
             raise ValueError(f"kind must be one of {', '.join(ADDERS)}, got {kind!r}")
-        known = arguments_of(kind)
+        allowed = argument_names(kind)
         given: dict[str, Any] = {"name": name}
-        for key in _SURE_TO_BE_GIVEN.get(kind, ()):
+        for key in _ALWAYS_GIVEN.get(kind, ()):
             given[key] = None
-        reads: tuple[tuple[Mapping[str, Any], Callable[[str, Any], Any]], ...] = (
+        readers: tuple[tuple[Mapping[str, Any], Callable[[str, Any], Any]], ...] = (
             ({key: value for key, value in record["values"].items() if key not in ("kind", "name")}, self._plain),
             (record["targets"], self._named),
             (record["children"], self._made_of),
         )
-        for values, read in reads:
+        for values, read in readers:
             for key, value in values.items():
-                if key not in known:
-                    there = ", ".join(known)
-                    raise ValueError(f"{key[:80]!r} is no argument of {ADDERS[kind]}; there are: {there}")
+                if key not in allowed:
+                    available = ", ".join(allowed)
+                    raise ValueError(f"{key[:80]!r} is no argument of {ADDERS[kind]}; there are: {available}")
                 given[key] = read(key, value)
-        if lacking := [key for key in required_of(kind) if key not in given]:
-            raise ValueError(f"{lacking[0]} is missing")
+        if missing := [key for key in required_names(kind) if key not in given]:
+            raise ValueError(f"{missing[0]} is missing")
         if kind == "surface":
-            _take_apart(given)
+            _split_mask(given)
         if kind == "points" and "normals" in given:
             given["positions"] = _samples(given)
         if "exclude" in given:
@@ -137,9 +137,9 @@ class _Restoration:
 
     def _named(self, key: str, paths: list[str]) -> Any:
         for path in paths:
-            if self.made.get(path) is None:
+            if self.objects.get(path) is None:
                 raise ValueError(f"{key} must be prims of the description that come before, got {shortened(path)}")
-        found = [self.made[path] for path in paths]
+        found = [self.objects[path] for path in paths]
         if key == "shapes" or (key == "mesh" and len(found) > 1):
             return found
         if len(found) != 1:
@@ -154,12 +154,12 @@ class _Restoration:
         raise ValueError(f"{key} is no prim of its own")
 
     def _contact_material(self, record: Record) -> ContactMaterial:
-        missing = [part for part in Parts._fields if part not in record["children"]]
+        missing = [part for part in ContactModel._fields if part not in record["children"]]
         if missing:
             raise ValueError(f"a material has a {missing[0]}, which is missing")
         parts = {
             part: self._formula(Law if part == "law" else Friction, record["children"][part])
-            for part in Parts._fields
+            for part in ContactModel._fields
         }
         return ContactMaterial(**parts)
 
@@ -201,13 +201,13 @@ class _Restoration:
 
     def _range(self, record: Record) -> ContactRange:
         impact = record["children"].get("impact")
-        made = None
+        objects = None
         if impact is not None:
-            made = ExpectedImpact(**{"other_mass": None, **impact["values"]})
-        return ContactRange(**record["values"], impact=made)
+            objects = ExpectedImpact(**{"other_mass": None, **impact["values"]})
+        return ContactRange(**record["values"], impact=objects)
 
 
-def _said(error: Exception) -> str:
+def _error_text(error: Exception) -> str:
     return str(error.args[0]) if isinstance(error, LookupError) and error.args else str(error)
 
 
@@ -218,7 +218,7 @@ def _tuple(value: Any) -> Any:
     return tuple(_tuple(one) for one in value) if isinstance(value, list) else value
 
 
-def _take_apart(given: dict[str, Any]) -> None:
+def _split_mask(given: dict[str, Any]) -> None:
     """Cuts the mask over the faces of several meshes into one for each."""
     meshes, mask = given.get("mesh"), given.get("active_faces")
     if isinstance(meshes, list) and mask is not None:

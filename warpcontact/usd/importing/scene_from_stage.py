@@ -10,14 +10,14 @@ from warpcontact import checks
 from warpcontact.checks import limits as allowed
 from warpcontact.elements import ContactMaterial
 from warpcontact.kernels.formula import Formula
-from warpcontact.meshes.isolation import Limits, read_apart
+from warpcontact.meshes.isolation import Limits, read_sandboxed
 from warpcontact.meshes.readers import USD_SUFFIXES, Unreadable
 from warpcontact.scene import Scene
 from warpcontact.surface_contact import check_amount
-from warpcontact.usd.importing.assemble import assembled
+from warpcontact.usd.importing.assemble import build_scene
 from warpcontact.usd.importing.errors import UsdError, shortened
 from warpcontact.usd.importing.packing import unpack
-from warpcontact.usd.importing.restore import restored
+from warpcontact.usd.importing.restore import restore_scene
 from warpcontact.usd.importing.stage import read_stage
 
 
@@ -45,12 +45,12 @@ def scene_from_usd(
     if "description" in found:
         if found["additions"] and not skip:
             raise UsdError(subject, [f"{one} (not supported)" for one in found["additions"]])
-        scene = restored(found["description"], custom_types, subject)
+        scene = restore_scene(found["description"], custom_types, subject)
         scene.suggested_dt = found["stepping"]["dt"]
         scene.suggested_iterations = found["stepping"]["iterations"]
         scene.import_warnings = tuple(f"left out: {one}" for one in found["additions"])
         return scene
-    return assembled(
+    return build_scene(
         found["physics"],
         subject,
         material=material,
@@ -70,6 +70,6 @@ def _read(path: Path, subject: str, trusted: bool, limits: Limits) -> Any:
         if trusted:
             return read_stage(file, limits.faces, confined=False)
         task = {"file": file, "most_faces": limits.faces}
-        return read_apart("warpcontact.usd.importing.stage", task, limits, partial(unpack, limits=limits))
+        return read_sandboxed("warpcontact.usd.importing.stage", task, limits, partial(unpack, limits=limits))
     except (Unreadable, OSError) as error:
         raise UsdError(subject, [str(error)]) from error

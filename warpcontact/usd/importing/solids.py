@@ -24,10 +24,10 @@ class Solid:
     centre: Array
     moments: Array
 
-    def placed(self, linear: Array, place: Array) -> "Solid":
-        """Returns the solid of the points ``linear`` y + ``place``."""
+    def transformed(self, linear: Array, position: Array) -> "Solid":
+        """Returns the solid of the points ``linear`` y + ``position``."""
         size = abs(float(np.linalg.det(linear)))
-        return Solid(size * self.volume, linear @ self.centre + place, size * linear @ self.moments @ linear.T)
+        return Solid(size * self.volume, linear @ self.centre + position, size * linear @ self.moments @ linear.T)
 
 
 @dataclass(frozen=True)
@@ -56,19 +56,21 @@ class Weight:
         each = list(parts)
         mass = sum(part.mass for part in each)
         centre = sum((part.mass * part.centre for part in each), np.zeros(3)) / mass
-        inertia = sum((part.inertia + part.mass * apart(part.centre - centre) for part in each), np.zeros((3, 3)))
+        inertia = sum(
+            (part.inertia + part.mass * point_inertia(part.centre - centre) for part in each), np.zeros((3, 3))
+        )
         return cls(mass, centre, inertia)
 
     def scaled(self, mass: float) -> "Weight":
         """Returns the same distribution with another mass."""
         return Weight(mass, self.centre, self.inertia * (mass / self.mass))
 
-    def about(self, centre: Array) -> "Weight":
+    def with_center(self, centre: Array) -> "Weight":
         """Returns the same with another centre of mass, and the inertia about that."""
-        return Weight(self.mass, centre, self.inertia + self.mass * apart(centre - self.centre))
+        return Weight(self.mass, centre, self.inertia + self.mass * point_inertia(centre - self.centre))
 
 
-def apart(arm: Array) -> Array:
+def point_inertia(arm: Array) -> Array:
     """Returns the inertia of a unit mass at ``arm`` (3,) from where it is taken about."""
     return np.dot(arm, arm) * np.eye(3) - np.outer(arm, arm)
 
@@ -91,7 +93,7 @@ def rod(radius: float, half: float) -> Solid:
     return Solid(volume, np.zeros(3), volume * np.diag([radius**2 / 4.0, radius**2 / 4.0, half**2 / 3.0]))
 
 
-def pill(radius: float, half: float) -> Solid:
+def capsule(radius: float, half: float) -> Solid:
     """Returns a capsule about the z axis: a cylinder of half a length with half a ball at each end."""
     middle, ends = rod(radius, half), ball(radius)
     # ∫ (l + z)² over a half ball, whose centre is at 3/8 of the radius.
@@ -109,7 +111,7 @@ def cone(radius: float, half: float) -> Solid:
     return Solid(volume, np.array([0.0, 0.0, -half / 2.0]), volume * np.diag([across, across, along]))
 
 
-def enclosed(mesh: Mesh) -> Solid | None:
+def mesh_solid(mesh: Mesh) -> Solid | None:
     """Returns what a closed mesh encloses; ``None`` if it encloses nothing."""
     if not mesh.report.volume:
         return None

@@ -26,7 +26,7 @@ def read_stepping(scene: Any, time: Any) -> Stepping:
     """Returns the authored settings of the prim of a PhysicsScene.
 
     Raises:
-        Wrong: If a value is out of range.
+        InvalidValue: If a value is out of range.
     """
     rate, iterations = (
         scene.GetAttribute(f"newton:{name}") for name in ("timeStepsPerSecond", "maxSolverIterations")
@@ -45,7 +45,7 @@ def stepping_of(stage: Any) -> Stepping:
     """Returns the settings of the first PhysicsScene of a stage.
 
     Raises:
-        Wrong: If a value is out of range.
+        InvalidValue: If a value is out of range.
     """
     from pxr import Usd, UsdPhysics
 
