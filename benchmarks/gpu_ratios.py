@@ -5,7 +5,7 @@
     python benchmarks/gpu_ratios.py --write     # stores the ratios in the file of the device in results/
 
 A run is 1000 steps from the start of a scene, so all runs pass through the same states. The queries are those of
-``kernels/bare_query.py`` for all points at the end of a run. In each round every scene is measured once: queries,
+``kernels/narrowphase/bare_query.py`` for all points at the end of a run. In each round every scene is measured once: queries,
 a run, the same queries. The ratio divides the run by the mean of both, so a change of the clock rate cancels. The
 median of the rounds counts. No other work may run on the GPU meanwhile.
 """
@@ -20,15 +20,15 @@ from typing import Any
 
 import warp as wp
 from result_file import RATIOS, default_path, stored, write
-from warpcontact.kernels.bare_query import kernel as bare_query
+from warpcontact.kernels.narrowphase.bare_query import kernel as bare_query
 from works import STEPS, WORKS
 
 import warpcontact as wc
-from warpcontact.available import available_threads
 from warpcontact.benchmark import limits as lower_bounds
 from warpcontact.benchmark.facts import facts, versions
 from warpcontact.benchmark.simulation import run_seconds, seconds_of_runs, simulation
-from warpcontact.compiling import compile_as_launched
+from warpcontact.system.compilation import compile_as_launched
+from warpcontact.system.resources import available_threads
 
 #: Environments of each scene: with as many, the comparison of engines has its best figures on an H200.
 ENVS = 262_144

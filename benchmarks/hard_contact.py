@@ -125,7 +125,7 @@ def draw(entries: list[dict[str, Any]], picture: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    from warpcontact.picture_file import check_path, save
+    from warpcontact.files.picture_file import check_path, save
 
     check_path(picture)
     figure = Figure(figsize=(10.0, 4.4), dpi=120, layout="constrained")

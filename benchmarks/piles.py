@@ -21,9 +21,9 @@ from stages import stages
 from works import DT, STEPS, WORKS
 
 import warpcontact as wc
-from warpcontact.available import available_threads
 from warpcontact.benchmark.facts import facts
 from warpcontact.benchmark.simulation import simulation
+from warpcontact.system.resources import available_threads
 
 DIAMETER, DENSITY, GRAVITY = 0.01, 2500.0, 9.81
 MASS = DENSITY * np.pi / 6 * DIAMETER**3

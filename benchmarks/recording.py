@@ -26,11 +26,11 @@ from study import OUTCOMES, study
 from works import DT, WORKS
 
 import warpcontact as wc
-from warpcontact.available import available_threads
 from warpcontact.benchmark.facts import facts
 from warpcontact.benchmark.simulation import simulation
 from warpcontact.experiment import execute
-from warpcontact.recorder import Recorder
+from warpcontact.stepping.recorder import Recorder
+from warpcontact.system.resources import available_threads
 
 STEPS, EVERY = 1000, 10
 KINDS = {

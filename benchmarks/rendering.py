@@ -15,8 +15,8 @@ import numpy as np
 from result_file import default_path, write
 
 import warpcontact as wc
-from warpcontact.available import available_threads
 from warpcontact.benchmark.facts import facts, versions
+from warpcontact.system.resources import available_threads
 
 SIZES = ((1280, 720), (3840, 2160))
 REPEATS = 3

@@ -26,11 +26,11 @@ from result_file import default_path, write
 from series import MOST_ENVS_ON_CPU, MOST_ENVS_ON_CUDA, SERIES, Case, Sizes, cases
 
 import warpcontact as wc
-from warpcontact.available import available_threads
 from warpcontact.benchmark.facts import facts, versions
 from warpcontact.benchmark.limits import Limits, limits
 from warpcontact.benchmark.simulation import run_seconds, seconds_of_runs
 from warpcontact.benchmark.works import STEPS
+from warpcontact.system.resources import available_threads
 
 
 def main() -> None:

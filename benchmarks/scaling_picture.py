@@ -13,7 +13,7 @@ from typing import Any
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from warpcontact.picture_file import check_path, save
+from warpcontact.files.picture_file import check_path, save
 
 # Series of the figures: title of the panel, axis across.
 TITLES = {

@@ -18,9 +18,9 @@ from result_file import default_path, write
 from works import STEPS, WORKS
 
 import warpcontact as wc
-from warpcontact.available import available_threads
 from warpcontact.benchmark.facts import facts, versions
 from warpcontact.benchmark.simulation import run_seconds, simulation
+from warpcontact.system.resources import available_threads
 
 ONE, ALL = "cuda:0", "cuda"
 

@@ -20,12 +20,12 @@ from result_file import write
 from works import WORKS
 
 import warpcontact as wc
-from warpcontact.available import available_threads
 from warpcontact.benchmark.facts import facts
 from warpcontact.benchmark.limits import limits
 from warpcontact.benchmark.simulation import simulation
-from warpcontact.schedule import ExecutionPlan, accept_stages
-from warpcontact.slices import StepBuffers
+from warpcontact.stepping.execution_plan import ExecutionPlan, accept_stages
+from warpcontact.stepping.slice_stepper import StepBuffers
+from warpcontact.system.resources import available_threads
 
 # Steps over which a stage is timed, an even number.
 STEPS = 20

@@ -24,8 +24,8 @@ from typing import Any
 from progress import Bar
 from result_file import default_path, write
 
-from warpcontact.available import available_threads
 from warpcontact.benchmark.facts import facts, versions
+from warpcontact.system.resources import available_threads
 
 FRESH = Path(__file__).with_name("fresh.py")
 #: What is promised: of the import and of the first step at most [s], of one environment at least [steps/s].

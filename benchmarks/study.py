@@ -21,8 +21,8 @@ from result_file import default_path, write
 from works import DAMPING, DT, FRICTION, STEPS, STIFFNESS, WORKS
 
 import warpcontact as wc
-from warpcontact.available import available_threads
 from warpcontact.benchmark.facts import facts, versions
+from warpcontact.system.resources import available_threads
 
 OUTCOMES = {
     "peak": {"type": "Max", "of": "touch.normal_force"},

@@ -18,8 +18,8 @@ import numpy as np
 from result_file import default_path, write
 
 import warpcontact as wc
-from warpcontact.available import available_threads
 from warpcontact.benchmark.facts import facts
+from warpcontact.system.resources import available_threads
 
 RECORDS = 100
 

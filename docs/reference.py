@@ -17,10 +17,10 @@ from numpy.typing import ArrayLike
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 from sphinx.util.typing import stringify_annotation
-from warpcontact.kernels.formula import Formula
+from warpcontact.kernels.catalogue.device_model import Formula
 
 import warpcontact
-from warpcontact.listing import PROVENANCE
+from warpcontact.cli.law_list import PROVENANCE
 
 
 def declared(formula: type[Formula]) -> list[str]:

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 
 import warp as wp
 from warpcontact.kernels import frames
+from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.types import ENV_ACTIVE, LaunchRange, structs, task_count, task_env, task_item
-from warpcontact.kernels.unique import unique_kernel
 
 
 @wp.struct

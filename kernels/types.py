@@ -264,7 +264,7 @@ def structs(real: type) -> SimpleNamespace:
         query_mesh_bvh: wp.array(
             dtype=wp.vec4i
         )  # [patch] its first node, how many, branches of its root, first face
-        bvh_bound: wp.array(dtype=wp.float32)  # by node, what bounds its branches: ``warpcontact/tree.py``
+        bvh_bound: wp.array(dtype=wp.float32)  # by node, what bounds its branches: ``warpcontact/geometry/bvh.py``
         bvh_face: wp.array(dtype=wp.int32)  # faces in the order of the branches, from the first of the patch
         face_corner: wp.array2d(dtype=vec3)  # [face, 0 to 2] its corners, [face, 3] its unit normal; S
         face_frame: wp.array2d(

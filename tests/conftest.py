@@ -31,11 +31,13 @@ def pytest_configure(config):
         signal.signal(signal.SIGINT, signal.default_int_handler)
     # Test modules and the processes that tests start read it when they import the package.
     os.environ["WARPCONTACT_COMPILE"] = config.getoption("--kernels")
-    from warpcontact.kernels import unique
+    from warpcontact.kernels.lowlevel import unique_kernel
 
-    assert config.getoption("--kernels") == unique.MODE, "the package was imported before its options were set"
+    assert config.getoption("--kernels") == unique_kernel.MODE, (
+        "the package was imported before its options were set"
+    )
     # Kernels of tests too: LLVM compiles concurrently only with equal options.
-    wp.config.cpu_compiler_flags = unique.OPTIONS["cpu_compiler_flags"]
+    wp.config.cpu_compiler_flags = unique_kernel.OPTIONS["cpu_compiler_flags"]
     if config.getoption("--bounds-check"):
         wp.config.mode = "debug"
     wp.init()
@@ -178,11 +180,13 @@ def copied_run(tmp_path):
 def fused_kernels(request, monkeypatch):
     """Lets tests of launch shapes fuse stages if kernels are compiled for short compile times as well."""
     if request.node.get_closest_marker("launch_shapes"):
-        monkeypatch.setattr("warpcontact.schedule.FUSE_STAGES", True)
+        monkeypatch.setattr("warpcontact.stepping.execution_plan.FUSE_STAGES", True)
 
 
 @pytest.fixture
 def write_step_outputs(monkeypatch):
     """Has steps tell of contacts what they computed, over the step, as if somebody watched."""
-    monkeypatch.setattr("warpcontact.schedule.Span.watched", property(lambda _: True, lambda *_: None))
-    monkeypatch.setattr("warpcontact.schedule.Span.alone", False)
+    monkeypatch.setattr(
+        "warpcontact.stepping.execution_plan.Span.watched", property(lambda _: True, lambda *_: None)
+    )
+    monkeypatch.setattr("warpcontact.stepping.execution_plan.Span.alone", False)

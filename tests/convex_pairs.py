@@ -5,9 +5,9 @@ import functools
 import numpy as np
 import warp as wp
 from scipy.spatial.transform import Rotation
-from warpcontact.kernels.formula import coefficient_struct
-from warpcontact.kernels.smooth.base import ShapeContactPoint, WarmStart
-from warpcontact.kernels.smooth.meet import pair_function
+from warpcontact.kernels.catalogue.device_model import coefficient_struct
+from warpcontact.kernels.shapes.base import ShapeContactPoint, WarmStart
+from warpcontact.kernels.shapes.pair_dispatch import pair_function
 
 # The solver by itself
 

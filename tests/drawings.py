@@ -5,12 +5,12 @@ import math
 import numpy as np
 import warp as wp
 
-from warpcontact.rendering.camera import Camera, direction
-from warpcontact.rendering.items import place_figure
-from warpcontact.rendering.painter import Painter
-from warpcontact.rendering.stage import Stage
-from warpcontact.replay.drawing import Drawing, Figure, Shape
-from warpcontact.replay.triangles import ball
+from warpcontact.visualize.drawing.drawing import Drawing, Figure, Shape
+from warpcontact.visualize.drawing.triangles import ball
+from warpcontact.visualize.rendering.camera import Camera, direction
+from warpcontact.visualize.rendering.items import place_figure
+from warpcontact.visualize.rendering.painter import Painter
+from warpcontact.visualize.rendering.stage import Stage
 
 WHITE = np.ones((2, 3))
 PLATE = Shape(

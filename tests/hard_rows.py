@@ -4,10 +4,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import warp as wp
+from warpcontact.kernels.nonsmooth import accelerated, gauss_seidel
+from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs
+from warpcontact.kernels.nonsmooth.velocity_update import velocity_change_struct
 from warpcontact.kernels.types import WORLD, LaunchRange
-from warpcontact.kernels.unilateral import accelerated, gauss_seidel
-from warpcontact.kernels.unilateral.impulses import velocity_change_struct
-from warpcontact.kernels.unilateral.rows import body_response_struct, row_structs
 
 SOLVERS = {"gauss_seidel": gauss_seidel, "accelerated": accelerated}
 #: Where they run.

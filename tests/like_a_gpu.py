@@ -3,11 +3,13 @@
 from types import SimpleNamespace
 
 import warp as wp
-from warpcontact.kernels.piles import force
+from warpcontact.kernels.particles import force
 from warpcontact.kernels.types import QUEUE_COUNT
 
-from warpcontact import build, cells, simulation
-from warpcontact.schedule import ExecutionPlan
+from warpcontact.geometry import face_grid
+from warpcontact.model import build
+from warpcontact.stepping import simulation
+from warpcontact.stepping.execution_plan import ExecutionPlan
 
 
 def build_all_face_grids(monkeypatch, finest=0.6):
@@ -16,8 +18,8 @@ def build_all_face_grids(monkeypatch, finest=0.6):
     ``finest``: Smallest cell size, in edges: one thread fills the grid, so coarser than that of a GPU.
     """
     a_gpu = SimpleNamespace(is_cuda=True)
-    monkeypatch.setattr(cells, "FINEST", finest)
-    monkeypatch.setattr(build, "make_grids", lambda made, _, t: cells.make_grids(made, a_gpu, t))
+    monkeypatch.setattr(face_grid, "FINEST", finest)
+    monkeypatch.setattr(build, "make_grids", lambda made, _, t: face_grid.make_grids(made, a_gpu, t))
 
 
 def use_work_queues(monkeypatch):
@@ -33,7 +35,7 @@ def use_work_queues(monkeypatch):
     monkeypatch.setattr(simulation, "ExecutionPlan", queued)
     # A GPU looks at frames with nothing remembered: its lists are shorter than those of a CPU.
     monkeypatch.setattr(
-        "warpcontact.model.ExecutionPlan",
+        "warpcontact.model.model.ExecutionPlan",
         lambda model, count, _cached, **options: ExecutionPlan(model, count, uses_cache=False, **options),
     )
     monkeypatch.setattr(simulation, "slice_sizes", lambda shares, _: [envs for _, envs in shares])
@@ -43,4 +45,4 @@ def sum_by_body(pile):
     """Has touches be added up by body, not as they are found."""
     assert pile._alone
     pile._alone = False
-    pile._kernel = force.kernel(pile._parts, pile._form, pile.real, moves=False, single_thread=False)
+    pile._kernel = force.kernel(pile._parts, pile._traits, pile.real, moves=False, single_thread=False)

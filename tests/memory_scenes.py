@@ -3,8 +3,8 @@
 import numpy as np
 
 import warpcontact as wc
-from warpcontact import available
-from warpcontact.patches import _mesh_bytes
+from warpcontact.geometry.query_mesh import _mesh_bytes
+from warpcontact.system import resources
 
 MIB = 2**20
 
@@ -137,5 +137,5 @@ def array_bytes(memory, model):
 
 def set_available_memory(monkeypatch, size):
     """Lets a machine have ``size`` bytes available, in every place."""
-    monkeypatch.setattr(available, "_host", lambda: size)
-    monkeypatch.setattr(available, "_device", lambda name: size)
+    monkeypatch.setattr(resources, "_host", lambda: size)
+    monkeypatch.setattr(resources, "_device", lambda name: size)

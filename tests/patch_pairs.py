@@ -7,10 +7,10 @@ import warp as wp
 from convex_pairs import directions, heights, random_rotations, random_shapes
 from curved_pairs import Quadric, inverse_rotation, rotated
 from patch_reference import GRID, Reference
-from warpcontact.kernels.formula import parameter
-from warpcontact.kernels.smooth import shapes as S
-from warpcontact.kernels.smooth.patch import ParametricSurface
-from warpcontact.kernels.smooth.torus import Torus
+from warpcontact.kernels.catalogue.device_model import parameter
+from warpcontact.kernels.shapes import shapes as S
+from warpcontact.kernels.shapes.parametric_surface import ParametricSurface
+from warpcontact.kernels.shapes.torus import Torus
 from warpcontact.kernels.types import MET, NOT_CONVERGED, OUTSIDE
 
 # A place is nearer than another by more. Of minima within two of the finest cells, a thousandth of the patch, the

@@ -7,8 +7,8 @@ from case_marks import slow_except
 from like_a_gpu import build_all_face_grids, use_work_queues
 
 import warpcontact as wc
-from warpcontact import schedule
-from warpcontact.integrators import SemiImplicitEuler
+from warpcontact.stepping import execution_plan
+from warpcontact.stepping.integrators import SemiImplicitEuler
 
 pytestmark = pytest.mark.launch_shapes
 STATE = ("position", "orientation", "linear_velocity", "angular_velocity")
@@ -126,7 +126,7 @@ def fused_launches(monkeypatch, device):
 )
 def test_fused_step_equals_staged_step(name, precision, device, fused_launches, monkeypatch):
     # Of a GPU, warps of 22 environments, and one that has the last.
-    monkeypatch.setattr(schedule, "FULL_WARPS", 2)
+    monkeypatch.setattr(execution_plan, "FULL_WARPS", 2)
     model = built(SINGLE_BODY_SCENES[name], device, precision)
     sim = wc.Simulation(model, dt=1e-3)
     uncached = wc.Simulation(
@@ -153,7 +153,7 @@ def test_fused_step_equals_staged_step(name, precision, device, fused_launches, 
 def test_fused_and_monitored_steps_can_alternate(name, few, device, fused_launches, monkeypatch):
     """What each knows of distances and contacts is right for the other, and nothing old is watched."""
     if not few:
-        monkeypatch.setattr(schedule, "SMALL_LAUNCH", 0)
+        monkeypatch.setattr(execution_plan, "SMALL_LAUNCH", 0)
     outcomes = {
         "most": wc.outcomes.Max("touch.normal_force"),
         "least": wc.outcomes.Min("touch.approach_speed"),

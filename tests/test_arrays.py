@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 import warp as wp
-from warpcontact.kernels.strides import RECORD
+from warpcontact.kernels.lowlevel.static_strides import RECORD
 
-from warpcontact.arrays import AllocationPlan, per_env
-from warpcontact.available import HOST, available_memory
+from warpcontact.model.allocation_plan import AllocationPlan, per_env
+from warpcontact.system.resources import HOST, available_memory
 
 
 @wp.struct

@@ -6,7 +6,7 @@ import pytest
 from scenes import dropped_sphere
 
 import warpcontact as wc
-from warpcontact.captures import exclusive_capture_lock, shared_capture_lock
+from warpcontact.system.capture_lock import exclusive_capture_lock, shared_capture_lock
 
 # Long enough for anything here that does not wait [s].
 LONG = 0.5

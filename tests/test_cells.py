@@ -9,12 +9,12 @@ import pytest
 import warp as wp
 from brute_force import Surface, nearest_on_triangles
 from like_a_gpu import build_all_face_grids, use_work_queues
-from warpcontact.kernels import cells as device_cells
+from warpcontact.kernels.narrowphase import face_grid as device_cells
 from warpcontact.kernels.types import structs
 
 import warpcontact as wc
-from warpcontact import cells
-from warpcontact.patches import make_query_meshes
+from warpcontact.geometry import face_grid as cells
+from warpcontact.geometry.query_mesh import make_query_meshes
 
 LAW = wc.laws.Hooke(stiffness=1e4)
 POINTS = 3000
@@ -418,7 +418,7 @@ def test_face_grid_query_of_non_finite_state_finds_no_face(monkeypatch):
     """Points near the surface are marked as if a face were remembered, and none is."""
     build_all_face_grids(monkeypatch)
     use_work_queues(monkeypatch)
-    monkeypatch.setattr("warpcontact.schedule.SMALL_LAUNCH", 0)
+    monkeypatch.setattr("warpcontact.stepping.execution_plan.SMALL_LAUNCH", 0)
     scene = wc.Scene()
     ground = scene.add_surface(wc.meshes.sinusoidal_terrain((4, 4), (20, 20), 0.2, 2.5))
     rng = np.random.default_rng(3)

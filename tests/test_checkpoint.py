@@ -5,7 +5,7 @@ import pytest
 from scenes import square
 
 import warpcontact as wc
-from warpcontact import checkpoint
+from warpcontact.stepping import checkpoint
 
 
 def everything(ground_name="ground"):

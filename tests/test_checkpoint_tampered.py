@@ -10,7 +10,7 @@ import pytest
 from test_checkpoint import bits, simulation
 
 import warpcontact as wc
-from warpcontact import checkpoint
+from warpcontact.stepping import checkpoint
 
 HERE = Path(__file__).parent
 # For 50 files and the start of a process, on a slow machine [s].

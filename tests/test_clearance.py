@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 import warpcontact as wc
 from warpcontact import ContactStatus
-from warpcontact.advice import contacts_to_evaluate
-from warpcontact.clearance import starts_clear
+from warpcontact.forces.mesh_contact.step_warnings import contacts_to_evaluate
+from warpcontact.geometry.initial_clearance import starts_clear
 
 LAW = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4))
 TERRAIN = wc.meshes.sinusoidal_terrain(size=(2.0, 2.0), cells=(12, 12), amplitude=0.2, wavelength=1.0)

@@ -12,11 +12,11 @@ import pytest
 import runs
 
 import warpcontact as wc
-from warpcontact.available import HOST
 from warpcontact.cli import main
 from warpcontact.experiment.cluster import ClusterResources, cluster_resources, connect
 from warpcontact.experiment.plan import Plan
-from warpcontact.footprint import USABLE_FRACTION, MemoryEstimate, MemoryItem
+from warpcontact.model.memory import USABLE_FRACTION, MemoryEstimate, MemoryItem
+from warpcontact.system.resources import HOST
 
 WORDS = ("--shard", 4, "--device", "cpu")
 

@@ -7,7 +7,7 @@ import pytest
 import warp as wp
 
 import warpcontact as wc
-from warpcontact import compare
+from warpcontact.analysis import compare
 
 L, F = wc.laws, wc.friction
 

@@ -7,11 +7,11 @@ import numpy as np
 import own_law
 import pytest
 from matplotlib.text import Text
-from warpcontact.kernels.clamped_dashpot import restitution_of_damping_ratio
+from warpcontact.kernels.laws.clamped_dashpot import restitution_of_damping_ratio
 
 import warpcontact as wc
-from warpcontact import compare
-from warpcontact.compare.slip import breakaway_coefficients
+from warpcontact.analysis import compare
+from warpcontact.analysis.compare.friction_tests import breakaway_coefficients
 
 L, F = wc.laws, wc.friction
 PLASTIC = own_law.Plastic(loading=1e6, unloading=4e6)

@@ -14,20 +14,22 @@ import warp as wp
 from hard_scenes import block
 from test_meet import balls
 from test_schedule import STUCK, falling_on, two_bodies
-from warpcontact.kernels import integrate
+from warpcontact.kernels.integrators import semi_implicit
 
 import warpcontact as wc
-from warpcontact import drives, groups, simulation
-from warpcontact.compiling import disable_fma, load_all
-from warpcontact.couplings import springs
-from warpcontact.smooth import contact_sets
+from warpcontact.forces.couplings import springs
+from warpcontact.forces.joints import joint_data
+from warpcontact.forces.shape_contact import contact_sets
+from warpcontact.model import contact_groups
+from warpcontact.stepping import simulation
+from warpcontact.system.compilation import disable_fma, load_all
 
 CPU = SimpleNamespace(is_cuda=False)
 
 
 @pytest.mark.parametrize("threads", [1, 64, 256])
 def test_fma_is_disabled_on_gpu_only(threads):
-    module = integrate.semi_implicit_euler(wp.float32).module
+    module = semi_implicit.semi_implicit_euler(wp.float32).module
     gpu, cpu = (SimpleNamespace(is_cuda=is_cuda) for is_cuda in (True, False))
     of_cpu = module.get_module_hash(threads)
     disable_fma(SimpleNamespace(module=module), gpu)
@@ -176,7 +178,7 @@ def all_kinds(law):
 @pytest.mark.parametrize(("law", "compiled"), [(wc.laws.Hooke, 0), (OwnLaw, 3)])
 def test_build_compiles_kernels_of_custom_classes(law, compiled, monkeypatch):
     loaded = []
-    for module in (groups, drives, contact_sets, springs):
+    for module in (contact_groups, joint_data, contact_sets, springs):
         monkeypatch.setattr(module, "load", lambda kernel, device: loaded.append(kernel))
     all_kinds(law(stiffness=1e4)).build(device="cpu")
     assert len(loaded) == compiled
@@ -216,6 +218,6 @@ def test_quick_and_release_kernels_give_bitwise_identical_results():
 
 
 def test_unknown_compile_mode_is_refused():
-    result = run_with("fast", "import warpcontact.kernels.unique")
+    result = run_with("fast", "import warpcontact.kernels.lowlevel.unique_kernel")
     assert result.returncode == 1
     assert "WARPCONTACT_COMPILE must be one of release, quick, got 'fast'" in result.stderr

@@ -4,7 +4,7 @@ import itertools
 import threading
 import time
 
-from warpcontact import crew
+from warpcontact.stepping import worker_pool
 
 
 class Listed:
@@ -43,7 +43,9 @@ class Stepper:
 def shares(names, *args, members=1):
     """A share of a slice for each device, with a stepper for each of its threads."""
     return [
-        crew.DeviceShare([slice(0, 10**6)], [Stepper(name, *args) for _ in range(members if name == "cpu" else 1)])
+        worker_pool.DeviceShare(
+            [slice(0, 10**6)], [Stepper(name, *args) for _ in range(members if name == "cpu" else 1)]
+        )
         for name in names
     ]
 
@@ -51,13 +53,13 @@ def shares(names, *args, members=1):
 def test_gpus_with_host_decisions_are_launched_concurrently():
     log, meeting = [], threading.Barrier(3)
     parts = shares(("cuda:0", "cuda:1", "cpu"), False, log, meeting)
-    assert list(crew.WorkerPool(parts).step(8)) == [8]
+    assert list(worker_pool.WorkerPool(parts).step(8)) == [8]
     assert sorted(name for name, _ in log) == ["cpu", "cuda:0", "cuda:1"]
 
 
 def test_slices_of_one_gpu_are_launched_sequentially():
     log = []
-    made = crew.WorkerPool(shares(("cuda:0", "cuda:1", "cuda:0"), False, log))
+    made = worker_pool.WorkerPool(shares(("cuda:0", "cuda:1", "cuda:0"), False, log))
     list(made.step(8))
     assert made._threads == 2
     assert sorted(name for name, _ in log) == ["cuda:0", "cuda:0", "cuda:1"]
@@ -66,7 +68,7 @@ def test_slices_of_one_gpu_are_launched_sequentially():
 def test_graphs_are_launched_on_gpus_before_cpu_slices_start():
     log = []
     parts = shares(("cpu", "cuda:0", "cpu", "cuda:1"), True, log, members=2)
-    list(crew.WorkerPool(parts).step(32))
+    list(worker_pool.WorkerPool(parts).step(32))
     assert log[:2] == [("cuda:0", True), ("cuda:1", True)]
     assert [name for name, _ in log[2:]] == ["cpu", "cpu"]
     assert not any(alone for _, alone in log[2:])
@@ -89,10 +91,14 @@ def chunks_of(slices, monkeypatch):
                 begun[self.own] = False
                 taken.setdefault(self.own, []).append(sum(way.steps for way in ways))
 
-    made = crew.WorkerPool(
-        [crew.DeviceShare([slice(k, k + 1) for k in range(slices)], [OnSlices("cpu", True, []) for _ in range(2)])]
+    made = worker_pool.WorkerPool(
+        [
+            worker_pool.DeviceShare(
+                [slice(k, k + 1) for k in range(slices)], [OnSlices("cpu", True, []) for _ in range(2)]
+            )
+        ]
     )
-    monkeypatch.setattr(crew, "SERIAL_ENV_STEPS", 0)
+    monkeypatch.setattr(worker_pool, "SERIAL_ENV_STEPS", 0)
     assert list(made.step(8))[-1] == 8
     taken.clear()
     made._chunk_sizer.steps = 1000
@@ -107,8 +113,8 @@ def test_few_slices_are_split_into_chunks_of_decreasing_length(monkeypatch):
         assert counts[0] > 500
         assert counts == sorted(counts, reverse=True)
         # Two threads with three slices do 1500 steps each.
-        assert counts[-1] <= crew._LAST_ITEM_FRACTION * 1500
-        assert all(count % crew._MIN_STEPS == 0 for count in counts)
+        assert counts[-1] <= worker_pool._LAST_ITEM_FRACTION * 1500
+        assert all(count % worker_pool._MIN_STEPS == 0 for count in counts)
 
 
 def test_only_the_last_of_many_slices_are_split_into_chunks(monkeypatch):
@@ -120,8 +126,10 @@ def test_only_the_last_of_many_slices_are_split_into_chunks(monkeypatch):
 
 def test_steps_without_duration_are_split_into_several_chunks(monkeypatch):
     """Of environments that are held: once they are reset, as many steps at a time would not be interrupted."""
-    monkeypatch.setattr(crew, "_MAX_ENV_STEPS", 2**15)
-    made = crew.WorkerPool([crew.DeviceShare([slice(0, 64)], [Stepper("cpu", True, []) for _ in range(2)])])
+    monkeypatch.setattr(worker_pool, "_MAX_ENV_STEPS", 2**15)
+    made = worker_pool.WorkerPool(
+        [worker_pool.DeviceShare([slice(0, 64)], [Stepper("cpu", True, []) for _ in range(2)])]
+    )
     done = [0, *made.step(10**5)]
     assert done[-1] == 10**5
     # Two threads share 64; what is left at the end may be half as many more.

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from warpcontact.direct import BLOCK, PIECE, DirectFile
-from warpcontact.run_folder import RunPath
+from warpcontact.files.direct_io import BLOCK, PIECE, DirectFile
+from warpcontact.files.run_folder import RunPath
 
 SIZES = (0, 1, BLOCK - 1, BLOCK, BLOCK + 1, PIECE - 1, PIECE, PIECE + 1, 3 * PIECE + 2 * BLOCK + 7)
 

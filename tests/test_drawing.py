@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 from usd_stages import CORNERS, RADII, simulate
 
 import warpcontact as wc
-from warpcontact.replay.drawing import Drawing
+from warpcontact.visualize.drawing.drawing import Drawing
 
 TURNED = (0.0, 0.0, np.sin(0.3), np.cos(0.3))
 

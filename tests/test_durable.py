@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from warpcontact.durable import atomic_file, check_writable
+from warpcontact.files.atomic_files import atomic_file, check_writable
 
 
 def test_atomic_write_error_names_the_requested_path(tmp_path):

@@ -186,7 +186,7 @@ def test_parameters_can_change_between_steps(device):
 
 
 def test_new_parameter_values_compile_no_kernel(device):
-    from warpcontact.kernels import contact_force
+    from warpcontact.kernels.contact import contact_force
 
     model = terrain_model(4, device)
     wc.Simulation(model, dt=5e-4).step(2)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from warpcontact import equal_items
-from warpcontact.equal_items import merged_items
-from warpcontact.replay.colors import per_environment_number
-from warpcontact.viewer.values import rows_of_parameters
+from warpcontact.experiment import equal_items
+from warpcontact.experiment.equal_items import merged_items
+from warpcontact.visualize.drawing.colors import per_environment_number
+from warpcontact.visualize.viewer.values import rows_of_parameters
 
 ENVS, ITEMS = 6, 40
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import warpcontact as wc
-from warpcontact import patches
 from warpcontact.experiment.catalogue import SHAPES
 from warpcontact.experiment.defaults import default_sensors
 from warpcontact.experiment.schema import BodySettings, ContactSettings, SurfaceSettings
+from warpcontact.geometry import query_mesh
 
 pytestmark = pytest.mark.installed
 
@@ -45,13 +45,13 @@ def small_example():
 def test_experiment_check_reuses_loaded_meshes_for_the_first_model(flip, monkeypatch):
     made = []
     for name in ("make_patch", "make_tree"):
-        function = getattr(patches, name)
+        function = getattr(query_mesh, name)
 
         def counted(*args, name=name, function=function, **options):
             made.append(name)
             return function(*args, **options)
 
-        monkeypatch.setattr(patches, name, counted)
+        monkeypatch.setattr(query_mesh, name, counted)
     described = content()
     described["surface"][0]["flip"] = flip
     experiment = wc.Experiment.from_dict(described)
@@ -63,7 +63,7 @@ def test_experiment_check_reuses_loaded_meshes_for_the_first_model(flip, monkeyp
     assert sorted(made) == ["make_patch"] * 2 + ["make_tree"] * 2
     for envs in (2, 3):
         experiment.changed(envs=envs)
-    assert len(experiment._loaded.patches) == 1
+    assert len(experiment._file_cache.patches) == 1
 
 
 @pytest.mark.smoke

@@ -5,9 +5,9 @@ import pytest
 import warp as wp
 from like_a_gpu import build_all_face_grids
 from scipy.spatial.transform import Rotation
-from warpcontact.kernels import cells, recall, search, tree
-from warpcontact.kernels import foot as closest_points
-from warpcontact.kernels.simd import WIDTH
+from warpcontact.kernels.lowlevel.simd import WIDTH
+from warpcontact.kernels.narrowphase import bvh_search, face_cache, face_grid, search
+from warpcontact.kernels.narrowphase import face_closest_point as closest_points
 from warpcontact.kernels.types import structs
 
 import warpcontact as wc
@@ -24,7 +24,10 @@ def lister(real, room):
     model_type, cache_type, vec3 = t.Model, t.Cache, t.vec3
     closest_on_face = closest_points.functions(real).closest_on_face
     if room is None:
-        nearest, cache_faces_near = tree.functions(real).closest_in_bvh, tree.functions(real).cache_faces_near
+        nearest, cache_faces_near = (
+            bvh_search.functions(real).closest_in_bvh,
+            bvh_search.functions(real).cache_faces_near,
+        )
 
         @wp.kernel(module="unique", enable_backward=False)
         def list_by_tree(
@@ -224,9 +227,9 @@ def test_face_cache_gradients_behind_its_center_hide_no_face(real, epsilon, way_
     """
     t = structs(real)
     model_type, cache_type, vec3 = t.Model, t.Cache, t.vec3
-    cache_faces_near, point_functions = tree.functions(real).cache_faces_near, closest_points.functions(real)
+    cache_faces_near, point_functions = bvh_search.functions(real).cache_faces_near, closest_points.functions(real)
     closest_on_face, nearer = point_functions.closest_on_face, point_functions.closer
-    recall_it = getattr(recall.functions(real), way_to_recall)
+    recall_it = getattr(face_cache.functions(real), way_to_recall)
 
     @wp.kernel(module="unique", enable_backward=False)
     def list_and_recall(
@@ -297,7 +300,7 @@ def test_tie_between_faces_does_not_depend_on_the_search_order(real, epsilon, de
         search.functions(real).refine_closest,
         closest_points.functions(real).closest_on_face,
     )
-    of_cells = cells.functions(real)
+    of_cells = face_grid.functions(real)
     cell_at, closest_in_cell = of_cells.cell_at, of_cells.closest_in_cell
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -372,9 +375,9 @@ def test_certified_face_of_the_cache_is_the_nearest(
     model_type, cache_type, vec3 = t.Model, t.Cache, t.vec3
     of_search, point_functions = search.functions(real), closest_points.functions(real)
     closest_on_face, refine_closest = point_functions.closest_on_face, of_search.refine_closest
-    cache_faces_near = tree.functions(real).cache_faces_near
+    cache_faces_near = bvh_search.functions(real).cache_faces_near
     by_tree, to_list = "nearest_candidate_simd" in ways_to_recall, search.closest_and_cache(real, 16)
-    recall_first, recall_again = (getattr(recall.functions(real), name) for name in ways_to_recall)
+    recall_first, recall_again = (getattr(face_cache.functions(real), name) for name in ways_to_recall)
 
     @wp.kernel(module="unique", enable_backward=False)
     def look_three_times(

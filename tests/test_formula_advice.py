@@ -9,7 +9,7 @@ import warp as wp
 from scenes import dropped_sphere
 
 import warpcontact as wc
-from warpcontact.formula_advice import advice
+from warpcontact.validation.custom_law_hints import advice
 
 
 class Linear(wc.Law):

@@ -10,13 +10,14 @@ from test_pile_sums import heap
 from test_schedule import ENVS, SCENES, STATE, start
 
 import warpcontact as wc
-from warpcontact import crew, looks, schedule, slices, stepping
-from warpcontact.captures import exclusive_capture_lock
-from warpcontact.looks import can_evaluate_by_slice, check_needs
-from warpcontact.model import ZERO_WITHOUT_CONTACT
-from warpcontact.recorder import Recorder
-from warpcontact.schedule import ExecutionPlan, force_stages
-from warpcontact.slices import StepChunk
+from warpcontact.model import sensor_evaluation as looks
+from warpcontact.model.model import ZERO_WITHOUT_CONTACT
+from warpcontact.model.sensor_evaluation import can_evaluate_by_slice, check_needs
+from warpcontact.stepping import execution_plan, requirements, slice_stepper, worker_pool
+from warpcontact.stepping.execution_plan import ExecutionPlan, force_stages
+from warpcontact.stepping.recorder import Recorder
+from warpcontact.stepping.slice_stepper import StepChunk
+from warpcontact.system.capture_lock import exclusive_capture_lock
 
 CONTACT = (*ZERO_WITHOUT_CONTACT, "gap", "normal", "status")
 NEUTRAL = [key for key in CONTACT if key in ZERO_WITHOUT_CONTACT]
@@ -110,8 +111,8 @@ def test_recorded_frames_equal_sensors_at_the_same_steps(keys, name, threads, si
         stopped.step(7)
         expected.append([stopped.model.sensor(key) for key in names])
 
-    monkeypatch.setattr(stepping, "MAX_SLICE", size)
-    monkeypatch.setattr(crew, "SERIAL_ENV_STEPS", 0)
+    monkeypatch.setattr(requirements, "MAX_SLICE", size)
+    monkeypatch.setattr(worker_pool, "SERIAL_ENV_STEPS", 0)
     sim = simulation(name, device, threads=threads, capture_graphs=graphs)
     model = sim.model
     needs = {need for key in names for need in model.find_sensor(key).needs}
@@ -161,7 +162,7 @@ def test_steps_are_unchanged_by_recorded_frames(name, every, device):
 @pytest.fixture
 def release_graphs(monkeypatch):
     """Captures as many steps as release kernels do."""
-    monkeypatch.setattr(slices, "CPU_GRAPH_STEPS", (8, 2, 1))
+    monkeypatch.setattr(slice_stepper, "CPU_GRAPH_STEPS", (8, 2, 1))
 
 
 @pytest.mark.usefixtures("release_graphs")
@@ -288,10 +289,10 @@ def test_recorders_with_equal_needs_share_one_capture(device):
         for way, looks in ((frame, 9), (eight, 8)):
             kernels = [launch.kernel.key for launch in stepper.graph(way)]
             looking, launches = (
-                ("update_sets", len(sim.model.groups)) if schedule.FUSE_STAGES else ("closest_point", 1)
+                ("update_sets", len(sim.model.groups)) if execution_plan.FUSE_STAGES else ("closest_point", 1)
             )
             # With staged kernels the evaluation of the frame has the kernel of a step.
-            evaluations = 0 if schedule.FUSE_STAGES else int(way.evaluates)
+            evaluations = 0 if execution_plan.FUSE_STAGES else int(way.evaluates)
             assert sum(looking in name for name in kernels) == looks * launches + evaluations
 
 

@@ -14,14 +14,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from warpcontact.kernels.piles.base import WAS_IN_CONTACT
+from warpcontact.kernels.particles.base import WAS_IN_CONTACT
 
 import warpcontact as wc
-from warpcontact import schedule
 from warpcontact.benchmark.simulation import simulation
 from warpcontact.benchmark.works import DT
-from warpcontact.piles.pile import ParticleContactSet
-from warpcontact.schedule import ExecutionPlan
+from warpcontact.forces.particle_contact.contact_set import ParticleContactSet
+from warpcontact.stepping import execution_plan
+from warpcontact.stepping.execution_plan import ExecutionPlan
 
 BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
 pytestmark = [
@@ -72,7 +72,7 @@ def cuda(device):
     """The CUDA device under test."""
     if not device.startswith("cuda"):
         pytest.skip("needs --device cuda:N: these launch shapes are selected on a CUDA device only")
-    if not schedule.FUSE_STAGES:
+    if not execution_plan.FUSE_STAGES:
         pytest.fail("needs --kernels=release: with quick kernels all steps are staged")
     return device
 
@@ -220,8 +220,8 @@ class Case:
 
     make: Callable[..., wc.Simulation]
     kernels: frozenset[str]
-    few: int = schedule.SMALL_LAUNCH
-    warps: int = schedule.FULL_WARPS
+    few: int = execution_plan.SMALL_LAUNCH
+    warps: int = execution_plan.FULL_WARPS
     queues: int = 0
     accepts: bool = False
     threads: int | None = None
@@ -298,8 +298,8 @@ def start(case, device, monkeypatch, *, staged, **options):
             patch.setattr(ParticleContactSet, "sums_by_body", False)
             options |= {"distance_cache": False, "deterministic": True, "capture_graphs": False}
         else:
-            patch.setattr(schedule, "SMALL_LAUNCH", case.few)
-            patch.setattr(schedule, "FULL_WARPS", case.warps)
+            patch.setattr(execution_plan, "SMALL_LAUNCH", case.few)
+            patch.setattr(execution_plan, "FULL_WARPS", case.warps)
         sim = case.make(device, **options)
         # The warnings of the first step would compile kernels for another block size.
         sim.warned_at_start = True

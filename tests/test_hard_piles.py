@@ -6,7 +6,7 @@ from hard_scenes import ENERGY, HARD, G, energy, rigid
 from scenes import square
 
 import warpcontact as wc
-from warpcontact import crew, stepping
+from warpcontact.stepping import requirements, worker_pool
 
 RADIUS, MASS = 0.1, 2.0
 INERTIA = [0.4 * MASS * RADIUS**2] * 3
@@ -290,8 +290,8 @@ def test_nonsmooth_particles_on_several_devices_are_bitwise_identical(fallen, de
 def test_nonsmooth_particles_are_bitwise_identical_for_any_slices_threads_and_graphs(
     fallen, options, device, monkeypatch
 ):
-    monkeypatch.setattr(stepping, "MAX_SLICE", 1)
-    monkeypatch.setattr(crew, "SERIAL_ENV_STEPS", 0)
+    monkeypatch.setattr(requirements, "MAX_SLICE", 1)
+    monkeypatch.setattr(worker_pool, "SERIAL_ENV_STEPS", 0)
     model = start(0.3 * RADIUS, device)
     simulation = wc.Simulation(model, STEP, INTEGRATOR, **options)
     simulation.step(40)

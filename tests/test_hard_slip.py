@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from hard_rows import UP, Row, Step
+from warpcontact.kernels.nonsmooth import gauss_seidel
 from warpcontact.kernels.types import WORLD
-from warpcontact.kernels.unilateral import gauss_seidel
 
 
 @pytest.fixture

@@ -2,7 +2,7 @@
 
 import pytest
 
-from warpcontact.hostile import single_line, truncate
+from warpcontact.validation.safe_text import single_line, truncate
 
 
 @pytest.mark.parametrize("middle", [False, True])

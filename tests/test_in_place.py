@@ -5,10 +5,10 @@ import pytest
 from test_alone import SINGLE_BODY_SCENES, assert_same, built, states
 
 import warpcontact as wc
-from warpcontact import simulation
-from warpcontact.recorder import Recorder
-from warpcontact.schedule import ExecutionPlan
-from warpcontact.slices import StepChunk
+from warpcontact.stepping import simulation
+from warpcontact.stepping.execution_plan import ExecutionPlan
+from warpcontact.stepping.recorder import Recorder
+from warpcontact.stepping.slice_stepper import StepChunk
 
 pytestmark = [pytest.mark.launch_shapes, pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")]
 KEYS = ("normal_force", "friction_force", "gap", "status")

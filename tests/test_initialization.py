@@ -11,14 +11,14 @@ from types import SimpleNamespace
 import pytest
 import warp as wp
 
-from warpcontact import initialization
-from warpcontact.devices import find_devices
+from warpcontact.system import initialization
+from warpcontact.system.devices import find_devices
 
 without_driver = pytest.mark.skipif(initialization.missing_driver() is None, reason="has an NVIDIA driver")
 DEVICES = """\
 import warp as wp
 wp.config.log_level = wp.LOG_ERROR
-from warpcontact.devices import find_devices
+from warpcontact.system.devices import find_devices
 print(*find_devices("auto"))
 """
 

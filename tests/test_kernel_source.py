@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 import warp as wp
 import warpcontact.kernels
-from warpcontact.kernels import contact_force
-from warpcontact.kernels.touch import ContactModel
+from warpcontact.kernels.contact import contact_force
+from warpcontact.kernels.contact.contact_evaluation import ContactModel
 
 import warpcontact as wc
 

@@ -5,13 +5,13 @@ from typing import Self
 
 import numpy as np
 import pytest
-from warpcontact.kernels.formula import Formula
-from warpcontact.kernels.keywords import explain_keywords, keywords_of
-from warpcontact.kernels.names import closest, stored_name
+from warpcontact.kernels.catalogue.device_model import Formula
+from warpcontact.kernels.catalogue.keywords import explain_keywords, keywords_of
+from warpcontact.kernels.catalogue.names import closest, stored_name
 
 import warpcontact as wc
-from warpcontact import checks
-from warpcontact.elements import ContactOptions
+from warpcontact.scene.elements import ContactOptions
+from warpcontact.validation import checks
 
 MODULES = (
     "compare",

@@ -14,7 +14,7 @@ import pytest
 import warpcontact.kernels
 
 import warpcontact
-from warpcontact import collecting
+from warpcontact.system import gc_pause
 
 pytestmark = [pytest.mark.installed, pytest.mark.smoke]
 
@@ -152,10 +152,10 @@ def test_import_for_a_simulation_loads_no_optional_package(tmp_path):
 NEEDLESS = (
     *("matplotlib", "numpy.f2py", "pandas", "pxr", "pyarrow", "ray", "scipy", "tqdm", "trimesh", "xarray", "zarr"),
     *(f"warpcontact.kernels.{part}" for part in ("couplings.catenary", "friction.lugre", "laws.tsuji")),
-    *(f"warpcontact.kernels.smooth.{part}" for part in ("curvature", "derivatives", "detect")),
-    *("warpcontact.kernels.smooth.sphere", "warpcontact.kernels.smooth.superellipsoid"),
-    *("warpcontact.kernels.motions.prescribed", "warpcontact.kernels.outcomes.catalogue"),
-    *("warpcontact.kernels.springs.elastic", "warpcontact.kernels.springs.damping"),
+    *(f"warpcontact.kernels.shapes.{part}" for part in ("curvature", "derivatives", "detect")),
+    *("warpcontact.kernels.shapes.sphere", "warpcontact.kernels.shapes.superellipsoid"),
+    *("warpcontact.kernels.joints.prescribed", "warpcontact.kernels.outcomes.catalogue"),
+    *("warpcontact.kernels.couplings.springs.elastic", "warpcontact.kernels.couplings.springs.damping"),
     *("warpcontact.experiment.cluster", "warpcontact.experiment.execute", "warpcontact.experiment.run"),
     *("warpcontact.meshes.picture", "warpcontact.meshes.readers", "warpcontact.unilateral.solving"),
 )
@@ -174,8 +174,8 @@ def test_first_step_of_an_experiment_loads_no_optional_package(tmp_path):
 
 def test_garbage_collection_resumes_after_a_pause_if_it_was_enabled():
     def fails():
-        with collecting.gc_paused():
-            with collecting.gc_paused():
+        with gc_pause.gc_paused():
+            with gc_pause.gc_paused():
                 pass
             assert not gc.isenabled()
             raise ValueError("meanwhile")
@@ -189,13 +189,13 @@ def test_garbage_collection_resumes_after_a_pause_if_it_was_enabled():
 def test_objects_made_in_a_pause_are_in_the_oldest_generation_and_frozen_objects_stay_frozen():
     # What runs the tests may have frozen something.
     gc.unfreeze()
-    with collecting.gc_paused():
+    with gc_pause.gc_paused():
         made = [[] for _ in range(10)]
     assert any(one is made for one in gc.get_objects(generation=2))
     gc.freeze()
     try:
         frozen = gc.get_freeze_count()
-        with collecting.gc_paused():
+        with gc_pause.gc_paused():
             made = [[] for _ in range(10)]
         assert any(one is made for one in gc.get_objects(generation=0))
         # Some of what is frozen may be freed meanwhile.

@@ -4,8 +4,8 @@ import os
 
 import pytest
 
-from warpcontact import available
-from warpcontact.available import HOST
+from warpcontact.system import resources
+from warpcontact.system.resources import HOST
 
 LIMITED = {"memory.max": "1000000", "memory.current": "700000", "memory.stat": "anon 1\ninactive_file 100000\n"}
 
@@ -33,20 +33,20 @@ def test_available_memory_includes_control_group_limits(cgroup, folder, files, t
     (top / folder).mkdir(parents=True)
     for name, text in files.items():
         (top / folder / name).write_text(text)
-    monkeypatch.setattr(available, "_CGROUP", tmp_path / "cgroup")
-    monkeypatch.setattr(available, "_CGROUPS", top)
-    monkeypatch.setattr(available, "_MEMINFO", tmp_path / "meminfo")
-    assert available.available_memory(HOST).size == 400_000
+    monkeypatch.setattr(resources, "_CGROUP", tmp_path / "cgroup")
+    monkeypatch.setattr(resources, "_CGROUPS", top)
+    monkeypatch.setattr(resources, "_MEMINFO", tmp_path / "meminfo")
+    assert resources.available_memory(HOST).size == 400_000
     limit = "memory.max" if "memory.max" in files else "memory.limit_in_bytes"
     (top / folder / limit).write_text("max\n")
-    assert available.available_memory(HOST).size == 4000 * 1024
+    assert resources.available_memory(HOST).size == 4000 * 1024
 
 
 def test_available_memory_on_other_systems_is_found_or_unknown(tmp_path, monkeypatch):
     for name in ("_CGROUP", "_MEMINFO"):
-        monkeypatch.setattr(available, name, tmp_path / "none")
+        monkeypatch.setattr(resources, name, tmp_path / "none")
     system_values = {"SC_PHYS_PAGES": 1000, "SC_PAGE_SIZE": 4096, "SC_AVPHYS_PAGES": -1}
     monkeypatch.setattr(os, "sysconf", system_values.__getitem__, raising=False)
-    assert available.available_memory(HOST).size == 4_096_000
+    assert resources.available_memory(HOST).size == 4_096_000
     monkeypatch.delattr(os, "sysconf")
-    assert available.available_memory(HOST) is None
+    assert resources.available_memory(HOST) is None

@@ -12,10 +12,11 @@ from memory_scenes import MIB, SCENES, array_bytes, ball_scene, busy_scene, set_
 from scenes import dropped_sphere
 
 import warpcontact as wc
-from warpcontact import available, footprint
-from warpcontact.available import HOST
-from warpcontact.build import plan_model
 from warpcontact.cli import main
+from warpcontact.model import memory as footprint
+from warpcontact.model.build import plan_model
+from warpcontact.system import resources
+from warpcontact.system.resources import HOST
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "terrain_drop.toml"
 
@@ -168,7 +169,7 @@ def test_memory_estimate_without_capture_includes_no_graphs(device):
 
 
 def test_memory_estimate_of_a_recording_equals_its_arrays(device):
-    from warpcontact.recorder import Recorder
+    from warpcontact.stepping.recorder import Recorder
 
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), envs=7, device=device)
     model["ball.mass"] = np.linspace(1, 2, 7)
@@ -228,7 +229,7 @@ import numpy as np
 import warp as wp
 wp.config.log_level = wp.LOG_ERROR
 import warpcontact as wc
-from warpcontact.recorder import Recorder
+from warpcontact.stepping.recorder import Recorder
 
 kind, envs, steps, device = sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), sys.argv[4]
 names = sys.argv[5:]
@@ -327,7 +328,7 @@ print(planned, 1024 * int(re.search(r"VmHWM:\\s+(\\d+)", open("/proc/self/status
 )
 def test_memory_plan_matches_peak_of_the_process(envs, changes, tmp_path):
     """Within 15 %, libraries and all; a first process compiles, which takes more and has nothing to do with it."""
-    if available.used_memory() is None:
+    if resources.used_memory() is None:
         pytest.skip("this system does not tell how much memory a process has")
     for count in (10, envs):
         words = [sys.executable, "-c", PEAK, str(EXAMPLE), str(tmp_path / str(count)), str(count)]

@@ -6,8 +6,9 @@ from memory_scenes import MIB, ball_scene, set_available_memory
 from scenes import dropped_sphere
 
 import warpcontact as wc
-from warpcontact import available, footprint
-from warpcontact.build import plan_model
+from warpcontact.model import memory
+from warpcontact.model.build import plan_model
+from warpcontact.system import resources
 
 
 def test_too_many_environments_are_refused_before_allocation(device, monkeypatch, counting_allocator):
@@ -25,9 +26,9 @@ def test_too_many_environments_are_refused_before_allocation(device, monkeypatch
     assert caught.value.needed > caught.value.available == int(0.85 * 400 * MIB)
     # So many do fit, and one more does not.
     draft = plan_model(ball_scene(), device)
-    rooms = footprint.available_memory_for(draft.memory(1))
-    assert footprint.shortage(draft.memory(most, capture_graphs=False), rooms) is None
-    assert footprint.shortage(draft.memory(most + 1, capture_graphs=False), rooms) is not None
+    rooms = memory.available_memory_for(draft.memory(1))
+    assert memory.shortage(draft.memory(most, capture_graphs=False), rooms) is None
+    assert memory.shortage(draft.memory(most + 1, capture_graphs=False), rooms) is not None
     set_available_memory(monkeypatch, 100_000)
     with pytest.raises(MemoryError, match="not even one environment fits"):
         ball_scene().build(1, device)
@@ -36,22 +37,20 @@ def test_too_many_environments_are_refused_before_allocation(device, monkeypatch
 def test_memory_error_names_the_device_with_too_little_memory(monkeypatch):
     def split(envs):
         """Twice as much on the first device as on the second."""
-        return footprint.total(
-            footprint.MemoryEstimate(
-                envs // 2, name, (footprint.MemoryItem("state", name, size * envs // 2, size),)
-            )
+        return memory.total(
+            memory.MemoryEstimate(envs // 2, name, (memory.MemoryItem("state", name, size * envs // 2, size),))
             for name, size in (("cuda:0", 2 * MIB), ("cuda:1", MIB))
         )
 
     rooms = {"cuda:0": 200 * MIB, "cuda:1": 20 * MIB}
-    monkeypatch.setattr(available, "_device", rooms.get)
+    monkeypatch.setattr(resources, "_device", rooms.get)
     with pytest.raises(MemoryError) as caught:
-        footprint.require(split, 100)
+        memory.require(split, 100)
     assert str(caught.value) == (
         "100 environments need 50 MiB of the memory of cuda:1, of which 17 MiB can be used (85% of the 20 MiB "
         "available); at most 34 environments at once fit on cuda:0, cuda:1: run them in 3 batches of 34"
     )
-    footprint.require(split, 34)
+    memory.require(split, 34)
 
 
 def test_split_model_is_refused_before_allocation(device, monkeypatch, counting_allocator):
@@ -60,10 +59,10 @@ def test_split_model_is_refused_before_allocation(device, monkeypatch, counting_
         ball_scene().build(10_000_000, [device] * 2)
     assert counting_allocator.used == 0
     draft = plan_model(ball_scene(), [device] * 2)
-    rooms = footprint.available_memory_for(draft.memory(1))
+    rooms = memory.available_memory_for(draft.memory(1))
     most = caught.value.max_envs
-    assert footprint.shortage(draft.memory(most, capture_graphs=False), rooms) is None
-    assert footprint.shortage(draft.memory(most + 1, capture_graphs=False), rooms) is not None
+    assert memory.shortage(draft.memory(most, capture_graphs=False), rooms) is None
+    assert memory.shortage(draft.memory(most + 1, capture_graphs=False), rooms) is not None
 
 
 def test_simulation_is_refused_before_allocation_of_step_buffers(monkeypatch):
@@ -78,7 +77,7 @@ def test_nothing_is_refused_if_available_memory_is_unknown(device, monkeypatch):
     set_available_memory(monkeypatch, None)
     assert ball_scene().build(2, device).envs == 2
     draft = plan_model(ball_scene(), device)
-    assert footprint.available_memory_for(draft.memory(10**12)) == ()
+    assert memory.available_memory_for(draft.memory(10**12)) == ()
 
 
 def test_recording_is_refused_before_the_run_if_it_does_not_fit(device, monkeypatch):

@@ -8,13 +8,13 @@ import pytest
 import warp as wp
 from scenes import dropped_sphere, square
 from scipy.spatial.transform import Rotation
-from warpcontact.kernels import integrate
-from warpcontact.kernels.motions import step as constrained
+from warpcontact.kernels.integrators import semi_implicit
+from warpcontact.kernels.joints import step as constrained
 from warpcontact.kernels.types import ENV_FROZEN
 
 import warpcontact as wc
-from warpcontact.mobility import mobility_along, mobility_of
-from warpcontact.schedule import ExecutionPlan
+from warpcontact.model.mobility import mobility_along, mobility_of
+from warpcontact.stepping.execution_plan import ExecutionPlan
 
 HINGE = wc.motions.Hinge(axis=(0, 1, 0), anchor=(0, 0, 1))
 HINGE_ABOVE = wc.motions.Hinge(axis=(0, 1, 0), anchor=(0, 0, 5))
@@ -119,7 +119,7 @@ def test_model_of_free_bodies_compiles_no_joint_kernel(device):
     assert constrained.semi_implicit_euler.cache_info().currsize == made
     plan, state = ExecutionPlan(model, 1, uses_cache=True, ordered_sum=True), model.arrays.state
     kernels = [launch.kernel for launch in one.integrator.step_stages(plan, one.times.full, state, state, None)]
-    assert integrate.semi_implicit_euler(model.types.real, False, plan.other_forces, False) in kernels
+    assert semi_implicit.semi_implicit_euler(model.types.real, False, plan.other_forces, False) in kernels
 
 
 def test_free_body_is_bitwise_unaffected_by_a_jointed_body(device):

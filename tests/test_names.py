@@ -5,8 +5,8 @@ from test_experiment import content
 from test_experiment_own_law import LAWS
 
 import warpcontact as wc
-from warpcontact.checks import MAX_NAME_LENGTH
 from warpcontact.cli import main
+from warpcontact.validation.checks import MAX_NAME_LENGTH
 
 LONGEST = "b" * MAX_NAME_LENGTH
 TOO_LONG = "b" * (MAX_NAME_LENGTH + 1)

@@ -9,7 +9,7 @@ import warp as wp
 from scenes import dropped_sphere
 
 import warpcontact as wc
-from warpcontact.formula_errors import _functions
+from warpcontact.validation.custom_law_errors import _functions
 
 pytestmark = pytest.mark.installed
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import warpcontact as wc
-from warpcontact.piles import pile
+from warpcontact.forces.particle_contact import contact_set
 
 COUNT = 60
 #: Remembers: a spring in the tangent plane, and the speed at which a contact began.
@@ -70,7 +70,7 @@ def test_results_are_bitwise_identical_for_any_skin(run, device):
 
 def test_neighbor_lists_of_all_pairs_give_bitwise_identical_results(run, device, monkeypatch):
     """Few shapes have lists of all pairs that are never made anew."""
-    monkeypatch.setattr(pile, "ALL_PAIRS_LIMIT", COUNT)
+    monkeypatch.setattr(contact_set, "ALL_PAIRS_LIMIT", COUNT)
     end, model = again(run, scene(), device)
     assert model.particle_contact_sets[0].all_pairs
     np.testing.assert_array_equal(end, run[1])
@@ -86,7 +86,7 @@ def test_neighbor_lists_of_offset_capsules_give_bitwise_identical_results(device
     far = np.array([2.0**22, -(2.0**21), 0.0])  # to where a single float32 has steps of half a metre
     ends, models = [], []
     for skin, few, centre in ((0.01, 32, 0.0), (0.1, 32, 0.0), (0.1, 60, 0.0), (0.01, 32, far)):
-        monkeypatch.setattr(pile, "ALL_PAIRS_LIMIT", few)
+        monkeypatch.setattr(contact_set, "ALL_PAIRS_LIMIT", few)
         made = wc.Scene(gravity=(0, 0, 0))
         # Places that a remainder of 24 bits holds beside the centre, so that all start alike.
         places = np.round(positions * 2.0**20) / 2.0**20
@@ -113,7 +113,7 @@ def test_neighbor_lists_of_offset_capsules_give_bitwise_identical_results(device
 
 def test_particle_results_are_bitwise_identical_for_any_slices_and_threads(run, device, monkeypatch):
     """One environment a slice, on one thread, and without graphs."""
-    monkeypatch.setattr("warpcontact.stepping.MAX_SLICE", 1)
+    monkeypatch.setattr("warpcontact.stepping.requirements.MAX_SLICE", 1)
     end, _ = again(run, scene(), device, threads=1, capture_graphs=False)
     np.testing.assert_array_equal(end, run[1])
 

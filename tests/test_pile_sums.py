@@ -6,7 +6,7 @@ from like_a_gpu import sum_by_body
 from test_pile import ELASTIC, INERTIA, MASS, cloud
 
 import warpcontact as wc
-from warpcontact.piles.pile import ParticleContactSet
+from warpcontact.forces.particle_contact.contact_set import ParticleContactSet
 
 FRICTION = wc.friction.Tanh(mu=0.4, velocity_scale=0.1)
 

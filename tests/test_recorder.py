@@ -6,10 +6,10 @@ import xarray as xr
 from scenes import dropped_sphere, square
 
 import warpcontact as wc
-from warpcontact import crew, stepping
-from warpcontact.looks import SLICE_NEEDS
-from warpcontact.recorder import Recorder
-from warpcontact.taking import record_frames
+from warpcontact.model.sensor_evaluation import SLICE_NEEDS
+from warpcontact.stepping import requirements, worker_pool
+from warpcontact.stepping.frame_recording import record_frames
+from warpcontact.stepping.recorder import Recorder
 
 WATCHED = ["ball.position", "touch.gap", "touch.normal_force", "scene.kinetic_energy"]
 
@@ -36,8 +36,8 @@ def read_by_stopping(device, frames, stride):
 @pytest.fixture
 def in_slices(monkeypatch):
     """Lets several threads share a few environments."""
-    monkeypatch.setattr(stepping, "MAX_SLICE", 2)
-    monkeypatch.setattr(crew, "SERIAL_ENV_STEPS", 0)
+    monkeypatch.setattr(requirements, "MAX_SLICE", 2)
+    monkeypatch.setattr(worker_pool, "SERIAL_ENV_STEPS", 0)
 
 
 def test_recording_is_a_labeled_data_set(device):
@@ -134,7 +134,7 @@ def test_scene_totals_are_sums_over_bodies(device):
 
 
 def test_frames_are_drained_from_a_small_ring_buffer(device, monkeypatch):
-    monkeypatch.setattr("warpcontact.channels.RING_BYTES", 7 * 3 * 4 * 4)
+    monkeypatch.setattr("warpcontact.stepping.frame_buffers.RING_BYTES", 7 * 3 * 4 * 4)
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), envs=4, device=device)
     small = wc.Simulation(model, dt=1e-3).run(0.05, ["ball.position", "touch.gap"])
     monkeypatch.undo()
@@ -231,13 +231,13 @@ def test_frames_of_many_chunks_have_their_numbers(options, device, in_slices):
 def test_frames_of_split_chunks_equal_sensors_between_steps(sensors, device, in_slices, monkeypatch):
     """Few slices take turns of some frames, and know at the begin of each what the last frame told."""
     taken = []
-    step = crew._run_item
+    step = worker_pool._run_item
 
     def seen(stepper, turn, frames):
         taken.append(turn)
         step(stepper, turn, frames)
 
-    monkeypatch.setattr(crew, "_run_item", seen)
+    monkeypatch.setattr(worker_pool, "_run_item", seen)
     sim = falling(device)
     recorder = Recorder(sim.model, [*sensors, WATCHED[0]], 60, poses=False)
     recorder.start()

@@ -1,9 +1,9 @@
 """Names of earlier versions raise errors that name the present ones."""
 
 import pytest
-from warpcontact.kernels.keywords import keywords_of
-from warpcontact.kernels.names import suggestion
-from warpcontact.kernels.renamed import RENAMED
+from warpcontact.kernels.catalogue.keywords import keywords_of
+from warpcontact.kernels.catalogue.names import suggestion
+from warpcontact.kernels.catalogue.renamed import RENAMED
 
 import warpcontact as wc
 from warpcontact.experiment.schema import SECTIONS, Settings

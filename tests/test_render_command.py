@@ -14,8 +14,8 @@ import warpcontact as wc
 from warpcontact.cli import main
 from warpcontact.experiment import plan, shards
 from warpcontact.experiment.store import Ledger
-from warpcontact.rendering import filming, writers
-from warpcontact.rendering.records import Source
+from warpcontact.visualize.rendering import filming, writers
+from warpcontact.visualize.rendering.records import Source
 
 pytestmark = pytest.mark.installed
 

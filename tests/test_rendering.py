@@ -12,12 +12,12 @@ from warpcontact.kernels.rendering.rays import trace
 from warpcontact.kernels.rendering.world import CONE, CYLINDER, SPHERE, World
 
 from warpcontact.meshes import icosphere
-from warpcontact.rendering.items import Items, place_figure
-from warpcontact.rendering.painter import Painter, light_of
-from warpcontact.rendering.stage import Stage
-from warpcontact.replay.colors import linear
-from warpcontact.replay.drawing import Shape
-from warpcontact.replay.triangles import ball
+from warpcontact.visualize.drawing.colors import linear
+from warpcontact.visualize.drawing.drawing import Shape
+from warpcontact.visualize.drawing.triangles import ball
+from warpcontact.visualize.rendering.items import Items, place_figure
+from warpcontact.visualize.rendering.painter import Painter, light_of
+from warpcontact.visualize.rendering.stage import Stage
 
 BLUE, RED = (0.1, 0.2, 0.9), (0.9, 0.1, 0.1)
 

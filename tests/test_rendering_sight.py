@@ -8,10 +8,10 @@ import pytest
 from drawings import PLATE, balls, drawing, figure
 
 from warpcontact.meshes import grid
-from warpcontact.rendering.camera import direction
-from warpcontact.rendering.look import RenderStyle
-from warpcontact.rendering.show import FrameRenderer
-from warpcontact.replay.drawing import Shape
+from warpcontact.visualize.drawing.drawing import Shape
+from warpcontact.visualize.rendering.camera import direction
+from warpcontact.visualize.rendering.frame_renderer import FrameRenderer
+from warpcontact.visualize.rendering.render_style import RenderStyle
 
 BLUE, GREY = (0.1, 0.2, 0.9), (0.6, 0.6, 0.6)
 ON_EDGE = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))  # a plate across the y axis
@@ -109,7 +109,7 @@ def test_camera_of_each_panel_uses_the_ground_of_its_environment(device):
         "positions": np.repeat(ground.positions, 2, axis=1),
         "orientations": np.repeat(ground.orientations, 2, axis=1),
         "scales": np.array([[[1.0, 1.0, 0.01]], [[1.0, 1.0, 1.0]]]),
-        "there": np.repeat(ground.present, 2, axis=0),
+        "present": np.repeat(ground.present, 2, axis=0),
     }
     assert show([replace(ground, **deep), ball], device, envs=2).camera.backward[2] > math.sin(math.radians(40.0))
     flat = {**deep, "scales": np.full((2, 1, 3), (1.0, 1.0, 0.01))}

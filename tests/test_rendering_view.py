@@ -9,14 +9,14 @@ import xarray as xr
 from drawings import PLATE, balls, camera, covered, drawing, figure
 from warpcontact.kernels.rendering.world import CONE, CYLINDER
 
-from warpcontact.frames import transform_points
-from warpcontact.rendering import sheet
-from warpcontact.rendering.camera import MARGIN, bounding_spheres, direction, frame_spheres
-from warpcontact.rendering.items import curve_tube, force_arrows, place_figure
-from warpcontact.rendering.look import RenderStyle
-from warpcontact.rendering.show import Coloring, FrameRenderer
-from warpcontact.replay.colors import Scale, per_environment_number
-from warpcontact.replay.drawing import ContactForces, Curve
+from warpcontact.stepping.frames import transform_points
+from warpcontact.visualize.drawing.colors import Scale, per_environment_number
+from warpcontact.visualize.drawing.drawing import ContactForces, Curve
+from warpcontact.visualize.rendering import sheet
+from warpcontact.visualize.rendering.camera import MARGIN, bounding_spheres, direction, frame_spheres
+from warpcontact.visualize.rendering.frame_renderer import Coloring, FrameRenderer
+from warpcontact.visualize.rendering.items import curve_tube, force_arrows, place_figure
+from warpcontact.visualize.rendering.render_style import RenderStyle
 
 RED = np.array([0.9, 0.1, 0.1])
 

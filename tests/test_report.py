@@ -13,10 +13,10 @@ import report_runs
 
 import warpcontact as wc
 from warpcontact.cli import main
-from warpcontact.number_format import quantity, scaled
-from warpcontact.run_report import chart, replay, series
-from warpcontact.run_report import page as page_of
-from warpcontact.viewer.sources import RunSource
+from warpcontact.validation.number_format import quantity, scaled
+from warpcontact.visualize.report import chart, replay, series
+from warpcontact.visualize.report import page as page_of
+from warpcontact.visualize.viewer.sources import RunSource
 
 pytestmark = pytest.mark.installed
 

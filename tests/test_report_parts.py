@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from warpcontact import number_format
-from warpcontact.contact_coupling_report import CouplingReport
-from warpcontact.health import Health
-from warpcontact.replay.drawing import Shape
-from warpcontact.replay.triangles import ball
-from warpcontact.run_report import (
+from warpcontact.forces.contact_coupling.report import CouplingReport
+from warpcontact.model.health import Health
+from warpcontact.model.status import EnvironmentStatus, FailureCause
+from warpcontact.validation import number_format
+from warpcontact.visualize.drawing.drawing import Shape
+from warpcontact.visualize.drawing.triangles import ball
+from warpcontact.visualize.report import (
     chart,
     couplings,
     ended,
@@ -28,10 +29,9 @@ from warpcontact.run_report import (
     replay,
     series,
 )
-from warpcontact.run_report.choice import choose
-from warpcontact.run_report.columns import columns_of
-from warpcontact.run_report.packing import Pack
-from warpcontact.status import EnvironmentStatus, FailureCause
+from warpcontact.visualize.report.choice import choose
+from warpcontact.visualize.report.columns import columns_of
+from warpcontact.visualize.report.packing import Pack
 
 
 def unpacked(pack):

@@ -14,10 +14,10 @@ import runs
 from case_marks import slow_except
 
 import warpcontact as wc
-from warpcontact import available
 from warpcontact.cli import main
 from warpcontact.experiment import cluster
-from warpcontact.signals import terminate_as_interrupt
+from warpcontact.system import resources
+from warpcontact.system.signals import terminate_as_interrupt
 
 pytestmark = pytest.mark.installed
 
@@ -356,7 +356,7 @@ def test_resume_of_finished_shards_needs_no_memory(ray, place, whole, tmp_path, 
     (out / "picture.png").unlink()
     experiment = wc.Experiment.from_toml(place / "study.toml")
     # Neither here nor anywhere else.
-    monkeypatch.setattr(available, "_host", lambda: 1)
+    monkeypatch.setattr(resources, "_host", lambda: 1)
     monkeypatch.setattr(cluster, "connect", lambda *_: pytest.fail("there is nothing to run"))
     run = experiment.run(out, device="cpu", resume=True, ray=ray)
     assert "picture" in run.files

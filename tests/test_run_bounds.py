@@ -12,7 +12,7 @@ from warpcontact.experiment.records import AXES, Commit, RunDataError, digest, i
 from warpcontact.experiment.run import Run
 from warpcontact.experiment.status import run_status
 from warpcontact.experiment.store import Ledger, Shard, Shards
-from warpcontact.run_folder import RunPath
+from warpcontact.files.run_folder import RunPath
 
 MOST = 2**31 - 1
 SUMMARY = {

@@ -11,9 +11,9 @@ import runs
 import xarray as xr
 
 import warpcontact as wc
-from warpcontact import checkpoint
 from warpcontact.cli import main
 from warpcontact.experiment.committed import CommittedStore
+from warpcontact.stepping import checkpoint
 
 MOST = 2**63 - 1
 

@@ -12,7 +12,7 @@ import runs
 
 import warpcontact as wc
 from warpcontact.cli import main
-from warpcontact.viewer.sources import RunSource
+from warpcontact.visualize.viewer.sources import RunSource
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="links and pipes of POSIX")
 

@@ -7,12 +7,12 @@ import stat
 
 import pytest
 
-from warpcontact import run_folder
-from warpcontact.cache_key import cache_key
-from warpcontact.durable import atomic_file, check_writable, open_for_writing
+from warpcontact.files import run_folder
+from warpcontact.files.atomic_files import atomic_file, check_writable, open_for_writing
+from warpcontact.files.regular_files import UnsafeFileError, open_regular
+from warpcontact.files.run_folder import RunPath, below_run, open_file
 from warpcontact.meshes import MeshError, load_mesh
-from warpcontact.regular_files import UnsafeFileError, open_regular
-from warpcontact.run_folder import RunPath, below_run, open_file
+from warpcontact.system.cache_key import cache_key
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="links and pipes of POSIX")
 

@@ -13,9 +13,9 @@ import warpcontact as wc
 from warpcontact.experiment import picture
 from warpcontact.experiment.ground import GroundSurface, contour_step, draw_from_above
 from warpcontact.experiment.sensor_panels import CURVES, draw_panel, make_panels
-from warpcontact.frames import transform_points
-from warpcontact.health import Health
-from warpcontact.recording import Recording
+from warpcontact.model.health import Health
+from warpcontact.stepping.frames import transform_points
+from warpcontact.stepping.recording import Recording
 
 WINDOW = np.array([-2.0, -2.0]), np.array([2.0, 2.0])
 

@@ -7,7 +7,7 @@ import runs
 
 import warpcontact as wc
 from warpcontact.experiment.records import Commit
-from warpcontact.run_folder import RunPath
+from warpcontact.files.run_folder import RunPath
 
 SHA = "0" * 64
 MOST = 2**63 - 1

@@ -7,7 +7,7 @@ import pytest
 from scenes import dropped_sphere, square
 
 import warpcontact as wc
-from warpcontact.checks import find_entry
+from warpcontact.validation.checks import find_entry
 
 pytestmark = pytest.mark.installed
 

@@ -12,7 +12,7 @@ import warp as wp
 from like_a_gpu import build_all_face_grids, use_work_queues
 
 import warpcontact as wc
-from warpcontact import crew, schedule, stepping
+from warpcontact.stepping import execution_plan, requirements, worker_pool
 
 STATE = ("position", "orientation", "linear_velocity", "angular_velocity")
 PRECISIONS = pytest.mark.parametrize("precision", ["float32", "float64"])
@@ -163,7 +163,7 @@ def test_distance_cache_does_not_change_results(name, few, precision, device, mo
     if not few:
         if device == "cpu":
             pytest.skip("a CPU does the same for few and many")
-        monkeypatch.setattr(schedule, "SMALL_LAUNCH", 0)
+        monkeypatch.setattr(execution_plan, "SMALL_LAUNCH", 0)
     with_cache, pushed = run(name, precision, device)
     uncached, _ = run(name, precision, device, distance_cache=False, capture_graphs=False, threads=1)
     assert pushed.sum() >= 3
@@ -344,8 +344,8 @@ def test_captured_steps_equal_launched_steps(name, precision, device):
 @pytest.mark.parametrize(("threads", "size"), [(2, 7), (3, 1), (5, 100)])
 def test_threads_and_slices_do_not_change_results(name, threads, size, device, monkeypatch):
     alone, _ = run(name, "float32", device, threads=1)
-    monkeypatch.setattr(stepping, "MAX_SLICE", size)
-    monkeypatch.setattr(crew, "SERIAL_ENV_STEPS", 0)
+    monkeypatch.setattr(requirements, "MAX_SLICE", size)
+    monkeypatch.setattr(worker_pool, "SERIAL_ENV_STEPS", 0)
     shared, _ = run(name, "float32", device, threads=threads)
     assert_same(alone, shared)
 
@@ -370,7 +370,7 @@ def test_work_queues_do_not_change_results(name, few, celled, precision, monkeyp
     if celled:
         build_all_face_grids(monkeypatch)
     if not few:
-        monkeypatch.setattr(schedule, "SMALL_LAUNCH", 0)
+        monkeypatch.setattr(execution_plan, "SMALL_LAUNCH", 0)
     assert_same(run(name, precision, "cpu")[0], usual)
 
 
@@ -436,7 +436,11 @@ def test_slow_steps_are_split_into_small_chunks():
         def step(self, ways):
             time.sleep(0.02 * sum(way.steps for way in ways))
 
-    assert list(crew.WorkerPool([crew.DeviceShare([slice(0, 1)], [Stepper()])]).step(24)) == [8, 16, 24]
+    assert list(worker_pool.WorkerPool([worker_pool.DeviceShare([slice(0, 1)], [Stepper()])]).step(24)) == [
+        8,
+        16,
+        24,
+    ]
 
 
 @pytest.mark.parametrize("wrong", [0, -1, 1.5, True, "4"])

@@ -11,8 +11,8 @@ import warp as wp
 from split_models import assert_same_recordings, assert_same_state, both, scene
 
 import warpcontact as wc
-from warpcontact import crew
 from warpcontact.cli import main
+from warpcontact.stepping import worker_pool
 
 # What is where
 
@@ -126,7 +126,7 @@ def test_bench_refuses_several_devices(device):
 )
 @pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
 def test_recordings_on_several_devices_are_bitwise_identical(options, precision, devices, device, monkeypatch):
-    monkeypatch.setattr(crew, "SERIAL_ENV_STEPS", 0)
+    monkeypatch.setattr(worker_pool, "SERIAL_ENV_STEPS", 0)
     recordings = []
     for model in both(device, devices, precision=precision):
         sim = wc.Simulation(model, dt=1e-3, deterministic=True, **options)
@@ -140,7 +140,7 @@ def test_recordings_on_several_devices_are_bitwise_identical(options, precision,
 def test_frames_are_drained_from_a_small_ring_buffer_of_each_part(devices, device, monkeypatch):
     models = both(device, devices)
     large = wc.Simulation(models[0], dt=1e-3, deterministic=True).run(0.05, ["ball.position", "hull.gap"])
-    monkeypatch.setattr("warpcontact.channels.RING_BYTES", 500)
+    monkeypatch.setattr("warpcontact.stepping.frame_buffers.RING_BYTES", 500)
     small = wc.Simulation(models[1], dt=1e-3, deterministic=True).run(0.05, ["ball.position", "hull.gap"])
     assert_same_recordings(large, small)
 

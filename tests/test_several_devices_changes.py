@@ -10,8 +10,8 @@ from scenes import dropped_sphere, square
 from split_models import ENVS, assert_same_recordings, assert_same_state, both, scene
 
 import warpcontact as wc
-from warpcontact import advice, friction_advice
-from warpcontact.parameters import DeviceField
+from warpcontact.forces.mesh_contact import friction_warnings, step_warnings
+from warpcontact.model.parameters import DeviceField
 
 # Parameters
 
@@ -174,7 +174,7 @@ def test_diverged_environment_is_reported_with_its_global_number(devices, device
 
 @pytest.mark.parametrize("looked_at", [4096, 5])
 def test_warnings_are_issued_once_with_global_environment_numbers(looked_at, device, monkeypatch):
-    for module in (advice, friction_advice):
+    for module in (step_warnings, friction_warnings):
         monkeypatch.setattr(module, "LOOKED_AT", looked_at)
 
     def warnings_of(where):

@@ -16,14 +16,14 @@ from memory_scenes import MIB, set_available_memory
 from test_experiment import EXAMPLE, content
 
 import warpcontact as wc
-from warpcontact import available
-from warpcontact.channels import Frame
-from warpcontact.draft import ModelPlan
 from warpcontact.experiment import plan, shards, store
 from warpcontact.experiment.plan import shard_size
 from warpcontact.experiment.shards import ShardRunner
-from warpcontact.footprint import MemoryItem
-from warpcontact.recorder import RecordingSize
+from warpcontact.model.memory import MemoryItem
+from warpcontact.model.plan import ModelPlan
+from warpcontact.stepping.frame_buffers import Frame
+from warpcontact.stepping.recorder import RecordingSize
+from warpcontact.system import resources
 
 VARIED = {
     "ball.mass": {"uniform": [0.5, 2.0]},
@@ -94,7 +94,7 @@ def animation(run):
 
 
 def test_plan_selects_shard_size_by_memory(at_once, device, tmp_path, monkeypatch):
-    from warpcontact import footprint
+    from warpcontact.model import memory as footprint
 
     plan = varied().plan(device=device)
     assert (plan.envs, plan.shard, plan.shards) == (11, 11, 1)
@@ -128,8 +128,8 @@ def test_plan_considers_memory_of_all_devices(monkeypatch):
         return memory(draft, envs, *varied, **stepping).with_items(needs)
 
     monkeypatch.setattr(ModelPlan, "memory", with_gpus)
-    monkeypatch.setattr(available, "_host", lambda: None)
-    monkeypatch.setattr(available, "_device", {"cuda:0": 100 * MIB, "cuda:1": 4 * MIB}.get)
+    monkeypatch.setattr(resources, "_host", lambda: None)
+    monkeypatch.setattr(resources, "_device", {"cuda:0": 100 * MIB, "cuda:1": 4 * MIB}.get)
     plan = varied().plan(device=["cpu", "cpu"])
     # Of 5, 3 would be on the first and 2, up to 70 % of what there is, on the second; 3 shards of 4 do as well.
     assert (plan.shard, plan.shards) == (4, 3)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import warp as wp
-from warpcontact.kernels.simd import WIDTH, candidates_within
+from warpcontact.kernels.lowlevel.simd import WIDTH, candidates_within
 from warpcontact.kernels.types import structs
 
 

@@ -5,8 +5,8 @@ import pytest
 from test_schedule import MATERIAL
 
 import warpcontact as wc
-from warpcontact import patches
-from warpcontact.stepping import MAX_SLICE, MIN_SLICE_FOR_FACES, cut_slices, slice_sizes
+from warpcontact.geometry import query_mesh
+from warpcontact.stepping.requirements import MAX_SLICE, MIN_SLICE_FOR_FACES, cut_slices, slice_sizes
 
 # Square metres of a face of a square of 4 m.
 CELLS = 40
@@ -15,7 +15,7 @@ FACE = 16.0 / (2 * CELLS**2)
 
 @pytest.fixture(autouse=True)
 def many_faces(monkeypatch):
-    monkeypatch.setattr(patches, "LARGE_MESH_FACES", 2 * CELLS**2 - 1)
+    monkeypatch.setattr(query_mesh, "LARGE_MESH_FACES", 2 * CELLS**2 - 1)
 
 
 def square(cells=CELLS, size=4.0):

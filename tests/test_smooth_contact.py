@@ -11,7 +11,7 @@ import warp as wp
 from scenes import square
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
-from warpcontact.kernels.smooth import base
+from warpcontact.kernels.shapes import base
 
 import warpcontact as wc
 
@@ -440,7 +440,7 @@ class Odd(wc.shapes.Shape):
 
     @wp.func
     def expand(p: Any, n: wp.vec3d):
-        found = base.Expansion()
+        found = base.SupportExpansion()
         found.point = wp.vec3d(p.radius * n[1], -p.radius * n[0], wp.float64(0.0))
         return found
 

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 import warp as wp
 from curved_pairs import Quadric, packed, shape_contacts, signed_distance
-from warpcontact.kernels.formula import coefficient_struct
+from warpcontact.kernels.catalogue.device_model import coefficient_struct
 from warpcontact.kernels.laws.elliptic import stiffness_per_modulus
 from warpcontact.kernels.laws.hertz import elliptic_stiffness
-from warpcontact.kernels.smooth import shapes
-from warpcontact.kernels.smooth.base import Curvature, ShapeContactPoint
-from warpcontact.kernels.smooth.curvature import PairCurvature, curvature, pair_curvature
-from warpcontact.kernels.smooth.meet import pair_function
-from warpcontact.kernels.smooth.torus import Torus
+from warpcontact.kernels.shapes import shapes
+from warpcontact.kernels.shapes.base import Curvature, ShapeContactPoint
+from warpcontact.kernels.shapes.curvature import PairCurvature, curvature, pair_curvature
+from warpcontact.kernels.shapes.pair_dispatch import pair_function
+from warpcontact.kernels.shapes.torus import Torus
 
 S = shapes
 INF = np.inf

@@ -17,10 +17,11 @@ from curved_pairs import (
     signed_distance,
 )
 from scipy.spatial import cKDTree
-from warpcontact.kernels.formula import coefficient_struct, parameter
-from warpcontact.kernels.smooth import curved, nearest, shapes
-from warpcontact.kernels.smooth.patch import ParametricSurface, parametric_jet
-from warpcontact.kernels.smooth.torus import Torus
+from warpcontact.kernels.catalogue.device_model import coefficient_struct, parameter
+from warpcontact.kernels.shapes import nonconvex_pairs, shapes
+from warpcontact.kernels.shapes import signed_distance as nearest
+from warpcontact.kernels.shapes.parametric_surface import ParametricSurface, parametric_jet
+from warpcontact.kernels.shapes.torus import Torus
 from warpcontact.kernels.types import MET, NOT_CONVERGED, OUTSIDE
 
 S = shapes
@@ -415,6 +416,6 @@ def test_invalid_parametric_surface_class_is_refused():
     with pytest.raises(TypeError, match=r"Steep\.derivatives must be a wp\.func of \(p, u, v\)"):
         type("Steep", (ParametricSurface,), {"derivatives": 1})
     with pytest.raises(TypeError, match=r"two patches, Tube and Quadric, cannot touch"):
-        curved.pair_function(Tube, Quadric)
+        nonconvex_pairs.pair_function(Tube, Quadric)
     with pytest.raises(ValueError, match=r"Torus\.minor_radius must be less than the major radius, got 0\.5 m"):
         Torus(0.5, 0.5)

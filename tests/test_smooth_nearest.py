@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import warp as wp
 from convex_pairs import random_shapes
-from warpcontact.kernels.formula import coefficient_struct
-from warpcontact.kernels.smooth import shapes as S
-from warpcontact.kernels.smooth.nearest import signed_distance, signed_distance_within
+from warpcontact.kernels.catalogue.device_model import coefficient_struct
+from warpcontact.kernels.shapes import shapes as S
+from warpcontact.kernels.shapes.signed_distance import signed_distance, signed_distance_within
 
 
 @pytest.mark.slow

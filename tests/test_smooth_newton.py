@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 import warp as wp
-from warpcontact.kernels.formula import coefficient_struct
-from warpcontact.kernels.smooth.ellipsoid import Ellipsoid
-from warpcontact.kernels.smooth.parametric import Root, solver
+from warpcontact.kernels.catalogue.device_model import coefficient_struct
+from warpcontact.kernels.shapes.ellipsoid import Ellipsoid
+from warpcontact.kernels.shapes.parametric import Root, solver
 from warpcontact.kernels.types import ROOT_FACING, ROOT_NONE, ROOT_PARALLEL
 
 AXES_B, AXES_A = (1.0, 0.6, 0.4), (0.8, 0.5, 0.3)

@@ -18,8 +18,8 @@ from convex_pairs import (
     widths,
 )
 from scipy.spatial.transform import Rotation
-from warpcontact.kernels.smooth.base import WarmStart
-from warpcontact.kernels.smooth.meet import pair_function
+from warpcontact.kernels.shapes.base import WarmStart
+from warpcontact.kernels.shapes.pair_dispatch import pair_function
 from warpcontact.kernels.types import MET
 
 import warpcontact as wc

@@ -4,8 +4,8 @@ import pytest
 from convex_pairs import solved
 from patch_pairs import PATCHES, Bore, Quadric, Tube, Waves, check_points, classify_contacts, random_pairs
 from patch_reference import SIZES
-from warpcontact.kernels.smooth import shapes as S
-from warpcontact.kernels.smooth.torus import Torus
+from warpcontact.kernels.shapes import shapes as S
+from warpcontact.kernels.shapes.torus import Torus
 from warpcontact.kernels.types import MET
 
 COMBINATIONS = [(A, P) for A in SIZES for P in PATCHES if A not in (S.Plane, S.Superellipsoid)]

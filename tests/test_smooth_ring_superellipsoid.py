@@ -7,8 +7,8 @@ from convex_pairs import directions, heights, random_rotations, random_shapes, s
 from curved_pairs import inverse_rotation, largest_separation, rotated
 from patch_pairs import support
 from superellipsoid_distance import distance_lower_bound, separation
-from warpcontact.kernels.smooth import shapes as S
-from warpcontact.kernels.smooth.torus import Torus
+from warpcontact.kernels.shapes import shapes as S
+from warpcontact.kernels.shapes.torus import Torus
 from warpcontact.kernels.types import MET
 
 # Of the signed distance: beyond rounding of the support function, whose powers go to 20.

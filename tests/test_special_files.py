@@ -11,11 +11,11 @@ import runs
 from test_experiment import content
 
 import warpcontact as wc
-from warpcontact import checkpoint
-from warpcontact.available import AvailableMemory
 from warpcontact.cli import main
 from warpcontact.experiment import rows_file
 from warpcontact.experiment.rows_file import read_rows
+from warpcontact.stepping import checkpoint
+from warpcontact.system.resources import AvailableMemory
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pipes and devices of POSIX")
 

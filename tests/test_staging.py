@@ -17,7 +17,7 @@ from warpcontact.experiment import store
 from warpcontact.experiment.chunks import Chunk, ChunkEncoder, compressors
 from warpcontact.experiment.expected import RunExtent
 from warpcontact.experiment.records import RunDataError
-from warpcontact.run_folder import RunPath
+from warpcontact.files.run_folder import RunPath
 
 ENVS, FRAMES = 96, 5
 

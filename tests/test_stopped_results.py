@@ -8,7 +8,7 @@ import report_runs
 
 import warpcontact as wc
 from warpcontact.experiment import picture
-from warpcontact.picture_file import save
+from warpcontact.files.picture_file import save
 
 # Balls fall from rest: three come down, one gets to an energy that the lighter one does not, one fails.
 FALL = {

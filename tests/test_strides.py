@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import warp as wp
 from like_a_gpu import build_all_face_grids
-from warpcontact.kernels.strides import assume_strides, record_fields
+from warpcontact.kernels.lowlevel.static_strides import assume_strides, record_fields
 
 import warpcontact as wc
 

@@ -10,11 +10,11 @@ import pytest
 from tqdm import tqdm
 
 import warpcontact as wc
-from warpcontact import hostile
 from warpcontact.cli import main
 from warpcontact.experiment.run import Run
 from warpcontact.experiment.status import RunStatus
-from warpcontact.pace import progress_bar
+from warpcontact.stepping.chunk_sizer import progress_bar
+from warpcontact.validation import safe_text
 
 MALICIOUS = "\x1b[31mRED\x1b]0;title\x07\r\x9b2J\u202egnp\u2028"
 
@@ -31,9 +31,9 @@ def controls(text):
 
 
 def test_control_characters_are_shown_as_escapes():
-    assert hostile.escape_controls(MALICIOUS) == r"\x1b[31mRED\x1b]0;title\x07\r\x9b2J\u202egnp\u2028"
-    assert hostile.escape_controls("ν = 0.3 m/s²\n\tä 漢 😀") == "ν = 0.3 m/s²\n\tä 漢 😀"
-    assert not controls(hostile.escape_controls("".join(map(chr, range(0x3000)))))
+    assert safe_text.escape_controls(MALICIOUS) == r"\x1b[31mRED\x1b]0;title\x07\r\x9b2J\u202egnp\u2028"
+    assert safe_text.escape_controls("ν = 0.3 m/s²\n\tä 漢 😀") == "ν = 0.3 m/s²\n\tä 漢 😀"
+    assert not controls(safe_text.escape_controls("".join(map(chr, range(0x3000)))))
 
 
 def test_messages_of_errors_are_shown_with_escapes():
@@ -113,7 +113,7 @@ def test_command_output_is_shown_with_escapes_and_streams_are_restored(monkeypat
         sys.stdout.writelines([MALICIOUS, "\n"])
         raise ValueError(MALICIOUS)
 
-    monkeypatch.setattr("warpcontact.laws_command.run", print_malicious)
+    monkeypatch.setattr("warpcontact.cli.laws.run", print_malicious)
     assert main(["laws"]) == 2
     output = capsys.readouterr()
     assert output.out.count("RED") == 2
@@ -129,14 +129,14 @@ def test_texts_of_run_json_cannot_add_lines(tmp_path):
     assert str(status).count(r"x\nverified: all") == 3
     assert not [line for line in str(status).splitlines() if line.startswith("verified")]
     assert repr(Run(tmp_path, summary)).splitlines() == [repr(Run(tmp_path, summary))]
-    assert hostile.escape_lines(["a\tb", forged]) == "a\tb\nx\\nverified: all"
+    assert safe_text.escape_lines(["a\tb", forged]) == "a\tb\nx\\nverified: all"
 
 
 def test_traceback_of_an_unexpected_error_is_shown_with_escapes(monkeypatch, capsys):
     def print_malicious(arguments):
         raise KeyError(MALICIOUS) from RuntimeError(MALICIOUS)
 
-    monkeypatch.setattr("warpcontact.laws_command.run", print_malicious)
+    monkeypatch.setattr("warpcontact.cli.laws.run", print_malicious)
     assert main(["laws"]) == 1
     output = capsys.readouterr()
     assert "Traceback" in output.err
@@ -146,7 +146,7 @@ def test_traceback_of_an_unexpected_error_is_shown_with_escapes(monkeypatch, cap
 
 def test_progress_bars_still_move_the_cursor():
     output = io.StringIO()
-    with contextlib.redirect_stderr(output), hostile.escape_output():
+    with contextlib.redirect_stderr(output), safe_text.escape_output():
         bar = progress_bar(True, 3, "steps")
         bar.delay = 0
         bar.update(3)

@@ -5,14 +5,14 @@ import functools
 import numpy as np
 import pytest
 import warp as wp
-from warpcontact.kernels import foot as closest_points
-from warpcontact.kernels import near
-from warpcontact.kernels import tree as trees
-from warpcontact.kernels.closest_point import DETECT_ALL
+from warpcontact.kernels.broadphase import contact_detection
+from warpcontact.kernels.narrowphase import bvh_search as trees
+from warpcontact.kernels.narrowphase import face_closest_point as closest_points
+from warpcontact.kernels.narrowphase.closest_point import DETECT_ALL
 from warpcontact.kernels.types import structs
 
 import warpcontact as wc
-from warpcontact.tree import BRANCHES, build_bvh, face_capacity, node_count
+from warpcontact.geometry.bvh import BRANCHES, build_bvh, face_capacity, node_count
 
 
 def faces_of(mesh):
@@ -172,7 +172,7 @@ def test_bvh_nearest_face_matches_brute_force(mesh, real):
 @pytest.mark.parametrize("height", [np.nan, np.inf, 1e20, 1e200])
 def test_cluster_with_non_finite_pose_has_no_clearance(height, real):
     """What is no number, or whose square is none, is not free to move as far as it likes."""
-    t, of_near = structs(real), near.functions(real, False, DETECT_ALL)
+    t, of_near = structs(real), contact_detection.functions(real, False, DETECT_ALL)
     model_type, state_type, cache_type = t.Model, t.State, t.Cache
     probe, frames_of_set = of_near.cluster_clearance, of_near.frames_of_set
 

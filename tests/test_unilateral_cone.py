@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 import warp as wp
+from warpcontact.kernels.nonsmooth import cone
 from warpcontact.kernels.types import structs
-from warpcontact.kernels.unilateral import cone
 
 COUNT = 100_000
 EPS = {wp.float32: float(np.finfo(np.float32).eps), wp.float64: float(np.finfo(np.float64).eps)}

@@ -6,7 +6,7 @@ from pxr import Usd, UsdGeom
 from usd_stages import findings
 
 import warpcontact as wc
-from warpcontact.replay.couplings import LINE_POINTS, PER_TURN, TURNS, Coil, coil_points
+from warpcontact.visualize.drawing.couplings import LINE_POINTS, PER_TURN, TURNS, Coil, coil_points
 
 
 @pytest.fixture(scope="module")

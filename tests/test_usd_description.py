@@ -11,7 +11,7 @@ import warpcontact as wc
 from warpcontact.usd.author import identifiers
 from warpcontact.usd.catalogue import LIBRARY
 from warpcontact.usd.description import read_description, write_description
-from warpcontact.usd.words import element_calls
+from warpcontact.usd.serialize import element_calls
 
 SCENES = {"touching": scenes.contact_scene, "shaped": scenes.shape_scene, "own": scenes.custom_law_scene}
 
@@ -67,7 +67,7 @@ def test_scene_description_round_trips_every_argument(name, suffix, tmp_path):
 
 
 def test_test_scenes_cover_every_kind_of_element():
-    from warpcontact.usd.words import ADDERS
+    from warpcontact.usd.serialize import ADDERS
 
     assert {one.kind for make in SCENES.values() for one in element_calls(make())} == set(ADDERS)
 
@@ -180,7 +180,7 @@ def test_custom_law_class_must_be_passed_to_the_reader():
 
 
 def test_normalized_quaternion_is_unchanged_by_normalization():
-    from warpcontact.checks import unit_quaternions
+    from warpcontact.validation.checks import unit_quaternions
 
     given = np.random.default_rng(3).normal(size=(100000, 4))
     given /= np.linalg.norm(given, axis=1, keepdims=True) * 1.0001

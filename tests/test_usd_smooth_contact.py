@@ -6,7 +6,7 @@ from pxr import Usd, UsdGeom, UsdValidation
 from usd_stages import arrows
 
 import warpcontact as wc
-from warpcontact.smooth.tessellate import tessellate
+from warpcontact.forces.shape_contact.tessellate import tessellate
 
 SOFT = wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e3))
 FORMS = {

@@ -16,7 +16,7 @@ from viewing import ball_on_ground, make_run, poll_until, viewing, wait_for_thre
 
 import warpcontact as wc
 from warpcontact.cli import main
-from warpcontact.viewer import opening
+from warpcontact.visualize.viewer import opening
 
 pytestmark = pytest.mark.installed
 
@@ -54,10 +54,10 @@ def test_run_is_replayed_at_the_selected_time(run):
         assert show.record == 120
         np.testing.assert_array_equal(place(show), recorded.sel(env=0).values[120].astype(np.float32))
         assert show.time_input.value == recorded["time"].values[120]
-        show.post(lambda: show._walk("Last"))
+        show.post(lambda: show._step_through("Last"))
         wait_for_thread(show)
         assert show.record == recorded.sizes["time"] - 1
-        show.post(lambda: show._walk("On"))
+        show.post(lambda: show._step_through("On"))
         wait_for_thread(show)
         assert show.record == recorded.sizes["time"] - 1
         assert show.problem == ""
@@ -80,9 +80,9 @@ def test_selected_environment_is_shown_at_the_same_time(run):
         wait_for_thread(show)
         assert show.problem == "there is no environment 10; there are 0 to 9"
         assert show.picker.env == 7
-        show.post(lambda: show.picker._go("Next"))
-        show.post(lambda: show.picker._go("Next"))
-        show.post(lambda: show.picker._go("Next"))
+        show.post(lambda: show.picker._select("Next"))
+        show.post(lambda: show.picker._select("Next"))
+        show.post(lambda: show.picker._select("Next"))
         wait_for_thread(show)
         assert show.picker.env == 0
         assert show.problem == ""
@@ -120,7 +120,7 @@ def test_view_follows_a_running_run(tmp_path):
         assert show.source.envs.tolist() == [0, 1, 2, 3]
         assert len(show._drawing.times) == frames
         assert "stopped" in show._status.content
-        show.post(lambda: show._walk("Last"))
+        show.post(lambda: show._step_through("Last"))
         wait_for_thread(show)
         code, _, err = runs.run("--resume", "--out", folder)
         assert code == 0, err
@@ -148,8 +148,8 @@ def test_view_waits_for_the_first_commit(tmp_path):
         assert show.picker.env is None
         assert "nothing is committed" in show._status.content
         show.post(show.toggle)
-        show.post(show._look)
-        show.post(lambda: show.picker._go("Next"))
+        show.post(show._frame_bodies)
+        show.post(lambda: show.picker._select("Next"))
         wait_for_thread(show)
         assert show.problem == "there are none yet"
 
@@ -165,7 +165,7 @@ def test_failed_environments_are_marked(tmp_path):
     assert wc.open_run(tmp_path / "run").health.frozen.tolist() == [3, 8]
     with viewing(tmp_path / "run") as show:
         for env in (3, 8, 3):
-            show.post(lambda: show.picker._go("Next frozen"))
+            show.post(lambda: show.picker._select("Next frozen"))
             wait_for_thread(show)
             assert show.picker.env == env
             assert "TOO_FAST" in show.picker._text.content
@@ -319,7 +319,7 @@ def test_stopped_simulation_states_its_cause(tmp_path):
         assert "environment 0 failed" in show.problem
         assert "TOO_FAST" in show.problem
         assert not show.playing
-        show.post(lambda: show.picker._go("Next frozen"))
+        show.post(lambda: show.picker._select("Next frozen"))
         wait_for_thread(show)
         assert show.picker.env == 0
 

@@ -5,11 +5,11 @@ import pytest
 from viewing import ball_on_ground
 
 import warpcontact as wc
-from warpcontact.replay.colors import GAPS, gap_colors
-from warpcontact.replay.drawing import Shape
-from warpcontact.viewer.page import LONGEST, gap_legend, is_own, message, shortened, table
-from warpcontact.viewer.stage import by_color, is_same
-from warpcontact.viewer.values import ParameterText, value_text
+from warpcontact.visualize.drawing.colors import GAPS, gap_colors
+from warpcontact.visualize.drawing.drawing import Shape
+from warpcontact.visualize.viewer.page import LONGEST, gap_legend, is_own, message, shortened, table
+from warpcontact.visualize.viewer.stage import by_color, is_same
+from warpcontact.visualize.viewer.values import ParameterText, value_text
 
 HOSTILE = ("<script>alert(1)</script>", '"><img src=x onerror=alert(1)>', "[a](javascript:alert(1))", "🦀\u202e\0")
 

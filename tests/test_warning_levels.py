@@ -8,11 +8,15 @@ import pytest
 from scenes import dropped_sphere
 
 import warpcontact as wc
-from warpcontact.contact_warning import labeled, split_label
-from warpcontact.experiment.notices import WarningLog
+from warpcontact.experiment.warning_log import WarningLog
 from warpcontact.meshes.report import MeshReport, RepairStep
-from warpcontact.remarks import MAX_HARMLESS_RESIDUAL, MAX_TOLERABLE_RESIDUAL, RunWarnings
-from warpcontact.run_report import facts
+from warpcontact.stepping.run_warnings import (
+    MAX_HARMLESS_RESIDUAL,
+    MAX_TOLERABLE_RESIDUAL,
+    RunWarnings,
+)
+from warpcontact.validation.warning_levels import labeled, split_label
+from warpcontact.visualize.report import facts
 
 NOTE, CAUTION, ERROR = wc.WarningLevel.NOTE, wc.WarningLevel.CAUTION, wc.WarningLevel.ERROR
 

@@ -7,13 +7,13 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, KDTree
 from scipy.special import gamma
+from warpcontact.kernels.catalogue.roots import root_between
 from warpcontact.kernels.laws.undamped import contact_time, greatest_penetration
-from warpcontact.kernels.roots import root_between
 from warpcontact.kernels.types import SIDE_KNOWN_INSIDE_WALLS
 
+from warpcontact.geometry.query_mesh import make_query_mesh
 from warpcontact.meshes import Mesh
 from warpcontact.meshes.topology import components, has_near_neighbor
-from warpcontact.patches import make_query_mesh
 
 
 def test_bracketed_roots_are_bitwise_identical_to_scipy():

@@ -21,14 +21,14 @@ def make_run(folder, **replaced):
 def viewing(target, **options):
     """Shows ``target`` on a page; yields what is behind it, when it has begun."""
     with wc.view(target, port=0, block=False, device="cpu", **options) as viewer:
-        wait_for_thread(viewer.show)
-        yield viewer.show
+        wait_for_thread(viewer.viewer_thread)
+        yield viewer.viewer_thread
 
 
 def wait_for_thread(show):
     """Waits until the thread has done all that it was asked so far, and shows it."""
     done = threading.Event()
-    show.do(done.set)
+    show.post(done.set)
     # The first time it compiles, on whatever machine.
     assert done.wait(900.0), "the thread of the page does not answer"
     seen = show.pictures

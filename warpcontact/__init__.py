@@ -9,43 +9,30 @@ import importlib
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from warpcontact import collecting
 from warpcontact._version import __version__
+from warpcontact.system import gc_pause
 
 if TYPE_CHECKING:
-    from warpcontact import compare, integrators, meshes, outcomes, unilateral
-    from warpcontact.analysis import convergence, quantile_fan, sensitivity, write_fan
+    from warpcontact import meshes, unilateral
+    from warpcontact.analysis import compare, convergence, quantile_fan, sensitivity, write_fan
     from warpcontact.benchmark import BenchReport, bench
-    from warpcontact.checkpoint_values import CheckpointError
-    from warpcontact.contact_coupling import ContactCoupling
-    from warpcontact.contact_range import ContactRange
-    from warpcontact.contact_warning import ContactWarning, RunWarning, WarningLevel
-    from warpcontact.couplings.elements import Bushing, Catenary, SpringDamper
-    from warpcontact.elements import Body, Contact, ContactMaterial, Points, Surface
     from warpcontact.experiment import Experiment, ExperimentError, Run, RunDataError, open_run
-    from warpcontact.health import Health
-    from warpcontact.kernels import friction, laws, motions, springs
-    from warpcontact.kernels.formula import history, parameter, table
+    from warpcontact.files.regular_files import UnsafeFileError
+    from warpcontact.kernels import friction, laws
+    from warpcontact.kernels.catalogue.device_model import history, parameter, table
+    from warpcontact.kernels.couplings import springs
+    from warpcontact.kernels.couplings.springs.base import Damper, Spring
     from warpcontact.kernels.friction.base import Friction
+    from warpcontact.kernels.joints.base import Motion
     from warpcontact.kernels.laws.base import Law
-    from warpcontact.kernels.motions.base import Motion
     from warpcontact.kernels.outcomes.base import Outcome
-    from warpcontact.kernels.smooth import shapes
-    from warpcontact.kernels.smooth.patch import ParametricSurface
-    from warpcontact.kernels.springs.base import Damper, Spring
+    from warpcontact.kernels.shapes import shapes
+    from warpcontact.kernels.shapes.parametric_surface import ParametricSurface
     from warpcontact.meshes import Mesh, MeshError, MeshReport, SurfaceSamples, load_mesh, sample_surface
-    from warpcontact.model import Model
-    from warpcontact.outcomes.watch import ContactEvents, StopCondition
-    from warpcontact.quarantine import QuarantineError
-    from warpcontact.recording import Recording
-    from warpcontact.regular_files import UnsafeFileError
-    from warpcontact.rendering import film, render
-    from warpcontact.run_report import report
-    from warpcontact.scene import Scene
-    from warpcontact.simulation import Simulation
-    from warpcontact.smooth.elements import Shape, ShapeContact
-    from warpcontact.split_model import SplitModel
-    from warpcontact.status import (
+    from warpcontact.model.health import Health
+    from warpcontact.model.model import Model
+    from warpcontact.model.split_model import SplitModel
+    from warpcontact.model.status import (
         CatenaryStatus,
         ContactMode,
         ContactStatus,
@@ -53,87 +40,115 @@ if TYPE_CHECKING:
         EnvironmentStatus,
         FailureCause,
     )
+    from warpcontact.scene.contact_coupling import ContactCoupling
+    from warpcontact.scene.contact_range import ContactRange
+    from warpcontact.scene.couplings import Bushing, Catenary, SpringDamper
+    from warpcontact.scene.elements import Body, Contact, ContactMaterial, Points, Surface
+    from warpcontact.scene.scene import Scene
+    from warpcontact.scene.shapes import Shape, ShapeContact
+    from warpcontact.stepping import integrators, outcomes
+    from warpcontact.stepping.checkpoint_values import CheckpointError
+    from warpcontact.stepping.outcomes.watch import ContactEvents, StopCondition
+    from warpcontact.stepping.quarantine import QuarantineError
+    from warpcontact.stepping.recording import Recording
+    from warpcontact.stepping.simulation import Simulation
     from warpcontact.usd import check_usd, export_usd
     from warpcontact.usd.importing.errors import UsdError
-    from warpcontact.viewer import view
+    from warpcontact.validation.warning_levels import ContactWarning, RunWarning, WarningLevel
+    from warpcontact.visualize.rendering import film, render
+    from warpcontact.visualize.report import report
+    from warpcontact.visualize.viewer import view
 
-# Where each public name lives; a module stands for itself.
+# Public modules.
+_MODULES = {
+    "compare",
+    "friction",
+    "integrators",
+    "laws",
+    "meshes",
+    "motions",
+    "outcomes",
+    "shapes",
+    "springs",
+    "unilateral",
+}
+# Module of each public name, or the public module itself.
 _HOME = {
     "BenchReport": "warpcontact.benchmark",
-    "Body": "warpcontact.elements",
-    "Bushing": "warpcontact.couplings.elements",
-    "Catenary": "warpcontact.couplings.elements",
-    "CheckpointError": "warpcontact.checkpoint_values",
-    "FailureCause": "warpcontact.status",
-    "Contact": "warpcontact.elements",
-    "ContactCoupling": "warpcontact.contact_coupling",
-    "ContactMode": "warpcontact.status",
-    "ContactRange": "warpcontact.contact_range",
-    "ContactWarning": "warpcontact.contact_warning",
-    "CouplingStatus": "warpcontact.status",
-    "Damper": "warpcontact.kernels.springs.base",
-    "EnvironmentStatus": "warpcontact.status",
-    "ContactEvents": "warpcontact.outcomes.watch",
+    "Body": "warpcontact.scene.elements",
+    "Bushing": "warpcontact.scene.couplings",
+    "Catenary": "warpcontact.scene.couplings",
+    "CheckpointError": "warpcontact.stepping.checkpoint_values",
+    "FailureCause": "warpcontact.model.status",
+    "Contact": "warpcontact.scene.elements",
+    "ContactCoupling": "warpcontact.scene.contact_coupling",
+    "ContactMode": "warpcontact.model.status",
+    "ContactRange": "warpcontact.scene.contact_range",
+    "ContactWarning": "warpcontact.validation.warning_levels",
+    "CouplingStatus": "warpcontact.model.status",
+    "Damper": "warpcontact.kernels.couplings.springs.base",
+    "EnvironmentStatus": "warpcontact.model.status",
+    "ContactEvents": "warpcontact.stepping.outcomes.watch",
     "Experiment": "warpcontact.experiment",
     "ExperimentError": "warpcontact.experiment",
     "Friction": "warpcontact.kernels.friction.base",
-    "Health": "warpcontact.health",
+    "Health": "warpcontact.model.health",
     "Law": "warpcontact.kernels.laws.base",
-    "CatenaryStatus": "warpcontact.status",
+    "CatenaryStatus": "warpcontact.model.status",
     "Mesh": "warpcontact.meshes",
     "MeshError": "warpcontact.meshes",
     "MeshReport": "warpcontact.meshes",
-    "Model": "warpcontact.model",
-    "Motion": "warpcontact.kernels.motions.base",
+    "Model": "warpcontact.model.model",
+    "Motion": "warpcontact.kernels.joints.base",
     "Outcome": "warpcontact.kernels.outcomes.base",
-    "ParametricSurface": "warpcontact.kernels.smooth.patch",
-    "Points": "warpcontact.elements",
-    "QuarantineError": "warpcontact.quarantine",
-    "Recording": "warpcontact.recording",
+    "ParametricSurface": "warpcontact.kernels.shapes.parametric_surface",
+    "Points": "warpcontact.scene.elements",
+    "QuarantineError": "warpcontact.stepping.quarantine",
+    "Recording": "warpcontact.stepping.recording",
     "Run": "warpcontact.experiment",
-    "RunWarning": "warpcontact.contact_warning",
-    "Scene": "warpcontact.scene",
-    "Shape": "warpcontact.smooth.elements",
-    "Simulation": "warpcontact.simulation",
-    "ShapeContact": "warpcontact.smooth.elements",
-    "SplitModel": "warpcontact.split_model",
-    "Spring": "warpcontact.kernels.springs.base",
-    "SpringDamper": "warpcontact.couplings.elements",
+    "RunWarning": "warpcontact.validation.warning_levels",
+    "Scene": "warpcontact.scene.scene",
+    "Shape": "warpcontact.scene.shapes",
+    "Simulation": "warpcontact.stepping.simulation",
+    "ShapeContact": "warpcontact.scene.shapes",
+    "SplitModel": "warpcontact.model.split_model",
+    "Spring": "warpcontact.kernels.couplings.springs.base",
+    "SpringDamper": "warpcontact.scene.couplings",
     "UsdError": "warpcontact.usd.importing.errors",
-    "ContactStatus": "warpcontact.status",
+    "ContactStatus": "warpcontact.model.status",
     "RunDataError": "warpcontact.experiment",
-    "StopCondition": "warpcontact.outcomes.watch",
-    "Surface": "warpcontact.elements",
+    "StopCondition": "warpcontact.stepping.outcomes.watch",
+    "Surface": "warpcontact.scene.elements",
     "SurfaceSamples": "warpcontact.meshes",
-    "ContactMaterial": "warpcontact.elements",
-    "WarningLevel": "warpcontact.contact_warning",
-    "UnsafeFileError": "warpcontact.regular_files",
+    "ContactMaterial": "warpcontact.scene.elements",
+    "WarningLevel": "warpcontact.validation.warning_levels",
+    "UnsafeFileError": "warpcontact.files.regular_files",
     "bench": "warpcontact.benchmark",
-    "compare": "warpcontact.compare",
+    "compare": "warpcontact.analysis.compare",
     "convergence": "warpcontact.analysis",
     "check_usd": "warpcontact.usd",
     "export_usd": "warpcontact.usd",
-    "film": "warpcontact.rendering",
+    "film": "warpcontact.visualize.rendering",
     "friction": "warpcontact.kernels.friction",
-    "integrators": "warpcontact.integrators",
+    "integrators": "warpcontact.stepping.integrators",
     "laws": "warpcontact.kernels.laws",
     "load_mesh": "warpcontact.meshes",
-    "history": "warpcontact.kernels.formula",
+    "history": "warpcontact.kernels.catalogue.device_model",
     "meshes": "warpcontact.meshes",
-    "motions": "warpcontact.kernels.motions",
+    "motions": "warpcontact.kernels.joints",
     "open_run": "warpcontact.experiment",
-    "outcomes": "warpcontact.outcomes",
-    "parameter": "warpcontact.kernels.formula",
+    "outcomes": "warpcontact.stepping.outcomes",
+    "parameter": "warpcontact.kernels.catalogue.device_model",
     "quantile_fan": "warpcontact.analysis",
-    "render": "warpcontact.rendering",
-    "report": "warpcontact.run_report",
+    "render": "warpcontact.visualize.rendering",
+    "report": "warpcontact.visualize.report",
     "sample_surface": "warpcontact.meshes",
     "sensitivity": "warpcontact.analysis",
-    "shapes": "warpcontact.kernels.smooth.shapes",
-    "springs": "warpcontact.kernels.springs",
-    "table": "warpcontact.kernels.formula",
+    "shapes": "warpcontact.kernels.shapes.shapes",
+    "springs": "warpcontact.kernels.couplings.springs",
+    "table": "warpcontact.kernels.catalogue.device_model",
     "unilateral": "warpcontact.unilateral",
-    "view": "warpcontact.viewer",
+    "view": "warpcontact.visualize.viewer",
     "write_fan": "warpcontact.analysis",
 }
 
@@ -220,21 +235,21 @@ __all__ = [
 
 def _load(name: str) -> ModuleType:
     """Imports a module. What it makes stays: to look for garbage in it would take a fifth of the time."""
-    with collecting.gc_paused():
+    with gc_pause.gc_paused():
         return importlib.import_module(name)
 
 
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
-        from warpcontact.kernels.names import suggestion
-        from warpcontact.kernels.renamed import present_name
+        from warpcontact.kernels.catalogue.names import suggestion
+        from warpcontact.kernels.catalogue.renamed import present_name
 
         if (new := present_name(name, _HOME)) is not None:
             raise AttributeError(f"warpcontact.{name} is now warpcontact.{new}")
         hint = "" if name.startswith("_") else suggestion(name, _HOME)
         raise AttributeError(f"module 'warpcontact' has no attribute {name!r}{hint}")
     module = _load(_HOME[name])
-    value = module if _HOME[name].rpartition(".")[2] == name else getattr(module, name)
+    value = module if name in _MODULES else getattr(module, name)
     globals()[name] = value
     return value
 

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import warp as wp
 from warpcontact.kernels import frames, rotations
 from warpcontact.kernels.couplings import ends
+from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.types import (
     COUPLING_ACTIVE,
     COUPLING_DISABLED,
@@ -16,7 +17,6 @@ from warpcontact.kernels.types import (
     task_env,
     task_item,
 )
-from warpcontact.kernels.unique import unique_kernel
 
 
 @functools.cache

@@ -12,6 +12,7 @@ from warpcontact.kernels import frames
 from warpcontact.kernels.couplings import ends
 from warpcontact.kernels.couplings.elastic_line import mean_tension, scale, size, solve
 from warpcontact.kernels.couplings.grounded_line import solve_grounded, suspended_weight
+from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.types import (
     ENV_ACTIVE,
     LINE_DISABLED,
@@ -28,7 +29,6 @@ from warpcontact.kernels.types import (
     task_env,
     task_item,
 )
-from warpcontact.kernels.unique import unique_kernel
 
 zero = wp.constant(wp.float64(0.0))
 one = wp.constant(wp.float64(1.0))

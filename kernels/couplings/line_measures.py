@@ -7,8 +7,8 @@ from warpcontact.kernels.couplings import ends
 from warpcontact.kernels.couplings.catenary import CatenarySolution, Settings, one, placement, zero
 from warpcontact.kernels.couplings.elastic_line import mean_slackness, scale, size, span, span_compliance
 from warpcontact.kernels.couplings.grounded_line import slack_slope, suspended_weight
+from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.types import structs
-from warpcontact.kernels.unique import unique_kernel
 
 
 @wp.func

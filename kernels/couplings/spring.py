@@ -8,9 +8,10 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import warp as wp
+from warpcontact.kernels.catalogue.device_model import Formula, coefficient_struct, named_struct
 from warpcontact.kernels.couplings import ends
-from warpcontact.kernels.formula import Formula, coefficient_struct, named_struct
-from warpcontact.kernels.springs import Damper, Spring
+from warpcontact.kernels.couplings.springs import Damper, Spring
+from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.types import (
     COUPLING_ACTIVE,
     COUPLING_BROKEN,
@@ -25,7 +26,6 @@ from warpcontact.kernels.types import (
     task_env,
     task_item,
 )
-from warpcontact.kernels.unique import unique_kernel
 
 
 class SpringModel(NamedTuple):

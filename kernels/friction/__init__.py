@@ -2,8 +2,8 @@
 
 from typing import TYPE_CHECKING
 
+from warpcontact.kernels.catalogue.lazy_catalogue import lazy_names
 from warpcontact.kernels.friction.base import Friction
-from warpcontact.kernels.on_demand import lazy_names
 
 if TYPE_CHECKING:
     from warpcontact.kernels.friction.ambrosio import Ambrosio

@@ -2,7 +2,7 @@
 
 from typing import ClassVar
 
-from warpcontact.kernels.formula import Formula
+from warpcontact.kernels.catalogue.device_model import Formula
 
 
 class Friction(Formula):

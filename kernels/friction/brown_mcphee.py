@@ -3,7 +3,7 @@
 from typing import Any
 
 import warp as wp
-from warpcontact.kernels.formula import parameter
+from warpcontact.kernels.catalogue.device_model import parameter
 from warpcontact.kernels.friction.base import Friction
 from warpcontact.kernels.friction.saturation import fast_tanh
 

@@ -4,10 +4,10 @@ import math
 from typing import Any, Self
 
 import warp as wp
-from warpcontact.kernels.clamped_dashpot import damping_ratio_of_restitution
-from warpcontact.kernels.formula import history, number, parameter
+from warpcontact.kernels.catalogue.device_model import history, number, parameter
+from warpcontact.kernels.catalogue.keywords import explain_keywords
 from warpcontact.kernels.friction.base import Friction
-from warpcontact.kernels.keywords import explain_keywords
+from warpcontact.kernels.laws.clamped_dashpot import damping_ratio_of_restitution
 
 
 def stick_damping(stiffness: float, mass: float, overshoot: float) -> float:

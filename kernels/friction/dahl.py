@@ -3,7 +3,7 @@
 from typing import Any
 
 import warp as wp
-from warpcontact.kernels.formula import history, parameter
+from warpcontact.kernels.catalogue.device_model import history, parameter
 from warpcontact.kernels.friction.base import Friction
 from warpcontact.kernels.friction.lugre import advance_deflection
 

@@ -3,10 +3,10 @@
 from typing import Any, Self
 
 import warp as wp
-from warpcontact.kernels.formula import history, number, parameter
+from warpcontact.kernels.catalogue.device_model import history, number, parameter
+from warpcontact.kernels.catalogue.keywords import explain_keywords
 from warpcontact.kernels.friction.base import Friction
 from warpcontact.kernels.friction.cundall_strack import spring_and_dashpot, spring_and_slider, stick_damping
-from warpcontact.kernels.keywords import explain_keywords
 
 
 class Mindlin(Friction):

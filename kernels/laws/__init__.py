@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING
 
+from warpcontact.kernels.catalogue.lazy_catalogue import lazy_names
 from warpcontact.kernels.laws.base import Law
 from warpcontact.kernels.laws.undamped import (
     contact_time,
@@ -9,7 +10,6 @@ from warpcontact.kernels.laws.undamped import (
     greatest_penetration,
     recommended_dt,
 )
-from warpcontact.kernels.on_demand import lazy_names
 
 if TYPE_CHECKING:
     from warpcontact.kernels.laws.anagnostopoulos import Anagnostopoulos

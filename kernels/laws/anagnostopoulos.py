@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from warpcontact.kernels.formula import parameter
+from warpcontact.kernels.catalogue.device_model import parameter
 from warpcontact.kernels.laws.base import Law, stepped_dashpot
 
 

@@ -4,7 +4,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 import warp as wp
-from warpcontact.kernels.formula import Formula
+from warpcontact.kernels.catalogue.device_model import Formula
 
 
 class Law(Formula):

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from warpcontact.kernels.formula import number, parameter
-from warpcontact.kernels.keywords import explain_keywords
+from warpcontact.kernels.catalogue.device_model import number, parameter
+from warpcontact.kernels.catalogue.keywords import explain_keywords
+from warpcontact.kernels.catalogue.roots import root_between
 from warpcontact.kernels.laws.base import Law
-from warpcontact.kernels.roots import root_between
 
 
 def hertz_stiffness(

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from warpcontact.kernels.formula import parameter
-from warpcontact.kernels.keywords import keywords_of, refuse_unknown
+from warpcontact.kernels.catalogue.device_model import parameter
+from warpcontact.kernels.catalogue.keywords import keywords_of, refuse_unknown
 from warpcontact.kernels.laws.base import Law
 from warpcontact.kernels.laws.elliptic import stiffness_per_modulus
 from warpcontact.kernels.laws.hertz import hertz_stiffness

@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from warpcontact.kernels.formula import parameter
+from warpcontact.kernels.catalogue.device_model import parameter
+from warpcontact.kernels.catalogue.roots import root_between
 from warpcontact.kernels.laws.base import Law, power
-from warpcontact.kernels.roots import root_between
 
 # Below this distance of e from 1 the series of d is better than the root of its equation.
 SERIES_RANGE = 2.0e-3

@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from warpcontact.kernels.formula import number, parameter
-from warpcontact.kernels.keywords import explain_keywords
+from warpcontact.kernels.catalogue.device_model import number, parameter
+from warpcontact.kernels.catalogue.keywords import explain_keywords
+from warpcontact.kernels.catalogue.roots import root_between
 from warpcontact.kernels.laws.base import Law
-from warpcontact.kernels.roots import root_between
 
 # Padé approximant of Müller & Pöschel: e as a quotient of polynomials of v* = β^(1/2) v₀^(1/10), low order first.
 NUMERATOR = (1.0, 1.07232, 0.574198, 0.141552)

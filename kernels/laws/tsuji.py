@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from warpcontact.kernels.clamped_dashpot import damping_ratio_of_restitution
-from warpcontact.kernels.formula import parameter
+from warpcontact.kernels.catalogue.device_model import parameter
 from warpcontact.kernels.laws.base import Law, power
+from warpcontact.kernels.laws.clamped_dashpot import damping_ratio_of_restitution
 
 
 class Tsuji(Law):

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from warpcontact.kernels.formula import as_numbers, number
-from warpcontact.kernels.keywords import explain_keywords
+from warpcontact.kernels.catalogue.device_model import as_numbers, number
+from warpcontact.kernels.catalogue.keywords import explain_keywords
 
 
 @explain_keywords

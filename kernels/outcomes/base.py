@@ -6,8 +6,8 @@ from numbers import Real
 from typing import Any, ClassVar, NamedTuple
 
 import warp as wp
-from warpcontact.kernels.keywords import explain_keywords_of
-from warpcontact.kernels.names import stored_name
+from warpcontact.kernels.catalogue.keywords import explain_keywords_of
+from warpcontact.kernels.catalogue.names import stored_name
 from warpcontact.kernels.outcomes.source import EACH, ITEM_REDUCTIONS, MAX_SOURCES
 
 #: What may be taken of a sensor that is a vector, and which of its numbers that is.

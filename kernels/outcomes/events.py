@@ -3,9 +3,9 @@
 import functools
 
 import warp as wp
+from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.outcomes.source import SourceForm, value
 from warpcontact.kernels.types import ENV_ACTIVE, LaunchRange, first_env, task_count
-from warpcontact.kernels.unique import unique_kernel
 
 
 @wp.struct

@@ -3,6 +3,7 @@
 import functools
 
 import warp as wp
+from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.outcomes.source import SourceForm, array_types, values
 from warpcontact.kernels.types import (
     ENV_ACTIVE,
@@ -13,7 +14,6 @@ from warpcontact.kernels.types import (
     task_env,
     task_item,
 )
-from warpcontact.kernels.unique import unique_kernel
 
 
 @wp.struct

@@ -3,9 +3,9 @@
 import functools
 
 import warp as wp
+from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.outcomes.source import SourceForm, value
 from warpcontact.kernels.types import ENV_ACTIVE, ENV_HALTED, LaunchRange, first_env, task_count
-from warpcontact.kernels.unique import unique_kernel
 
 #: Clocks are sums: a time is reached within this share of a step.
 TIME_TOLERANCE = wp.constant(wp.float64(1.0e-6))

@@ -3,9 +3,9 @@
 import functools
 
 import warp as wp
+from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.rendering.shade import Backdrop, Grid, Light, trace_color
 from warpcontact.kernels.rendering.world import World
-from warpcontact.kernels.unique import unique_kernel
 
 # Samples of a pixel that decide whether it takes more of them.
 INITIAL_SAMPLES = wp.constant(4)

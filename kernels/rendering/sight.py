@@ -3,9 +3,9 @@
 import functools
 
 import warp as wp
+from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.rendering.rays import is_unoccluded
 from warpcontact.kernels.rendering.world import World
-from warpcontact.kernels.unique import unique_kernel
 
 
 @functools.cache

@@ -7,7 +7,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from warpcontact import checks
 from warpcontact.analysis.results import (
     MISSING,
     STOPPED,
@@ -19,9 +18,10 @@ from warpcontact.analysis.results import (
     remaining_dims,
     variable,
 )
-from warpcontact.checks import Array
-from warpcontact.kernels.formula import as_numbers
-from warpcontact.kernels.keywords import explain_keywords
+from warpcontact.kernels.catalogue.device_model import as_numbers
+from warpcontact.kernels.catalogue.keywords import explain_keywords
+from warpcontact.validation import checks
+from warpcontact.validation.checks import Array
 
 # Times are taken together up to this size of what they are computed from [bytes].
 BLOCK = 256 * 2**20

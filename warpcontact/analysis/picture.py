@@ -4,8 +4,8 @@ from os import PathLike
 
 import xarray as xr
 
-from warpcontact.kernels.keywords import explain_keywords
-from warpcontact.picture_file import check_path, save
+from warpcontact.files.picture_file import check_path, save
+from warpcontact.kernels.catalogue.keywords import explain_keywords
 
 
 @explain_keywords

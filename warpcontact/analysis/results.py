@@ -7,11 +7,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from warpcontact import checks
-from warpcontact.checks import Array
 from warpcontact.experiment.schema import Settings
-from warpcontact.flags import words_of
-from warpcontact.kernels.names import stored_name, suggestion
+from warpcontact.kernels.catalogue.names import stored_name, suggestion
+from warpcontact.model.flags import words_of
+from warpcontact.validation import checks
+from warpcontact.validation.checks import Array
 
 MISSING = ("refuse", "drop")
 STOPPED = ("hold", "drop")

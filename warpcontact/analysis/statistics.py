@@ -3,12 +3,12 @@
 import numpy as np
 import xarray as xr
 
-from warpcontact import checks
 from warpcontact.analysis.results import ExperimentResults, probability, remaining_dims, usable_outcome, variable
-from warpcontact.checks import Array
 from warpcontact.experiment.errors import key_path
 from warpcontact.experiment.schema import Settings
-from warpcontact.kernels.keywords import explain_keywords
+from warpcontact.kernels.catalogue.keywords import explain_keywords
+from warpcontact.validation import checks
+from warpcontact.validation.checks import Array
 
 STATISTICS = ("mean", "quantile")
 # What gives the environments an order, so that the first ones are no sample of all.

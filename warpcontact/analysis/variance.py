@@ -3,11 +3,11 @@
 import numpy as np
 import xarray as xr
 
-from warpcontact import checks
 from warpcontact.analysis.results import ExperimentResults, probability, remaining_dims, usable_outcome, variable
-from warpcontact.checks import Array
-from warpcontact.experiment.drawing import sampled_components
-from warpcontact.kernels.keywords import explain_keywords
+from warpcontact.experiment.sample_columns import sampled_components
+from warpcontact.kernels.catalogue.keywords import explain_keywords
+from warpcontact.validation import checks
+from warpcontact.validation.checks import Array
 
 # So many resamples are averaged at once.
 AT_ONCE = 64

@@ -10,9 +10,9 @@ import numpy as np
 import warp as wp
 
 from warpcontact.benchmark.works import Array, Work
-from warpcontact.compiling import compile_as_launched
-from warpcontact.kernels.bare_query import kernel
-from warpcontact.model import Model
+from warpcontact.kernels.narrowphase.bare_query import kernel
+from warpcontact.model.model import Model
+from warpcontact.system.compilation import compile_as_launched
 
 #: Times that a limit is measured, each of at least ``SECONDS``; the median counts. Fewer where they take long.
 ROUNDS = 7

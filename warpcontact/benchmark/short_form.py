@@ -11,17 +11,17 @@ from pathlib import Path
 
 import warp as wp
 
-from warpcontact import checks
 from warpcontact.benchmark.facts import facts, versions
 from warpcontact.benchmark.limits import limits
 from warpcontact.benchmark.report import BenchReport, WorkFigures
 from warpcontact.benchmark.simulation import run_seconds, seconds_of_runs, simulation
 from warpcontact.benchmark.works import DT, STEPS, WORKS, Work
-from warpcontact.contact_warning import ContactWarning
-from warpcontact.devices import find_device
-from warpcontact.hostile import terminal
-from warpcontact.kernels.keywords import explain_keywords
-from warpcontact.simulation import Simulation
+from warpcontact.kernels.catalogue.keywords import explain_keywords
+from warpcontact.stepping.simulation import Simulation
+from warpcontact.system.devices import find_device
+from warpcontact.validation import checks
+from warpcontact.validation.safe_text import terminal
+from warpcontact.validation.warning_levels import ContactWarning
 
 #: Environments unless told: enough that all cores, or all of a GPU, have something to do.
 ENVS_ON_CPU, ENVS_ON_CUDA = 1024, 65536

@@ -7,12 +7,12 @@ from typing import Any
 import warp as wp
 
 from warpcontact.benchmark.works import DAMPING, DT, FRICTION, SLIP_SPEED, STIFFNESS, Work
-from warpcontact.elements import ContactMaterial
 from warpcontact.kernels import friction, laws
-from warpcontact.kernels.smooth.sphere import Sphere
+from warpcontact.kernels.shapes.sphere import Sphere
 from warpcontact.meshes import Mesh
-from warpcontact.scene import Scene
-from warpcontact.simulation import Simulation
+from warpcontact.scene.elements import ContactMaterial
+from warpcontact.scene.scene import Scene
+from warpcontact.stepping.simulation import Simulation
 
 
 def simulation(work: Work, envs: int, device: str, precision: str = "float32", **options: Any) -> Simulation:

@@ -27,10 +27,10 @@ from warpcontact.experiment.schema import (
     SurfaceContactSettings,
     SurfaceSettings,
 )
+from warpcontact.geometry.query_mesh import QueryMeshCache
 from warpcontact.meshes import Mesh, MeshError
-from warpcontact.patches import QueryMeshCache
-from warpcontact.scene import ContactMaterial, Scene
-from warpcontact.surface_contact import sample_points
+from warpcontact.scene.scene import ContactMaterial, Scene
+from warpcontact.scene.surface_contact import sample_points
 
 # Of what kind a reference is, and the sections in which its target may be.
 _BODY = ("body", ("body", "bodies"))

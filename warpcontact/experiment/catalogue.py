@@ -25,15 +25,16 @@ from pydantic import (
 )
 
 from warpcontact import meshes
-from warpcontact.checks import limits
 from warpcontact.experiment import quantities as q
 from warpcontact.experiment.errors import abbreviated
-from warpcontact.experiment.own import UserFiles, describe_error
-from warpcontact.kernels import friction, laws, motions, springs
-from warpcontact.kernels.formula import ROWS, Formula, unit_vectors
-from warpcontact.kernels.names import suggestion
-from warpcontact.kernels.smooth import shapes
-from warpcontact.kernels.touch import ContactModel
+from warpcontact.experiment.user_code import UserFiles, describe_error
+from warpcontact.kernels import friction, joints, laws
+from warpcontact.kernels.catalogue.device_model import ROWS, Formula, unit_vectors
+from warpcontact.kernels.catalogue.names import suggestion
+from warpcontact.kernels.contact.contact_evaluation import ContactModel
+from warpcontact.kernels.couplings import springs
+from warpcontact.kernels.shapes import shapes
+from warpcontact.validation.checks import limits
 
 #: Meshes that need no file, by the name of their generator.
 SHAPES: dict[str, Callable[..., meshes.Mesh]] = {
@@ -225,7 +226,7 @@ FORMULAS: dict[str, Any] = {
     **{part: laws.Law if part == "law" else friction.Friction for part in ContactModel._fields},
     "spring": springs.Spring,
     "damper": springs.Damper,
-    "motion": motions.Motion,
+    "motion": joints.Motion,
     "form": shapes.Shape,
 }
 #: Where the classes are that come with the library, by what they are and by name.
@@ -234,7 +235,7 @@ CATALOGUES: dict[Any, dict[str, Any]] = {
     friction.Friction: dict.fromkeys(friction.NAMES, friction),
     springs.Spring: dict.fromkeys(springs.SPRING_NAMES, springs),
     springs.Damper: dict.fromkeys(springs.DAMPER_NAMES, springs),
-    motions.Motion: dict.fromkeys(motions.NAMES, motions),
+    joints.Motion: dict.fromkeys(joints.NAMES, joints),
     shapes.Shape: dict.fromkeys(shapes.NAMES, shapes),
 }
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from warpcontact.experiment.errors import ExperimentError, abbreviated, key_path
-from warpcontact.kernels.names import suggestion
+from warpcontact.kernels.catalogue.names import suggestion
 
 # A bare key, one in quotes, or the number of an entry, as messages write them.
 _PART = re.compile(

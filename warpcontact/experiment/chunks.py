@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from warpcontact.direct import DirectFile
 from warpcontact.experiment.expected import ChunkGrid
 from warpcontact.experiment.records import RunDataError
-from warpcontact.run_folder import RunPath
+from warpcontact.files.direct_io import DirectFile
+from warpcontact.files.run_folder import RunPath
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from warpcontact.contact_warning import RunWarning, WarningLevel, labeled, split_label
 from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.folder import read_summary
 from warpcontact.experiment.progress import INTERVAL, ProgressBar, read_progress
 from warpcontact.experiment.store import Commit, RunDataError, Shard
-from warpcontact.footprint import USABLE_FRACTION, MemoryShortage, env_count_text, format_bytes
-from warpcontact.quarantine import QuarantineError
+from warpcontact.model.memory import USABLE_FRACTION, MemoryShortage, env_count_text, format_bytes
+from warpcontact.stepping.quarantine import QuarantineError
+from warpcontact.validation.warning_levels import RunWarning, WarningLevel, labeled, split_label
 
 if TYPE_CHECKING:
     from warpcontact.experiment.execute import RunJob, ShardRunFunction
@@ -170,8 +170,8 @@ def cluster_resources(ray: Any, device: str, source: str) -> ClusterResources:
     if gpus and device != "cpu":
         return ClusterResources(ray, cores=max(1, min(MAX_CORES, cores // gpus)), gpus=1, slots=gpus)
     nodes = max(1, sum(1 for node in ray.nodes() if node["Alive"]))
-    shard_memory = max(1, min(MAX_CORES, cores // nodes // 2))
-    return ClusterResources(ray, cores=shard_memory, gpus=0, slots=max(1, cores // shard_memory))
+    cores_per_shard = max(1, min(MAX_CORES, cores // nodes // 2))
+    return ClusterResources(ray, cores=cores_per_shard, gpus=0, slots=max(1, cores // cores_per_shard))
 
 
 def _check_reachable(address: str) -> None:

@@ -11,7 +11,7 @@ from zarr.core.buffer import Buffer, BufferPrototype, default_buffer_prototype
 
 from warpcontact.experiment.records import COMMITS, DATA, Commit, RunDataError, commits_in, created_files
 from warpcontact.experiment.store import STAGING
-from warpcontact.run_folder import RunPath
+from warpcontact.files.run_folder import RunPath
 
 
 class CommittedStore(Store):

@@ -11,8 +11,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from warpcontact.checks import Array
-from warpcontact.flags import words_of
+from warpcontact.model.flags import words_of
+from warpcontact.validation.checks import Array
 
 # Quantiles of more environments than this look the same and take longer.
 SAMPLE_SIZE = 4096

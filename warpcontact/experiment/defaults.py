@@ -1,8 +1,8 @@
 """What is recorded of an experiment that says nothing about it: which sensors, and how often."""
 
-from warpcontact.couplings.elements import Bushing, Catenary, SpringDamper
-from warpcontact.environments import Environments
 from warpcontact.experiment.schema import Settings
+from warpcontact.model.environments import Environments
+from warpcontact.scene.couplings import Bushing, Catenary, SpringDamper
 
 # Sensors that tell most of a coupling.
 _COUPLING_SENSORS: dict[type, tuple[str, str]] = {

@@ -8,9 +8,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from warpcontact.checks import Array
 from warpcontact.experiment.distributions import LARGEST, SMALLEST, Marginal, Normal
 from warpcontact.experiment.sampling import BLOCK, Correlation, Midpoint, Sampler
+from warpcontact.validation.checks import Array
 
 
 class Entry(Protocol):

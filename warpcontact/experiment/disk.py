@@ -4,7 +4,7 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from warpcontact.footprint import format_bytes
+from warpcontact.model.memory import format_bytes
 
 
 @dataclass(frozen=True)

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from warpcontact.checks import Array
 from warpcontact.experiment.errors import abbreviated
 from warpcontact.experiment.quantities import plain
-from warpcontact.kernels.names import suggestion
+from warpcontact.kernels.catalogue.names import suggestion
+from warpcontact.validation.checks import Array
 
 # The numbers between 0 and 1 that are taken: those of 53 bits, with half a unit in place of 0, so that no
 # distribution is asked for its infinite ends.

@@ -5,8 +5,8 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from warpcontact.hostile import escape_controls
-from warpcontact.kernels.names import suggestion
+from warpcontact.kernels.catalogue.names import suggestion
+from warpcontact.validation.safe_text import escape_controls
 
 # More than this helps nobody: they then have one cause.
 PROBLEMS_SHOWN = 40

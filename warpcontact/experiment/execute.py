@@ -14,8 +14,6 @@ import numpy as np
 import warp as wp
 
 from warpcontact._version import __version__
-from warpcontact.contact_warning import RunWarning, WarningLevel
-from warpcontact.environments import Environments
 from warpcontact.experiment import folder as files_of
 from warpcontact.experiment import store, trust
 from warpcontact.experiment.design import Design
@@ -24,7 +22,6 @@ from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.expected import RunExtent
 from warpcontact.experiment.fingerprint import differences, fingerprint
 from warpcontact.experiment.lock import write_lock
-from warpcontact.experiment.notices import WarningLog
 from warpcontact.experiment.plan import DRAWN_AT_ONCE, Plan
 from warpcontact.experiment.progress import ProgressBar
 from warpcontact.experiment.run import Run, open_run
@@ -32,10 +29,13 @@ from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.shards import SeriesSchedule, ShardRunner
 from warpcontact.experiment.store import Commit, Ledger, RunDataError, Shard, Shards
 from warpcontact.experiment.toml import to_toml
-from warpcontact.footprint import env_count_text, format_bytes
-from warpcontact.quarantine import QuarantineError
-from warpcontact.run_folder import RunPath
-from warpcontact.scene import Scene
+from warpcontact.experiment.warning_log import WarningLog
+from warpcontact.files.run_folder import RunPath
+from warpcontact.model.environments import Environments
+from warpcontact.model.memory import env_count_text, format_bytes
+from warpcontact.scene.scene import Scene
+from warpcontact.stepping.quarantine import QuarantineError
+from warpcontact.validation.warning_levels import RunWarning, WarningLevel
 
 #: How often a shard is tried.
 ATTEMPTS = 3

@@ -20,7 +20,7 @@ from warpcontact.experiment.records import (
     RunDataError,
     is_unchanged,
 )
-from warpcontact.run_folder import RunPath
+from warpcontact.files.run_folder import RunPath
 
 #: Attribute of the store: its groups.
 PARTS = "groups"

@@ -7,41 +7,41 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from warpcontact import collecting
-from warpcontact.build import plan_model
-from warpcontact.contact_warning import RunWarning
-from warpcontact.draft import ModelPlan
-from warpcontact.environments import Environments
 from warpcontact.experiment.assemble import FileCache, SceneBuilder
+from warpcontact.experiment.build_check import check_build
 from warpcontact.experiment.catalogue import FileMesh
 from warpcontact.experiment.changes import apply_overrides
 from warpcontact.experiment.defaults import default_interval, default_sensors
 from warpcontact.experiment.design import Design
 from warpcontact.experiment.errors import ExperimentError, Problems
 from warpcontact.experiment.observation import check_monitors, monitor_arguments
-from warpcontact.experiment.own import UserFiles
 from warpcontact.experiment.parser import ExperimentParts, load_toml, read_settings
 from warpcontact.experiment.plan import Plan, make_plan, recording_size
 from warpcontact.experiment.sampling import Sobol
 from warpcontact.experiment.schema import Settings
-from warpcontact.experiment.trial import check_build
 from warpcontact.experiment.trust import Trust
+from warpcontact.experiment.user_code import UserFiles
 from warpcontact.experiment.variation import Variation, truncated
-from warpcontact.footprint import env_count_text
-from warpcontact.integrators.base import formulas_of
-from warpcontact.kernels.keywords import explain_keywords_of
-from warpcontact.kernels.names import stored_name
-from warpcontact.model import Model
-from warpcontact.scene import Scene
-from warpcontact.simulation import Simulation
-from warpcontact.split_model import SplitModel
-from warpcontact.unilateral.hard_contacts import is_nonsmooth_sensor, sensor_hint
-from warpcontact.whole_steps import whole_steps
+from warpcontact.forces.nonsmooth.contacts import is_nonsmooth_sensor, sensor_hint
+from warpcontact.kernels.catalogue.keywords import explain_keywords_of
+from warpcontact.kernels.catalogue.names import stored_name
+from warpcontact.model.build import plan_model
+from warpcontact.model.environments import Environments
+from warpcontact.model.memory import env_count_text
+from warpcontact.model.model import Model
+from warpcontact.model.plan import ModelPlan
+from warpcontact.model.split_model import SplitModel
+from warpcontact.scene.scene import Scene
+from warpcontact.stepping.integrators.base import formulas_of
+from warpcontact.stepping.simulation import Simulation
+from warpcontact.stepping.step_counts import whole_steps
+from warpcontact.system import gc_pause
+from warpcontact.validation.warning_levels import RunWarning
 
 if TYPE_CHECKING:
-    from warpcontact.experiment.notices import WarningLog
-    from warpcontact.experiment.probe import TimeEstimate
     from warpcontact.experiment.run import Run
+    from warpcontact.experiment.time_estimate import TimeEstimate
+    from warpcontact.experiment.warning_log import WarningLog
 
 #: Time between checkpoints [s].
 CHECKPOINT = 60.0
@@ -240,8 +240,8 @@ class Experiment:
             start,
         )
         from warpcontact.experiment.lock import write_lock
-        from warpcontact.experiment.notices import WarningLog
-        from warpcontact.signals import terminate_as_interrupt
+        from warpcontact.experiment.warning_log import WarningLog
+        from warpcontact.system.signals import terminate_as_interrupt
 
         _check_shard(shard, self.source)
         _check_threads_and_checkpoint(threads, checkpoint, self.source)
@@ -356,7 +356,7 @@ class Experiment:
 
     def probe(self, *, device: str | Sequence[str] = "auto", shard: int | None = None) -> "TimeEstimate":
         """Steps some environments, ``shard`` at most, for a few seconds; returns how long a run would take."""
-        from warpcontact.experiment.probe import estimate_time
+        from warpcontact.experiment.time_estimate import estimate_time
 
         with self._user_files.named_errors():
             return estimate_time(self.draft(device), self.settings, self.design, shard or self.settings.envs)
@@ -383,7 +383,7 @@ class Experiment:
             problems.add("body", "is missing: an experiment needs a [[body]]")
             parts.unnamed.add("body")
         # The first trial makes kernels, which stay.
-        with collecting.gc_paused():
+        with gc_pause.gc_paused():
             model = check_build(parts, self.folder, self._file_cache, problems)
         if model is not None:
             self._check_with(model, parts, problems)

@@ -9,7 +9,7 @@ from warpcontact.experiment.errors import abbreviated, key_path
 from warpcontact.experiment.folder import ExperimentCopy
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.toml import to_toml
-from warpcontact.run_folder import RunPath, open_file
+from warpcontact.files.run_folder import RunPath, open_file
 
 # More differences than this are not told.
 MAX_REPORTED = 5

@@ -10,17 +10,17 @@ from pathlib import Path
 from typing import Any
 
 from warpcontact._version import __version__
-from warpcontact.durable import write_json
 from warpcontact.experiment.catalogue import DeviceModelSettings, FileMesh, Section, ShapeMesh, user_class
 from warpcontact.experiment.errors import ExperimentError, abbreviated
 from warpcontact.experiment.lock import is_locked, locked_error
 from warpcontact.experiment.observation import OutcomeSettings
-from warpcontact.experiment.own import UserFiles
 from warpcontact.experiment.schema import DEVICE_MODEL_SECTIONS, ROW_KEYS, Settings
 from warpcontact.experiment.store import CHECKPOINTS, COMMITS, DATA, STAGING
+from warpcontact.experiment.user_code import UserFiles
 from warpcontact.experiment.variation import relocate
-from warpcontact.regular_files import UnsafeFileError
-from warpcontact.run_folder import EXPERIMENT, PARTIAL, SUMMARY, RunPath
+from warpcontact.files.atomic_files import write_json
+from warpcontact.files.regular_files import UnsafeFileError
+from warpcontact.files.run_folder import EXPERIMENT, PARTIAL, SUMMARY, RunPath
 
 ANIMATION = "animation.usdc"
 PICTURE = "picture.png"

@@ -10,13 +10,13 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
-from warpcontact.checks import Array
-from warpcontact.frames import transform_points
+from warpcontact.forces.shape_contact.tessellate import tessellate
 from warpcontact.meshes.topology import area_vectors
-from warpcontact.recording import Recording
-from warpcontact.scene import Surface
-from warpcontact.smooth.elements import Shape
-from warpcontact.smooth.tessellate import tessellate
+from warpcontact.scene.scene import Surface
+from warpcontact.scene.shapes import Shape
+from warpcontact.stepping.frames import transform_points
+from warpcontact.stepping.recording import Recording
+from warpcontact.validation.checks import Array
 
 # Greys of what is lowest and highest, and how much darker what is vertical is.
 DARKEST, LIGHTEST, STEEP = 0.46, 0.92, 0.3

@@ -6,9 +6,9 @@ from pydantic import Field, model_validator
 
 from warpcontact.experiment import quantities as q
 from warpcontact.experiment.catalogue import Section
-from warpcontact.integrators import INTEGRATORS, Integrator
-from warpcontact.integrators.moreau_jean import RECOVERY_TIME, SOLVERS, THETA, TOLERANCE
-from warpcontact.unilateral.materials import IMPACT_LAWS
+from warpcontact.forces.nonsmooth.materials import IMPACT_LAWS
+from warpcontact.stepping.integrators import INTEGRATORS, Integrator
+from warpcontact.stepping.integrators.moreau_jean import RECOVERY_TIME, SOLVERS, THETA, TOLERANCE
 
 
 class IntegratorSettings(Section):

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from warpcontact.experiment.errors import ExperimentError
-from warpcontact.run_folder import RunPath
+from warpcontact.files.run_folder import RunPath
 
 try:
     import fcntl

@@ -15,22 +15,29 @@ from pydantic import (
     model_validator,
 )
 
-from warpcontact import checks, outcomes
-from warpcontact.arrays import AllocationPlan
-from warpcontact.checks import limits
-from warpcontact.environments import Environments
 from warpcontact.experiment import quantities as q
 from warpcontact.experiment.catalogue import Section, user_class
 from warpcontact.experiment.errors import Problems, abbreviated, key_path
-from warpcontact.experiment.own import UserFiles
-from warpcontact.integrators import Integrator
-from warpcontact.kernels.names import stored_name, suggestion
+from warpcontact.experiment.user_code import UserFiles
+from warpcontact.kernels.catalogue.names import stored_name, suggestion
 from warpcontact.kernels.outcomes.base import COMPONENTS, OfContact, Outcome
 from warpcontact.kernels.outcomes.source import EACH, ITEM_REDUCTIONS
-from warpcontact.outcomes.observer import sources_of
-from warpcontact.outcomes.sources import SourceResolver
-from warpcontact.outcomes.watch import LASTING, POLICIES, RESERVED, ContactEvents, StopCondition
-from warpcontact.scene import MAX_DISTANCE, MAX_SPEED
+from warpcontact.model.allocation_plan import AllocationPlan
+from warpcontact.model.environments import Environments
+from warpcontact.scene.scene import MAX_DISTANCE, MAX_SPEED
+from warpcontact.stepping import outcomes
+from warpcontact.stepping.integrators import Integrator
+from warpcontact.stepping.outcomes.observer import sources_of
+from warpcontact.stepping.outcomes.sources import SourceResolver
+from warpcontact.stepping.outcomes.watch import (
+    LASTING,
+    POLICIES,
+    RESERVED,
+    ContactEvents,
+    StopCondition,
+)
+from warpcontact.validation import checks
+from warpcontact.validation.checks import limits
 
 if TYPE_CHECKING:
     from warpcontact.experiment.schema import Settings

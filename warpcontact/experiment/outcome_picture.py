@@ -15,12 +15,12 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from warpcontact.experiment.bars import bin_edges, has_integer_bins
-from warpcontact.footprint import env_count_text
-from warpcontact.hostile import single_line, truncate
-from warpcontact.outcomes.watch import RESERVED
-from warpcontact.picture_file import save
-from warpcontact.run_folder import RunPath
-from warpcontact.status import EnvironmentStatus
+from warpcontact.files.picture_file import save
+from warpcontact.files.run_folder import RunPath
+from warpcontact.model.memory import env_count_text
+from warpcontact.model.status import EnvironmentStatus
+from warpcontact.stepping.outcomes.watch import RESERVED
+from warpcontact.validation.safe_text import single_line, truncate
 
 # More would be too small to read.
 MOST = 6

@@ -11,12 +11,12 @@ from pydantic import ValidationError
 
 from warpcontact.experiment.catalogue import Section
 from warpcontact.experiment.errors import ExperimentError, Problems, abbreviated, key_path
-from warpcontact.experiment.own import UserFiles
 from warpcontact.experiment.schema import LISTS, SECTIONS, Settings, VariationSettings, table_at
+from warpcontact.experiment.user_code import UserFiles
 from warpcontact.experiment.variation_settings import MOST_ENVS, grid_size
-from warpcontact.kernels.names import suggestion
-from warpcontact.kernels.renamed import present_name
-from warpcontact.run_folder import read_file
+from warpcontact.files.run_folder import read_file
+from warpcontact.kernels.catalogue.names import suggestion
+from warpcontact.kernels.catalogue.renamed import present_name
 
 # What a value must be, by the type of pydantic's error.
 _KINDS = {

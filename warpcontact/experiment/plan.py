@@ -4,15 +4,13 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from warpcontact.available import HOST, AvailableMemory, used_memory
-from warpcontact.draft import DeviceModelPlan, ModelPlan
-from warpcontact.environments import Environments
 from warpcontact.experiment.design import Design
 from warpcontact.experiment.disk import Disk
 from warpcontact.experiment.observation import monitor_arguments
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.store import CHUNK, WRITERS
-from warpcontact.footprint import (
+from warpcontact.model.environments import Environments
+from warpcontact.model.memory import (
     CAUTIOUS_FRACTION,
     MemoryEstimate,
     MemoryItem,
@@ -26,8 +24,10 @@ from warpcontact.footprint import (
     total,
     usable_bytes,
 )
-from warpcontact.recorder import Recorder, RecordingSize
-from warpcontact.whole_steps import frame_count, recorded_steps
+from warpcontact.model.plan import DeviceModelPlan, ModelPlan
+from warpcontact.stepping.recorder import Recorder, RecordingSize
+from warpcontact.stepping.step_counts import frame_count, recorded_steps
+from warpcontact.system.resources import HOST, AvailableMemory, used_memory
 
 # Frames are gathered up to this size before they are written, while others are gathered [bytes].
 BLOCK = 32 * 2**20

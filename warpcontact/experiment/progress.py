@@ -12,10 +12,10 @@ from typing import Any
 
 from warpcontact.experiment.folder import PROGRESS
 from warpcontact.experiment.store import Commit, Shard
-from warpcontact.footprint import env_count_text
-from warpcontact.hostile import terminal
-from warpcontact.regular_files import UnsafeFileError
-from warpcontact.run_folder import RunPath
+from warpcontact.files.regular_files import UnsafeFileError
+from warpcontact.files.run_folder import RunPath
+from warpcontact.model.memory import env_count_text
+from warpcontact.validation.safe_text import terminal
 
 # Between two looks [s].
 INTERVAL = 1.0

@@ -1,6 +1,6 @@
 """Types of the values in an experiment file, checked by the functions and ranges that the Python API uses.
 
-The messages of ``warpcontact.checks`` begin with the name of what is checked. Here that name is empty, so that
+The messages of ``warpcontact.validation.checks`` begin with the name of what is checked. Here that name is empty, so that
 what is left continues the key of the file: ``body[0].color`` and ``[1] must be at most 1, got 2``.
 """
 
@@ -11,15 +11,15 @@ from typing import Any, cast
 import numpy as np
 from pydantic import PlainValidator, ValidationInfo
 
-from warpcontact import checks
-from warpcontact.checks import limits
-from warpcontact.contact_coupling import check_quadrature
-from warpcontact.elements import AREA, MASS, RADIUS
 from warpcontact.experiment.errors import abbreviated
 from warpcontact.experiment.rows_file import check_rows_file
-from warpcontact.kernels.formula import check_values, describe_shape, has_shape
+from warpcontact.kernels.catalogue.device_model import check_values, describe_shape, has_shape
 from warpcontact.meshes.repair import REPAIRS, steps_of
-from warpcontact.surface_contact import check_amount
+from warpcontact.scene.contact_coupling import check_quadrature
+from warpcontact.scene.elements import AREA, MASS, RADIUS
+from warpcontact.scene.surface_contact import check_amount
+from warpcontact.validation import checks
+from warpcontact.validation.checks import limits
 
 
 def plain(value: Any, what: str, advice: str = "") -> Any:

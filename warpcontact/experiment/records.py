@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from warpcontact.experiment.errors import abbreviated
-from warpcontact.hostile import SafeTextError
-from warpcontact.regular_files import UnsafeFileError
-from warpcontact.run_folder import RunPath
+from warpcontact.files.regular_files import UnsafeFileError
+from warpcontact.files.run_folder import RunPath
+from warpcontact.validation.safe_text import SafeTextError
 
 DATA = "data.zarr"
 COMMITS = "commit"

@@ -8,11 +8,11 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from warpcontact.available import HOST, available_memory
-from warpcontact.checks import Array
 from warpcontact.experiment.errors import abbreviated
-from warpcontact.numpy_files import check_numbers
-from warpcontact.run_folder import open_file
+from warpcontact.files.numpy_files import check_numbers
+from warpcontact.files.run_folder import open_file
+from warpcontact.system.resources import HOST, available_memory
+from warpcontact.validation.checks import Array
 
 SUFFIXES = (".npy", ".csv")
 

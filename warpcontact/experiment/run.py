@@ -14,35 +14,35 @@ from typing import TYPE_CHECKING, Any, SupportsInt, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from warpcontact.contact_coupling_report import CouplingReport, report_of
-from warpcontact.durable import open_for_writing
-from warpcontact.equal_items import merged_items
 from warpcontact.experiment import folder as files_of
 from warpcontact.experiment.assemble import FileCache, SceneBuilder
+from warpcontact.experiment.equal_items import merged_items
 from warpcontact.experiment.errors import ExperimentError, Problems, abbreviated
 from warpcontact.experiment.expected import LABELS, ORDER, RunExtent
 from warpcontact.experiment.lock import is_locked
-from warpcontact.experiment.own import UserFiles
 from warpcontact.experiment.parser import ExperimentParts, load_toml, read_settings
 from warpcontact.experiment.records import COMMITS, DATA, GROUPS, Commit, RunDataError
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.store import Ledger, Shards
 from warpcontact.experiment.trust import Trust
-from warpcontact.flags import words_of
-from warpcontact.footprint import env_count_text
-from warpcontact.health import Health
-from warpcontact.hostile import escape_lines
-from warpcontact.kernels.keywords import explain_keywords, explain_keywords_of
-from warpcontact.regular_files import UnsafeFileError
-from warpcontact.run_folder import RunPath
-from warpcontact.scene import Scene
+from warpcontact.experiment.user_code import UserFiles
+from warpcontact.files.atomic_files import open_for_writing
+from warpcontact.files.regular_files import UnsafeFileError
+from warpcontact.files.run_folder import RunPath
+from warpcontact.forces.contact_coupling.report import CouplingReport, report_of
+from warpcontact.kernels.catalogue.keywords import explain_keywords, explain_keywords_of
+from warpcontact.model.flags import words_of
+from warpcontact.model.health import Health
+from warpcontact.model.memory import env_count_text
+from warpcontact.scene.scene import Scene
+from warpcontact.validation.safe_text import escape_lines
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
     from warpcontact.experiment.experiment import Experiment
-    from warpcontact.recording import Recording
+    from warpcontact.stepping.recording import Recording
 
 # A digest reads pieces of arrays of up to this size [bytes].
 READ_AT_ONCE = 256 * 2**20
@@ -129,7 +129,7 @@ class Run:
         Raises:
             ValueError: If nothing was recorded over time.
         """
-        from warpcontact.recording import Series
+        from warpcontact.stepping.recording import Series
 
         data = self._group("series").isel(env=self._begun_data())
         return Series(data.data_vars, coords=data.coords, attrs=data.attrs)
@@ -146,7 +146,7 @@ class Run:
     @functools.cached_property
     def recording(self) -> "Recording":
         """Series and parameters as ``Simulation.run`` returns them, to be drawn and exported."""
-        from warpcontact.recording import Recording
+        from warpcontact.stepping.recording import Recording
 
         variables: dict[Any, Any] = {}
         for data in (self.series, self.params):

@@ -13,8 +13,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from warpcontact.checks import Array
 from warpcontact.experiment.distributions import clip_to_open_interval
+from warpcontact.validation.checks import Array
 
 BLOCK = 1024
 # The most with which SciPy's engine can be put forward.

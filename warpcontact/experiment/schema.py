@@ -8,11 +8,6 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import Field, model_validator
 
-from warpcontact import elements as limits_of
-from warpcontact.build import PRECISIONS
-from warpcontact.contact_coupling import FACINGS
-from warpcontact.contact_range import CLOSEST, DAMPING_RATIO, SPEED, ContactRange
-from warpcontact.couplings import elements as coupling_limits
 from warpcontact.experiment import observation
 from warpcontact.experiment import quantities as q
 from warpcontact.experiment.catalogue import (
@@ -26,7 +21,7 @@ from warpcontact.experiment.catalogue import (
     settings_model,
 )
 from warpcontact.experiment.integration import IntegratorSettings
-from warpcontact.experiment.own import UserFiles
+from warpcontact.experiment.user_code import UserFiles
 from warpcontact.experiment.variation_settings import (
     MOST_ENVS,
     CorrelationSettings,
@@ -36,8 +31,13 @@ from warpcontact.experiment.variation_settings import (
 )
 from warpcontact.kernels import laws
 from warpcontact.kernels.friction import Frictionless
-from warpcontact.smooth.elements import ALL
-from warpcontact.surface_contact import SIDES
+from warpcontact.model.build import PRECISIONS
+from warpcontact.scene import couplings as coupling_limits
+from warpcontact.scene import elements as limits_of
+from warpcontact.scene.contact_coupling import FACINGS
+from warpcontact.scene.contact_range import CLOSEST, DAMPING_RATIO, SPEED, ContactRange
+from warpcontact.scene.shapes import ALL
+from warpcontact.scene.surface_contact import SIDES
 
 Row = TypeVar("Row")
 # TOML has lists only; tuples keep what is read as it is.

@@ -11,8 +11,6 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from warpcontact.analysis.fan import quantiles_over
-from warpcontact.checks import Array
-from warpcontact.decimation import evenly, kept_samples
 from warpcontact.experiment.curves import (
     DISTANCE,
     MAGNITUDE,
@@ -22,9 +20,11 @@ from warpcontact.experiment.curves import (
     read_curves,
     sample_size,
 )
-from warpcontact.hostile import truncate
-from warpcontact.number_format import quantity, scaled
-from warpcontact.recording import Recording
+from warpcontact.stepping.recording import Recording
+from warpcontact.validation.checks import Array
+from warpcontact.validation.number_format import quantity, scaled
+from warpcontact.validation.safe_text import truncate
+from warpcontact.visualize.decimation import evenly, kept_samples
 
 #: Up to this number of environments, each has a curve of its own; more are drawn as quantiles.
 CURVES = 12

@@ -12,12 +12,6 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from warpcontact import checkpoint
-from warpcontact.captures import shared_capture_lock
-from warpcontact.compiling import load_all
-from warpcontact.contact_coupling_report import OUTCOMES
-from warpcontact.contact_warning import ContactWarning, RunWarning, WarningLevel
-from warpcontact.environments import Environments
 from warpcontact.experiment.design import Design
 from warpcontact.experiment.expected import ExpectedFiles, RunExtent
 from warpcontact.experiment.observation import monitor_arguments
@@ -26,18 +20,24 @@ from warpcontact.experiment.progress import ProgressFile
 from warpcontact.experiment.records import COMMITS, created_files, digest
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.store import CHECKPOINTS, Commit, Ledger, Shard, Staging
-from warpcontact.looks import CONTACT_NEEDS
-from warpcontact.recorder import Recorder
-from warpcontact.remarks import RunWarnings
-from warpcontact.run_folder import RunPath
-from warpcontact.signals import StopRequest, catch_interrupts
-from warpcontact.simulation import Simulation
-from warpcontact.whole_steps import frame_count, recorded_steps
+from warpcontact.files.run_folder import RunPath
+from warpcontact.forces.contact_coupling.report import OUTCOMES
+from warpcontact.model.environments import Environments
+from warpcontact.model.sensor_evaluation import CONTACT_NEEDS
+from warpcontact.stepping import checkpoint
+from warpcontact.stepping.recorder import Recorder
+from warpcontact.stepping.run_warnings import RunWarnings
+from warpcontact.stepping.simulation import Simulation
+from warpcontact.stepping.step_counts import frame_count, recorded_steps
+from warpcontact.system.capture_lock import shared_capture_lock
+from warpcontact.system.compilation import load_all
+from warpcontact.system.signals import StopRequest, catch_interrupts
+from warpcontact.validation.warning_levels import ContactWarning, RunWarning, WarningLevel
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from warpcontact.recording import Recording
+    from warpcontact.stepping.recording import Recording
 
 # Of the time of stepping, what checkpoints may take at most: large states are saved less often.
 CHECKPOINT_SHARE = 0.05

@@ -9,10 +9,10 @@ from typing import Any
 from warpcontact.experiment import folder as files_of
 from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.lock import is_locked
-from warpcontact.experiment.probe import duration_text
 from warpcontact.experiment.progress import read_progress
 from warpcontact.experiment.store import Ledger, Shards
-from warpcontact.hostile import escape_lines
+from warpcontact.experiment.time_estimate import duration_text
+from warpcontact.validation.safe_text import escape_lines
 
 # What a shard told longer ago than this is no news [s].
 PROGRESS_TIMEOUT = 60.0

@@ -28,9 +28,6 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from warpcontact.available import available_threads
-from warpcontact.checks import check_length
-from warpcontact.durable import write_json
 from warpcontact.experiment.chunks import Chunk, ChunkEncoder, compressors
 from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.expected import LABELS, ORDER, PARTS, ExpectedFiles, RunExtent
@@ -47,7 +44,10 @@ from warpcontact.experiment.records import (
     is_chunk_folder,
     is_unchanged,
 )
-from warpcontact.run_folder import PARTIAL, RunPath, sync_all, sync_names
+from warpcontact.files.atomic_files import write_json
+from warpcontact.files.run_folder import PARTIAL, RunPath, sync_all, sync_names
+from warpcontact.system.resources import available_threads
+from warpcontact.validation.checks import check_length
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Collection, Iterable
 from pathlib import Path
 
-from warpcontact.contact_warning import RunWarning, WarningLevel
+from warpcontact.validation.warning_levels import RunWarning, WarningLevel
 
 #: ``True``: any file may be run; otherwise those with one of these SHA-256, next to those that are recorded.
 Trust = bool | Collection[str]

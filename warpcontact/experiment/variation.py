@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from warpcontact.checks import Array, available_names
-from warpcontact.environments import Environments
 from warpcontact.experiment.design import (
     ConstantEntry,
     Design,
@@ -25,9 +23,9 @@ from warpcontact.experiment.design import (
     ValueConversion,
 )
 from warpcontact.experiment.distributions import is_discrete, make_marginal, value_shape
-from warpcontact.experiment.drawing import SampleColumns
 from warpcontact.experiment.errors import Problems, key_path
 from warpcontact.experiment.rows_file import read_rows
+from warpcontact.experiment.sample_columns import SampleColumns
 from warpcontact.experiment.variation_settings import (
     CorrelationSettings,
     SolidSphere,
@@ -35,8 +33,10 @@ from warpcontact.experiment.variation_settings import (
     axis_of,
     grid_axes,
 )
-from warpcontact.kernels.names import suggestion
-from warpcontact.parameters import Parameter
+from warpcontact.kernels.catalogue.names import suggestion
+from warpcontact.model.environments import Environments
+from warpcontact.model.parameters import Parameter
+from warpcontact.validation.checks import Array, available_names
 
 # Values are checked so many environments at a time.
 CHECKED_AT_ONCE = 65536

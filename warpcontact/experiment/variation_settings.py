@@ -5,12 +5,12 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, PlainValidator, model_validator
 
-from warpcontact import checks
 from warpcontact.experiment import quantities as q
 from warpcontact.experiment.catalogue import Section
 from warpcontact.experiment.distributions import DISTRIBUTIONS, check_distribution
 from warpcontact.experiment.errors import abbreviated
 from warpcontact.experiment.sampling import METHODS
+from warpcontact.validation import checks
 
 #: What makes the two halves of a matrix of correlations differ: more than rounding.
 SYMMETRY = 1.0e-9

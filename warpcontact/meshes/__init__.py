@@ -5,7 +5,7 @@ Host code only: neither Warp nor SciPy nor what reads files is imported before i
 
 from typing import TYPE_CHECKING
 
-from warpcontact.kernels.on_demand import lazy_names
+from warpcontact.kernels.catalogue.lazy_catalogue import lazy_names
 from warpcontact.meshes.generate import box, grid, icosphere, sinusoidal_terrain
 from warpcontact.meshes.mesh import Mesh, MeshError
 from warpcontact.meshes.repair import REPAIRS, repaired

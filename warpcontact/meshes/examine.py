@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from warpcontact.meshes.mesh_warnings import notes_of, warnings_of
 from warpcontact.meshes.overlap import MOST_FACES, intersections
-from warpcontact.meshes.remarks import notes_of, warnings_of
 from warpcontact.meshes.report import MeshReport, listed
 from warpcontact.meshes.topology import examine_surface, representatives, seen_from, slenderness
 
@@ -69,8 +69,8 @@ def examine(
     original = np.arange(len(f))
     original[valid_faces] = valid_faces[representatives(np.sort(corners[valid_faces], axis=1))]
     # A copy in the other direction stays: in a folded sheet some of the neighbours belong to it.
-    flip = corners[valid_faces].argmin(axis=1)[:, None] + np.arange(3)
-    oriented = representatives(np.take_along_axis(corners[valid_faces], flip % 3, axis=1))
+    rotated = corners[valid_faces].argmin(axis=1)[:, None] + np.arange(3)
+    oriented = representatives(np.take_along_axis(corners[valid_faces], rotated % 3, axis=1))
     valid_faces = valid_faces[oriented == np.arange(len(valid_faces))]
     facts, clash, halves = examine_surface(v, corners[valid_faces])
     if "components" in facts:  # numbers of faces as given

@@ -6,7 +6,7 @@ from numbers import Real
 import numpy as np
 import numpy.typing as npt
 
-from warpcontact.kernels.keywords import explain_keywords
+from warpcontact.kernels.catalogue.keywords import explain_keywords
 from warpcontact.meshes.mesh import Mesh, positive
 
 # 20·4⁸ = 1 310 720 faces; one more level would be five million for a sphere already exact to 1e-5.

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from warpcontact.geometry.vectors import norm
 from warpcontact.meshes.examine import examine
 from warpcontact.meshes.groups import FaceChoice, face_mask
 from warpcontact.meshes.mesh import MeshError
@@ -15,7 +16,6 @@ from warpcontact.meshes.repair import repair_arrays
 from warpcontact.meshes.report import MeshReport
 from warpcontact.meshes.topology import area_vectors
 from warpcontact.meshes.units import metres
-from warpcontact.vectors import norm
 
 
 @dataclass(frozen=True)

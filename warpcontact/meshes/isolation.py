@@ -22,7 +22,7 @@ from typing import IO, Any, TypeVar
 
 import numpy as np
 
-from warpcontact.kernels.keywords import explain_keywords_of
+from warpcontact.kernels.catalogue.keywords import explain_keywords_of
 from warpcontact.meshes.intake import ExaminedMesh, Task
 from warpcontact.meshes.mesh import MeshError
 from warpcontact.meshes.reader_process import LIMITS_PROCESSOR_TIME, OUT_OF_MEMORY

@@ -3,7 +3,9 @@
 import os
 from pathlib import Path
 
-from warpcontact.kernels.keywords import explain_keywords
+from warpcontact.files.regular_files import UnsafeFileError
+from warpcontact.files.run_folder import open_file
+from warpcontact.kernels.catalogue.keywords import explain_keywords
 from warpcontact.meshes.groups import FaceChoice
 from warpcontact.meshes.intake import ExaminedMesh, Task, examine_task, unreadable
 from warpcontact.meshes.isolation import Limits, examine_task_sandboxed
@@ -13,8 +15,6 @@ from warpcontact.meshes.repair import RepairRequest, check_tolerance, steps_of
 from warpcontact.meshes.report import MeshReport
 from warpcontact.meshes.topology import CRACK_LIMIT
 from warpcontact.meshes.units import metres
-from warpcontact.regular_files import UnsafeFileError
-from warpcontact.run_folder import open_file
 
 
 @explain_keywords

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from warpcontact.hostile import SafeTextError
-from warpcontact.kernels.keywords import explain_keywords_of
+from warpcontact.kernels.catalogue.keywords import explain_keywords_of
 from warpcontact.meshes.examine import examine
 from warpcontact.meshes.groups import FaceChoice, checked_groups, face_mask
-from warpcontact.meshes.remarks import flipped, with_inherited_warnings
+from warpcontact.meshes.mesh_warnings import flipped, with_inherited_warnings
 from warpcontact.meshes.report import MeshReport
 from warpcontact.meshes.topology import weld
+from warpcontact.validation.safe_text import SafeTextError
 
 
 class MeshError(SafeTextError):

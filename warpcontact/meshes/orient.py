@@ -3,9 +3,9 @@
 import numpy as np
 import numpy.typing as npt
 
+from warpcontact.geometry.vectors import norm
 from warpcontact.meshes.nesting import find_containing_parts
 from warpcontact.meshes.topology import Edges, area_vectors, components, representatives, volumes_of
-from warpcontact.vectors import norm
 
 _Integers = npt.NDArray[np.integer]
 

@@ -3,8 +3,8 @@
 import numpy as np
 import numpy.typing as npt
 
+from warpcontact.geometry.vectors import bounds, norm
 from warpcontact.meshes.topology import CRACK_LIMIT, area_vectors
-from warpcontact.vectors import bounds, norm
 
 #: Surfaces with more faces are not examined unless asked for.
 MOST_FACES = 100_000

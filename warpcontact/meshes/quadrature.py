@@ -5,10 +5,10 @@ from math import sqrt
 import numpy as np
 import numpy.typing as npt
 
+from warpcontact.geometry.vectors import norm
 from warpcontact.meshes.mesh import Mesh
 from warpcontact.meshes.sample import SurfaceSamples
 from warpcontact.meshes.topology import area_vectors
-from warpcontact.vectors import norm
 
 
 def _orbit(a: float) -> list[tuple[float, float, float]]:

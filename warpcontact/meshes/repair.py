@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from warpcontact.kernels.keywords import explain_keywords
+from warpcontact.kernels.catalogue.keywords import explain_keywords
 from warpcontact.meshes.examine import COORDINATE_LIMIT, examine
 from warpcontact.meshes.mesh import Mesh, MeshError, positive
 from warpcontact.meshes.orient import faces_to_flip

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from typing import Any
 
-from warpcontact.hostile import escape_controls
-from warpcontact.kernels.renamed import explain_renamed
+from warpcontact.kernels.catalogue.renamed import explain_renamed
 from warpcontact.meshes.topology import Component, Orientation
+from warpcontact.validation.safe_text import escape_controls
 
 # A largest dimension outside of this range [m] usually means a file in millimetres or inches.
 USUAL_SIZE = (1.0e-3, 1.0e2)

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from warpcontact.kernels.keywords import explain_keywords
+from warpcontact.geometry.vectors import norm
+from warpcontact.kernels.catalogue.keywords import explain_keywords
 from warpcontact.meshes.blue_noise import blue_noise
 from warpcontact.meshes.mesh import Mesh
 from warpcontact.meshes.topology import angles, area_vectors, directions
-from warpcontact.vectors import norm
 
 METHODS = ("blue_noise", "vertices", "centroids")
 

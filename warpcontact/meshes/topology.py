@@ -9,8 +9,8 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from warpcontact.geometry.vectors import bounds, cross, dot, norm
 from warpcontact.meshes.nesting import find_containing_parts
-from warpcontact.vectors import bounds, cross, dot, norm
 
 Orientation = Literal["outward", "inward", "open surface", "mixed", "undefined"]
 

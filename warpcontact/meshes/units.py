@@ -2,7 +2,7 @@
 
 from math import inf
 
-from warpcontact.kernels.names import suggestion
+from warpcontact.kernels.catalogue.names import suggestion
 from warpcontact.meshes.mesh import positive
 
 #: Metres per unit.

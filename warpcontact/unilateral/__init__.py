@@ -2,34 +2,34 @@
 
 from typing import TYPE_CHECKING
 
-from warpcontact.kernels.on_demand import lazy_names
+from warpcontact.kernels.catalogue.lazy_catalogue import lazy_names
 
 if TYPE_CHECKING:
     from warpcontact.unilateral.diagnosis import Diagnosis
     from warpcontact.unilateral.problem import Problem
-    from warpcontact.unilateral.rigid.acceleration import ParadoxError
-    from warpcontact.unilateral.rigid.assembly import Assembly, assemble
-    from warpcontact.unilateral.rigid.equilibrium import Equilibrium, equilibrium
-    from warpcontact.unilateral.rigid.event_driven import EventDriven
-    from warpcontact.unilateral.rigid.events import Event, EventKind, EventRun
+    from warpcontact.unilateral.reference.acceleration import ParadoxError
+    from warpcontact.unilateral.reference.assembly import Assembly, assemble
+    from warpcontact.unilateral.reference.equilibrium import Equilibrium, equilibrium
+    from warpcontact.unilateral.reference.event_driven import EventDriven
+    from warpcontact.unilateral.reference.events import Event, EventKind, EventRun
     from warpcontact.unilateral.solution import Solution, Termination
     from warpcontact.unilateral.solving import solve, solve_delassus
 
 # Where each public name lives.
 _HOME = {
-    "Assembly": "rigid.assembly",
+    "Assembly": "reference.assembly",
     "Diagnosis": "diagnosis",
-    "Equilibrium": "rigid.equilibrium",
-    "Event": "rigid.events",
-    "EventDriven": "rigid.event_driven",
-    "EventKind": "rigid.events",
-    "EventRun": "rigid.events",
-    "ParadoxError": "rigid.acceleration",
+    "Equilibrium": "reference.equilibrium",
+    "Event": "reference.events",
+    "EventDriven": "reference.event_driven",
+    "EventKind": "reference.events",
+    "EventRun": "reference.events",
+    "ParadoxError": "reference.acceleration",
     "Problem": "problem",
     "Solution": "solution",
     "Termination": "solution",
-    "assemble": "rigid.assembly",
-    "equilibrium": "rigid.equilibrium",
+    "assemble": "reference.assembly",
+    "equilibrium": "reference.equilibrium",
     "solve": "solving",
     "solve_delassus": "solving",
 }

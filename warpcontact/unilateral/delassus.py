@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from warpcontact.checks import Array
+from warpcontact.validation.checks import Array
 
 _ROUNDING = float(np.finfo(np.float64).eps)
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warpcontact.checks import Array
 from warpcontact.unilateral import intake
 from warpcontact.unilateral.delassus import Delassus
 from warpcontact.unilateral.elimination import eliminate, is_regular
@@ -24,6 +23,7 @@ from warpcontact.unilateral.residual import ResidualEvaluator
 from warpcontact.unilateral.scaled import ScaledProblem
 from warpcontact.unilateral.solution import Solution
 from warpcontact.unilateral.states import all_states, as_solutions
+from warpcontact.validation.checks import Array
 
 if TYPE_CHECKING:
     from warpcontact.unilateral.problem import Problem

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from warpcontact.checks import Array
 from warpcontact.unilateral.delassus import Delassus
 from warpcontact.unilateral.residual import ROUNDINGS, ResidualEvaluator
+from warpcontact.validation.checks import Array
 
 if TYPE_CHECKING:
     from warpcontact.unilateral.problem import Problem

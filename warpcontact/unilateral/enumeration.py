@@ -5,8 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from warpcontact.checks import Array
 from warpcontact.unilateral.delassus import Delassus
+from warpcontact.validation.checks import Array
 
 #: Most contacts: 2 states of each without friction, 4 in the plane, and 65 536 of all.
 MAX_CONTACTS = {1: 16, 2: 8}

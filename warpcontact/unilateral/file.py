@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from warpcontact.durable import open_for_writing
-from warpcontact.numpy_files import check_numbers
-from warpcontact.run_folder import open_file
+from warpcontact.files.atomic_files import open_for_writing
+from warpcontact.files.numpy_files import check_numbers
+from warpcontact.files.run_folder import open_file
 from warpcontact.unilateral.problem import Problem
 
 _KIND = "warpcontact.unilateral.Problem"

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from warpcontact.checks import Array
 from warpcontact.unilateral.scaled import ScaledProblem
+from warpcontact.validation.checks import Array
 
 #: Eigenvalues below this share of the largest are zero.
 ZERO_EIGENVALUE = 1e-12

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warpcontact.checks import Array
-from warpcontact.kernels.formula import as_numbers
+from warpcontact.kernels.catalogue.device_model import as_numbers
+from warpcontact.validation.checks import Array
 
 #: How unsymmetric a matrix may be, over its largest entry: more than any rounding.
 _SKEW = 1e-8

@@ -5,8 +5,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from warpcontact.checks import Array
 from warpcontact.unilateral.delassus import Delassus
+from warpcontact.validation.checks import Array
 
 #: Most rows of all problems of one launch, squared: what their matrices take of memory.
 _ENTRIES = 50_000_000
@@ -48,7 +48,7 @@ def _launch(
 ) -> tuple[Array, Array]:
     import warp as wp
 
-    from warpcontact.kernels.unilateral import dense
+    from warpcontact.kernels.nonsmooth import dense
 
     count, contacts, dim = problem.q.shape
     device_field = functools.partial(wp.array, dtype=wp.float64, device=device)

@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from warpcontact.checks import Array, choice
-from warpcontact.devices import find_device
+from warpcontact.system.devices import find_device
 from warpcontact.unilateral.delassus import Delassus
 from warpcontact.unilateral.enumeration import check_size, enumerate_states
 from warpcontact.unilateral.iterations import iterate
 from warpcontact.unilateral.newton import newton
+from warpcontact.validation.checks import Array, choice
 
 #: Most iterations by default.
 ITERATIONS = {"enumeration": 0, "energy": 50_000, "projection": 600, "prox": 100_000, "gauss_seidel": 20_000}

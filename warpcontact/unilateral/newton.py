@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from warpcontact.checks import Array
 from warpcontact.unilateral.delassus import Delassus, project
 from warpcontact.unilateral.iterations import iterate
+from warpcontact.validation.checks import Array
 
 # Steps of Newton's method before another method looks for a better start, which, and how many of its sweeps.
 _STEPS = 30

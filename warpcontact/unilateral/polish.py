@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from warpcontact.checks import Array
 from warpcontact.unilateral.scaled import ScaledProblem
+from warpcontact.validation.checks import Array
 
 # Steps: few are needed from near a solution; further ones refine against rounding.
 _STEPS = 12

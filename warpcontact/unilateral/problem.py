@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from warpcontact.checks import Array
-from warpcontact.kernels.keywords import explain_keywords_of
+from warpcontact.kernels.catalogue.keywords import explain_keywords_of
 from warpcontact.unilateral import intake
 from warpcontact.unilateral.solution import Solution
+from warpcontact.validation.checks import Array
 
 if TYPE_CHECKING:
     from warpcontact.unilateral.diagnosis import Diagnosis

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpcontact.checks import Array
 from warpcontact.unilateral.delassus import length
+from warpcontact.validation.checks import Array
 
 if TYPE_CHECKING:
     from warpcontact.unilateral.problem import Problem

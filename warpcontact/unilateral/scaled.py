@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpcontact.checks import Array
 from warpcontact.unilateral.residual import ResidualEvaluator, ResidualScales, scaling
+from warpcontact.validation.checks import Array
 
 if TYPE_CHECKING:
     from warpcontact.unilateral.problem import Problem

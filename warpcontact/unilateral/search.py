@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from warpcontact.checks import Array
 from warpcontact.unilateral import methods
 from warpcontact.unilateral.elimination import SingularError, eliminate
 from warpcontact.unilateral.freedom import free_motion, gaps_infeasible, null_space, unopposed_motion
@@ -15,6 +14,7 @@ from warpcontact.unilateral.residual import ResidualEvaluator
 from warpcontact.unilateral.scaled import ScaledProblem
 from warpcontact.unilateral.solution import Termination
 from warpcontact.unilateral.states import candidates, solutions
+from warpcontact.validation.checks import Array
 
 # Stiffness that each proximal step adds, over that of the displacement and its contacts, for a method that solves
 # linear systems and for others; least stiffness; the most steps.

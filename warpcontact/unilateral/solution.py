@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from warpcontact.checks import Array
-from warpcontact.status import ContactMode
+from warpcontact.model.status import ContactMode
 from warpcontact.unilateral.delassus import Delassus, length
 from warpcontact.unilateral.residual import ResidualEvaluator
+from warpcontact.validation.checks import Array
 
 if TYPE_CHECKING:
     from warpcontact.unilateral.problem import Problem

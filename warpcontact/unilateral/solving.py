@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warpcontact.checks import Array
-from warpcontact.kernels.keywords import explain_keywords
+from warpcontact.kernels.catalogue.keywords import explain_keywords
 from warpcontact.unilateral import intake
 from warpcontact.unilateral.delassus import Delassus
 from warpcontact.unilateral.elimination import eliminate, is_regular
@@ -24,6 +23,7 @@ from warpcontact.unilateral.solution import (
     solution_of_delassus,
     solution_of_displacements,
 )
+from warpcontact.validation.checks import Array
 
 
 @explain_keywords

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from warpcontact.checks import Array
 from warpcontact.unilateral.enumeration import (
     OPEN,
     SLIP_DOWN,
@@ -23,6 +22,7 @@ from warpcontact.unilateral.problem import Problem
 from warpcontact.unilateral.residual import ResidualEvaluator
 from warpcontact.unilateral.scaled import ScaledProblem
 from warpcontact.unilateral.solution import RawSolution, Solution, Termination, solution_of_displacements
+from warpcontact.validation.checks import Array
 
 # Solutions that differ by less than this part of the largest of their displacements and forces, scaled, are one.
 _ALIKE = 1e-8

@@ -3,14 +3,15 @@
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from warpcontact.kernels import friction, laws, motions, springs
-from warpcontact.kernels.formula import Formula
+from warpcontact.kernels import friction, joints, laws
+from warpcontact.kernels.catalogue.device_model import Formula
+from warpcontact.kernels.couplings import springs
+from warpcontact.kernels.couplings.springs import Damper, Spring
 from warpcontact.kernels.friction import Friction
+from warpcontact.kernels.joints import Motion
 from warpcontact.kernels.laws import Law
-from warpcontact.kernels.motions import Motion
-from warpcontact.kernels.smooth import shapes
-from warpcontact.kernels.smooth.base import Shape
-from warpcontact.kernels.springs import Damper, Spring
+from warpcontact.kernels.shapes import shapes
+from warpcontact.kernels.shapes.base import Shape
 
 #: Classes of the library by what they are.
 LIBRARY: Mapping[type[Formula], tuple[type[Any], ...]] = {
@@ -18,7 +19,7 @@ LIBRARY: Mapping[type[Formula], tuple[type[Any], ...]] = {
     Friction: (*friction.CATALOGUE, *friction.RIGID),
     Spring: springs.SPRINGS,
     Damper: springs.DAMPERS,
-    Motion: motions.CATALOGUE,
+    Motion: joints.CATALOGUE,
     Shape: shapes.CATALOGUE,
 }
 _ALL = frozenset(kind for kinds in LIBRARY.values() for kind in kinds)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from warpcontact.kernels.keywords import explain_keywords
+from warpcontact.kernels.catalogue.keywords import explain_keywords
 
 # Rounding of single precision, in sizes of what is compared.
 ROUNDING = 1.0e-5

@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warpcontact.checks import Array
 from warpcontact.usd.author import Samples, vectors
 from warpcontact.usd.geometry import set_color
+from warpcontact.validation.checks import Array
 
 #: Width of curves, in sizes of the largest body.
 WIDTH = 0.03

@@ -12,17 +12,17 @@ from typing import Any
 import numpy as np
 
 from warpcontact._version import __version__
-from warpcontact.checks import Array
-from warpcontact.contact_range import ContactRange
-from warpcontact.elements import ContactMaterial
-from warpcontact.kernels.formula import ROWS, Formula
-from warpcontact.kernels.touch import ContactModel
+from warpcontact.kernels.catalogue.device_model import ROWS, Formula
+from warpcontact.kernels.contact.contact_evaluation import ContactModel
 from warpcontact.meshes import Mesh
-from warpcontact.scene import Scene
+from warpcontact.scene.contact_range import ContactRange
+from warpcontact.scene.elements import ContactMaterial
+from warpcontact.scene.scene import Scene
 from warpcontact.usd.author import identifiers
 from warpcontact.usd.catalogue import is_custom
 from warpcontact.usd.importing.records import SCHEMA
-from warpcontact.usd.words import ElementCall, ShapeParameters, element_calls
+from warpcontact.usd.serialize import ElementCall, ShapeParameters, element_calls
+from warpcontact.validation.checks import Array
 
 #: Where exports have the description.
 ROOT = "/World/Description"

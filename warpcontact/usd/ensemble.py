@@ -5,10 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from warpcontact.checks import Array
-from warpcontact.replay.content import POINT
-from warpcontact.replay.ensemble import BodyAppearance, Ensemble
-from warpcontact.replay.spheres import body_color
 from warpcontact.usd.author import (
     Samples,
     attribute_name,
@@ -20,10 +16,14 @@ from warpcontact.usd.author import (
     vectors,
 )
 from warpcontact.usd.coloring import Coloring
-from warpcontact.usd.forms import write_shape
 from warpcontact.usd.geometry import set_color
 from warpcontact.usd.layout import ENSEMBLE, Layout
+from warpcontact.usd.shapes import write_shape
 from warpcontact.usd.surfaces import write_surface
+from warpcontact.validation.checks import Array
+from warpcontact.visualize.drawing.content import POINT
+from warpcontact.visualize.drawing.ensemble import BodyAppearance, Ensemble
+from warpcontact.visualize.drawing.spheres import body_color
 
 
 def define_ensemble(stage: Any, ensemble: Ensemble, layout: Layout, coloring: Coloring | None) -> None:

@@ -5,23 +5,23 @@ from typing import Any
 
 import numpy as np
 
-from warpcontact.checks import Array
-from warpcontact.replay.content import Content
-from warpcontact.replay.replay import Replay
-from warpcontact.replay.survey import SceneRanges
-from warpcontact.scene import Body
+from warpcontact.scene.scene import Body
 from warpcontact.usd import geometry, physics
 from warpcontact.usd.arrows import write_arrows
 from warpcontact.usd.author import Samples, identifiers, series, write_box
+from warpcontact.usd.body_sets import write_body_set
 from warpcontact.usd.curves import WIDTH, write_curves
-from warpcontact.usd.forms import write_shape, write_shape_set
 from warpcontact.usd.joints import is_joint, write_joint
 from warpcontact.usd.layout import PROTOTYPE, RESERVED, SHAPES, WORLD, Layout
 from warpcontact.usd.materials import UsdMaterial, UsdMaterials, material_path, set_material
 from warpcontact.usd.prototype import Prototype
 from warpcontact.usd.sensors import Sensors
+from warpcontact.usd.shapes import write_shape, write_shape_set
 from warpcontact.usd.surfaces import write_surface
-from warpcontact.usd.swarms import write_body_set
+from warpcontact.validation.checks import Array
+from warpcontact.visualize.drawing.content import Content
+from warpcontact.visualize.drawing.ranges import SceneRanges
+from warpcontact.visualize.drawing.replay import Replay
 
 
 def layout_of(

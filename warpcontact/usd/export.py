@@ -6,14 +6,14 @@ from pathlib import Path
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from warpcontact.hostile import escape_controls, terminal
-from warpcontact.kernels.keywords import explain_keywords
-from warpcontact.replay.content import Content
-from warpcontact.scene import Scene
+from warpcontact.kernels.catalogue.keywords import explain_keywords
+from warpcontact.scene.scene import Scene
 from warpcontact.usd.author import Samples
 from warpcontact.usd.clips import Clips, check_frames
 from warpcontact.usd.files import check_path, save_stage
 from warpcontact.usd.stage import Export, ProgressCallback
+from warpcontact.validation.safe_text import escape_controls, terminal
+from warpcontact.visualize.drawing.content import Content
 
 
 @explain_keywords

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from warpcontact.run_folder import PARTIAL, RunPath, place_of
+from warpcontact.files.run_folder import PARTIAL, RunPath, place_of
 
 #: What a stage can be written to.
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")

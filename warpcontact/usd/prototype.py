@@ -4,21 +4,21 @@ from typing import Any
 
 import numpy as np
 
-from warpcontact.replay.content import POINT, Content
-from warpcontact.replay.spheres import body_size
-from warpcontact.replay.survey import body_reach
-from warpcontact.scene import Body
+from warpcontact.scene.scene import Body
 from warpcontact.usd import geometry, physics
 from warpcontact.usd.arrows import define_arrows
 from warpcontact.usd.author import add_pose_operations, store_element_name, write_box
+from warpcontact.usd.body_sets import define_body_set
 from warpcontact.usd.curves import WIDTH, define_curves
-from warpcontact.usd.forms import define_shape_set, write_shape
 from warpcontact.usd.joints import define_joint, is_joint
 from warpcontact.usd.layout import PROTOTYPE, SHAPES, WORLD, Layout
 from warpcontact.usd.materials import UsdMaterials, bind_material, define_material, material_path
 from warpcontact.usd.sensors import Sensors
+from warpcontact.usd.shapes import define_shape_set, write_shape
 from warpcontact.usd.surfaces import define_shapes, define_surfaces, write_surface
-from warpcontact.usd.swarms import define_body_set
+from warpcontact.visualize.drawing.content import POINT, Content
+from warpcontact.visualize.drawing.ranges import body_reach
+from warpcontact.visualize.drawing.spheres import body_size
 
 
 class Prototype:

@@ -1,7 +1,7 @@
 """Radius of rolling of two shapes, which relates Newton's coefficient of rolling friction, a length, to ours."""
 
-from warpcontact.kernels.smooth import shapes
-from warpcontact.kernels.smooth.base import Shape as Form
+from warpcontact.kernels.shapes import shapes
+from warpcontact.kernels.shapes.base import Shape as Form
 
 _FLAT = (shapes.Plane, shapes.RoundedBox)
 

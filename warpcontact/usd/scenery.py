@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from warpcontact.checks import Array
+from warpcontact.validation.checks import Array
 
 # From where to look, as a direction; and how much wider than what is framed the picture is.
 _FROM = np.array([0.55, -0.75, 0.42])

@@ -7,14 +7,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from warpcontact import checks
 from warpcontact._version import __version__
-from warpcontact.checks import Array, limits
-from warpcontact.replay.content import Content
-from warpcontact.replay.ensemble import Ensemble
-from warpcontact.replay.replay import Replay
-from warpcontact.replay.survey import SceneRanges
-from warpcontact.scene import Scene
+from warpcontact.scene.scene import Scene
 from warpcontact.usd.author import Samples, write_box
 from warpcontact.usd.coloring import Coloring
 from warpcontact.usd.description import write_description
@@ -23,6 +17,12 @@ from warpcontact.usd.environments import Environments, layout_of
 from warpcontact.usd.layout import WORLD, Layout
 from warpcontact.usd.materials import UsdMaterials
 from warpcontact.usd.scenery import define_camera, define_display_material, define_lights
+from warpcontact.validation import checks
+from warpcontact.validation.checks import Array, limits
+from warpcontact.visualize.drawing.content import Content
+from warpcontact.visualize.drawing.ensemble import Ensemble
+from warpcontact.visualize.drawing.ranges import SceneRanges
+from warpcontact.visualize.drawing.replay import Replay
 
 #: Goes up when what is on a stage is to be read in another way.
 SCHEMA = 1

@@ -1,4 +1,4 @@
-// The arrays of one environment, in the order in which warpcontact/run_report/replay.py packs them.
+// The arrays of one environment, in the order in which warpcontact/visualize/report/replay.py packs them.
 import { unpack } from "./unpack.js";
 
 /** Returns what moves in one environment: figures, curves and touches. */

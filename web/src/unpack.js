@@ -1,4 +1,4 @@
-// Arrays as warpcontact/run_report/packing.py writes them.
+// Arrays as warpcontact/visualize/report/packing.py writes them.
 
 const HIGHEST = 65535; // of 16 bits: NaN
 

@@ -57,9 +57,9 @@ def find_defects(vertices: npt.NDArray[np.float64], faces: npt.NDArray[Any], *, 
     first = representatives(np.sort(corners[valid_faces], axis=1))
     duplicate[valid_faces] = np.bincount(first, minlength=len(valid_faces))[first] > 1
     # A copy in the other direction has edges of its own, as in the report.
-    flip = (corners[valid_faces].argmin(axis=1)[:, None] + np.arange(3)) % 3
+    rotated = (corners[valid_faces].argmin(axis=1)[:, None] + np.arange(3)) % 3
     valid_faces = valid_faces[
-        representatives(np.take_along_axis(corners[valid_faces], flip, axis=1)) == np.arange(len(valid_faces))
+        representatives(np.take_along_axis(corners[valid_faces], rotated, axis=1)) == np.arange(len(valid_faces))
     ]
 
     ends = np.stack((corners[valid_faces], corners[valid_faces][:, [1, 2, 0]]), axis=2).reshape(-1, 2)

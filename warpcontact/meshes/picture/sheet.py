@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from warpcontact.kernels.keywords import explain_keywords
+from warpcontact.files.picture_file import check_path, save
+from warpcontact.kernels.catalogue.keywords import explain_keywords
 from warpcontact.meshes.groups import FaceChoice
 from warpcontact.meshes.isolation import Limits
 from warpcontact.meshes.picture.defects import Defects, find_defects
@@ -16,7 +17,6 @@ from warpcontact.meshes.picture.view import View, best_direction, direction_text
 from warpcontact.meshes.repair import RepairRequest
 from warpcontact.meshes.report import MeshReport
 from warpcontact.meshes.topology import CRACK_LIMIT, area_vectors
-from warpcontact.picture_file import check_path, save
 
 Array = npt.NDArray[np.float64]
 

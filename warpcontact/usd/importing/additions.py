@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from warpcontact.usd.importing.findings import path_of
-from warpcontact.usd.importing.kinds import below, reasons
 from warpcontact.usd.importing.physics import read_gravity
+from warpcontact.usd.importing.prim_types import below, reasons
 from warpcontact.usd.importing.records import Record
 from warpcontact.usd.importing.schemas import has, is_on
 

@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from warpcontact.checks import Array
-from warpcontact.elements import Body, ContactMaterial
-from warpcontact.kernels.motions import Fixed, Prescribed
-from warpcontact.scene import Scene
+from warpcontact.kernels.joints import Fixed, Prescribed
+from warpcontact.scene.elements import Body, ContactMaterial
+from warpcontact.scene.scene import Scene
 from warpcontact.usd.importing.contact_materials import FRICTION, PhysicsMaterial
+from warpcontact.usd.importing.contacts import Collider, ContactBuilder
 from warpcontact.usd.importing.errors import UsdError, shortened
 from warpcontact.usd.importing.findings import InvalidValue, Unsupported
-from warpcontact.usd.importing.forms import ColliderShape, collider_shape
+from warpcontact.usd.importing.shapes import ColliderShape, collider_shape
 from warpcontact.usd.importing.solids import Weight
-from warpcontact.usd.importing.touching import Collider, ContactBuilder
+from warpcontact.validation.checks import Array
 
 #: Density where nothing says one [kg/m³].
 DENSITY = 1000.0

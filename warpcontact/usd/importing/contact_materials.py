@@ -5,9 +5,9 @@ from dataclasses import astuple, dataclass
 from math import pi, sqrt
 from typing import Any
 
-from warpcontact.elements import Body, ContactMaterial
 from warpcontact.kernels.friction import CundallStrack, Friction, Frictionless
 from warpcontact.kernels.laws import KelvinVoigt
+from warpcontact.scene.elements import Body, ContactMaterial
 
 #: Friction where no physics material gives any.
 FRICTION = 0.5

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 
-from warpcontact import hostile
+from warpcontact.validation import safe_text
 
 # So many problems are written out, and so many characters of each.
 _LISTED = 50
@@ -22,12 +22,12 @@ class UsdError(ValueError):
         if len(self.problems) > _LISTED:
             shown.append(f"and {len(self.problems) - _LISTED} more, in the attribute problems of this error")
         if len(self.problems) == 1:
-            super().__init__(hostile.escape_controls(f"{subject}: {shown[0]}"))
+            super().__init__(safe_text.escape_controls(f"{subject}: {shown[0]}"))
         else:
             listed = "".join(f"\n  - {o}" for o in shown)
-            super().__init__(hostile.escape_controls(f"{subject} has {len(self.problems)} problems:{listed}"))
+            super().__init__(safe_text.escape_controls(f"{subject} has {len(self.problems)} problems:{listed}"))
 
 
 def shortened(text: object, most: int = 120) -> str:
     """Returns a text in one line, its middle left out if it is longer than ``most``, for paths end in names."""
-    return hostile.truncate(hostile.single_line(text), most, middle=True)
+    return safe_text.truncate(safe_text.single_line(text), most, middle=True)

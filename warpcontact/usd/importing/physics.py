@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from warpcontact.meshes.readers.unreadable import Unreadable
-from warpcontact.usd.importing import kinds
+from warpcontact.usd.importing import prim_types
 from warpcontact.usd.importing.colliders import shape_of
 from warpcontact.usd.importing.filters import excluded_pairs
 from warpcontact.usd.importing.findings import Findings, InvalidValue, Unsupported, path_of, vector
@@ -86,7 +86,7 @@ class _Reader:
 
     def read(self) -> dict[str, Any]:
         self.metres, self.kilograms, self.up = self._units()
-        prims = kinds.find_prims(self.stage, self.findings)
+        prims = prim_types.find_prims(self.stage, self.findings)
         for what, count in (("rigid bodies", len(prims.bodies)), ("colliders", len(prims.colliders))):
             if count > MOST:
                 raise Unreadable(f"it has {count} {what}; allowed: {MOST}")

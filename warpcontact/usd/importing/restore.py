@@ -7,22 +7,22 @@ from typing import Any
 
 import numpy as np
 
-from warpcontact.contact_range import ContactRange, ExpectedImpact
-from warpcontact.elements import ContactMaterial
-from warpcontact.kernels.formula import Formula
+from warpcontact.kernels.catalogue.device_model import Formula
+from warpcontact.kernels.contact.contact_evaluation import ContactModel
+from warpcontact.kernels.couplings.springs import Damper, Spring
 from warpcontact.kernels.friction import Friction
+from warpcontact.kernels.joints import Motion
 from warpcontact.kernels.laws import Law
-from warpcontact.kernels.motions import Motion
-from warpcontact.kernels.smooth.base import Shape as ShapeParameters
-from warpcontact.kernels.springs import Damper, Spring
-from warpcontact.kernels.touch import ContactModel
+from warpcontact.kernels.shapes.base import Shape as ShapeParameters
 from warpcontact.meshes import Mesh, SurfaceSamples
-from warpcontact.scene import Scene
+from warpcontact.scene.contact_range import ContactRange, ExpectedImpact
+from warpcontact.scene.elements import ContactMaterial
+from warpcontact.scene.scene import Scene
 from warpcontact.usd.author import identifiers
 from warpcontact.usd.catalogue import Catalogue
 from warpcontact.usd.importing.errors import UsdError, shortened
 from warpcontact.usd.importing.records import SCHEMA, Record
-from warpcontact.usd.words import ADDERS, argument_names, required_names
+from warpcontact.usd.serialize import ADDERS, argument_names, required_names
 
 _FORMULAS: dict[str, type[Formula]] = {
     "motion": Motion,

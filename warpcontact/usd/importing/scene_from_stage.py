@@ -6,19 +6,19 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from warpcontact import checks
-from warpcontact.checks import limits as allowed
-from warpcontact.elements import ContactMaterial
-from warpcontact.kernels.formula import Formula
+from warpcontact.kernels.catalogue.device_model import Formula
 from warpcontact.meshes.isolation import Limits, read_sandboxed
 from warpcontact.meshes.readers import USD_SUFFIXES, Unreadable
-from warpcontact.scene import Scene
-from warpcontact.surface_contact import check_amount
+from warpcontact.scene.elements import ContactMaterial
+from warpcontact.scene.scene import Scene
+from warpcontact.scene.surface_contact import check_amount
 from warpcontact.usd.importing.assemble import build_scene
 from warpcontact.usd.importing.errors import UsdError, shortened
 from warpcontact.usd.importing.packing import unpack
 from warpcontact.usd.importing.restore import restore_scene
 from warpcontact.usd.importing.stage import read_stage
+from warpcontact.validation import checks
+from warpcontact.validation.checks import limits as allowed
 
 
 def scene_from_usd(

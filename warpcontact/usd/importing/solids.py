@@ -6,8 +6,8 @@ from math import pi
 
 import numpy as np
 
-from warpcontact.checks import Array
 from warpcontact.meshes import Mesh
+from warpcontact.validation.checks import Array
 
 
 @dataclass(frozen=True)

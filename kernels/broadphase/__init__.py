@@ -1,0 +1,1 @@
+"""Broad phase: contact detection with cached clearances."""

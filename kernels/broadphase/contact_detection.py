@@ -1,0 +1,426 @@
+"""Which contacts a step has to do with: blocks and points that cannot touch yet are left alone.
+
+A point can only touch after it moved as far as it was from touching when it was looked at; ``travel.py`` says how
+far it can have moved. What is near is looked at by ``closest_point.py``: here by one thread for a whole block, on
+a GPU contact by contact, by ``queues.py``.
+"""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
+from warpcontact.kernels.narrowphase import bvh_search, face_grid, search
+from warpcontact.kernels.narrowphase import closest_point as narrow_phase
+from warpcontact.kernels.narrowphase import face_closest_point as closest_points
+from warpcontact.kernels.narrowphase.closest_point import (
+    DETECT_ALL,
+    DETECT_GRID,
+    DETECT_GRID_ANY,
+    DETECT_GRID_FAR,
+    MIN_CLEARANCE_FRACTION,
+    TRACKED,
+)
+from warpcontact.kernels.narrowphase.side_regions import side_clearance as side_clearance_of
+from warpcontact.kernels.types import (
+    CONTACT,
+    ENV_ACTIVE,
+    LATCHED,
+    LaunchRange,
+    assume_nonnegative,
+    structs,
+    task_count,
+    task_env,
+    task_item,
+)
+
+
+@functools.cache
+def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
+    """Returns the device functions for ``real``; ``tracks`` and ``part`` are those of ``closest_point``."""
+    t = structs(real)
+    Model, History, Contacts, ActiveContacts, Cache = t.Model, t.History, t.Contacts, t.ActiveContacts, t.Cache
+    narrow = narrow_phase.functions(real, tracks, part)
+    SetFrames, frames_of_set = narrow.SetFrames, narrow.frames_of_set
+    mark_far = narrow.mark_far
+    search_functions, bvh_functions = search.functions(real), bvh_search.functions(real)
+    max_coordinate, query_error = search_functions.max_coordinate, search_functions.query_error
+    refine_closest = search_functions.refine_closest
+    closest_in_bvh, rounding_error = bvh_functions.closest_in_bvh, bvh_functions.rounding_error
+    side_clearance, cell_at = side_clearance_of(real), face_grid.functions(real).cell_at
+    closest_on_face, is_inside = (
+        closest_points.functions(real).closest_on_face,
+        closest_points.functions(real).is_inside,
+    )
+    rounded_down = wp.constant(real(1.0 - 4.0 * t.epsilon))
+    rounded_up = wp.constant(real(1.0 + 16.0 * t.epsilon))
+
+    @wp.func
+    def cluster_clearance(model: Model, set_frames: SetFrames, cache: Cache, env: int, cluster: int):
+        """How far a point in the middle of a block is from coming to touch, or to be on the inner side [m].
+
+        All that lies nearer to it than this is as free. Negative: nothing is known.
+        """
+        query_mesh = set_frames.query_mesh
+        c_W = set_frames.offset_W + set_frames.R_WB * model.cluster_center[env, cluster]
+        c_S = set_frames.inverse_scale * (wp.transpose(set_frames.R_WS) * c_W)
+        if wp.static(part in (DETECT_GRID, DETECT_GRID_FAR, DETECT_GRID_ANY)):
+            # Where that is little, each point looks into its own.
+            return set_frames.scale * cell_at(model, query_mesh, c_S).clearance
+        extent = max_coordinate(c_S)
+        if wp.static(part == DETECT_ALL):
+            hint = cache.nearest[
+                env, assume_nonnegative(model.cluster_contact[assume_nonnegative(model.cluster_start[cluster])])
+            ]
+            closest = closest_in_bvh(model, query_mesh, c_S, hint)
+            if not (closest.distance < real(wp.inf)):
+                return real(-1.0)
+            error = rounding_error(extent, closest)
+        else:
+            query = wp.mesh_query_point_no_sign(
+                model.query_mesh_id[query_mesh],
+                wp.vec3f(wp.float32(c_S[0]), wp.float32(c_S[1]), wp.float32(c_S[2])),
+                wp.float32(wp.inf),
+            )
+            if not query.result:
+                return real(-1.0)
+            closest = closest_on_face(model, set_frames.start + query.face, c_S)
+            error = query_error(model, query_mesh, extent, closest.distance)
+            if wp.static(real is wp.float64) or model.query_mesh_thin_length[query_mesh] > real(0.0):
+                # One that the query takes for as near may show the other side.
+                closest = refine_closest(model, query_mesh, c_S, closest, error)
+        if is_inside(model, closest):
+            return real(-1.0)
+        return set_frames.scale * wp.min(closest.distance - error, side_clearance(model, query_mesh, c_S))
+
+    @wp.func
+    def contact_clearance(model: Model, env: int, cluster: int, contact: int, center_clearance: real):
+        """Clearance of one contact, from the clearance at the center of its cluster [m]."""
+        arm_B = (
+            model.point_position[env, assume_nonnegative(model.contact_point[contact])]
+            - model.cluster_center[env, cluster]
+        )
+        geometry = model.contact_geometry[env, contact]
+        return center_clearance - rounded_up * wp.length(arm_B) - (geometry.radius + geometry.closed)
+
+    @wp.func
+    def probe_distance(model: Model, env: int, start: int, stop: int, cluster: int, center_clearance: real):
+        """Displacement of a cluster after which the clearance at its center can cull a contact again [m]."""
+        smallest = real(wp.inf)
+        for index in range(start, stop):
+            smallest = wp.min(
+                smallest,
+                center_clearance
+                - contact_clearance(
+                    model, env, cluster, assume_nonnegative(model.cluster_contact[index]), center_clearance
+                ),
+            )
+        return wp.max(smallest / real(1.0 - MIN_CLEARANCE_FRACTION) - center_clearance, real(0.0))
+
+    @wp.func
+    def needs_arming(model: Model, history: History, env: int, contact: int):
+        """Whether a latched contact is not armed yet: a look has to tell when it comes into sight."""
+        if wp.static(tracks):
+            return (model.contact_options[contact] & LATCHED) != 0 and history.armed[env, contact] == 0
+        return False
+
+    @wp.func
+    def can_cull(model: Model, history: History, env: int, contact: int):
+        """Whether a contact is of no concern if it is far away on the outer side, as its surroundings are.
+
+        One that stays with the face that it touched is on the inner side of that, wherever it is; another may have
+        to be armed.
+        """
+        if wp.static(tracks):
+            if (model.contact_options[contact] & TRACKED) != 0 and history.face[env, contact] >= 0:
+                return False
+            if needs_arming(model, history, env, contact):
+                return False
+        return model.contact_geometry[env, contact].enabled != 0
+
+    @wp.func
+    def cull_by_cluster(
+        model: Model,
+        history: History,
+        contacts: Contacts,
+        cache: Cache,
+        env: int,
+        cluster: int,
+        contact: int,
+        center_clearance: real,
+    ):
+        """Fills ``contacts`` for one that is far away on the outer side, as the middle of its block shows.
+
+        Returns how far its point can move and not touch [m]; negative: nothing is known, and nothing was filled.
+        """
+        if not (center_clearance > real(0.0)) or cache.face_count[env, contact] != 0:
+            return real(-1.0)
+        if not can_cull(model, history, env, contact):
+            return real(-1.0)
+        clearance = contact_clearance(model, env, cluster, contact, center_clearance)
+        if not (clearance > real(MIN_CLEARANCE_FRACTION) * center_clearance):
+            return real(-1.0)
+        mark_far(contacts, env, contact)
+        return clearance
+
+    @wp.func
+    def safe_travel_for(travel: real, clearance: real):
+        """Travel up to which a contact that is ``clearance`` cannot touch [m]."""
+        if not (clearance > real(0.0)):
+            return real(0.0)
+        return rounded_down * (travel + clearance)
+
+    @wp.func
+    def extend_safe_travel(
+        model: Model,
+        history: History,
+        cache: Cache,
+        env: int,
+        cluster: int,
+        contact: int,
+        travel: real,
+        center_clearance: real,
+    ):
+        """Lets a contact that is asleep sleep longer if the middle of its block shows that it can."""
+        safe_travel = cache.safe_travel[env, contact]
+        if needs_arming(model, history, env, contact):
+            return safe_travel
+        if center_clearance > real(0.0):
+            extended = rounded_down * (travel + contact_clearance(model, env, cluster, contact, center_clearance))
+            if extended > safe_travel:
+                safe_travel = extended
+                cache.safe_travel[env, contact] = safe_travel
+        return safe_travel
+
+    @wp.func
+    def has_uncached(model: Model, cache: Cache, env: int, start: int, stop: int, max_travel: real):
+        """Whether some contact of a block is awake and no faces near it are known."""
+        for index in range(start, stop):
+            contact = assume_nonnegative(model.cluster_contact[index])
+            if cache.face_count[env, contact] == 0 and not (max_travel < cache.safe_travel[env, contact]):
+                return True
+        return False
+
+    @wp.func
+    def needs_history(contacts: Contacts, history: History, env: int, contact: int, previous_status: int):
+        """1 if the rest of the step has to do with a contact: it touches, or did, or its latch moved; or 0.
+
+        ``previous_status`` is its status when it was looked at last, not necessarily in an accepted step.
+        """
+        latch_changed = contacts.armed[env, contact] != history.armed[env, contact]
+        was_touching = previous_status == CONTACT or history.entry_speed[env, contact] >= real(0.0)
+        return wp.where(latch_changed or was_touching or contacts.status[env, contact] == CONTACT, 1, 0)
+
+    @wp.func
+    def probe_if_useful(
+        model: Model,
+        set_frames: SetFrames,
+        cache: Cache,
+        env: int,
+        cluster: int,
+        start: int,
+        stop: int,
+        travel: real,
+        max_travel: real,
+    ):
+        """Clearance at the center of a cluster, if that can cull some of its contacts; negative: unknown.
+
+        One search at the center can cull all contacts that are far from the surface.
+        """
+        if stop - start > 1 and travel >= cache.cluster_probe_travel[env, cluster]:
+            # (Nested, as Warp computes both sides of an ``and``.)
+            if has_uncached(model, cache, env, start, stop, max_travel):
+                return cluster_clearance(model, set_frames, cache, env, cluster)
+        return real(-1.0)
+
+    @wp.func
+    def store_result(
+        history: History,
+        contacts: Contacts,
+        cache: Cache,
+        active_contacts: ActiveContacts,
+        env: int,
+        contact: int,
+        travel: real,
+        clearance: real,
+        previous_status: int,
+    ):
+        """Remembers what was found of a contact; returns the travel up to which it may be left alone [m]."""
+        safe_travel = safe_travel_for(travel, clearance)
+        cache.safe_travel[env, contact] = safe_travel
+        active_contacts.needs_history[env, contact] = needs_history(
+            contacts, history, env, contact, previous_status
+        )
+        return safe_travel
+
+    @wp.func
+    def store_cluster_result(
+        model: Model,
+        cache: Cache,
+        env: int,
+        cluster: int,
+        start: int,
+        stop: int,
+        travel: real,
+        center_clearance: real,
+        culled_any: bool,
+        active_count: int,
+        min_safe_travel: real,
+    ):
+        """Remembers of a block when it has to be looked at again, and when in its middle."""
+        if center_clearance >= real(0.0) and not culled_any:
+            cache.cluster_probe_travel[env, cluster] = travel + probe_distance(
+                model, env, start, stop, cluster, center_clearance
+            )
+        # What is new is told until history has it; a step may be taken again.
+        cache.cluster_safe_travel[env, cluster] = wp.where(active_count > 0, real(0.0), min_safe_travel)
+
+    return SimpleNamespace(
+        SetFrames=SetFrames,
+        frames_of_set=frames_of_set,
+        DetectedContact=narrow.DetectedContact,
+        detect=narrow.detect,
+        write_contact=narrow.write_contact,
+        update_contact=narrow.update_contact,
+        mark_far=mark_far,
+        contact_clearance=contact_clearance,
+        can_cull=can_cull,
+        cluster_clearance=cluster_clearance,
+        probe_distance=probe_distance,
+        cull_by_cluster=cull_by_cluster,
+        safe_travel_for=safe_travel_for,
+        extend_safe_travel=extend_safe_travel,
+        has_uncached=has_uncached,
+        needs_history=needs_history,
+        probe_if_useful=probe_if_useful,
+        store_result=store_result,
+        store_cluster_result=store_cluster_result,
+    )
+
+
+@functools.cache
+def kernel(real: type, tracks: bool) -> wp.Kernel:
+    """Returns the kernel that fills ``contacts`` and ``active_contacts`` from ``state``; items: blocks.
+
+    With ``cached``, only contacts that can touch are evaluated, and their clearances are stored. Contacts that it
+    skips do not touch and did not in the last step; ``active_contacts`` lists the others. Without ``cached``,
+    all contacts are evaluated and listed, and gap, normal and contact point are written for distant ones too.
+    Results for the other contacts are identical.
+
+    Args:
+        real: Type of a real number.
+        tracks: Whether any contact stays with the part of the surface that it touched.
+    """
+    t = structs(real)
+    Model, State, History = t.Model, t.State, t.History
+    Contacts, ActiveContacts, Cache = t.Contacts, t.ActiveContacts, t.Cache
+    detection = functions(real, tracks, DETECT_ALL)
+    frames_of_set, update_contact, probe_if_useful = (
+        detection.frames_of_set,
+        detection.update_contact,
+        detection.probe_if_useful,
+    )
+    cull_by_cluster, extend_safe_travel = detection.cull_by_cluster, detection.extend_safe_travel
+    store_result, store_cluster_result = detection.store_result, detection.store_cluster_result
+
+    @unique_kernel()
+    def closest_point(
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        model: Model,
+        state: State,
+        history: History,
+        cached: wp.bool,
+        cache: Cache,
+        contacts: Contacts,
+        active_contacts: ActiveContacts,
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            cluster = task_item(launch, task)
+            if status[env] != ENV_ACTIVE:
+                continue
+            count = wp.int32(0)
+            active_count = wp.int32(0)
+            set_index = assume_nonnegative(model.cluster_set[cluster])
+            travel = real(0.0)
+            max_travel = real(0.0)
+            if cached:
+                travel = cache.set_travel[env, set_index]
+                max_travel = travel + cache.set_margin[env, set_index]
+                if cache.set_culled[env, set_index] != 0 or max_travel < cache.cluster_safe_travel[env, cluster]:
+                    active_contacts.count[env, cluster] = 0
+                    continue
+            start = assume_nonnegative(model.cluster_start[cluster])
+            stop = model.cluster_start[cluster + 1]
+            set_frames = frames_of_set(model, state, env, set_index)
+            center_clearance = real(-1.0)
+            if cached:
+                center_clearance = probe_if_useful(
+                    model, set_frames, cache, env, cluster, start, stop, travel, max_travel
+                )
+            culled_any = wp.bool(False)
+            min_safe_travel = real(wp.inf)
+            for index in range(start, stop):
+                contact = assume_nonnegative(model.cluster_contact[index])
+                if cached and max_travel < cache.safe_travel[env, contact]:
+                    safe_travel = extend_safe_travel(
+                        model, history, cache, env, cluster, contact, travel, center_clearance
+                    )
+                    min_safe_travel = wp.min(min_safe_travel, safe_travel)
+                else:
+                    previous_status = contacts.status[env, contact]
+                    clearance = real(-1.0)
+                    if cached:
+                        clearance = cull_by_cluster(
+                            model, history, contacts, cache, env, cluster, contact, center_clearance
+                        )
+                    if clearance >= real(0.0):
+                        culled_any = True
+                    else:
+                        clearance = update_contact(
+                            model, set_frames, history, contacts, cached, cache, env, contact
+                        )
+                    if cached:
+                        safe_travel = store_result(
+                            history,
+                            contacts,
+                            cache,
+                            active_contacts,
+                            env,
+                            contact,
+                            travel,
+                            clearance,
+                            previous_status,
+                        )
+                        min_safe_travel = wp.min(min_safe_travel, safe_travel)
+                    elif contacts.status[env, contact] == CONTACT:
+                        # A later look with ``cached`` may not leave it out.
+                        cache.safe_travel[env, contact] = real(0.0)
+                        active_count += 1
+                if cached:
+                    active_count += active_contacts.needs_history[env, contact]
+                if not cached or active_contacts.needs_history[env, contact] != 0:
+                    active_contacts.contact[env, start + count] = contact
+                    count += 1
+            active_contacts.count[env, cluster] = count
+            if cached:
+                store_cluster_result(
+                    model,
+                    cache,
+                    env,
+                    cluster,
+                    start,
+                    stop,
+                    travel,
+                    center_clearance,
+                    culled_any,
+                    active_count,
+                    min_safe_travel,
+                )
+            elif active_count > 0:
+                cache.cluster_safe_travel[env, cluster] = real(0.0)
+                cache.cluster_inactive[env, cluster] = 0
+                cache.set_safe_travel[env, set_index] = real(0.0)
+
+    return closest_point

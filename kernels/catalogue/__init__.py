@@ -1,0 +1,1 @@
+"""Base of laws, friction models, shapes and joints: parameters, names and errors."""

@@ -1,0 +1,1 @@
+"""Contact forces, history and wrenches."""

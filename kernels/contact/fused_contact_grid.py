@@ -1,0 +1,225 @@
+"""Contacts looked at in cells, and what they do computed at once: on a GPU, of one group of sets of one contact.
+
+As ``near_cells`` and ``contact_force`` do, by the same functions; but what a look finds goes on to the force
+without a way through memory, sensors are not told, and of what stays quiet hardly anything is written.
+"""
+
+import functools
+
+import warp as wp
+from warpcontact.kernels.broadphase import contact_detection
+from warpcontact.kernels.contact import contact_force, fused_contact
+from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs
+from warpcontact.kernels.lowlevel import warps
+from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
+from warpcontact.kernels.narrowphase.closest_point import DEFERRED, DETECT_GRID_ANY, DETECT_GRID_FAR, DETECT_QUERY
+from warpcontact.kernels.types import (
+    CONTACT,
+    ENV_ACTIVE,
+    LaunchRange,
+    assume_nonnegative,
+    structs,
+    task_count,
+    task_env,
+    task_item,
+)
+
+# Registers of a thread of a GPU in float32; measured.
+REGISTERS = 96
+
+
+@functools.cache
+def _evaluate_cluster(
+    contact_model: ContactModel, real: type, has_joints: bool, projected: bool, part: str
+) -> wp.Function:
+    """Returns the device function that meets a contact and takes what it does into its block."""
+    t = structs(real)
+    Model, State, History = t.Model, t.State, t.History
+    Contacts, ActiveContacts, Cache, Wrenches = t.Contacts, t.ActiveContacts, t.Cache, t.Wrenches
+    Coefficients, MaterialHistory = group_structs(contact_model, real)
+    contact_functions = fused_contact.functions(contact_model, real, has_joints, projected, part)
+    set_bodies_of, detect_and_evaluate, clear_history = (
+        contact_functions.set_bodies_of,
+        contact_functions.detect_and_evaluate,
+        contact_functions.clear_history,
+    )
+    add_wrench = contact_force.functions(contact_model, real, has_joints, projected).add_wrench
+    needs_history = contact_detection.functions(real, False, part).needs_history
+
+    @wp.func
+    def evaluate_cluster(
+        model: Model,
+        state: State,
+        history: History,
+        history_in: MaterialHistory,
+        dt: real,
+        coefficients: Coefficients,
+        history_out: MaterialHistory,
+        cache: Cache,
+        contacts: Contacts,
+        active_contacts: ActiveContacts,
+        ordered: bool,
+        wrenches: Wrenches,
+        env: int,
+        cluster: int,
+    ):
+        """Returns whether anything is known of the contact of a block: if not, it has to be searched for."""
+        index = assume_nonnegative(model.cluster_start[cluster])
+        contact = assume_nonnegative(model.cluster_contact[index])
+        set_bodies = set_bodies_of(model, state, env, assume_nonnegative(model.cluster_set[cluster]))
+        # Right before it is written, what this comes with would be long in coming.
+        previous_status = contacts.status[env, contact]
+        update = detect_and_evaluate(
+            model,
+            state,
+            set_bodies,
+            history,
+            history_in,
+            dt,
+            coefficients,
+            history_out,
+            cache,
+            env,
+            contact,
+            contact,
+        )
+        if wp.static(part == DETECT_GRID_FAR):
+            if update.clearance == real(DEFERRED):
+                return False
+        # One that was quiet, and is, has nothing to tell. A look may have listed it.
+        if update.status != CONTACT and cache.cluster_inactive[env, cluster] != 0:
+            if update.armed == history.armed[env, contact]:
+                active_contacts.count[env, cluster] = 0
+                return True
+        contacts.status[env, contact] = update.status
+        contacts.armed[env, contact] = update.armed
+        needed = needs_history(contacts, history, env, contact, previous_status)
+        active_contacts.needs_history[env, contact] = needed
+        active_contacts.contact[env, index] = contact
+        active_contacts.count[env, cluster] = needed
+        cache.cluster_inactive[env, cluster] = 1 - needed
+        if update.status == CONTACT:
+            contacts.approach_speed[env, contact] = update.approach_speed
+        elif needed != 0:
+            clear_history(history_out, env, contact, update.armed, dt)
+        if ordered:
+            active_contacts.force[env, cluster] = update.force
+            active_contacts.torque_1[env, cluster] = update.torque_1
+            active_contacts.torque_2[env, cluster] = update.torque_2
+        elif update.status == CONTACT:
+            add_wrench(wrenches, env, set_bodies.body_1, update.force, update.torque_1)
+            add_wrench(wrenches, env, set_bodies.body_2, -update.force, update.torque_2)
+        return True
+
+    return evaluate_cluster
+
+
+@functools.cache
+def kernel(
+    contact_model: ContactModel, real: type, has_joints: bool, projected: bool, search_now: bool
+) -> wp.Kernel:
+    """Returns the kernel that sees to blocks of one contact; items: blocks.
+
+    With ``search_now``, contacts that the face grid does not decide are queried here, not in ``remaining``. The
+    other arguments are those of ``contact_force.kernel``.
+    """
+    t = structs(real)
+    Model, State, History = t.Model, t.State, t.History
+    Contacts, ActiveContacts, Cache, Wrenches = t.Contacts, t.ActiveContacts, t.Cache, t.Wrenches
+    Coefficients, MaterialHistory = group_structs(contact_model, real)
+    evaluate_cluster = _evaluate_cluster(
+        contact_model, real, has_joints, projected, DETECT_GRID_ANY if search_now else DETECT_GRID_FAR
+    )
+    registers = REGISTERS if real is wp.float32 else None
+
+    @unique_kernel(registers)
+    def fused_in_grid(
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        model: Model,
+        state: State,
+        history: History,
+        history_in: MaterialHistory,
+        step: wp.array2d(dtype=real),  # [env, 0] what the force acts over [s]
+        coefficients: Coefficients,
+        history_out: MaterialHistory,
+        cache: Cache,
+        contacts: Contacts,
+        active_contacts: ActiveContacts,
+        ordered: wp.bool,
+        wrenches: Wrenches,
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            cluster = task_item(launch, task)
+            if status[env] != ENV_ACTIVE:
+                continue
+            detected_now = evaluate_cluster(
+                model,
+                state,
+                history,
+                history_in,
+                step[env, 0],
+                coefficients,
+                history_out,
+                cache,
+                contacts,
+                active_contacts,
+                ordered,
+                wrenches,
+                env,
+                cluster,
+            )
+            if not detected_now:
+                cache.queue_clusters[wp.atomic_add(cache.queue_count, 0, 1)] = task
+
+    return fused_in_grid
+
+
+@functools.cache
+def remaining(contact_model: ContactModel, real: type, has_joints: bool, projected: bool) -> wp.Kernel:
+    """Returns the kernel that searches for what ``kernel`` left; items: blocks."""
+    t = structs(real)
+    Model, State, History = t.Model, t.State, t.History
+    Contacts, ActiveContacts, Cache, Wrenches = t.Contacts, t.ActiveContacts, t.Cache, t.Wrenches
+    Coefficients, MaterialHistory = group_structs(contact_model, real)
+    evaluate_cluster = _evaluate_cluster(contact_model, real, has_joints, projected, DETECT_QUERY)
+
+    @unique_kernel()
+    def fused_remaining(
+        launch: LaunchRange,
+        model: Model,
+        state: State,
+        history: History,
+        history_in: MaterialHistory,
+        step: wp.array2d(dtype=real),  # [env, 0] what the force acts over [s]
+        coefficients: Coefficients,
+        history_out: MaterialHistory,
+        cache: Cache,
+        contacts: Contacts,
+        active_contacts: ActiveContacts,
+        ordered: wp.bool,
+        wrenches: Wrenches,
+    ):
+        for i in range(warps.interleave_warps(wp.tid(), launch.threads), cache.queue_count[0], launch.threads):
+            task = cache.queue_clusters[i]
+            env = task_env(launch, task)
+            cluster = task_item(launch, task)
+            evaluate_cluster(
+                model,
+                state,
+                history,
+                history_in,
+                step[env, 0],
+                coefficients,
+                history_out,
+                cache,
+                contacts,
+                active_contacts,
+                ordered,
+                wrenches,
+                env,
+                cluster,
+            )
+
+    return fused_remaining

@@ -1,0 +1,146 @@
+"""From the blocks of contacts, the ends of couplings and from outside to the wrenches of the bodies."""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
+from warpcontact.kernels.types import (
+    ENV_ACTIVE,
+    QUEUE_COUNT,
+    LaunchRange,
+    assume_nonnegative,
+    structs,
+    task_count,
+    task_env,
+    task_item,
+)
+
+
+@wp.func
+def reset_queues(queue_count: wp.array(dtype=wp.int32)):
+    """Empties the queues of what is near, which has been looked at: those of the next step begin anew."""
+    for kind in range(QUEUE_COUNT):
+        queue_count[kind] = 0
+
+
+@functools.cache
+def functions(real: type, has_couplings: bool, has_external_forces: bool) -> SimpleNamespace:
+    """Returns the device functions of the wrench on a body: ``external_wrench``; ``body_wrench`` adds contacts.
+
+    Args:
+        real: Precision.
+        has_couplings: Whether there are couplings.
+        has_external_forces: Whether there are forces from outside.
+    """
+    t = structs(real)
+    vec3, Model, ActiveContacts, CouplingWrenches = t.vec3, t.Model, t.ActiveContacts, t.CouplingWrenches
+
+    @wp.struct
+    class Wrench:
+        force: vec3  # W [N]
+        torque: vec3  # about the centre of mass, W [N·m]
+
+    @wp.func
+    def external_wrench(model: Model, ends: CouplingWrenches, env: int, body: int):
+        wrench = Wrench()
+        if wp.static(has_external_forces):
+            wrench.force = model.body_external_force[env, body]
+            wrench.torque = model.body_external_torque[env, body]
+        if wp.static(has_couplings):
+            for index in range(model.body_end_start[body], model.body_end_start[body + 1]):
+                end = model.body_end[index]
+                wrench.force += ends.force[env, end]
+                wrench.torque += ends.torque[env, end]
+        return wrench
+
+    @wp.func
+    def body_wrench(model: Model, active_contacts: ActiveContacts, ends: CouplingWrenches, env: int, body: int):
+        """With the blocks of contacts in their order: the same bits in every run, whoever computed them."""
+        wrench = external_wrench(model, ends, env, body)
+        index = assume_nonnegative(model.body_cluster_start[body])
+        stop = model.body_cluster_start[body + 1]
+        while index < stop:
+            entry = assume_nonnegative(model.body_cluster[index])
+            index = assume_nonnegative(index + 1)
+            cluster = entry // 2
+            if active_contacts.count[env, cluster] > 0:
+                if entry == 2 * cluster:
+                    wrench.force += active_contacts.force[env, cluster]
+                    wrench.torque += active_contacts.torque_1[env, cluster]
+                else:
+                    wrench.force -= active_contacts.force[env, cluster]
+                    wrench.torque += active_contacts.torque_2[env, cluster]
+        return wrench
+
+    return SimpleNamespace(external_wrench=external_wrench, body_wrench=body_wrench)
+
+
+@functools.cache
+def clear(real: type, has_couplings: bool = False, has_external_forces: bool = False) -> wp.Kernel:
+    """Returns the kernel that prepares ``wrenches`` for blocks that add to them; items: bodies.
+
+    Args:
+        real: Precision.
+        has_couplings: Whether there are couplings.
+        has_external_forces: Whether there are forces from outside.
+    """
+    t = structs(real)
+    Model, CouplingWrenches, Wrenches = t.Model, t.CouplingWrenches, t.Wrenches
+    external_wrench = functions(real, has_couplings, has_external_forces).external_wrench
+
+    @unique_kernel()
+    def clear_wrenches(
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        queue_count: wp.array(dtype=wp.int32),
+        model: Model,
+        ends: CouplingWrenches,
+        wrenches: Wrenches,
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            if task == 0:
+                reset_queues(queue_count)
+            env = task_env(launch, task)
+            body = task_item(launch, task)
+            if status[env] != ENV_ACTIVE:
+                continue
+            wrench = external_wrench(model, ends, env, body)
+            wrenches.force[env, body] = wrench.force
+            wrenches.torque[env, body] = wrench.torque
+
+    return clear_wrenches
+
+
+@functools.cache
+def sum_by_body(real: type, has_couplings: bool = False, has_external_forces: bool = False) -> wp.Kernel:
+    """Returns the kernel that sums what acts on each body, blocks of contacts in their order; items: bodies.
+
+    Arguments are those of ``clear``.
+    """
+    t = structs(real)
+    Model, ActiveContacts, CouplingWrenches, Wrenches = t.Model, t.ActiveContacts, t.CouplingWrenches, t.Wrenches
+    body_wrench = functions(real, has_couplings, has_external_forces).body_wrench
+
+    @unique_kernel()
+    def sum_wrenches(
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        queue_count: wp.array(dtype=wp.int32),
+        model: Model,
+        active_contacts: ActiveContacts,
+        ends: CouplingWrenches,
+        wrenches: Wrenches,
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            if task == 0:
+                reset_queues(queue_count)
+            env = task_env(launch, task)
+            body = task_item(launch, task)
+            if status[env] != ENV_ACTIVE:
+                continue
+            wrench = body_wrench(model, active_contacts, ends, env, body)
+            wrenches.force[env, body] = wrench.force
+            wrenches.torque[env, body] = wrench.torque
+
+    return sum_wrenches

@@ -1,0 +1,41 @@
+"""Spring-dampers by the formula of their force: elastic parts and damping. One's own derive from the bases."""
+
+from typing import TYPE_CHECKING
+
+from warpcontact.kernels.catalogue.lazy_catalogue import lazy_names
+from warpcontact.kernels.couplings.springs.base import Damper, Spring
+
+if TYPE_CHECKING:
+    from warpcontact.kernels.couplings.springs.damping import DampingTable, PolynomialDamping, Undamped, Viscous
+    from warpcontact.kernels.couplings.springs.elastic import ForceTable, Linear, Polynomial, StiffnessTable
+
+    SPRINGS: tuple[type[Spring], ...]
+    DAMPERS: tuple[type[Damper], ...]
+
+#: The names of all elastic parts, and of all dampings, that come with the library.
+SPRING_NAMES = ("Linear", "Polynomial", "StiffnessTable", "ForceTable")
+DAMPER_NAMES = ("Undamped", "Viscous", "PolynomialDamping", "DampingTable")
+
+__all__ = [
+    "DAMPERS",
+    "DAMPER_NAMES",
+    "SPRINGS",
+    "SPRING_NAMES",
+    "Damper",
+    "DampingTable",
+    "ForceTable",
+    "Linear",
+    "Polynomial",
+    "PolynomialDamping",
+    "Spring",
+    "StiffnessTable",
+    "Undamped",
+    "Viscous",
+]
+
+if not TYPE_CHECKING:  # there it would know every name
+    __getattr__, __dir__ = lazy_names(
+        __name__,
+        {**dict.fromkeys(SPRING_NAMES, "elastic"), **dict.fromkeys(DAMPER_NAMES, "damping")},
+        {"SPRINGS": SPRING_NAMES, "DAMPERS": DAMPER_NAMES},
+    )

@@ -1,0 +1,135 @@
+"""Elastic forces of spring-dampers."""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import warp as wp
+from warpcontact.kernels.catalogue.device_model import parameter, table
+from warpcontact.kernels.catalogue.keywords import keywords_of, refuse_unknown
+from warpcontact.kernels.couplings.springs import tables
+from warpcontact.kernels.couplings.springs.base import Spring, area_below, polynomial, value_at
+
+_MANUAL = "Simcenter STAR-CCM+ manual, spring-damper coupling"
+
+
+class Linear(Spring):
+    """Spring of constant stiffness."""
+
+    formula = "f = k (x − x₀)"
+    reference = _MANUAL
+    provenance = "R"
+    validity = "any stiffness"
+
+    stiffness: float = parameter("N/m", "stiffness k", at_least=0.0)
+
+    @wp.func
+    def force(p: Any, s: Any):
+        return p.stiffness * s.extension
+
+    def slope(self, values: dict[str, np.ndarray], lengths: np.ndarray) -> np.ndarray | None:
+        return values["stiffness"]
+
+
+class Polynomial(Spring):
+    """Force of third order in the extension, through the origin or through a force at a reference length.
+
+    It is the integral of the stiffness k = a + 2 b (x − x₀) + 3 c (x − x₀)².
+    """
+
+    formula = "f = P(x − x₀),  or  f_r + P(x − x₀) − P(x_r − x₀);  P(e) = a e + b e² + c e³"
+    reference = f"{_MANUAL}, (4949) to (4951)"
+    provenance = "R"
+    validity = "where it rises"
+    device = ("a", "b", "c", "offset")
+
+    a: float = parameter("N/m", "stiffness a at rest length")
+    b: float = parameter("N/m²", "coefficient b of the second order", default=0.0)
+    c: float = parameter("N/m³", "coefficient c of the third order", default=0.0)
+    reference_length: float | None = parameter(
+        "m", "length x_r at which the force is f_r", default=None, at_least=0.0
+    )
+    reference_force: float = parameter("N", "force f_r at the reference length, or at rest length", default=0.0)
+
+    @classmethod
+    def coefficients(cls, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        a, b, c = values["a"], values["b"], values["c"]
+        e = values.get("reference_length", values["rest_length"]) - values["rest_length"]
+        return {"a": a, "b": b, "c": c, "offset": values["reference_force"] - e * (a + e * (b + e * c))}
+
+    @wp.func
+    def force(p: Any, s: Any):
+        return p.offset + polynomial(p.a, p.b, p.c, s.extension)
+
+    def slope(self, values: dict[str, np.ndarray], lengths: np.ndarray) -> np.ndarray | None:
+        e = lengths - values["rest_length"]
+        return values["a"] + e * (2.0 * values["b"] + 3.0 * values["c"] * e)
+
+
+class StiffnessTable(Spring):
+    """Stiffness over the distance, piecewise linear, integrated exactly; held beyond the ends of the table.
+
+    The force is zero at rest length, or ``reference_force`` at ``reference_length``. ``StiffnessTable.of`` makes
+    the table from a function.
+    """
+
+    formula = "f = f_r + ∫ k(ξ) dξ from x_r to x"
+    reference = f"{_MANUAL}, (4948) and (4949)"
+    provenance = "R"
+    validity = "within the table"
+    device = ("scale", "offset")
+
+    table: tuple[tuple[float, float], ...] = table("N/m", "stiffness k over the distance x")
+    scale: float = parameter("-", "factor on the stiffness", default=1.0, at_least=0.0)
+    reference_length: float | None = parameter(
+        "m", "length x_r at which the force is f_r", default=None, at_least=0.0
+    )
+    reference_force: float = parameter("N", "force f_r at the reference length, or at rest length", default=0.0)
+
+    @classmethod
+    def of(
+        cls, stiffness: Callable[[np.ndarray], np.ndarray], lengths: Any, **parameters: Any
+    ) -> "StiffnessTable":
+        """Returns the table of a function of the distance [m], vectorised, at some distances.
+
+        Args:
+            stiffness: The function [N/m].
+            lengths: Where to take it [m].
+            **parameters: Parameters of the law.
+        """
+        own = [field.name for field in dataclasses.fields(cls) if field.name != "table"]
+        refuse_unknown(f"{cls.__name__}.of", parameters, [*keywords_of(cls.of), *own])
+        x = np.asarray(lengths, dtype=np.float64)
+        return cls(table=tuple(zip(x.tolist(), np.asarray(stiffness(x)).tolist(), strict=True)), **parameters)
+
+    def coefficients(self, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        before = tables.area_to(self.table, values.get("reference_length", values["rest_length"]))
+        scale = values["scale"]
+        return {"scale": scale, "offset": values["reference_force"] - scale * before}
+
+    @wp.func
+    def force(p: Any, s: Any, row: Any):
+        return p.offset + p.scale * area_below(row, s.length)
+
+    def slope(self, values: dict[str, np.ndarray], lengths: np.ndarray) -> np.ndarray | None:
+        return values["scale"] * tables.value_of(self.table, lengths)
+
+
+class ForceTable(Spring):
+    """Force over the distance, piecewise linear; held beyond the ends of the table."""
+
+    formula = "f = f_e(x)"
+    reference = f"{_MANUAL}, (4946)"
+    provenance = "R"
+    validity = "within the table"
+
+    table: tuple[tuple[float, float], ...] = table("N", "force f_e over the distance x")
+    scale: float = parameter("-", "factor on the force", default=1.0)
+
+    @wp.func
+    def force(p: Any, s: Any, row: Any):
+        return p.scale * value_at(row, s.length)
+
+    def slope(self, values: dict[str, np.ndarray], lengths: np.ndarray) -> np.ndarray | None:
+        return values["scale"] * tables.row_at(self.table, lengths)[..., 2]

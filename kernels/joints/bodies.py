@@ -1,0 +1,253 @@
+"""What the kernels of motions share: bodies in float64, turns about an axis, inertia about an anchor.
+
+A body that is not free is computed in float64 whatever the precision, so that the pose it is given after every
+step lies on its joint to a rounding of the state.
+"""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+from warpcontact.kernels import frames, rotations
+from warpcontact.kernels.integrators import quarantine
+from warpcontact.kernels.types import (
+    BALL,
+    ENV_FAILED,
+    HINGE,
+    NO_CAUSE,
+    NON_FINITE,
+    PLANAR,
+    PRESCRIBED,
+    SLIDER,
+    TRANSLATION,
+    BodyMotion,
+    structs,
+)
+
+ONE = wp.constant(wp.float64(1.0))
+ZERO = wp.constant(wp.float64(0.0))
+# Least inverse mass [1/kg], of a body that nothing moves: a law that divides by it gets a number.
+MIN_INVERSE_MASS = wp.constant(wp.float64(1.0e-20))
+
+
+@wp.func
+def half_angle(axis: wp.vec3d, q: wp.quatd, q_initial: wp.quatd):
+    """Sine and cosine of half the angle by which ``q`` is turned about ``axis`` from ``q_initial``."""
+    turn = q * wp.quat_inverse(q_initial)
+    sine = axis[0] * turn[0] + axis[1] * turn[1] + axis[2] * turn[2]
+    size = wp.sqrt(sine * sine + turn[3] * turn[3])
+    if size == ZERO:
+        return ZERO, ONE
+    return sine / size, turn[3] / size
+
+
+@wp.func
+def add_half_angle(sine: wp.float64, cosine: wp.float64, angle: wp.float64):
+    """The same after another turn by ``angle``."""
+    s = wp.sin(wp.float64(0.5) * angle)
+    c = wp.cos(wp.float64(0.5) * angle)
+    return sine * c + cosine * s, cosine * c - sine * s
+
+
+@wp.func
+def quat_about(axis: wp.vec3d, sine: wp.float64, cosine: wp.float64):
+    """The rotation about ``axis`` with that sine and cosine of half its angle."""
+    return wp.quatd(sine * axis[0], sine * axis[1], sine * axis[2], cosine)
+
+
+@wp.func
+def inertia_about(axis: wp.vec3d, q: wp.quatd, inertia_B: wp.mat33d):
+    """Moment of inertia about an axis through the centre of mass."""
+    axis_B = wp.quat_rotate_inv(q, axis)
+    return wp.dot(axis_B, inertia_B * axis_B)
+
+
+@wp.func
+def inertia_at(inertia_B: wp.mat33d, mass: wp.float64, arm_B: wp.vec3d):
+    """Inertia about the point from which the centre of mass is at ``arm_B``."""
+    steiner = wp.dot(arm_B, arm_B) * wp.identity(n=3, dtype=wp.float64) - wp.outer(arm_B, arm_B)
+    return inertia_B + mass * steiner
+
+
+@wp.func
+def spin_of(inverse_B: wp.mat33d, q: wp.quatd, momentum: wp.vec3d):
+    """Angular velocity in W of a body with angular momentum ``momentum`` in W."""
+    return wp.quat_rotate(q, inverse_B * wp.quat_rotate_inv(q, momentum))
+
+
+@wp.func
+def momentum_of(inertia_B: wp.mat33d, q: wp.quatd, w: wp.vec3d):
+    """Angular momentum in W of a body with angular velocity ``w`` in W."""
+    return wp.quat_rotate(q, inertia_B * wp.quat_rotate_inv(q, w))
+
+
+@wp.func
+def arm_of(motion: BodyMotion, q: wp.quatd):
+    """From the anchor to the centre of mass of a body of orientation ``q`` on a hinge or a ball, W."""
+    if motion.kind == HINGE:
+        sine, cosine = half_angle(motion.axis, q, motion.orientation)
+        return wp.quat_rotate(quat_about(motion.axis, sine, cosine), motion.position - motion.anchor)
+    return wp.quat_rotate(q, wp.quat_rotate_inv(motion.orientation, motion.position - motion.anchor))
+
+
+@functools.cache
+def functions(real: type) -> SimpleNamespace:
+    """Returns the device functions that read and write states and models of precision ``real``."""
+    t = structs(real)
+    vec3, quat, mat33, Model, State, Wrenches = t.vec3, t.quat, t.mat33, t.Model, t.State, t.Wrenches
+    frame = frames.functions(real)
+    wide, narrow = frame.wide, frame.narrow
+    rotated = rotations.functions(wp.float64).rotated
+    guard_functions = quarantine.guard(real)
+    Guard, failure_cause = guard_functions.Guard, guard_functions.failure_cause
+
+    @wp.func
+    def matrix_to_float64(m: mat33):
+        return wp.mat33d(
+            wp.float64(m[0, 0]), wp.float64(m[0, 1]), wp.float64(m[0, 2]),
+            wp.float64(m[1, 0]), wp.float64(m[1, 1]), wp.float64(m[1, 2]),
+            wp.float64(m[2, 0]), wp.float64(m[2, 1]), wp.float64(m[2, 2]),
+        )  # fmt: skip
+
+    @wp.func
+    def quat_to_float64(q: quat):
+        """The rotation, free of what rounding did to its length."""
+        return wp.normalize(wp.quatd(wp.float64(q[0]), wp.float64(q[1]), wp.float64(q[2]), wp.float64(q[3])))
+
+    @wp.func
+    def quat_from_float64(q: wp.quatd):
+        return quat(real(q[0]), real(q[1]), real(q[2]), real(q[3]))
+
+    @wp.func
+    def put(state: State, env: int, body: int, base: wp.vec3d, offset: wp.vec3d):
+        """Puts the centre of mass to ``base + way``: nothing of it is lost."""
+        position = base + offset
+        rounded_offset = position - base
+        remainder = (base - (position - rounded_offset)) + (offset - rounded_offset)
+        rounded = narrow(position)
+        state.body_position[env, body] = rounded
+        state.body_position_remainder[env, body] = narrow((position - wide(rounded)) + remainder)
+
+    @wp.func
+    def set_velocity(state: State, env: int, body: int, v: wp.vec3d, w: wp.vec3d):
+        state.body_linear_velocity[env, body] = narrow(v)
+        state.body_angular_velocity[env, body] = narrow(w)
+
+    @wp.func
+    def check_body(
+        guard: Guard, wrenches: Wrenches, state: State, env: int, body: int, status: wp.array(dtype=wp.int32)
+    ):
+        """Lets the step fail if the body does, or is under a load that is no number, even if it does not yield."""
+        loads = wp.length_sq(wrenches.force[env, body]) + wp.length_sq(wrenches.torque[env, body])
+        cause = failure_cause(
+            state.body_position[env, body],
+            state.body_linear_velocity[env, body],
+            state.body_angular_velocity[env, body],
+            guard.limits[env, 0],
+        )
+        if wp.isnan(loads):
+            cause = NON_FINITE
+        if cause != NO_CAUSE:
+            status[env] = ENV_FAILED
+            guard.cause[env] = cause
+
+    @wp.func
+    def moved(
+        state: State,
+        env: int,
+        body: int,
+        motion: BodyMotion,
+        linear: wp.vec3d,
+        angular: wp.vec3d,
+        dt: wp.float64,
+    ):
+        """Where a body comes that moves on its joint with these mean velocities: base, way and orientation.
+
+        Its centre of mass is then at base + way; of a hinge or a ball the base is the anchor. A pose that is off
+        the joint is put onto it, and what stays as it is stays so to the bit.
+        """
+        kind = motion.kind
+        axis = motion.axis
+        base = wide(state.body_position[env, body])
+        offset = wide(state.body_position_remainder[env, body])
+        orientation = state.body_orientation[env, body]
+        q = quat_to_float64(orientation)
+        if kind == PRESCRIBED:
+            offset += dt * linear
+            if wp.dot(angular, angular) > ZERO:
+                orientation = quat_from_float64(rotated(q, dt * angular))
+        elif kind == TRANSLATION:
+            offset += dt * linear
+        elif kind == SLIDER:
+            off = (base - motion.position) + offset
+            offset += dt * linear - (off - wp.dot(axis, off) * axis)
+        elif kind == PLANAR:
+            off = (base - motion.position) + offset
+            offset += dt * linear - wp.dot(axis, off) * axis
+            sine, cosine = half_angle(axis, q, motion.orientation)
+            sine, cosine = add_half_angle(sine, cosine, dt * wp.dot(axis, angular))
+            orientation = quat_from_float64(quat_about(axis, sine, cosine) * motion.orientation)
+        elif kind == HINGE:
+            sine, cosine = half_angle(axis, q, motion.orientation)
+            sine, cosine = add_half_angle(sine, cosine, dt * wp.dot(axis, angular))
+            turn = quat_about(axis, sine, cosine)
+            orientation = quat_from_float64(turn * motion.orientation)
+            base = motion.anchor
+            offset = wp.quat_rotate(turn, motion.position - motion.anchor)
+        elif kind == BALL:
+            orientation = quat_from_float64(rotated(q, dt * angular))
+            base = motion.anchor
+            start_B = wp.quat_rotate_inv(motion.orientation, motion.position - motion.anchor)
+            offset = wp.quat_rotate(quat_to_float64(orientation), start_B)
+        return base, offset, orientation
+
+    @wp.func
+    def mobility(model: Model, state: State, env: int, body: int, motion: BodyMotion, arm_W: vec3, n_W: vec3):
+        """Inverse of the mass that a body that is not free opposes to a force along ``n_W`` at ``arm_W`` [1/kg].
+
+        ``arm_W`` is from its centre of mass.
+        """
+        n = wide(n_W)
+        arm = wide(arm_W)
+        axis = motion.axis
+        mass = wp.float64(model.body_mass[env, body])
+        q = quat_to_float64(state.body_orientation[env, body])
+        result = MIN_INVERSE_MASS
+        if motion.kind == TRANSLATION:
+            result = ONE / mass
+        elif motion.kind == SLIDER:
+            along = wp.dot(axis, n)
+            result = along * along / mass
+        elif motion.kind == PLANAR:
+            across = n - wp.dot(axis, n) * axis
+            lever = wp.dot(axis, wp.cross(arm, n))
+            inertia = inertia_about(axis, q, matrix_to_float64(model.body_inertia[env, body]))
+            result = wp.dot(across, across) / mass + lever * lever / inertia
+        elif motion.kind == HINGE:
+            centre = arm_of(motion, q)
+            lever = wp.dot(axis, wp.cross(centre + arm, n))
+            across = wp.cross(axis, centre)
+            inertia = inertia_about(axis, q, matrix_to_float64(model.body_inertia[env, body]))
+            result = lever * lever / (inertia + mass * wp.dot(across, across))
+        elif motion.kind == BALL:
+            centre = arm_of(motion, q)
+            centre_B = wp.quat_rotate_inv(q, centre)
+            inertia_B = inertia_at(matrix_to_float64(model.body_inertia[env, body]), mass, centre_B)
+            lever_B = wp.quat_rotate_inv(q, wp.cross(centre + arm, n))
+            result = wp.dot(lever_B, wp.inverse(inertia_B) * lever_B)
+        return real(wp.max(result, MIN_INVERSE_MASS))
+
+    return SimpleNamespace(
+        wide=wide,
+        narrow=narrow,
+        matrix_to_float64=matrix_to_float64,
+        quat_to_float64=quat_to_float64,
+        quat_from_float64=quat_from_float64,
+        put=put,
+        set_velocity=set_velocity,
+        check_body=check_body,
+        Guard=Guard,
+        moved=moved,
+        mobility=mobility,
+        rotated=rotated,
+    )

@@ -1,0 +1,254 @@
+"""Bodies that follow a function of time: kernels for one class of motions.
+
+The pose of a state is that of the function at the time of its environment. Its velocities are those that a free
+body which rides on it has in the scheme: in semi-implicit Euler the mean over the step that led there, in Moreau
+and Jean's with θ = ½ those of the instant.
+"""
+
+import functools
+from types import SimpleNamespace
+from typing import Any
+
+import warp as wp
+from warpcontact.kernels import rotations
+from warpcontact.kernels.catalogue.device_model import coefficient_struct
+from warpcontact.kernels.joints import bodies
+from warpcontact.kernels.joints.base import Motion
+from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
+from warpcontact.kernels.types import ENV_ACTIVE, BodyMotion, LaunchRange, structs, task_count, task_env, task_item
+
+# Differences in time from which a velocity and an acceleration are computed [s]: short against what moves bodies
+# that one can see, long against the rounding of float64.
+VELOCITY_DT = wp.constant(wp.float64(1.0e-6))
+ACCELERATION_DT = wp.constant(wp.float64(2.0e-5))
+
+
+def coefficients_struct(motion: type[Motion]) -> Any:
+    """Returns the struct of the coefficients of ``motion``, in float64 whatever the precision."""
+    return coefficient_struct(motion, wp.float64)
+
+
+@functools.cache
+def _functions(motion: type[Motion]) -> SimpleNamespace:
+    Coefficients = coefficients_struct(motion)
+    turning = rotations.functions(wp.float64)
+    rotated, rotation_vector = turning.rotated, turning.rotation_vector
+    if motion.sampled:
+        displacement, rotation = motion.displacement, motion.rotation
+    else:
+        displacement, rotation = _of_time(motion.displacement), _of_time(motion.rotation)
+
+    @wp.func
+    def rotation_at(p: Coefficients, samples: wp.array2d(dtype=wp.float64), t: wp.float64):
+        """Rotation from the initial orientation."""
+        return rotated(wp.quat_identity(dtype=wp.float64), rotation(p, t, samples))
+
+    @wp.func
+    def offset_at(
+        p: Coefficients, samples: wp.array2d(dtype=wp.float64), t: wp.float64, body: BodyMotion, turn: wp.quatd
+    ):
+        """From the initial centre of mass to that at ``t``, where the body is turned by ``turn``."""
+        arm = body.position - body.anchor
+        return (wp.quat_rotate(turn, arm) - arm) + displacement(p, t, samples)
+
+    @wp.func
+    def mean_velocities(
+        p: Coefficients,
+        samples: wp.array2d(dtype=wp.float64),
+        body: BodyMotion,
+        before: wp.float64,
+        after: wp.float64,
+    ):
+        """Linear and angular, from one time to another."""
+        first = rotation_at(p, samples, before)
+        last = rotation_at(p, samples, after)
+        offset = offset_at(p, samples, after, body, last) - offset_at(p, samples, before, body, first)
+        duration = after - before
+        return offset / duration, rotation_vector(last * wp.quat_inverse(first)) / duration
+
+    @wp.func
+    def accelerations(p: Coefficients, samples: wp.array2d(dtype=wp.float64), body: BodyMotion, t: wp.float64):
+        """Linear and angular, at ``t``."""
+        before = t - ACCELERATION_DT
+        after = t + ACCELERATION_DT
+        v_before, w_before = mean_velocities(p, samples, body, before, t)
+        v_after, w_after = mean_velocities(p, samples, body, t, after)
+        duration = wp.float64(0.5) * (after - before)
+        return (v_after - v_before) / duration, (w_after - w_before) / duration
+
+    return SimpleNamespace(
+        rotation_at=rotation_at, offset_at=offset_at, mean_velocities=mean_velocities, accelerations=accelerations
+    )
+
+
+def _of_time(function: wp.Function) -> wp.Function:
+    """Returns ``function`` with a third argument, which it does not look at."""
+
+    @wp.func
+    def of_time(p: Any, t: wp.float64, samples: wp.array2d(dtype=wp.float64)):
+        return function(p, t)
+
+    return of_time
+
+
+@functools.cache
+def follow(motion: type[Motion], real: type) -> wp.Kernel:
+    """Returns the kernel that moves the bodies of a class over a step; items: ``members``.
+
+    Their velocities are the mean from one share of the step to another, ``first`` to ``last``.
+    """
+    t = structs(real)
+    Model, State, Wrenches = t.Model, t.State, t.Wrenches
+    Coefficients = coefficients_struct(motion)
+    f, motion_functions = bodies.functions(real), _functions(motion)
+    quat_from_float64, put, set_velocity = f.quat_from_float64, f.put, f.set_velocity
+    check_body, Guard = f.check_body, f.Guard
+    rotation_at, offset_at, mean_velocities = (
+        motion_functions.rotation_at,
+        motion_functions.offset_at,
+        motion_functions.mean_velocities,
+    )
+
+    @unique_kernel()
+    def follow_motion(
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        step: wp.array2d(dtype=wp.float64),  # [env, 0] [s]
+        time: wp.array(dtype=wp.float64),  # [env], before the step [s]
+        model: Model,
+        guard: Guard,
+        members: wp.array(dtype=wp.int32),  # [item] body
+        coefficients: wp.array2d(dtype=Coefficients),  # [env, item]
+        samples: wp.array2d(dtype=wp.float64),
+        first: wp.float64,
+        last: wp.float64,
+        wrenches: Wrenches,
+        state_out: State,
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            item = task_item(launch, task)
+            body = members[item]
+            if status[env] != ENV_ACTIVE:
+                continue
+            motion = model.body_motion[env, body]
+            p = coefficients[env, item]
+            before = time[env]
+            # The same sum as that of the clock.
+            after = before + step[env, 0]
+            turn = rotation_at(p, samples, after)
+            h = step[env, 0]
+            v, w = mean_velocities(p, samples, motion, before + first * h, before + last * h)
+            put(state_out, env, body, motion.position, offset_at(p, samples, after, motion, turn))
+            state_out.body_orientation[env, body] = quat_from_float64(turn * motion.orientation)
+            set_velocity(state_out, env, body, v, w)
+            check_body(guard, wrenches, state_out, env, body, status)
+
+    return follow_motion
+
+
+@functools.cache
+def start(motion: type[Motion], real: type) -> wp.Kernel:
+    """Returns the kernel that puts the bodies of a class where they start. Launch with dim (env, item)."""
+    t = structs(real)
+    Model, State = t.Model, t.State
+    Coefficients = coefficients_struct(motion)
+    f, motion_functions = bodies.functions(real), _functions(motion)
+    quat_from_float64, put, set_velocity = f.quat_from_float64, f.put, f.set_velocity
+    rotation_at, offset_at, mean_velocities = (
+        motion_functions.rotation_at,
+        motion_functions.offset_at,
+        motion_functions.mean_velocities,
+    )
+
+    @unique_kernel()
+    def start_motion(
+        mask: wp.array(dtype=wp.bool),
+        time: wp.array(dtype=wp.float64),  # [env] [s]
+        model: Model,
+        members: wp.array(dtype=wp.int32),  # [item] body
+        coefficients: wp.array2d(dtype=Coefficients),  # [env, item]
+        samples: wp.array2d(dtype=wp.float64),
+        state: State,
+    ):
+        env, item = wp.tid()
+        if not mask[env]:
+            return
+        body = members[item]
+        motion = model.body_motion[env, body]
+        p = coefficients[env, item]
+        now = time[env]
+        turn = rotation_at(p, samples, now)
+        v, w = mean_velocities(p, samples, motion, now - VELOCITY_DT, now + VELOCITY_DT)
+        put(state, env, body, motion.position, offset_at(p, samples, now, motion, turn))
+        state.body_orientation[env, body] = quat_from_float64(turn * motion.orientation)
+        set_velocity(state, env, body, v, w)
+
+    return start_motion
+
+
+@functools.cache
+def change_step(motion: type[Motion], real: type) -> wp.Kernel:
+    """Returns the kernel that readies the bodies of a class for steps of another length; items: ``members``.
+
+    Their velocities, the mean over a step, are those of half a step before.
+    """
+    t = structs(real)
+    Model, State = t.Model, t.State
+    Coefficients = coefficients_struct(motion)
+    f = bodies.functions(real)
+    wide, set_velocity = f.wide, f.set_velocity
+    accelerations = _functions(motion).accelerations
+
+    @unique_kernel()
+    def change_motion(
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        change: wp.array2d(dtype=real),  # [env, 0] length of the next step less that of the last [s]
+        time: wp.array(dtype=wp.float64),  # [env] [s]
+        model: Model,
+        members: wp.array(dtype=wp.int32),  # [item] body
+        coefficients: wp.array2d(dtype=Coefficients),  # [env, item]
+        samples: wp.array2d(dtype=wp.float64),
+        state: State,
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            item = task_item(launch, task)
+            body = members[item]
+            if status[env] != ENV_ACTIVE:
+                continue
+            earlier = wp.float64(0.5) * wp.float64(change[env, 0])
+            motion = model.body_motion[env, body]
+            linear, angular = accelerations(coefficients[env, item], samples, motion, time[env])
+            v = wide(state.body_linear_velocity[env, body]) - earlier * linear
+            w = wide(state.body_angular_velocity[env, body]) - earlier * angular
+            set_velocity(state, env, body, v, w)
+
+    return change_motion
+
+
+@functools.cache
+def accelerate(motion: type[Motion], real: type) -> wp.Kernel:
+    """Returns the kernel that measures the accelerations of a class. Launch with dim (env, item)."""
+    Model = structs(real).Model
+    Coefficients = coefficients_struct(motion)
+    accelerations = _functions(motion).accelerations
+
+    @unique_kernel()
+    def accelerate_motion(
+        time: wp.array(dtype=wp.float64),  # [env] [s]
+        model: Model,
+        members: wp.array(dtype=wp.int32),  # [item] body
+        coefficients: wp.array2d(dtype=Coefficients),  # [env, item]
+        samples: wp.array2d(dtype=wp.float64),
+        linear: wp.array2d(dtype=wp.vec3d),  # [env, body] W [m/s²]
+        angular: wp.array2d(dtype=wp.vec3d),  # [env, body] W [rad/s²]
+    ):
+        env, item = wp.tid()
+        body = members[item]
+        a, alpha = accelerations(coefficients[env, item], samples, model.body_motion[env, body], time[env])
+        linear[env, body] = a
+        angular[env, body] = alpha
+
+    return accelerate_motion

@@ -1,0 +1,116 @@
+"""What is measured of bodies that are not free: reactions of their joints, and how far they moved on them."""
+
+import functools
+
+import warp as wp
+from warpcontact.kernels.joints import bodies, step
+from warpcontact.kernels.joints.bodies import half_angle, momentum_of
+from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
+from warpcontact.kernels.types import (
+    ENV_ACTIVE,
+    FREE,
+    HINGE,
+    PLANAR,
+    SLIDER,
+    TIME_FUNCTION,
+    LaunchRange,
+    structs,
+    task_count,
+    task_env,
+    task_item,
+)
+
+
+@wp.struct
+class Reactions:
+    """What joints do to their bodies, [env, body]; zero for free ones."""
+
+    force: wp.array2d(dtype=wp.vec3d)  # W [N]
+    torque: wp.array2d(dtype=wp.vec3d)  # about the anchor of a hinge or a ball, else the centre of mass; W [N·m]
+    linear: wp.array2d(dtype=wp.vec3d)  # acceleration of the centre of mass of a body with a function of time, W
+    angular: wp.array2d(dtype=wp.vec3d)  # its angular acceleration, W
+
+
+@wp.struct
+class Coordinates:
+    """How far bodies moved on their joints, [env, body]."""
+
+    angle: wp.array2d(dtype=wp.float64)  # of a hinge or in a plane, −π to π [rad]
+    angle_rate: wp.array2d(dtype=wp.float64)  # [rad/s]
+    displacement: wp.array2d(dtype=wp.float64)  # of a slider [m]
+    displacement_rate: wp.array2d(dtype=wp.float64)  # [m/s]
+
+
+@functools.cache
+def reactions(real: type) -> wp.Kernel:
+    """Returns the kernel that measures the reaction of each joint. Launch with dim (env, body).
+
+    What the body lacks to its acceleration under all other forces, gravity among them. A prescribed body is taken
+    to keep its velocities.
+    """
+    t = structs(real)
+    Model, State, Wrenches = t.Model, t.State, t.Wrenches
+    f = bodies.functions(real)
+    wide, matrix_to_float64, quat_to_float64 = f.wide, f.matrix_to_float64, f.quat_to_float64
+    accelerations = step.accelerations(real)
+
+    @unique_kernel()
+    def measure_reactions(model: Model, state: State, wrenches: Wrenches, measured: Reactions):
+        env, body = wp.tid()
+        kind = model.body_motion[env, body].kind
+        if kind == FREE:
+            return
+        force = wrenches.force[env, body]
+        torque = wrenches.torque[env, body]
+        linear, angular, arm = accelerations(model, state, env, body, force, torque)
+        if kind == TIME_FUNCTION:
+            linear = measured.linear[env, body]
+            angular = measured.angular[env, body]
+        mass = wp.float64(model.body_mass[env, body])
+        inertia_B = matrix_to_float64(model.body_inertia[env, body])
+        q = quat_to_float64(state.body_orientation[env, body])
+        w = wide(state.body_angular_velocity[env, body])
+        reaction = mass * (linear - wide(model.gravity[env, 0])) - wide(force)
+        moment = momentum_of(inertia_B, q, angular) + wp.cross(w, momentum_of(inertia_B, q, w)) - wide(torque)
+        measured.force[env, body] = reaction
+        measured.torque[env, body] = moment + wp.cross(arm, reaction)
+
+    return measure_reactions
+
+
+@functools.cache
+def coordinates(real: type) -> wp.Kernel:
+    """Returns the kernel that measures how far each body of the active environments moved; items: bodies."""
+    t = structs(real)
+    Model, State = t.Model, t.State
+    f = bodies.functions(real)
+    wide, quat_to_float64 = f.wide, f.quat_to_float64
+
+    @unique_kernel()
+    def measure_coordinates(
+        launch: LaunchRange, status: wp.array(dtype=wp.int32), model: Model, state: State, measured: Coordinates
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            body = task_item(launch, task)
+            if status[env] != ENV_ACTIVE:
+                continue
+            motion = model.body_motion[env, body]
+            if motion.kind == HINGE or motion.kind == PLANAR:
+                q = quat_to_float64(state.body_orientation[env, body])
+                sine, cosine = half_angle(motion.axis, q, motion.orientation)
+                # q and −q are the same rotation.
+                if cosine < wp.float64(0.0):
+                    sine = -sine
+                    cosine = -cosine
+                measured.angle[env, body] = wp.float64(2.0) * wp.atan2(sine, cosine)
+                measured.angle_rate[env, body] = wp.dot(motion.axis, wide(state.body_angular_velocity[env, body]))
+            elif motion.kind == SLIDER:
+                offset = wide(state.body_position[env, body]) - motion.position
+                offset += wide(state.body_position_remainder[env, body])
+                measured.displacement[env, body] = wp.dot(motion.axis, offset)
+                measured.displacement_rate[env, body] = wp.dot(
+                    motion.axis, wide(state.body_linear_velocity[env, body])
+                )
+
+    return measure_coordinates

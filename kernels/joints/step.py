@@ -1,0 +1,203 @@
+"""Steps of bodies that are not free: their equations of motion in the freedoms that they have.
+
+The kernels of ``integrate`` leave these bodies out. Velocities advance first, then the pose, which is built anew
+from the joint: nothing drifts. Bodies that follow a function of time are moved by ``driven``.
+"""
+
+import functools
+
+import warp as wp
+from warpcontact.kernels.joints import bodies
+from warpcontact.kernels.joints.bodies import arm_of, inertia_about, inertia_at, momentum_of, spin_of
+from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
+from warpcontact.kernels.types import (
+    BALL,
+    ENV_ACTIVE,
+    HINGE,
+    PLANAR,
+    PRESCRIBED,
+    SLIDER,
+    TRANSLATION,
+    LaunchRange,
+    structs,
+    task_count,
+    task_env,
+    task_item,
+)
+
+
+@functools.cache
+def semi_implicit_euler(real: type) -> wp.Kernel:
+    """Returns the semi-implicit Euler kernel of constrained bodies; items: ``members``.
+
+    A body on a ball joint advances its angular momentum about the anchor as a free body does about its centre of
+    mass. A pose that a user wrote off the joint is put onto it.
+    """
+    t = structs(real)
+    Model, State, Wrenches = t.Model, t.State, t.Wrenches
+    f = bodies.functions(real)
+    wide, matrix_to_float64, quat_to_float64, moved = f.wide, f.matrix_to_float64, f.quat_to_float64, f.moved
+    put, set_velocity, rotated = f.put, f.set_velocity, f.rotated
+    check_body, Guard = f.check_body, f.Guard
+
+    @unique_kernel()
+    def step_constrained(
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        step: wp.array2d(dtype=real),  # [env, 0] [s]
+        model: Model,
+        guard: Guard,
+        members: wp.array(dtype=wp.int32),  # [item] body
+        state_in: State,
+        wrenches: Wrenches,
+        state_out: State,
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            body = members[task_item(launch, task)]
+            if status[env] != ENV_ACTIVE:
+                continue
+            motion = model.body_motion[env, body]
+            kind = motion.kind
+            axis = motion.axis
+            dt = wp.float64(step[env, 0])
+            mass = wp.float64(model.body_mass[env, body])
+            force = wide(wrenches.force[env, body]) + mass * wide(model.gravity[env, 0])
+            torque = wide(wrenches.torque[env, body])
+            inertia_B = matrix_to_float64(model.body_inertia[env, body])
+            q = quat_to_float64(state_in.body_orientation[env, body])
+            v = wide(state_in.body_linear_velocity[env, body])
+            w = wide(state_in.body_angular_velocity[env, body])
+
+            linear = wp.vec3d()
+            angular = wp.vec3d()
+            anchor_inertia_B = wp.mat33d()
+            momentum = wp.vec3d()
+            if kind == PRESCRIBED:
+                linear = v
+                angular = w
+            elif kind == TRANSLATION:
+                linear = v + (dt / mass) * force
+            elif kind == SLIDER:
+                linear = wp.dot(axis, v + (dt / mass) * force) * axis
+            elif kind == PLANAR:
+                linear = v + (dt / mass) * force
+                linear -= wp.dot(axis, linear) * axis
+                rate = wp.dot(axis, w) + dt * wp.dot(axis, torque) / inertia_about(axis, q, inertia_B)
+                angular = rate * axis
+            elif kind == HINGE:
+                arm = arm_of(motion, q)
+                across = wp.cross(axis, arm)
+                inertia = inertia_about(axis, q, inertia_B) + mass * wp.dot(across, across)
+                rate = wp.dot(axis, w) + dt * wp.dot(axis, torque + wp.cross(arm, force)) / inertia
+                angular = rate * axis
+            elif kind == BALL:
+                arm = arm_of(motion, q)
+                anchor_inertia_B = inertia_at(inertia_B, mass, wp.quat_rotate_inv(q, arm))
+                momentum = momentum_of(anchor_inertia_B, q, w) + dt * (torque + wp.cross(arm, force))
+                inverse_B = wp.inverse(anchor_inertia_B)
+                q_middle = rotated(q, wp.float64(0.5) * dt * spin_of(inverse_B, q, momentum))
+                angular = spin_of(inverse_B, q_middle, momentum)
+
+            base, offset, orientation = moved(state_in, env, body, motion, linear, angular, dt)
+            if kind == BALL:
+                angular = spin_of(wp.inverse(anchor_inertia_B), quat_to_float64(orientation), momentum)
+            if kind == HINGE or kind == BALL:  # noqa: SIM109
+                linear = wp.cross(angular, offset)
+            put(state_out, env, body, base, offset)
+            state_out.body_orientation[env, body] = orientation
+            set_velocity(state_out, env, body, linear, angular)
+            check_body(guard, wrenches, state_out, env, body, status)
+
+    return step_constrained
+
+
+@functools.cache
+def change_step(real: type) -> wp.Kernel:
+    """Returns the kernel that readies constrained bodies for steps of another length; items: ``members``.
+
+    As ``integrate.change_step`` does, in the freedoms that they have.
+    """
+    t = structs(real)
+    Model, State, Wrenches = t.Model, t.State, t.Wrenches
+    f = bodies.functions(real)
+    wide, set_velocity = f.wide, f.set_velocity
+    accelerations_of = accelerations(real)
+
+    @unique_kernel()
+    def change_constrained(
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        change: wp.array2d(dtype=real),  # [env, 0] length of the next step less that of the last [s]
+        model: Model,
+        members: wp.array(dtype=wp.int32),  # [item] body
+        wrenches: Wrenches,  # of this instant
+        state: State,
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            body = members[task_item(launch, task)]
+            if status[env] != ENV_ACTIVE:
+                continue
+            earlier = wp.float64(0.5) * wp.float64(change[env, 0])
+            force = wrenches.force[env, body]
+            torque = wrenches.torque[env, body]
+            linear, angular, arm = accelerations_of(model, state, env, body, force, torque)
+            w = wide(state.body_angular_velocity[env, body]) - earlier * angular
+            v = wide(state.body_linear_velocity[env, body]) - earlier * linear
+            kind = model.body_motion[env, body].kind
+            if kind == HINGE or kind == BALL:  # noqa: SIM109
+                v = wp.cross(w, arm)
+            set_velocity(state, env, body, v, w)
+
+    return change_constrained
+
+
+@functools.cache
+def accelerations(real: type) -> wp.Function:
+    """Returns the device function of the accelerations of constrained bodies."""
+    t = structs(real)
+    vec3, Model, State = t.vec3, t.Model, t.State
+    f = bodies.functions(real)
+    wide, matrix_to_float64, quat_to_float64 = f.wide, f.matrix_to_float64, f.quat_to_float64
+
+    @wp.func
+    def accelerations_of(model: Model, state: State, env: int, body: int, force_W: vec3, torque_W: vec3):
+        """Of the centre of mass and angular, and the arm to it from the anchor of a hinge or a ball; W.
+
+        Under a wrench about the centre of mass, and gravity.
+        """
+        motion = model.body_motion[env, body]
+        kind = motion.kind
+        axis = motion.axis
+        mass = wp.float64(model.body_mass[env, body])
+        force = wide(force_W) + mass * wide(model.gravity[env, 0])
+        torque = wide(torque_W)
+        inertia_B = matrix_to_float64(model.body_inertia[env, body])
+        q = quat_to_float64(state.body_orientation[env, body])
+        w = wide(state.body_angular_velocity[env, body])
+        linear = wp.vec3d()
+        angular = wp.vec3d()
+        arm = wp.vec3d()
+        if kind == TRANSLATION:
+            linear = force / mass
+        elif kind == SLIDER:
+            linear = (wp.dot(axis, force) / mass) * axis
+        elif kind == PLANAR:
+            linear = (force - wp.dot(axis, force) * axis) / mass
+            angular = (wp.dot(axis, torque) / inertia_about(axis, q, inertia_B)) * axis
+        elif kind == HINGE:
+            arm = arm_of(motion, q)
+            across = wp.cross(axis, arm)
+            inertia = inertia_about(axis, q, inertia_B) + mass * wp.dot(across, across)
+            angular = (wp.dot(axis, torque + wp.cross(arm, force)) / inertia) * axis
+            linear = wp.cross(angular, arm) + wp.cross(w, wp.cross(w, arm))
+        elif kind == BALL:
+            arm = arm_of(motion, q)
+            anchor_inertia_B = inertia_at(inertia_B, mass, wp.quat_rotate_inv(q, arm))
+            moment = torque + wp.cross(arm, force) - wp.cross(w, momentum_of(anchor_inertia_B, q, w))
+            angular = spin_of(wp.inverse(anchor_inertia_B), q, moment)
+            linear = wp.cross(angular, arm) + wp.cross(w, wp.cross(w, arm))
+        return linear, angular, arm
+
+    return accelerations_of

@@ -1,0 +1,1 @@
+"""Code that addresses the compiler: strides, SIMD, vector loads, warp intrinsics."""

@@ -1,0 +1,49 @@
+"""Module options of kernels: one module per kernel, and the same compiler options for all of them.
+
+The environment variable ``WARPCONTACT_COMPILE`` chooses the options for a CPU when the package is imported:
+``release`` (default) for fast steps, or ``quick`` for short compile times. Both give bitwise identical results.
+``quick`` also selects staged kernels, see ``warpcontact.stepping.execution_plan``.
+"""
+
+import os
+from collections.abc import Callable
+from typing import Any
+
+import warp as wp
+
+MODES = ("release", "quick")
+MODE = os.environ.get("WARPCONTACT_COMPILE", "") or MODES[0]
+if MODE not in MODES:
+    raise ImportError(f"WARPCONTACT_COMPILE must be one of {', '.join(MODES)}, got {MODE!r}")
+#: Whether kernels are compiled for short compile times.
+QUICK = MODE == "quick"
+
+# LLVM copies the structs of a call that it does not inline, kilobytes each time. LLVM options are global to the
+# process: modules with equal options compile concurrently, and each thread precompiles one header for all of them.
+RELEASE_OPTIONS: dict[str, Any] = {
+    "cpu_compiler_flags": "-march=native -mllvm=-inline-threshold=100000"
+    " -mllvm=-inline-cold-callsite-threshold=30000"
+    " -mllvm=-slp-recursion-max-depth=4"
+}
+QUICK_OPTIONS: dict[str, Any] = {"cpu_compiler_flags": "-march=native"}
+OPTIONS = QUICK_OPTIONS if QUICK else RELEASE_OPTIONS
+
+
+def unique_kernel(
+    registers: int | None = None, *, unrolled: int | None = None
+) -> Callable[[Callable[..., Any]], wp.Kernel]:
+    """Makes a kernel, without a backward pass, of a function; it is compiled when it is first needed.
+
+    Args:
+        registers: How many a thread of a GPU may have, at most; ``None``: as the compiler sees fit.
+        unrolled: Loops of constant length are written out for the compiler if they have no more passes than this;
+            ``None``: than Warp's 16.
+    """
+    options: dict[str, Any] = dict(OPTIONS)
+    if unrolled is not None:
+        options["max_unroll"] = unrolled
+    if not wp.is_cuda_available():
+        # Warp hashes a kernel for the block that its module says, and once more if launches have another: on a CPU
+        # that is one thread.
+        options["block_dim"] = 1
+    return wp.kernel(module="unique", enable_backward=False, module_options=options, cuda_max_registers=registers)

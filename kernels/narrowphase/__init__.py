@@ -1,0 +1,1 @@
+"""Narrow phase: closest points on triangle meshes."""

@@ -1,0 +1,141 @@
+"""A traversal through the tree over the faces of a patch, eight branches at once; on a CPU.
+
+``warpcontact/geometry/bvh.py`` makes the tree, ``tree.py`` looks for faces with it.
+"""
+
+import functools
+from types import SimpleNamespace
+
+import numpy as np
+import warp as wp
+from warpcontact.kernels.narrowphase.face_cache import ROUNDING
+from warpcontact.kernels.types import structs
+
+# Branches that still have to be looked at: eight of every level, of which 2³¹ faces have eleven.
+STACK_SIZE = 96
+
+
+@functools.cache
+def functions(real: type) -> SimpleNamespace:
+    """Returns the structs and device functions for ``real``."""
+    t = structs(real)
+    vec3 = t.vec3
+    Nodes = wp.types.vector(length=STACK_SIZE, dtype=wp.int32)
+    Distances = wp.types.vector(length=STACK_SIZE, dtype=real)
+    scalar, tiny = {wp.float32: ("float", "1e-37f"), wp.float64: ("double", "1e-300")}[real]
+    # What bounds branches is kept in float32, a unit normal as well.
+    rounding = ROUNDING * float(np.finfo(np.float32).eps)
+
+    @wp.struct
+    class Traversal:
+        """A traversal from face to face, and what it still has to look at, the nearest of a node last."""
+
+        count: wp.int32
+        node: Nodes
+        least: Distances  # how far from the point the faces of each are, at least
+
+    @wp.struct
+    class PruningReference:
+        """A foot, and how far a point goes; see ``recall.lead_distance`` for what then is no nearer."""
+
+        far: real  # that the point goes; 0: only what is near where it is counts
+        distance: real
+        direction: vec3  # unit, from the foot
+        rounding: real  # of that
+
+    @wp.func
+    def start_traversal():
+        """Returns a traversal that begins."""
+        traversal = Traversal()
+        traversal.count = 1
+        return traversal
+
+    # Vectors of Clang, which splits those that are wider than a core's. A GPU has no trees, and never asks.
+    @wp.func_native(
+        f"""
+        #if defined(__CUDA_ARCH__)
+        return -1;
+        #else
+        typedef {scalar} Reals __attribute__((ext_vector_type(8)));
+        typedef float Floats __attribute__((ext_vector_type(8)));
+        typedef bool Flags __attribute__((ext_vector_type(8)));
+        const Reals zero = 0, tiny = {tiny};
+        const {scalar} rounding = {rounding};
+        while (traversal.count > 0) {{
+            const int node = traversal.node[--traversal.count];
+            // What came nearer since then, or a distance that is no number, ends it.
+            if (!(traversal.least[traversal.count] <= within)) continue;
+            if (node >= tree[1]) return tree[3] + node - tree[1];
+            const float* numbers = bounds.data + 64 * (size_t(tree[0]) + node);
+            auto read = [&](int which) {{
+                Floats some;
+                memcpy(&some, numbers + 8 * which, sizeof(some));
+                return __builtin_convertvector(some, Reals);
+            }};
+            const Reals x = p[0] - read(0), y = p[1] - read(1), z = p[2] - read(2), radius = read(3);
+            const Reals n_x = read(4), n_y = read(5), n_z = read(6);
+            const Reals height = x * n_x + y * n_y + z * n_z;
+            // Not the root of a difference of squares, of which rounding leaves little.
+            const Reals a = x - height * n_x, b = y - height * n_y, c = z - height * n_z;
+            const Reals lateral = __builtin_elementwise_sqrt(a * a + b * b + c * c);
+            const Reals above = __builtin_elementwise_abs(height);
+            const Reals over = __builtin_elementwise_max(above - read(7), zero);
+            const Reals beside = __builtin_elementwise_max(lateral - radius, zero);
+            const Reals distance = __builtin_elementwise_sqrt(over * over + beside * beside);
+            const Reals slack = rounding * (lateral + above + radius);
+            const Reals least = distance - slack;
+            Flags those = __builtin_convertvector(least <= within, Flags);
+            if (reference.far > 0) {{
+                // As ``lead``, where it needs no root, with the slope of the distance of each disk.
+                const {scalar} far = reference.far, d = reference.distance;
+                const Reals ahead = least - d;
+                const Reals turning = ahead / far - (far / d + reference.rounding)
+                    - slack / __builtin_elementwise_max(distance, tiny);
+                const Reals up = over / __builtin_elementwise_max(distance, tiny);
+                const Reals side = beside / __builtin_elementwise_max(distance * lateral, tiny);
+                const Reals along = __builtin_elementwise_copysign(up, height);
+                const Reals u = along * n_x + side * a - reference.direction[0];
+                const Reals v = along * n_y + side * b - reference.direction[1];
+                const Reals w = along * n_z + side * c - reference.direction[2];
+                const Flags behind = __builtin_convertvector(ahead >= 2 * far, Flags);
+                const Flags turned = __builtin_convertvector(turning > 0, Flags)
+                    & __builtin_convertvector(u * u + v * v + w * w < turning * turning, Flags);
+                those = those & ~(far < ({scalar})0.5 * d ? behind | turned : behind);
+            }}
+            unsigned char bits;
+            memcpy(&bits, &those, sizeof(bits));
+            const int child = node == 0 ? 1 : 8 * node + tree[2] - 7;
+            const int start = traversal.count;
+            for (int left = bits; left != 0; left &= left - 1) {{
+                const int k = __builtin_ctz(left);
+                int at = traversal.count++;
+                while (at > start && traversal.least[at - 1] < least[k]) {{
+                    traversal.least[at] = traversal.least[at - 1];
+                    traversal.node[at] = traversal.node[at - 1];
+                    --at;
+                }}
+                traversal.least[at] = least[k];
+                traversal.node[at] = child + k;
+            }}
+        }}
+        return -1;
+        #endif
+        """
+    )
+    def next_leaf(
+        traversal: wp.ref[Traversal],
+        bounds: wp.array(dtype=wp.float32),  # those of ``Model``
+        tree: wp.vec4i,
+        p: vec3,
+        within: real,
+        reference: PruningReference,
+    ) -> int:
+        """Where the next face is in ``Model.bvh_face`` that may be ``within`` reach and is not behind; or −1."""
+        ...
+
+    return SimpleNamespace(
+        Traversal=Traversal,
+        PruningReference=PruningReference,
+        start_traversal=start_traversal,
+        next_leaf=next_leaf,
+    )

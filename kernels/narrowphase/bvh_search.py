@@ -1,0 +1,155 @@
+"""The nearest face, and lists of those that may be it near a point, by a tree over the faces of a patch; on a CPU.
+
+What bounds a node is convex, as a triangle is: its distance is nowhere less than its slope says. So a node is left
+out of a list, with all of its faces, where it is farther than the list reaches, and where no way within the skin
+makes it as near as a face that is known. On a fine mesh beneath a sphere the latter does: there all that is about
+as near lies in the same direction, and draws away or nears alike. ``warpcontact/geometry/bvh.py`` makes the tree.
+"""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+from warpcontact.kernels.narrowphase import bvh8_traversal, face_cache, search
+from warpcontact.kernels.narrowphase import face_closest_point as closest_points
+from warpcontact.kernels.types import assume_nonnegative, structs
+
+# Of the skin: how far a list is made ahead of a point, which serves for longer then. Less than one, for ties.
+AHEAD_FRACTION = 0.8
+
+
+@functools.cache
+def functions(real: type) -> SimpleNamespace:
+    """Returns the device functions for ``real``."""
+    t = structs(real)
+    vec3, Model, Cache = t.vec3, t.Model, t.Cache
+    face_functions, cache_functions, bvh_functions = (
+        closest_points.functions(real),
+        face_cache.functions(real),
+        bvh8_traversal.functions(real),
+    )
+    search_functions = search.functions(real)
+    ClosestPoint, closest_on_face, closer, lost_tie = (
+        face_functions.ClosestPoint,
+        face_functions.closest_on_face,
+        face_functions.closer,
+        face_functions.lost_tie,
+    )
+    max_coordinate, query_error = search_functions.max_coordinate, search_functions.query_error
+    refine_closest = search_functions.refine_closest
+    distance_gradient, distance_lower_bound = (
+        cache_functions.distance_gradient,
+        cache_functions.distance_lower_bound,
+    )
+    face_capacity, store_face_list = cache_functions.face_capacity, cache_functions.store_face_list
+    PruningReference, start_traversal, next_leaf = (
+        bvh_functions.PruningReference,
+        bvh_functions.start_traversal,
+        bvh_functions.next_leaf,
+    )
+    ahead_fraction = wp.constant(real(AHEAD_FRACTION))
+    rounding = wp.constant(real(t.epsilon * face_cache.ROUNDING))
+
+    @wp.func
+    def rounding_error(extent: real, closest: ClosestPoint):
+        """Bound on the error of a distance, for coordinates up to ``extent``."""
+        return rounding * (extent + closest.span)
+
+    @wp.func
+    def closest_in_bvh(model: Model, query_mesh: int, p: vec3, hint: int):
+        """Returns the nearest foot; ``hint`` is a face that may be near, or none."""
+        tree = model.query_mesh_bvh[query_mesh]
+        start = model.query_mesh_face_start[query_mesh]
+        row = hint
+        if row < start or row >= model.query_mesh_face_start[query_mesh + 1]:
+            row = start
+        best = closest_on_face(model, row, p)
+        traversal = start_traversal()
+        leaf = next_leaf(traversal, model.bvh_bound, tree, p, best.distance, PruningReference())
+        while leaf >= 0:
+            best = closer(model, best, closest_on_face(model, start + model.bvh_face[leaf], p))
+            leaf = next_leaf(traversal, model.bvh_bound, tree, p, best.distance, PruningReference())
+        if lost_tie(best):
+            best = refine_closest(
+                model, query_mesh, p, best, query_error(model, query_mesh, max_coordinate(p), best.distance)
+            )
+        best.distance = wp.length(best.to_point)
+        return best
+
+    @wp.func
+    def pruning_reference(best: ClosestPoint, far: real):
+        """Returns a foot as what leads."""
+        reference = PruningReference()
+        reference.far = far
+        reference.distance = best.distance
+        per_distance = real(1.0) / best.distance
+        reference.direction = per_distance * best.to_point
+        reference.rounding = rounding * best.span * per_distance
+        return reference
+
+    @wp.func
+    def offset_ahead(model: Model, query_mesh: int, cache: Cache, env: int, contact: int, p: vec3, distance: real):
+        """From a point to where its list is to be made, in the direction in which it left that of the last.
+
+        As far as a part of what the last list reached beyond the nearest face: what there was room for.
+        """
+        offset = p - cache.list_center[env, contact]
+        length = wp.length(offset)
+        reserve = wp.min(cache.uncached_bound[env, contact] - distance, model.query_mesh_skin[query_mesh])
+        # Not where it never was, nor after a jump, nor where a state was not finite.
+        if length > real(0.0) and length <= real(2.0) * reserve:
+            return (ahead_fraction * reserve / length) * offset
+        return vec3()
+
+    @wp.func
+    def cache_faces_near(
+        model: Model, query_mesh: int, p: vec3, closest: ClosestPoint, cache: Cache, env: int, contact: int
+    ):
+        """Lists the faces that may be nearest near a place ahead of ``p``, with its nearest ``closest``.
+
+        All others are farther from that place than is kept as ``reach``, or no nearer than some other within the
+        skin of it.
+        """
+        center = p + offset_ahead(model, query_mesh, cache, env, contact, p, closest.distance)
+        skin = model.query_mesh_skin[query_mesh]
+        reach = closest.distance + skin
+        tree = model.query_mesh_bvh[query_mesh]
+        start = model.query_mesh_face_start[query_mesh]
+        best = closest_on_face(model, closest.row, center)
+        capacity = face_capacity(cache)
+        slot = assume_nonnegative(contact * capacity)
+        count = wp.int32(0)
+        traversal = start_traversal()
+        searching = wp.bool(True)
+        while searching:
+            leaf_found = next_leaf(traversal, model.bvh_bound, tree, center, reach, pruning_reference(best, skin))
+            searching = leaf_found >= 0
+            if searching:
+                row = start + model.bvh_face[leaf_found]
+                other = closest_on_face(model, row, center)
+                direction = distance_gradient(other)
+                least = distance_lower_bound(other, direction, vec3())
+                if least < reach:
+                    if other.distance < best.distance:
+                        best = other
+                    leaf = slot + count
+                    if count == capacity:
+                        # The farthest makes room, and ends the reach of the list.
+                        reach = least
+                        for k in range(capacity):
+                            i = assume_nonnegative(slot + k)
+                            if cache.distance[env, i] > reach:
+                                reach = cache.distance[env, i]
+                                leaf = i
+                    else:
+                        count += 1
+                    if leaf < slot + capacity:
+                        leaf = assume_nonnegative(leaf)
+                        cache.face[env, leaf] = row
+                        cache.distance[env, leaf] = least
+                        cache.gradient[env, leaf] = direction
+        store_face_list(cache, env, contact, count, center, reach)
+
+    return SimpleNamespace(
+        closest_in_bvh=closest_in_bvh, rounding_error=rounding_error, cache_faces_near=cache_faces_near
+    )

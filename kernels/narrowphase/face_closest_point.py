@@ -1,0 +1,240 @@
+"""The nearest point of a face, seen from a point; which of two is nearer; a walk to the nearest about there."""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+from warpcontact.kernels.lowlevel import vector_loads
+from warpcontact.kernels.narrowphase import triangle
+from warpcontact.kernels.types import FEATURE_ACTIVE, assume_nonnegative, structs
+
+# Rounding, in units of epsilon times the size of the differences: two distances this near are equal. Not wider:
+# the distances to a face and to its neighbour's edge differ in second order only, and the pseudonormal of an edge
+# tells the side of a point only if the edge is nearest.
+TIE = 3.0
+# Faces about a corner that a walk looks at, and steps of a walk: only to have an end. A swept point may have come
+# over hundreds of faces in one step.
+MAX_FAN_FACES = 1024
+MAX_DESCENT_STEPS = 4096
+# Steps at most in which a point is followed.
+MAX_TRACK_STEPS = 32
+
+
+@functools.cache
+def functions(real: type) -> SimpleNamespace:
+    """Returns the struct ``ClosestPoint`` and the device functions for ``real``."""
+    t = structs(real)
+    vec3, Model = t.vec3, t.Model
+    row_of = vector_loads.row_of(real)
+    closest_to_origin = triangle.functions(real).closest_to_origin
+    tie_epsilon = wp.constant(real(t.epsilon * TIE))
+    zero, one = wp.constant(real(0.0)), wp.constant(real(1.0))
+
+    @wp.struct
+    class ClosestPoint:
+        """The nearest point S of a face, seen from P: differences of coordinates carry less rounding."""
+
+        to_point: vec3  # P − S, in the mesh's frame
+        row: wp.int32  # of the face tables
+        feature: wp.int32
+        distance: real  # |P − S|
+        span: real  # size of the differences that went into it
+
+    @wp.func
+    def closest_on_face(model: Model, row: int, p: vec3):
+        corners = row_of(model.face_corner, row)
+        a = corners[0] - p
+        b = corners[1] - p
+        c = corners[2] - p
+        hit = closest_to_origin(a, b, c, corners[3])
+        closest = ClosestPoint()
+        closest.to_point = -hit.point
+        closest.row = row
+        closest.feature = hit.feature
+        closest.distance = wp.length(hit.point)
+        closest.span = wp.sqrt(wp.max(wp.length_sq(a), wp.length_sq(b)))
+        return closest
+
+    @wp.func
+    def face_distance(model: Model, row: int, p: vec3):
+        """Distance of a face, to rounding and without branches: in its plane, in its own axes."""
+        corners = row_of(model.face_corner, row)
+        axes = row_of(model.face_frame, row)
+        v = p - corners[0]
+        x = wp.dot(v, axes[0])
+        y = wp.dot(v, axes[1])
+        height = wp.dot(v, corners[3])
+        shape = axes[2]
+        per_square = axes[3]
+        # The corners are (0, 0), (length, 0) and (c_x, c_y), anticlockwise.
+        length = shape[0]
+        c_x = shape[1]
+        c_y = shape[2]
+        t = wp.clamp(x * length * per_square[0], zero, one)
+        r_x = x - t * length
+        nearest = r_x * r_x + y * y
+        b_x = x - length
+        e_x = c_x - length
+        t = wp.clamp((b_x * e_x + y * c_y) * per_square[1], zero, one)
+        r_x = b_x - t * e_x
+        r_y = y - t * c_y
+        nearest = wp.min(nearest, r_x * r_x + r_y * r_y)
+        t = wp.clamp((x * c_x + y * c_y) * per_square[2], zero, one)
+        r_x = x - t * c_x
+        r_y = y - t * c_y
+        nearest = wp.min(nearest, r_x * r_x + r_y * r_y)
+        above = y >= zero and e_x * y >= c_y * b_x and c_y * x >= c_x * y
+        return wp.sqrt(height * height + wp.where(above, zero, nearest))
+
+    @wp.func
+    def is_inside(model: Model, closest: ClosestPoint):
+        """Whether P is on the inner side of S."""
+        return wp.dot(
+            closest.to_point,
+            model.face_normal[assume_nonnegative(closest.row), assume_nonnegative(closest.feature)],
+        ) < real(0.0)
+
+    @wp.func
+    def is_inactive(model: Model, closest: ClosestPoint):
+        """Whether S is not on the active part."""
+        return (wp.int32(model.face_flags[closest.row, closest.feature]) & FEATURE_ACTIVE) == 0
+
+    @wp.func
+    def wins_tie(model: Model, a: ClosestPoint, b: ClosestPoint, tie: real):
+        """Whether ``a`` is taken of two feet at the same distance.
+
+        One on the active part if they are one point; else a face before an edge before a corner, the outer side
+        before the inner, and the lower face.
+        """
+        inactive_a = is_inactive(model, a)
+        if inactive_a != is_inactive(model, b) and wp.length(a.to_point - b.to_point) <= tie:
+            return not inactive_a
+        rank_a = wp.where(a.feature > 3, 2, wp.where(a.feature > 0, 1, 0))
+        rank_b = wp.where(b.feature > 3, 2, wp.where(b.feature > 0, 1, 0))
+        if rank_a != rank_b:
+            return rank_a < rank_b
+        inside_a = is_inside(model, a)
+        if inside_a != is_inside(model, b):
+            return not inside_a
+        return a.row < b.row
+
+    @wp.func
+    def closer(model: Model, best: ClosestPoint, other: ClosestPoint):
+        """Returns the nearer foot; ``distance`` of the result is the smallest seen, so that ties do not drift.
+
+        Of many, one after the other, which is taken may hang on their order: see ``lost_tie``.
+        """
+        tie = tie_epsilon * wp.max(best.span, other.span)
+        nearest = wp.min(best.distance, other.distance)
+        if other.distance < best.distance - tie or (
+            other.distance <= best.distance + tie and wins_tie(model, other, best, tie)
+        ):
+            best = other
+        best.distance = nearest
+        return best
+
+    @wp.func
+    def lost_tie(best: ClosestPoint):
+        """Whether a foot that was taken of many is not tied with the nearest of them.
+
+        It was tied with one that was as near as any until then. Others may have been passed over for it that are
+        tied with the nearest.
+        """
+        return wp.length(best.to_point) > best.distance + tie_epsilon * best.span
+
+    @wp.func
+    def break_tie(model: Model, best: ClosestPoint, other: ClosestPoint):
+        """Returns which of two is taken among those that are tied with the nearest, one after the other.
+
+        ``distance`` of ``best``, and of the result, is that of the nearest. It has no row while there is none.
+        """
+        if other.distance > best.distance + tie_epsilon * other.span:
+            return best
+        if best.row >= 0:
+            if not wins_tie(model, other, best, tie_epsilon * wp.max(best.span, other.span)):
+                return best
+        other.distance = best.distance
+        return other
+
+    @wp.func
+    def search_vertex_fan(model: Model, best: ClosestPoint, row: int, edge: int, about_end: int, p: vec3):
+        """Looks at the faces that follow across ``edge`` of face ``row`` about one of its ends.
+
+        ``about_end`` is 1 to go on about the end of the edge, 0 about its start.
+        """
+        across = model.face_neighbor[row, edge]
+        for _ in range(wp.static(MAX_FAN_FACES)):
+            other = across // 3
+            if across < 0 or other == row:
+                break
+            best = closer(model, best, closest_on_face(model, other, p))
+            # The neighbour runs along the edge the other way: its end there is our start.
+            entered = across - 3 * other
+            leave = (entered + 2) % 3
+            if about_end == 0:
+                leave = (entered + 1) % 3
+            across = model.face_neighbor[other, leave]
+        return best
+
+    @wp.func
+    def search_adjacent(model: Model, current: ClosestPoint, best: ClosestPoint, p: vec3):
+        """Looks at the faces that meet in the feature of ``current``."""
+        if current.feature > 3:
+            # Out across the edge that begins at this corner, and the one that ends there.
+            corner = current.feature - 4
+            best = search_vertex_fan(model, best, current.row, corner, 0, p)
+            best = search_vertex_fan(model, best, current.row, (corner + 2) % 3, 1, p)
+        elif current.feature > 0:
+            across = model.face_neighbor[current.row, current.feature - 1]
+            if across >= 0:
+                best = closer(model, best, closest_on_face(model, across // 3, p))
+        best.distance = wp.length(best.to_point)
+        return best
+
+    @wp.func
+    def descend(model: Model, row: int, p: vec3):
+        """The nearest point that is reached from face ``row`` by going from face to neighbour, ever nearer."""
+        best = closest_on_face(model, row, p)
+        for _ in range(wp.static(MAX_DESCENT_STEPS)):
+            current = best
+            best = search_adjacent(model, current, best, p)
+            if best.row == current.row:
+                break
+        return best
+
+    @wp.func
+    def track(model: Model, row: int, p: vec3, q: vec3):
+        """The nearest point to ``q`` on the sheet that has face ``row`` nearest to ``p``, followed on the way.
+
+        In steps as long as the sheet is far, but where one face stays nearest: a longer one could miss an edge
+        that is passed, from behind which the face that was left looks as near as any.
+        """
+        closest = closest_on_face(model, row, p)
+        length = wp.length(q - p)
+        distance = real(0.0)
+        while distance < length:
+            at_end = closest_on_face(model, closest.row, q)
+            if closest.feature == 0 and at_end.feature == 0:
+                return at_end
+            distance = wp.min(
+                distance + wp.max(closest.distance, length / real(wp.static(MAX_TRACK_STEPS))), length
+            )
+            current = p + (distance / length) * (q - p)
+            closest = descend(
+                model,
+                search_adjacent(model, closest, closest_on_face(model, closest.row, current), current).row,
+                current,
+            )
+        return closest
+
+    return SimpleNamespace(
+        ClosestPoint=ClosestPoint,
+        closest_on_face=closest_on_face,
+        face_distance=face_distance,
+        is_inside=is_inside,
+        closer=closer,
+        lost_tie=lost_tie,
+        break_tie=break_tie,
+        descend=descend,
+        track=track,
+    )

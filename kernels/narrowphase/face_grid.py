@@ -1,0 +1,99 @@
+"""A grid of cells about a mesh: which faces may be nearest to a point of a cell, and how far all its points are.
+
+What a search in a tree finds node by node, each step waiting for the last, a cell has in one place; and what is
+far away is known from one look, whatever was there before.
+"""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+from warpcontact.kernels.lowlevel.warps import lowest_set_bit
+from warpcontact.kernels.narrowphase import face_closest_point as closest_points
+from warpcontact.kernels.narrowphase.side_regions import side_clearance as side_clearance_of
+from warpcontact.kernels.types import assume_nonnegative, structs
+
+# A face list is one integer: first index / LIST_ALIGNMENT * LIST_STRIDE + number of faces (< LIST_STRIDE).
+LIST_STRIDE = 32
+LIST_ALIGNMENT = 4
+# A cell is filled as if it were so much larger, for points that rounding puts into the one beside theirs; what is
+# taken off for the rounding of a query serves for them as well.
+OVERLAP = 1.001
+
+
+@functools.cache
+def functions(real: type) -> SimpleNamespace:
+    """Returns the device functions for ``real``."""
+    t = structs(real)
+    vec3, Model, Cell = t.vec3, t.Model, t.Cell
+    face_functions = closest_points.functions(real)
+    closest_on_face, face_distance = face_functions.closest_on_face, face_functions.face_distance
+    closer, lost_tie, break_tie = face_functions.closer, face_functions.lost_tie, face_functions.break_tie
+    side_clearance = side_clearance_of(real)
+    zero = wp.constant(real(0.0))
+
+    @wp.func
+    def cell_at(model: Model, query_mesh: int, p_S: vec3):
+        """What is known about a point of the mesh's frame; of a patch without cells nothing.
+
+        A point outside of the grid is on the side of the nearest cell, with no surface between them.
+        """
+        cell = Cell()
+        cell.faces = -1
+        counts = model.query_mesh_grid[query_mesh]
+        if counts[3] >= 0:
+            size = model.query_mesh_cell_size[query_mesh]
+            q = (real(1.0) / size) * (p_S - model.query_mesh_grid_origin[query_mesh])
+            x = wp.clamp(q[0], zero, real(counts[0]) - real(0.5))
+            y = wp.clamp(q[1], zero, real(counts[1]) - real(0.5))
+            z = wp.clamp(q[2], zero, real(counts[2]) - real(0.5))
+            number = wp.int32(x) + counts[0] * (wp.int32(y) + counts[1] * wp.int32(z))
+            cell = model.cells[assume_nonnegative(counts[3] + number)]
+            outside = q - vec3(x, y, z)
+            inside = q[0] >= zero and q[1] >= zero and q[2] >= zero
+            inside = inside and outside[0] < real(0.5) and outside[1] < real(0.5) and outside[2] < real(0.5)
+            if not inside:
+                cell.faces = -1
+                if cell.clearance > zero:
+                    distance = wp.length(wp.max(wp.abs(outside) - vec3(real(0.5)), vec3())) * size
+                    cell.clearance = wp.min(
+                        distance + model.query_mesh_grid_margin[query_mesh], side_clearance(model, query_mesh, p_S)
+                    )
+        return cell
+
+    @wp.func
+    def closest_in_cell(model: Model, faces: int, p_S: vec3, margin: real):
+        """The foot on the nearest of the faces of a list, ``margin`` being wide enough for rounding."""
+        start = assume_nonnegative(faces) // wp.static(LIST_STRIDE) * wp.static(LIST_ALIGNMENT)
+        least = real(wp.inf)
+        # Those that are about as near as the nearest so far, as bits.
+        candidates = wp.int32(0)
+        for number in range(assume_nonnegative(faces) % wp.static(LIST_STRIDE)):
+            distance = face_distance(model, assume_nonnegative(model.cell_face[start + number]), p_S)
+            if distance < least - margin:
+                candidates = wp.int32(0)
+            if distance <= least + margin:
+                candidates = candidates | (1 << number)
+            least = wp.min(least, distance)
+        best = closest_on_face(model, model.cell_face[start + lowest_set_bit(candidates)], p_S)
+        remaining = candidates & (candidates - 1)
+        if remaining != 0:
+            while remaining != 0:
+                best = closer(
+                    model, best, closest_on_face(model, model.cell_face[start + lowest_set_bit(remaining)], p_S)
+                )
+                remaining = remaining & (remaining - 1)
+            if lost_tie(best):
+                # Once more, now that it is known how near the nearest is.
+                best.row = -1
+                while candidates != 0:
+                    best = break_tie(
+                        model,
+                        best,
+                        closest_on_face(model, model.cell_face[start + lowest_set_bit(candidates)], p_S),
+                    )
+                    candidates = candidates & (candidates - 1)
+            best.distance = wp.length(best.to_point)
+        return best
+
+    return SimpleNamespace(cell_at=cell_at, closest_in_cell=closest_in_cell)

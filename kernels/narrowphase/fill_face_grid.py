@@ -1,0 +1,181 @@
+"""Fills the cells of ``cells.py``, once for each mesh."""
+
+import functools
+
+import warp as wp
+from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
+from warpcontact.kernels.narrowphase import face_closest_point as closest_points
+from warpcontact.kernels.narrowphase import search
+from warpcontact.kernels.narrowphase.face_grid import LIST_ALIGNMENT, LIST_STRIDE, OVERLAP
+from warpcontact.kernels.narrowphase.side_regions import side_clearance as side_clearance_of
+from warpcontact.kernels.types import structs
+
+# Faces that may be nearest before it is looked at which of them another is always nearer than.
+MAX_CANDIDATES = 192
+# Those, the nearest to the middle, that others are held against.
+COMPARED_FACES = 4
+# Distance, in units of the size of the differences, from which on rounding leaves a direction as it is.
+MIN_RELATIVE_DISTANCE = 0.05
+
+
+@functools.cache
+def kernel(real: type) -> wp.Kernel:
+    """Returns the kernel that fills one cell of a patch for each thread.
+
+    A face may be nearest to a point of a cell only if its least distance there is not more than the largest of
+    the face that is nearest to the middle: that of a corner, as the distance from a triangle is convex. Of those
+    that are left one is never nearest if another is nearer everywhere in the cell. What its distance is at least,
+
+        d(p) ≥ d(q) + u·(p − q)
+
+    with its slope u at any point q, is linear, and the distance from the other convex: so the difference of both
+    is least in a corner.
+    """
+    t = structs(real)
+    vec3, Model = t.vec3, t.Model
+    search_functions = search.functions(real)
+    refine_closest, faces_within = search_functions.refine_closest, search_functions.faces_within
+    max_coordinate, query_error = search_functions.max_coordinate, search_functions.query_error
+    closest_on_face, is_inside = (
+        closest_points.functions(real).closest_on_face,
+        closest_points.functions(real).is_inside,
+    )
+    side_clearance = side_clearance_of(real)
+    Rows = wp.types.vector(length=MAX_CANDIDATES, dtype=wp.int32)
+    ComparedFaces = wp.types.vector(length=COMPARED_FACES, dtype=wp.int32)
+    Distances = wp.types.vector(length=COMPARED_FACES, dtype=real)
+    Corners = wp.types.vector(length=8 * COMPARED_FACES, dtype=real)
+    min_relative_distance = wp.constant(real(MIN_RELATIVE_DISTANCE))
+
+    @wp.func
+    def corner(c: vec3, half: real, number: int):
+        """A corner of a cell, or with the number 8 its middle."""
+        if number == 8:
+            return c
+        side = vec3(real(number & 1), real((number >> 1) & 1), real((number >> 2) & 1))
+        return c + real(2.0) * half * (side - vec3(real(0.5)))
+
+    @wp.func
+    def is_never_nearest(
+        model: Model,
+        row: int,
+        c: vec3,
+        half: real,
+        compared_faces: ComparedFaces,
+        corner_distances: Corners,
+        margin: real,
+    ):
+        """Whether one of the rivals is nearer than a face by more than a margin, wherever in the cell."""
+        for at in range(9):
+            # From the middle first.
+            q = corner(c, half, 8 - at)
+            closest = closest_on_face(model, row, q)
+            if closest.distance > min_relative_distance * closest.span:
+                u = closest.to_point / closest.distance
+                for compared in range(wp.static(COMPARED_FACES)):
+                    if compared_faces[compared] >= 0 and compared_faces[compared] != row:
+                        lead = real(wp.inf)
+                        for k in range(8):
+                            least = closest.distance + wp.dot(u, corner(c, half, k) - q)
+                            lead = wp.min(lead, least - corner_distances[8 * compared + k])
+                        if lead > margin:
+                            return True
+        return False
+
+    # Loops in loops: written out they take the compiler seven times as long, and run no faster; measured.
+    @unique_kernel(unrolled=1)
+    def fill_cells(
+        model: Model,
+        query_mesh: wp.int32,
+        reach: real,  # from the outer side, of points that are searched for [unit of the mesh]
+        first: wp.int32,  # place of the first face that is listed
+        face_capacity: wp.int32,  # that there is room for; both are multiples of ``LIST_ALIGNMENT``
+        used_units: wp.array(dtype=wp.int32),
+    ):
+        number = wp.tid()
+        counts = model.query_mesh_grid[query_mesh]
+        size = model.query_mesh_cell_size[query_mesh]
+        half = real(wp.static(0.5 * OVERLAP)) * size
+        radius = real(wp.static(3.0**0.5)) * half
+        x = number % counts[0]
+        y = (number // counts[0]) % counts[1]
+        z = number // (counts[0] * counts[1])
+        middle = vec3(real(x) + real(0.5), real(y) + real(0.5), real(z) + real(0.5))
+        c = model.query_mesh_grid_origin[query_mesh] + size * middle
+        cell = counts[3] + number
+        model.cells[cell].clearance = real(0.0)
+        model.cells[cell].faces = -1
+        c_32 = wp.vec3f(wp.float32(c[0]), wp.float32(c[1]), wp.float32(c[2]))
+        query = wp.mesh_query_point_no_sign(model.query_mesh_id[query_mesh], c_32, wp.float32(wp.inf))
+        if not query.result:
+            return
+        start = model.query_mesh_face_start[query_mesh]
+        nearest = closest_on_face(model, start + query.face, c)
+        error = query_error(model, query_mesh, max_coordinate(c), nearest.distance)
+        # One that the query takes for as near may show the other side.
+        nearest = refine_closest(model, query_mesh, c, nearest, error)
+        inside = is_inside(model, nearest)
+        if not inside:
+            side_distance = side_clearance(model, query_mesh, c)
+            model.cells[cell].clearance = wp.min(nearest.distance, side_distance) - error - radius
+        skin = model.query_mesh_skin[query_mesh]
+        far = wp.where(inside, skin, reach + skin + size) + radius
+        if nearest.distance > far:
+            return
+
+        largest = real(0.0)
+        for k in range(8):
+            largest = wp.max(largest, closest_on_face(model, nearest.row, corner(c, half, k)).distance)
+        # The nearest to the middle are the rivals.
+        rows = Rows()
+        compared_faces = ComparedFaces(-1)
+        distances = Distances(real(wp.inf))
+        count = wp.int32(0)
+        found = faces_within(model, query_mesh, c, largest + radius + error)
+        face = wp.int32(0)
+        while wp.mesh_query_next(found, face):
+            closest = closest_on_face(model, start + face, c)
+            lower_bound = closest.distance - radius
+            if closest.distance > min_relative_distance * closest.span:
+                u = closest.to_point / closest.distance
+                lower_bound = closest.distance - half * (wp.abs(u[0]) + wp.abs(u[1]) + wp.abs(u[2]))
+            if lower_bound - error <= largest:
+                if count < wp.static(MAX_CANDIDATES):
+                    rows[count] = closest.row
+                count += 1
+                distance = closest.distance
+                row = closest.row
+                for i in range(wp.static(COMPARED_FACES)):
+                    if distance < distances[i]:
+                        farther = distances[i]
+                        farther_row = compared_faces[i]
+                        distances[i] = distance
+                        compared_faces[i] = row
+                        distance = farther
+                        row = farther_row
+        if count > wp.static(MAX_CANDIDATES):
+            return
+        corner_distances = Corners()
+        for compared in range(wp.static(COMPARED_FACES)):
+            if compared_faces[compared] >= 0:
+                for k in range(8):
+                    corner_distances[8 * compared + k] = closest_on_face(
+                        model, compared_faces[compared], corner(c, half, k)
+                    ).distance
+        kept_count = wp.int32(0)
+        for i in range(count):
+            if not is_never_nearest(model, rows[i], c, half, compared_faces, corner_distances, real(2.0) * error):
+                rows[kept_count] = rows[i]
+                kept_count += 1
+        if kept_count == 0 or kept_count >= wp.static(LIST_STRIDE):
+            return
+        units = (kept_count + wp.static(LIST_ALIGNMENT - 1)) // wp.static(LIST_ALIGNMENT)
+        unit = wp.atomic_add(used_units, 0, units)
+        if unit + units > face_capacity // wp.static(LIST_ALIGNMENT):
+            return
+        unit += first // wp.static(LIST_ALIGNMENT)
+        for i in range(kept_count):
+            model.cell_face[wp.static(LIST_ALIGNMENT) * unit + i] = rows[i]
+        model.cells[cell].faces = wp.static(LIST_STRIDE) * unit + kept_count
+
+    return fill_cells

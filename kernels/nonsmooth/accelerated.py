@@ -1,0 +1,346 @@
+"""Accelerated projected gradients: all contacts at once, with Nesterov's momentum.
+
+The step of H. Mazhar, T. Heyn, D. Negrut, A. Tasora, "Using Nesterov's method to accelerate multibody dynamics
+with friction and contact", ACM Transactions on Graphics 34, 2015, on De Saxcé's cone: the slip lifts the normal
+velocity anew in every iteration, so that what it converges to keeps Coulomb's law and does not part while it
+slides. The momentum starts again where it leads uphill: B. O'Donoghue, E. Candès, "Adaptive restart for
+accelerated gradient schemes", Foundations of Computational Mathematics 15, 2015.
+"""
+
+import functools
+
+import numpy as np
+import warp as wp
+from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
+from warpcontact.kernels.nonsmooth import relative, velocity_update
+from warpcontact.kernels.nonsmooth import solver_common as begin
+from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs
+from warpcontact.kernels.types import ENV_ACTIVE, LaunchRange, first_env, structs, task_count
+
+# Iterations that may pass without a smaller residual where that is of the size of rounding.
+PATIENCE = 100
+
+
+@functools.cache
+def scratch(real: type, rolls: bool) -> type:
+    """Returns the struct of what a solve keeps of a row.
+
+    Of couples there is what they are over an arm, so that they count as impulses do, and of angular velocities
+    what they are times that arm.
+    """
+    vec3 = structs(real).vec3
+
+    @wp.struct
+    class Scratch:
+        rho: real  # [kg]
+        free: vec3  # q, W [m/s]
+        previous: vec3  # impulse of the iteration before, W [N·s]
+        trial: vec3  # where momentum leads, W [N·s]
+        velocity: vec3  # w, W [m/s]
+        velocity_before: vec3  # that of the iteration before
+        velocity_trial: vec3  # that where momentum leads
+        best: vec3  # impulse of the least residual, W [N·s]
+        if rolls:
+            arm: real  # at which a force turns as easily as it pushes [m]
+            turning_free: vec3
+            couple_before: vec3
+            couple_trial: vec3
+            spin: vec3
+            spin_before: vec3
+            spin_trial: vec3
+            couple_best: vec3
+
+    return Scratch
+
+
+@functools.cache
+def kernel(real: type, moves: bool, rolls: bool, is_fallback: bool = False) -> wp.Kernel:
+    """Returns the solver of a step; items: one per environment.
+
+    Args:
+        real: Precision.
+        moves: Whether not all bodies are free.
+        rolls: Whether any contact opposes rolling or spinning.
+        is_fallback: Whether it comes after another solver, where that did not converge: with its
+            ``velocity_change`` taken back, and counting on from its iterations.
+
+    It starts from the guess in ``rows`` and stops at the tolerance, where rounding lets the residual fall no more,
+    or after some iterations; then the best of them is what it leaves.
+    """
+    t = structs(real)
+    vec3 = t.vec3
+    r = row_structs(real)
+    Rows, SolveResult = r.Rows, r.SolveResult
+    BodyResponse = wp.array2d(dtype=body_response_struct(real, moves))
+    VelocityChange = wp.array2d(dtype=velocity_update.velocity_change_struct(real))
+    Scratch = wp.array2d(dtype=scratch(real, rolls))
+    f = velocity_update.functions(real, moves)
+    spin_after, relative_spin_change = relative.functions(real, moves).spin_after, f.relative_spin_change
+    velocity_change_at, apply_impulse_pair = f.velocity_change_at, f.apply_impulse_pair
+    angular_response_trace, project_onto_cone, project_couple = (
+        f.angular_response_trace,
+        f.project_onto_cone,
+        f.project_couple,
+    )
+    de_saxce_velocity, residual_squared, projected_normal = (
+        f.de_saxce_velocity,
+        f.residual_squared,
+        f.projected_normal,
+    )
+    solver_common = begin.functions(real, moves, rolls)
+    clear_change, initialize_row, spread_speed_scale, residual_scale = (
+        solver_common.clear_change,
+        solver_common.initialize_row,
+        solver_common.spread_speed_scale,
+        solver_common.residual_scale,
+    )
+    nesterov_step, apply_change, report_solve = (
+        solver_common.nesterov_step,
+        solver_common.apply_change,
+        solver_common.report_solve,
+    )
+    zero, one = wp.constant(real(0.0)), wp.constant(real(1.0))
+    # A step that was too long becomes this part of the longest that goes down; others grow.
+    STEP_REDUCTION, STEP_GROWTH = wp.constant(real(0.9)), wp.constant(real(1.005))
+    rounding = np.finfo(wp.dtype_to_numpy(real))
+    # What rounding may leave of a residual.
+    ROUNDING = wp.constant(real(4.0 * float(rounding.eps)))
+    LARGEST = wp.constant(real(float(rounding.max)))
+
+    @unique_kernel()
+    def accelerated(
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        rows: Rows,
+        body_response: BodyResponse,
+        solve_result: SolveResult,
+        tolerance: real,
+        iterations: int,
+        scratch: Scratch,
+        velocity_change: VelocityChange,
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = first_env(launch) + task
+            if status[env] != ENV_ACTIVE:
+                continue
+            earlier_iterations = wp.int32(0)
+            if wp.static(is_fallback):
+                if solve_result.converged[env] == 1:
+                    continue
+                earlier_iterations = solve_result.iterations[env]
+                for body in range(velocity_change.shape[1]):
+                    body_response[env, body].linear = (
+                        body_response[env, body].linear - velocity_change[env, body].linear
+                    )
+                    body_response[env, body].angular = (
+                        body_response[env, body].angular - velocity_change[env, body].angular
+                    )
+            count = solve_result.count[env]
+            if count == 0:
+                report_solve(solve_result, env, zero, 0, 1)
+                continue
+
+            clear_change(velocity_change, env)
+            finite = zero  # only if all terms are
+            for row in range(count):
+                free, rho, trace, size = initialize_row(rows, body_response, velocity_change, env, row, tolerance)
+                finite += size
+                scratch[env, row].rho = rho
+                scratch[env, row].free = free
+                scratch[env, row].previous = rows[env, row].impulse
+                if wp.static(rolls):
+                    body_1 = rows[env, row].body_1
+                    body_2 = rows[env, row].body_2
+                    turning_trace = angular_response_trace(body_response, env, body_1) + angular_response_trace(
+                        body_response, env, body_2
+                    )
+                    arm = zero
+                    if turning_trace > zero and rho > zero:
+                        arm = wp.sqrt(trace / turning_trace)
+                        scratch[env, row].couple_before = rows[env, row].couple / arm
+                    scratch[env, row].arm = arm
+                    scratch[env, row].turning_free = arm * spin_after(body_response, env, body_1, body_2)
+            if not wp.isfinite(finite):
+                report_solve(solve_result, env, finite, 0, 0)
+                continue
+            spread_speed_scale(rows, velocity_change, env, count)
+
+            target = tolerance * tolerance
+            length = one  # of a step, over rho
+            theta = one
+            beta = zero
+            worst = zero
+            least = LARGEST
+            stalled = wp.int32(0)
+            steps = wp.int32(0)
+            while True:
+                # Where we are: the residual, and how the way here bent the velocities.
+                worst = zero
+                curvature = zero
+                step_norm = zero
+                uphill = zero
+                for row in range(count):
+                    body_1 = rows[env, row].body_1
+                    body_2 = rows[env, row].body_2
+                    n = rows[env, row].normal
+                    mu = rows[env, row].mu
+                    rho = scratch[env, row].rho
+                    impulse = rows[env, row].impulse
+                    w = scratch[env, row].free + velocity_change_at(
+                        velocity_change, env, body_1, rows[env, row].arm_1
+                    )
+                    w -= velocity_change_at(velocity_change, env, body_2, rows[env, row].arm_2)
+                    scratch[env, row].velocity = w
+                    scale = wp.max(
+                        residual_scale(velocity_change, env, body_1, body_2, rho), wp.length_sq(impulse)
+                    )
+                    worst = wp.max(worst, residual_squared(impulse, w, n, mu, rho) / scale)
+                    step = impulse - scratch[env, row].trial
+                    trial_w = scratch[env, row].velocity_trial
+                    if rho > zero and steps > 0:
+                        curvature += wp.dot(step, w - trial_w)
+                        step_norm += wp.length_sq(step) / rho
+                        uphill += wp.dot(de_saxce_velocity(trial_w, n, mu), impulse - scratch[env, row].previous)
+                    if wp.static(rolls):
+                        arm = scratch[env, row].arm
+                        if arm > zero:
+                            turning = scratch[env, row].turning_free + arm * relative_spin_change(
+                                velocity_change, env, body_1, body_2
+                            )
+                            scratch[env, row].spin = turning
+                            couple = rows[env, row].couple / arm
+                            normal = wp.max(wp.dot(impulse, n), zero) / arm
+                            rolling = rows[env, row].rolling
+                            spinning = rows[env, row].spinning
+                            projected = project_couple(
+                                couple - rho * turning, n, rolling * normal, spinning * normal
+                            )
+                            worst = wp.max(worst, wp.length_sq(projected - couple) / scale)
+                            if steps > 0:
+                                step = couple - scratch[env, row].couple_trial
+                                trial_turning = scratch[env, row].spin_trial
+                                curvature += wp.dot(step, turning - trial_turning)
+                                step_norm += wp.length_sq(step) / rho
+                                along = wp.dot(trial_turning, n)
+                                lift = rolling * wp.length(trial_turning - along * n) + spinning * wp.abs(along)
+                                impulse_step = impulse - scratch[env, row].previous
+                                uphill += lift / arm * wp.dot(impulse_step, n)
+                                uphill += wp.dot(trial_turning, couple - scratch[env, row].couple_before)
+                if worst <= target:
+                    break
+                stalled += 1
+                if worst < least:
+                    least = worst
+                    stalled = 0
+                    for row in range(count):
+                        scratch[env, row].best = rows[env, row].impulse
+                        if wp.static(rolls):
+                            scratch[env, row].couple_best = rows[env, row].couple
+                if steps >= iterations or (stalled >= PATIENCE and least < ROUNDING * ROUNDING):
+                    break
+
+                if curvature * length > step_norm:
+                    length = STEP_REDUCTION * step_norm / curvature
+                else:
+                    length *= STEP_GROWTH
+                if uphill > zero:
+                    theta = one
+                theta, beta = nesterov_step(theta)
+                for row in range(count):
+                    rho = scratch[env, row].rho
+                    if rho > zero:
+                        body_1 = rows[env, row].body_1
+                        body_2 = rows[env, row].body_2
+                        n = rows[env, row].normal
+                        mu = rows[env, row].mu
+                        impulse = rows[env, row].impulse
+                        w = scratch[env, row].velocity
+                        trial = impulse
+                        trial_w = w
+                        if beta > zero:
+                            trial += beta * (impulse - scratch[env, row].previous)
+                            trial_w += beta * (w - scratch[env, row].velocity_before)
+                        scratch[env, row].previous = impulse
+                        scratch[env, row].velocity_before = w
+                        scratch[env, row].trial = trial
+                        scratch[env, row].velocity_trial = trial_w
+                        new = trial - length * rho * de_saxce_velocity(trial_w, n, mu)
+                        couple_step = vec3()
+                        if wp.static(rolls):
+                            arm = scratch[env, row].arm
+                            if arm > zero:
+                                couple = rows[env, row].couple / arm
+                                turning = scratch[env, row].spin
+                                trial = couple
+                                trial_turning = turning
+                                if beta > zero:
+                                    trial += beta * (couple - scratch[env, row].couple_before)
+                                    trial_turning += beta * (turning - scratch[env, row].spin_before)
+                                scratch[env, row].couple_before = couple
+                                scratch[env, row].spin_before = turning
+                                scratch[env, row].couple_trial = trial
+                                scratch[env, row].spin_trial = trial_turning
+                                rolling = rows[env, row].rolling / arm
+                                spinning = rows[env, row].spinning / arm
+                                along = wp.dot(trial_turning, n)
+                                lift = rolling * wp.length(trial_turning - along * n) + spinning * wp.abs(along)
+                                new -= length * rho * lift * n
+                                new_couple = trial - length * rho * trial_turning
+                                normal = projected_normal(new, new_couple, n, mu, rolling, spinning)
+                                new_couple = arm * project_couple(
+                                    new_couple, n, rolling * normal, spinning * normal
+                                )
+                                new = project_couple(new, n, mu * normal, zero) + normal * n
+                                couple_step = new_couple - rows[env, row].couple
+                                rows[env, row].couple = new_couple
+                            else:
+                                new = project_onto_cone(new, n, mu)
+                        else:
+                            new = project_onto_cone(new, n, mu)
+                        step = new - impulse
+                        rows[env, row].impulse = new
+                        angular_impulse_1 = wp.cross(rows[env, row].arm_1, step) + couple_step
+                        angular_impulse_2 = -wp.cross(rows[env, row].arm_2, step) - couple_step
+                        apply_impulse_pair(
+                            body_response,
+                            velocity_change,
+                            env,
+                            body_1,
+                            body_2,
+                            step,
+                            angular_impulse_1,
+                            angular_impulse_2,
+                        )
+                steps += 1
+
+            if worst > least:
+                # Back to the best.
+                worst = least
+                for row in range(count):
+                    step = scratch[env, row].best - rows[env, row].impulse
+                    couple_step = vec3()
+                    rows[env, row].impulse = scratch[env, row].best
+                    if wp.static(rolls):
+                        couple_step = scratch[env, row].couple_best - rows[env, row].couple
+                        rows[env, row].couple = scratch[env, row].couple_best
+                    body_1 = rows[env, row].body_1
+                    body_2 = rows[env, row].body_2
+                    angular_impulse_1 = wp.cross(rows[env, row].arm_1, step) + couple_step
+                    angular_impulse_2 = -wp.cross(rows[env, row].arm_2, step) - couple_step
+                    apply_impulse_pair(
+                        body_response,
+                        velocity_change,
+                        env,
+                        body_1,
+                        body_2,
+                        step,
+                        angular_impulse_1,
+                        angular_impulse_2,
+                    )
+
+            apply_change(body_response, velocity_change, env)
+            report_solve(
+                solve_result, env, wp.sqrt(worst), earlier_iterations + steps, wp.where(worst <= target, 1, 0)
+            )
+
+    return accelerated

@@ -1,0 +1,265 @@
+"""The closed contacts of a step as rows of its contact problem: one thread goes through an environment.
+
+A row takes as its guess the impulse of the last step, if its contact was closed in that.
+"""
+
+import functools
+
+import warp as wp
+from warpcontact.kernels import frames
+from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
+from warpcontact.kernels.nonsmooth.records import record_structs
+from warpcontact.kernels.nonsmooth.rows import row_structs
+from warpcontact.kernels.particles.base import IN_CONTACT, particle_structs
+from warpcontact.kernels.shapes.records import ContactShapes, ShapeContactSettings, shape_contact_structs
+from warpcontact.kernels.types import (
+    CONTACT,
+    ENV_ACTIVE,
+    HERTZ_TORSION,
+    MODE_SLIP,
+    LaunchRange,
+    first_env,
+    structs,
+    task_count,
+)
+
+
+@functools.cache
+def add_row(real: type) -> wp.Function:
+    """Returns the device function that adds a contact to the rows of its environment.
+
+    Its arguments are ``(state, rows, outcome, memory, account, env, contact, material, body_1, body_2, arm_1,
+    arm_2, normal, gap, recovery, radius, torsion_radius)``; the state has the velocities before the step, of which
+    restitution takes that of approach; ``recovery`` is the share of an overlap that is taken back in a second.
+    """
+    t = structs(real)
+    vec3, State = t.vec3, t.State
+    r, records = row_structs(real), record_structs(real)
+    Row = r.Row
+    velocity_at = frames.functions(real).velocity_at
+
+    @wp.func
+    def add_row(
+        state: State,
+        rows: r.Rows,
+        solve_result: r.SolveResult,
+        stored_impulses: records.StoredImpulses,
+        statistics: records.StepStatistics,
+        env: int,
+        contact: int,
+        material: records.NonsmoothMaterial,
+        body_1: int,
+        body_2: int,
+        arm_1: vec3,
+        arm_2: vec3,
+        normal: vec3,
+        gap: real,
+        recovery: real,
+        radius: real,
+        torsion_radius: real,
+    ):
+        new_row = Row()
+        new_row.contact = contact
+        new_row.body_1 = body_1
+        new_row.body_2 = body_2
+        new_row.arm_1 = arm_1
+        new_row.arm_2 = arm_2
+        new_row.normal = normal
+        new_row.rolling = material.rolling * radius
+        new_row.spinning = material.spinning * torsion_radius
+        new_row.mu = material.mu_static
+        if stored_impulses[env, contact].stamp == statistics.step[env]:
+            new_row.impulse = stored_impulses[env, contact].impulse
+            new_row.couple = stored_impulses[env, contact].couple
+            if stored_impulses[env, contact].mode == MODE_SLIP:
+                new_row.mu = material.mu_dynamic
+        new_row.restitution = material.restitution
+        if material.restitution > real(0.0):
+            approach = velocity_at(state, env, body_2, arm_2) - velocity_at(state, env, body_1, arm_1)
+            new_row.restitution_speed = material.restitution * wp.max(wp.dot(approach, normal), real(0.0))
+        # What bodies fall in a step stays: a contact must be closed to be held.
+        new_row.recovery = recovery * wp.max(-gap - solve_result.slack[env], real(0.0))
+        row = solve_result.count[env]
+        rows[env, row] = new_row
+        solve_result.count[env] = row + 1
+
+    return add_row
+
+
+@functools.cache
+def mesh_rows(real: type) -> wp.Kernel:
+    """Returns the kernel that adds what touches a mesh; items: 1."""
+    t = structs(real)
+    Model, State, Contacts, ActiveContacts = t.Model, t.State, t.Contacts, t.ActiveContacts
+    r, records = row_structs(real), record_structs(real)
+    apart = frames.functions(real).offset_between
+    add = add_row(real)
+
+    @unique_kernel()
+    def add_mesh_rows(
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        model: Model,
+        state: State,
+        contacts: Contacts,
+        active_contacts: ActiveContacts,
+        clusters: wp.array(dtype=wp.int32),  # those of nonsmooth contacts
+        block_count: wp.int32,
+        recovery: real,  # [1/s]
+        material: wp.array2d(dtype=records.NonsmoothMaterial),
+        stored_impulses: records.StoredImpulses,
+        statistics: records.StepStatistics,
+        rows: r.Rows,
+        solve_result: r.SolveResult,
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = first_env(launch) + task
+            if status[env] != ENV_ACTIVE:
+                continue
+            for number in range(block_count):
+                cluster = clusters[number]
+                count = active_contacts.count[env, cluster]
+                if count == 0:
+                    continue
+                start = model.cluster_start[cluster]
+                contact = model.cluster_contact[start]
+                surface = model.query_mesh_surface[model.contact_query_mesh[contact]]
+                point = model.contact_point[contact]
+                body_1 = model.point_body[point]
+                body_2 = model.surface_body[surface]
+                apart_W = apart(model, state, env, point, surface)
+                for index in range(start, start + count):
+                    contact = active_contacts.contact[env, index]
+                    if contacts.status[env, contact] != CONTACT:
+                        continue
+                    geometry = model.contact_geometry[env, contact]
+                    torsion_radius = geometry.torsion_radius
+                    if (model.contact_options[contact] & HERTZ_TORSION) != 0:
+                        # Rigid bodies have no overlap, and touch in a point.
+                        torsion_radius = real(0.0)
+                    arm_W = contacts.arm[env, contact]
+                    add(
+                        state, rows, solve_result, stored_impulses, statistics, env, contact,
+                        material[env, contact],
+                        body_1, body_2, arm_W, apart_W + arm_W, contacts.normal[env, contact],
+                        contacts.gap[env, contact], recovery, geometry.radius, torsion_radius,
+                    )  # fmt: skip
+
+    return add_mesh_rows
+
+
+@functools.cache
+def shape_rows(real: type, rolls: bool) -> wp.Kernel:
+    """Returns the kernel that adds shape contacts of one group; items: 1.
+
+    ``rolls``: whether their radii of rolling are known.
+    """
+    State, ShapeContacts = structs(real).State, shape_contact_structs(real).ShapeContacts
+    r, records = row_structs(real), record_structs(real)
+    add = add_row(real)
+
+    @unique_kernel()
+    def collect_shape_contacts(
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        state: State,
+        first: wp.int32,  # number of the first contact of the group
+        items: wp.array(dtype=wp.int32),  # those of the group that are hard
+        item_count: wp.int32,
+        contact_shapes: ContactShapes,
+        settings: wp.array2d(dtype=ShapeContactSettings),
+        shape_contacts: ShapeContacts,
+        recovery: real,  # [1/s]
+        material: wp.array2d(dtype=records.NonsmoothMaterial),
+        stored_impulses: records.StoredImpulses,
+        statistics: records.StepStatistics,
+        rows: r.Rows,
+        solve_result: r.SolveResult,
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = first_env(launch) + task
+            if status[env] != ENV_ACTIVE:
+                continue
+            for index in range(item_count):
+                item = items[index]
+                # For a law that is to act later it began at rest.
+                shape_contacts.approach_speed[env, item] = real(0.0)
+                if shape_contacts.status[env, item] != CONTACT:
+                    continue
+                radius = real(0.0)
+                if wp.static(rolls):
+                    radius = shape_contacts.radius[env, item]
+                # Rigid bodies have no overlap, and touch in a point.
+                torsion_radius = wp.max(real(settings[env, item].torsion_radius), real(0.0))
+                contact = first + item
+                add(
+                    state, rows, solve_result, stored_impulses, statistics, env, contact,
+                    material[env, contact], contact_shapes.body_a[item], contact_shapes.body_b[item],
+                    shape_contacts.arm_a[env, item], shape_contacts.arm_b[env, item],
+                    shape_contacts.normal[env, item], shape_contacts.gap[env, item], recovery,
+                    radius, torsion_radius,
+                )  # fmt: skip
+
+    return collect_shape_contacts
+
+
+@functools.cache
+def particle_rows(real: type) -> wp.Kernel:
+    """Returns the kernel that adds the pairs of a pile in the order of their records; items: 1."""
+    State = structs(real).State
+    p = particle_structs(real)
+    Particles, NeighborLists, PairRecords = p.Particles, p.NeighborLists, p.PairRecords
+    r, records = row_structs(real), record_structs(real)
+    add = add_row(real)
+
+    @unique_kernel()
+    def add_particle_rows(
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        state: State,
+        particle_count: wp.int32,
+        particles: Particles,
+        neighbor_lists: NeighborLists,
+        pair_records: PairRecords,
+        first: wp.int32,  # number of the contact of the first record
+        material_index: wp.int32,  # number of the material of all pairs
+        recovery: real,  # [1/s]
+        material: wp.array2d(dtype=records.NonsmoothMaterial),
+        stored_impulses: records.StoredImpulses,
+        statistics: records.StepStatistics,
+        rows: r.Rows,
+        solve_result: r.SolveResult,
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = first_env(launch) + task
+            if status[env] != ENV_ACTIVE:
+                continue
+            pair_material = material[env, material_index]
+            # Rigid bodies have no overlap, and touch in a point.
+            torsion_radius = wp.max(particles.settings[env, 0].torsion_radius, real(0.0))
+            for particle in range(particle_count):
+                if (pair_records.particle_flags[env, particle] & IN_CONTACT) == 0:
+                    continue
+                start = particles.entry_start[particle]
+                slot = particles.slot_start[particle]
+                for k in range(neighbor_lists.owned[env, particle]):
+                    if (pair_records.flags[env, slot + k] & IN_CONTACT) == 0:
+                        continue
+                    neighbor = neighbor_lists.neighbor[env, start + k]
+                    body_1 = particles.body[wp.min(particle, neighbor)]
+                    body_2 = particles.body[wp.max(particle, neighbor)]
+                    separation = state.body_position[env, body_1] - state.body_position[env, body_2]
+                    separation += (
+                        state.body_position_remainder[env, body_1] - state.body_position_remainder[env, body_2]
+                    )
+                    arm = pair_records.arm[env, slot + k]
+                    radius_1 = particles.radius[env, particle]
+                    radius_2 = particles.radius[env, neighbor]
+                    add(
+                        state, rows, solve_result, stored_impulses, statistics, env, first + slot + k,
+                        pair_material, body_1, body_2, arm, separation + arm,
+                        pair_records.normal[env, slot + k], pair_records.gap[env, slot + k], recovery,
+                        radius_1 * radius_2 / (radius_1 + radius_2), torsion_radius,
+                    )  # fmt: skip
+
+    return add_particle_rows

@@ -1,0 +1,431 @@
+"""Projected Gauss–Seidel: one contact after the other is solved exactly, with what the others do held."""
+
+import functools
+
+import numpy as np
+import warp as wp
+from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
+from warpcontact.kernels.nonsmooth import cone, relative, rest_impulses, velocity_update
+from warpcontact.kernels.nonsmooth import solver_common as begin
+from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs
+from warpcontact.kernels.types import ENV_ACTIVE, LaunchRange, first_env, structs, task_count
+
+# Stages of a solve: the block of a row is made where it is first needed, and made anew, softer, after some sweeps.
+BLOCK_UNSET, BLOCK_EXACT, BLOCK_SOFTENED = 0, 1, 2
+SOFTEN_AFTER = 50
+# How much softer, over a third of its trace: a block without an inverse, and any block late. A row then goes less
+# far from where it was, to the same solution; exact steps may go in circles, or grow, where friction is strong.
+SOFTENING, SOFTENING_LATE = 0.02, 0.3
+# How often the direction of a slip is tried before an equation is solved for it.
+MAX_SLIP_ITERATIONS = 4
+# Sweeps that may pass without a smaller residual where that is of the size of rounding.
+PATIENCE = 50
+
+
+@functools.cache
+def scratch(real: type, rolls: bool) -> type:
+    """Returns the struct of what a solve keeps of a row."""
+    t = structs(real)
+    vec3, mat33 = t.vec3, t.mat33
+
+    @wp.struct
+    class Scratch:
+        stage: wp.int32  # of the solve that the block is of
+        rho: real  # [kg]
+        free: vec3  # q, W [m/s]
+        inverse: mat33  # of the block, W [kg]
+        block: mat33  # w over an impulse, (normal, two tangents) [1/kg]
+        before: vec3  # impulse before the sweep, W [N·s]
+        last_sweep: vec3  # impulse after the sweep before, W [N·s]
+        guess: vec3  # impulse before the solve, W [N·s]
+        if rolls:
+            couple_guess: vec3  # likewise [N·m·s]
+            turning: vec3  # relative angular velocity without contact, W [rad/s]
+
+    return Scratch
+
+
+@functools.cache
+def kernel(real: type, moves: bool, rolls: bool, has_fallback: bool = False) -> wp.Kernel:
+    """Returns the solver of a step; items: one per environment.
+
+    Args:
+        real: Precision.
+        moves: Whether not all bodies are free.
+        rolls: Whether any contact opposes rolling or spinning.
+        has_fallback: Whether another solver comes after it where it fails: from the same guess, since what
+            sweeps leave, of heavy bodies on light ones, is slow to go.
+
+    It starts from the guess in ``rows`` and stops at the tolerance, where rounding lets the residual fall no
+    more, or after some sweeps. Near the end a sweep looks first: where every row keeps its law nothing is
+    changed, and the solve is over. What a sweep finds that changes something belongs to many states, so that
+    the last looks alone. Between sweeps impulses go on with Nesterov's momentum, as in ``accelerated``.
+    """
+    t = structs(real)
+    vec3 = t.vec3
+    r = row_structs(real)
+    Rows, SolveResult = r.Rows, r.SolveResult
+    BodyResponse = wp.array2d(dtype=body_response_struct(real, moves))
+    VelocityChange = wp.array2d(dtype=velocity_update.velocity_change_struct(real))
+    Scratch = wp.array2d(dtype=scratch(real, rolls))
+    c = cone.functions(real)
+    basis, open_or_slipping_contact = c.basis, c.open_or_slipping_contact
+    f = velocity_update.functions(real, moves)
+    spin_after, relative_spin_change = relative.functions(real, moves).spin_after, f.relative_spin_change
+    velocity_change_at, apply_impulse, apply_impulse_pair = (
+        f.velocity_change_at,
+        f.apply_impulse,
+        f.apply_impulse_pair,
+    )
+    angular_response_trace, project_couple = f.angular_response_trace, f.project_couple
+    block_of, invert_symmetric, project_onto_cone = f.block, f.invert_symmetric, f.project_onto_cone
+    impulse_response, residual_squared = f.impulse_response, f.residual_squared
+    if not moves:
+        rest_functions = rest_impulses.functions(real, scratch(real, rolls))
+        at_rest, solve_rest, zero_rest_velocities = (
+            rest_functions.at_rest,
+            rest_functions.solve_rest,
+            rest_functions.zero_rest_velocities,
+        )
+    solver_common = begin.functions(real, moves, rolls)
+    clear_change, initialize_row, spread_speed_scale, residual_scale = (
+        solver_common.clear_change,
+        solver_common.initialize_row,
+        solver_common.spread_speed_scale,
+        solver_common.residual_scale,
+    )
+    nesterov_step, apply_change, report_solve = (
+        solver_common.nesterov_step,
+        solver_common.apply_change,
+        solver_common.report_solve,
+    )
+    zero, one, three = (wp.constant(real(x)) for x in (0.0, 1.0, 3.0))
+    block_unset, block_softened = wp.constant(BLOCK_UNSET), wp.constant(BLOCK_SOFTENED)
+    softening, softening_late = wp.constant(real(SOFTENING)), wp.constant(real(SOFTENING_LATE))
+    patience = wp.constant(PATIENCE)
+    rounding = np.finfo(wp.dtype_to_numpy(real))
+    # What rounding may leave of a residual.
+    ROUNDING = wp.constant(real(4.0 * float(rounding.eps)))
+    LARGEST = wp.constant(real(float(rounding.max)))
+    # Residual over the tolerance, squared, from which the next sweep does not look first.
+    UNCHECKED_ABOVE = wp.constant(real(4.0))
+    # Part of the tolerance below which a row is left as it is.
+    KEEP_FRACTION = wp.constant(real(0.1))
+    # Residual from which impulses on what is at rest are made right: of the size of rounding.
+    REST_TOLERANCE = wp.constant(real(8.0 * float(rounding.eps)))
+    # The direction of a slip is known where it turns no more than that.
+    DIRECTION_TOLERANCE = wp.constant(real(16.0 * float(rounding.eps)))
+    # Velocity, over that of the impulse alone, squared, up to which a contact may soon stick.
+    STICK_SPEED = wp.constant(real(0.1))
+
+    @wp.func
+    def save_guess(rows: Rows, scratch: Scratch, env: int, count: int):
+        """Notes with what sweeps begin."""
+        for row in range(count):
+            impulse = rows[env, row].impulse
+            scratch[env, row].stage = block_unset
+            scratch[env, row].before = impulse
+            scratch[env, row].last_sweep = impulse
+            if wp.static(has_fallback):
+                scratch[env, row].guess = impulse
+                if wp.static(rolls):
+                    scratch[env, row].couple_guess = rows[env, row].couple
+
+    @wp.func
+    def slip_impulse(
+        rows: Rows, body_response: BodyResponse, env: int, row: int, impulse: vec3, w: vec3, rho: real
+    ):
+        """The impulse of a row that slips fast, and whether it does: where it might stick as well, it need not.
+
+        Friction is against the slip, and turns it little: what is found for one direction gives the next. It is
+        not for a row that nothing moves apart.
+        """
+        n = rows[env, row].normal
+        slip = w - wp.dot(w, n) * n
+        speed_squared = wp.length_sq(slip)
+        if rho * rho * speed_squared <= wp.length_sq(impulse):
+            return impulse, 0
+        mu = rows[env, row].mu
+        body_1 = rows[env, row].body_1
+        body_2 = rows[env, row].body_2
+        arm_1 = rows[env, row].arm_1
+        arm_2 = rows[env, row].arm_2
+        free = (
+            w
+            - impulse_response(body_response, env, body_1, arm_1, impulse)
+            - impulse_response(body_response, env, body_2, arm_2, impulse)
+        )
+        previous_direction = slip / wp.sqrt(speed_squared)
+        for _ in range(MAX_SLIP_ITERATIONS):
+            along = n - mu * previous_direction
+            moved = impulse_response(body_response, env, body_1, arm_1, along) + impulse_response(
+                body_response, env, body_2, arm_2, along
+            )
+            parting = wp.dot(moved, n)
+            size = -wp.dot(free, n)
+            if rho * parting <= softening or size <= zero:
+                return impulse, 0
+            size = size / parting
+            slip = free + size * moved
+            slip -= wp.dot(slip, n) * n
+            speed = wp.length(slip)
+            if speed <= zero:
+                return impulse, 0
+            turned = slip / speed
+            off = wp.length_sq(turned - previous_direction)
+            previous_direction = turned
+            if off <= DIRECTION_TOLERANCE * DIRECTION_TOLERANCE:
+                return size * along, 1
+        return impulse, 0
+
+    @wp.func
+    def exact_impulse(
+        rows: Rows,
+        body_response: BodyResponse,
+        scratch: Scratch,
+        env: int,
+        row: int,
+        impulse: vec3,
+        w: vec3,
+        stage: int,
+    ):
+        """The impulse that solves a row alone, from that which it has and its velocity ``w``, W."""
+        n = rows[env, row].normal
+        mu = rows[env, row].mu
+        across_1, across_2 = basis(n)
+        if scratch[env, row].stage != stage:
+            scratch[env, row].stage = stage
+            rho = scratch[env, row].rho
+            W = block_of(body_response, env, rows[env, row].body_1, rows[env, row].arm_1)
+            W += block_of(body_response, env, rows[env, row].body_2, rows[env, row].arm_2)
+            inverse, invertible = invert_symmetric(W)
+            if rho > zero and (stage == block_softened or invertible == 0):
+                added = wp.where(stage == block_softened, softening_late, softening) / rho
+                W += wp.diag(vec3(added, added, added))
+                inverse, invertible = invert_symmetric(W)
+            R = wp.matrix_from_cols(n, across_1, across_2)
+            scratch[env, row].block = wp.transpose(R) * W * R
+            scratch[env, row].inverse = inverse
+        # Without slip, if the cone allows.
+        new = impulse - scratch[env, row].inverse * w
+        along = wp.dot(new, n)
+        if along >= zero and wp.length_sq(new) <= (one + mu * mu) * along * along:
+            return new
+        W = scratch[env, row].block
+        local = vec3(wp.dot(impulse, n), wp.dot(impulse, across_1), wp.dot(impulse, across_2))
+        b = vec3(wp.dot(w, n), wp.dot(w, across_1), wp.dot(w, across_2)) - W * local
+        local = open_or_slipping_contact(W, b, mu)
+        return local[0] * n + local[1] * across_1 + local[2] * across_2
+
+    @unique_kernel()
+    def gauss_seidel(
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        rows: Rows,
+        body_response: BodyResponse,
+        solve_result: SolveResult,
+        tolerance: real,
+        iterations: int,
+        scratch: Scratch,
+        velocity_change: VelocityChange,
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = first_env(launch) + task
+            if status[env] != ENV_ACTIVE:
+                continue
+            count = solve_result.count[env]
+            if count == 0:
+                report_solve(solve_result, env, zero, 0, 1)
+                continue
+
+            clear_change(velocity_change, env)
+            finite = zero  # only if all terms are
+            for row in range(count):
+                free, rho, _trace, size = initialize_row(rows, body_response, velocity_change, env, row, tolerance)
+                finite += size
+                scratch[env, row].rho = rho
+                scratch[env, row].free = free
+                if wp.static(rolls):
+                    turning = spin_after(body_response, env, rows[env, row].body_1, rows[env, row].body_2)
+                    scratch[env, row].turning = turning
+            if not wp.isfinite(finite):
+                report_solve(solve_result, env, finite, 0, 0)
+                continue
+            spread_speed_scale(rows, velocity_change, env, count)
+
+            target = tolerance * tolerance
+            worst = zero
+            least = LARGEST
+            theta = one
+            stalled = wp.int32(0)
+            final_sweep = wp.where(iterations <= 0, 1, 0)
+            sweeps = wp.int32(0)
+            rest_tried = final_sweep
+            rest_sweeps = wp.int32(0)
+            guess_saved = wp.int32(0)
+            if wp.static(rolls):
+                guess_saved = wp.int32(1)
+                save_guess(rows, scratch, env, count)
+            rest_tolerance = zero
+            if wp.static(not moves):
+                # What is at rest stays there, but for what stopped it in the last step and would push it back now.
+                if at_rest(body_response, velocity_change, env) == 1:
+                    rest_tolerance = REST_TOLERANCE * REST_TOLERANCE
+            unchecked = wp.int32(0)
+            stage = wp.int32(BLOCK_EXACT)
+            while True:
+                worst = zero
+                uphill = zero
+                changes = unchecked
+                rest_solved = wp.int32(0)
+                for row in range(count):
+                    body_1 = rows[env, row].body_1
+                    body_2 = rows[env, row].body_2
+                    arm_1 = rows[env, row].arm_1
+                    arm_2 = rows[env, row].arm_2
+                    n = rows[env, row].normal
+                    mu = rows[env, row].mu
+                    rho = scratch[env, row].rho
+                    impulse = rows[env, row].impulse
+                    scale = wp.max(
+                        residual_scale(velocity_change, env, body_1, body_2, rho), wp.length_sq(impulse)
+                    )
+                    w = scratch[env, row].free + velocity_change_at(velocity_change, env, body_1, arm_1)
+                    w -= velocity_change_at(velocity_change, env, body_2, arm_2)
+                    off = zero
+                    if unchecked == 0:
+                        off = residual_squared(impulse, w, n, mu, rho) / scale
+                        worst = wp.max(worst, off)
+                    if wp.static(not moves):
+                        if rest_tried == 0 and off > rest_tolerance:
+                            # Before anything is changed.
+                            rest_tried = 1
+                            if rho * rho * wp.length_sq(w) < STICK_SPEED * wp.length_sq(impulse):
+                                rest_solved = solve_rest(rows, body_response, velocity_change, scratch, env, count)
+                            if rest_solved == 1:
+                                break
+                    if guess_saved == 0 and off > target:
+                        guess_saved = 1
+                        save_guess(rows, scratch, env, count)
+                    if unchecked == 1 or (
+                        final_sweep == 0
+                        and (off > target or (changes > 0 and off > KEEP_FRACTION * KEEP_FRACTION * target))
+                    ):
+                        changes += 1
+                        slips = wp.int32(0)
+                        new = impulse
+                        if sweeps == 0:
+                            new, slips = slip_impulse(rows, body_response, env, row, impulse, w, rho)
+                        if slips == 0:
+                            new = exact_impulse(rows, body_response, scratch, env, row, impulse, w, stage)
+                        if rho > zero:
+                            previous_direction = scratch[env, row].before - new
+                            uphill += wp.dot(previous_direction, new - scratch[env, row].last_sweep) / rho
+                        step = new - impulse
+                        if unchecked == 1:
+                            worst = wp.max(worst, wp.length_sq(step) / scale)
+                        rows[env, row].impulse = new
+                        angular_impulse_1, angular_impulse_2 = wp.cross(arm_1, step), -wp.cross(arm_2, step)
+                        apply_impulse_pair(
+                            body_response,
+                            velocity_change,
+                            env,
+                            body_1,
+                            body_2,
+                            step,
+                            angular_impulse_1,
+                            angular_impulse_2,
+                        )
+                        impulse = new
+                    if wp.static(rolls):
+                        trace = angular_response_trace(body_response, env, body_1) + angular_response_trace(
+                            body_response, env, body_2
+                        )
+                        if trace > zero:
+                            turning = scratch[env, row].turning + relative_spin_change(
+                                velocity_change, env, body_1, body_2
+                            )
+                            pressed = wp.max(wp.dot(impulse, n), zero)
+                            couple = rows[env, row].couple
+                            new = project_couple(
+                                couple - three / trace * turning,
+                                n,
+                                rows[env, row].rolling * pressed,
+                                rows[env, row].spinning * pressed,
+                            )
+                            step = new - couple
+                            # As an impulse: over the arm at which both move a body as easily.
+                            off = rho * trace / three * wp.length_sq(step) / scale
+                            worst = wp.max(worst, off)
+                            if final_sweep == 0 and (
+                                off > target or (changes > 0 and off > KEEP_FRACTION * KEEP_FRACTION * target)
+                            ):
+                                changes += 1
+                                rows[env, row].couple = new
+                                apply_impulse(body_response, velocity_change, env, body_1, vec3(), step)
+                                apply_impulse(body_response, velocity_change, env, body_2, vec3(), -step)
+                if rest_solved == 1:
+                    sweeps += 1
+                    rest_sweeps = wp.int32(1)
+                    final_sweep = wp.where(sweeps >= iterations, 1, 0)
+                    continue
+                rest_tried = 1
+                if changes == 0:
+                    break
+                sweeps += 1
+                if sweeps == SOFTEN_AFTER:
+                    stage = block_softened
+                stalled += 1
+                if worst < least:
+                    least = worst
+                    stalled = 0
+                if sweeps >= iterations or (stalled >= patience and worst < ROUNDING * ROUNDING):
+                    final_sweep = 1
+                    unchecked = 0
+                    continue
+                unchecked = wp.where(worst > UNCHECKED_ABOVE * target, 1, 0)
+
+                # A sweep is a step down a hill. Its momentum leads on, and starts again where it leads uphill.
+                if uphill > zero:
+                    theta = one
+                theta, beta = nesterov_step(theta)
+                for row in range(count):
+                    last_sweep = rows[env, row].impulse
+                    new = last_sweep
+                    if beta > zero:
+                        n = rows[env, row].normal
+                        new = project_onto_cone(
+                            last_sweep + beta * (last_sweep - scratch[env, row].last_sweep), n, rows[env, row].mu
+                        )
+                        rows[env, row].impulse = new
+                        step = new - last_sweep
+                        body_1 = rows[env, row].body_1
+                        body_2 = rows[env, row].body_2
+                        angular_impulse_1 = wp.cross(rows[env, row].arm_1, step)
+                        angular_impulse_2 = -wp.cross(rows[env, row].arm_2, step)
+                        apply_impulse_pair(
+                            body_response,
+                            velocity_change,
+                            env,
+                            body_1,
+                            body_2,
+                            step,
+                            angular_impulse_1,
+                            angular_impulse_2,
+                        )
+                    scratch[env, row].before = new
+                    scratch[env, row].last_sweep = last_sweep
+
+            apply_change(body_response, velocity_change, env)
+            if wp.static(not moves):
+                if worst <= target and rest_sweeps == sweeps:
+                    zero_rest_velocities(rows, body_response, velocity_change, env, count, rest_sweeps)
+            if wp.static(has_fallback):
+                if worst > target:
+                    for row in range(count):
+                        rows[env, row].impulse = scratch[env, row].guess
+                        if wp.static(rolls):
+                            rows[env, row].couple = scratch[env, row].couple_guess
+            report_solve(solve_result, env, wp.sqrt(worst), sweeps, wp.where(worst <= target, 1, 0))
+
+    return gauss_seidel

@@ -1,0 +1,58 @@
+"""Relative velocities at a contact: of a state, and of bodies under impulses."""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+from warpcontact.kernels import frames
+from warpcontact.kernels.nonsmooth.rows import body_response_struct
+from warpcontact.kernels.types import structs
+
+
+@functools.cache
+def functions(real: type, moves: bool) -> SimpleNamespace:
+    """Returns the device functions for ``real``; all are of the first body relative to the second.
+
+    With ``moves`` not all bodies are free.
+    """
+    t = structs(real)
+    vec3, State = t.vec3, t.State
+    BodyResponse = wp.array2d(dtype=body_response_struct(real, moves))
+    velocity_at = frames.functions(real).velocity_at
+
+    @wp.func
+    def before(state: State, env: int, body_1: int, body_2: int, arm_1: vec3, arm_2: vec3):
+        """Velocity at K in a state."""
+        return velocity_at(state, env, body_1, arm_1) - velocity_at(state, env, body_2, arm_2)
+
+    @wp.func
+    def after(body_response: BodyResponse, env: int, body_1: int, body_2: int, arm_1: vec3, arm_2: vec3):
+        """Velocity at K of bodies under impulses."""
+        velocity = vec3()
+        if body_1 >= 0:
+            velocity = body_response[env, body_1].linear + wp.cross(body_response[env, body_1].angular, arm_1)
+        if body_2 >= 0:
+            velocity -= body_response[env, body_2].linear + wp.cross(body_response[env, body_2].angular, arm_2)
+        return velocity
+
+    @wp.func
+    def spin_before(state: State, env: int, body_1: int, body_2: int):
+        """Angular velocity in a state."""
+        difference = vec3()
+        if body_1 >= 0:
+            difference = state.body_angular_velocity[env, body_1]
+        if body_2 >= 0:
+            difference -= state.body_angular_velocity[env, body_2]
+        return difference
+
+    @wp.func
+    def spin_after(body_response: BodyResponse, env: int, body_1: int, body_2: int):
+        """Angular velocity of bodies under impulses."""
+        difference = vec3()
+        if body_1 >= 0:
+            difference = body_response[env, body_1].angular
+        if body_2 >= 0:
+            difference -= body_response[env, body_2].angular
+        return difference
+
+    return SimpleNamespace(before=before, after=after, spin_before=spin_before, spin_after=spin_after)

@@ -1,0 +1,278 @@
+"""What stands: the impulses that stop all bodies at once, where friction can hold every contact.
+
+Several feet share a load, and sweeps from one to the next take long to agree. Yet where nothing slides it is known
+what each body needs: the impulse that takes its velocity away. It comes from the contacts with one other body or
+with the world, is shared among them with the least change, or as they are loaded, and the other body needs as much
+more. So impulses pass from the last bodies on to the first, and there is nothing to repeat. Their sum is right to
+rounding: in the next steps nothing is left to do, where sweeps would leave what grows from step to step.
+"""
+
+import functools
+from types import SimpleNamespace
+
+import numpy as np
+import warp as wp
+from warpcontact.kernels.nonsmooth import velocity_update
+from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs
+from warpcontact.kernels.types import structs
+
+
+@functools.cache
+def functions(real: type, Scratch: type) -> SimpleNamespace:
+    """Returns the device functions for ``real``, where all bodies are free.
+
+    ``at_rest(moving, change, env)``: whether nothing that touches anything moved before the step.
+
+    ``solve_rest(rows, moving, change, scratch, env, count)`` lets all touching bodies stand. It returns 1 if
+    they can, and else 0, with nothing changed: of two bodies that touch, the one with the larger number has to
+    stand on the other, and on nothing else; their contacts have to lie side by side in the rows, and not in a
+    line.
+    ``Scratch`` is the struct of a row, of which it overwrites ``before`` and ``swept`` by the impulse.
+
+    ``zero_rest_velocities(rows, moving, change, env, count, stands)`` takes, after a solve, what rounding leaves
+    of the velocity of bodies that stand, and of those that were at rest: what is at rest stays there.
+    """
+    vec3, mat33 = structs(real).vec3, structs(real).mat33
+    Rows = row_structs(real).Rows
+    BodyResponse = wp.array2d(dtype=body_response_struct(real, False))
+    VelocityChange = wp.array2d(dtype=velocity_update.velocity_change_struct(real))
+    Scratches = wp.array2d(dtype=Scratch)
+    f = velocity_update.functions(real, False)
+    invert_symmetric, apply_impulse = f.invert_symmetric, f.apply_impulse
+    # Of a velocity over that without contact: what rounding of impulses leaves.
+    ROUNDING = wp.constant(real(16.0 * float(np.finfo(wp.dtype_to_numpy(real)).eps)))
+    ROUNDED_UP = wp.constant(real(1.0 + 4.0 * float(np.finfo(wp.dtype_to_numpy(real)).eps)))
+    zero, one, three = (wp.constant(real(x)) for x in (0.0, 1.0, 3.0))
+
+    @wp.func
+    def at_rest(body_response: BodyResponse, velocity_change: VelocityChange, env: int):
+        for body in range(velocity_change.shape[1]):
+            if velocity_change[env, body].speed_squared != zero and body_response[env, body].at_rest == 0:
+                return 0
+        return 1
+
+    @wp.func
+    def load_weight(rows: Rows, env: int, row: int, by_load: int):
+        """How much of what its body needs a row takes, beside others."""
+        return wp.where(by_load == 1, wp.dot(rows[env, row].impulse, rows[env, row].normal), one)
+
+    @wp.func
+    def distribute(
+        rows: Rows,
+        velocity_change: VelocityChange,
+        scratch: Scratches,
+        env: int,
+        first: int,
+        last: int,
+        body: int,
+        by_load: int,
+    ):
+        """Puts what rows carry to stop ``body`` into ``before``; returns whether they can, and the couple.
+
+        That is the one of the added impulses on the other body, about its centre of mass.
+        """
+        total = zero
+        centroid = vec3()
+        for row in range(first, last):
+            fraction = load_weight(rows, env, row, by_load)
+            total += fraction
+            centroid += fraction * wp.where(
+                rows[env, row].body_1 == body, rows[env, row].arm_1, rows[env, row].arm_2
+            )
+        angular_impulse = vec3()
+        if total <= zero:
+            return 0, angular_impulse
+        centroid /= total
+        over = one / total
+        second_moment = mat33()
+        for row in range(first, last):
+            arm = wp.where(rows[env, row].body_1 == body, rows[env, row].arm_1, rows[env, row].arm_2) - centroid
+            size = wp.length_sq(arm)
+            fraction = over * load_weight(rows, env, row, by_load)
+            second_moment += fraction * (wp.diag(vec3(size, size, size)) - wp.outer(arm, arm))
+        inverse, invertible = invert_symmetric(second_moment)
+        if invertible == 0:
+            return 0, angular_impulse
+        impulse = velocity_change[env, body].stop_impulse
+        turn = inverse * (velocity_change[env, body].stop_angular_impulse - wp.cross(centroid, impulse))
+        for row in range(first, last):
+            arm = rows[env, row].arm_1
+            arm_on_other = rows[env, row].arm_2
+            sign = one
+            if rows[env, row].body_1 != body:
+                arm = rows[env, row].arm_2
+                arm_on_other = rows[env, row].arm_1
+                sign = -one
+            added = over * load_weight(rows, env, row, by_load) * (impulse + wp.cross(turn, arm - centroid))
+            new = rows[env, row].impulse + sign * added
+            along = wp.dot(new, rows[env, row].normal)
+            limit = ROUNDED_UP * rows[env, row].mu * along
+            within_cone = along >= zero and wp.length_sq(new - along * rows[env, row].normal) <= limit * limit
+            if not within_cone:
+                return 0, angular_impulse
+            scratch[env, row].before = new
+            angular_impulse += wp.cross(arm_on_other, added)
+        return 1, angular_impulse
+
+    @wp.func
+    def stop_body(
+        rows: Rows,
+        velocity_change: VelocityChange,
+        scratch: Scratches,
+        env: int,
+        first: int,
+        last: int,
+        body: int,
+        other_body: int,
+    ):
+        """Lets rows stop ``body``; returns whether they can. The other body needs as much more.
+
+        Evenly, which is the least change; else each as it is loaded, since what carries nothing has no friction.
+        """
+        if velocity_change[env, body].is_stopped == 1:
+            return 0
+        solved, angular_impulse = distribute(rows, velocity_change, scratch, env, first, last, body, 0)
+        if solved == 0:
+            solved, angular_impulse = distribute(rows, velocity_change, scratch, env, first, last, body, 1)
+        if solved == 0:
+            return 0
+        velocity_change[env, body].is_stopped = 1
+        if other_body >= 0:
+            if velocity_change[env, other_body].is_stopped == 1:
+                return 0
+            velocity_change[env, other_body].stop_impulse = (
+                velocity_change[env, other_body].stop_impulse + velocity_change[env, body].stop_impulse
+            )
+            velocity_change[env, other_body].stop_angular_impulse = (
+                velocity_change[env, other_body].stop_angular_impulse + angular_impulse
+            )
+        return 1
+
+    @wp.func
+    def propagate_loads(
+        rows: Rows,
+        body_response: BodyResponse,
+        velocity_change: VelocityChange,
+        scratch: Scratches,
+        env: int,
+        count: int,
+    ):
+        for body in range(velocity_change.shape[1]):
+            inertia, invertible = invert_symmetric(body_response[env, body].inverse_inertia)
+            velocity_change[env, body].is_stopped = 0
+            if invertible == 0:
+                # What has none does not stand.
+                return 0
+            mass = one / body_response[env, body].inverse_mass
+            velocity_change[env, body].stop_impulse = -mass * (
+                body_response[env, body].linear + velocity_change[env, body].linear
+            )
+            velocity_change[env, body].stop_angular_impulse = -(
+                inertia * (body_response[env, body].angular + velocity_change[env, body].angular)
+            )
+        last = count
+        while last > 0:
+            body_1 = rows[env, last - 1].body_1
+            body_2 = rows[env, last - 1].body_2
+            first = last - 1
+            while first > 0:
+                if rows[env, first - 1].body_1 != body_1 or rows[env, first - 1].body_2 != body_2:
+                    break
+                first -= 1
+            body = wp.max(body_1, body_2)
+            if body < 0:
+                return 0
+            if stop_body(rows, velocity_change, scratch, env, first, last, body, wp.min(body_1, body_2)) == 0:
+                return 0
+            last = first
+        for row in range(count):
+            other_body = wp.min(rows[env, row].body_1, rows[env, row].body_2)
+            if other_body >= 0:
+                if velocity_change[env, other_body].is_stopped == 0:
+                    return 0
+        return 1
+
+    @wp.func
+    def solve_rest(
+        rows: Rows,
+        body_response: BodyResponse,
+        velocity_change: VelocityChange,
+        scratch: Scratches,
+        env: int,
+        count: int,
+    ):
+        solved = propagate_loads(rows, body_response, velocity_change, scratch, env, count)
+        for row in range(count):
+            if solved == 1:
+                new = scratch[env, row].before
+                step = new - rows[env, row].impulse
+                rows[env, row].impulse = new
+                apply_impulse(
+                    body_response,
+                    velocity_change,
+                    env,
+                    rows[env, row].body_1,
+                    step,
+                    wp.cross(rows[env, row].arm_1, step),
+                )
+                apply_impulse(
+                    body_response,
+                    velocity_change,
+                    env,
+                    rows[env, row].body_2,
+                    -step,
+                    -wp.cross(rows[env, row].arm_2, step),
+                )
+            scratch[env, row].before = rows[env, row].impulse
+            scratch[env, row].last_sweep = rows[env, row].impulse
+        return solved
+
+    @wp.func
+    def fastest_squared(body_response: BodyResponse, env: int, body: int, arm: vec3):
+        """Square of the larger speed of a body: of its centre of mass, or of what turns around that.
+
+        The latter at ``arm`` or, if that is shorter, at the radius of gyration: a contact at the centre sees no
+        turning.
+        """
+        C = body_response[env, body].inverse_inertia
+        trace = C[0, 0] + C[1, 1] + C[2, 2]
+        reach_squared = wp.length_sq(arm)
+        if trace > zero:
+            reach_squared = wp.max(reach_squared, three * body_response[env, body].inverse_mass / trace)
+        angular_impulse = wp.length_sq(body_response[env, body].angular) * reach_squared
+        return wp.max(wp.length_sq(body_response[env, body].linear), angular_impulse)
+
+    @wp.func
+    def is_resting(rows: Rows, body_response: BodyResponse, velocity_change: VelocityChange, env: int, count: int):
+        """Whether all bodies that touch anything were at rest, and move by what rounding leaves."""
+        if at_rest(body_response, velocity_change, env) == 0:
+            return 0
+        for row in range(count):
+            one_body = rows[env, row].body_1
+            other_body = rows[env, row].body_2
+            least = real(wp.inf)
+            fastest = zero
+            if one_body >= 0:
+                least = velocity_change[env, one_body].speed_squared
+                fastest = fastest_squared(body_response, env, one_body, rows[env, row].arm_1)
+            if other_body >= 0:
+                least = wp.min(least, velocity_change[env, other_body].speed_squared)
+                fastest = wp.max(fastest, fastest_squared(body_response, env, other_body, rows[env, row].arm_2))
+            if fastest > ROUNDING * ROUNDING * least:
+                return 0
+        return 1
+
+    @wp.func
+    def zero_rest_velocities(
+        rows: Rows, body_response: BodyResponse, velocity_change: VelocityChange, env: int, count: int, solved: int
+    ):
+        at_rest_now = solved
+        if at_rest_now == 0:
+            at_rest_now = is_resting(rows, body_response, velocity_change, env, count)
+        if at_rest_now == 1:
+            for body in range(velocity_change.shape[1]):
+                if velocity_change[env, body].speed_squared != zero:
+                    body_response[env, body].linear = vec3()
+                    body_response[env, body].angular = vec3()
+
+    return SimpleNamespace(at_rest=at_rest, solve_rest=solve_rest, zero_rest_velocities=zero_rest_velocities)

@@ -1,0 +1,327 @@
+"""After a step: what nonsmooth contacts remember of it, what they took of the energy, and how it is read."""
+
+import functools
+from typing import Any
+
+import warp as wp
+from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
+from warpcontact.kernels.nonsmooth import relative
+from warpcontact.kernels.nonsmooth.records import record_structs
+from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs
+from warpcontact.kernels.particles.base import IN_CONTACT, particle_structs
+from warpcontact.kernels.types import (
+    ENV_ACTIVE,
+    ENV_SLEEPING,
+    MODE_OPEN,
+    MODE_SLIP,
+    MODE_STICK,
+    LaunchRange,
+    first_env,
+    structs,
+    task_count,
+    task_env,
+    task_item,
+)
+
+
+@functools.cache
+def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
+    """Returns the kernel that takes the rows of an accepted step into the memory of their contacts; items: 1.
+
+    With ``moves`` not all bodies are free, and with ``rolls`` some contacts oppose rolling or spinning.
+    Environments that were left out of the step, by ``rest``, are active again.
+
+    An impulse P at a contact with the velocities U⁻ before and U⁺ after takes −P·(U⁻ + U⁺)/2 of the energy: with
+    θ = ½ this and the work of the forces make up the change of the kinetic energy of free bodies.
+    """
+    t = structs(real)
+    vec3, State, Wrenches = t.vec3, t.State, t.Wrenches
+    r, records = row_structs(real), record_structs(real)
+    Rows, SolveResult = r.Rows, r.SolveResult
+    StoredImpulse, StoredImpulses, StepStatistics = (
+        records.StoredImpulse,
+        records.StoredImpulses,
+        records.StepStatistics,
+    )
+    RestitutionLimit = records.RestitutionLimit
+    BodyResponse = wp.array2d(dtype=body_response_struct(real, moves))
+    f = relative.functions(real, moves)
+    velocity_before, velocity_after = f.before, f.after
+    spin_before, spin_after = f.spin_before, f.spin_after
+    # As near as that to the edge of the cone a contact slips: within rounding, and within what a solve leaves.
+    ROUNDING = wp.constant(real(64.0 * t.epsilon))
+    UNSOLVED = wp.constant(real(20.0))
+
+    @wp.func
+    def add_wrench(wrenches: Wrenches, env: int, body: int, force: vec3, torque: vec3):
+        if body >= 0:
+            wrenches.force[env, body] = wrenches.force[env, body] + force
+            wrenches.torque[env, body] = wrenches.torque[env, body] + torque
+
+    @unique_kernel()
+    def save_rows(
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        step: wp.array2d(dtype=real),  # [env, 0] [s]
+        tolerance: real,
+        bodies: wp.int32,
+        half_step_state: State,
+        rows: Rows,
+        body_response: BodyResponse,
+        solve_result: SolveResult,
+        restitution_limit: RestitutionLimit,
+        stored_impulses: StoredImpulses,
+        statistics: StepStatistics,
+        reactions: Wrenches,
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = first_env(launch) + task
+            if status[env] == ENV_SLEEPING:
+                status[env] = ENV_ACTIVE
+                continue
+            if status[env] != ENV_ACTIVE:
+                continue
+            number = statistics.step[env] + 1
+            statistics.step[env] = number
+            if restitution_limit.factor[env] < real(1.0):
+                statistics.restitution_limited[env] = statistics.restitution_limited[env] + 1
+            statistics.failures[env] = statistics.failures[env] + 1 - solve_result.converged[env]
+            if solve_result.converged[env] == 0:
+                statistics.largest_residual[env] = wp.max(
+                    statistics.largest_residual[env], solve_result.residual[env]
+                )
+            unchanged_steps = wp.min(statistics.unchanged_steps[env] + 1, 2)
+            if (
+                solve_result.converged[env] == 0
+                or solve_result.iterations[env] > 0
+                or restitution_limit.factor[env] < real(1.0)
+            ):
+                unchanged_steps = wp.int32(0)
+            for body in range(bodies):
+                reactions.force[env, body] = vec3()
+                reactions.torque[env, body] = vec3()
+                # What moves neither before nor after a step has the same pose after it.
+                is_at_rest = (
+                    half_step_state.body_linear_velocity[env, body] == vec3()
+                    and body_response[env, body].linear == vec3()
+                )
+                is_at_rest = is_at_rest and half_step_state.body_angular_velocity[env, body] == vec3()
+                if not (is_at_rest and body_response[env, body].angular == vec3()):
+                    unchanged_steps = wp.int32(0)
+            per_second = real(1.0) / step[env, 0]
+            stick_fraction = real(1.0) - wp.max(ROUNDING, UNSOLVED * tolerance)
+            by_friction = wp.float64(0.0)
+            by_impact = wp.float64(0.0)
+            for row_index in range(solve_result.count[env]):
+                row = rows[env, row_index]
+                impulse = row.impulse
+                along = wp.dot(impulse, row.normal)
+                across = impulse - along * row.normal
+                u_after = velocity_after(body_response, env, row.body_1, row.body_2, row.arm_1, row.arm_2)
+                u_before = velocity_before(half_step_state, env, row.body_1, row.body_2, row.arm_1, row.arm_2)
+                mean = real(0.5) * (u_after + u_before)
+                by_impact -= wp.float64(along * wp.dot(mean, row.normal))
+                by_friction -= wp.float64(wp.dot(across, mean))
+                angular_impulse_1 = wp.cross(row.arm_1, impulse)
+                angular_impulse_2 = wp.cross(row.arm_2, impulse)
+                if wp.static(rolls):
+                    spin_sum = spin_before(half_step_state, env, row.body_1, row.body_2)
+                    spin_sum += spin_after(body_response, env, row.body_1, row.body_2)
+                    by_friction -= wp.float64(real(0.5) * wp.dot(row.couple, spin_sum))
+                    angular_impulse_1 += row.couple
+                    angular_impulse_2 += row.couple
+                add_wrench(reactions, env, row.body_1, per_second * impulse, per_second * angular_impulse_1)
+                add_wrench(reactions, env, row.body_2, -per_second * impulse, -per_second * angular_impulse_2)
+                parting = wp.dot(u_after, row.normal)
+                limit = stick_fraction * row.mu * along
+                stored = StoredImpulse()
+                stored.impulse = impulse
+                stored.couple = row.couple
+                stored.normal = row.normal
+                stored.approach_speed = -parting
+                stored.slip_speed = wp.length(u_after - parting * row.normal)
+                stored.mode = wp.int32(MODE_SLIP)
+                if along <= real(0.0):
+                    stored.mode = wp.int32(MODE_OPEN)
+                elif limit > real(0.0) and wp.length_sq(across) < limit * limit:
+                    stored.mode = wp.int32(MODE_STICK)
+                stored.stamp = number
+                # Which coefficient of friction the next step takes.
+                if (
+                    stored.mode != stored_impulses[env, row.contact].mode
+                    or stored_impulses[env, row.contact].stamp != number - 1
+                ):
+                    unchanged_steps = wp.int32(0)
+                stored_impulses[env, row.contact] = stored
+            statistics.unchanged_steps[env] = unchanged_steps
+            statistics.friction_dissipation[env] = statistics.friction_dissipation[env] + by_friction
+            statistics.impact_dissipation[env] = statistics.impact_dissipation[env] + by_impact
+
+    return save_rows
+
+
+@functools.cache
+def display_contacts(real: type, Contacts: Any) -> wp.Kernel:
+    """Returns the kernel that shows what the last step of active environments did, where sensors look.
+
+    Items: nonsmooth contacts. ``Contacts`` is the struct of the arrays of its contacts.
+    """
+    vec3 = structs(real).vec3
+    records = record_structs(real)
+    StoredImpulses, StepStatistics, DisplayedImpulses = (
+        records.StoredImpulses,
+        records.StepStatistics,
+        records.DisplayedImpulses,
+    )
+
+    @unique_kernel()
+    def show_contacts(
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        step: wp.array2d(dtype=real),  # [env, 0] [s]
+        first: wp.int32,  # number of the first contact of the arrays
+        items: wp.array(dtype=wp.int32),  # [item] those of the arrays that are hard
+        stored_impulses: StoredImpulses,
+        statistics: StepStatistics,
+        contacts: Contacts,
+        displayed: DisplayedImpulses,
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            item = items[task_item(launch, task)]
+            if status[env] != ENV_ACTIVE:
+                continue
+            contact = first + item
+            impulse = vec3()
+            couple = vec3()
+            approach_speed = real(0.0)
+            slip_speed = real(0.0)
+            mode = wp.int32(MODE_OPEN)
+            along = real(0.0)
+            normal = vec3()
+            if stored_impulses[env, contact].stamp == statistics.step[env]:
+                mode = stored_impulses[env, contact].mode
+                if mode != MODE_OPEN:
+                    impulse = stored_impulses[env, contact].impulse
+                    couple = stored_impulses[env, contact].couple
+                    normal = stored_impulses[env, contact].normal
+                    along = wp.dot(impulse, normal)
+                    approach_speed = stored_impulses[env, contact].approach_speed
+                    slip_speed = stored_impulses[env, contact].slip_speed
+            per_second = real(1.0) / step[env, 0]
+            displayed.impulse[env, contact] = impulse
+            displayed.mode[env, contact] = mode
+            contacts.normal_force[env, item] = per_second * along
+            contacts.friction_force[env, item] = per_second * (impulse - along * normal)
+            contacts.torque[env, item] = per_second * couple
+            contacts.approach_speed[env, item] = approach_speed
+            contacts.slip_speed[env, item] = slip_speed
+
+    return show_contacts
+
+
+@functools.cache
+def display_particles(real: type) -> wp.Kernel:
+    """Returns the kernel that shows what the last step did in a pile. Launch with dim (env, shape).
+
+    What pressed in it is shown as touching, even if it has come apart since.
+    """
+    vec3 = structs(real).vec3
+    particle_types = particle_structs(real)
+    Particles, NeighborLists, PairRecords = (
+        particle_types.Particles,
+        particle_types.NeighborLists,
+        particle_types.PairRecords,
+    )
+    records = record_structs(real)
+    StoredImpulses, StepStatistics = records.StoredImpulses, records.StepStatistics
+
+    @unique_kernel()
+    def show_particles(
+        step: wp.array2d(dtype=real),  # [env, 0] [s]
+        first: wp.int32,  # number of the contact of the first record
+        particles: Particles,
+        neighbor_lists: NeighborLists,
+        stored_impulses: StoredImpulses,
+        statistics: StepStatistics,
+        pair_records: PairRecords,
+    ):
+        env, particle = wp.tid()
+        if pair_records.particle_flags[env, particle] == 0:
+            return
+        per_second = real(1.0) / step[env, 0]
+        start = particles.slot_start[particle]
+        for slot in range(start, start + neighbor_lists.owned[env, particle]):
+            flags = pair_records.flags[env, slot]
+            if flags == 0:
+                continue
+            force = vec3()
+            along = real(0.0)
+            approach_speed = real(0.0)
+            contact = first + slot
+            if stored_impulses[env, contact].stamp == statistics.step[env]:
+                if stored_impulses[env, contact].mode != MODE_OPEN:
+                    force = per_second * stored_impulses[env, contact].impulse
+                    normal = stored_impulses[env, contact].normal
+                    along = wp.dot(force, normal)
+                    approach_speed = stored_impulses[env, contact].approach_speed
+                    pair_records.normal[env, slot] = normal
+                    pair_records.flags[env, slot] = flags | IN_CONTACT
+            pair_records.force[env, slot] = force
+            pair_records.normal_force[env, slot] = along
+            pair_records.approach_speed[env, slot] = approach_speed
+
+    return show_particles
+
+
+@functools.cache
+def reaction_forces(real: type) -> wp.Kernel:
+    """Returns the kernel that adds the mean forces of the last step to wrenches. Launch with dim (env, body)."""
+    Wrenches = structs(real).Wrenches
+
+    @unique_kernel()
+    def add_reactions(reactions: Wrenches, wrenches: Wrenches):
+        env, body = wp.tid()
+        wrenches.force[env, body] = wrenches.force[env, body] + reactions.force[env, body]
+        wrenches.torque[env, body] = wrenches.torque[env, body] + reactions.torque[env, body]
+
+    return add_reactions
+
+
+@functools.cache
+def reset(real: type) -> wp.Kernel:
+    """Returns the kernel that empties what chosen environments remember. Launch with dim env."""
+    Wrenches = structs(real).Wrenches
+    vec3 = structs(real).vec3
+    SolveResult, StepStatistics = row_structs(real).SolveResult, record_structs(real).StepStatistics
+
+    @unique_kernel()
+    def reset_statistics(
+        mask: wp.array(dtype=wp.bool),
+        all_statistics: wp.int32,  # 0: but for the account
+        bodies: wp.int32,
+        solve_result: SolveResult,
+        statistics: StepStatistics,
+        reactions: Wrenches,
+    ):
+        env = wp.tid()
+        if not mask[env]:
+            return
+        # No contact has the stamp of a step that none has taken.
+        statistics.step[env] = statistics.step[env] + 1
+        statistics.unchanged_steps[env] = 0
+        if all_statistics == 1:
+            statistics.failures[env] = 0
+            statistics.largest_residual[env] = real(0.0)
+            statistics.restitution_limited[env] = 0
+            statistics.friction_dissipation[env] = wp.float64(0.0)
+            statistics.impact_dissipation[env] = wp.float64(0.0)
+        solve_result.count[env] = 0
+        solve_result.residual[env] = real(0.0)
+        solve_result.iterations[env] = 0
+        solve_result.converged[env] = 1
+        for body in range(bodies):
+            reactions.force[env, body] = vec3()
+            reactions.torque[env, body] = vec3()
+
+    return reset_statistics

@@ -1,0 +1,213 @@
+"""Impacts one after the other: the speeds at which the closed contacts of a step part.
+
+The pair of bodies that approaches fastest collides first: its contacts are solved together, without friction, by
+Newton's law with the velocities so far, and so on until no contact approaches.
+``restitution_speed`` of each contact that was
+hit is its normal velocity after the sequence. The solvers reach it with friction and forces. So an impact travels
+through bodies that touch, as in Newton's cradle; with simultaneous impacts,
+``restitution_speed`` follows from the velocities
+before the step alone (Smith et al., Reflections on simultaneous impact, ACM Transactions on Graphics 31, 2012).
+"""
+
+import functools
+
+import warp as wp
+from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
+from warpcontact.kernels.nonsmooth import relative, velocity_update
+from warpcontact.kernels.nonsmooth import solver_common as begin
+from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs
+from warpcontact.kernels.types import ENV_ACTIVE, LaunchRange, first_env, structs, task_count
+
+#: Largest number of impacts in a step, per closed contact; what still approaches then does not bounce.
+MAX_IMPACTS_PER_CONTACT = 50
+# Largest number of sweeps over the contacts of one impact.
+MAX_SWEEPS = 200
+# Approach speeds that agree to this share are equal: of these the first contact comes first.
+TIE = 1.0e-3
+
+
+@functools.cache
+def scratch(real: type) -> type:
+    """Returns the struct of a row of the sequence."""
+
+    @wp.struct
+    class ImpactRow:
+        response: real  # normal velocity over the normal impulse [1/kg]
+        target: real  # speed at which it is to part after the present impact [m/s]
+        impulse: real  # normal impulse of the present impact [N·s]
+        was_hit: wp.int32  # 1: some impact pressed it
+
+    return ImpactRow
+
+
+@functools.cache
+def kernel(real: type, moves: bool) -> wp.Kernel:
+    """Returns the kernel that sets ``restitution_speed`` of all rows by impacts one after the other; items: 1.
+
+    With ``moves`` not all bodies are free.
+    """
+    State = structs(real).State
+    r = row_structs(real)
+    Rows, SolveResult = r.Rows, r.SolveResult
+    BodyResponse = wp.array2d(dtype=body_response_struct(real, moves))
+    VelocityChange = wp.array2d(dtype=velocity_update.velocity_change_struct(real))
+    ImpactRows = wp.array2d(dtype=scratch(real))
+    before = relative.functions(real, moves).before
+    f = velocity_update.functions(real, moves)
+    velocity_change_at, impulse_response, apply_impulse_pair = (
+        f.velocity_change_at,
+        f.impulse_response,
+        f.apply_impulse_pair,
+    )
+    clear_change = begin.functions(real, moves, False).clear_change
+    zero = wp.constant(real(0.0))
+    impacts, sweeps = wp.constant(MAX_IMPACTS_PER_CONTACT), wp.constant(MAX_SWEEPS)
+    tie_factor, solve_fraction = wp.constant(real(1.0 + TIE)), wp.constant(real(0.1))
+
+    @wp.func
+    def separation_speed(half_step_state: State, rows: Rows, velocity_change: VelocityChange, env: int, row: int):
+        """Normal relative velocity so far, positive where bodies part."""
+        body_1 = rows[env, row].body_1
+        body_2 = rows[env, row].body_2
+        arm_1 = rows[env, row].arm_1
+        arm_2 = rows[env, row].arm_2
+        u = before(half_step_state, env, body_1, body_2, arm_1, arm_2) + velocity_change_at(
+            velocity_change, env, body_1, arm_1
+        )
+        return wp.dot(u - velocity_change_at(velocity_change, env, body_2, arm_2), rows[env, row].normal)
+
+    @wp.func
+    def connects(rows: Rows, env: int, row: int, body_1: int, body_2: int):
+        """Whether a row is between two bodies."""
+        solver_common = rows[env, row].body_1
+        second = rows[env, row].body_2
+        return (solver_common == body_1 and second == body_2) or (solver_common == body_2 and second == body_1)
+
+    @wp.func
+    def initialize(rows: Rows, body_response: BodyResponse, impact_rows: ImpactRows, env: int, count: int):
+        """Prepares all rows; returns whether any has restitution."""
+        elastic = wp.bool(False)
+        for row in range(count):
+            n = rows[env, row].normal
+            response_velocity = impulse_response(
+                body_response, env, rows[env, row].body_1, rows[env, row].arm_1, n
+            )
+            response_velocity += impulse_response(
+                body_response, env, rows[env, row].body_2, rows[env, row].arm_2, n
+            )
+            impact_rows[env, row].response = wp.dot(response_velocity, n)
+            impact_rows[env, row].was_hit = 0
+            elastic = elastic or rows[env, row].restitution > zero
+        return elastic
+
+    @wp.func
+    def fastest(
+        half_step_state: State,
+        rows: Rows,
+        velocity_change: VelocityChange,
+        impact_rows: ImpactRows,
+        env: int,
+        count: int,
+    ):
+        """The row that approaches fastest, and how fast; of equal ones the first."""
+        found = wp.int32(-1)
+        speed = zero
+        for row in range(count):
+            if impact_rows[env, row].response > zero:
+                approach = -separation_speed(half_step_state, rows, velocity_change, env, row)
+                if approach > speed * tie_factor:
+                    found = row
+                    speed = approach
+        return found, speed
+
+    @wp.func
+    def collide(
+        half_step_state: State,
+        rows: Rows,
+        body_response: BodyResponse,
+        velocity_change: VelocityChange,
+        impact_rows: ImpactRows,
+        env: int,
+        count: int,
+        body_1: int,
+        body_2: int,
+        rest_speed: real,
+    ):
+        """One impact of two bodies, by projected Gauss–Seidel over their contacts."""
+        for row in range(count):
+            if connects(rows, env, row, body_1, body_2):
+                approach = wp.max(-separation_speed(half_step_state, rows, velocity_change, env, row), zero)
+                impact_rows[env, row].target = rows[env, row].restitution * approach
+                impact_rows[env, row].impulse = zero
+        for _ in range(sweeps):
+            worst = zero
+            for row in range(count):
+                if impact_rows[env, row].response > zero and connects(rows, env, row, body_1, body_2):
+                    impulse = impact_rows[env, row].impulse
+                    speed_deficit = impact_rows[env, row].target - separation_speed(
+                        half_step_state, rows, velocity_change, env, row
+                    )
+                    new = wp.max(impulse + speed_deficit / impact_rows[env, row].response, zero)
+                    impact_rows[env, row].impulse = new
+                    step = (new - impulse) * rows[env, row].normal
+                    angular_impulse_1 = wp.cross(rows[env, row].arm_1, step)
+                    angular_impulse_2 = -wp.cross(rows[env, row].arm_2, step)
+                    apply_impulse_pair(
+                        body_response,
+                        velocity_change,
+                        env,
+                        rows[env, row].body_1,
+                        rows[env, row].body_2,
+                        step,
+                        angular_impulse_1,
+                        angular_impulse_2,
+                    )
+                    worst = wp.max(worst, wp.abs(new - impulse) * impact_rows[env, row].response)
+            if worst <= rest_speed:
+                break
+        for row in range(count):
+            if connects(rows, env, row, body_1, body_2) and impact_rows[env, row].impulse > zero:
+                impact_rows[env, row].was_hit = 1
+
+    @unique_kernel()
+    def sequence_impacts(
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        step: wp.array2d(dtype=real),  # [env, 0] [s]
+        half_step_state: State,
+        rows: Rows,
+        body_response: BodyResponse,
+        solve_result: SolveResult,
+        tolerance: real,
+        impact_rows: ImpactRows,
+        velocity_change: VelocityChange,
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = first_env(launch) + task
+            if status[env] != ENV_ACTIVE:
+                continue
+            count = solve_result.count[env]
+            if not initialize(rows, body_response, impact_rows, env, count):
+                continue
+            clear_change(velocity_change, env)
+            row, speed = fastest(half_step_state, rows, velocity_change, impact_rows, env, count)
+            # Below what gravity brings in a step by the tolerance, what approaches is at rest.
+            rest_speed = tolerance * wp.max(speed, solve_result.slack[env] / step[env, 0])
+            remaining = impacts * count
+            while remaining > 0 and speed > rest_speed:
+                collide(
+                    half_step_state, rows, body_response, velocity_change, impact_rows, env, count,
+                    rows[env, row].body_1, rows[env, row].body_2,
+                    solve_fraction * rest_speed,
+                )  # fmt: skip
+                row, speed = fastest(half_step_state, rows, velocity_change, impact_rows, env, count)
+                remaining -= 1
+            for number in range(count):
+                restitution_speed = zero
+                if impact_rows[env, number].was_hit == 1:
+                    restitution_speed = wp.max(
+                        separation_speed(half_step_state, rows, velocity_change, env, number), zero
+                    )
+                rows[env, number].restitution_speed = restitution_speed
+
+    return sequence_impacts

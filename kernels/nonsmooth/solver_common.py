@@ -1,0 +1,175 @@
+"""How solves begin, go on and end, and by what residuals are measured: common to the solvers of a step.
+
+The residual of a row is how far its impulse P is from its law, over the larger of |P| and ρ V: ρ is the mass that
+the contact feels, and V the largest relative velocity without contact, |q|, of the contacts that bodies connect
+with it. So a light body beside a heavy one, or on it, is looked at as closely as the heavy one.
+"""
+
+import functools
+from types import SimpleNamespace
+
+import numpy as np
+import warp as wp
+from warpcontact.kernels.nonsmooth import relative, velocity_update
+from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs
+from warpcontact.kernels.types import structs
+
+
+@functools.cache
+def functions(real: type, moves: bool, rolls: bool) -> SimpleNamespace:
+    """Returns the device functions for ``real``; with ``moves`` not all bodies are free.
+
+    With ``rolls`` some contacts oppose rolling or spinning.
+    """
+    t = structs(real)
+    vec3 = t.vec3
+    Rows, SolveResult = row_structs(real).Rows, row_structs(real).SolveResult
+    BodyResponse = wp.array2d(dtype=body_response_struct(real, moves))
+    VelocityChange = wp.array2d(dtype=velocity_update.velocity_change_struct(real))
+    f = velocity_update.functions(real, moves)
+    apply_impulse_pair, response_trace, angular_response_trace = (
+        f.apply_impulse_pair,
+        f.response_trace,
+        f.angular_response_trace,
+    )
+    between = relative.functions(real, moves)
+    velocity, spin = between.after, between.spin_after
+    zero, half, one, three, four = (wp.constant(real(x)) for x in (0.0, 0.5, 1.0, 3.0, 4.0))
+    # Of a velocity over that of the guess: what rounding of the guess may leave.
+    ROUNDING = wp.constant(real(4.0 * float(np.finfo(wp.dtype_to_numpy(real)).eps)))
+    TINY = wp.constant(real(float(np.finfo(wp.dtype_to_numpy(real)).tiny)))
+
+    @wp.func
+    def update_speed_scale(
+        velocity_change: VelocityChange, env: int, body: int, speed_squared: real, response: real
+    ):
+        if body >= 0:
+            before = velocity_change[env, body].speed_squared
+            if response > zero:
+                velocity_change[env, body].speed_squared = wp.max(before, speed_squared)
+            elif before == zero:
+                # What does not move connects nothing.
+                velocity_change[env, body].speed_squared = -one
+
+    @wp.func
+    def clear_change(velocity_change: VelocityChange, env: int):
+        """Nothing has changed."""
+        for body in range(velocity_change.shape[1]):
+            velocity_change[env, body].linear = vec3()
+            velocity_change[env, body].angular = vec3()
+            velocity_change[env, body].speed_squared = zero
+
+    @wp.func
+    def initialize_row(
+        rows: Rows,
+        body_response: BodyResponse,
+        velocity_change: VelocityChange,
+        env: int,
+        row: int,
+        tolerance: real,
+    ):
+        """Gives bodies the guess of a row. Returns q, ρ, the trace of its block, and what is finite if both are.
+
+        Where nothing moves ρ is 0, and so is what the row may carry.
+        """
+        body_1 = rows[env, row].body_1
+        body_2 = rows[env, row].body_2
+        arm_1 = rows[env, row].arm_1
+        arm_2 = rows[env, row].arm_2
+        free = velocity(body_response, env, body_1, body_2, arm_1, arm_2)
+        free -= wp.max(rows[env, row].restitution_speed, rows[env, row].recovery) * rows[env, row].normal
+        response_1 = response_trace(body_response, env, body_1, arm_1)
+        response_2 = response_trace(body_response, env, body_2, arm_2)
+        trace = response_1 + response_2
+        rho = zero
+        impulse = vec3()
+        speed_squared = wp.length_sq(free)
+        if trace > zero:
+            rho = three / trace
+            impulse = rows[env, row].impulse
+            guess_rounding = ROUNDING / (three * tolerance) * trace
+            speed_squared = wp.max(speed_squared, guess_rounding * guess_rounding * wp.length_sq(impulse))
+        rows[env, row].impulse = impulse
+        turn_1 = wp.cross(arm_1, impulse)
+        turn_2 = wp.cross(arm_2, impulse)
+        if wp.static(rolls):
+            couple = vec3()
+            turning_trace = angular_response_trace(body_response, env, body_1) + angular_response_trace(
+                body_response, env, body_2
+            )
+            if turning_trace > zero and rho > zero:
+                couple = rows[env, row].couple
+                if rows[env, row].rolling + rows[env, row].spinning > zero:
+                    turning = spin(body_response, env, body_1, body_2)
+                    speed_squared = wp.max(speed_squared, trace / turning_trace * wp.length_sq(turning))
+            rows[env, row].couple = couple
+            turn_1 += couple
+            turn_2 += couple
+        apply_impulse_pair(body_response, velocity_change, env, body_1, body_2, impulse, turn_1, -turn_2)
+        update_speed_scale(velocity_change, env, body_1, speed_squared, response_1)
+        update_speed_scale(velocity_change, env, body_2, speed_squared, response_2)
+        return free, rho, trace, wp.length_sq(free) + wp.length_sq(impulse)
+
+    @wp.func
+    def spread_speed_scale(rows: Rows, velocity_change: VelocityChange, env: int, count: int):
+        """Lets bodies that are connected by contacts have the same V."""
+        step = wp.int32(1)
+        changed = wp.int32(1)
+        while changed == 1:
+            changed = wp.int32(0)
+            row = wp.where(step > 0, 0, count - 1)
+            for _ in range(count):
+                body_1 = rows[env, row].body_1
+                body_2 = rows[env, row].body_2
+                row += step
+                if body_1 >= 0 and body_2 >= 0:
+                    speed_squared = velocity_change[env, body_1].speed_squared
+                    speed_squared_2 = velocity_change[env, body_2].speed_squared
+                    if speed_squared >= zero and speed_squared_2 >= zero and speed_squared != speed_squared_2:
+                        changed = 1
+                        speed_squared = wp.max(speed_squared, speed_squared_2)
+                        velocity_change[env, body_1].speed_squared = speed_squared
+                        velocity_change[env, body_2].speed_squared = speed_squared
+            step = -step
+
+    @wp.func
+    def residual_scale(velocity_change: VelocityChange, env: int, body_1: int, body_2: int, rho: real):
+        """(ρ V)² of a row between two bodies [N²·s²]."""
+        speed_squared = zero
+        if body_1 >= 0:
+            speed_squared = velocity_change[env, body_1].speed_squared
+        if body_2 >= 0:
+            speed_squared = wp.max(speed_squared, velocity_change[env, body_2].speed_squared)
+        return wp.max(rho * rho * speed_squared, TINY)
+
+    @wp.func
+    def nesterov_step(theta: real):
+        """Nesterov's: the next θ, and the share of the last step by which impulses go on."""
+        after = half * theta * (wp.sqrt(theta * theta + four) - theta)
+        return after, theta * (one - theta) / (theta * theta + after)
+
+    @wp.func
+    def apply_change(body_response: BodyResponse, velocity_change: VelocityChange, env: int):
+        """Adds what has changed to the velocities."""
+        for body in range(velocity_change.shape[1]):
+            body_response[env, body].linear = body_response[env, body].linear + velocity_change[env, body].linear
+            body_response[env, body].angular = (
+                body_response[env, body].angular + velocity_change[env, body].angular
+            )
+
+    @wp.func
+    def report_solve(solve_result: SolveResult, env: int, residual: real, iterations: int, converged: int):
+        """Says how a solve went."""
+        solve_result.residual[env] = residual
+        solve_result.iterations[env] = iterations
+        solve_result.converged[env] = converged
+
+    return SimpleNamespace(
+        clear_change=clear_change,
+        initialize_row=initialize_row,
+        spread_speed_scale=spread_speed_scale,
+        residual_scale=residual_scale,
+        nesterov_step=nesterov_step,
+        apply_change=apply_change,
+        report_solve=report_solve,
+    )

@@ -1,0 +1,411 @@
+"""The Moreau–Jean scheme around its contact problem: the pose at half a step, velocities before, the pose after.
+
+Contacts and forces are those of the middle of the step. What an impulse does to a body is told there, too, and so
+a free body keeps its angular momentum to rounding.
+"""
+
+import functools
+
+import warp as wp
+from warpcontact.kernels import rotations
+from warpcontact.kernels.integrators import quarantine
+from warpcontact.kernels.joints import bodies
+from warpcontact.kernels.joints.bodies import arm_of, inertia_about, inertia_at, momentum_of, spin_of
+from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
+from warpcontact.kernels.nonsmooth.records import record_structs
+from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs
+from warpcontact.kernels.types import (
+    BALL,
+    ENV_ACTIVE,
+    ENV_FAILED,
+    FREE,
+    HINGE,
+    NO_CAUSE,
+    PLANAR,
+    PRESCRIBED,
+    SLIDER,
+    TIME_FUNCTION,
+    TRANSLATION,
+    LaunchRange,
+    structs,
+    task_count,
+    task_env,
+    task_item,
+)
+
+
+@functools.cache
+def half_step(real: type, moves: bool) -> wp.Kernel:
+    """Returns the kernel that goes half a step with the velocities before it; items: bodies.
+
+    The angular velocity there is that of the same angular momentum. With ``moves`` some bodies are not free; those
+    that follow a function of time are left to ``driven``, which changes their pose alone. The first body of an
+    environment empties its rows, and gives back the whole restitution.
+    """
+    t = structs(real)
+    Model, State = t.Model, t.State
+    SolveResult, RestitutionLimit = row_structs(real).SolveResult, record_structs(real).RestitutionLimit
+    rotated = rotations.functions(real).rotated
+    f = bodies.functions(real)
+    wide, matrix_to_float64, quat_to_float64 = f.wide, f.matrix_to_float64, f.quat_to_float64
+    moved, put, set_velocity = f.moved, f.put, f.set_velocity
+
+    @unique_kernel()
+    def advance_half_step(
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        step: wp.array2d(dtype=real),  # [env, 0] [s]
+        model: Model,
+        state_in: State,
+        state_out: State,
+        solve_result: SolveResult,
+        restitution_limit: RestitutionLimit,
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            body = task_item(launch, task)
+            if status[env] != ENV_ACTIVE:
+                continue
+            if body == 0:
+                solve_result.count[env] = 0
+                h = step[env, 0]
+                solve_result.slack[env] = h * h * wp.length(model.gravity[env, 0])
+                restitution_limit.factor[env] = real(1.0)
+            v_W = state_in.body_linear_velocity[env, body]
+            w_W = state_in.body_angular_velocity[env, body]
+            half = real(0.5) * step[env, 0]
+            if wp.static(moves):
+                motion = model.body_motion[env, body]
+                if motion.kind != FREE:
+                    if motion.kind == TIME_FUNCTION:
+                        continue
+                    v = wide(v_W)
+                    w = wide(w_W)
+                    base, displacement, orientation = moved(state_in, env, body, motion, v, w, wp.float64(half))
+                    if motion.kind == BALL:
+                        q = quat_to_float64(state_in.body_orientation[env, body])
+                        arm_B = wp.quat_rotate_inv(q, arm_of(motion, q))
+                        mass = wp.float64(model.body_mass[env, body])
+                        anchor_inertia_B = inertia_at(
+                            matrix_to_float64(model.body_inertia[env, body]), mass, arm_B
+                        )
+                        w = spin_of(
+                            wp.inverse(anchor_inertia_B),
+                            quat_to_float64(orientation),
+                            momentum_of(anchor_inertia_B, q, w),
+                        )
+                    if motion.kind == HINGE or motion.kind == BALL:
+                        v = wp.cross(w, displacement)
+                    put(state_out, env, body, base, displacement)
+                    state_out.body_orientation[env, body] = orientation
+                    set_velocity(state_out, env, body, v, w)
+                    continue
+            before = state_in.body_position[env, body]
+            displacement_W = half * v_W + state_in.body_position_remainder[env, body]
+            position = before + displacement_W
+            applied = position - before
+            state_out.body_position[env, body] = position
+            state_out.body_position_remainder[env, body] = (before - (position - applied)) + (
+                displacement_W - applied
+            )
+            q_WB = state_in.body_orientation[env, body]
+            orientation_W = rotated(q_WB, half * w_W)
+            if not model.body_isotropic_inertia[env, body]:
+                last_momentum_B = model.body_inertia[env, body] * wp.quat_rotate_inv(q_WB, w_W)
+                momentum_B = wp.quat_rotate_inv(orientation_W, wp.quat_rotate(q_WB, last_momentum_B))
+                w_W = wp.quat_rotate(orientation_W, model.body_inverse_inertia[env, body] * momentum_B)
+            state_out.body_orientation[env, body] = orientation_W
+            state_out.body_linear_velocity[env, body] = v_W
+            state_out.body_angular_velocity[env, body] = w_W
+
+    return advance_half_step
+
+
+@functools.cache
+def free_velocities(real: type, moves: bool) -> wp.Kernel:
+    """Returns the kernel of the velocities without contact, and of what impulses do to each body; items: bodies.
+
+    With ``moves`` some bodies are not free; ``state_out`` holds the velocities of those that follow a function of
+    time.
+    """
+    t = structs(real)
+    vec3, mat33, Model, State, Wrenches = t.vec3, t.mat33, t.Model, t.State, t.Wrenches
+    BodyResponse = wp.array2d(dtype=body_response_struct(real, moves))
+    f = bodies.functions(real)
+    wide, narrow, matrix_to_float64, quat_to_float64 = f.wide, f.narrow, f.matrix_to_float64, f.quat_to_float64
+
+    @wp.func
+    def narrow_matrix(m: wp.mat33d):
+        return mat33(
+            real(m[0, 0]), real(m[0, 1]), real(m[0, 2]),
+            real(m[1, 0]), real(m[1, 1]), real(m[1, 2]),
+            real(m[2, 0]), real(m[2, 1]), real(m[2, 2]),
+        )  # fmt: skip
+
+    @wp.func
+    def free_constrained(
+        model: Model,
+        state_in: State,
+        half_step_state: State,
+        state_out: State,
+        wrenches: Wrenches,
+        env: int,
+        body: int,
+        dt: wp.float64,
+        body_response: BodyResponse,
+    ):
+        motion = model.body_motion[env, body]
+        kind = motion.kind
+        axis = motion.axis
+        mass = wp.float64(model.body_mass[env, body])
+        force = wide(wrenches.force[env, body]) + mass * wide(model.gravity[env, 0])
+        torque = wide(wrenches.torque[env, body])
+        inertia_B = matrix_to_float64(model.body_inertia[env, body])
+        q = quat_to_float64(half_step_state.body_orientation[env, body])
+        v = wide(state_in.body_linear_velocity[env, body])
+        w = wide(state_in.body_angular_velocity[env, body])
+        linear = wp.vec3d()
+        angular = wp.vec3d()
+        inverse_mass_matrix = wp.mat33d()
+        inverse_mass_coupling = wp.mat33d()
+        inverse_inertia = wp.mat33d()
+        if kind == PRESCRIBED:
+            linear = v
+            angular = w
+        elif kind == TIME_FUNCTION:
+            linear = wide(state_out.body_linear_velocity[env, body])
+            angular = wide(state_out.body_angular_velocity[env, body])
+        elif kind == TRANSLATION:
+            linear = v + (dt / mass) * force
+            inverse_mass_matrix = wp.identity(n=3, dtype=wp.float64) / mass
+        elif kind == SLIDER:
+            linear = wp.dot(axis, v + (dt / mass) * force) * axis
+            inverse_mass_matrix = wp.outer(axis, axis) / mass
+        elif kind == PLANAR:
+            linear = v + (dt / mass) * force
+            linear -= wp.dot(axis, linear) * axis
+            inertia = inertia_about(axis, q, inertia_B)
+            angular = (wp.dot(axis, w) + dt * wp.dot(axis, torque) / inertia) * axis
+            along = wp.outer(axis, axis)
+            inverse_mass_matrix = (wp.identity(n=3, dtype=wp.float64) - along) / mass
+            inverse_inertia = along / inertia
+        elif kind == HINGE:
+            arm = arm_of(motion, q)
+            velocity_direction = wp.cross(axis, arm)
+            inertia = inertia_about(axis, q, inertia_B) + mass * wp.dot(velocity_direction, velocity_direction)
+            rate = wp.dot(axis, w) + dt * wp.dot(axis, torque + wp.cross(arm, force)) / inertia
+            angular = rate * axis
+            linear = rate * velocity_direction
+            inverse_mass_matrix = wp.outer(velocity_direction, velocity_direction) / inertia
+            inverse_mass_coupling = wp.outer(velocity_direction, axis) / inertia
+            inverse_inertia = wp.outer(axis, axis) / inertia
+        elif kind == BALL:
+            arm = arm_of(motion, q)
+            anchor_inertia_B = inertia_at(inertia_B, mass, wp.quat_rotate_inv(q, arm))
+            inverse_B = wp.inverse(anchor_inertia_B)
+            q_in = quat_to_float64(state_in.body_orientation[env, body])
+            momentum = momentum_of(anchor_inertia_B, q_in, w) + dt * (torque + wp.cross(arm, force))
+            angular = spin_of(inverse_B, q, momentum)
+            linear = wp.cross(angular, arm)
+            R = wp.quat_to_matrix(q)
+            inverse_inertia = R * inverse_B * wp.transpose(R)
+            lever = wp.skew(arm)
+            inverse_mass_coupling = -(lever * inverse_inertia)
+            inverse_mass_matrix = inverse_mass_coupling * lever
+        body_response[env, body].linear = narrow(linear)
+        body_response[env, body].angular = narrow(angular)
+        body_response[env, body].inverse_mass_matrix = narrow_matrix(inverse_mass_matrix)
+        body_response[env, body].inverse_mass_coupling = narrow_matrix(inverse_mass_coupling)
+        body_response[env, body].inverse_inertia = narrow_matrix(inverse_inertia)
+
+    @unique_kernel()
+    def velocities_without_contact(
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        step: wp.array2d(dtype=real),  # [env, 0] [s]
+        model: Model,
+        state_in: State,
+        half_step_state: State,
+        wrenches: Wrenches,
+        state_out: State,
+        body_response: BodyResponse,
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            body = task_item(launch, task)
+            if status[env] != ENV_ACTIVE:
+                continue
+            dt = step[env, 0]
+            if wp.static(moves):
+                if model.body_motion[env, body].kind != FREE:
+                    free_constrained(
+                        model,
+                        state_in,
+                        half_step_state,
+                        state_out,
+                        wrenches,
+                        env,
+                        body,
+                        wp.float64(dt),
+                        body_response,
+                    )
+                    continue
+            inverse_mass = real(1.0) / model.body_mass[env, body]
+            acceleration = inverse_mass * wrenches.force[env, body] + model.gravity[env, 0]
+            body_response[env, body].linear = state_in.body_linear_velocity[env, body] + dt * acceleration
+            inverse_B = model.body_inverse_inertia[env, body]
+            w_W = state_in.body_angular_velocity[env, body]
+            R = wp.identity(n=3, dtype=real)
+            inverse_inertia = inverse_B
+            if model.body_isotropic_inertia[env, body]:
+                body_response[env, body].angular = w_W + (dt * inverse_B[0, 0]) * wrenches.torque[env, body]
+            else:
+                R = wp.quat_to_matrix(half_step_state.body_orientation[env, body])
+                inverse_inertia = R * inverse_B * wp.transpose(R)
+                # There the body has the angular momentum of the start.
+                w_middle = half_step_state.body_angular_velocity[env, body]
+                body_response[env, body].angular = w_middle + inverse_inertia * (dt * wrenches.torque[env, body])
+            body_response[env, body].inverse_inertia = inverse_inertia
+            if wp.static(moves):
+                body_response[env, body].inverse_mass_matrix = inverse_mass * wp.identity(n=3, dtype=real)
+                body_response[env, body].inverse_mass_coupling = mat33()
+            else:
+                body_response[env, body].inverse_mass = inverse_mass
+                is_at_rest = state_in.body_linear_velocity[env, body] == vec3() and w_W == vec3()
+                body_response[env, body].at_rest = wp.where(is_at_rest, 1, 0)
+
+    return velocities_without_contact
+
+
+@functools.cache
+def full_step(real: type, moves: bool) -> wp.Kernel:
+    """Returns the kernel that takes each body over the step with the velocities after contact; items: bodies.
+
+    Positions go on with θ times the velocities after and 1 − θ times those before. With ``moves`` some bodies are
+    not free; those that follow a function of time are left to ``driven``.
+    """
+    t = structs(real)
+    Model, State, Wrenches = t.Model, t.State, t.Wrenches
+    BodyResponse = wp.array2d(dtype=body_response_struct(real, moves))
+    rotated = rotations.functions(real).rotated
+    f = bodies.functions(real)
+    wide, matrix_to_float64, quat_to_float64, moved = f.wide, f.matrix_to_float64, f.quat_to_float64, f.moved
+    put, set_velocity, check_body = f.put, f.set_velocity, f.check_body
+    of_guard = quarantine.guard(real)
+    Guard, failure_cause = of_guard.Guard, of_guard.failure_cause
+
+    @wp.func
+    def advance_constrained(
+        model: Model,
+        state_in: State,
+        half_step_state: State,
+        body_response: BodyResponse,
+        state_out: State,
+        env: int,
+        body: int,
+        dt: wp.float64,
+        theta: wp.float64,
+    ):
+        motion = model.body_motion[env, body]
+        complement = wp.float64(1.0) - theta
+        v = wide(body_response[env, body].linear)
+        w = wide(body_response[env, body].angular)
+        w_before = wide(half_step_state.body_angular_velocity[env, body])
+        linear = theta * v + complement * wide(state_in.body_linear_velocity[env, body])
+        anchor_inertia_B = wp.mat33d()
+        momentum = wp.vec3d()
+        if motion.kind == BALL:
+            q = quat_to_float64(state_in.body_orientation[env, body])
+            q_middle = quat_to_float64(half_step_state.body_orientation[env, body])
+            arm_B = wp.quat_rotate_inv(q, arm_of(motion, q))
+            inertia_B = matrix_to_float64(model.body_inertia[env, body])
+            anchor_inertia_B = inertia_at(inertia_B, wp.float64(model.body_mass[env, body]), arm_B)
+            momentum = momentum_of(anchor_inertia_B, q_middle, w)
+        angular = theta * w + complement * w_before
+        base, displacement, orientation = moved(state_in, env, body, motion, linear, angular, dt)
+        if motion.kind == BALL:
+            w = spin_of(wp.inverse(anchor_inertia_B), quat_to_float64(orientation), momentum)
+        if motion.kind == HINGE or motion.kind == BALL:
+            v = wp.cross(w, displacement)
+        put(state_out, env, body, base, displacement)
+        state_out.body_orientation[env, body] = orientation
+        set_velocity(state_out, env, body, v, w)
+
+    @unique_kernel()
+    def advance_full_step(
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        step: wp.array2d(dtype=real),  # [env, 0] [s]
+        theta: real,
+        model: Model,
+        guard: Guard,
+        state_in: State,
+        half_step_state: State,
+        body_response: BodyResponse,
+        wrenches: Wrenches,
+        state_out: State,
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            body = task_item(launch, task)
+            if status[env] != ENV_ACTIVE:
+                continue
+            dt = step[env, 0]
+            if wp.static(moves):
+                kind = model.body_motion[env, body].kind
+                if kind != FREE:
+                    if kind != TIME_FUNCTION:
+                        advance_constrained(
+                            model, state_in, half_step_state, body_response, state_out, env, body, wp.float64(dt),
+                            wp.float64(theta),
+                        )  # fmt: skip
+                    check_body(guard, wrenches, state_out, env, body, status)
+                    continue
+            complement = real(1.0) - theta
+            velocity = body_response[env, body].linear
+            before = state_in.body_position[env, body]
+            displacement = dt * (theta * velocity + complement * state_in.body_linear_velocity[env, body])
+            displacement += state_in.body_position_remainder[env, body]
+            position = before + displacement
+            applied = position - before
+            q_WB = state_in.body_orientation[env, body]
+            w_W = state_in.body_angular_velocity[env, body]
+            angular_velocity = body_response[env, body].angular
+            orientation = q_WB
+            if model.body_isotropic_inertia[env, body]:
+                rotation = dt * (theta * angular_velocity + complement * w_W)
+                if wp.length_sq(rotation) > real(0.0):
+                    orientation = rotated(q_WB, rotation)
+            else:
+                inverse_B = model.body_inverse_inertia[env, body]
+                inertia_B = model.body_inertia[env, body]
+                q_middle = half_step_state.body_orientation[env, body]
+                w_before = half_step_state.body_angular_velocity[env, body]
+                momentum_change_B = inertia_B * wp.quat_rotate_inv(q_middle, angular_velocity - w_before)
+                momentum = wp.quat_rotate(q_WB, inertia_B * wp.quat_rotate_inv(q_WB, w_W))
+                rotation = dt * (theta * angular_velocity + complement * w_before)
+                if wp.length_sq(rotation) > real(0.0):
+                    orientation = rotated(q_WB, rotation)
+                # The change of spin, not the spin itself: a quaternion is a little longer or shorter than one and
+                # scales what it rotates, which in a difference from step to step cancels instead of adding up.
+                spin_before = wp.quat_rotate(q_WB, inverse_B * wp.quat_rotate_inv(q_WB, momentum))
+                momentum += wp.quat_rotate(q_middle, momentum_change_B)
+                spin_after = wp.quat_rotate(orientation, inverse_B * wp.quat_rotate_inv(orientation, momentum))
+                if wp.length_sq(angular_velocity) > real(0.0):
+                    angular_velocity = w_W + (spin_after - spin_before)
+            state_out.body_position[env, body] = position
+            state_out.body_position_remainder[env, body] = (before - (position - applied)) + (
+                displacement - applied
+            )
+            state_out.body_orientation[env, body] = orientation
+            state_out.body_linear_velocity[env, body] = velocity
+            state_out.body_angular_velocity[env, body] = angular_velocity
+            # One sum is finite only if every term is: squares have no opposite signs.
+            sizes = wp.length_sq(position) + wp.length_sq(velocity) + wp.length_sq(angular_velocity)
+            if not sizes < guard.suspect[env, 0]:
+                cause = failure_cause(position, velocity, angular_velocity, guard.limits[env, 0])
+                if cause != NO_CAUSE:
+                    status[env] = ENV_FAILED
+                    guard.cause[env] = cause
+
+    return advance_full_step

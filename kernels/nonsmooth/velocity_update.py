@@ -1,0 +1,289 @@
+"""What impulses do to bodies, and what a row asks of them: common to the solvers of a step.
+
+Solvers look for the change of velocity, not for the velocity: it is as small as what contact does, however fast
+the bodies are, and so it is as fine in float32. A row has w = q + U(change), where q is its relative velocity
+without contact, less the speed at which it is to part.
+"""
+
+import functools
+from types import SimpleNamespace
+
+import numpy as np
+import warp as wp
+from warpcontact.kernels.nonsmooth.rows import body_response_struct
+from warpcontact.kernels.types import structs
+
+
+@functools.cache
+def velocity_change_struct(real: type) -> type:
+    """Returns the struct of what contact changes of a body, for ``real``."""
+    vec3 = structs(real).vec3
+
+    @wp.struct
+    class VelocityChange:
+        """What impulses have changed of a body."""
+
+        linear: vec3  # of the velocity of the centre of mass, W [m/s]
+        angular: vec3  # W [rad/s]
+        speed_squared: real  # V², see ``begin`` [m²/s²]
+        stop_impulse: vec3  # impulse that stops it, see ``standing``, W [N·s]
+        stop_angular_impulse: vec3  # likewise, about its centre of mass, W [N·m·s]
+        is_stopped: wp.int32  # 1: has it
+
+    return VelocityChange
+
+
+@functools.cache
+def functions(real: type, moves: bool) -> SimpleNamespace:
+    """Returns the device functions for ``real``; with ``moves`` not all bodies are free."""
+    t = structs(real)
+    vec3, mat33 = t.vec3, t.mat33
+    BodyResponse = wp.array2d(dtype=body_response_struct(real, moves))
+    VelocityChange = wp.array2d(dtype=velocity_change_struct(real))
+    zero, one, two, three = (wp.constant(real(x)) for x in (0.0, 1.0, 2.0, 3.0))
+    rounding = float(np.finfo(wp.dtype_to_numpy(real)).eps)
+    # A block of less determinant, over the cube of a third of its trace, is not to be inverted.
+    SINGULAR = wp.constant(real(100.0 * rounding))
+
+    @wp.func
+    def velocity_change_at(velocity_change: VelocityChange, env: int, body: int, arm: vec3):
+        """Change of the velocity at ``arm`` from the centre of mass; 0 for the world."""
+        if body < 0:
+            return vec3()
+        return velocity_change[env, body].linear + wp.cross(velocity_change[env, body].angular, arm)
+
+    @wp.func
+    def relative_spin_change(velocity_change: VelocityChange, env: int, body_1: int, body_2: int):
+        """Change of the angular velocity of the first body relative to the second."""
+        difference = vec3()
+        if body_1 >= 0:
+            difference = velocity_change[env, body_1].angular
+        if body_2 >= 0:
+            difference -= velocity_change[env, body_2].angular
+        return difference
+
+    @wp.func
+    def apply_impulse(
+        body_response: BodyResponse,
+        velocity_change: VelocityChange,
+        env: int,
+        body: int,
+        impulse: vec3,
+        turning: vec3,
+    ):
+        """Adds what an impulse and an angular impulse about the centre of mass do to a body."""
+        if body < 0:
+            return
+        if wp.static(moves):
+            B = body_response[env, body].inverse_mass_coupling
+            linear = body_response[env, body].inverse_mass_matrix * impulse + B * turning
+            angular = wp.transpose(B) * impulse + body_response[env, body].inverse_inertia * turning
+            velocity_change[env, body].linear = velocity_change[env, body].linear + linear
+            velocity_change[env, body].angular = velocity_change[env, body].angular + angular
+        else:
+            linear = body_response[env, body].inverse_mass * impulse
+            velocity_change[env, body].linear = velocity_change[env, body].linear + linear
+            velocity_change[env, body].angular = (
+                velocity_change[env, body].angular + body_response[env, body].inverse_inertia * turning
+            )
+
+    @wp.func
+    def apply_impulse_pair(
+        body_response: BodyResponse,
+        velocity_change: VelocityChange,
+        env: int,
+        body_1: int,
+        body_2: int,
+        impulse: vec3,
+        turning_1: vec3,
+        turning_2: vec3,
+    ):
+        """Adds what an impulse on the first body and its opposite on the second do, each with an own turning."""
+        apply_impulse(body_response, velocity_change, env, body_1, impulse, turning_1)
+        apply_impulse(body_response, velocity_change, env, body_2, -impulse, turning_2)
+
+    @wp.func
+    def response_trace(body_response: BodyResponse, env: int, body: int, arm: vec3):
+        """Trace of the block of one body: how easily an impulse at ``arm`` moves that place [1/kg]."""
+        if body < 0:
+            return zero
+        C = body_response[env, body].inverse_inertia
+        trace = (C[0, 0] + C[1, 1] + C[2, 2]) * wp.length_sq(arm) - wp.dot(arm, C * arm)
+        if wp.static(moves):
+            A = body_response[env, body].inverse_mass_matrix
+            B = body_response[env, body].inverse_mass_coupling
+            trace += A[0, 0] + A[1, 1] + A[2, 2]
+            largest = trace
+            trace += two * wp.dot(arm, vec3(B[1, 2] - B[2, 1], B[2, 0] - B[0, 2], B[0, 1] - B[1, 0]))
+            if trace <= SINGULAR * largest:
+                # Of a place that does not move there is left what rounding is.
+                trace = zero
+        else:
+            trace += three * body_response[env, body].inverse_mass
+        return trace
+
+    @wp.func
+    def angular_response_trace(body_response: BodyResponse, env: int, body: int):
+        """Trace of what an angular impulse does to the angular velocity of a body [1/(kg·m²)]."""
+        if body < 0:
+            return zero
+        C = body_response[env, body].inverse_inertia
+        return C[0, 0] + C[1, 1] + C[2, 2]
+
+    @wp.func
+    def impulse_response(body_response: BodyResponse, env: int, body: int, arm: vec3, impulse: vec3):
+        """Change of the velocity at ``arm`` that an impulse there makes: ``block`` times it."""
+        if body < 0:
+            return vec3()
+        turning = wp.cross(arm, impulse)
+        spin = body_response[env, body].inverse_inertia * turning
+        if wp.static(moves):
+            B = body_response[env, body].inverse_mass_coupling
+            linear = body_response[env, body].inverse_mass_matrix * impulse + B * turning
+            spin += wp.transpose(B) * impulse
+        else:
+            linear = body_response[env, body].inverse_mass * impulse
+        return linear + wp.cross(spin, arm)
+
+    @wp.func
+    def block(body_response: BodyResponse, env: int, body: int, arm: vec3):
+        """Change of the velocity at ``arm`` over an impulse there, W."""
+        if body < 0:
+            return mat33()
+        cross = wp.skew(arm)
+        C = body_response[env, body].inverse_inertia
+        result = -(cross * C * cross)
+        if wp.static(moves):
+            across = body_response[env, body].inverse_mass_coupling * cross
+            result += body_response[env, body].inverse_mass_matrix + across + wp.transpose(across)
+        else:
+            m = body_response[env, body].inverse_mass
+            result += wp.diag(vec3(m, m, m))
+        return result
+
+    @wp.func
+    def invert_symmetric(W: mat33):
+        """Inverse of a symmetric block, and whether it has one."""
+        c0 = vec3(
+            W[1, 1] * W[2, 2] - W[1, 2] * W[1, 2],
+            W[0, 2] * W[1, 2] - W[0, 1] * W[2, 2],
+            W[0, 1] * W[1, 2] - W[0, 2] * W[1, 1],
+        )
+        determinant = W[0, 0] * c0[0] + W[0, 1] * c0[1] + W[0, 2] * c0[2]
+        mean_eigenvalue = (W[0, 0] + W[1, 1] + W[2, 2]) / three
+        if determinant <= SINGULAR * mean_eigenvalue * mean_eigenvalue * mean_eigenvalue:
+            return mat33(), 0
+        f = one / determinant
+        a11 = f * (W[0, 0] * W[2, 2] - W[0, 2] * W[0, 2])
+        a12 = f * (W[0, 1] * W[0, 2] - W[0, 0] * W[1, 2])
+        a22 = f * (W[0, 0] * W[1, 1] - W[0, 1] * W[0, 1])
+        c0 = f * c0
+        return mat33(c0[0], c0[1], c0[2], c0[1], a11, a12, c0[2], a12, a22), 1
+
+    @wp.func
+    def project_onto_cone(impulse: vec3, n: vec3, mu: real):
+        """The impulse nearest to ``impulse`` that a contact may carry, as ``cone.project``; all in W."""
+        along = wp.dot(impulse, n)
+        l_t = impulse - along * n
+        across_squared = wp.length_sq(l_t)
+        limit = mu * along
+        if along >= zero and across_squared <= limit * limit:
+            return impulse
+        across = wp.sqrt(across_squared)
+        a = along + mu * across
+        if a <= zero:
+            return vec3()
+        a = a / (one + mu * mu)
+        share = zero
+        if across > zero:
+            share = a * mu / across
+        return a * n + share * l_t
+
+    @wp.func
+    def project_couple(couple: vec3, n: vec3, rolling: real, spinning: real):
+        """The couple nearest to ``couple`` that is no larger than the limits, across the normal and along it."""
+        along = wp.dot(couple, n)
+        across = couple - along * n
+        size = wp.length(across)
+        if size > rolling:
+            across = (rolling / size) * across
+        return across + wp.clamp(along, -spinning, spinning) * n
+
+    @wp.func
+    def projected_normal(impulse: vec3, couple: vec3, n: vec3, mu: real, rolling: real, spinning: real):
+        """Normal part of what is nearest, among what a contact may carry, to an impulse and a couple over an arm.
+
+        The coefficients of couples are over that arm too. Beyond their limits, which grow with it, all three draw
+        at the normal impulse; those that are within the limits they have at the result do not.
+        """
+        along = wp.dot(impulse, n)
+        turning = wp.dot(couple, n)
+        slip = wp.length(impulse - along * n)
+        roll = wp.length(couple - turning * n)
+        twist = wp.abs(turning)
+        normal = along + mu * slip + rolling * roll + spinning * twist
+        normal = normal / (one + mu * mu + rolling * rolling + spinning * spinning)
+        for _ in range(3):
+            # Each that is left out makes it larger.
+            sum = along
+            weight = real(1.0)
+            if slip > mu * normal:
+                sum += mu * slip
+                weight += mu * mu
+            if roll > rolling * normal:
+                sum += rolling * roll
+                weight += rolling * rolling
+            if twist > spinning * normal:
+                sum += spinning * twist
+                weight += spinning * spinning
+            normal = sum / weight
+        return wp.max(normal, zero)
+
+    @wp.func
+    def de_saxce_velocity(w: vec3, n: vec3, mu: real):
+        """De Saxcé's velocity: ``w`` with what its slip lifts it, W."""
+        return w + mu * wp.length(w - wp.dot(w, n) * n) * n
+
+    @wp.func
+    def residual_squared(impulse: vec3, w: vec3, n: vec3, mu: real, rho: real):
+        """Square of how far an impulse is from its law at the velocity ``w``, as ``cone.residual``; all in W."""
+        w_n = wp.dot(w, n)
+        w_t = w - w_n * n
+        l_n = wp.dot(impulse, n)
+        l_t = impulse - l_n * n
+        slip_squared = wp.length_sq(w_t)
+        parting = w_n + mu * wp.sqrt(slip_squared)
+        z_n = l_n - rho * parting
+        z_t = l_t - rho * w_t
+        limit = mu * z_n
+        across_squared = wp.length_sq(z_t)
+        if z_n >= zero and across_squared <= limit * limit:
+            return rho * rho * (parting * parting + slip_squared)
+        across = wp.sqrt(across_squared)
+        a = z_n + mu * across
+        if a <= zero:
+            return wp.length_sq(impulse)
+        a = a / (one + mu * mu)
+        rest = l_n - a
+        # across is not 0 here, but where mu is.
+        share = zero
+        if across > zero:
+            share = a * mu / across
+        return rest * rest + wp.length_sq(l_t - share * z_t)
+
+    return SimpleNamespace(
+        project_couple=project_couple,
+        projected_normal=projected_normal,
+        velocity_change_at=velocity_change_at,
+        relative_spin_change=relative_spin_change,
+        apply_impulse=apply_impulse,
+        apply_impulse_pair=apply_impulse_pair,
+        response_trace=response_trace,
+        angular_response_trace=angular_response_trace,
+        impulse_response=impulse_response,
+        block=block,
+        project_onto_cone=project_onto_cone,
+        invert_symmetric=invert_symmetric,
+        de_saxce_velocity=de_saxce_velocity,
+        residual_squared=residual_squared,
+    )

@@ -1,0 +1,155 @@
+"""Where shapes of a pile are, how far apart they are, and where they touch."""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+from warpcontact.kernels import frames
+from warpcontact.kernels.particles.base import ParticleTraits, particle_structs
+from warpcontact.kernels.types import assume_nonnegative, structs
+
+# Segments at a smaller angle than the root of this are parallel.
+PARALLEL = 1.0e-10
+
+
+@wp.func
+def _clamp_unit(value: wp.float64):
+    return wp.clamp(value, wp.float64(-1.0), wp.float64(1.0))
+
+
+@wp.func
+def closest_on_segments(d: wp.vec3d, g: wp.vec3d, h: wp.vec3d):
+    """Parameters (s, t) in −1…1 of the closest points of two segments.
+
+    ``d`` is from the middle of the second to that of the first, ``g`` and ``h`` from the middles to the ends. Of
+    parallel segments side by side it is the middle of where they overlap.
+    """
+    a = wp.dot(g, g)
+    b = wp.dot(g, h)
+    c = wp.dot(h, h)
+    e = wp.dot(g, d)
+    f = wp.dot(h, d)
+    zero = wp.float64(0.0)
+    s, t = zero, zero
+    if a == zero:
+        if c > zero:
+            t = _clamp_unit(f / c)
+        return s, t
+    if c == zero:
+        return _clamp_unit(-e / a), t
+    det = a * c - b * b
+    if det > wp.float64(PARALLEL) * a * c:
+        s = _clamp_unit((b * f - c * e) / det)
+    else:
+        # Ends of the second along the first; where both are side by side, in the middle.
+        first_end = (-e - b) / a
+        second_end = (-e + b) / a
+        low = wp.max(wp.min(first_end, second_end), wp.float64(-1.0))
+        high = wp.min(wp.max(first_end, second_end), wp.float64(1.0))
+        s = _clamp_unit(wp.float64(0.5) * (low + high))
+        if low > high:
+            s = wp.where(wp.max(first_end, second_end) < wp.float64(-1.0), wp.float64(-1.0), wp.float64(1.0))
+    t = (f + s * b) / c
+    if wp.abs(t) > wp.float64(1.0):
+        t = _clamp_unit(t)
+        s = _clamp_unit((t * b - e) / a)
+    return s, t
+
+
+@functools.cache
+def functions(traits: ParticleTraits, real: type) -> SimpleNamespace:
+    """Returns the device functions of piles of one form.
+
+    ``axis_point(shapes, state, env, shape)``: where a shape is. ``closest_approach(first, second)``: of two.
+    ``curvatures(pair, first, second, radius_1, radius_2)``: the relative principal ones in order.
+    """
+    t = structs(real)
+    vec3, State = t.vec3, t.State
+    Particles = particle_structs(real).Particles
+    wide, narrow = frames.functions(real).wide, frames.functions(real).narrow
+    has_offsets, has_capsules = traits.has_offsets, traits.has_capsules
+
+    @wp.struct
+    class AxisPoint:
+        """Where the middle of a shape is: at ``origin`` + ``offset``, as fine as shapes are near each other."""
+
+        origin: vec3  # centre of mass of its body, W [m]
+        offset: vec3  # what rounding left of that, and from there to the middle, W [m]
+        axis: vec3  # to the middle of an end, W [m]
+
+    @wp.struct
+    class ClosestApproach:
+        """How two shapes lie to each other."""
+
+        separation: vec3  # from the point of the second that is nearest, on its axis, to that of the first, W [m]
+        s: real  # where these are, −1…1
+        t: real
+
+    @wp.func
+    def axis_point(particles: Particles, state: State, env: int, particle: int):
+        result = AxisPoint()
+        body = assume_nonnegative(particles.body[particle])
+        result.origin = state.body_position[env, body]
+        result.offset = state.body_position_remainder[env, body]
+        if wp.static(has_offsets):
+            result.offset += wp.quat_rotate(state.body_orientation[env, body], particles.offset[env, particle])
+        if wp.static(has_capsules):
+            result.axis = wp.quat_rotate(state.body_orientation[env, body], particles.axis[env, particle])
+        return result
+
+    @wp.func
+    def closest_approach(first: AxisPoint, second: AxisPoint):
+        pair = ClosestApproach()
+        pair.separation = (first.origin - second.origin) + (first.offset - second.offset)
+        if wp.static(has_capsules):
+            d = wide(pair.separation)
+            g = wide(first.axis)
+            h = wide(second.axis)
+            s, t = closest_on_segments(d, g, h)
+            pair.s = real(s)
+            pair.t = real(t)
+            pair.separation = narrow(d + s * g - t * h)
+        return pair
+
+    @wp.func
+    def is_on_cylinder(parameter: real, axis: vec3):
+        """Whether a point of an axis is between its ends: beside it the surface is a cylinder, else a sphere."""
+        return wp.abs(parameter) < real(1.0) and wp.length_sq(axis) > real(0.0)
+
+    @wp.func
+    def curvatures(pair: ClosestApproach, first: AxisPoint, second: AxisPoint, radius_1: real, radius_2: real):
+        k_1 = real(1.0) / radius_1
+        k_2 = real(1.0) / radius_2
+        # Sides are curved across their axes alone, spheres and caps in all directions.
+        side_1 = real(0.0)
+        side_2 = real(0.0)
+        smaller = real(0.0)
+        if wp.static(has_capsules):
+            if is_on_cylinder(pair.s, first.axis):
+                side_1 = k_1
+            if is_on_cylinder(pair.t, second.axis):
+                side_2 = k_2
+        larger = wp.max(side_1, side_2)
+        if wp.static(has_capsules):
+            if wp.min(side_1, side_2) > real(0.0):
+                g = wp.normalize(first.axis)
+                h = wp.normalize(second.axis)
+                cosine = wp.dot(g, h)
+                sine = wp.length(wp.cross(g, h))
+                product = side_1 * side_2
+                difference = side_1 - side_2
+                spread = wp.sqrt(difference * difference + real(4.0) * product * cosine * cosine)
+                larger = real(0.5) * (side_1 + side_2 + spread)
+                # By their product: as a difference it would be lost between nearly parallel axes.
+                smaller = product * sine * sine / larger
+        round_1 = k_1 - side_1
+        round_2 = k_2 - side_2
+        return smaller + (round_1 + round_2), larger + (round_1 + round_2)
+
+    return SimpleNamespace(
+        AxisPoint=AxisPoint,
+        ClosestApproach=ClosestApproach,
+        axis_point=axis_point,
+        closest_approach=closest_approach,
+        curvatures=curvatures,
+    )

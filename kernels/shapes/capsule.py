@@ -1,0 +1,65 @@
+"""Capsules: cylinders with half a sphere at each end."""
+
+from typing import Any, ClassVar
+
+import warp as wp
+from warpcontact.kernels.catalogue.device_model import parameter
+from warpcontact.kernels.shapes.base import AXIS_TOLERANCE, Shape, SignedDistance, SupportExpansion, one, zero
+
+
+class Capsule(Shape):
+    """All within r of a segment of the z axis, its middle at the origin."""
+
+    formula = "distance from the segment |z| ≤ l of the z axis = r"
+    kinks: ClassVar[int] = 1
+    polyhedral: ClassVar[bool] = True
+
+    radius: float = parameter("m", "radius r", above=0.0)
+    half_length: float = parameter("m", "half the length of the cylindrical part, l", above=0.0)
+
+    @wp.func
+    def support(p: Any, n: wp.vec3d):
+        point = p.radius * n
+        if wp.abs(n[2]) > AXIS_TOLERANCE:
+            point[2] = point[2] + wp.sign(n[2]) * p.half_length
+        return point
+
+    @wp.func
+    def expand(p: Any, n: wp.vec3d):
+        found = SupportExpansion()
+        found.kinks[0, 2] = p.half_length
+        return found
+
+    @wp.func
+    def margin(p: Any):
+        return p.radius
+
+    @wp.func
+    def rolling_ball_radius(p: Any):
+        return p.radius
+
+    @wp.func
+    def extents(p: Any):
+        return wp.vec3d(p.radius, p.radius, p.radius + p.half_length)
+
+    @wp.func
+    def inscribed_center(p: Any):
+        return wp.vec3d()
+
+    @wp.func
+    def inscribed_radius(p: Any):
+        return p.radius
+
+    @wp.func
+    def signed_distance(p: Any, x: wp.vec3d):
+        found = SignedDistance()
+        axis_point = wp.vec3d(zero, zero, wp.clamp(x[2], -p.half_length, p.half_length))
+        offset = x - axis_point
+        distance = wp.length(offset)
+        # On the segment every direction across is the nearest way out.
+        found.normal = wp.vec3d(one, zero, zero)
+        if distance > zero:
+            found.normal = offset / distance
+        found.gap = distance - p.radius
+        found.point = axis_point + p.radius * found.normal
+        return found

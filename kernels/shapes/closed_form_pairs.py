@@ -1,0 +1,123 @@
+"""Pairs of convex shapes that are solved at once: with a plane, with a sphere, and two capsules."""
+
+import functools
+
+import warp as wp
+from warpcontact.kernels.catalogue.device_model import coefficient_struct
+from warpcontact.kernels.shapes.base import (
+    AXIS_TOLERANCE,
+    Shape,
+    ShapeContactPoint,
+    WarmStart,
+    half,
+    one,
+    real,
+    vec3d,
+    zero,
+)
+from warpcontact.kernels.shapes.pair import perpendicular
+
+quatd = wp.quatd
+
+
+@wp.func
+def direct_result(gap: real, normal: vec3d, point_a: vec3d, point_b: vec3d):
+    """A result without an iteration."""
+    found = ShapeContactPoint()
+    found.gap = gap
+    found.normal = normal
+    found.point_a = point_a
+    found.point_b = point_b
+    found.warm_start.normal = normal
+    found.warm_start.valid = 1
+    return found
+
+
+@functools.cache
+def with_plane(A: type[Shape], B: type[Shape]) -> wp.Function:
+    """Returns the device function of a convex shape and a plane."""
+    CoefficientsA, CoefficientsB = coefficient_struct(A, real), coefficient_struct(B, real)
+
+    @wp.func
+    def plane_contact(p_a: CoefficientsA, p_b: CoefficientsB, x: vec3d, q: quatd, warm_start: WarmStart):
+        unit_q = wp.normalize(q)
+        up = vec3d(zero, zero, one)
+        point = x + wp.quat_rotate(unit_q, A.support(p_a, wp.quat_rotate_inv(unit_q, -up)))
+        return direct_result(point[2], up, point, vec3d(point[0], point[1], zero))
+
+    return plane_contact
+
+
+@functools.cache
+def with_sphere(A: type[Shape], B: type[Shape]) -> wp.Function:
+    """Returns the device function of a sphere and a shape that knows the point nearest to a place."""
+    CoefficientsA, CoefficientsB = coefficient_struct(A, real), coefficient_struct(B, real)
+
+    @wp.func
+    def sphere_contact(p_a: CoefficientsA, p_b: CoefficientsB, x: vec3d, q: quatd, warm_start: WarmStart):
+        signed_distance = B.signed_distance(p_b, x)
+        n = signed_distance.normal
+        return direct_result(signed_distance.gap - p_a.radius, n, x - p_a.radius * n, signed_distance.point)
+
+    return sphere_contact
+
+
+@functools.cache
+def swapped_pair(function: wp.Function, A: type[Shape], B: type[Shape]) -> wp.Function:
+    """Returns the device function of (B, A) from that of (A, B)."""
+    CoefficientsA, CoefficientsB = coefficient_struct(A, real), coefficient_struct(B, real)
+
+    @wp.func
+    def swapped_contact(p_b: CoefficientsB, p_a: CoefficientsA, x: vec3d, q: quatd, warm_start: WarmStart):
+        unit_q = wp.normalize(q)
+        swapped = function(p_a, p_b, -wp.quat_rotate_inv(unit_q, x), wp.quat_inverse(unit_q), WarmStart())
+        return direct_result(
+            swapped.gap,
+            -wp.quat_rotate(unit_q, swapped.normal),
+            x + wp.quat_rotate(unit_q, swapped.point_b),
+            x + wp.quat_rotate(unit_q, swapped.point_a),
+        )
+
+    return swapped_contact
+
+
+@functools.cache
+def capsule_pair(A: type[Shape], B: type[Shape]) -> wp.Function:
+    """Returns the device function of two capsules: the nearest points of two segments."""
+    CoefficientsA, CoefficientsB = coefficient_struct(A, real), coefficient_struct(B, real)
+
+    @wp.func
+    def capsule_contact(p_a: CoefficientsA, p_b: CoefficientsB, x: vec3d, q: quatd, warm_start: WarmStart):
+        up = vec3d(zero, zero, one)
+        axis = wp.quat_rotate(wp.normalize(q), up)
+        # Points x + s axis and t up; cosine and square of the sine of the angle between them.
+        cosine = axis[2]
+        sine_2 = axis[0] * axis[0] + axis[1] * axis[1]
+        s = zero
+        if sine_2 > AXIS_TOLERANCE:
+            s = wp.clamp((x[2] * cosine - wp.dot(x, axis)) / sine_2, -p_a.half_length, p_a.half_length)
+        else:
+            # Side by side: the middle of what they have in common, in s.
+            along = wp.dot(x, axis)
+            low = wp.max(-along - p_b.half_length, -p_a.half_length)
+            high = wp.min(-along + p_b.half_length, p_a.half_length)
+            s = wp.clamp(half * (low + high), -p_a.half_length, p_a.half_length)
+        t = wp.clamp(x[2] + s * cosine, -p_b.half_length, p_b.half_length)
+        s = wp.clamp(t * cosine - wp.dot(x, axis), -p_a.half_length, p_a.half_length)
+        foot_a = x + s * axis
+        foot_b = t * up
+        off = foot_a - foot_b
+        distance = wp.length(off)
+        n = wp.cross(axis, up)
+        if distance > AXIS_TOLERANCE * (p_a.half_length + p_b.half_length):
+            n = off / distance
+        elif sine_2 > AXIS_TOLERANCE:
+            # Where the axes cross, the way apart is across both.
+            n = wp.normalize(n)
+        else:
+            n = perpendicular(axis)
+        return direct_result(
+            distance - p_a.radius - p_b.radius, n, foot_a - p_a.radius * n, foot_b + p_b.radius * n
+        )
+
+    return capsule_contact

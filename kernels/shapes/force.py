@@ -1,0 +1,107 @@
+"""Forces of one group of shape contacts: what each touch does, at the ends of its contact.
+
+A pure function of state and history: nothing here changes them.
+"""
+
+import functools
+
+import warp as wp
+from warpcontact.kernels.contact import contact_evaluation
+from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs, kinematics_structs
+from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
+from warpcontact.kernels.shapes.records import ContactShapes, ShapeContactSettings, shape_contact_structs
+from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, LaunchRange, structs, task_count, task_env, task_item
+
+
+def uses_curvature(parts: ContactModel) -> bool:
+    """Whether law or friction models of these classes look at the curvatures of what touches."""
+    return parts.law.needs_curvature or parts.friction.needs_radius or parts.has_rolling or parts.has_torsion
+
+
+@functools.cache
+def kernel(parts: ContactModel, real: type, moves: bool = False) -> wp.Kernel:
+    """Returns the kernel for the classes of ``parts``; items: contacts side by side of the group.
+
+    With ``moves``, bodies that are not free oppose to a force what their motions let them.
+    """
+    t = structs(real)
+    vec3, quat, Model, State, CouplingWrenches = t.vec3, t.quat, t.Model, t.State, t.CouplingWrenches
+    ShapeContacts = shape_contact_structs(real).ShapeContacts
+    Coefficients, Memory = group_structs(parts, real)
+    ContactKinematics = kinematics_structs(real).ContactKinematics
+    evaluate_contact, clear_history = contact_evaluation.functions(parts, real, moves)
+    needs_curvature, oriented = uses_curvature(parts), parts.needs_surface_axes
+
+    @unique_kernel()
+    def shape_contact_forces(
+        launch: LaunchRange,
+        status: wp.array(dtype=wp.int32),
+        model: Model,
+        state: State,
+        history_in: Memory,
+        step: wp.array2d(dtype=real),  # [env, 0] what the force acts over [s]; 0: the force of this instant
+        first: wp.int32,  # contact
+        first_end: wp.int32,
+        contact_shapes: ContactShapes,
+        settings: wp.array2d(dtype=ShapeContactSettings),
+        coefficients: Coefficients,
+        shape_contacts: ShapeContacts,
+        history_out: Memory,
+        ends: CouplingWrenches,
+    ):
+        for task in range(wp.tid(), task_count(launch), launch.threads):
+            env = task_env(launch, task)
+            contact = first + task_item(launch, task)
+            if status[env] != ENV_ACTIVE:
+                continue
+            end = first_end + 2 * contact
+            if shape_contacts.status[env, contact] != CONTACT:
+                shape_contacts.approach_speed[env, contact] = real(0.0)
+                shape_contacts.slip_speed[env, contact] = real(0.0)
+                shape_contacts.normal_force[env, contact] = real(0.0)
+                shape_contacts.friction_force[env, contact] = vec3()
+                shape_contacts.torque[env, contact] = vec3()
+                for side in range(2):
+                    ends.force[env, end + side] = vec3()
+                    ends.torque[env, end + side] = vec3()
+                clear_history(history_out, env, contact, 1, step[env, 0])
+                continue
+
+            setting = settings[env, contact]
+            kinematics = ContactKinematics()
+            kinematics.body_1 = contact_shapes.body_a[contact]
+            kinematics.body_2 = contact_shapes.body_b[contact]
+            kinematics.arm_1 = shape_contacts.arm_a[env, contact]
+            kinematics.arm_2 = shape_contacts.arm_b[env, contact]
+            kinematics.normal = shape_contacts.normal[env, contact]
+            kinematics.penetration = shape_contacts.penetration[env, contact]
+            if wp.static(needs_curvature):
+                kinematics.radius = shape_contacts.radius[env, contact]
+                kinematics.curvature_1 = shape_contacts.curvature_1[env, contact]
+                kinematics.curvature_2 = shape_contacts.curvature_2[env, contact]
+            q_WS = quat()
+            if wp.static(oriented):
+                q_WS = shape_contacts.orientation[env, contact]
+            result = evaluate_contact(
+                model, state, env, kinematics, shape_contacts.entry_speed[env, contact], step[env, 0],
+                coefficients, history_in, history_out, contact, real(setting.torsion_radius), q_WS,
+            )  # fmt: skip
+
+            # After the formulas: what is springy or viscous in them is shared like what is in proportion to N.
+            force_scale = real(setting.force_scale)
+            normal_force = force_scale * result.normal_force
+            friction_W = force_scale * result.friction_force
+            torque_W = force_scale * result.torque
+            shape_contacts.approach_speed[env, contact] = result.approach_speed
+            shape_contacts.slip_speed[env, contact] = result.slip_speed
+            shape_contacts.normal_force[env, contact] = normal_force
+            shape_contacts.friction_force[env, contact] = friction_W
+            shape_contacts.torque[env, contact] = torque_W
+            # The same force at the same point K, and the same couple, on both bodies: nothing is left in total.
+            force_W = normal_force * kinematics.normal + friction_W
+            ends.force[env, end] = force_W
+            ends.torque[env, end] = wp.cross(kinematics.arm_1, force_W) + torque_W
+            ends.force[env, end + 1] = -force_W
+            ends.torque[env, end + 1] = -(wp.cross(kinematics.arm_2, force_W) + torque_W)
+
+    return shape_contact_forces

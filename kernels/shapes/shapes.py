@@ -1,0 +1,53 @@
+"""Surfaces of analytic form. A shape is one file; `_CATALOGUE` puts it into the catalogue."""
+
+from typing import TYPE_CHECKING
+
+from warpcontact.kernels.catalogue.lazy_catalogue import lazy_names
+from warpcontact.kernels.shapes.base import Shape
+
+if TYPE_CHECKING:
+    from warpcontact.kernels.shapes.capsule import Capsule
+    from warpcontact.kernels.shapes.cone import Cone
+    from warpcontact.kernels.shapes.cylinder import Cylinder
+    from warpcontact.kernels.shapes.ellipsoid import Ellipsoid
+    from warpcontact.kernels.shapes.plane import Plane
+    from warpcontact.kernels.shapes.rounded_box import RoundedBox
+    from warpcontact.kernels.shapes.sphere import Sphere
+    from warpcontact.kernels.shapes.superellipsoid import Superellipsoid
+    from warpcontact.kernels.shapes.torus import Torus
+
+    CATALOGUE: tuple[type[Shape], ...]
+
+# Modules of all shapes that come with the library.
+_CATALOGUE = {
+    "Sphere": "sphere",
+    "Plane": "plane",
+    "Ellipsoid": "ellipsoid",
+    "Superellipsoid": "superellipsoid",
+    "Cylinder": "cylinder",
+    "Capsule": "capsule",
+    "Cone": "cone",
+    "RoundedBox": "rounded_box",
+    "Torus": "torus",
+}
+
+#: The names of all shapes.
+NAMES = tuple(_CATALOGUE)
+
+__all__ = [
+    "CATALOGUE",
+    "NAMES",
+    "Capsule",
+    "Cone",
+    "Cylinder",
+    "Ellipsoid",
+    "Plane",
+    "RoundedBox",
+    "Shape",
+    "Sphere",
+    "Superellipsoid",
+    "Torus",
+]
+
+if not TYPE_CHECKING:  # there it would know every name
+    __getattr__, __dir__ = lazy_names(__name__, _CATALOGUE, {"CATALOGUE": tuple(_CATALOGUE)})

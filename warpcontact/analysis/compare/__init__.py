@@ -1,0 +1,12 @@
+"""Laws and friction models side by side, measured in the engine: data sets, and pictures to choose by."""
+
+from warpcontact.analysis.compare.figures import check_path
+from warpcontact.analysis.compare.friction_picture import plot_friction_models
+from warpcontact.analysis.compare.friction_tests import slips, swings
+from warpcontact.analysis.compare.impact import impacts, rebounds
+from warpcontact.analysis.compare.law_picture import plot_laws
+from warpcontact.kernels.catalogue.renamed import explain_renamed_in
+
+__all__ = ["check_path", "impacts", "plot_friction_models", "plot_laws", "rebounds", "slips", "swings"]
+
+__getattr__ = explain_renamed_in(__name__, __all__)

@@ -1,0 +1,216 @@
+"""Laws and friction models to look at: instances are taken as they are, classes get values that suit the experiment.
+
+A class may come with some of its values, as ``functools.partial``: these are kept, and only the rest is chosen.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from warpcontact.kernels.catalogue.device_model import Formula
+from warpcontact.kernels.friction.base import Friction
+from warpcontact.kernels.laws.base import Law
+
+# Parameters in proportion to which the elastic force grows.
+MODULI = ("stiffness", "modulus", "k1")
+# Damping of unit size makes damping and elastic force alike at half depth and half speed: it is this, in terms
+# of mass m, speed v and depth δ of the impact. A parameter with such a unit that may be zero is the damping.
+DAMPING_UNITS = ("N·s/m", "N·s/m³", "s/m", "s")
+# A ratio has no unit to be known by.
+DAMPING_RATIO = "ratio"
+
+# What classes of friction are shown with [-].
+# All slide, along x, with the same.
+COEFFICIENTS = {"mu": 0.4, "mu_dynamic": 0.4, "mu_1": 0.4, "mu_static": 0.5, "mu_2": 0.2}
+# Slip after which a tangential spring, of whatever unit, would pull as much as the load [m].
+STRETCH = 1.0e-4
+# Slip speed at which a drag would be as large as the load, and speed of a parameter without a default [m/s].
+DRAG_SPEED, SPEED = 0.2, 1.0e-2
+# A sphere may stand for a piece of a pad [m²].
+AREA = 1.0e-4
+
+
+class MissingValues(ValueError):
+    """A class that needs values which only its author knows.
+
+    Attributes:
+        kind: Its name.
+        parameters: Names of the parameters.
+    """
+
+    def __init__(self, kind: str, parameters: Sequence[str]) -> None:
+        self.kind, self.parameters = kind, parameters
+        needed = " and ".join(parameters)
+        super().__init__(f"{kind} needs {needed}: give an instance with its values, not the class")
+
+
+def named(kind: type[Formula], given: Any) -> dict[str, Any]:
+    """Returns what is to be compared by its label.
+
+    Args:
+        kind: ``Law`` or ``Friction``.
+        given: One instance, class or ``functools.partial`` of a class, several, or a mapping from labels to them.
+
+    Raises:
+        TypeError: If one is something else.
+        ValueError: If there is none, one has no force, or two have one label.
+    """
+    word = kind.__name__.lower()
+    if isinstance(given, Mapping):
+        entries: Iterable[tuple[Any, Any]] = given.items()
+    else:
+        several = given if isinstance(given, Iterable) and not isinstance(given, str) else [given]
+        entries = ((class_of(entry).__name__, entry) for entry in several)
+    result: dict[str, Any] = {}
+    for label, entry in entries:
+        if not issubclass(class_of(entry), kind) or class_of(entry) is kind:
+            raise TypeError(f"a {word} must be a class or an instance of wc.{kind.__name__}, got {entry!r}")
+        if class_of(entry).rigid:
+            raise ValueError(f"{class_of(entry).__name__} is for nonsmooth contact, and has no force to compare")
+        if label in result:
+            raise ValueError(f"two {word}s are called {label!r}: give them as a dict, {{'first': …, 'second': …}}")
+        result[label] = entry
+    if not result:
+        raise ValueError(f"there is no {word} to compare")
+    return result
+
+
+def class_of(entry: Any) -> Any:
+    """Returns the class of an instance, of a ``functools.partial`` of a class, or the class that it is itself."""
+    if isinstance(entry, functools.partial):
+        return entry.func if isinstance(entry.func, type) else type(entry)
+    return entry if isinstance(entry, type) else type(entry)
+
+
+def values_of(entry: Any) -> dict[str, Any] | None:
+    """Returns the values that a class comes with, none if it is bare; ``None`` for an instance."""
+    if isinstance(entry, functools.partial):
+        return {name: value for name, value in entry.keywords.items() if value is not None}
+    return {} if isinstance(entry, type) else None
+
+
+def is_modulus_given(entry: Any) -> bool:
+    """Returns whether the elastic parameter of a law is given, not to be chosen."""
+    given = values_of(entry)
+    return given is None or not any(name in MODULI for name in _default_parameters(class_of(entry), given))
+
+
+def law(entry: Any, modulus: float, depth: float) -> Law:
+    """Returns an instance of a law for impacts of ``depth`` [m]; one that is an instance as it is.
+
+    Args:
+        entry: Instance, class, or ``functools.partial`` of a class.
+        modulus: Elastic parameter, unless that is given.
+        depth: Depth that lengths among the parameters are to suit.
+
+    Raises:
+        ValueError: If it has parameters without a default whose meaning cannot be guessed.
+    """
+    given = values_of(entry)
+    if given is None:
+        return _with_area(entry)
+    kind = class_of(entry)
+    sizes = {
+        # A sphere may stand for the end of a pin; validity asks for depth ≪ clearance.
+        "area": AREA,
+        "length": 0.05,
+        "clearance": min(10.0 * depth, 1.0e-2),
+        "depth": 0.1 * depth,
+        "restitution": 0.5,
+        **dict.fromkeys(MODULI, modulus),
+    }
+    values = {
+        name: 0.0 if is_damping(kind, name) else sizes.get(name) for name in _default_parameters(kind, given)
+    }
+    return _with_area(_instantiate(kind, values | given))
+
+
+def friction(entry: Any, load: float, patch_radius: float) -> Friction:
+    """Returns an instance of a friction; one that is an instance as it is.
+
+    Args:
+        entry: Instance, class, or ``functools.partial`` of a class.
+        load: Normal force [N].
+        patch_radius: Radius of the patch of contact [m].
+
+    Raises:
+        ValueError: If it has parameters without a default whose meaning cannot be guessed.
+    """
+    given = values_of(entry)
+    if given is None:
+        return _with_area(entry)
+    kind = class_of(entry)
+    by_unit = {
+        "N/m": load / STRETCH,
+        "1/m": 1.0 / STRETCH,
+        "Pa": load / STRETCH / (8.0 * patch_radius),  # of a round patch, k = 8 G* a
+        "s/m": 1.0 / DRAG_SPEED,
+        "N·s/m": load / DRAG_SPEED,
+        "m/s": SPEED,
+    }
+    chosen = _default_parameters(kind, given)
+    values = {name: COEFFICIENTS.get(name, by_unit.get(kind.limits(name)["unit"])) for name in chosen}
+    return _with_area(_instantiate(kind, values | given))
+
+
+def coefficients_chosen(entries: Iterable[Any]) -> str:
+    """Returns the coefficients that friction models are shown with because none were given, as a text."""
+    chosen = {
+        name
+        for entry in entries
+        if (given := values_of(entry)) is not None
+        for name in _default_parameters(class_of(entry), given)
+    }
+    by_value: dict[float, list[str]] = {}
+    for name, value in COEFFICIENTS.items():
+        if name in chosen:
+            by_value.setdefault(value, []).append(name)
+    return ", ".join(f"{' = '.join(names)} = {value:g}" for value, names in by_value.items())
+
+
+def _default_parameters(kind: type[Formula], given: Mapping[str, Any]) -> list[str]:
+    """Returns the parameters without a value that need one; of those of which one is needed, one."""
+    names = [field.name for field in dataclasses.fields(kind) if field.default is dataclasses.MISSING]
+    group = kind.exactly_one_of
+    if group and not any(name in given for name in group):
+        names.append(next((name for name in group if name in ("restitution", *MODULI)), group[-1]))
+    return [name for name in names if name not in given]
+
+
+def _instantiate(kind: Any, values: Mapping[str, float | None]) -> Any:
+    unknown = [name for name, value in values.items() if value is None]
+    if unknown:
+        raise MissingValues(kind.__name__, unknown)
+    return kind(**values)
+
+
+def _with_area(made: Any) -> Any:
+    """Returns ``made`` with an area of its own, if it leaves that to the points."""
+    return dataclasses.replace(made, area=AREA) if made.takes_area else made
+
+
+def is_damping(kind: type[Formula], name: str) -> bool:
+    """Returns whether parameter ``name`` is a damping: by its unit, and zero is allowed."""
+    limits = kind.limits(name)
+    return limits["at_least"] == 0.0 and (limits["unit"] in DAMPING_UNITS or name == DAMPING_RATIO)
+
+
+def dissipation_parameter(made: Law) -> str | None:
+    """Returns the parameter that decides how much an impact loses: the restitution, else a damping, if any."""
+    given = made.parameters()
+    if "restitution" in given:
+        return "restitution"
+    return next((name for name in given if is_damping(type(made), name)), None)
+
+
+def damping_scale(made: Law, name: str, mass: float, speed: float, depth: float) -> float:
+    """Returns the damping ``name`` that makes damping and elastic force alike, in its own unit."""
+    dashpot = mass * speed / depth
+    per_unit = {
+        "N·s/m": dashpot,
+        "N·s/m³": dashpot / made.parameters().get("area", 1.0),
+        "s/m": 1.0 / speed,
+        "s": depth / speed,
+    }
+    return per_unit.get(made.limits(name)["unit"], 1.0)

@@ -1,0 +1,211 @@
+"""Pictures of laws: loops, force over time, and the restitution that comes out."""
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from warpcontact.analysis.compare import figures, instances, law_panels
+from warpcontact.analysis.compare.impact import RESTITUTIONS, check_restitutions, impacts, rebounds
+from warpcontact.analysis.compare.labels import number, titled
+from warpcontact.analysis.compare.law_panels import Scales
+from warpcontact.kernels.catalogue.keywords import explain_keywords
+from warpcontact.kernels.laws.base import Law
+
+#: Restitutions whose loops are drawn.
+LOOPS = (0.2, 0.4, 0.6, 0.8, 1.0)
+# Colour of loops that are the same whatever restitution is asked for, and have none of the colours of these.
+UNVARIED = "0.25"
+
+
+@explain_keywords
+def plot_laws(
+    laws: Any,
+    path: Any = None,
+    *,
+    restitution: Any = LOOPS,
+    mass: float = 1.0,
+    speed: float = 1.0,
+    depth: float | None = None,
+    device: str = "cpu",
+) -> Figure:
+    """Draws one law, or several side by side, in the same impact; see ``impacts`` and ``rebounds``.
+
+    Args:
+        laws: A law, several, or a mapping from labels to laws; instances, or classes with or without values.
+        path: The .svg or .png file; ``None``: none is written.
+        restitution: Coefficients of restitution whose loops are drawn [-]; where several laws lie over each
+            other it is the one in the middle.
+        mass: Mass of the sphere [kg].
+        speed: Its speed at touch [m/s].
+        depth: Greatest depth of the undamped impact on a law that is given as a class [m]; if not given, that
+            of the first instance, or 1 mm.
+        device: Warp device.
+
+    Returns:
+        The matplotlib figure.
+
+    Raises:
+        TypeError: If a law is none.
+        ValueError: If a value is out of range, the file cannot be written there, or there are too many laws.
+    """
+    file = None if path is None else figures.check_path(path)
+    given = instances.named(Law, laws)
+    figures.check_count("laws", list(given))
+    options: dict[str, Any] = {"mass": mass, "speed": speed, "depth": depth, "device": device}
+    drawn = np.unique(check_restitutions(restitution))
+    data = impacts(given, np.union1d(RESTITUTIONS, drawn), **options)
+    note = _impact(data, [label for label, entry in given.items() if instances.is_modulus_given(entry)])
+    if len(given) == 1:
+        kind = instances.class_of(next(iter(given.values())))
+        below = drawn[drawn < 1.0]
+        over_speed = rebounds(given, below if len(below) else drawn, **options)
+        heading = figures.heading(_titles(data)[0], kind.formula)
+        footer = [note, data["settings"].item(), f"valid: {kind.validity}" if kind.validity else ""]
+        figure = (_one if data["varied"].item() else _unvaried)(
+            heading, footer, data.isel(law=0), drawn, over_speed
+        )
+    else:
+        figure = _several(note, data, drawn, rebounds(given, drawn[(len(drawn) - 1) // 2], **options))
+    if file is not None:
+        figures.save(figure, file)
+    return figure
+
+
+def _one(heading: list[str], footer: list[str], law: xr.Dataset, drawn: Any, over_speed: xr.Dataset) -> Figure:
+    """Draws one law with its loops for the restitutions ``drawn``."""
+    cases = law.sel(restitution=drawn)
+    sheet = figures.sheet(12.0, 9.5, heading, footer)
+    (figure,) = figures.parts(sheet, 1.0)
+    panels = figure.subplots(2, 2)
+    scales, colors = Scales(cases), figures.shades(cases.sizes["restitution"])
+    for k, shade in enumerate(colors):
+        case = cases.isel(restitution=k)
+        law_panels.draw_loop(panels[0, 0], case, scales, color=shade)
+        law_panels.draw_force(panels[0, 1], case, scales, color=shade)
+    law_panels.label_loops(panels[0, 0], scales, "force over penetration")
+    law_panels.label_forces(panels[0, 1], cases, scales, "force over time")
+    law_panels.draw_restitution(panels[1, 0], law, drawn, colors)
+    for shade, asked in zip(colors, over_speed["restitution"].values, strict=False):
+        values = over_speed["effective_restitution"].isel(law=0).sel(restitution=asked)
+        law_panels.draw_over_speed(panels[1, 1], values, color=shade)
+    law_panels.label_over_speed(panels[1, 1], "restitution over impact speed")
+    figures.legend_below(figure, colors, [_case_name(cases.isel(restitution=k)) for k in range(len(colors))])
+    return sheet
+
+
+def _unvaried(
+    heading: list[str], footer: list[str], law: xr.Dataset, drawn: Any, over_speed: xr.Dataset
+) -> Figure:
+    """Draws one law that is the same whatever is asked for: elastic, or with a restitution of its own."""
+    case = law.sel(restitution=drawn[-1])
+    figure = figures.sheet(15.0, 5.6, heading, footer)
+    panels = figure.subplots(1, 3)
+    scales, color = Scales(case), figures.color(0)
+    law_panels.draw_loop(panels[0], case, scales, color=color)
+    law_panels.draw_force(panels[1], case, scales, color=color)
+    law_panels.draw_over_speed(panels[2], over_speed["effective_restitution"][0, 0], color=color)
+    law_panels.label_loops(panels[0], scales, "force over penetration, " + _effective(case))
+    law_panels.label_forces(panels[1], case, scales, "force over time")
+    law_panels.label_over_speed(panels[2], f"restitution over impact speed, {_effective(case)} at {_speed(law)}")
+    return figure
+
+
+def _several(note: str, data: xr.Dataset, drawn: Any, over_speed: xr.Dataset) -> Figure:
+    """Draws laws over each other for one restitution, and the loops of each beside each other."""
+    labels = data["law"].values.tolist()
+    middle = over_speed["restitution"].item()
+    loops, same = data.sel(restitution=drawn), data.sel(restitution=middle)
+    rows = -(-len(labels) // figures.COLUMNS)
+    footer = [note, *(_settings(loops.isel(law=k), title) for k, title in enumerate(_titles(data)))]
+    height = 5.6 + 3.2 * rows + 0.15 * len(footer)
+    figure = figures.sheet(16.0, height, ["The same impact:  " + ", ".join(labels)], footer)
+    upper, lower = figures.parts(figure, 4.2, 0.6 + 3.2 * rows)
+    panels = upper.subplots(1, 4)
+    scales, colors = Scales(loops), [figures.color(k) for k in range(len(labels))]
+    for k, shade in enumerate(colors):
+        style = {"color": shade, "linewidth": figures.width(k, len(labels))}
+        law_panels.draw_loop(panels[0], same.isel(law=k), scales, **style)
+        law_panels.draw_force(panels[1], same.isel(law=k), scales, **style)
+        law_panels.draw_over_speed(panels[3], over_speed["effective_restitution"][k, 0], **style)
+        line = "-" if same["varied"].values[k] else "--"
+        law_panels.draw_asked(panels[2], data["effective_restitution"].isel(law=k), linestyle=line, **style)
+    e = f"e = {middle:g}" if any(same["varied"].values) else "e as below"
+    law_panels.label_loops(panels[0], scales, f"force over penetration, {e}")
+    law_panels.label_forces(panels[1], same, scales, f"force over time, {e}")
+    law_panels.label_asked(panels[2])
+    law_panels.label_over_speed(panels[3], f"over speed, {e} at {_speed(data)}")
+    figures.legend_below(upper, colors, [_name(same.isel(law=k)) for k in range(len(labels))])
+    _draw_families(lower, loops, scales)
+    return figure
+
+
+def _draw_families(figure: Any, loops: xr.Dataset, scales: Scales) -> None:
+    """Draws the loops of every law in a panel of its own, all with the same axes."""
+    colors = figures.shades(loops.sizes["restitution"])
+    for k, axes in enumerate(figures.panel_grid(figure, loops.sizes["law"])):
+        law = loops.isel(law=k)
+        if law["varied"].item():
+            for j, shade in enumerate(colors):
+                law_panels.draw_loop(axes, law.isel(restitution=j), scales, color=shade)
+        else:
+            law_panels.draw_loop(axes, law.isel(restitution=-1), scales, color=UNVARIED)
+        law_panels.label_loops(axes, scales, _name(law.isel(restitution=-1)))
+        axes.title.set_color(figures.color(k))
+        if k % figures.COLUMNS:
+            axes.set_ylabel("")
+    if any(loops["varied"].values):
+        figures.legend_below(figure, colors, [f"e = {value:g}" for value in loops["restitution"].values])
+
+
+def _case_name(case: xr.Dataset) -> str:
+    """Returns what sets a loop apart: the restitution, and the damping that it took."""
+    if case["varied"].item() == "restitution":
+        return f"e = {case['restitution'].item():g}"
+    value = number(case["parameter"].item(), case["unit"].item())
+    return f"{_effective(case)}: {case['varied'].item()} {value}"
+
+
+def _effective(case: xr.Dataset) -> str:
+    """Returns the restitution that came out of one impact."""
+    value = case["effective_restitution"].item()
+    return "no rebound" if np.isnan(value) else f"e = {value:.2g}"
+
+
+def _name(case: xr.Dataset) -> str:
+    """Returns the label of a law, with its restitution if that is always the same."""
+    label = str(case["law"].item())
+    return label if case["varied"].item() else f"{label}, {_effective(case)}"
+
+
+def _titles(data: xr.Dataset) -> list[str]:
+    return [titled(*pair) for pair in zip(data["law"].values, data["class"].values, strict=True)]
+
+
+def _settings(law: xr.Dataset, title: str) -> str:
+    """Returns the parameters of a law, with the dampings of its loops where these were found for them."""
+    varied = law["varied"].item()
+    texts = [law["settings"].item()]
+    if varied and varied != "restitution":
+        values = ", ".join(number(value, "") for value in law["parameter"].values)
+        found = ", ".join(f"{value:.2g}" for value in law["effective_restitution"].values)
+        unit = "" if law["unit"].item() == "-" else f" {law['unit'].item()}"
+        texts.append(f"{varied} {values}{unit} for e = {found}")
+    return f"{title}: {'; '.join(text for text in texts if text)}"
+
+
+def _speed(data: xr.Dataset) -> str:
+    return number(data.attrs["speed"], "m/s")
+
+
+def _impact(data: xr.Dataset, stiff: list[str]) -> str:
+    """Returns what all laws have in common; ``stiff`` are those whose elastic parameter was given."""
+    text = f"sphere of {number(data.attrs['mass'], 'kg')} on a plate at {_speed(data)}"
+    depth, of = data.attrs["depth"], data.attrs["depth_of"]
+    if np.isnan(depth):
+        return text
+    text += f", {number(depth, 'm')} deep if nothing is lost"
+    if of:
+        return f"{text}, as on {of}"
+    return f"{text}; on {' and '.join(stiff)} as deep as the given stiffness has it" if stiff else text

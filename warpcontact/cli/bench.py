@@ -1,0 +1,56 @@
+"""The command ``bench``: how fast this machine steps, as a table and as a file."""
+
+import argparse
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+from warpcontact.files.atomic_files import check_writable, open_for_writing
+
+
+def add_to(commands: Any) -> None:
+    """Adds the command and its options to the parsers of all commands."""
+    bench = commands.add_parser(
+        "bench",
+        help="measure how fast this machine steps",
+        description="Measure how fast this machine steps a sphere, and boxes of 8 and 64 points, on a terrain of "
+        "20 000 triangles: some 20 s, and more where kernels have to be compiled first.",
+    )
+    bench.add_argument(
+        "--device", default="auto", metavar="D", help="cpu, cuda:0, … (default: auto, a GPU if any)"
+    )
+    bench.add_argument(
+        "--envs", type=int, metavar="N", help="number of environments (default: 1024 on a CPU, 65536 on a GPU)"
+    )
+    bench.add_argument(
+        "--seconds", type=float, default=3.0, metavar="S", help="least time to step each work (default: 3)"
+    )
+    bench.add_argument("--precision", default="float32", metavar="P", help="float32 or float64 (default: float32)")
+    bench.add_argument("--json", metavar="FILE", help="write the figures into a file, too")
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Prints the table.
+
+    Raises:
+        ValueError: If an option is not allowed, or the file cannot be written, which is tried first.
+        OSError: If writing fails.
+    """
+    if arguments.json:
+        check_writable(Path(arguments.json))
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_ERROR
+    from warpcontact.benchmark import bench
+
+    try:
+        report = bench(arguments.device, arguments.envs, seconds=arguments.seconds, precision=arguments.precision)
+    except ValueError as error:
+        raise ValueError(re.sub("^(device|envs|seconds|precision) must", r"--\1 must", str(error))) from None
+    print(report)
+    if arguments.json:
+        text = json.dumps(report.to_dict(), indent=1, ensure_ascii=False)
+        with open_for_writing(Path(arguments.json)) as file:
+            file.write(f"{text}\n".encode())
+        print(f"figures: {arguments.json}")

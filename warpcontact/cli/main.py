@@ -1,0 +1,465 @@
+"""The command line. Nothing slow is imported before it is needed: ``--help`` answers at once."""
+
+import argparse
+import os
+import re
+import shlex
+import sys
+import traceback
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from warpcontact import __version__
+from warpcontact.cli import bench, build_kernels, laws, render, run_folders, view
+from warpcontact.cli import report as report_command
+from warpcontact.cli.trust_option import add_option
+from warpcontact.system.signals import terminate_as_interrupt
+from warpcontact.validation.safe_text import escape_output
+
+if TYPE_CHECKING:
+    from warpcontact.experiment import Experiment
+
+FAILED = 1  # the answer is no: an unusable mesh, a plan that does not fit
+WRONG_USE = 2  # the command could not be carried out, as argparse has it
+SHARDS_FAILED = 3  # some shards of a run; the others are finished
+INTERRUPTED = 130  # the shell's number for Ctrl-C
+
+
+@escape_output()
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs one command.
+
+    Args:
+        argv: Its words; ``None``: those of the process.
+
+    Returns:
+        The exit code: 0, or 1 for an unusable mesh or a plan that does not fit, 2 for an error, 3 if shards of a
+        run failed, 130 if interrupted.
+    """
+    arguments = _parser().parse_args(argv)
+    try:
+        code = arguments.command(arguments)
+        sys.stdout.flush()
+        return code
+    except KeyboardInterrupt:
+        print("\nwarpcontact: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:
+        # Whoever read the output, such as head, has seen enough; at exit Python flushes what is left.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except MemoryError as error:
+        return _fail(str(error) or "out of memory")
+    except OSError as error:
+        return _fail(_sentence(error))
+    except Exception as error:
+        # The error of Warp when no memory is left.
+        if isinstance(error, RuntimeError) and "allocate" in str(error):
+            return _fail(f"out of memory: {error}")
+        # Python would print it after the streams are restored, with control characters of quoted files.
+        print(traceback.format_exc(), end="", file=sys.stderr)
+        return FAILED
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="warpcontact",
+        description="Contact dynamics on oriented triangle meshes, thousands of environments at once.",
+    )
+    parser.add_argument("--version", action="version", version=f"warpcontact {__version__}")
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+
+    run = commands.add_parser("run", help="run an experiment file", description="Run an experiment file.")
+    going = run.add_mutually_exclusive_group()
+    going.add_argument("--overwrite", action="store_true", help="replace an earlier run in the folder")
+    going.add_argument(
+        "--resume", action="store_true", help="go on with the run in the folder; FILE may be left out"
+    )
+    run.add_argument(
+        "--ray",
+        nargs="?",
+        const=True,
+        default=False,
+        metavar="ADDRESS",
+        help="run shards as tasks of Ray: on this machine, or on the cluster with this address",
+    )
+    run.add_argument(
+        "--checkpoint",
+        type=float,
+        default=60.0,
+        metavar="S",
+        help="seconds between checkpoints of a shard (default: 60)",
+    )
+    run.add_argument("--threads", type=int, metavar="N", help="threads on the CPU (default: one per core)")
+    run.set_defaults(command=_run, usage=run)
+
+    plan = commands.add_parser(
+        "plan",
+        help="memory, disk and time that an experiment takes, and its shards",
+        description="Tell what running an experiment file would take of memory, disk and time, and in which "
+        "shards of environments it would run. Exit code 1: it does not fit.",
+    )
+    plan.add_argument(
+        "--no-probe", dest="probe", action="store_false", help="step nothing, and leave the time out"
+    )
+    plan.set_defaults(command=_plan)
+    for command in (run, plan):
+        command.add_argument(
+            "file", metavar="FILE", nargs="?" if command is run else None, help="the experiment, a TOML file"
+        )
+        command.add_argument(
+            "--out",
+            metavar="DIR",
+            help="folder for the results (default: results/<name of the experiment>)"
+            + (", of whose disk the plan tells; nothing is written" if command is plan else ""),
+        )
+        command.add_argument(
+            "--envs", type=int, metavar="N", help="number of environments instead of that in the file"
+        )
+        command.add_argument(
+            "--duration", type=float, metavar="S", help="simulated seconds instead of those in the file"
+        )
+        command.add_argument(
+            "--set",
+            action="append",
+            default=[],
+            metavar="PATH=VALUE",
+            help="a value instead of that in the file, such as body.ball.mass=2.0; may be given several times",
+        )
+        command.add_argument(
+            "--device",
+            default="auto",
+            metavar="D",
+            help="cpu, cuda:0, …; cuda: all GPUs; or several, such as cuda:0,cuda:2 (default: auto, one GPU if "
+            "any)",
+        )
+        command.add_argument(
+            "--shard",
+            type=int,
+            metavar="N",
+            help="at most so many environments at once, committed together (default: as many as fit)",
+        )
+        add_option(command)
+
+    inspect = commands.add_parser(
+        "inspect", help="report on a mesh file", description="Report on a mesh file. Exit code 1: unusable."
+    )
+    inspect.add_argument(
+        "mesh", metavar="MESH", help="an .stl, .obj, .ply, .off, .glb, .usd, .usda, .usdc or .usdz file"
+    )
+    inspect.add_argument(
+        "--scale", type=float, default=1.0, metavar="X", help="factor on all lengths (default: 1)"
+    )
+    inspect.add_argument(
+        "--unit", metavar="U", help="unit of the file, such as mm, cm, in (default: its own, or m)"
+    )
+    inspect.add_argument("--prim", metavar="PATH", help="the prim of a USD file to take (default: all meshes)")
+    inspect.add_argument(
+        "--repair", metavar="STEPS", help="report on the repaired mesh: all, or steps such as merge,orient"
+    )
+    inspect.add_argument(
+        "--tolerance", type=float, default=1e-6, metavar="X", help="of merge, relative to the size (default: 1e-6)"
+    )
+    inspect.add_argument(
+        "--trusted", action="store_true", help="read the file without limits on time, memory and other files"
+    )
+    inspect.add_argument("--plot", metavar="FILE", help="draw it, defects marked, into an .svg or .png file")
+    active = inspect.add_mutually_exclusive_group()
+    active.add_argument(
+        "--active",
+        metavar="GROUP",
+        nargs="+",
+        help="groups of faces that can touch: report their area, and draw the others pale",
+    )
+    active.add_argument(
+        "--active-faces", metavar="N", nargs="+", type=int, help="the same with numbers of faces, from 0"
+    )
+    inspect.set_defaults(command=_inspect)
+
+    laws.add_to(commands)
+    commands.choices["laws"].set_defaults(command=_laws)
+    bench.add_to(commands)
+    commands.choices["bench"].set_defaults(command=_bench)
+    build_kernels.add_to(commands)
+    commands.choices["build-kernels"].set_defaults(command=_build_kernels)
+    render.add_to(commands)
+    commands.choices["render"].set_defaults(command=_folder_command, work=render.run)
+    run_folders.add_to(commands)
+    commands.choices["status"].set_defaults(command=_folder_command, work=run_folders.status)
+    commands.choices["export"].set_defaults(command=_folder_command, work=run_folders.export)
+    report_command.add_to(commands)
+    commands.choices["report"].set_defaults(command=_folder_command, work=report_command.run)
+    view.add_to(commands)
+    commands.choices["view"].set_defaults(command=_folder_command, work=view.run)
+    return parser
+
+
+def _fail(message: str) -> int:
+    print(f"warpcontact: {message}", file=sys.stderr)
+    return WRONG_USE
+
+
+def _sentence(error: OSError) -> str:
+    from warpcontact.system.initialization import explained
+
+    return str(explained(error))
+
+
+@dataclass
+class _RunContext:
+    """What there is of a run, for who asks to stop it.
+
+    Attributes:
+        resumed: Folder of the run that goes on; ``None``: a new one is begun.
+        folder: Where the results go, once that is known.
+        before: Content of ``run.json`` there until then, of an earlier run.
+    """
+
+    resumed: Path | None
+    folder: Path | None = None
+    before: dict[str, Any] | None = None
+
+    def __str__(self) -> str:
+        """What to say behind ``interrupted``."""
+        if self.folder is None:
+            return " before anything was " + (f"done{_resume(self.resumed)}" if self.resumed else "kept")
+        from warpcontact.experiment.folder import DATA, FINISHED, read_summary
+        from warpcontact.files.run_folder import RunPath
+
+        summary = read_summary(self.folder)
+        if self.resumed is None and summary == self.before:
+            return f" before anything was kept{f'; {self.folder} is as it was' if summary else ''}"
+        if summary is None or not (RunPath(self.folder) / DATA).is_folder():
+            return " before anything was kept"
+        done = "the results are whole" if summary.get("state") == FINISHED else "what was done is kept"
+        return f"; {done}{_resume(self.folder)}"
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    if arguments.file is None and not (arguments.resume and arguments.out):
+        arguments.usage.error("the following arguments are required: FILE (unless --resume --out DIR)")
+    context = _RunContext(Path(arguments.out) if arguments.resume and arguments.out else None)
+    with terminate_as_interrupt():
+        try:
+            return _run_experiment(arguments, context)
+        except KeyboardInterrupt:
+            print(f"\nwarpcontact: interrupted{context}", file=sys.stderr)
+            return INTERRUPTED
+
+
+def _run_experiment(arguments: argparse.Namespace, context: _RunContext) -> int:
+    import warnings
+
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_ERROR
+    from warpcontact.experiment import ExperimentError, RunDataError
+    from warpcontact.experiment.folder import DATA, EXPERIMENT, check_usable, has_commits, read_summary
+    from warpcontact.files.run_folder import RunPath
+    from warpcontact.stepping.quarantine import QuarantineError
+
+    def warn(text: str) -> None:
+        print(text, file=sys.stderr, flush=True)
+
+    try:
+        if arguments.file is None:
+            check_usable(Path(arguments.out), overwrite=False, resume=True)
+            arguments.file = Path(arguments.out) / EXPERIMENT
+        folder = _results(arguments)
+        context.resumed = folder if arguments.resume else None
+        # Before the experiment is checked, for which kernels may have to be compiled.
+        check_usable(folder, overwrite=arguments.overwrite, resume=arguments.resume)
+        experiment = _experiment(arguments)
+        context.before, context.folder = read_summary(folder), folder
+        with warnings.catch_warnings(), _name_option(arguments, experiment):
+            # The summary says it.
+            warnings.filterwarnings("ignore", message=".* and are frozen", category=RuntimeWarning)
+            result = experiment.run(
+                folder,
+                device=_device(arguments),
+                overwrite=arguments.overwrite,
+                resume=arguments.resume,
+                ray=arguments.ray,
+                shard=arguments.shard,
+                threads=arguments.threads,
+                checkpoint=arguments.checkpoint,
+                on_stage=_print_stage,
+                on_warning=warn,
+            )
+    except (ExperimentError, RunDataError, QuarantineError) as error:
+        return _fail(str(error))
+    except OSError as error:
+        code = _fail(_sentence(error))
+        for note in getattr(error, "__notes__", ()):
+            _fail(note)
+        if context.folder is not None and (RunPath(context.folder) / DATA).is_real_folder():
+            kept = "what was committed is kept" if has_commits(context.folder) else "nothing is kept yet"
+            _fail(f"{kept}{_resume(context.folder)}")
+        return code
+    print(result)
+    return SHARDS_FAILED if result.summary.get("failed") else 0
+
+
+def _resume(folder: Path) -> str:
+    return f" in {folder}; go on with:\n    warpcontact run --resume --out {shlex.quote(str(folder))}"
+
+
+def _plan(arguments: argparse.Namespace) -> int:
+    import warnings
+
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_ERROR
+    from warpcontact.experiment import ExperimentError
+    from warpcontact.model.memory import MemoryShortage
+    from warpcontact.stepping.quarantine import QuarantineError
+
+    try:
+        experiment = _experiment(arguments)
+        with _name_option(arguments, experiment):
+            plan = experiment.plan(device=_device(arguments), shard=arguments.shard, out=_results(arguments))
+    except ExperimentError as error:
+        return _fail(str(error))
+    except MemoryShortage as error:
+        print(error)
+        return FAILED
+    print(plan, flush=True)
+    if plan.shard and arguments.probe:
+        _print_stage("measuring")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # a run tells
+            try:
+                print(experiment.probe(device=_device(arguments), shard=plan.shard))
+            except QuarantineError as error:
+                return _fail(str(error))
+    return 0 if plan.shard else FAILED
+
+
+def _experiment(arguments: argparse.Namespace) -> "Experiment":
+    """Reads the experiment of a command, with what its options change."""
+    from warpcontact.experiment import Experiment
+
+    _print_stage(f"reading {arguments.file}")
+    experiment = Experiment.from_toml(
+        arguments.file, changes=arguments.set, on_stage=_print_stage, trust=arguments.trust
+    )
+    for option in ("envs", "duration"):
+        value = getattr(arguments, option)
+        with _name_source(f"--{option} {value}", experiment.source):
+            experiment = experiment.changed(**{option: value})
+    return experiment
+
+
+def _results(arguments: argparse.Namespace) -> Path:
+    """Returns the folder for the results of an experiment that was not read yet."""
+    from warpcontact.experiment.experiment import read_content
+
+    if arguments.out:
+        return Path(arguments.out)
+    name = str(read_content(Path(arguments.file), arguments.set)["name"])
+    return Path("results", re.sub(r"[^\w.-]+", "_", name).strip("._") or "experiment")
+
+
+def _device(arguments: argparse.Namespace) -> str | list[str]:
+    """Returns the device that a command names, or the list of them."""
+    name: str = arguments.device
+    return name.split(",") if "," in name else name
+
+
+def _print_stage(stage: str) -> None:
+    print(f"{stage} …", file=sys.stderr, flush=True)
+
+
+def _name_option(arguments: argparse.Namespace, experiment: "Experiment") -> AbstractContextManager[None]:
+    """Names the option that is left to be wrong: the size of a shard, or the device."""
+    given = vars(arguments)
+    wrong = {
+        "shard": given["shard"] is not None and given["shard"] < 1,
+        "threads": (given.get("threads") or 1) < 1 or given.get("threads") == 0,
+        "checkpoint": not given.get("checkpoint", 0.0) >= 0.0,
+    }
+    option = next((f"--{name} {given[name]}" for name, is_wrong in wrong.items() if is_wrong), None)
+    option = option or f"--device {arguments.device}"
+    return _name_source(option, experiment.source)
+
+
+@contextmanager
+def _name_source(option: str, source: str) -> Iterator[None]:
+    """Names ``option`` in place of the file: what is wrong was right before it."""
+    from warpcontact.experiment import ExperimentError
+
+    try:
+        yield
+    except ExperimentError as error:
+        if error.source != source:
+            raise
+        raise ExperimentError(option, error.problems) from None
+
+
+def _inspect(arguments: argparse.Namespace) -> int:
+    from warpcontact.files.picture_file import check_path
+    from warpcontact.meshes import MeshError, examine_file, plot_file
+
+    options = {name: getattr(arguments, name) for name in ("scale", "unit", "prim", "tolerance", "trusted")}
+    options["repair"] = arguments.repair.split(",") if arguments.repair else False
+    options["active_faces"] = arguments.active or arguments.active_faces
+    try:
+        if arguments.plot:
+            check_path(arguments.plot)
+        report = examine_file(arguments.mesh, **options)
+    except (MeshError, ValueError) as error:
+        option = "--active" if arguments.active else "--active-faces"
+        return _fail(re.sub("^active_faces", option, str(error)))
+    if not report.vertex_count and not report.face_count:  # nothing could be read
+        for problem in report.errors:
+            print(f"warpcontact: {arguments.mesh}: {problem}", file=sys.stderr)
+        return FAILED
+    print(report.to_text())
+    if arguments.plot:
+        try:
+            plot_file(arguments.mesh, arguments.plot, **options)
+            print(f"picture: {arguments.plot}")
+        except ValueError as error:
+            code = _fail(str(error))
+            return code if report.usable else FAILED
+    return 0 if report.usable else FAILED
+
+
+def _laws(arguments: argparse.Namespace) -> int:
+    try:
+        laws.run(arguments)
+    except ValueError as error:
+        return _fail(str(error))
+    return 0
+
+
+def _folder_command(arguments: argparse.Namespace) -> int:
+    import warp as wp
+
+    # Standard output has what was asked for, and nothing about kernels and devices.
+    wp.config.log_level = wp.LOG_ERROR
+    try:
+        return arguments.work(arguments) or 0
+    except ValueError as error:
+        return _fail(str(error))
+
+
+def _bench(arguments: argparse.Namespace) -> int:
+    try:
+        bench.run(arguments)
+    except ValueError as error:
+        return _fail(str(error))
+    return 0
+
+
+def _build_kernels(arguments: argparse.Namespace) -> int:
+    from warpcontact.stepping.quarantine import QuarantineError
+
+    try:
+        build_kernels.run(arguments)
+    except (ValueError, QuarantineError) as error:
+        return _fail(str(error))
+    return 0

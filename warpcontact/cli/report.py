@@ -1,0 +1,40 @@
+"""The command ``report``: one HTML file of a run."""
+
+import argparse
+from typing import Any
+
+from warpcontact.cli.trust_option import add_option
+
+
+def add_to(commands: Any) -> None:
+    """Adds the command and its options to the parsers of all commands."""
+    parser = commands.add_parser(
+        "report",
+        help="one HTML file of a run: outcomes, curves, a table, a replay in 3D",
+        description="Write a report of a run as one HTML file that opens anywhere and needs no network.",
+    )
+    parser.add_argument("folder", metavar="DIR", help="folder of the run, finished or not")
+    parser.add_argument(
+        "-o", "--out", dest="file", metavar="FILE", help="the .html file (default: report.html in the folder)"
+    )
+    parser.add_argument(
+        "--envs",
+        metavar="N",
+        nargs="+",
+        type=int,
+        help="numbers of the environments that are shown one by one (default: the first 16, some that failed, and "
+        "those with the smallest and largest outcomes, as far as there is room)",
+    )
+    add_option(parser)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Writes the report.
+
+    Raises:
+        ValueError: If the folder holds no whole run, or an option is not allowed.
+        OSError: If the file cannot be written.
+    """
+    from warpcontact.visualize.report import report
+
+    print(report(arguments.folder, arguments.file, envs=arguments.envs, trust=arguments.trust))

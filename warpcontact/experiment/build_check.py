@@ -1,0 +1,151 @@
+"""A model of one environment, built to look at: what only building tells of a scene and of a user's classes."""
+
+import re
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from warpcontact import meshes
+from warpcontact.experiment.assemble import FileCache, SceneBuilder
+from warpcontact.experiment.catalogue import DeviceModelSettings, user_class
+from warpcontact.experiment.errors import Problems
+from warpcontact.experiment.parser import ExperimentParts
+from warpcontact.experiment.schema import DEVICE_MODEL_SECTIONS
+from warpcontact.experiment.user_code import describe_error
+from warpcontact.geometry.query_mesh import QueryMeshCache
+from warpcontact.kernels import laws
+from warpcontact.kernels.catalogue.device_model import Formula
+from warpcontact.kernels.couplings import springs
+from warpcontact.kernels.joints import Motion
+from warpcontact.kernels.shapes import shapes
+from warpcontact.model.build import plan_model
+from warpcontact.model.environments import Environments
+from warpcontact.scene.scene import ContactMaterial, Scene
+
+
+def check_build(
+    parts: ExperimentParts, folder: Path, file_cache: FileCache, problems: Problems
+) -> Environments | None:
+    """Returns a model of what is sound; ``None`` if there is none.
+
+    Args:
+        parts: What there is; tables with a class that does not work are taken out.
+        folder: Folder to which the names of mesh files are relative.
+        file_cache: What was read before; filled, with patches too.
+        problems: Receives what is wrong.
+    """
+    precision = parts.settings.precision if parts.settings else "float32"
+    file_cache.query_meshes = {}  # those of an earlier trial may be of other surfaces
+    scene = SceneBuilder(parts, folder, file_cache).scene(problems)
+    model, error = _try_build(scene, precision, file_cache.query_meshes)
+    # What the model contains works. The rest, or everything if there is none, is tried piece by piece.
+    working = set() if model is None else _classes(scene)
+    faults = 0
+    for section, i, key, formula in list(_user_formulas(parts)):
+        fault = None if type(formula) in working else _find_fault(key, formula, precision)
+        if fault is not None:
+            problems.add(f"{section}[{i}].{key}", f": {fault}")
+            parts.entries[section].pop(i, None)
+            faults += 1
+    if faults and model is None:
+        # Once more without them, so that the other problems are found, too; those of the parts are known.
+        scene = SceneBuilder(parts, folder, file_cache).scene(Problems())
+        model, error = _try_build(scene, precision, file_cache.query_meshes)
+    if isinstance(error, ValueError):
+        message = str(error)
+        paths = {entry.name: path for _, path, entry in parts}
+        name = message.partition(":")[0]
+        problems.add(paths.get(name, "scene"), f": {message.removeprefix(name + ': ')}")
+    elif error is not None:
+        raise error
+    return model
+
+
+def _try_build(
+    scene: Scene, precision: str, known: QueryMeshCache | None = None
+) -> tuple[Environments | None, Exception | None]:
+    """Returns a model of one environment, or why there is none; patches are kept as ``known``."""
+    if not scene.bodies:
+        return None, None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the model that runs warns again
+            return plan_model(scene, "cpu", precision, known).build(1), None
+    except Exception as error:
+        return None, error
+
+
+def _classes(scene: Scene) -> set[type[Formula]]:
+    """Returns the classes of all formulas in ``scene``."""
+    formulas = [f for contact in scene.contacts for f in contact.material.formulas.values()]
+    formulas += [f for coupling in scene.couplings for f in coupling.formulas.values()]
+    formulas += [f for contact in scene.shape_contacts for f in contact.formulas.values()]
+    formulas += [f for contact in scene.particle_contacts for f in contact.formulas.values()]
+    kinds = {kind for contact in scene.shape_contacts for kind in contact.kinds}
+    return kinds | {type(formula) for formula in (*formulas, *(body.motion for body in scene.bodies))}
+
+
+def _user_formulas(parts: ExperimentParts) -> Iterator[tuple[str, int, str, Formula]]:
+    """Iterates over the formulas that are not of the library: section, number of the entry, key, formula."""
+    for section in DEVICE_MODEL_SECTIONS:
+        for i, entry in parts.entries[section].items():
+            for key, table in entry:
+                if isinstance(table, DeviceModelSettings) and user_class(table.type)[0]:
+                    yield section, i, key, table.make()
+
+
+def _find_fault(key: str, formula: Formula, precision: str) -> str | None:
+    """Returns why ``formula``, as ``key`` of its table, cannot be computed or compiled; ``None`` if it can."""
+    cls = type(formula)
+    if isinstance(formula, Motion):
+        scene = Scene()
+        scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0), motion=formula)
+        _, failure = _try_build(scene, precision)
+        return None if failure is None else _failure_text(failure, cls)
+    if isinstance(formula, shapes.Shape):
+        scene = Scene()
+        ball = scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0))
+        both = scene.add_shape(ball, shapes.Sphere(1.0)), scene.add_shape(None, formula)
+        scene.add_shape_contact(*both, ContactMaterial(law=laws.Hooke(stiffness=1.0)))
+        _, failure = _try_build(scene, precision)
+        return None if failure is None else _failure_text(failure, cls)
+    values = {name: np.full((1, 1), value) for name, value in formula.parameters(area=1.0).items()}
+    if along := isinstance(formula, springs.Spring | springs.Damper):
+        values["rest_length"] = np.ones((1, 1))
+    try:
+        missing = set(cls.device_names()) - set(formula.coefficients(values))
+    except Exception as error:
+        return describe_error(error, cls)
+    if missing:
+        return f"{cls.__name__}.coefficients must return {', '.join(cls.device_names())}, got no {min(missing)}"
+    scene = Scene()
+    ball = scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0), position=(0.0, 0.0, 1.0))
+    if along:
+        ends = (scene.add_point(None, (0.0, 0.0, 0.0)), scene.add_point(ball, (0.0, 0.0, 0.0)))
+        scene.add_spring_damper(*ends, **{"spring": springs.Linear(stiffness=1.0), key: formula})
+    else:
+        try:
+            material = ContactMaterial(**{"law": laws.Hooke(stiffness=1.0), key: formula})
+        except ValueError as error:
+            return str(error)
+        # A set, because it has areas for a formula that asks for them.
+        points = scene.add_points(ball, [(0.0, 0.0, 0.0)], areas=[1.0])
+        scene.add_contact(points, scene.add_surface(meshes.grid()), material, radius=0.1)
+    _, failure = _try_build(scene, precision)
+    if failure is None:
+        return None
+    text = _failure_text(failure, cls)
+    if key in ("law", "spring"):
+        return text
+    helper = "spring Linear" if along else "law Hooke"
+    return re.sub(rf"^{helper} with |^In the {helper.partition(' ')[0]}, .*\n", "", text, flags=re.MULTILINE)
+
+
+def _failure_text(failure: Exception, cls: type[Formula]) -> str:
+    """Returns in words why a model with a formula of class ``cls`` could not be built."""
+    # That a formula does not compile is said in full by what compiles it, in names of modules that nobody knows.
+    if isinstance(failure, TypeError):
+        return str(failure).replace(f"{cls.__module__}.", "")
+    return describe_error(failure, cls)

@@ -1,0 +1,291 @@
+"""Formulas, laws for instance, and outcomes out of a user's own Python file, named as ``FILE.py:CLASS``.
+
+Such a file is run as any module is that one imports. It has to lie inside of the folder of the experiment, so that
+an experiment from elsewhere runs only its own files. In a run folder, a file must be trusted, see ``trust``.
+Errors in a file, and of its import, are reported in one sentence with the line.
+"""
+
+import contextlib
+import importlib.util
+import io
+import itertools
+import linecache
+import os
+import re
+import sys
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from warpcontact.experiment import trust
+from warpcontact.experiment.errors import ExperimentError, abbreviated
+from warpcontact.files.regular_files import UnsafeFileError
+from warpcontact.files.run_folder import is_run_folder, read_file
+from warpcontact.kernels.catalogue.device_model import Formula
+from warpcontact.kernels.catalogue.names import suggestion
+from warpcontact.kernels.couplings.springs import Damper, Spring
+from warpcontact.kernels.friction import Friction
+from warpcontact.kernels.joints import Motion
+from warpcontact.kernels.laws import Law
+from warpcontact.kernels.outcomes.base import Outcome
+from warpcontact.kernels.shapes.base import Shape
+from warpcontact.validation.checks import check_length
+
+#: What a user's class may be.
+KINDS: tuple[type, ...] = (Law, Friction, Spring, Damper, Motion, Shape, Outcome)
+
+# Modules by file and content: experiments of an unchanged file share its classes, and so its compiled kernels.
+_MODULES: dict[tuple[Path, bytes], ModuleType] = {}
+# Every attempt has a name of its own, under which neither Python nor Warp finds what an earlier one left behind.
+_NUMBERS = itertools.count(1)
+
+
+class TrustError(ExperimentError):
+    """The folder of a run names Python files that no run of this user has written, and that were not trusted."""
+
+
+@dataclass(frozen=True)
+class UserFile:
+    """A user's file.
+
+    Attributes:
+        path: Where it is, without links.
+        content: What was in it when it was loaded.
+        module: What it defines.
+    """
+
+    path: Path
+    content: bytes
+    module: ModuleType
+
+
+class UserFiles:
+    """The Python files that an experiment names; each is read once, and stays what it was then.
+
+    Args:
+        folder: Folder of the experiment.
+        on_stage: Called with a few words before a file is loaded.
+        trusted: Which files are run if it is the folder of a run: see ``trust``.
+    """
+
+    def __init__(self, folder: Path, on_stage: Callable[[str], None], trusted: trust.Trust = False) -> None:
+        self.folder = folder
+        self.on_stage = on_stage
+        self.trusted = trusted
+        self._files: dict[str, UserFile] = {}
+        self._failures: dict[str, str] = {}
+
+    def check_trusted(self, raw: Any) -> None:
+        """Checks, before any is run, that all files that an experiment names may be run.
+
+        Args:
+            raw: Content of the experiment file.
+
+        Raises:
+            TrustError: If some may not; names these.
+        """
+        if not is_run_folder(self.folder):
+            return
+        untrusted = []
+        for name in dict.fromkeys(_files_in(raw)):
+            if name in self._files:  # and stays what it was when it was loaded
+                continue
+            with contextlib.suppress(ValueError):  # which loading it raises again, with its place
+                if not trust.may_run(self._read(name), self.trusted):
+                    untrusted.append(name)
+        if untrusted:
+            raise _untrusted(self.folder, untrusted)
+
+    def file(self, name: str) -> UserFile:
+        """Returns the file called ``name``, relative to the folder.
+
+        Raises:
+            ValueError: If it is none, lies elsewhere or cannot be loaded; the message continues the key ``type``.
+        """
+        if name not in self._files and name not in self._failures:
+            try:
+                self._files[name] = self._load(name)
+            except ValueError as error:
+                self._failures[name] = str(error)
+        if name in self._failures:
+            raise ValueError(self._failures[name])
+        return self._files[name]
+
+    def find(self, file: str, name: str, *bases: type) -> Any:
+        """Returns class ``name`` of a file.
+
+        Args:
+            file: The file, relative to the folder.
+            name: Name of the class.
+            bases: What the class may be: one or several of ``KINDS``.
+
+        Raises:
+            ValueError: If there is none; the message continues the key ``type``.
+        """
+        defined = vars(self.file(file).module)
+        given = defined.get(name)
+        if given is None:
+            available = [key for key, value in defined.items() if _is_formula(value, bases) and value not in bases]
+            hint = suggestion(name, available) or f"; there are: {', '.join(available) or 'none'}"
+            raise ValueError(f": {file} has no {_kind_names(bases)} {name!r}{hint}")
+        if not _is_formula(given, bases):
+            kinds = [kind for kind in KINDS if _is_formula(given, (kind,))]
+            derived = " or ".join(
+                "wc.ParametricSurface" if base is Shape else f"wc.{base.__name__}" for base in bases
+            )
+            fact = (
+                f"a {_kind_names(kinds)} and no {_kind_names(bases)}"
+                if kinds
+                else f"no class derived from {derived}"
+            )
+            raise ValueError(f": {name!r} in {file} is {fact}")
+        if issubclass(given, Formula) and (lacking := given.missing_function()):
+            arguments = ", ".join(given.arguments())
+            raise ValueError(f": {name}.{lacking} in {file} must be a wp.func of ({arguments})")
+        return given
+
+    @contextlib.contextmanager
+    def named_errors(self) -> Iterator[None]:
+        """Turns what goes wrong in one of the files into an ``ExperimentError`` of that file."""
+        try:
+            yield
+        except Exception as error:
+            for name, file in self._files.items():
+                line = _line_of(error, file.path)
+                if line is not None:
+                    problem = f"line {line}: {_sentence(error)}"
+                    raise ExperimentError(str(self.folder / name), [problem]) from error
+            raise
+
+    def _load(self, name: str) -> UserFile:
+        path = self._path_inside(name)
+        for loaded in self._files.values():
+            if loaded.path == path:  # under another name
+                return loaded
+        content = self._read(name)
+        if is_run_folder(self.folder):
+            if not trust.may_run(content, self.trusted):
+                raise _untrusted(self.folder, [name])
+            if self.trusted is True:
+                trust.record([content])
+        self.on_stage(f"loading {self.folder / name}")
+        try:
+            return UserFile(path, content, _module(path, content))
+        except (Exception, SystemExit) as error:
+            raise ValueError(f": {_located_error(error, path, name)}") from None
+
+    def _read(self, name: str) -> bytes:
+        """Returns the content of a file."""
+        path = self._path_inside(name)
+        if not path.exists():
+            others = sorted(other.name for other in path.parent.glob("*.py"))
+            raise ValueError(f": there is no file {name!r}{suggestion(path.name, others)}")
+        try:
+            return read_file(self.folder / name)
+        except IsADirectoryError:
+            raise ValueError(f": {name!r} is not a regular file") from None
+        except UnsafeFileError as error:
+            raise ValueError(f": {name!r} {error.strerror}") from None
+        except OSError as error:
+            raise ValueError(f": {name!r} cannot be read: {error.strerror or error}") from None
+
+    def _path_inside(self, name: str) -> Path:
+        """Returns the path of a file, which must lie in the folder: links count as where they lead."""
+        folder = self.folder.resolve()
+        try:
+            path = (folder / name).resolve()
+        except (OSError, ValueError, RuntimeError) as error:  # a loop of links, or a null character
+            raise ValueError(f": {name!r} cannot be read: {error}") from None
+        parts = Path(name).parts
+        if Path(name).is_absolute() or os.pardir in parts or not path.is_relative_to(folder):
+            raise ValueError(f" must name a file inside of the folder of the experiment, got {abbreviated(name)}")
+        check_length(": the name of a file", path.name)
+        return path
+
+
+def _files_in(raw: Any) -> Iterator[str]:
+    """Iterates over the files that an experiment names, as ``FILE.py:CLASS``, at any depth."""
+    if isinstance(raw, str):
+        name = raw.rpartition(":")[0]
+        if name.endswith(".py"):
+            yield name
+    elif isinstance(raw, Mapping):
+        for value in raw.values():
+            yield from _files_in(value)
+    elif isinstance(raw, list | tuple):
+        for value in raw:
+            yield from _files_in(value)
+
+
+def _untrusted(folder: Path, names: list[str]) -> TrustError:
+    return TrustError(
+        str(folder),
+        [
+            f"would run {', '.join(names)}, Python code that no run of this user has written there; read it, then "
+            "run it with --trust (Python: trust=True)"
+        ],
+    )
+
+
+def _kind_names(bases: Iterable[type]) -> str:
+    return " or ".join(base.__name__.lower() for base in bases)
+
+
+def _is_formula(value: object, bases: tuple[type, ...]) -> bool:
+    return isinstance(value, type) and issubclass(value, bases)
+
+
+def _line_of(error: BaseException, path: Path) -> int | None:
+    """Returns the line of file ``path`` in which ``error`` arose, if it did so there."""
+    if isinstance(error, SyntaxError) and error.filename == str(path):
+        return error.lineno or None  # 0: no line in particular
+    frames = traceback.walk_tb(error.__traceback__)
+    lines = [line for frame, line in frames if frame.f_code.co_filename == str(path)]
+    return lines[-1] if lines else None
+
+
+def _located_error(error: BaseException, path: Path, name: str) -> str:
+    """Returns ``my_laws.py, line 7: ZeroDivisionError: division by zero`` for an error in file ``path``."""
+    line = _line_of(error, path)
+    place = name if line is None else f"{name}, line {line}"
+    return f"{place}: {_sentence(error)}"
+
+
+def _sentence(error: BaseException) -> str:
+    text = error.msg if isinstance(error, SyntaxError) else str(error)
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+def describe_error(error: BaseException, formula: type) -> str:
+    """Returns a sentence on an error in a user's ``formula``, with its line if it arose in its file."""
+    path = Path(str(sys.modules[formula.__module__].__file__))
+    return _located_error(error, path, path.name)
+
+
+def _module(path: Path, content: bytes) -> ModuleType:
+    """Runs ``content`` as the module of file ``path``, unless that has been done."""
+    if (path, content) not in _MODULES:
+        _MODULES[path, content] = _run(path, content)
+    return _MODULES[path, content]
+
+
+def _run(path: Path, content: bytes) -> ModuleType:
+    code = compile(content, str(path), "exec", dont_inherit=True)
+    module = ModuleType(f"_warpcontact_own_{next(_NUMBERS)}_{re.sub(r'[^0-9A-Za-z_]', '_', path.stem)}")
+    module.__file__ = str(path)
+    sys.modules[module.__name__] = module  # where dataclasses and Warp look for it
+    # Warp reads the source of functions as they are defined: let it find what is run, whatever is in the file by
+    # then. Without a time of change the entry is not compared with the file.
+    lines = io.StringIO(importlib.util.decode_source(content)).readlines()
+    linecache.cache[str(path)] = (len(content), None, lines, str(path))
+    try:
+        exec(code, vars(module))
+    except BaseException:
+        del sys.modules[module.__name__]
+        raise
+    finally:
+        linecache.cache.pop(str(path), None)
+    return module

@@ -1,0 +1,1 @@
+"""Files: atomic replacement, direct I/O, and run folders of others."""

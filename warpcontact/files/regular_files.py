@@ -1,0 +1,104 @@
+"""Sensor of files that others may have made: pipes, devices and sockets are refused before a read."""
+
+import errno
+import os
+import stat
+from io import BufferedReader
+from pathlib import Path
+
+from warpcontact.model.memory import format_bytes
+
+#: Largest text that is read: JSON, TOML, Python [bytes].
+TEXT = 512 * 2**20
+
+# A pipe is opened without waiting for its other end, a terminal does not become that of the process.
+_READING = os.O_RDONLY
+for _flag in ("O_NONBLOCK", "O_CLOEXEC", "O_NOCTTY", "O_BINARY"):
+    _READING |= getattr(os, _flag, 0)
+
+#: Reason to refuse a link below the folder of a run.
+LINKED = "is a symbolic link, and none is followed below the folder of a run"
+
+_KINDS = {
+    stat.S_IFIFO: "a named pipe",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+}
+
+
+class UnsafeFileError(OSError):
+    """A file that is not opened: a pipe or device, far too large, or a symbolic link below the folder of a run."""
+
+    def __str__(self) -> str:
+        return f"{self.filename}: {self.strerror}"
+
+
+def refused(path: object, reason: str) -> UnsafeFileError:
+    """Returns the error that the file at ``path`` is not opened."""
+    return UnsafeFileError(errno.EPERM, reason, str(path))
+
+
+def check_regular(found: os.stat_result, path: object, most: int | None = None) -> None:
+    """Raises an error unless ``found`` is of a regular file.
+
+    Args:
+        found: Status of the file.
+        path: Its name in messages.
+        most: Largest size that is allowed [bytes]; ``None``: any.
+
+    Raises:
+        IsADirectoryError: If it is a folder.
+        UnsafeFileError: If it is a pipe, device, socket or link, or larger than ``most``.
+    """
+    if stat.S_ISDIR(found.st_mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if stat.S_ISLNK(found.st_mode):
+        raise refused(path, LINKED)
+    if not stat.S_ISREG(found.st_mode):
+        kind = _KINDS.get(stat.S_IFMT(found.st_mode), "a special file")
+        raise refused(path, f"is not a regular file: it is {kind}")
+    if most is not None and found.st_size > most:
+        raise refused(path, f"must have at most {format_bytes(most)}, has {format_bytes(found.st_size)}")
+
+
+def open_regular(
+    path: str | os.PathLike[str],
+    most: int | None = None,
+    *,
+    shown: object = None,
+    follow: bool = True,
+    folder: int | None = None,
+    flags: int = 0,
+) -> BufferedReader:
+    """Opens a regular file to read; anything else is refused without a read.
+
+    Args:
+        path: The file.
+        most: Largest size that is allowed [bytes]; ``None``: any.
+        shown: Its name in messages; ``None``: ``path``.
+        follow: Whether a symbolic link is followed; otherwise it is refused.
+        folder: Descriptor of the folder to which ``path`` is relative.
+        flags: Further flags of ``os.open``.
+
+    Raises:
+        UnsafeFileError: If it is a pipe, device, socket or refused link, or larger than ``most``.
+        OSError: If it cannot be opened.
+    """
+    shown = path if shown is None else shown
+    # Opening a device can have effects, and a socket cannot be opened.
+    check_regular(os.stat(path, dir_fd=folder, follow_symlinks=follow), shown, most)
+    flags |= _READING if follow else _READING | getattr(os, "O_NOFOLLOW", 0)
+    descriptor = os.open(path, flags, dir_fd=folder)
+    try:
+        check_regular(os.fstat(descriptor), shown, most)
+        return os.fdopen(descriptor, "rb")
+    except BaseException:
+        os.close(descriptor)
+        raise
+
+
+def read_regular(path: Path, most: int = TEXT) -> bytes:
+    """Returns the content of a regular file of at most ``most`` bytes; errors are those of ``open_regular``."""
+    with open_regular(path, most) as file:
+        return file.read()

@@ -1,0 +1,1 @@
+"""Contact couplings: repulsive pressure between surfaces within a range."""

@@ -1,0 +1,128 @@
+"""The contact couplings of a scene on the device: which contacts they have, their parameters, and what is kept."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from warpcontact.kernels.couplings import contact_coupling as kernels
+from warpcontact.model.allocation_plan import AllocationPlan, per_env
+from warpcontact.model.parameters import DeviceField, Field, Parameters
+from warpcontact.scene.elements import ENABLED, RANGE, Contact
+from warpcontact.stepping.frames import transform_points
+from warpcontact.validation import checks
+from warpcontact.validation.checks import Array
+
+if TYPE_CHECKING:
+    from warpcontact.scene.contact_coupling import ContactCoupling
+
+# Parameters of the law under the names that they have in a coupling; those of its friction keep theirs.
+_OF_LAW = {"k1": "k1", "k2": "k2", "ramp": "damping_ramp"}
+
+
+@dataclass(frozen=True)
+class ContactCouplings:
+    """All contact couplings, in the order of the device: that of their contacts.
+
+    Attributes:
+        all: The couplings.
+        of: The coupling of each contact that is part of one.
+        contacts: All contacts of the scene in the order of the device.
+    """
+
+    all: tuple["ContactCoupling", ...]
+    of: Mapping[Contact, "ContactCoupling"]
+    contacts: Sequence[Contact]
+
+    @classmethod
+    def order(cls, couplings: Sequence["ContactCoupling"], contacts: Sequence[Contact]) -> "ContactCouplings":
+        """Returns ``couplings`` in the order of their ``contacts``."""
+        of = {contact: coupling for coupling in couplings for contact in coupling.contacts}
+        return cls(tuple(dict.fromkeys(of[contact] for contact in contacts if contact in of)), of, contacts)
+
+    def range_of_contacts(self, contacts: Sequence[Contact]) -> tuple[int, int]:
+        """Returns the first coupling of ``contacts``, which lie side by side, and how many they are."""
+        found = list(dict.fromkeys(self.of[contact] for contact in contacts if contact in self.of))
+        return (self.all.index(found[0]) if found else 0), len(found)
+
+    def share(self, fields: Mapping[Contact, dict[str, Field]]) -> set[Field]:
+        """Lets the contacts of a coupling have one field for each parameter but the area; returns these fields."""
+        shared: dict[tuple[ContactCoupling, str], Field] = {}
+        for contact, own in fields.items():
+            if contact not in self.of:
+                continue
+            for name, field in own.items():
+                if name != "area":
+                    first = Field(field.values[0, :1])
+                    own[name] = shared.setdefault((self.of[contact], name), first)
+        return set(shared.values())
+
+    def aliases(self, contact: Contact, part: str, name: str) -> list[str]:
+        """Returns what else a parameter of a law or friction of ``contact`` is called."""
+        coupling = self.of.get(contact)
+        if coupling is None or contact is not coupling.contacts[0]:
+            return []
+        if part == "law":
+            return [f"{coupling.name}.{_OF_LAW[name]}"] if name in _OF_LAW else []
+        return [f"{coupling.name}.{part}.{name}"]
+
+    def add_geometry(
+        self,
+        start_of: Mapping[Contact, int],
+        fields: Mapping[str, Field],
+        parameters: Parameters,
+        device_field: DeviceField,
+    ) -> None:
+        """Adds what couplings say once for all of their contacts, whose ``fields`` are there."""
+        for coupling in self.all:
+            first, last = coupling.contacts[0], coupling.contacts[-1]
+            items = slice(start_of[first], start_of[last] + last.count)
+            parameters.add(f"{coupling.name}.effective_range", fields["radius"], items, RANGE, [device_field])
+            parameters.add(
+                f"{coupling.name}.enabled",
+                fields["enabled"],
+                items,
+                ENABLED,
+                [device_field],
+                convert=checks.switches,
+            )
+
+    def declare(self, arrays: SimpleNamespace, layout: AllocationPlan, t: SimpleNamespace) -> None:
+        """Declares what is kept of couplings, and which contacts they have; nothing if there are none."""
+        arrays.coupling_extremes, arrays.coupling_contacts, arrays.contact_couplings = None, None, None
+        if not self.all:
+            return
+        arrays.coupling_extremes = layout.struct("contacts", t.CouplingExtremes, per_env(len(self.all)))
+        arrays.coupling_contacts = kernels.CouplingSets()
+        sets = np.cumsum([0] + [contact.set_count for contact in self.contacts])
+        number = {contact: int(first) for contact, first in zip(self.contacts, sets, strict=False)}
+        firsts = [number[coupling.contacts[0]] for coupling in self.all]
+        counts = [len(coupling.contacts) for coupling in self.all]
+        layout.constant("contacts", arrays.coupling_contacts, "first", firsts, wp.int32)
+        layout.constant("contacts", arrays.coupling_contacts, "count", counts, wp.int32)
+
+    def upload_normals(self, model: object, point_count: int, parameters: Parameters, t: SimpleNamespace) -> None:
+        """Adds the normals of all points, in their bodies, if some contact is weighed by them."""
+        weighed = [
+            (points, points.normals, parameters.by_name[f"{points.surface.name}.orientation"])
+            for points in (contact.points for contact in self.contacts if contact.facing == "projected")
+            if points.surface is not None and points.normals is not None
+        ]
+        if not weighed:
+            return
+
+        def normals() -> Array:
+            envs = max(len(turn.field.values) for _, _, turn in weighed)
+            values = np.zeros((envs, point_count, 3))
+            for points, own, turn in weighed:
+                items = slice(points.start, points.start + len(own))
+                values[:, items] = transform_points(own, np.zeros(3), turn.field.values[:, turn.items.start])
+            return values
+
+        device_field = parameters.device_field(model, "point_normal", t.vec3, normals)
+        for _, _, turn in weighed:
+            if device_field not in turn.device_fields:
+                turn.device_fields.append(device_field)

@@ -1,0 +1,76 @@
+"""Bushings on a device."""
+
+from collections.abc import Mapping
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+import warp as wp
+
+from warpcontact.forces.couplings.coupling_set import CouplingSet
+from warpcontact.kernels.couplings import bushing
+from warpcontact.model.allocation_plan import per_env
+from warpcontact.scene import couplings as elements
+from warpcontact.scene import elements as limits_of
+from warpcontact.scene.couplings import Bushing
+from warpcontact.stepping.frames import inverse, product
+from warpcontact.validation import checks
+from warpcontact.validation.checks import Array
+
+if TYPE_CHECKING:
+    from warpcontact.model.allocation_plan import AllocationPlan
+    from warpcontact.model.parameters import Parameters
+    from warpcontact.scene.elements import Body
+    from warpcontact.stepping.execution_plan import ExecutionPlan
+
+_RANGES = {
+    "stiffness": elements.STIFFNESS,
+    "damping": elements.DAMPING,
+    "turn_stiffness": elements.TURN_STIFFNESS,
+    "turn_damping": elements.TURN_DAMPING,
+    "orientation": checks.FINITE,
+    "enabled": limits_of.ENABLED,
+}
+
+
+class BushingSet(CouplingSet):
+    """All bushings of a scene."""
+
+    couplings: list[Bushing]
+    quantities: ClassVar[Mapping[str, tuple[str, str, str]]] = {
+        "displacement": ("displacement", "m", "of the second end from the first, axes of the bushing"),
+        "rotation": ("rotation", "rad", "of the second body from rest, rotation vector, axes of the bushing"),
+        "force": ("force", "N", "force on the second body, axes of the bushing"),
+        "torque": ("torque", "N·m", "couple on the second body, axes of the bushing"),
+        "status": ("status", "-", "state of the coupling"),
+    }
+
+    @property
+    def results(self) -> Any:
+        """What was measured last."""
+        return self._bushings
+
+    def _make(self, layout: "AllocationPlan", parameters: "Parameters") -> None:
+        t = bushing.bushing_structs(self.types.real)
+        self._bushings = layout.struct("couplings", t.Bushings, per_env(self.count), transient=True)
+        self._owner = SimpleNamespace(settings=None)
+        # From the frame of the first body to that of the second at rest, which is how they stand in the scene.
+        rest = np.array(
+            [product(inverse(_orientation(one.bodies[1])), _orientation(one.bodies[0])) for one in self.couplings]
+        )
+
+        def computed(values: dict[str, Array]) -> dict[str, Array]:
+            first = values.pop("orientation")
+            return {**values, "orientation_1": first, "orientation_2": product(rest, first)}
+
+        self._add_settings(parameters, self._owner, t.Settings, _RANGES, computed)
+
+    def force_stages(self, plan: "ExecutionPlan", state: Any, status: wp.array) -> list[wp.Launch]:
+        """Returns the launch of the forces of its bushings."""
+        a, kernel = plan.model.arrays, bushing.kernel(self.types.real)
+        inputs = [status, a.model, state, self.first, self._owner.settings, self._bushings, a.coupling_wrenches]
+        return plan.prepare(kernel, self.count, inputs)
+
+
+def _orientation(body: "Body | None") -> Array:
+    return np.array([0.0, 0.0, 0.0, 1.0]) if body is None else body.orientation

@@ -1,0 +1,125 @@
+"""Catenaries on a device."""
+
+from collections.abc import Mapping
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from warpcontact.forces.couplings.coupling_set import CouplingSet
+from warpcontact.kernels.couplings import catenary, line_measures
+from warpcontact.model.allocation_plan import per_env
+from warpcontact.model.state_storage import COUNT, SWITCH
+from warpcontact.model.status import CatenaryStatus
+from warpcontact.scene import couplings as elements
+from warpcontact.scene import elements as limits_of
+from warpcontact.scene.couplings import Catenary
+from warpcontact.system.capture_lock import shared_capture_lock
+
+if TYPE_CHECKING:
+    from warpcontact.model.allocation_plan import AllocationPlan
+    from warpcontact.model.model import Model
+    from warpcontact.model.parameters import Parameters
+    from warpcontact.stepping.execution_plan import ExecutionPlan
+
+_RANGES = {
+    "length": elements.LINE_LENGTH,
+    "mass_per_length": elements.MASS_PER_LENGTH,
+    "axial_stiffness": elements.AXIAL_STIFFNESS,
+    "floor": elements.FLOOR,
+    "enabled": limits_of.ENABLED,
+}
+
+
+class CatenarySet(CouplingSet):
+    """The catenaries of a scene with a floor, or those without."""
+
+    couplings: list[Catenary]
+    quantities: ClassVar[Mapping[str, tuple[str, str, str]]] = {
+        "tension_a": ("tension_a", "N", "tension at end a"),
+        "tension_b": ("tension_b", "N", "tension at end b"),
+        "horizontal_tension": ("horizontal_tension", "N", "horizontal part of the tension, the same throughout"),
+        "dip": ("dip", "m", "depth of the lowest point of the line below end a"),
+        "stretched_length": ("stretched_length", "m", "length of the line as it is stretched"),
+        "grounded_length": ("grounded_length", "m", "unstretched length of what rests on the floor"),
+        "iterations": ("iterations", "-", "evaluations of the span of the line"),
+        "status": ("status", "-", "state of the line"),
+        "failures": ("failures", "-", "steps in which no solution was found, since reset"),
+    }
+    codes = CatenaryStatus
+
+    @staticmethod
+    def key(coupling: Catenary) -> bool:
+        """Returns whether there is a floor."""
+        return coupling.floor is not None
+
+    @property
+    def floored(self) -> bool:
+        """Whether there is a floor."""
+        return self.key(self.couplings[0])
+
+    @property
+    def results(self) -> Any:
+        """What was measured last."""
+        return self._lines
+
+    def _make(self, layout: "AllocationPlan", parameters: "Parameters") -> None:
+        shape = per_env(self.count)
+        Lines = catenary.line_structs(self.types.real).Lines
+        measured = [name for name in Lines.vars if name != "failures"]
+        self._lines = layout.struct("couplings", Lines, shape, transient=measured, ranges={"failures": COUNT})
+        self._accepted_solution = layout.struct(
+            "couplings", catenary.CatenarySolution, shape, ranges={"grounded": SWITCH}
+        )
+        self._trial_solution = layout.struct("couplings", catenary.CatenarySolution, shape, transient=True)
+        self._owner = SimpleNamespace(settings=None)
+        ranges = {key: allowed for key, allowed in _RANGES.items() if self.floored or key != "floor"}
+        self._add_settings(parameters, self._owner, catenary.Settings, ranges)
+
+    def force_stages(self, plan: "ExecutionPlan", state: Any, status: wp.array) -> list[wp.Launch]:
+        """Returns the launch of the forces of its lines."""
+        a, kernel = plan.model.arrays, catenary.kernel(self.types.real, self.floored)
+        inputs = [
+            *(status, a.model, state, self.first, self._owner.settings),
+            *(self._accepted_solution, self._trial_solution, self._lines, a.coupling_wrenches),
+        ]
+        return plan.prepare(kernel, self.count, inputs)
+
+    def accept_stages(self, plan: "ExecutionPlan") -> list[wp.Launch]:
+        """Returns the launch that remembers where the next search starts, and what failed."""
+        a, kernel = plan.model.arrays, catenary.accept(self.types.real)
+        return plan.prepare(
+            kernel, self.count, [a.status, self._trial_solution, self._accepted_solution, self._lines]
+        )
+
+    def reset_state(self, chosen: wp.array, envs: int) -> None:
+        """Starts its lines anew."""
+        kernel, inputs = catenary.reset(self.types.real), [chosen, self._accepted_solution, self._lines]
+        wp.launch(kernel, dim=(envs, self.count), inputs=inputs, device=chosen.device)
+
+    @shared_capture_lock()
+    def shape(self, model: "Model", item: int, count: int) -> NDArray[np.float64]:
+        """Returns where points of a line were when it was computed last, (envs, count, 3), world [m]."""
+        points = wp.zeros((model.envs, count), dtype=wp.vec3d, device=model.device)
+        kernel = line_measures.shapes(self.types.real, self.floored)
+        self._measure(model, kernel, item, points)
+        return points.numpy()
+
+    @shared_capture_lock()
+    def stiffness(self, model: "Model", item: int) -> NDArray[np.float64]:
+        """Returns the derivatives of the force on end b by its place likewise, (envs, 3, 3), world [N/m]."""
+        rates = wp.zeros(model.envs, dtype=wp.mat33d, device=model.device)
+        kernel = line_measures.stiffness(self.types.real, self.floored)
+        self._measure(model, kernel, item, rates)
+        return rates.numpy()
+
+    def _measure(self, model: "Model", kernel: wp.Kernel, item: int, target: wp.array) -> None:
+        a = model.arrays
+        inputs = [a.model, a.state, self.first, item, self._owner.settings, self._trial_solution]
+        wp.launch(kernel, dim=target.shape, inputs=inputs, outputs=[target], device=model.device)
+
+    def failures(self, item: int) -> NDArray[np.int32]:
+        """Returns in how many steps since reset no solution of a line was found, (envs,)."""
+        return self._lines.failures.numpy()[:, item]

@@ -1,0 +1,44 @@
+"""All couplings of a scene on a device, sorted by kind and code."""
+
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+from warpcontact.forces.couplings.coupling_set import CouplingSet
+from warpcontact.scene.couplings import Bushing, Catenary, Coupling, SpringDamper
+
+if TYPE_CHECKING:
+    from warpcontact.model.allocation_plan import AllocationPlan
+    from warpcontact.model.parameters import Parameters
+    from warpcontact.scene.scene import Scene
+
+
+def set_of(kind: type[Coupling]) -> type[CouplingSet]:
+    """Returns what couplings of a kind are on a device, imported for them alone: Warp parses its kernels then."""
+    if kind is SpringDamper:
+        from warpcontact.forces.couplings.springs import SpringSet
+
+        return SpringSet
+    if kind is Bushing:
+        from warpcontact.forces.couplings.bushings import BushingSet
+
+        return BushingSet
+    from warpcontact.forces.couplings.catenaries import CatenarySet
+
+    assert kind is Catenary  # there are no others
+    return CatenarySet
+
+
+def make_sets(
+    scene: "Scene", layout: "AllocationPlan", parameters: "Parameters", types: SimpleNamespace
+) -> list[CouplingSet]:
+    """Declares the arrays of all couplings, and adds their parameters."""
+    sorted_: dict[tuple[type[Coupling], Any], list[Coupling]] = {}
+    for coupling in scene.couplings:
+        kind = type(coupling)
+        sorted_.setdefault((kind, set_of(kind).key(coupling)), []).append(coupling)
+    sets: list[CouplingSet] = []
+    first = 0
+    for (kind, _), own in sorted_.items():
+        sets.append(set_of(kind)(own, first, layout, parameters, types))
+        first += len(own)
+    return sets

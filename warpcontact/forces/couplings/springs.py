@@ -1,0 +1,177 @@
+"""Spring-dampers on a device."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from warpcontact.forces.couplings.coupling_set import CouplingSet
+from warpcontact.kernels.catalogue.device_model import coefficient_struct
+from warpcontact.kernels.couplings import spring
+from warpcontact.kernels.couplings.spring import SpringModel
+from warpcontact.kernels.couplings.springs import Undamped, tables
+from warpcontact.model.allocation_plan import per_env
+from warpcontact.model.parameters import Field, pack
+from warpcontact.model.state_storage import SWITCH
+from warpcontact.scene import couplings as elements
+from warpcontact.scene import elements as limits_of
+from warpcontact.scene.couplings import SpringDamper
+from warpcontact.system.compilation import load
+from warpcontact.validation.custom_law_errors import explain_compile_errors, has_user_code
+
+if TYPE_CHECKING:
+    from warpcontact.model.allocation_plan import AllocationPlan
+    from warpcontact.model.parameters import Parameters
+    from warpcontact.stepping.execution_plan import ExecutionPlan
+
+
+_RANGES = {
+    "rest_length": elements.LENGTH,
+    "break_force": elements.BREAK_FORCE,
+    "tension_only": limits_of.ENABLED,
+    "enabled": limits_of.ENABLED,
+}
+
+
+class SpringSet(CouplingSet):
+    """Spring-dampers that share the code of their elastic part and damping."""
+
+    couplings: list[SpringDamper]
+    quantities: ClassVar[Mapping[str, tuple[str, str, str]]] = {
+        "length": ("length", "m", "distance of its ends"),
+        "rate": ("rate", "m/s", "rate of the length, positive apart"),
+        "force": ("force", "N", "force, positive where it pulls its ends together"),
+        "status": ("status", "-", "state of the coupling"),
+    }
+
+    @staticmethod
+    def key(coupling: SpringDamper) -> SpringModel:
+        """Returns the classes of elastic part and damping."""
+        return SpringModel(type(coupling.spring), type(coupling.damper))
+
+    @property
+    def parts(self) -> SpringModel:
+        """The classes of elastic part and damping."""
+        return self.key(self.couplings[0])
+
+    @property
+    def results(self) -> Any:
+        """What was measured last."""
+        return self._springs
+
+    def _make(self, layout: "AllocationPlan", parameters: "Parameters") -> None:
+        t = spring.spring_structs(self.types.real)
+        self._springs = layout.struct(
+            "couplings",
+            t.Springs,
+            per_env(self.count),
+            transient=("length", "rate", "force", "status", "direction"),
+            ranges={"broken": SWITCH},
+        )
+        self._coefficients = spring.coefficient_structs(self.parts, self.types.real)()
+        rest = self._add_settings(parameters, self._coefficients, t.Settings, _RANGES)["rest_length"]
+        self._tables = []
+        for part in self.parts._fields:
+            self._tables.append(self._add_tables(layout, part))
+            self._add_formula(parameters, part, rest)
+        self.kernel = spring.kernel(self.parts, self.types.real)
+
+    def _add_tables(self, layout: "AllocationPlan", part: str) -> Any:
+        owner = spring.spring_structs(self.types.real).Tables()
+        rows, first = [np.zeros((0, 4))], [0]
+        for one in self.couplings:
+            formula = getattr(one, part)
+            if (field := formula.table_field()) is not None:
+                rows.append(tables.rows_of(getattr(formula, field.name)))
+            first.append(sum(map(len, rows)))
+        vec4 = {wp.float32: wp.vec4f, wp.float64: wp.vec4d}[self.types.real]
+        layout.constant("couplings", owner, "rows", np.concatenate(rows), vec4)
+        layout.constant("couplings", owner, "first", first, wp.int32)
+        return owner
+
+    def _add_formula(self, parameters: "Parameters", part: str, rest: Field) -> None:
+        """Adds the parameters of one part, and the array of its coefficients."""
+        real = self.types.real
+        formulas = [getattr(one, part) for one in self.couplings]
+        struct = coefficient_struct(type(formulas[0]), real)
+        fields = [
+            {name: Field(np.array([float(value)])) for name, value in formula.parameters().items()}
+            for formula in formulas
+        ]
+
+        def content() -> NDArray[Any]:
+            names = formulas[0].device_names()
+            if not names:
+                return pack(struct, {"unused": np.zeros((1, len(formulas)))})
+            columns: dict[str, list[NDArray[Any]]] = {name: [] for name in names}
+            for item, (formula, own) in enumerate(zip(formulas, fields, strict=True)):
+                values = {name: field.values for name, field in own.items()}
+                if formula.derives():
+                    values["rest_length"] = rest.values[:, item : item + 1]
+                computed = formula.coefficients(
+                    dict(zip(values, np.broadcast_arrays(*values.values()), strict=True))
+                )
+                for name in names:
+                    columns[name].append(computed[name])
+            envs = max(len(column) for own in columns.values() for column in own)
+            return pack(
+                struct,
+                {
+                    name: np.concatenate([np.broadcast_to(column, (envs, 1)) for column in own], axis=1)
+                    for name, own in columns.items()
+                },
+            )
+
+        device_field = parameters.device_field(self._coefficients, part, struct, content)
+        for one, formula, own in zip(self.couplings, formulas, fields, strict=True):
+            plain = one.plain_spring if part == "spring" else one.plain_damper
+            for name, field in own.items():
+                label = f"{one.name}.{name}" if plain else f"{one.name}.{part}.{name}"
+                parameters.add(label, field, slice(0, 1), formula.limits(name), [device_field])
+            if formula.derives():
+                parameters.by_name[f"{one.name}.rest_length"].device_fields.append(device_field)
+
+    def force_stages(self, plan: "ExecutionPlan", state: Any, status: wp.array) -> list[wp.Launch]:
+        """Returns the launch of the forces of its springs."""
+        a = plan.model.arrays
+        inputs = [
+            status,
+            a.model,
+            state,
+            self.first,
+            self._coefficients,
+            *self._tables,
+            self._springs,
+            a.coupling_wrenches,
+        ]
+        return plan.prepare(self.kernel, self.count, inputs)
+
+    def accept_stages(self, plan: "ExecutionPlan") -> list[wp.Launch]:
+        """Returns the launch that remembers what broke, and where its springs point."""
+        a, kernel = plan.model.arrays, spring.accept(self.types.real)
+        return plan.prepare(kernel, self.count, [a.status, self._springs])
+
+    def reset_state(self, chosen: wp.array, envs: int) -> None:
+        """Mends its springs."""
+        kernel, device = spring.reset(self.types.real), chosen.device
+        wp.launch(kernel, dim=(envs, self.count), inputs=[chosen, self._springs], device=device)
+
+    def compile(self, device: wp.Device) -> None:
+        """Compiles the force kernel of a user's formulas, so that a mistake in them shows at once.
+
+        Raises:
+            TypeError: If a formula does not compile.
+        """
+        if not has_user_code(self.parts):
+            return
+        stretch = spring.spring_structs(self.types.real).Stretch
+        present = {part: formula for part, formula in self.parts._asdict().items() if formula is not Undamped}
+        said = (
+            "\nConstants, also those that a variable starts with, take the precision of the simulation when "
+            "written as type(s.length)(1.5)."
+        )
+        results = "\nThe force is a number of the precision of the simulation."
+        with explain_compile_errors(present, self.types.real, lambda _: ("s", stretch), said, results):
+            load(self.kernel, device)

@@ -1,0 +1,1 @@
+"""Joints of bodies to the world, and prescribed motion."""

@@ -1,0 +1,1 @@
+"""Contact of points and spheres with triangle meshes."""

@@ -1,0 +1,301 @@
+"""Warnings about scenes that run and give nonsense: steps too long for a contact, starts in deep overlap."""
+
+import sys
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpcontact.forces.contact_coupling.step_warnings import contact_coupling_warnings
+from warpcontact.forces.couplings.step_warnings import coupling_warnings
+from warpcontact.forces.mesh_contact.friction_warnings import MAX_CHECKED_ENVS, TYPICAL_SPEED, friction_warnings
+from warpcontact.geometry.initial_clearance import starts_clear
+from warpcontact.kernels.laws.undamped import contact_time, greatest_penetration
+from warpcontact.kernels.types import CONTACT
+from warpcontact.model.mobility import MIN_MOBILITY, mobility_of
+from warpcontact.validation.checks import Array
+
+if TYPE_CHECKING:
+    from warpcontact.forces.nonsmooth.contacts import NonsmoothContacts
+    from warpcontact.model.environments import Environments
+    from warpcontact.scene.elements import Body
+    from warpcontact.scene.particles import ParticleContact
+    from warpcontact.scene.scene import Contact
+    from warpcontact.scene.shapes import ShapeContact
+
+# Steps per contact time from which on the restitution of a smooth law is kept to about 1e-3.
+MIN_STEPS_PER_CONTACT = 20.0
+# Likewise in a pile, to about 1e-2: its impacts are many, and single ones matter less.
+MIN_STEPS_PER_PARTICLE_CONTACT = 10.0
+
+
+def caller_stacklevel() -> int:
+    """Returns the ``stacklevel`` with which its caller warns of what was called from outside this package."""
+    level, frame = 1, sys._getframe(1)
+    while frame.f_back is not None and frame.f_globals["__name__"].partition(".")[0] == "warpcontact":
+        level, frame = level + 1, frame.f_back
+    return level
+
+
+def contacts_to_evaluate(
+    model: "Environments", nonsmooth: "NonsmoothContacts | None"
+) -> "frozenset[Contact] | None":
+    """Returns the contacts of points that ``advice`` searches for overlap; ``None``: it evaluates nothing at all.
+
+    Left out are those that bounds tell to be clear, and those whose overlap is all the same.
+    """
+    scene = model.scene
+    found = frozenset(
+        contact
+        for contact in scene.contacts
+        if (envs := _evaluated_envs(model, contact, nonsmooth)) and not starts_clear(model, contact, envs)
+    )
+    # A sensor of a pile is one of the contacts of points as well.
+    evaluated = scene.shape_contacts or scene.contact_couplings or (scene.particle_contacts and scene.contacts)
+    return found if found or evaluated else None
+
+
+def _evaluated_envs(model: "Environments", contact: "Contact", nonsmooth: "NonsmoothContacts | None") -> int:
+    """Returns in how many environments the overlap at the start is looked at."""
+    if contact.facing is not None:
+        return 0
+    if nonsmooth is not None and not nonsmooth.is_compliant(contact.name):
+        return 0 if nonsmooth.recovery > 0.0 else model.envs
+    return model.envs if contact.count == 1 else min(model.envs, MAX_CHECKED_ENVS)
+
+
+def scene_warnings(model: "Environments", dt: float, nonsmooth: "NonsmoothContacts | None") -> list[str]:
+    """Returns what to say about the start of a model, a sentence or two per contact or coupling.
+
+    Estimates from the elastic part of a law and the masses of the bodies, without their rotation, and from how
+    steeply a friction rises; nothing is said of laws that do not tell their elastic part. Of a set of points as
+    many are taken to touch at once as do in a fall on a plane across an axis of their body: see ``_simultaneous_stiffness``.
+
+    Args:
+        model: The model.
+        dt: Time step [s].
+        nonsmooth: The contacts that have no force; of these all that matters is whether they start in overlap.
+    """
+
+    def has_force(name: str) -> bool:
+        return nonsmooth is None or nonsmooth.is_compliant(name)
+
+    def overlap_warnings(name: str) -> list[str]:
+        return (
+            []
+            if nonsmooth is not None and nonsmooth.recovery > 0.0
+            else _nonsmooth_overlap_warnings(model, name, dt)
+        )
+
+    sentences = []
+    evaluated = contacts_to_evaluate(model, nonsmooth)
+    if evaluated is None:
+        evaluated = frozenset()
+    else:
+        model.evaluate()
+    for coupling in model.scene.contact_couplings:
+        sentences += contact_coupling_warnings(model, coupling, dt)
+    for contact in model.scene.contacts:
+        if not has_force(contact.name):
+            sentences += overlap_warnings(f"{contact.name}.penetration") if contact in evaluated else []
+            continue
+        sentences += friction_warnings(model, contact, dt)
+        if contact.facing is not None:
+            continue
+        envs = _evaluated_envs(model, contact, nonsmooth)
+        mass, speed = (values[:envs] for values in _mass_and_speed(model, contact))
+        if contact.swept:
+            sentences += _max_depth_warnings(model, contact, speed, dt)
+        law = type(contact.material.law)
+        values = {name: _column(model, f"{contact.name}.law.{name}")[:envs] for name in contact.parameters("law")}
+        if (carrier := contact.area_carrier("law")) is not None:
+            values["area"] = values["area"] * _column(model, f"{carrier.name}.scale")[:envs] ** 2
+        elastic = law.elastic(values)
+        if elastic is None:
+            continue
+        stiffness, exponent = (np.broadcast_to(part, (envs, contact.count)) for part in elastic)
+        group_stiffness = _simultaneous_stiffness(contact, stiffness, exponent, mass, speed)
+        sentences += _step_length_warnings(
+            model, contact.name, contact_time(group_stiffness, exponent, mass, speed), dt
+        )
+        if contact not in evaluated:
+            continue
+        depth = np.where(
+            _sensor(model, contact, "status") == CONTACT, _sensor(model, contact, "penetration"), 0.0
+        )[:envs]
+        energy = stiffness * depth ** (exponent + 1.0) / (exponent + 1.0)
+        if not contact.points.spread:
+            energy = energy.sum(axis=1, keepdims=True)
+        # The energy of all overlaps of a body, as speed.
+        sentences += _overlap_warnings(model, contact.name, depth, np.sqrt(2.0 * energy / mass), speed)
+    for shape_contact in model.scene.shape_contacts:
+        if has_force(shape_contact.name):
+            sentences += _shape_contact_advice(model, shape_contact, dt)
+        else:
+            sentences += overlap_warnings(f"{shape_contact.name}.penetration")
+    for particle_contact in model.scene.particle_contacts:
+        if has_force(particle_contact.name):
+            sentences += _particle_contact_warnings(model, particle_contact, dt)
+        else:
+            sentences += overlap_warnings(f"{particle_contact.name}.max_penetration")
+    return sentences + coupling_warnings(model, dt)
+
+
+def _shape_contact_advice(model: "Environments", contact: "ShapeContact", dt: float) -> list[str]:
+    """Returns what to say about the start of a shape contact, each of its items alone."""
+    name, law = contact.name, contact.material.law
+    elastic = law.elastic({key: _column(model, f"{name}.law.{key}") for key in law.parameters()})
+    if elastic is None:
+        return []
+    mass, speed = _mass_and_speed(model, contact)
+    stiffness, exponent = (np.broadcast_to(part, (model.envs, contact.count)) for part in elastic)
+    sentences = _step_length_warnings(model, name, contact_time(stiffness, exponent, mass, speed), dt)
+    touching = _sensor(model, contact, "status") == CONTACT
+    depth = np.where(touching, _sensor(model, contact, "penetration"), 0.0)
+    energy = stiffness * depth ** (exponent + 1.0) / (exponent + 1.0)
+    return sentences + _overlap_warnings(model, name, depth, np.sqrt(2.0 * energy / mass), speed, latched=False)
+
+
+def _particle_contact_warnings(model: "Environments", contact: "ParticleContact", dt: float) -> list[str]:
+    """Returns what to say about the start of a particle contact: of two of its bodies that are easiest to move."""
+    name, law = contact.name, contact.material.law
+    elastic = law.elastic({key: _column(model, f"{name}.law.{key}") for key in law.parameters()})
+    if elastic is None:
+        return []
+    # A body with several shapes is one.
+    bodies = dict.fromkeys(shape.body for shape in contact.shapes if shape.body is not None)
+    mobilities = np.concatenate([mobility_of(model, contact, body).linear for body in bodies], axis=1)
+    group_stiffness = np.sort(mobilities, axis=1)[:, -2:].sum(axis=1, keepdims=True)
+    mass = 1.0 / np.maximum(group_stiffness, MIN_MOBILITY)
+    speed = np.max([_speed(model, body).max(axis=1) for body in bodies], axis=0)[:, None]
+    stiffness, exponent = (np.broadcast_to(part, (model.envs, 1)) for part in elastic)
+    sentences = _step_length_warnings(
+        model, name, contact_time(stiffness, exponent, mass, speed), dt, MIN_STEPS_PER_PARTICLE_CONTACT
+    )
+    depth = model.sensor(f"{name}.max_penetration")[:, None]
+    energy = stiffness * depth ** (exponent + 1.0) / (exponent + 1.0)
+    return sentences + _overlap_warnings(model, name, depth, np.sqrt(2.0 * energy / mass), speed, latched=False)
+
+
+def _simultaneous_stiffness(
+    contact: "Contact", stiffness: Array, exponent: Array, mass: Array, speed: Array
+) -> Array:
+    """Returns the stiffness of the points that may touch at once, (envs, 1); (envs, items) on a set of bodies.
+
+    The set falls on a plane, along each axis of its body in turn, both ways; the points down to which it then
+    sinks act together, all as deep as the first. Where they spread wider than the surface that they touch, their
+    share of it counts. It is never less than that of one point. Mesh and places are those of the scene.
+
+    Args:
+        contact: The contact.
+        stiffness: Of every point (envs, items).
+        exponent: Of the law, likewise.
+        mass: Reduced mass of the bodies (envs, 1) [kg].
+        speed: Impact speed to expect (envs, 1) [m/s].
+    """
+    if contact.points.spread:
+        return stiffness
+    most = stiffness.max(axis=1, keepdims=True)
+    if contact.count == 1:
+        return most
+    places, surface = contact.points.places, contact.surface
+    size = float(surface.scale * max(np.linalg.norm(np.ptp(mesh.bounds, axis=0)) for mesh in surface.meshes))
+    for direction in (*np.eye(3), *-np.eye(3)):
+        height = -places @ direction
+        order = np.argsort(height)
+        next_height = np.append(height[order][1:], np.inf) - height.min()
+        spread = np.maximum.accumulate(places[order]) - np.minimum.accumulate(places[order])
+        width = np.linalg.norm(spread, axis=1)
+        covered_fraction = np.where(width > size, size / np.maximum(width, size), 1.0) ** 2
+        total = np.maximum(np.cumsum(stiffness[:, order], axis=1) * covered_fraction, most)
+        sinking = greatest_penetration(total, exponent[:, order], mass, speed)
+        last = np.argmax(sinking <= next_height, axis=1)
+        most = np.maximum(most, np.take_along_axis(total, last[:, None], axis=1))
+    return most
+
+
+def _max_depth_warnings(model: "Environments", contact: "Contact", speed: Array, dt: float) -> list[str]:
+    deepest = _column(model, f"{contact.name}.max_depth")[: len(speed)]
+    speed = np.broadcast_to(speed, deepest.shape)
+    worst, item = np.unravel_index(int(np.argmax(speed * dt - deepest)), deepest.shape)
+    if speed[worst, item] * dt <= deepest[worst, item]:
+        return []
+    return [
+        f"{contact.name}: swept, but what crosses may be let through: max_depth = {deepest[worst, item]:.3g} m is "
+        f"less than the {speed[worst, item] * dt:.2g} m of a step at {speed[worst, item]:.3g} m/s in environment "
+        f"{model.first_env + worst}; take a larger max_depth, or none, or a shorter dt"
+    ]
+
+
+def _step_length_warnings(
+    model: "Environments", name: str, duration: Array, dt: float, enough: float = MIN_STEPS_PER_CONTACT
+) -> list[str]:
+    shortest = np.min(duration, axis=1)
+    worst = int(np.argmin(shortest))
+    if shortest[worst] >= enough * dt:
+        return []
+    return [
+        f"{name}: dt = {dt:g} s is too long: a contact takes {shortest[worst]:.2g} s in environment "
+        f"{model.first_env + worst}, {shortest[worst] / dt:.1f} steps; take dt ≤ "
+        f"{shortest[worst] / enough:.2g} s for {enough:g}"
+    ]
+
+
+def _overlap_warnings(
+    model: "Environments", name: str, depth: Array, ejection_speed: Array, speed: Array, *, latched: bool = True
+) -> list[str]:
+    """Returns what to say about starts in overlap; ``latched`` says whether the contact can begin so."""
+    excess = ejection_speed - 2.0 * speed
+    worst, body = np.unravel_index(int(np.argmax(excess)), excess.shape)
+    if excess[worst, body] <= 0.0:
+        return []
+    item = int(np.argmax(depth[worst])) if excess.shape[1] == 1 else body
+    return [
+        f"{name}: starts {depth[worst, item]:.3g} m deep in the surface in environment {model.first_env + worst} "
+        f"and will be thrown out at about {ejection_speed[worst, body]:.3g} m/s; start outside, or set max_depth"
+        + (" or entry='latched'" if latched else "")
+    ]
+
+
+def _nonsmooth_overlap_warnings(model: "Environments", name: str, dt: float) -> list[str]:
+    """Returns what to say about a nonsmooth contact that starts deeper than bodies sink in within a step."""
+    depth = model.sensor(name).reshape(model.envs, -1).max(axis=1)
+    worst = int(np.argmax(depth))
+    if depth[worst] <= TYPICAL_SPEED * dt:
+        return []
+    return [
+        f"{name.rpartition('.')[0]}: starts {depth[worst]:.3g} m deep in environment {model.first_env + worst}, "
+        "and stays so: impulses keep bodies from coming closer, and do not drive them apart; start outside, or "
+        "give MoreauJean a recovery_time"
+    ]
+
+
+def _mass_and_speed(model: "Environments", contact: "Contact | ShapeContact") -> tuple[Array, Array]:
+    """Returns the reduced mass [kg], as bodies may move, and an impact speed to expect [m/s], (envs, 1).
+
+    Of points on a set of bodies (envs, items).
+    """
+    mobility = np.zeros((model.envs, 1))
+    speed = np.full((model.envs, 1), TYPICAL_SPEED)
+    for body in contact.bodies:
+        if body is not None:
+            mobility = mobility + mobility_of(model, contact, body).linear
+            speed = np.maximum(speed, _speed(model, body))
+    # Of bodies that no force moves a mass that nothing stops.
+    return 1.0 / np.maximum(mobility, MIN_MOBILITY), speed
+
+
+def _speed(model: "Environments", body: "Body") -> Array:
+    """Returns the speed of a body, or a usual one if that is higher, (envs, 1), or (envs, n) of a set [m/s]."""
+    velocity = np.linalg.norm(model[f"{body.name}.linear_velocity"], axis=-1)
+    return np.maximum(velocity.reshape(model.envs, body.count), TYPICAL_SPEED)
+
+
+def _column(model: "Environments", name: str) -> Array:
+    """Returns a parameter as (envs, items), with one item for a single point."""
+    values = model[name]
+    return values[:, None] if values.ndim == 1 else values
+
+
+def _sensor(model: "Environments", contact: "Contact | ShapeContact", quantity: str) -> Array:
+    values = model.last_value(f"{contact.name}.{quantity}")
+    return values[:, None] if values.ndim == 1 else values

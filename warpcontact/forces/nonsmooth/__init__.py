@@ -1,0 +1,1 @@
+"""Nonsmooth contact: contact problems of a step, and their materials."""

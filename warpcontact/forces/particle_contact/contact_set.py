@@ -1,0 +1,554 @@
+"""A particle contact on a device: what the step, resets and sensors need of it."""
+
+from collections.abc import Callable, Iterator
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from warpcontact.forces.particle_contact.neighbor_capacity import (
+    ALL_PAIRS_LIMIT,
+    all_pair_lists,
+    max_neighbors,
+    owned_records,
+)
+from warpcontact.kernels.catalogue.device_model import Formula, coefficient_struct
+from warpcontact.kernels.contact.contact_evaluation import group_structs
+from warpcontact.kernels.contact.history_variables import memory_struct
+from warpcontact.kernels.particles import force, history, measures, sums
+from warpcontact.kernels.particles import neighbor_lists as lists
+from warpcontact.kernels.particles.base import (
+    IN_CONTACT,
+    NO_INDEX,
+    WAS_IN_CONTACT,
+    ParticleTraits,
+    particle_structs,
+)
+from warpcontact.kernels.types import FREE
+from warpcontact.model.allocation_plan import AllocationPlan, fixed, per_env
+from warpcontact.model.contact_groups import compile_force_kernel
+from warpcontact.model.parameters import ClosedGap, DeviceField, Field, Parameter, Parameters, pack
+from warpcontact.model.sensors import Sensor, shape_in
+from warpcontact.model.state_storage import COUNT
+from warpcontact.scene import elements as limits_of
+from warpcontact.scene.particles import ParticleContact
+from warpcontact.scene.shapes import Shape
+from warpcontact.stepping import frames
+from warpcontact.stepping.execution_plan import SMALL_BLOCK
+from warpcontact.validation import checks
+from warpcontact.validation.checks import Array
+
+if TYPE_CHECKING:
+    from warpcontact.scene.scene import Scene
+    from warpcontact.stepping.execution_plan import ExecutionPlan
+
+# What a step takes of the cache of a core: of an entry, and of a shape with the records of its touches.
+ENTRY_BYTES = 8
+SHAPE_BYTES = 300
+
+_RANGES = {
+    "kappa": limits_of.KAPPA,
+    "max_depth": limits_of.MAX_DEPTH,
+    "torsion_radius": limits_of.TORSION_RADIUS,
+    "force_scale": limits_of.FORCE_SCALE,
+    "enabled": limits_of.ENABLED,
+}
+_TOTALS = {
+    "contacts": ("contacts", "-", "number of pairs that touch"),
+    "normal_force": ("normal_force", "N", "sum of the normal forces of all pairs"),
+    "max_penetration": ("max_penetration", "m", "deepest penetration of a pair, 0 without contact"),
+    "max_normal_force": ("max_normal_force", "N", "largest normal force of a pair"),
+}
+_PER_PARTICLE = {
+    "coordination": ("coordination", "-", "number of shapes that touch each shape"),
+    "force": ("force", "N", "force of the others on each shape, world"),
+}
+
+
+class ParticleContactSet:
+    """A particle contact on a device.
+
+    Args:
+        contact: The particle contact.
+        scene: What it is in.
+        layout: Where to declare arrays.
+        parameters: Where to add parameters; those of the shapes are there.
+        types: Structs of the precision.
+
+    Attributes:
+        contact: The particle contact.
+        fixed: Whether its lists are those of all pairs.
+        entries: Entries of all lists of an environment.
+        slots: Records of an environment.
+        particles: Its shapes, lists and records on the device, and what lists are made with.
+        lists: See there.
+        pair_records: See there.
+        cell_list: See there.
+        measured: What sensors are measured into.
+    """
+
+    def __init__(
+        self,
+        contact: ParticleContact,
+        scene: "Scene",
+        layout: AllocationPlan,
+        parameters: Parameters,
+        types: SimpleNamespace,
+    ) -> None:
+        self.contact = contact
+        self.real = types.real
+        self._types = types
+        self._parts = contact.parts
+        t = particle_structs(self.real)
+        self.particles, self.neighbor_lists = t.Particles(), t.NeighborLists()
+        self._pose = {
+            key: [_parameter(parameters, shape, key) for shape in contact.shapes]
+            for key in ("radius", "half_length", "position", "orientation")
+        }
+        count = contact.count
+        self.all_pairs = count <= ALL_PAIRS_LIMIT
+        self._capacity = self._make_lists(layout, parameters)
+        placed = any(shape.positions.any() for shape in contact.shapes)
+        self._traits = ParticleTraits(
+            has_offsets=placed,
+            has_capsules=any(one is not None for one in self._pose["half_length"]),
+            all_pairs=self.all_pairs,
+        )
+        self.pair_records = layout.struct(
+            "particles",
+            t.PairRecords,
+            per_env(self.slots),
+            records=True,
+            transient=[
+                name for name in t.PairRecords.vars if name not in ("entry_speed", "flags", "particle_flags")
+            ],
+            ranges=dict.fromkeys(("flags", "particle_flags"), (0, IN_CONTACT | WAS_IN_CONTACT)),
+            flags=per_env(self.slots),
+            particle_flags=per_env(count),
+        )
+        self._buckets = 1 << (max(16, count) - 1).bit_length()
+        self.cell_list = self._make_cell_list(layout)
+        self._add_shapes(layout, parameters, sum(body.count for body in scene.bodies))
+        self._add_settings(parameters)
+        self._add_formulas(layout, parameters)
+        self.measured = layout.struct(
+            "particles",
+            measures.measured(self.real),
+            per_env(),
+            transient=True,
+            coordination=per_env(count),
+            force=per_env(count),
+        )
+        moves = self._parts.law.needs_mass and any(body.motion.kind != FREE for body in scene.bodies)
+        # Of the CPU, where a slice of the environments has one thread at a time.
+        self._single_thread = layout.device.is_cpu
+        self._kernel = force.kernel(self._parts, self._traits, self.real, moves, self._single_thread)
+
+    @property
+    def _detection_kernel(self) -> wp.Kernel:
+        """The kernel that finds touches that have no force."""
+        return force.kernel(self._parts, self._traits, self.real, moves=False, single_thread=True, nonsmooth=True)
+
+    def _make_lists(self, layout: AllocationPlan, parameters: Parameters) -> NDArray[np.int_] | None:
+        """Declares the lists; returns how many partners each shape may have, ``None`` if they are all pairs."""
+        contact = self.contact
+        count = contact.count
+        if self.all_pairs:
+            owned, other_pairs = all_pair_lists(contact.bodies, *contact.kinds)
+            rows = [[*own, *other] for own, other in zip(owned, other_pairs, strict=True)]
+            starts, slots = (np.cumsum([0, *map(len, each)]) for each in (rows, owned))
+            slot_of = {
+                frozenset((shape, neighbor)): slots[shape] + k
+                for shape, own in enumerate(owned)
+                for k, neighbor in enumerate(own)
+            }
+            records = [slot_of[frozenset((shape, neighbor))] for shape, row in enumerate(rows) for neighbor in row]
+            # Shared by all environments.
+            for name, values in (
+                ("owned", [len(own) for own in owned]),
+                ("count", [len(row) for row in rows]),
+                ("neighbor", [neighbor for row in rows for neighbor in row] or [NO_INDEX]),
+                ("slot", records or [NO_INDEX]),
+            ):
+                parameters.device_field(self.neighbor_lists, name, wp.int32, _constant(values))
+            capacity = None
+        else:
+            if contact.max_neighbors is None:
+                capacity = max_neighbors(*self._sizes(), contact.skin).max(axis=0)
+            else:
+                capacity = np.full(count, min(contact.max_neighbors, count - 1))
+            starts, slots = (np.cumsum([0, *most]) for most in (capacity, owned_records(capacity)))
+            # Kept, as the history of a pair is found by them; after a checkpoint they are made again.
+            ranges = {
+                "owned": (0, np.diff(slots)),
+                "count": (0, np.diff(starts)),
+                "neighbor": (0, count - 1),
+                "slot": (NO_INDEX, int(slots[-1]) - 1),
+            }
+            for name, entries in (
+                ("owned", count),
+                ("count", count),
+                ("neighbor", starts[-1]),
+                ("slot", starts[-1]),
+            ):
+                layout.array(
+                    "particles", self.neighbor_lists, name, wp.int32, per_env(int(entries)), ranges=ranges
+                )
+        self.entries, self.slots = int(starts[-1]), max(1, int(slots[-1]))
+        layout.constant("particles", self.particles, "entry_start", starts, wp.int32)
+        layout.constant("particles", self.particles, "slot_start", slots, wp.int32)
+        return capacity
+
+    def _make_cell_list(self, layout: AllocationPlan) -> Any:
+        count = self.contact.count
+        each = fixed(1, 1) if self.all_pairs else per_env(count)
+        CellList = particle_structs(self.real).CellList
+        counts = dict.fromkeys(("build_count", "overflow"), COUNT)
+        return layout.struct(
+            "particles",
+            CellList,
+            each,
+            transient=[name for name in CellList.vars if name not in counts],
+            ranges=counts,
+            stale=per_env(),
+            valid=per_env(),
+            build_count=per_env(),
+            overflow=per_env(),
+            head=fixed(1, 1) if self.all_pairs else per_env(self._buckets),
+            key=fixed(1, 1) if self.all_pairs else per_env(self.entries),
+        )
+
+    def _sizes(self) -> tuple[Array, Array]:
+        """Returns radii and half lengths of all shapes, (1 or envs, n) each."""
+        return self._column("radius"), self._column("half_length")
+
+    def _column(self, key: str) -> Array:
+        """Returns a quantity of all shapes, (1 or envs, n, …); 0 where it is none of a shape."""
+        columns = [
+            np.zeros((1, shape.count)) if one is None else one.field.values[:, one.items]
+            for one, shape in zip(self._pose[key], self.contact.shapes, strict=True)
+        ]
+        envs = max(len(column) for column in columns)
+        return np.concatenate([np.broadcast_to(c, (envs, *c.shape[1:])) for c in columns], axis=1)
+
+    def _add_shapes(self, layout: AllocationPlan, parameters: Parameters, body_count: int) -> None:
+        """Adds where the shapes are and how large they are, and which bodies have them."""
+        contact, particles, vec3 = self.contact, self.particles, self._types.vec3
+        kinds, allowed = contact.kinds
+        for name, numbers in (("body", contact.bodies), ("kind", kinds), ("allowed", allowed)):
+            layout.constant("particles", particles, name, numbers, wp.int32)
+        order = np.argsort(contact.bodies, kind="stable")
+        bodies, starts = np.unique(contact.bodies[order], return_index=True)
+        self._owners = len(bodies)
+        # Side by side in the order of their bodies, a shape is its own carrier.
+        self._one_per_body = np.array_equal(bodies, contact.bodies)
+        particle_of_body = np.full(body_count, NO_INDEX)
+        particle_of_body[contact.bodies] = np.arange(contact.count)
+        layout.constant("particles", particles, "particle_of_body", particle_of_body, wp.int32)
+        for name, values in (
+            ("owner_body", bodies),
+            ("owner_start", [*starts, contact.count]),
+            ("owner_particle", order),
+        ):
+            layout.constant("particles", particles, name, values, wp.int32)
+
+        def axes() -> Array:
+            half = self._column("half_length")
+            turn = self._column("orientation")
+            ends = half[..., None] * np.array([0.0, 0.0, 1.0])
+            return frames.transform_points(ends[..., None, :], np.zeros(3), turn)[..., 0, :]
+
+        follow: dict[str, list[DeviceField]] = {
+            "radius": [parameters.device_field(particles, "radius", self.real, self._radii)],
+            "half_length": [],
+            "position": [],
+            "orientation": [],
+        }
+        follow["position"] = [parameters.device_field(particles, "offset", vec3, self._offsets)]
+        if self._traits.has_capsules:
+            follow["half_length"] = follow["orientation"] = [
+                parameters.device_field(particles, "axis", vec3, axes)
+            ]
+        else:
+            layout.array("particles", particles, "axis", vec3, fixed(1, 1), transient=True)
+        for key, device_fields in follow.items():
+            for one in self._pose[key]:
+                if one is not None:
+                    one.device_fields.extend(device_fields)
+
+    def _offsets(self) -> Array:
+        """Returns where the shapes are on their bodies, (1 or envs, n, 3).
+
+        Raises:
+            ValueError: If one has moved away from the centre of its body, and the kernels look for none elsewhere.
+        """
+        offsets = self._column("position")
+        if not self._traits.has_offsets and offsets.any():
+            raise ValueError(
+                f"{self.contact.name}: its shapes were all at the centre of mass of their body when the model was "
+                "built; give one another position in add_shape to let them be elsewhere"
+            )
+        return offsets
+
+    def _radii(self) -> Array:
+        """Returns the radii of all shapes, (1 or envs, n), if there is room for as many partners as they may have.
+
+        Raises:
+            ValueError: If there is not.
+        """
+        radius, half = self._sizes()
+        if self._capacity is not None and self.contact.max_neighbors is None:
+            needed = max_neighbors(radius, half, self.contact.skin)
+            if (needed > self._capacity).any():
+                shape = int((needed - self._capacity).max(axis=0).argmax())
+                raise ValueError(
+                    f"{self.contact.name}: with these radii {self.contact.label(shape)!r} may have "
+                    f"{needed[:, shape].max()} partners, and there is room for {self._capacity[shape]}; build the "
+                    "scene with the largest and smallest radii that are to come, or give add_particle_contact "
+                    "max_neighbors="
+                )
+        return radius
+
+    def _add_settings(self, parameters: Parameters) -> None:
+        contact = self.contact
+        struct = particle_structs(self.real).ParticleContactSettings
+        # A torsion radius that is not given follows from the overlap.
+        values = {key: getattr(contact, key) for key in _RANGES}
+        fields = {key: Field(np.array([-1.0 if value is None else value])) for key, value in values.items()}
+        fields["closed"] = Field(np.zeros(1))
+
+        def content() -> NDArray[Any]:
+            radius, half = self._sizes()
+            columns = {key: field.values for key, field in fields.items()}
+            columns["skin"] = np.full((1, 1), contact.skin)
+            columns["cell"] = 2.0 * (radius + half).max(axis=1, keepdims=True) + contact.skin
+            return pack(struct, columns)
+
+        device_field = parameters.device_field(self.particles, "settings", struct, content)
+        self.closed = ClosedGap(fields["closed"], device_field)
+        for key in ("radius", "half_length"):
+            for one in self._pose[key]:
+                if one is not None:
+                    one.device_fields.append(device_field)
+        for key, allowed in _RANGES.items():
+            if values[key] is not None:
+                parameters.add(
+                    f"{contact.name}.{key}",
+                    fields[key],
+                    slice(0, 1),
+                    allowed,
+                    [device_field],
+                    convert=checks.switches if key == "enabled" else None,
+                )
+
+    def _add_formulas(self, layout: AllocationPlan, parameters: Parameters) -> None:
+        """Adds the parameters of law and friction models, the same for all pairs, and what these remember."""
+        Coefficients, Memory = group_structs(self._parts, self.real)
+        self._coefficients, self._memory, self._history_out = Coefficients(), Memory(), Memory()
+        for part, formula in self.contact.formulas.items():
+            self._add_formula(part, formula, parameters)
+            for target in (self._memory, self._history_out):
+                # Never looked at if the formula remembers nothing.
+                shape = per_env(self.slots) if formula.memories else fixed(1, 1)
+                transient = target is self._history_out or not formula.memories
+                struct = memory_struct(type(formula), self.real)
+                layout.array("particles", target, part, struct, shape, transient=transient)
+
+    def _add_formula(self, part: str, formula: Formula, parameters: Parameters) -> None:
+        struct = coefficient_struct(type(formula), self.real)
+        fields = {name: Field(np.array([float(value)])) for name, value in formula.parameters().items()}
+
+        def content() -> NDArray[Any]:
+            if not formula.device_names():
+                return pack(struct, {"unused": np.zeros((1, 1))})
+            values = [field.values for field in fields.values()]
+            computed = formula.coefficients(dict(zip(fields, np.broadcast_arrays(*values), strict=True)))
+            return pack(struct, {name: computed[name] for name in formula.device_names()})
+
+        device_field = parameters.device_field(self._coefficients, part, struct, content, items=self.slots)
+        for name, field in fields.items():
+            full = f"{self.contact.name}.{part}.{name}"
+            parameters.add(full, field, slice(0, 1), formula.limits(name), [device_field])
+
+    @property
+    def bytes_per_step(self) -> int:
+        """About what a step reads and writes of it in an environment [bytes]."""
+        return ENTRY_BYTES * self.entries + SHAPE_BYTES * self.contact.count
+
+    def compile(self, device: wp.Device) -> None:
+        """Compiles the force kernel of a user's law, so that a mistake in it shows at once.
+
+        Raises:
+            TypeError: If a law or friction does not compile.
+        """
+        compile_force_kernel(self._parts, lambda: self._kernel, device, self.real)
+
+    @property
+    def sums_by_body(self) -> bool:
+        """Whether who integrates a body may add its touches up: of one shape, and not added as they are found."""
+        return self._one_per_body and not self._single_thread
+
+    def force_stages(
+        self, plan: "ExecutionPlan", state: Any, step: wp.array, status: wp.array, *, by_cluster: bool = False
+    ) -> list[wp.Launch]:
+        """Returns the launches that add what its shapes do to each other to the wrenches of ``state``.
+
+        Arguments are those of ``schedule.force_stages``. Of hard pairs, those that find where they touch.
+        """
+        model = plan.model.arrays.model
+        count, wrenches = self.contact.count, plan.model.arrays.wrenches
+        particles, neighbor_lists, pair_records, cell_list = (
+            self.particles,
+            self.neighbor_lists,
+            self.pair_records,
+            self.cell_list,
+        )
+        launches = [] if self.all_pairs else self._list_stages(plan, state, status)
+        nonsmooth = self._is_nonsmooth(plan)
+        kernel = self._detection_kernel if nonsmooth else self._kernel
+        inputs = [
+            status,
+            model,
+            state,
+            particles,
+            neighbor_lists,
+            cell_list,
+            self._memory,
+            step,
+            self._coefficients,
+            pair_records,
+        ]
+        inputs += [self._history_out, plan.write_outputs, wrenches]
+        launches += plan.prepare(kernel, count, inputs, block_dim=SMALL_BLOCK)
+        if not (self._single_thread or nonsmooth or by_cluster):
+            adding = sums.add(self.real, self._one_per_body)
+            inputs = [status, state, particles, neighbor_lists, pair_records, wrenches]
+            launches += plan.prepare(adding, self._owners, inputs, block_dim=SMALL_BLOCK)
+        return launches
+
+    def _list_stages(self, plan: "ExecutionPlan", state: Any, status: wp.array) -> list[wp.Launch]:
+        """Returns the launches that make the lists anew where they do not hold."""
+        count, buckets, real, traits = self.contact.count, self._buckets, self.real, self._traits
+        particles, neighbor_lists, pair_records, cell_list = (
+            self.particles,
+            self.neighbor_lists,
+            self.pair_records,
+            self.cell_list,
+        )
+        impulses = []
+        if plan.nonsmooth is not None and self._is_nonsmooth(plan):
+            inputs = [
+                status,
+                particles,
+                neighbor_lists,
+                cell_list,
+                plan.nonsmooth.first_record_of(self.contact),
+                plan.nonsmooth.stored_impulses,
+            ]
+            impulses = plan.prepare(lists.transfer_impulses(real), count, inputs)
+        return [
+            *plan.prepare(lists.check_validity(traits, real), count, [status, state, particles, cell_list]),
+            *plan.prepare(lists.clear(real), buckets, [status, cell_list]),
+            *plan.prepare(lists.fill(traits, real), count, [status, buckets, state, particles, cell_list]),
+            *plan.prepare(
+                lists.build(traits, real),
+                count,
+                [status, buckets, state, particles, neighbor_lists, pair_records, cell_list],
+            ),
+            *impulses,
+            *plan.prepare(
+                lists.transfer_history(self._parts, real),
+                count,
+                [status, particles, neighbor_lists, pair_records, cell_list, self._history_out, self._memory],
+            ),
+            *plan.prepare(lists.build_reverse(real), count, [status, particles, neighbor_lists, cell_list]),
+        ]
+
+    def accept_stages(self, plan: "ExecutionPlan") -> list[wp.Launch]:
+        """Returns the launch that remembers what an accepted step led to."""
+        status = plan.model.arrays.status
+        inputs = [status, self.particles, self.neighbor_lists, self.pair_records, self._history_out, self._memory]
+        kernel = history.accept(self._parts, self.real, self._is_nonsmooth(plan))
+        return plan.prepare(kernel, self.contact.count, inputs, block_dim=SMALL_BLOCK)
+
+    def _is_nonsmooth(self, plan: "ExecutionPlan") -> bool:
+        return plan.nonsmooth is not None and not plan.nonsmooth.is_compliant(self.contact.name)
+
+    def reset_state(self, chosen: wp.array, envs: int) -> None:
+        """Empties what the environments of the mask ``chosen`` [env] remember."""
+        inputs = [
+            chosen,
+            self.pair_records.flags,
+            self.pair_records.particle_flags,
+            self.cell_list.valid,
+            self.cell_list.build_count,
+            self.cell_list.overflow,
+        ]
+        wp.launch(
+            history.reset(), dim=(envs, max(self.slots, self.contact.count)), inputs=inputs, device=chosen.device
+        )
+
+    def invalidate_lists(self) -> None:
+        """Lets all lists be made anew: they may not hold for other radii or places."""
+        self.cell_list.valid.zero_()
+
+    def overflow_message(self) -> str | None:
+        """Returns what is wrong if a list was too short since reset; waits for the device."""
+        most = int(self.cell_list.overflow.numpy().max(initial=0))
+        if most == 0:
+            return None
+        return (
+            f"{self.contact.name}: a shape had {most} partners more than there is room for, and their forces are "
+            f"missing; give add_particle_contact a larger max_neighbors=, or a smaller skin than {self.contact.skin:g} m"
+        )
+
+    def measure(self, envs: int, device: wp.Device) -> None:
+        """Measures what its sensors are, of the forces computed last."""
+        inputs = [self.particles, self.neighbor_lists, self.pair_records]
+        outputs = [self.measured]
+        count = self.contact.count
+        kernel = measures.particles(self.real)
+        wp.launch(kernel, dim=(envs, count), inputs=inputs, outputs=outputs, device=device)
+        kernel = measures.totals(self.real)
+        wp.launch(kernel, dim=envs, inputs=[count, *inputs], outputs=outputs, device=device)
+
+    def sensors(self) -> Iterator[Sensor]:
+        """Iterates over what can be measured."""
+        name, count = self.contact.name, self.contact.count
+        for quantity, (attribute, unit, meaning) in _TOTALS.items():
+            array, shape = self._array(attribute), shape_in(self.measured, attribute)
+            yield Sensor(f"{name}.{quantity}", unit, meaning, array, needs=("contacts", "particles"), shape=shape)
+        for quantity, (attribute, unit, meaning) in _PER_PARTICLE.items():
+            array = self._array(attribute)
+            shape, needs = shape_in(self.measured, attribute), ("contacts", "particles")
+            yield Sensor(f"{name}.{quantity}", unit, meaning, array, needs=needs, items=count, shape=shape)
+
+    def _array(self, attribute: str) -> Any:
+        return lambda _: getattr(self.measured, attribute)
+
+
+def _constant(values: list[int]) -> Callable[[], NDArray[Any]]:
+    row = np.array(values, dtype=np.int32)[None]
+    return lambda: row
+
+
+def _parameter(parameters: Parameters, shape: Shape, key: str) -> Parameter | None:
+    """Returns a parameter of a shape, ``None`` if it has none of this name."""
+    return parameters.by_name.get(f"{shape.name}.{key}")
+
+
+def particle_arrays(pile: ParticleContactSet | None, real: type) -> list[Any]:
+    """Returns shapes, lists and touches of a pile, as kernels take them; of none those that are not looked at."""
+    if pile is not None:
+        return [pile.particles, pile.neighbor_lists, pile.pair_records]
+    t = particle_structs(real)
+    return [t.Particles(), t.NeighborLists(), t.PairRecords()]
+
+
+def make_particle_contact_sets(
+    scene: "Scene", layout: AllocationPlan, parameters: Parameters, types: SimpleNamespace
+) -> list[ParticleContactSet]:
+    """Declares the arrays of all particle contacts, and adds their parameters."""
+    return [ParticleContactSet(contact, scene, layout, parameters, types) for contact in scene.particle_contacts]

@@ -1,0 +1,449 @@
+"""Shape contacts on a device, sorted by the code of their forces, and within by the kinds of their shapes."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from warpcontact.forces.shape_contact.measures import has_curvatures
+from warpcontact.forces.shape_contact.shape_sets import ShapeSet
+from warpcontact.kernels.catalogue.device_model import Formula, coefficient_struct
+from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs
+from warpcontact.kernels.contact.history_variables import memory_struct
+from warpcontact.kernels.integrators import reset
+from warpcontact.kernels.shapes import force, history, measures, narrow_phase
+from warpcontact.kernels.shapes.base import Shape as Form
+from warpcontact.kernels.shapes.records import (
+    CURVATURE_ARRAYS,
+    ORIENTATION_ARRAYS,
+    ContactShapes,
+    ShapeContactSettings,
+    WarmStarts,
+    shape_contact_structs,
+)
+from warpcontact.model.allocation_plan import fixed, per_env
+from warpcontact.model.contact_groups import compile_force_kernel, history_view
+from warpcontact.model.parameters import ClosedGap, Field, pack
+from warpcontact.model.sensors import CONTACT_SENSORS, Sensor, shape_in
+from warpcontact.model.state_storage import COUNT, SWITCH
+from warpcontact.model.status import ContactStatus
+from warpcontact.scene import elements as limits_of
+from warpcontact.scene.shapes import ShapeContact
+from warpcontact.system.compilation import load
+from warpcontact.validation import checks
+from warpcontact.validation.custom_law_errors import compile_error_text, has_user_code
+
+if TYPE_CHECKING:
+    from warpcontact.model.allocation_plan import AllocationPlan
+    from warpcontact.model.parameters import DeviceField, Parameters
+    from warpcontact.scene.scene import Scene
+    from warpcontact.stepping.execution_plan import ExecutionPlan
+
+_RANGES = {
+    "kappa": limits_of.KAPPA,
+    "max_depth": limits_of.MAX_DEPTH,
+    "torsion_radius": limits_of.TORSION_RADIUS,
+    "force_scale": limits_of.FORCE_SCALE,
+    "enabled": limits_of.ENABLED,
+}
+_STRUCTS = {
+    "shape_points": measures.Points,
+    "shape_curvatures": measures.Curvatures,
+    "shape_gradients": measures.Gradients,
+}
+# name: (array, unit, what it is), beside those of every contact
+_READINGS = {
+    "iterations": ("iterations", "-", "iterations in the search of where the surfaces meet"),
+    "residual": ("residual", "-", "what is left of its equations"),
+    "converged": ("converged", "-", "1: where they meet was found; 0: it was not, and no force acts"),
+    "failures": ("failures", "-", "steps in which it was not found, since reset"),
+}
+# name: (measure, array, unit, what it is)
+_MEASURES = {
+    "point": ("shape_points", "point", "m", "point K where the force acts, world"),
+    "point_a": ("shape_points", "point_a", "m", "where the first surface meets the other, world"),
+    "point_b": ("shape_points", "point_b", "m", "where the other surface meets the first, world"),
+}
+# Likewise, where the curvatures of both shapes are known
+_CURVATURES = {
+    "curvature_1": ("shape_curvatures", "curvature_1", "1/m", "smaller principal curvature of the gap"),
+    "curvature_2": ("shape_curvatures", "curvature_2", "1/m", "larger principal curvature of the gap"),
+}
+
+
+# Of what by what, and the units by positions [1/m of it] and rotations
+_DERIVED = {"gap": ("-", "m"), "normal": ("1/m", "-"), "point_a": ("-", "m"), "point_b": ("-", "m")}
+_GRADIENTS = {
+    f"{what}_by_{by}_{side}": (
+        "shape_gradients",
+        f"{what}_by_{by}_{side}",
+        units[by == "rotation"],
+        f"derivative by the {by} of what carries the {which} shape, world axes",
+    )
+    for what, units in _DERIVED.items()
+    for by in ("position", "rotation")
+    for side, which in (("a", "first"), ("b", "other"))
+}
+
+
+class ShapeContactSet:
+    """Shape contacts that share the code of law and friction models.
+
+    Args:
+        contacts: The contacts; those of the same kinds of shapes side by side.
+        first: Number of the first item among all shape contacts of the scene.
+        first_end: Number of its first end; of a contact of the set with number i they are two from
+            ``first_end`` + 2 i on, that of ``shape`` first.
+        shapes: The shapes of the scene by kind.
+        layout: Where to declare arrays.
+        parameters: Where to add parameters.
+        real: Precision.
+        moves: Whether any body of the scene is not free.
+
+    Attributes:
+        parts: The classes of law and friction models.
+        kernel: The force kernel.
+        count: Number of contacts, items of sets each.
+    """
+
+    def __init__(
+        self,
+        contacts: Sequence[ShapeContact],
+        first: int,
+        first_end: int,
+        shapes: Mapping[type[Form], ShapeSet],
+        layout: "AllocationPlan",
+        parameters: "Parameters",
+        real: type,
+        moves: bool,
+    ) -> None:
+        self.parts: ContactModel = contacts[0].parts
+        self.first = first
+        self.first_end = first_end
+        self.shapes = shapes
+        self.real = real
+        starts = np.cumsum([0] + [contact.count for contact in contacts]).tolist()
+        self.items = {
+            contact: slice(start, start + contact.count) for contact, start in zip(contacts, starts, strict=False)
+        }
+        self.count: int = starts[-1]
+        self.ranges = _ranges(self.items)
+        self.needs_curvature, self.needs_surface_axes = (
+            force.uses_curvature(self.parts),
+            self.parts.needs_surface_axes,
+        )
+        # Only a mass depends on how bodies may move.
+        self.kernel = force.kernel(self.parts, real, moves and self.parts.law.needs_mass)
+        self._declare(layout)
+        self._add_settings(parameters)
+        for part, formula in self.parts._asdict().items():
+            self._add_formula(parameters, part, formula)
+
+    def _declare(self, layout: "AllocationPlan") -> None:
+        each, nothing = per_env(self.count), fixed(1, 1)
+        absent = ((CURVATURE_ARRAYS, self.needs_curvature), (ORIENTATION_ARRAYS, self.needs_surface_axes))
+        other_shapes: dict[str, Any] = {name: nothing for names, there in absent if not there for name in names}
+        ShapeContacts = shape_contact_structs(self.real).ShapeContacts
+        computed = [name for name in ShapeContacts.vars if name not in ("entry_speed", "failures")]
+        self.shape_contacts = layout.struct(
+            "shape contacts", ShapeContacts, each, transient=computed, ranges={"failures": COUNT}, **other_shapes
+        )
+        self.warm_starts = layout.struct("shape contacts", WarmStarts, each, ranges={"warm_start.valid": SWITCH})
+        self.new_warm_starts = layout.struct("shape contacts", WarmStarts, each, transient=True)
+        self.contact_shapes = ContactShapes()
+        bodies = {
+            key: np.concatenate([_each(getattr(contact, key).body_numbers, contact) for contact in self.items])
+            for key in ("shape", "other_shape")
+        }
+        numbers = {
+            key: np.concatenate(
+                [_each(self.shapes[one.kind].numbers(one), contact) for contact, one in self._sides(key)]
+            )
+            for key in ("shape", "other_shape")
+        }
+        self.bodies = np.stack([bodies["shape"], bodies["other_shape"]], axis=1)
+        for key, suffix in (("shape", "a"), ("other_shape", "b")):
+            layout.constant("shape contacts", self.contact_shapes, f"shape_{suffix}", numbers[key], wp.int32)
+            layout.constant("shape contacts", self.contact_shapes, f"body_{suffix}", bodies[key], wp.int32)
+        Coefficients, Memory = group_structs(self.parts, self.real)
+        self.coefficients, self.memory, self.history_out = Coefficients(), Memory(), Memory()
+        for part, formula in self.parts._asdict().items():
+            for target in (self.memory, self.history_out):
+                # Never looked at if the formula remembers nothing.
+                shape = each if formula.memories else nothing
+                transient = target is self.history_out or not formula.memories
+                struct = memory_struct(formula, self.real)
+                layout.array("shape contacts", target, part, struct, shape, transient=transient)
+
+    def _sides(self, key: str) -> Iterator[tuple[ShapeContact, Any]]:
+        return ((contact, getattr(contact, key)) for contact in self.items)
+
+    def _add_settings(self, parameters: "Parameters") -> None:
+        self.settings: Any = None
+        # A torsion radius that is not given follows from the overlap.
+        fields = {
+            key: Field(
+                np.concatenate(
+                    [
+                        np.full(contact.count, -1.0 if (value := getattr(contact, key)) is None else value)
+                        for contact in self.items
+                    ]
+                )
+            )
+            for key in _RANGES
+        }
+
+        fields["closed"] = Field(np.zeros(self.count))
+
+        def content() -> NDArray[Any]:
+            return pack(ShapeContactSettings, {key: field.values for key, field in fields.items()})
+
+        device_field = parameters.device_field(self, "settings", ShapeContactSettings, content)
+        self.closed = ClosedGap(fields["closed"], device_field)
+        for contact, items in self.items.items():
+            for key, allowed in _RANGES.items():
+                if getattr(contact, key) is not None:
+                    convert = checks.switches if key == "enabled" else None
+                    name = f"{contact.name}.{key}"
+                    parameters.add(
+                        name, fields[key], items, allowed, [device_field], single=contact.single, convert=convert
+                    )
+
+    def _add_formula(self, parameters: "Parameters", part: str, formula: type[Formula]) -> None:
+        """Adds the parameters of one part, and the array of its coefficients."""
+        struct = coefficient_struct(formula, self.real)
+        fields = {
+            contact: {
+                name: Field(np.full(contact.count, value))
+                for name, value in contact.formulas[part].parameters().items()
+            }
+            for contact in self.items
+        }
+
+        def content() -> NDArray[Any]:
+            names = formula.device_names()
+            if not names:
+                return pack(struct, {"unused": np.zeros((1, self.count))})
+            envs = max(len(field.values) for own in fields.values() for field in own.values())
+            columns: dict[str, list[NDArray[Any]]] = {name: [] for name in names}
+            for contact, own in fields.items():
+                values = {name: field.values for name, field in own.items()}
+                computed = formula.coefficients(
+                    dict(zip(values, np.broadcast_arrays(*values.values()), strict=True))
+                )
+                for name, column in columns.items():
+                    column.append(np.broadcast_to(computed[name], (envs, contact.count)))
+            return pack(struct, {name: np.concatenate(parts, axis=1) for name, parts in columns.items()})
+
+        device_field: DeviceField = parameters.device_field(self.coefficients, part, struct, content)
+        for contact, own in fields.items():
+            for name, field in own.items():
+                full = f"{contact.name}.{part}.{name}"
+                items = slice(0, contact.count)
+                parameters.add(full, field, items, formula.limits(name), [device_field], single=contact.single)
+
+    def memories(self) -> Iterator[tuple[type[Formula], wp.array, wp.array]]:
+        """Iterates over (formula, memory, kept) of the parts that remember anything."""
+        for part, formula in self.parts._asdict().items():
+            if formula.memories:
+                yield formula, getattr(self.memory, part), getattr(self.history_out, part)
+
+    def force_stages(self, plan: "ExecutionPlan", state: Any, step: wp.array, status: wp.array) -> list[wp.Launch]:
+        """Returns the launches that find where its shapes meet in ``state``, and the forces at its ends.
+
+        Nonsmooth contacts have none.
+
+        ``step`` [env, 0] is what these act over [s]; ``status`` [env] says which environments are active.
+        """
+        a, settings = plan.model.arrays, self.settings
+        launches = []
+        for kinds, items in self.ranges:
+            kernel = narrow_phase.kernel(*kinds, self.real, self.needs_curvature, self.needs_surface_axes)
+            arrays = (self.shapes[kind].arrays for kind in kinds)
+            inputs = [status, state, items.start, self.contact_shapes, *arrays, settings]
+            inputs += [self.warm_starts, self.new_warm_starts, self.shape_contacts]
+            launches += plan.prepare(kernel, items.stop - items.start, inputs)
+        acting = [(0, self.count)] if plan.nonsmooth is None else plan.nonsmooth.compliant_items(self.items)
+        for first, count in acting:
+            inputs = [
+                status,
+                a.model,
+                state,
+                self.memory,
+                step,
+                first,
+                self.first_end,
+                self.contact_shapes,
+                settings,
+            ]
+            inputs += [self.coefficients, self.shape_contacts, self.history_out, a.coupling_wrenches]
+            launches += plan.prepare(self.kernel, count, inputs)
+        return launches
+
+    def accept_stages(self, plan: "ExecutionPlan") -> list[wp.Launch]:
+        """Returns the launches that remember what an accepted step led to."""
+        status = plan.model.arrays.status
+        inputs = [status, self.new_warm_starts, self.warm_starts, self.shape_contacts]
+        launches = plan.prepare(history.accept(self.real), self.count, inputs)
+        for formula, memory, history_out in self.memories():
+            launches += plan.prepare(
+                history.advance(formula, self.real), self.count, [status, history_out, memory]
+            )
+        return launches
+
+    def reset_state(self, chosen: wp.array, envs: int) -> None:
+        """Empties what the environments of the mask ``chosen`` [env] remember."""
+        shape, device = (envs, self.count), chosen.device
+        wp.launch(
+            history.reset(self.real),
+            dim=shape,
+            inputs=[chosen, self.warm_starts, self.shape_contacts],
+            device=device,
+        )
+        for formula, memory, _ in self.memories():
+            wp.launch(reset.memory(formula, self.real), dim=shape, inputs=[chosen, memory], device=device)
+
+    def compile(self, device: wp.Device) -> None:
+        """Compiles kernels of users' laws and shapes, so that a mistake in them shows at once.
+
+        Raises:
+            TypeError: If a law, a friction or a shape does not compile.
+        """
+        for kinds, _ in self.ranges:
+            if not has_user_code(kinds):
+                continue
+            kernel = narrow_phase.kernel(*kinds, self.real, self.needs_curvature, self.needs_surface_axes)
+            try:
+                load(kernel, device)
+            except Exception as error:
+                text = compile_error_text(error, kinds)
+                given = "\n".join(
+                    f"In {kind.__name__}, p has {', '.join(kind.device_names()) or 'nothing'}." for kind in kinds
+                )
+                raise TypeError(
+                    f"shape {kinds[0].__name__} with shape {kinds[1].__name__} does not compile: {text}\n{given}\n"
+                    "All of a shape is in float64: constants are written as wp.float64(1.5)."
+                ) from error
+        compile_force_kernel(self.parts, lambda: self.kernel, device, self.real)
+
+    def failures(self, contact: ShapeContact) -> NDArray[np.int32]:
+        """Returns in how many steps since reset it was not found where ``contact`` is, (envs, items)."""
+        values: NDArray[np.int32] = self.shape_contacts.failures.numpy()[:, self.items[contact]]
+        return values
+
+    def sensors(self) -> Iterator[Sensor]:
+        """Iterates over what can be measured."""
+        for contact, items in self.items.items():
+            own: int | slice = items.start if contact.single else items
+            several = 0 if contact.single else contact.count
+            for key, (attribute, unit, meaning) in (CONTACT_SENSORS | _READINGS).items():
+                text = meaning.replace("the point's body", "the body of its first shape")
+                text = text.replace("out of the surface", "out of its other shape")
+                codes = ContactStatus if key == "status" else None
+                array = self._column(attribute, own)
+                name = f"{contact.name}.{key}"
+                shape = shape_in(self.shape_contacts, attribute)
+                options: dict[str, Any] = {"items": several, "codes": codes, "shape": shape}
+                yield Sensor(name, unit, text, array, needs=("contacts",), **options)
+            of_curvature = _CURVATURES | _GRADIENTS if has_curvatures(contact.kinds) else {}
+            for key, (measure, attribute, unit, meaning) in (_MEASURES | of_curvature).items():
+                array = _measured(measure, attribute, _shifted(own, self.first))
+                shape = shape_in(_STRUCTS[measure], attribute)
+                name = f"{contact.name}.{key}"
+                yield Sensor(name, unit, meaning, array, needs=(measure,), items=several, shape=shape)
+            if of_curvature:
+                yield from self._by_sizes(contact, _shifted(own, self.first), several)
+            for part, formula in contact.formulas.items():
+                for key, memory in formula.memories.items():
+                    frame = ", axes of its other shape" if memory.tangent else ""
+                    meaning = f"{memory.meaning}, as of the last step{frame}"
+                    array = self._history_values(part, key, own)
+                    options = {"items": several, "shape": (3,) if memory.tangent else ()}
+                    yield Sensor(f"{contact.name}.{part}.{key}", memory.unit, meaning, array, **options)
+
+    def _by_sizes(self, contact: ShapeContact, items: int | slice, several: int) -> Iterator[Sensor]:
+        """Iterates over the derivatives of the gap by the sizes of both shapes."""
+        for side, shape in (("a", contact.shape), ("b", contact.other_shape)):
+            first = 0
+            for size, width in measures.size_widths(shape.kind):
+                meaning = f"derivative of the gap by {size} of {shape.name}"
+                array = _part(f"gap_by_sizes_{side}", first, width, items)
+                name = f"{contact.name}.gap_by_{size}_{side}"
+                options: dict[str, Any] = {"items": several, "shape": () if width == 1 else (width,)}
+                yield Sensor(name, "-", meaning, array, needs=("shape_gradients",), **options)
+                first += width
+
+    def _column(self, attribute: str, items: int | slice) -> Callable[[SimpleNamespace], wp.array]:
+        return lambda _: getattr(self.shape_contacts, attribute)[:, items]
+
+    def _history_values(self, part: str, key: str, items: int | slice) -> Callable[[SimpleNamespace], wp.array]:
+        return lambda _: history_view(getattr(self.memory, part), key)[:, items]
+
+
+def _measured(measure: str, attribute: str, items: int | slice) -> Callable[[SimpleNamespace], wp.array]:
+    return lambda arrays: getattr(getattr(arrays, measure), attribute)[:, items]
+
+
+def _part(attribute: str, first: int, width: int, items: int | slice) -> Callable[[SimpleNamespace], wp.array]:
+    """Returns what gives ``width`` of the numbers of each entry of an array, from ``first`` on, as a view."""
+
+    def part(arrays: SimpleNamespace) -> wp.array:
+        whole = getattr(arrays.shape_gradients, attribute)
+        return wp.array(
+            ptr=whole.ptr + 8 * first,
+            dtype=wp.float64 if width == 1 else wp.vec3d,
+            shape=whole.shape,
+            strides=whole.strides,
+            device=whole.device,
+            copy=False,
+        )[:, items]
+
+    return part
+
+
+def _shifted(items: int | slice, first: int) -> int | slice:
+    return slice(first + items.start, first + items.stop) if isinstance(items, slice) else first + items
+
+
+def _each(numbers: NDArray[np.int32], contact: ShapeContact) -> NDArray[np.int32]:
+    return np.broadcast_to(numbers, contact.count)
+
+
+def _ranges(items: Mapping[ShapeContact, slice]) -> list[tuple[tuple[type[Form], type[Form]], slice]]:
+    """Returns the contacts of each pair of kinds, which lie side by side."""
+    ranges: list[tuple[tuple[type[Form], type[Form]], slice]] = []
+    for contact, own in items.items():
+        if ranges and ranges[-1][0] == contact.kinds:
+            ranges[-1] = (contact.kinds, slice(ranges[-1][1].start, own.stop))
+        else:
+            ranges.append((contact.kinds, own))
+    return ranges
+
+
+def sorted_contacts(scene: "Scene") -> list[list[ShapeContact]]:
+    """Returns the shape contacts of a scene by the code of their forces, and within by kinds, as they appear."""
+    sets: dict[ContactModel, dict[Any, list[ShapeContact]]] = {}
+    for contact in scene.shape_contacts:
+        sets.setdefault(contact.parts, {}).setdefault(contact.kinds, []).append(contact)
+    return [[contact for alike in own.values() for contact in alike] for own in sets.values()]
+
+
+def make_shape_contact_sets(
+    scene: "Scene",
+    shapes: Mapping[type[Form], ShapeSet],
+    layout: "AllocationPlan",
+    parameters: "Parameters",
+    real: type,
+    moves: bool,
+) -> list[ShapeContactSet]:
+    """Declares the arrays of all shape contacts, and adds their parameters. Their ends follow the couplings'."""
+    sets: list[ShapeContactSet] = []
+    first = 0
+    for own in sorted_contacts(scene):
+        first_end = 2 * (len(scene.couplings) + first)
+        sets.append(ShapeContactSet(own, first, first_end, shapes, layout, parameters, real, moves))
+        first += sets[-1].count
+    return sets

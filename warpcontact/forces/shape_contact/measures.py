@@ -1,0 +1,58 @@
+"""What is measured of shape contacts only when it is asked for."""
+
+from typing import TYPE_CHECKING, Any
+
+import warp as wp
+
+from warpcontact.kernels.shapes import measures
+from warpcontact.kernels.shapes.base import Shape as Form
+from warpcontact.kernels.shapes.curvature import pair_curvature
+
+if TYPE_CHECKING:
+    from warpcontact.forces.shape_contact.contact_sets import ShapeContactSet
+    from warpcontact.model.model import Model
+
+
+def measure(name: str, model: "Model") -> None:
+    """Computes the measure ``name`` of all shape contacts, as they were computed last."""
+    for own in model.shape_contact_sets:
+        for kinds, items in own.ranges:
+            if name == "shape_points":
+                kernel, inputs = _points(model, own, kinds, items.start)
+            elif has_curvatures(kinds):
+                make = measures.curvatures if name == "shape_curvatures" else measures.gradients
+                kernel, inputs = make(*kinds, own.real), _inputs(model, own, kinds, items.start)
+            else:
+                continue
+            shape, outputs = (model.envs, items.stop - items.start), [getattr(model.arrays, name)]
+            wp.launch(kernel, dim=shape, inputs=inputs, outputs=outputs, device=model.device)
+
+
+def has_curvatures(kinds: tuple[type[Form], type[Form]]) -> bool:
+    """Whether the curvatures of a pair of kinds are known, which those of a user's own shape need not be."""
+    try:
+        pair_curvature(*kinds)
+    except TypeError:
+        return False
+    return True
+
+
+def _points(
+    model: "Model", own: "ShapeContactSet", kinds: tuple[type[Form], type[Form]], first: int
+) -> tuple[wp.Kernel, list[Any]]:
+    shape_poses = own.shapes[kinds[1]].arrays.pose
+    inputs = [
+        model.arrays.state,
+        first,
+        own.first,
+        own.contact_shapes,
+        shape_poses,
+        own.settings,
+        own.shape_contacts,
+    ]
+    return measures.points(own.real), inputs
+
+
+def _inputs(model: "Model", own: "ShapeContactSet", kinds: tuple[type[Form], type[Form]], first: int) -> list[Any]:
+    arrays = [own.shapes[kind].arrays for kind in kinds]
+    return [model.arrays.state, first, own.first, own.contact_shapes, *arrays, own.warm_starts]

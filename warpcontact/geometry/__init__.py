@@ -1,0 +1,1 @@
+"""Tables for queries of meshes: BVH, face grid, contact clusters, clearance."""

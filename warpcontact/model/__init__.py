@@ -1,0 +1,1 @@
+"""From a scene to a model: plan, build, parameters, sensors and memory."""

@@ -1,0 +1,463 @@
+"""Scene → Draft → Model, or one on each device: the arrays of bodies, points, surfaces and contacts."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from warpcontact.forces.contact_coupling.contact_couplings import ContactCouplings
+from warpcontact.forces.couplings.ends import add_ends
+from warpcontact.forces.couplings.sets import make_sets
+from warpcontact.forces.joints.joint_data import add_motions
+from warpcontact.forces.particle_contact.contact_set import make_particle_contact_sets
+from warpcontact.forces.shape_contact.shape_sets import make_shape_sets
+from warpcontact.geometry.contact_clusters import ContactClusters, make_clusters, upload_clusters
+from warpcontact.geometry.face_grid import make_grids
+from warpcontact.geometry.query_mesh import QueryMeshCache, QueryMeshes, make_query_meshes, upload_query_meshes
+from warpcontact.kernels import types
+from warpcontact.model.allocation_plan import AllocationPlan
+from warpcontact.model.contact_groups import group_by_model, make_group
+from warpcontact.model.core_arrays import declare_arrays
+from warpcontact.model.model import Model
+from warpcontact.model.parameters import ClosedGap, DeviceField, Field, Parameter, Parameters, pack, split
+from warpcontact.model.plan import DeviceModelPlan, ModelPlan
+from warpcontact.model.sensors import sensors_of
+from warpcontact.model.split_model import SplitModel
+from warpcontact.scene import elements as limits_of
+from warpcontact.scene.scene import Body, Contact, Scene
+from warpcontact.stepping.frames import transform_points
+from warpcontact.stepping.quarantine import add_guard
+from warpcontact.system.devices import find_devices
+from warpcontact.validation import checks
+from warpcontact.validation.checks import Array, limits
+
+if TYPE_CHECKING:
+    from warpcontact.forces.shape_contact.contact_sets import ShapeContactSet
+
+PRECISIONS = {"float32": wp.float32, "float64": wp.float64}
+
+
+def build(
+    scene: Scene, envs: int = 1, device: str | Sequence[str] = "auto", precision: str = "float32"
+) -> Model | SplitModel:
+    """Builds ``envs`` environments of ``scene``.
+
+    Args:
+        scene: What there is; changes to it after this have no effect on the model.
+        envs: Number of environments, at least 1.
+        device: ``"cpu"``, ``"cuda:0"``, …; ``"auto"``: one GPU if there is any, else the CPU; ``"cuda"``: all GPUs
+            that CUDA shows, or a list such as ``["cuda:0", "cuda:2"]``: the environments are split over them, in
+            order and as evenly as possible. A device may be listed more than once, ``["cpu", "cpu"]``.
+        precision: ``"float32"`` or ``"float64"``.
+
+    Returns:
+        The model; a ``SplitModel`` if it is on several devices.
+
+    Raises:
+        ValueError: If an argument is out of range or the scene has no body.
+        TypeError: If a law, a shape or such of a user does not compile.
+        MemoryError: If they take more memory than there is on any of the devices or on this machine, with how many
+            environments would fit; nothing has been allocated then.
+    """
+    return plan_model(scene, device, precision).build(checks.integer("envs", envs))
+
+
+def plan_model(
+    scene: Scene,
+    device: str | Sequence[str] = "auto",
+    precision: str = "float32",
+    mesh_cache: QueryMeshCache | None = None,
+) -> ModelPlan:
+    """Prepares a model of ``scene``; arguments and errors are those of ``build``, and of ``make_query_meshes``."""
+    checks.choice("precision", precision, tuple(PRECISIONS))
+    if not scene.bodies:
+        raise ValueError("the scene has no body; add_body adds one")
+    devices = find_devices(device)
+    groups = group_by_model(scene.contacts)
+    contacts = [contact for group in groups for contact in group]
+    # What is the same on all devices.
+    clusters = make_clusters(contacts, sum(body.count for body in scene.bodies))
+    common = _SharedTables(
+        scene.snapshot(), precision, groups, contacts, clusters, make_query_meshes(contacts, mesh_cache)
+    )
+    return ModelPlan(tuple(_plan_on_device(target, common) for target in devices))
+
+
+@dataclass(frozen=True)
+class _SharedTables:
+    """What the parts of a model have in common, on the host.
+
+    Attributes:
+        scene: What there is.
+        precision: Of state and forces.
+        groups: All contacts by the code of their laws and friction models.
+        contacts: The same as they lie on the device, in the order of their groups.
+        clusters: What they are worked on in.
+        query_meshes: What they search.
+    """
+
+    scene: Scene
+    precision: str
+    groups: list[list[Contact]]
+    contacts: list[Contact]
+    clusters: ContactClusters
+    query_meshes: QueryMeshes
+
+
+def _plan_on_device(target: wp.Device, common: _SharedTables) -> DeviceModelPlan:
+    """Prepares the model of the environments on one device."""
+    scene, contacts, clusters = common.scene, common.contacts, common.clusters
+    contact_couplings = ContactCouplings.order(scene.contact_couplings, contacts)
+    t = types.structs(PRECISIONS[common.precision])
+    layout = AllocationPlan(target)
+    parameters = Parameters(target, t.real)
+    starts = np.cumsum([0] + [contact.count for contact in contacts]).tolist()
+    start_of = dict(zip(contacts, starts, strict=False))
+
+    body_count = sum(body.count for body in scene.bodies)
+    grids = make_grids(common.query_meshes, target, t)
+    arrays = declare_arrays(scene, t, layout, clusters, common.query_meshes, uses_face_grid=grids is not None)
+    arrays.guard = add_guard(scene, layout, parameters, t.real)
+    gravity = Field(scene.gravity[None])
+    device_field = parameters.device_field(arrays.model, "gravity", t.vec3, lambda: gravity.values)
+    parameters.add("scene.gravity", gravity, slice(0, 1), limits("m/s²"), [device_field], tail=(3,))
+    _add_bodies(scene, arrays, parameters, t)
+    prescribed_motions = add_motions(scene, arrays, layout, parameters)
+    _add_surfaces(scene, arrays, layout, parameters, t)
+    point_positions, position_parameters = _add_points(scene, arrays, layout, parameters, t)
+    dependent_fields = upload_clusters(clusters, contacts, arrays.model, layout, parameters, t, point_positions)
+    for parameter in position_parameters:
+        parameter.device_fields.extend(dependent_fields)
+    contact_couplings.declare(arrays, layout, t)
+    point_count = sum(points.count for points in scene.points)
+    contact_couplings.upload_normals(arrays.model, point_count, parameters, t)
+    meshes = upload_query_meshes(common.query_meshes, grids, arrays.model, layout, t)
+    _add_contacts(
+        contacts, start_of, common.query_meshes.first_of_contact, contact_couplings, arrays, layout, parameters, t
+    )
+    couplings = make_sets(scene, layout, parameters, t)
+    has_joints = any(body.motion.kind != types.FREE for body in scene.bodies)
+    shapes = make_shape_sets(scene.shapes, parameters)
+    shape_contact_sets: list[ShapeContactSet] = []
+    if scene.shape_contacts:  # Warp parses all functions of kernels that are imported
+        from warpcontact.forces.shape_contact.contact_sets import make_shape_contact_sets
+
+        shape_contact_sets = make_shape_contact_sets(scene, shapes, layout, parameters, t.real, has_joints)
+    particle_contact_sets = make_particle_contact_sets(scene, layout, parameters, t)
+    add_ends(couplings, shape_contact_sets, body_count, arrays.model, layout)
+    groups = [
+        make_group(group, start_of[group[0]], contact_couplings, clusters, layout, parameters, t.real, has_joints)
+        for group in common.groups
+    ]
+    return DeviceModelPlan(
+        scene=scene,
+        device=target,
+        precision=common.precision,
+        types=t,
+        layout=layout,
+        arrays=arrays,
+        parameters=parameters,
+        groups=groups,
+        couplings=couplings,
+        shape_contact_sets=shape_contact_sets,
+        particle_contact_sets=particle_contact_sets,
+        prescribed_motions=prescribed_motions,
+        clusters=clusters,
+        sensors=sensors_of(
+            scene, t, start_of, groups, contact_couplings, couplings, shape_contact_sets, particle_contact_sets
+        ),
+        side_regions=common.query_meshes.side_regions(),
+        meshes=meshes,
+    )
+
+
+def _add_bodies(scene: Scene, arrays: SimpleNamespace, parameters: Parameters, t: SimpleNamespace) -> None:
+    bodies, model = scene.bodies, arrays.model
+    mass = Field(np.concatenate([body.rows("mass") for body in bodies]))
+    device_mass = parameters.device_field(model, "body_mass", t.real, lambda: mass.values)
+    inertia = Field(np.concatenate([body.rows("inertia") for body in bodies]))
+    device_inertia = [
+        parameters.device_field(model, "body_inertia", t.mat33, lambda: inertia.values),
+        parameters.device_field(model, "body_inverse_inertia", t.mat33, lambda: np.linalg.inv(inertia.values)),
+        parameters.device_field(model, "body_isotropic_inertia", wp.bool, lambda: _is_isotropic(inertia.values)),
+    ]
+    for body in bodies:
+        parameters.add(f"{body.name}.mass", mass, body.items, limits_of.MASS, [device_mass], single=body.single)
+        parameters.add(
+            f"{body.name}.inertia",
+            inertia,
+            body.items,
+            limits("kg·m²"),
+            device_inertia,
+            tail=(3, 3),
+            single=body.single,
+            convert=_inertia,
+            given=((3, 3), (3,)),
+        )
+    for key, unit in (("position", "m"), ("linear_velocity", "m/s"), ("angular_velocity", "rad/s")):
+        field, device_fields = _add_vector(parameters, bodies, key, unit, arrays.initial, f"body_{key}", t)
+        if key == "position":
+            _add_remainder(parameters, field, device_fields, arrays.initial, t)
+    _add_orientation(parameters, bodies, arrays.initial, "body_orientation", t)
+    for key, unit in (("external_force", "N"), ("external_torque", "N·m")):
+        _add_vector(parameters, bodies, key, unit, model, f"body_{key}", t)
+
+
+def _add_points(
+    scene: Scene, arrays: SimpleNamespace, layout: AllocationPlan, parameters: Parameters, t: SimpleNamespace
+) -> tuple[Callable[[], Array], list[Parameter]]:
+    """Adds the points; returns where all are, (1 or envs, points, 3), and what moves them.
+
+    That is in their bodies, or in the world from an anchor in the middle of their set.
+    """
+    sets = scene.points
+    empty = np.zeros(0, dtype=np.int32)
+    bodies = np.concatenate([empty, *(points.body_numbers for points in sets)])
+    layout.constant("contacts", arrays.model, "point_body", bodies, wp.int32)
+    position = Field(np.concatenate([np.zeros((0, 3)), *(points.positions for points in sets)]))
+    pose_of = {
+        points: [
+            parameters.by_name[f"{points.surface.name}.{key}"] for key in ("position", "orientation", "scale")
+        ]
+        for points in sets
+        if points.surface is not None
+    }
+
+    def attached_positions() -> Array:
+        values = position.values
+        for points, pose in pose_of.items():
+            items = slice(points.start, points.start + len(points.positions))
+            origin, turn, scale = (part.field.values[:, part.items.start] for part in pose)
+            moved = transform_points(scale[:, None, None] * position.values[:, items], origin, turn)
+            values = np.repeat(values, len(moved) if len(values) == 1 else 1, axis=0)
+            values[:, items] = moved
+        return values
+
+    def anchors() -> Array:
+        values = attached_positions()
+        result = np.zeros_like(values)
+        for points in sets:
+            if points.body is None:
+                own = values[:, points.start : points.start + len(points.positions)]
+                middle = 0.5 * (own.min(axis=1, keepdims=True) + own.max(axis=1, keepdims=True))
+                items = slice(points.start, points.start + len(points.positions))
+                result[:, items] = split("point_position", middle, parameters.real)[0]
+        return result
+
+    def point_positions() -> Array:
+        return attached_positions() - anchors()
+
+    device_fields = [
+        parameters.device_field(arrays.model, "point_anchor", t.vec3, anchors),
+        parameters.device_field(arrays.model, "point_position", t.vec3, point_positions),
+    ]
+    position_parameters = list({id(part): part for pose in pose_of.values() for part in pose}.values())
+    for part in position_parameters:
+        part.device_fields.extend(device_fields)
+    for points in sets:
+        items = slice(points.start, points.start + len(points.positions))
+        parameters.add(
+            f"{points.name}.position",
+            position,
+            items,
+            limits("m"),
+            list(device_fields),
+            tail=(3,),
+            single=points.single,
+        )
+        position_parameters.append(parameters.by_name[f"{points.name}.position"])
+    return point_positions, position_parameters
+
+
+def _add_surfaces(
+    scene: Scene, arrays: SimpleNamespace, layout: AllocationPlan, parameters: Parameters, t: SimpleNamespace
+) -> None:
+    surfaces, model = scene.surfaces, arrays.model
+    bodies = [types.WORLD if surface.body is None else surface.body.index for surface in surfaces]
+    layout.constant("surfaces", model, "surface_body", bodies, wp.int32)
+    position = Field(np.array([surface.position for surface in surfaces]).reshape(-1, 3))
+    orientation = Field(np.array([surface.orientation for surface in surfaces]).reshape(-1, 4))
+    scale = Field(np.array([surface.scale for surface in surfaces]))
+    mesh_index = Field(np.zeros(len(surfaces)))
+    centre = np.array([surface.centre for surface in surfaces]).reshape(-1, 3)
+
+    on_world = np.array([surface.body is None for surface in surfaces], dtype=bool)[:, None]
+
+    def centre_in_body() -> Array:
+        # Kernels see a mesh from where its numbers are finest; here that is placed, in float64.
+        offset = scale.values[..., None] * centre
+        return transform_points(offset[..., None, :], position.values, orientation.values)[..., 0, :]
+
+    def anchor() -> Array:
+        return np.where(on_world, split("surface_position", centre_in_body(), parameters.real)[0], 0.0)
+
+    def from_anchor() -> Array:
+        centres = centre_in_body()
+        return np.where(on_world, split("surface_position", centres, parameters.real)[1], centres)
+
+    device_position = [
+        parameters.device_field(model, "surface_anchor", t.vec3, anchor),
+        parameters.device_field(model, "surface_position", t.vec3, from_anchor),
+    ]
+    device_orientation = parameters.device_field(model, "surface_orientation", t.quat, lambda: orientation.values)
+    device_scale = parameters.device_field(model, "surface_scale", t.real, lambda: scale.values)
+    device_mesh_index = parameters.device_field(
+        model, "surface_mesh", wp.int32, lambda: mesh_index.values.astype(np.int32)
+    )
+    for surface in surfaces:
+        items = slice(surface.index, surface.index + 1)
+        parameters.add(f"{surface.name}.position", position, items, limits("m"), list(device_position), tail=(3,))
+        parameters.add(
+            f"{surface.name}.orientation",
+            orientation,
+            items,
+            checks.FINITE,
+            [device_orientation, *device_position],
+            tail=(4,),
+            convert=checks.unit_quaternions,
+        )
+        scale_fields = [device_scale, *device_position]
+        parameters.add(f"{surface.name}.scale", scale, items, limits_of.SCALE, scale_fields)
+        if len(surface.meshes) > 1:
+            allowed = limits("-", at_least=0.0, at_most=len(surface.meshes) - 1.0)
+            name = f"{surface.name}.mesh"
+            parameters.add(name, mesh_index, items, allowed, [device_mesh_index], whole=True)
+
+
+def _add_contacts(
+    contacts: list[Contact],
+    start_of: dict[Contact, int],
+    first_mesh_of: dict[Contact, int],
+    couplings: ContactCouplings,
+    arrays: SimpleNamespace,
+    layout: AllocationPlan,
+    parameters: Parameters,
+    t: SimpleNamespace,
+) -> None:
+    model = arrays.model
+    counts = np.array([contact.count for contact in contacts], dtype=np.intp)
+
+    def add_constant(name: str, of_contact: list[int], values: Any = 0) -> None:
+        each = np.repeat(np.array(of_contact, dtype=np.int32), counts)
+        layout.constant("contacts", model, name, each + values, wp.int32)
+
+    items_of = [np.arange(count) for count in counts]
+    starts = [contact.points.start for contact in contacts]
+    add_constant("contact_point", starts, np.concatenate([np.zeros(0, dtype=np.int32), *items_of]))
+    add_constant("contact_query_mesh", [first_mesh_of[contact] for contact in contacts])
+    options = [
+        types.LATCHED * (contact.entry == "latched")
+        + types.BOUNDARY_OUTER * (contact.boundary == "outer")
+        + types.HERTZ_TORSION * (contact.torsion_radius is None)
+        + types.SWEPT * contact.swept
+        + types.FORCE_AT_POINT * (contact.facing is not None)
+        for contact in contacts
+    ]
+    add_constant("contact_options", options)
+
+    ranges = {
+        "radius": limits_of.RADIUS,
+        "kappa": limits_of.KAPPA,
+        "max_depth": limits_of.MAX_DEPTH,
+        "search_radius": limits_of.SEARCH_RADIUS,
+        "torsion_radius": limits_of.TORSION_RADIUS,
+        "force_scale": limits_of.FORCE_SCALE,
+        "enabled": limits_of.ENABLED,
+    }
+
+    def values_of(contact: Contact, key: str) -> Array:
+        value = getattr(contact, key)
+        # A torsion radius that is not given follows from the overlap.
+        return np.broadcast_to(0.0 if value is None else value, contact.count)
+
+    fields = {
+        key: Field(np.concatenate([np.zeros(0), *(values_of(contact, key) for contact in contacts)]))
+        for key in ranges
+    }
+    fields["closed"] = Field(np.zeros(counts.sum()))
+    struct = t.ContactGeometry
+    device_field = parameters.device_field(
+        model, "contact_geometry", struct, lambda: pack(struct, {key: one.values for key, one in fields.items()})
+    )
+    arrays.closed = ClosedGap(fields["closed"], device_field)
+    for contact in contacts:
+        items = slice(start_of[contact], start_of[contact] + contact.count)
+        own = dict(ranges)
+        if contact in couplings.of or limits_of.needs_radius(contact.material, contact.torsion_radius is not None):
+            own["radius"] = limits("m", above=0.0)
+        for key, allowed in own.items():
+            if getattr(contact, key) is None:
+                continue
+            parameters.add(
+                f"{contact.name}.{key}",
+                fields[key],
+                items,
+                allowed,
+                [device_field],
+                single=contact.points.single,
+                convert=checks.switches if key == "enabled" else None,
+            )
+    couplings.add_geometry(start_of, fields, parameters, device_field)
+
+
+def _add_vector(
+    parameters: Parameters,
+    bodies: list[Body],
+    key: str,
+    unit: str,
+    struct: Any,
+    attribute: str,
+    t: SimpleNamespace,
+) -> tuple[Field, list[DeviceField]]:
+    """Adds a vector that every body has."""
+    field = Field(np.concatenate([body.rows(key) for body in bodies]))
+    device_fields = [parameters.device_field(struct, attribute, t.vec3, lambda: field.values)]
+    for body in bodies:
+        name = f"{body.name}.{key}"
+        parameters.add(name, field, body.items, limits(unit), device_fields, tail=(3,), single=body.single)
+    return field, device_fields
+
+
+def _add_remainder(
+    parameters: Parameters, position: Field, device_fields: list[DeviceField], initial: Any, t: SimpleNamespace
+) -> None:
+    """Adds what rounding leaves of the position of every body, which follows it."""
+
+    def remainder() -> Array:
+        return split("body_position", position.values, parameters.real)[1]
+
+    device_fields.append(parameters.device_field(initial, "body_position_remainder", t.vec3, remainder))
+
+
+def _add_orientation(
+    parameters: Parameters, bodies: list[Body], struct: Any, attribute: str, t: SimpleNamespace
+) -> None:
+    """Adds the orientation that every body has."""
+    field = Field(np.concatenate([body.rows("orientation") for body in bodies]))
+    device_field = parameters.device_field(struct, attribute, t.quat, lambda: field.values)
+    for body in bodies:
+        parameters.add(
+            f"{body.name}.orientation",
+            field,
+            body.items,
+            checks.FINITE,
+            [device_field],
+            tail=(4,),
+            single=body.single,
+            convert=checks.unit_quaternions,
+        )
+
+
+def _is_isotropic(tensors: Array) -> NDArray[np.bool]:
+    return (tensors == tensors[..., :1, :1] * np.eye(3)).all(axis=(-2, -1))
+
+
+def _inertia(name: str, values: Array) -> Array:
+    """Takes principal moments (…, 3) or tensors (…, 3, 3) to checked tensors (envs, items, 3, 3)."""
+    if values.ndim == 3:
+        values = values[..., None] * np.eye(3)
+    return checks.inertia_tensors(name, values)

@@ -1,0 +1,110 @@
+"""Arrays of every model that steps write: state, history of contacts, contacts, wrenches and caches."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import warp as wp
+
+from warpcontact.geometry.contact_clusters import ContactClusters
+from warpcontact.geometry.query_mesh import QueryMeshes
+from warpcontact.kernels import types
+from warpcontact.model.allocation_plan import AllocationPlan, fixed, per_env
+from warpcontact.model.scene_traits import SENSOR_ARRAYS
+from warpcontact.model.state_storage import COUNT, SWITCH
+from warpcontact.scene.scene import Scene
+
+#: Status of environments between steps; all others are those of a part of a step.
+BETWEEN_STEPS = frozenset((types.ENV_ACTIVE, types.ENV_FROZEN, types.ENV_STOPPED))
+
+
+def declare_arrays(
+    scene: Scene,
+    t: SimpleNamespace,
+    layout: AllocationPlan,
+    clusters: ContactClusters,
+    query_meshes: QueryMeshes,
+    *,
+    uses_face_grid: bool,
+) -> SimpleNamespace:
+    """Declares the arrays of a model; those that follow from the scene are empty structs.
+
+    Args:
+        scene: The scene.
+        t: Structs of the precision.
+        layout: Where to declare them.
+        clusters: Clusters of contacts.
+        query_meshes: Meshes that contacts search.
+        uses_face_grid: Whether they are searched in grids, with no cached faces.
+    """
+    contacts = len(clusters.contact)
+    body_count = sum(body.count for body in scene.bodies)
+    ends = 2 * (len(scene.couplings) + sum(contact.count for contact in scene.shape_contacts))
+    bodies, each, parts = per_env(body_count), per_env(contacts), per_env(clusters.count)
+    records = contacts > 1  # a few of many contacts are near; of one contact neighbours are those of other envs
+    arrays = SimpleNamespace(
+        model=t.Model(),
+        initial=t.State(),
+        state=layout.struct("state", t.State, bodies),
+        wrenches=layout.struct("state", t.Wrenches, bodies, transient=True),
+        coupling_wrenches=layout.struct("couplings", t.CouplingWrenches, per_env(ends), transient=True),
+        history=layout.struct(
+            "contacts",
+            t.History,
+            each,
+            records=records,
+            ranges={"armed": SWITCH, "face": (-1, query_meshes.face_count - 1), "crossings": COUNT},
+        ),
+        contacts=layout.struct("contacts", t.Contacts, each, records=records, transient=True),
+        active_contacts=layout.struct(
+            "contacts", t.ActiveContacts, parts, transient=True, contact=each, needs_history=each
+        ),
+        cache=_cache(t, layout, clusters, records, None if uses_face_grid else query_meshes),
+        uses_face_grid=uses_face_grid,
+        faces_read=query_meshes.faces_read(),
+        **dict.fromkeys(
+            ("status", "time", "zero_step", "constrained", "active_status")
+        ),  # allocated with the model
+        **dict.fromkeys(SENSOR_ARRAYS),  # allocated by the first sensor that needs them
+    )
+    layout.array("state", arrays, "status", wp.int32, per_env(), ranges={"status": BETWEEN_STEPS})
+    layout.array("state", arrays, "time", wp.float64, per_env())
+    # Constants: a step of 0 s, and the status of active environments.
+    layout.array("state", arrays, "zero_step", t.real, fixed(1, 1), transient=True)
+    layout.array("state", arrays, "active_status", wp.int32, fixed(1), transient=True)
+    return arrays
+
+
+def _cache(
+    t: SimpleNamespace,
+    layout: AllocationPlan,
+    made: ContactClusters,
+    records: bool,
+    query_mesh_set: QueryMeshes | None,
+) -> Any:
+    clusters, contacts, queued = made.count, len(made.contact), layout.device.is_cuda
+    shapes = {name: per_env(made.set_count) for name in t.Cache.vars if name.startswith("set_")}
+    cached_faces = 0
+    if query_mesh_set is not None:
+        cached_faces = types.CACHED_FACES_GPU if queued else query_mesh_set.cached_face_count()
+    faces = per_env(contacts * cached_faces)
+    room = per_env(0 if query_mesh_set is not None and queued else contacts)
+    return layout.struct(
+        "cache",
+        t.Cache,
+        per_env(contacts),
+        records=records,
+        transient=True,
+        ranges=None,
+        **shapes,
+        # What blocks look through lies by contact.
+        safe_travel=per_env(contacts),
+        face_count=per_env(contacts),
+        **dict.fromkeys(("clearance", "clearance_center"), room),
+        **dict.fromkeys(("cluster_safe_travel", "cluster_probe_travel", "cluster_inactive"), per_env(clusters)),
+        queue_count=fixed(types.QUEUE_COUNT),
+        queue_clusters=(lambda envs: (envs * clusters,)) if queued else fixed(1),
+        queue_contacts=(lambda envs: (types.QUEUE_COUNT, envs * contacts))
+        if queued
+        else fixed(types.QUEUE_COUNT, 1),
+        **dict.fromkeys(("face", "distance", "gradient"), faces),
+    )

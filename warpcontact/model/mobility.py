@@ -1,0 +1,151 @@
+"""What bodies oppose to forces, for estimates before the first step: as they stand initially."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpcontact.kernels.types import BALL, FREE, HINGE, PLANAR, SLIDER, TRANSLATION
+from warpcontact.scene.elements import Body
+from warpcontact.scene.particles import ParticleContact
+from warpcontact.scene.shapes import Shape, ShapeContact
+from warpcontact.stepping.frames import transform_points
+from warpcontact.validation.checks import Array
+
+if TYPE_CHECKING:
+    from warpcontact.model.environments import Environments
+    from warpcontact.scene.scene import Contact
+
+
+# Bodies that yield less than this to a force cannot be moved by it [1/kg].
+MIN_MOBILITY = 1.0e-20
+
+
+@dataclass(frozen=True)
+class Mobility:
+    """The most that a body yields, (envs, 1) each; nothing if it follows a motion that no force changes.
+
+    Of a set of bodies (envs, n), one for each of them.
+
+    Attributes:
+        linear: To a force at the worst place and in the worst direction [1/kg]. Of a body that is free, or moves in
+            a plane, without its rotation, which ``angular`` is for.
+        angular: To a couple about the worst axis [1/(kg·m²)].
+        rotates_with_force: Whether a force turns it by ``angular`` times its lever as well.
+    """
+
+    linear: Array
+    angular: Array
+    rotates_with_force: bool
+
+
+def mobility_of(
+    model: "Environments", contact: "Contact | ShapeContact | ParticleContact", body: Body
+) -> Mobility:
+    """Returns what ``body``, one of those of ``contact``, yields."""
+    mass = model[f"{body.name}.mass"].reshape(model.envs, body.count)
+    zero = np.zeros_like(mass)
+    kind = body.motion.kind
+    if kind == FREE:
+        smallest = np.diagonal(model[f"{body.name}.inertia"], axis1=-2, axis2=-1).min(axis=-1)
+        return Mobility(1.0 / mass, 1.0 / smallest.reshape(mass.shape), True)
+    if kind in (TRANSLATION, SLIDER):
+        return Mobility(1.0 / mass, zero, False)
+    if kind == PLANAR:
+        normal = model[f"{body.name}.motion.normal"]
+        return Mobility(1.0 / mass, 1.0 / _along(normal, _inertia(model, body)).reshape(mass.shape), True)
+    if kind not in (HINGE, BALL):
+        return Mobility(zero, zero, False)
+    arm, inertia = _anchor_inertia(model, body)
+    # From the anchor, (envs, places, 3).
+    levers = transform_points(_places(contact, body)[None], arm, model[f"{body.name}.orientation"])
+    if kind == HINGE:
+        axis = model[f"{body.name}.motion.axis"]
+        angular = 1.0 / _along(axis, inertia)[:, None]
+        reach = np.linalg.norm(np.cross(axis[:, None], levers), axis=2).max(axis=1)[:, None]
+        return Mobility(angular * reach**2, angular, False)
+    inverse = np.linalg.inv(inertia)
+    worst = np.asarray(np.linalg.eigvalsh(inverse)[:, -1:], dtype=np.float64)
+    # Columns of ``crossed`` are lever × e: n' crossed' inverse crossed n is what the place yields along n.
+    crossed = np.swapaxes(np.cross(levers[:, :, None], np.eye(3)), 2, 3)
+    compliances = np.swapaxes(crossed, 2, 3) @ inverse[:, None] @ crossed
+    return Mobility(np.linalg.eigvalsh(compliances)[..., -1].max(axis=1)[:, None], worst, False)
+
+
+def mobility_along(model: "Environments", body: Body, arm: Array, direction: Array) -> Array:
+    """Returns the inverse of the mass that ``body`` opposes to a force, (envs,) [1/kg].
+
+    Args:
+        model: The model.
+        body: The body.
+        arm: Where the force acts, from the centre of mass, (envs, 3), world [m].
+        direction: Its direction, unit vectors (envs, 3), world.
+    """
+    kind = body.motion.kind
+    mass = model[f"{body.name}.mass"]
+    if kind == FREE:
+        return 1.0 / mass + _rotational_mobility(np.cross(arm, direction), _inertia(model, body))
+    if kind == TRANSLATION:
+        return 1.0 / mass
+    if kind == SLIDER:
+        return (model[f"{body.name}.motion.axis"] * direction).sum(axis=1) ** 2 / mass
+    if kind == PLANAR:
+        normal = model[f"{body.name}.motion.normal"]
+        lever = (normal * np.cross(arm, direction)).sum(axis=1)
+        return (1.0 - (normal * direction).sum(axis=1) ** 2) / mass + lever**2 / _along(
+            normal, _inertia(model, body)
+        )
+    if kind not in (HINGE, BALL):
+        return np.zeros_like(mass)
+    centre, inertia = _anchor_inertia(model, body)
+    lever = np.cross(centre + arm, direction)
+    if kind == HINGE:
+        axis = model[f"{body.name}.motion.axis"]
+        return (axis * lever).sum(axis=1) ** 2 / _along(axis, inertia)
+    return _rotational_mobility(lever, inertia)
+
+
+def _inertia(model: "Environments", body: Body) -> Array:
+    """Returns the inertia about the centre of mass, (envs, 3, 3) or (envs, n, 3, 3), world axes [kg·m²]."""
+    inertia, orientation = model[f"{body.name}.inertia"], model[f"{body.name}.orientation"]
+    # Its rows are the axes of the body, in the world.
+    axes = transform_points(np.broadcast_to(np.eye(3), inertia.shape), np.zeros(3), orientation)
+    return np.swapaxes(axes, -2, -1) @ inertia @ axes
+
+
+def _anchor_inertia(model: "Environments", body: Body) -> tuple[Array, Array]:
+    """Returns the way from the anchor of a hinge or a ball to the centre of mass, and the inertia about it."""
+    arm = model[f"{body.name}.position"] - model[f"{body.name}.motion.anchor"]
+    steiner = (arm**2).sum(axis=1)[:, None, None] * np.eye(3) - arm[:, :, None] * arm[:, None, :]
+    return arm, _inertia(model, body) + model[f"{body.name}.mass"][:, None, None] * steiner
+
+
+def _along(axis: Array, inertia: Array) -> Array:
+    """Returns the moments of inertia (envs, …) about unit vectors (envs, …, 3)."""
+    return np.einsum("...i,...ij,...j->...", axis, inertia, axis)
+
+
+def _rotational_mobility(lever: Array, inertia: Array) -> Array:
+    """Returns what a force moves its place along itself by turning a body, (envs,) [1/kg]."""
+    return (lever * np.linalg.solve(inertia, lever[..., None])[..., 0]).sum(axis=1)
+
+
+def _places(contact: "Contact | ShapeContact | ParticleContact", body: Body) -> Array:
+    """Returns where ``contact`` may act on ``body``, in its frame and as in the scene, (n, 3) [m]."""
+    if isinstance(contact, ShapeContact | ParticleContact):
+        return np.concatenate([_surface_points(shape) for shape in contact.shapes if shape.body is body])
+    if body is contact.points.body:
+        return contact.points.places
+    surface = contact.surface
+    corners = np.array(
+        [np.where(corner, *mesh.bounds) for mesh in surface.meshes for corner in np.ndindex(2, 2, 2)]
+    )
+    return transform_points(surface.scale * corners, surface.position, surface.orientation)
+
+
+def _surface_points(shape: Shape) -> Array:
+    """Returns points of the surface of a shape, the first of a set, in the frame of its body (n, 3) [m]."""
+    from warpcontact.forces.shape_contact.tessellate import tessellate
+
+    vertices, _ = tessellate(shape.kind, {key: values[0] for key, values in shape.sizes.items()})
+    return transform_points(vertices, shape.positions[0], shape.orientations[0])

@@ -1,0 +1,438 @@
+"""A built scene: parameters, state and memory of many environments on one device."""
+
+from collections.abc import Collection, Iterable, Mapping, Set
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from warpcontact.forces.couplings.coupling_set import CouplingSet
+from warpcontact.forces.joints.joint_data import PrescribedMotionSet
+from warpcontact.geometry.contact_clusters import ContactClusters
+from warpcontact.geometry.side_regions import SideRegion
+from warpcontact.model.allocation_plan import AllocationPlan, broadcast
+from warpcontact.model.contact_groups import ContactGroup
+from warpcontact.model.environments import Environments
+from warpcontact.model.memory import MemoryItem
+from warpcontact.model.parameters import DeviceField, Parameter, parameter_memory
+from warpcontact.model.scene_traits import SENSOR_ARRAYS, SHAPE_CONTACT_MEASURES, SceneTraits
+from warpcontact.model.sensor_evaluation import evaluation_plan, evaluation_stages, needs_contacts
+from warpcontact.model.sensors import Sensor
+from warpcontact.scene.scene import Contact, Scene
+from warpcontact.stepping.execution_plan import ExecutionPlan
+from warpcontact.system.capture_lock import shared_capture_lock
+
+if TYPE_CHECKING:
+    from warpcontact.forces.nonsmooth.contacts import NonsmoothContacts
+    from warpcontact.forces.particle_contact.contact_set import ParticleContactSet
+    from warpcontact.forces.shape_contact.contact_sets import ShapeContactSet
+    from warpcontact.stepping.outcomes.observer import Monitor
+
+#: What is 0 of a contact that does not touch.
+ZERO_WITHOUT_CONTACT = ("penetration", "approach_speed", "normal_force", "friction_force", "slip_speed", "torque")
+
+
+@dataclass(frozen=True)
+class State:
+    """State of all bodies: Warp arrays (envs, bodies) that keep their memory for the life of the model.
+
+    Write into them (``state.body_position.assign(values)``), do not replace them.
+
+    Attributes:
+        body_position: Centre of mass, world [m], as far as the precision tells it.
+        body_position_remainder: What rounding left of it [m]: the centre of mass is at the sum of both. To place a
+            body to the precision it is enough to write the position.
+        body_orientation: Rotation body → world, quaternion (x, y, z, w).
+        body_linear_velocity: Velocity of the centre of mass, world [m/s].
+        body_angular_velocity: Angular velocity, world axes [rad/s].
+    """
+
+    body_position: wp.array
+    body_position_remainder: wp.array
+    body_orientation: wp.array
+    body_linear_velocity: wp.array
+    body_angular_velocity: wp.array
+
+
+@dataclass(frozen=True)
+class External:
+    """Forces from outside on all bodies: Warp arrays (envs, bodies), to be written between steps.
+
+    Attributes:
+        force: Force at the centre of mass, world [N].
+        torque: Torque, world axes [N·m].
+    """
+
+    force: wp.array
+    torque: wp.array
+
+
+class Model(Environments, SceneTraits):
+    """Many environments of one scene on a device. Made by ``Scene.build``.
+
+    ``model["ball.mass"]`` reads a parameter, (envs, …); ``model["ball.mass"] = values`` sets it, from one value
+    or one per environment. ``model.sensor("touch.gap")`` measures the current state.
+
+    Attributes:
+        scene: The scene it was built from.
+        envs: Number of environments.
+        first_env: Number of the first, 0 unless they are a part, or a batch, of more.
+        device: Warp device.
+        precision: ``"float32"`` or ``"float64"``.
+        state: The current state, arrays to share with NumPy, PyTorch or JAX without a copy.
+        time: Simulated time since the last complete reset [s].
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        envs: int,
+        device: wp.Device,
+        precision: str,
+        types: SimpleNamespace,
+        layout: AllocationPlan,
+        arrays: SimpleNamespace,
+        parameters: dict[str, Parameter],
+        device_fields: list[DeviceField],
+        groups: list[ContactGroup],
+        couplings: list[CouplingSet],
+        shape_contact_sets: "list[ShapeContactSet]",
+        particle_contact_sets: "list[ParticleContactSet]",
+        prescribed_motions: list[PrescribedMotionSet],
+        clusters: ContactClusters,
+        sensors: dict[str, Sensor],
+        side_regions: dict[Contact, list[SideRegion]],
+        meshes: list[wp.Mesh],
+    ) -> None:
+        self.scene = scene
+        self.envs = envs
+        self.device = device
+        self.precision = precision
+        self.types = types
+        self.layout = layout
+        self.arrays = arrays
+        self.groups = groups
+        self.couplings = couplings
+        self.shape_contact_sets = shape_contact_sets
+        self.particle_contact_sets = particle_contact_sets
+        self.prescribed_motions = prescribed_motions
+        self.clusters = clusters
+        self.parameters = parameters
+        self.first_env = 0
+        # Goes up when a device array moves: whoever prepared launches prepares them again.
+        self.revision = 0
+        # Simulated time since the last complete reset [s].
+        self.elapsed = 0.0
+        # Whether the state is still the initial one, which then follows its parameters.
+        self.is_initial = True
+        self.sensors = sensors
+        self.side_regions = side_regions
+        self._meshes = meshes  # kept alive: a kernel only holds their ids
+        # Step of 0 [env, 0]: for the forces of an instant.
+        self.zero_step = broadcast(arrays.zero_step, envs)
+        # Status [env] of environments that are all active: a frozen one can be measured as well.
+        self.active_status = broadcast(arrays.active_status, envs)
+        # Launches of all environments by what they are for, as of a revision.
+        self._evaluations: tuple[int, dict[frozenset[str], list[wp.Launch]]] = (-1, {})
+        # Contacts that the last simulation solves for impulses, and what it watches.
+        self.nonsmooth: NonsmoothContacts | None = None
+        self.monitor: Monitor | None = None
+        # Whether any of them has a restitution.
+        self.has_restitution = False
+        # Whether forces from outside are written where they lie.
+        self.external_exposed = False
+        self._device_fields = device_fields  # kept alive: broadcast arrays do not own their memory
+        self.upload(device_fields, (device_field.content() for device_field in device_fields))
+        self._state = State(**{name: getattr(arrays.state, name) for name in types.State.vars})
+        self.reset()
+
+    @property
+    def parts(self) -> tuple["Model", ...]:
+        """The model itself: all its environments are on one device."""
+        return (self,)
+
+    @property
+    def state(self) -> State:
+        """The current state: arrays (envs, bodies)."""
+        return self._state
+
+    @property
+    def external(self) -> External:
+        """Forces from outside as arrays, to be written between steps without a copy.
+
+        From the first look at them each environment has its own. To set ``<body>.external_force`` or
+        ``<body>.external_torque`` afterwards writes all of its array anew.
+        """
+        if not self.external_exposed:
+            self.external_exposed = True
+            for quantity in ("external_force", "external_torque"):
+                name = f"{self.scene.bodies[0].name}.{quantity}"
+                values = self[name]
+                self.assign(name, values[:, None] if self.scene.bodies[0].single else values)
+        model = self.arrays.model
+        return External(force=model.body_external_force, torque=model.body_external_torque)
+
+    def _update_restitution_flag(self) -> None:
+        has_restitution = self.nonsmooth is not None and self.nonsmooth.has_restitution(self.parameters)
+        if self.has_restitution != has_restitution:
+            self.has_restitution = has_restitution
+            self.revision += 1
+
+    def attach_simulation(self, nonsmooth: "NonsmoothContacts | None", monitor: "Monitor | None" = None) -> None:
+        """Lets contacts be those of the simulation that is to step: ``nonsmooth`` ones, or all with their forces.
+
+        Hard ones remember nothing then: what they do may be of before a reset, or of a step of another simulation.
+        The ``monitor`` of what it watches likewise begins anew.
+
+        Raises:
+            ValueError: If a parameter has a value that nonsmooth contact does not allow; nothing is changed then.
+        """
+        if nonsmooth is not self.nonsmooth:
+            if nonsmooth is not None:
+                nonsmooth.check_shares(self.parameters)
+            self._set_nonsmooth(nonsmooth)
+        if monitor is not self.monitor:
+            self.monitor = monitor
+            if monitor is not None:
+                self._restart_monitor(monitor)
+
+    def check_value(self, name: str, values: NDArray[np.float64]) -> None:
+        """Raises ``ValueError`` if nonsmooth contact does not allow ``values`` of parameter ``name``."""
+        if self.nonsmooth is not None:
+            self.nonsmooth.check_share(name, values)
+
+    @shared_capture_lock()
+    def _restart_monitor(self, monitor: "Monitor") -> None:
+        # Steps that nobody watched may have told nothing; contacts that touch are looked at in any case.
+        self._clear_contact_values()
+        monitor.reset_state(wp.full(self.envs, True, dtype=wp.bool, device=self.device))
+
+    @shared_capture_lock()
+    def _set_nonsmooth(self, nonsmooth: "NonsmoothContacts | None") -> None:
+        if self.nonsmooth is not None:
+            self.nonsmooth.deactivate(self)
+            for own in self.nonsmooth.sensors():
+                del self.sensors[own.name]
+        self.nonsmooth = self.arrays.nonsmooth = nonsmooth
+        if nonsmooth is not None:
+            nonsmooth.activate(self)
+            self.sensors.update((own.name, own) for own in nonsmooth.sensors())
+        self._update_restitution_flag()
+        # Nobody writes what nonsmooth contacts would do to bodies by a force.
+        active_contacts, coupling_wrenches = self.arrays.active_contacts, self.arrays.coupling_wrenches
+        for array in (
+            active_contacts.force,
+            active_contacts.torque_1,
+            active_contacts.torque_2,
+            coupling_wrenches.force,
+            coupling_wrenches.torque,
+        ):
+            array.zero_()
+        # Nor what they showed is what a contact says that does not touch.
+        self._clear_contact_values()
+
+    def _clear_contact_values(self) -> None:
+        """Has all contacts say what those do that do not touch."""
+        for name in ZERO_WITHOUT_CONTACT:
+            getattr(self.arrays.contacts, name).zero_()
+        self._evaluations = (-1, {})
+
+    @property
+    def parameters_by_name(self) -> Mapping[str, Parameter]:
+        """The parameters by their names."""
+        return self.parameters
+
+    def _has_external_force(self) -> bool:
+        names = [f"{self.scene.bodies[0].name}.{quantity}" for quantity in ("external_force", "external_torque")]
+        return self.external_exposed or any(bool(self.parameters[name].field.values.any()) for name in names)
+
+    def sets_initial_state(self, parameter: Parameter) -> bool:
+        """Whether ``parameter`` says where the state begins."""
+        starts = [self.arrays.initial, *(motion_set.arrays for motion_set in self.prescribed_motions)]
+        return any(
+            device_field.attribute == "body_motion" or any(device_field.struct is start for start in starts)
+            for device_field in parameter.device_fields
+        )
+
+    @shared_capture_lock()
+    def reset_state(self, mask: NDArray[np.bool_]) -> None:
+        """Puts the environments of ``mask`` (envs,) back to their initial state, with empty history."""
+        from warpcontact.kernels.couplings import contact_coupling
+        from warpcontact.kernels.integrators import reset
+
+        a = self.arrays
+        chosen = wp.array(mask, dtype=wp.bool, device=self.device)
+        wp.launch(
+            reset.environments(self.types.real),
+            dim=self.envs,
+            inputs=[
+                chosen,
+                self.body_count,
+                self.contact_count,
+                self.clusters.count,
+                self.clusters.set_count,
+                a.initial,
+                a.status,
+                a.guard.cause,
+                a.time,
+                a.state,
+                a.history,
+                a.cache,
+                a.active_contacts,
+                a.wrenches,
+            ],
+            device=self.device,
+        )
+        if a.coupling_extremes is not None:
+            wp.launch(
+                contact_coupling.reset(self.types.real),
+                dim=(self.envs, len(self.scene.contact_couplings)),
+                inputs=[chosen, a.coupling_extremes],
+                device=self.device,
+            )
+        for group in self.groups:
+            for formula, history_in, _ in group.histories():
+                wp.launch(
+                    reset.memory(formula, self.types.real),
+                    dim=(self.envs, group.count),
+                    inputs=[chosen, history_in],
+                    device=self.device,
+                )
+        for couplings in self.couplings:
+            couplings.reset_state(chosen, self.envs)
+        for contacts in self.shape_contact_sets:
+            contacts.reset_state(chosen, self.envs)
+        for particle_set in self.particle_contact_sets:
+            particle_set.reset_state(chosen, self.envs)
+        if self.nonsmooth is not None:
+            self.nonsmooth.reset_state(chosen)
+        if self.monitor is not None:
+            self.monitor.reset_state(chosen)
+        if self.has_joints:
+            self._start_motions(chosen)
+
+    def _start_motions(self, chosen: wp.array) -> None:
+        """Takes off velocities that joints do not allow, and puts what follows a function of time to its start."""
+        from warpcontact.kernels.joints import driven, velocity_projection
+
+        a, real = self.arrays, self.types.real
+        shape = (self.envs, self.body_count)
+        wp.launch(
+            velocity_projection.kernel(real), dim=shape, inputs=[chosen, a.model, a.state], device=self.device
+        )
+        for motion_set in self.prescribed_motions:
+            wp.launch(
+                driven.start(motion_set.motion, real),
+                dim=(self.envs, motion_set.count),
+                inputs=[chosen, a.time, a.model, *motion_set.inputs, a.state],
+                device=self.device,
+            )
+
+    @shared_capture_lock()
+    def evaluation_launches(self, needs: Set[str], own: wp.array | None = None) -> list[wp.Launch]:
+        """Returns the launches that compute what sensors need, of frozen environments too.
+
+        ``evaluate_remaining_needs`` does the rest.
+
+        Args:
+            needs: Those of the sensors.
+            own: Of which environments, see ``Span.slice``; ``None``: of all.
+        """
+        plan = evaluation_plan(ExecutionPlan, self, self.envs, self.nonsmooth, needs, own)
+        return evaluation_stages(plan, needs, self.zero_step, self.active_status)
+
+    @shared_capture_lock()
+    def evaluate_needs(self, needs: Set[str]) -> None:
+        """Computes what sensors of the current state need, by their ``needs``; there is room to measure into."""
+        if self._evaluations[0] != self.revision:
+            self._evaluations = (self.revision, {})
+        cached, requested = self._evaluations[1], frozenset(needs)
+        if requested not in cached:
+            cached[requested] = self.evaluation_launches(requested)
+        for launch in cached[requested]:
+            launch.launch()
+        self.evaluate_remaining_needs(needs)
+
+    def evaluate_remaining_needs(self, needs: Set[str]) -> None:
+        """Computes the rest of what sensors need, after the launches of ``look`` for all environments."""
+        if self.nonsmooth is not None and needs_contacts(needs):
+            self.nonsmooth.show(self)
+        if "reactions" in needs:
+            self._evaluate_reactions()
+        if "contact_couplings" in needs:
+            self._evaluate_contact_couplings()
+        for name in SHAPE_CONTACT_MEASURES:
+            if name in needs:
+                from warpcontact.forces.shape_contact.measures import measure
+
+                measure(name, self)
+        if "particles" in needs:
+            for particle_set in self.particle_contact_sets:
+                particle_set.measure(self.envs, self.device)
+
+    @shared_capture_lock()
+    def allocate_sensor_arrays(self, names: Collection[str]) -> None:
+        """Allocates those of ``SENSOR_ARRAYS`` with ``names`` that are not there yet."""
+        arrays_by_need = {
+            name: SENSOR_ARRAYS[name](self.layout, self) for name in names if getattr(self.arrays, name) is None
+        }
+        self.layout.allocate(self.envs)
+        for name, arrays in arrays_by_need.items():
+            setattr(self.arrays, name, arrays)
+
+    def memory_items(self) -> list[MemoryItem]:
+        """Returns what its arrays take, on the device and on the host."""
+        return self.layout.memory_items(self.envs) + parameter_memory(
+            self.parameters, self._device_fields, self.envs
+        )
+
+    def _evaluate_reactions(self) -> None:
+        from warpcontact.kernels.joints import driven, measures
+
+        a, real = self.arrays, self.types.real
+        for motion_set in self.prescribed_motions:
+            wp.launch(
+                driven.accelerate(motion_set.motion, real),
+                dim=(self.envs, motion_set.count),
+                inputs=[a.time, a.model, *motion_set.inputs],
+                outputs=[a.reactions.linear, a.reactions.angular],
+                device=self.device,
+            )
+        inputs, shape = [a.model, a.state, a.wrenches], (self.envs, self.body_count)
+        wp.launch(measures.reactions(real), dim=shape, inputs=inputs, outputs=[a.reactions], device=self.device)
+
+    def _evaluate_contact_couplings(self) -> None:
+        from warpcontact.kernels.couplings import contact_coupling
+
+        a, shape = self.arrays, (self.envs, len(self.scene.contact_couplings))
+        kernel = contact_coupling.measure(self.types.real)
+        inputs = [a.model, a.state, a.contacts, a.coupling_contacts]
+        wp.launch(kernel, dim=shape, inputs=inputs, outputs=[a.contact_couplings], device=self.device)
+
+    def group_of(self, contact: Contact) -> tuple[ContactGroup, int]:
+        """Returns the group that ``contact`` is computed in, and the index of its first item there."""
+        own = [other for other in self.scene.contacts if other.code == contact.code]
+        group = next(group for group in self.groups if (group.parts, group.projected) == contact.code)
+        return group, sum(other.count for other in own[: own.index(contact)])
+
+    @shared_capture_lock()
+    def upload(self, device_fields: Iterable[DeviceField], contents: Iterable[NDArray[Any]]) -> None:
+        """Puts the content of each of ``device_fields`` into its array on the device."""
+        for device_field, content in zip(device_fields, contents, strict=True):
+            if device_field.upload(content, self.envs):
+                self.revision += 1
+        # Steps without them do not look for them.
+        if self.has_external_forces != (pushed := self._has_external_force()):
+            self.has_external_forces = pushed
+            self.revision += 1
+        self._update_restitution_flag()
+        # What was known of distances may not hold for other radii, poses or meshes.
+        cache = self.arrays.cache
+        clusters = (cache.cluster_safe_travel, cache.cluster_probe_travel, cache.cluster_inactive)
+        for cached in (cache.set_safe_travel, *clusters, cache.safe_travel, cache.face_count, cache.clearance):
+            cached.zero_()
+        for particle_set in self.particle_contact_sets:
+            particle_set.invalidate_lists()

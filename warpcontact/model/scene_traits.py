@@ -1,0 +1,124 @@
+"""What follows from a scene alone, whatever the number of its environments: counts, and what is measured."""
+
+from collections.abc import Callable, Collection
+from functools import cached_property
+from typing import Any
+
+import warp as wp
+
+from warpcontact.kernels import measures
+from warpcontact.kernels.couplings import contact_coupling
+from warpcontact.kernels.joints.measures import Coordinates, Reactions
+from warpcontact.kernels.types import FREE, TIME_FUNCTION
+from warpcontact.model.allocation_plan import SENSOR_PURPOSE as PURPOSE
+from warpcontact.model.allocation_plan import AllocationPlan, per_env
+from warpcontact.model.memory import MemoryItem
+from warpcontact.scene.scene import Scene
+
+
+class SceneTraits:
+    """What follows from a scene alone, whatever the number of its environments."""
+
+    scene: Scene
+
+    @cached_property
+    def body_count(self) -> int:
+        """Number of bodies of an environment."""
+        return sum(body.count for body in self.scene.bodies)
+
+    @cached_property
+    def contact_count(self) -> int:
+        """Number of contacts of an environment."""
+        return sum(contact.count for contact in self.scene.contacts)
+
+    @cached_property
+    def shape_contact_count(self) -> int:
+        """Number of shape contacts of an environment."""
+        return sum(contact.count for contact in self.scene.shape_contacts)
+
+    @cached_property
+    def has_swept_contacts(self) -> bool:
+        """Whether any contact looks for crossings."""
+        return any(contact.swept for contact in self.scene.contacts)
+
+    @cached_property
+    def has_latched_contacts(self) -> bool:
+        """Whether any contact stays with what it touched."""
+        return self.has_swept_contacts or any(contact.entry == "latched" for contact in self.scene.contacts)
+
+    @cached_property
+    def has_external_forces(self) -> bool:
+        """Whether there are forces from outside."""
+        return any(body.external_force.any() or body.external_torque.any() for body in self.scene.bodies)
+
+    @cached_property
+    def has_joints(self) -> bool:
+        """Whether any body is not free."""
+        return any(body.motion.kind != FREE for body in self.scene.bodies)
+
+    @cached_property
+    def constrained_count(self) -> int:
+        """Number of bodies that are neither free nor follow a function of time."""
+        return sum(body.count for body in self.scene.bodies if body.motion.kind not in (FREE, TIME_FUNCTION))
+
+    def sensor_memory(self, device: wp.Device, needs: Collection[str], envs: int) -> list[MemoryItem]:
+        """Returns what ``envs`` environments take that sensors with these ``needs`` are measured into."""
+        layout = AllocationPlan(device)
+        for name, declare in SENSOR_ARRAYS.items():
+            if name in needs:
+                declare(layout, self)
+        return layout.memory_items(envs)
+
+
+def _per_body(struct: Any) -> Callable[[AllocationPlan, SceneTraits], Any]:
+    return lambda layout, model: layout.struct(PURPOSE, struct, per_env(model.body_count))
+
+
+def _points(layout: AllocationPlan, model: SceneTraits) -> Any:
+    return layout.struct(PURPOSE, measures.Points, per_env(model.contact_count))
+
+
+def _reactions(layout: AllocationPlan, model: SceneTraits) -> Any:
+    return layout.struct(PURPOSE, Reactions, per_env(model.body_count))
+
+
+def _coordinates(layout: AllocationPlan, model: SceneTraits) -> Any:
+    return layout.struct(PURPOSE, Coordinates, per_env(model.body_count))
+
+
+def _contact_couplings(layout: AllocationPlan, model: SceneTraits) -> Any:
+    shape = per_env(len(model.scene.contact_couplings))
+    return layout.struct(PURPOSE, contact_coupling.ContactCouplings, shape)
+
+
+def _shape_points(layout: AllocationPlan, model: SceneTraits) -> Any:
+    from warpcontact.kernels.shapes.measures import Points
+
+    return layout.struct(PURPOSE, Points, per_env(model.shape_contact_count))
+
+
+def _shape_curvatures(layout: AllocationPlan, model: SceneTraits) -> Any:
+    from warpcontact.kernels.shapes.measures import Curvatures
+
+    return layout.struct(PURPOSE, Curvatures, per_env(model.shape_contact_count))
+
+
+def _shape_gradients(layout: AllocationPlan, model: SceneTraits) -> Any:
+    from warpcontact.kernels.shapes.measures import Gradients
+
+    return layout.struct(PURPOSE, Gradients, per_env(model.shape_contact_count))
+
+
+#: How to declare what sensors are measured into, by what they need.
+SENSOR_ARRAYS: dict[str, Callable[[AllocationPlan, SceneTraits], Any]] = {
+    **{name: _per_body(struct) for name, (struct, _) in measures.BODY_MEASURES.items()},
+    "points": _points,
+    "reactions": _reactions,
+    "coordinates": _coordinates,
+    "contact_couplings": _contact_couplings,
+    "shape_points": _shape_points,
+    "shape_curvatures": _shape_curvatures,
+    "shape_gradients": _shape_gradients,
+}
+#: Those of shape contacts, measured on contacts that were computed before.
+SHAPE_CONTACT_MEASURES = ("shape_points", "shape_curvatures", "shape_gradients")

@@ -1,0 +1,269 @@
+"""What can be measured: names, units, shapes, and where the values are on the device."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from warpcontact.forces.contact_coupling.contact_couplings import ContactCouplings
+from warpcontact.kernels import measures
+from warpcontact.kernels.couplings import contact_coupling
+from warpcontact.kernels.joints import Motion
+from warpcontact.kernels.joints.measures import Coordinates, Reactions
+from warpcontact.kernels.types import BALL, FREE, HINGE, PLANAR, SLIDER
+from warpcontact.model.contact_groups import ContactGroup
+from warpcontact.model.status import ContactStatus
+from warpcontact.scene.scene import Contact, Scene
+
+if TYPE_CHECKING:
+    from warpcontact.forces.couplings.coupling_set import CouplingSet
+    from warpcontact.forces.particle_contact.contact_set import ParticleContactSet
+    from warpcontact.forces.shape_contact.contact_sets import ShapeContactSet
+
+AXES = {3: ("axis", ["x", "y", "z"]), 4: ("component", ["x", "y", "z", "w"])}
+
+# name: (array, or struct of measures, unit, what it is)
+_BODY_STATE = {
+    "orientation": ("body_orientation", "-", "rotation body → world, quaternion x, y, z, w"),
+    "linear_velocity": ("body_linear_velocity", "m/s", "velocity of the centre of mass, world"),
+    "angular_velocity": ("body_angular_velocity", "rad/s", "angular velocity, world axes"),
+}
+_BODY_WRENCH = {
+    "force": ("force", "N", "sum of all forces but gravity, world"),
+    "torque": ("torque", "N·m", "sum of their moments about the centre of mass, world axes"),
+}
+# In float64 whatever the precision: sums, and places far from the origin.
+_BODY_MEASURE = {
+    "kinetic_energy": ("energies", "J", "kinetic energy"),
+    "potential_energy": ("energies", "J", "potential energy of gravity, 0 at the world's origin"),
+    "linear_momentum": ("momenta", "kg·m/s", "linear momentum, world"),
+    "angular_momentum": ("momenta", "kg·m²/s", "angular momentum about the world's origin"),
+}
+_HINGE = {
+    "angle": ("coordinates", "angle", "rad", "angle from the initial pose about the axis, −π to π"),
+    "angle_rate": ("coordinates", "angle_rate", "rad/s", "angular velocity about the axis"),
+}
+_SLIDER = {
+    "displacement": ("coordinates", "displacement", "m", "way from the initial position along the axis"),
+    "displacement_rate": ("coordinates", "displacement_rate", "m/s", "velocity along the axis"),
+}
+# At each status a sensor has the value of the table "Status and sensors" in docs/contact.md: ``gap`` is the signed
+# distance, also at WRONG_SIDE, where it is negative without contact.
+CONTACT_SENSORS = {
+    "gap": ("gap", "m", "signed distance, negative in overlap, with or without contact"),
+    "penetration": ("penetration", "m", "depth, 0 without contact"),
+    "normal_force": ("normal_force", "N", "normal force"),
+    "friction_force": ("friction_force", "N", "friction force on the point's body, world"),
+    "torque": ("torque", "N·m", "couple of rolling and torsion on the point's body, world"),
+    "normal": ("normal", "-", "unit normal out of the surface, world"),
+    "slip_speed": ("slip_speed", "m/s", "tangential speed at K, 0 without contact"),
+    "approach_speed": ("approach_speed", "m/s", "rate of penetration at K, 0 without contact"),
+    "status": ("status", "-", "state of the contact"),
+}
+# What is told of contacts that do not touch as well, which takes a search.
+_OF_FAR = ("gap", "normal", "status")
+_SWEPT = {
+    "crossings": ("crossings", "-", "times the point crossed the surface within a step, since reset"),
+    "crossing_time": ("crossing_time", "s", "time of the first of them since reset; NaN: none"),
+}
+_COUPLING = {
+    "force": ("contact_couplings", "force", "N", "force on the body of its first surface, world"),
+    "torque": ("contact_couplings", "torque", "N·m", "its moment about the centre of mass of it, world axes"),
+    "effective_area": (
+        "reached",
+        "effective_area",
+        "m²",
+        "largest area in range since reset, as of the last step",
+    ),
+    "minimum_distance": (
+        "reached",
+        "minimum_distance",
+        "m",
+        "smallest distance of a face in range since reset, as of the last step; NaN: none was",
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """One measurable quantity.
+
+    Attributes:
+        name: ``<element>.<quantity>``.
+        unit: SI unit.
+        meaning: What it is, and its frame.
+        array: Returns its device array, (envs,) or (envs, item), from the arrays of a model.
+        needs: What has to be computed first: ``"contacts"``, or also the ``"wrenches"`` on bodies; of these
+            ``"positions"``, ``"energies"`` and ``"momenta"``; contact ``"points"``, ``"distances"`` of what is
+            far away; of motions ``"reactions"`` and ``"coordinates"``; the forces of ``"contact_couplings"``; of
+            shape contacts ``"shape_points"``, ``"shape_curvatures"`` and ``"shape_gradients"``; or what is
+            measured of ``"particles"``.
+        items: Number of items of a set, 0 if there is no item axis.
+        total: Whether the item axis is summed over.
+        codes: What its numbers stand for.
+        shape: Of a value: () of a number, (3,) of a vector.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    array: Callable[[SimpleNamespace], wp.array]
+    needs: tuple[str, ...] = ()
+    items: int = 0
+    total: bool = False
+    codes: type[IntEnum] | None = None
+    shape: tuple[int, ...] = ()
+
+    @property
+    def flags(self) -> dict[str, Any]:
+        """CF attributes that explain its codes; none if they are no codes."""
+        if self.codes is None:
+            return {}
+        return {
+            "flag_values": [int(code) for code in self.codes],
+            "flag_meanings": " ".join(code.name for code in self.codes),
+        }
+
+    def finish(self, values: NDArray[Any], axis: int = 1) -> NDArray[Any]:
+        """Returns what is reported from what was read; ``axis`` is the item axis."""
+        if not self.total:
+            return values
+        # From the first item to the last, and never −0, as launches sum up.
+        return np.add.accumulate(values, axis=axis).take(-1, axis=axis) + 0.0
+
+
+def shape_in(struct: Any, attribute: str) -> tuple[int, ...]:
+    """Returns the shape of the values of an array of a Warp struct, or of an instance of one."""
+    variables = struct.vars if hasattr(struct, "vars") else struct._cls.vars
+    return tuple(getattr(variables[attribute].type.dtype, "_shape_", ()))
+
+
+def sensors_of(
+    scene: Scene,
+    types: SimpleNamespace,
+    start_of: Mapping[Contact, int],
+    groups: Sequence[ContactGroup],
+    contact_couplings: ContactCouplings,
+    couplings: "Sequence[CouplingSet]",
+    shape_contact_sets: "Sequence[ShapeContactSet]",
+    particle_contact_sets: "Sequence[ParticleContactSet]",
+) -> dict[str, Sensor]:
+    """Returns all sensors of a scene by name.
+
+    Args:
+        scene: The scene.
+        types: Structs of its arrays.
+        start_of: Where a contact's values begin.
+        groups: What its contacts are computed in.
+        contact_couplings: Its contact couplings.
+        couplings: Its other couplings.
+        shape_contact_sets: Its shape contacts.
+        particle_contact_sets: Its particle contacts.
+    """
+    table: dict[str, Sensor] = {}
+
+    def add(name: str, unit: str, meaning: str, array: Callable[..., wp.array], **options: Any) -> None:
+        table[name] = Sensor(name, unit, meaning, array, **options)
+
+    structs = {
+        "state": types.State,
+        "wrenches": types.Wrenches,
+        "contacts": types.Contacts,
+        "history": types.History,
+        "reached": types.CouplingExtremes,
+        **{name: struct for name, (struct, _) in measures.BODY_MEASURES.items()},
+        "points": measures.Points,
+        "reactions": Reactions,
+        "coordinates": Coordinates,
+        "contact_couplings": contact_coupling.ContactCouplings,
+    }
+
+    def add_column(
+        name: str, unit: str, meaning: str, part: str, attribute: str, own: int | slice, **options: Any
+    ) -> None:
+        def array(arrays: SimpleNamespace) -> wp.array:
+            return getattr(getattr(arrays, part), attribute)[:, own]
+
+        add(name, unit, meaning, array, shape=shape_in(structs[part], attribute), **options)
+
+    for body in scene.bodies:
+        own, several = (body.index, 0) if body.single else (body.items, body.count)
+        options: dict[str, Any] = {"needs": ("positions",), "items": several}
+        add_column(f"{body.name}.position", "m", "centre of mass, world", "positions", "position", own, **options)
+        for key, (attribute, unit, meaning) in _BODY_STATE.items():
+            add_column(f"{body.name}.{key}", unit, meaning, "state", attribute, own, items=several)
+        for key, (attribute, unit, meaning) in _BODY_WRENCH.items():
+            options = {"needs": ("wrenches",), "items": several}
+            add_column(f"{body.name}.{key}", unit, meaning, "wrenches", attribute, own, **options)
+        for key, (need, unit, meaning) in _BODY_MEASURE.items():
+            options = {"needs": (need,), "items": several}
+            add_column(f"{body.name}.{key}", unit, meaning, need, key, own, **options)
+        for key, (need, attribute, unit, meaning) in joint_sensors(body.motion).items():
+            before = ("wrenches",) if need == "reactions" else ()
+            options = {"needs": (*before, need), "items": several}
+            add_column(f"{body.name}.{key}", unit, meaning, need, attribute, own, **options)
+    for contact in scene.contacts:
+        single = contact.points.single
+        start = start_of[contact]
+        items = start if single else slice(start, start + contact.count)
+        count = 0 if single else contact.count
+        meaning = "point K where the force acts, world"
+        options = {"needs": ("points",), "items": count}
+        add_column(f"{contact.name}.point", "m", meaning, "points", "position", items, **options)
+        for key, (attribute, unit, meaning) in CONTACT_SENSORS.items():
+            codes = ContactStatus if key == "status" else None
+            needs = ("contacts", "distances") if key in _OF_FAR else ("contacts",)
+            options = {"needs": needs, "items": count, "codes": codes}
+            add_column(f"{contact.name}.{key}", unit, meaning, "contacts", attribute, items, **options)
+        group = next(group for group in groups if group.first <= start < group.first + group.count)
+        for part, formula in contact.material.formulas.items():
+            for key, memory in formula.memories.items():
+                offset = start - group.first
+                own = offset if single else slice(offset, offset + contact.count)
+                frame = ", axes of the surface" if memory.tangent else ""
+                meaning = f"{memory.meaning}, as of the last step{frame}"
+                name = f"{contact.name}.{part}.{key}"
+                add(
+                    name,
+                    memory.unit,
+                    meaning,
+                    lambda arrays, of=group.history_of, part=part, key=key, own=own: of(part, key)[:, own],
+                    items=count,
+                    shape=(3,) if memory.tangent else (),
+                )
+        for key, (attribute, unit, meaning) in _SWEPT.items() if contact.swept else ():
+            add_column(f"{contact.name}.{key}", unit, meaning, "history", attribute, items, items=count)
+    for number, coupling in enumerate(contact_couplings.all):
+        for key, (part, attribute, unit, meaning) in _COUPLING.items():
+            options = {"needs": (part,)} if part == "contact_couplings" else {}
+            add_column(f"{coupling.name}.{key}", unit, meaning, part, attribute, number, **options)
+    for couplings_of_code in couplings:
+        table.update((sensor.name, sensor) for sensor in couplings_of_code.sensors())
+    for contacts_of_code in shape_contact_sets:
+        table.update((sensor.name, sensor) for sensor in contacts_of_code.sensors())
+    for particle_set in particle_contact_sets:
+        table.update((sensor.name, sensor) for sensor in particle_set.sensors())
+    for key, (need, unit, meaning) in _BODY_MEASURE.items():
+        everything = slice(0, scene.bodies[-1].items.stop)
+        options = {"needs": (need,), "total": True}
+        add_column(f"scene.{key}", unit, f"{meaning}, all bodies", need, key, everything, **options)
+    return table
+
+
+def joint_sensors(motion: Motion) -> dict[str, tuple[str, str, str, str]]:
+    """Returns what can be measured of a body with this motion: (need, array, unit, meaning) by name."""
+    if motion.kind == FREE:
+        return {}
+    place = "anchor" if motion.kind in (HINGE, BALL) else "centre of mass"
+    table = {
+        "reaction_force": ("reactions", "force", "N", f"force of its motion on it, at the {place}, world"),
+        "reaction_torque": ("reactions", "torque", "N·m", f"moment of its motion about the {place}, world axes"),
+    }
+    if motion.kind in (HINGE, PLANAR):
+        table |= _HINGE
+    return table | _SLIDER if motion.kind == SLIDER else table

@@ -1,6 +1,0 @@
-"""Stills and films of recordings, by rays that Warp follows through the scene, on a CPU or a GPU."""
-
-from warpcontact.rendering.filming import Film, film
-from warpcontact.rendering.still import render
-
-__all__ = ["Film", "film", "render"]

@@ -1,5 +1,0 @@
-"""The report of a run: one HTML file that opens anywhere, without network."""
-
-from warpcontact.run_report.write import report
-
-__all__ = ["report"]

@@ -1,0 +1,132 @@
+"""How particle contacts are added to a scene. All input is checked here."""
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from warpcontact.kernels.catalogue.keywords import explain_keywords_of
+from warpcontact.kernels.shapes import shapes as forms
+from warpcontact.scene.add_shapes import check_material
+from warpcontact.scene.elements import ContactMaterial
+from warpcontact.scene.mesh_arguments import options_of
+from warpcontact.scene.particles import ParticleContact
+from warpcontact.scene.shapes import Shape
+from warpcontact.validation import checks
+from warpcontact.validation.checks import limits
+
+# Of the mean radius: lists that are longer are made less often.
+SKIN = 0.3
+
+
+@explain_keywords_of
+class ParticleContacts:
+    """The particle contacts of a ``Scene``, and how to add them."""
+
+    particle_contacts: list[ParticleContact]
+    _elements: dict[str, Any]
+
+    def add_particle_contact(
+        self,
+        shapes: Shape | Sequence[Shape],
+        material: ContactMaterial,
+        *,
+        exclude: Iterable[tuple[Shape, Shape]] = (),
+        skin: float | None = None,
+        max_neighbors: int | None = None,
+        kappa: float = 0.5,
+        max_depth: float | None = None,
+        torsion_radius: float | None = None,
+        force_scale: float = 1.0,
+        enabled: bool = True,
+        name: str | None = None,
+        color: ArrayLike | None = None,
+        visible: bool = True,
+    ) -> ParticleContact:
+        """Lets every two of many spheres and capsules touch, but for those on one body.
+
+        Shapes are numbered in the order in which they are given. Of two that touch, the first is the one with the
+        lower number: normals point towards it, and forces are those on its body.
+
+        Args:
+            shapes: From ``add_shape``, spheres and capsules on bodies, one each or on every body of a set. Two
+                touch if each is in a group that the mask of the other has.
+            material: Law and friction. R of rolling and of patches of contact is that of the pair,
+                1/R = 1/R₁ + 1/R₂.
+            exclude: Pairs of ``shapes`` that do not touch. Of a set that is each of its shapes, and a set paired
+                with itself has none that touch.
+            skin: Shapes closer than this are remembered as partners, and looked for again when one has moved by
+                half of it [m]; ``None``: 0.3 mean radii. It changes no result.
+            max_neighbors: Most partners of one shape; ``None``: as many of the smallest shapes as there is room for
+                around it. There is no such limit for up to 32 shapes.
+            kappa: Where the force acts: K = P₂ + κ (P₁ − P₂), from 0 at the surface of the second shape to 1 at
+                that of the first.
+            max_depth: Deepest penetration that still counts as contact [m]; ``None``: any.
+            torsion_radius: Arm at which the material's torsion acts [m]; ``None``: that of the overlap of a
+                sphere of radius R under the pressure of Hertz, (3π/16) √(R δ).
+            force_scale: Factor on forces and couples.
+            enabled: Whether it acts.
+            name: Name in parameters and sensors; made up if not given.
+            color: Colour of its arrows, RGB in 0…1.
+            visible: Whether its arrows are drawn.
+
+        Raises:
+            ValueError: If a value is out of range, or a shape is not a sphere or capsule on a body.
+        """
+        name = checks.new_name("particle_contact", name, self._elements)
+        if not isinstance(shapes, Shape | list | tuple):
+            raise ValueError(f"shapes of {name!r} must be a shape or a list of them, got {checks.element(shapes)}")
+        given: tuple[Shape, ...] = (shapes,) if isinstance(shapes, Shape) else tuple(shapes)
+        for shape in given:
+            if not isinstance(shape, Shape) or self._elements.get(shape.name) is not shape:
+                raise ValueError(
+                    f"shapes of {name!r} must come from add_shape of this scene, got {checks.element(shape)}"
+                )
+            if shape.kind not in (forms.Sphere, forms.Capsule):
+                raise ValueError(
+                    f"{name}: shape {shape.name!r} is a {shape.kind.__name__}; particle contacts are of spheres and "
+                    "capsules, add_shape_contact is for others"
+                )
+            if shape.body is None:
+                raise ValueError(
+                    f"{name}: shape {shape.name!r} is fixed to the world; put it on a body with "
+                    "motion=wc.motions.Fixed()"
+                )
+        if len(set(given)) < len(given):
+            twice = next(shape.name for shape in given if given.count(shape) > 1)
+            raise ValueError(f"{name}: shape {twice!r} is listed more than once")
+        if sum(shape.count for shape in given) < 2:
+            raise ValueError(f"{name}: shapes must be at least 2, got {len(given)}")
+        check_material(name, material, torsion_radius)
+        if not isinstance(exclude, Iterable):
+            raise ValueError(f"exclude of {name!r} must be pairs of its shapes, got {checks.element(exclude)}")
+        among = frozenset(given)
+        excluded = tuple(_pair(name, pair, among) for pair in exclude)
+        if max_neighbors is not None:
+            checks.integer(f"{name}.max_neighbors", max_neighbors)
+        radii = np.concatenate([shape.sizes["radius"] for shape in given])
+        contact = ParticleContact(
+            name=name,
+            shapes=given,
+            material=material,
+            excluded=excluded,
+            skin=float(
+                checks.numbers(
+                    f"{name}.skin", SKIN * radii.mean() if skin is None else skin, (), limits("m", above=0.0)
+                )
+            ),
+            max_neighbors=None if max_neighbors is None else int(max_neighbors),
+            **options_of(name, kappa, max_depth, torsion_radius, force_scale, enabled, color, visible),
+        )
+        self.particle_contacts.append(contact)
+        self._elements[name] = contact
+        return contact
+
+
+def _pair(name: str, pair: Any, shapes: frozenset[Shape]) -> tuple[Shape, Shape]:
+    if not isinstance(pair, list | tuple) or len(pair) != 2 or any(shape not in shapes for shape in pair):
+        several = isinstance(pair, list | tuple)
+        shown = f"({', '.join(map(checks.element, pair))})" if several else checks.element(pair)
+        raise ValueError(f"exclude of {name!r} must be pairs of its shapes, got {shown}")
+    return pair[0], pair[1]

@@ -1,0 +1,229 @@
+"""How shapes and shape contacts are added to a scene. All input is checked here."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from warpcontact.kernels.catalogue.keywords import explain_keywords_of
+from warpcontact.kernels.friction import Frictionless
+from warpcontact.kernels.shapes.base import Shape as Form
+from warpcontact.scene.elements import Body, ContactMaterial
+from warpcontact.scene.mesh_arguments import options_of
+from warpcontact.scene.shapes import ALL, Shape, ShapeContact
+from warpcontact.validation import checks
+from warpcontact.validation.checks import Array, limits
+
+if TYPE_CHECKING:
+    from warpcontact.scene.scene import Scene
+
+# What a shape has in a model beside the parameters of its form.
+_OWN = ("position", "orientation")
+
+
+@explain_keywords_of
+class ShapeContacts:
+    """The shapes and shape contacts of a ``Scene``, and how to add them."""
+
+    shapes: list[Shape]
+    shape_contacts: list[ShapeContact]
+    _elements: dict[str, Any]
+
+    def add_shape(
+        self,
+        body: Body | None,
+        form: Form | Sequence[Form],
+        position: ArrayLike = (0.0, 0.0, 0.0),
+        orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0),
+        *,
+        name: str | None = None,
+        group: int = 1,
+        mask: int = ALL,
+        color: ArrayLike | None = None,
+        visible: bool = True,
+    ) -> Shape:
+        """Adds a shape of analytic form. By itself it touches nothing.
+
+        Args:
+            body: Body that carries it; ``None``: the world. Of a set of bodies each carries one.
+            form: What it is, of ``wc.shapes``, or your own ``wc.ParametricSurface``. For a set of bodies one for all, or a
+                list of one class with one for each.
+            position: Origin of its frame in the frame of the body [m]; for a set one for all, or (n, 3).
+            orientation: Rotation of its frame to that of the body, quaternion (x, y, z, w); for a set one for
+                all, or (n, 4).
+            name: Name in parameters and sensors; made up if not given.
+            group: Bits of the groups that it is in, for contacts that are not given pair by pair.
+            mask: Bits of the groups that it touches there. Two shapes touch if each is in a group that the mask
+                of the other has.
+            color: Display colour, RGB in 0…1.
+            visible: Whether it is drawn.
+
+        Raises:
+            TypeError: If ``form`` is no shape.
+            ValueError: If a value is out of range; the message names it.
+        """
+        name = checks.new_name("shape", name, self._elements)
+        carrier = cast("Scene", self).owned_body(f"{name}.body", body)
+        count = 1 if carrier is None else carrier.count
+        single = carrier is None or carrier.single
+        kind, sizes = _sizes_of(name, form, count, single)
+        shape = Shape(
+            name=name,
+            body=carrier,
+            kind=kind,
+            sizes=sizes,
+            positions=_each(f"{name}.position", position, count, single, 3),
+            orientations=checks.unit_quaternions(
+                f"{name}.orientation", _each(f"{name}.orientation", orientation, count, single, 4)
+            ),
+            group=_bits(f"{name}.group", group),
+            mask=_bits(f"{name}.mask", mask),
+            color=checks.color(f"{name}.color", color),
+            visible=checks.switch(f"{name}.visible", visible),
+        )
+        self.shapes.append(shape)
+        self._elements[name] = shape
+        return shape
+
+    def add_shape_contact(
+        self,
+        shape: Shape,
+        other_shape: Shape,
+        material: ContactMaterial,
+        *,
+        kappa: float = 0.5,
+        max_depth: float | None = None,
+        torsion_radius: float | None = None,
+        force_scale: float = 1.0,
+        enabled: bool = True,
+        name: str | None = None,
+        color: ArrayLike | None = None,
+        visible: bool = True,
+    ) -> ShapeContact:
+        """Adds the contact of two shapes, with the exact gap, normal and curvatures of their surfaces.
+
+        Of the shapes of a set with one other, or with those of a set of as many, it is a contact each, and its
+        sensors have one more axis, ``item``.
+
+        Args:
+            shape: From ``add_shape``.
+            other_shape: From ``add_shape``, on another body. Normals point out of it.
+            material: Law and friction. R of rolling and of patches of contact is 1/k, k the largest curvature of
+                the gap between the surfaces where they meet: the radius of a sphere or cylinder on a plane.
+            kappa: Where the force acts: K = P_b + κ (P_a − P_b), from 0 at the point P_b of ``other_shape`` to 1
+                at P_a of ``shape``.
+            max_depth: Deepest penetration that still counts as contact [m]; ``None``: any.
+            torsion_radius: Arm at which the material's torsion acts [m]; ``None``: that of the overlap of a
+                sphere of radius R under the pressure of Hertz, (3π/16) √(R δ).
+            force_scale: Factor on the forces and couples of this contact.
+            enabled: Whether it acts.
+            name: Name in parameters and sensors; made up if not given.
+            color: Colour of its arrows, RGB in 0…1.
+            visible: Whether its arrows are drawn.
+
+        Raises:
+            ValueError: If a value is out of range, both shapes are fixed to the same body, or nothing is known
+                of how two such shapes meet.
+        """
+        name = checks.new_name("shape_contact", name, self._elements)
+        for key, one in (("shape", shape), ("other_shape", other_shape)):
+            if not isinstance(one, Shape) or self._elements.get(one.name) is not one:
+                raise ValueError(
+                    f"{key} of {name!r} must come from add_shape of this scene, got {checks.element(one)}"
+                )
+        if shape.body is other_shape.body:
+            where = f"body {shape.body.name!r}" if shape.body else "the world"
+            raise ValueError(f"{name}: both shapes are fixed to {where}; one must move")
+        if not shape.single and not other_shape.single and shape.count != other_shape.count:
+            raise ValueError(
+                f"{name}: two sets of shapes must be of one size, got {shape.count} of {shape.name!r} and "
+                f"{other_shape.count} of {other_shape.name!r}"
+            )
+        check_material(name, material, torsion_radius)
+        _check_pair(name, shape.kind, other_shape.kind, material)
+        contact = ShapeContact(
+            name=name,
+            shape=shape,
+            other_shape=other_shape,
+            material=material,
+            **options_of(name, kappa, max_depth, torsion_radius, force_scale, enabled, color, visible),
+        )
+        self.shape_contacts.append(contact)
+        self._elements[name] = contact
+        return contact
+
+
+def check_material(name: str, material: ContactMaterial, torsion_radius: float | None) -> None:
+    """Raises an error unless contacts of shapes can have ``material`` and a torsion radius.
+
+    Raises:
+        TypeError: If it is no material.
+        ValueError: If it has no torsion, and a radius is given, or if it needs an area.
+    """
+    if not isinstance(material, ContactMaterial):
+        raise TypeError(f"material of {name!r} must be a wc.ContactMaterial, got {material!r}")
+    if torsion_radius is not None and isinstance(material.torsion, Frictionless):
+        raise ValueError(f"{name}.torsion_radius is given, but its material has no torsion")
+    for part, formula in material.formulas.items():
+        if formula.takes_area:
+            raise ValueError(
+                f"{name}: the {part} of its material, {type(formula).__name__}, was given no area [m²], and "
+                f"shapes have none; give the {part} an area"
+            )
+
+
+def _check_pair(name: str, kind: type[Form], other: type[Form], material: ContactMaterial) -> None:
+    """Raises ``ValueError`` if it is not known how two shapes meet, or what a material takes of them."""
+    # With their solvers, which only shape contacts need.
+    from warpcontact.kernels.shapes.curvature import pair_curvature
+    from warpcontact.kernels.shapes.force import uses_curvature
+    from warpcontact.kernels.shapes.pair_dispatch import pair_function
+
+    try:
+        pair_function(kind, other)
+        if uses_curvature(material.parts):
+            pair_curvature(kind, other)
+    except TypeError as error:
+        raise ValueError(f"{name}: {kind.__name__} and {other.__name__}: {error}") from None
+
+
+def _sizes_of(
+    name: str, form: Form | Sequence[Form], count: int, single: bool
+) -> tuple[type[Form], dict[str, Array]]:
+    """Returns the class of a form and its parameters, (count, …) each."""
+    several = isinstance(form, list | tuple)
+    forms: list[Any] = list(form) if isinstance(form, list | tuple) else [form]
+    if several and (single or len(forms) != count):
+        wanted = "one form, as it is one shape" if single else f"one form or {count}, one for each body"
+        raise ValueError(f"form of {name!r} must be {wanted}, got a list of {len(forms)}")
+    for one in forms:
+        if not isinstance(one, Form):
+            raise TypeError(f"form of {name!r} must be an instance of a class of wc.shapes, got {one!r}")
+        if type(one) is not type(forms[0]):
+            raise ValueError(
+                f"form of {name!r} must be of one class for all bodies, got {type(forms[0]).__name__} and "
+                f"{type(one).__name__}"
+            )
+    kind = type(forms[0])
+    if taken := [key for key in kind.varying() if key in _OWN]:
+        raise ValueError(f"{kind.__name__} has a parameter {taken[0]!r}, which every shape has already")
+    values = [one.parameters() for one in forms]
+    sizes = {key: np.array([one[key] for one in values], dtype=np.float64) for key in values[0]}
+    return kind, {key: rows if several else np.repeat(rows, count, axis=0) for key, rows in sizes.items()}
+
+
+def _each(name: str, value: ArrayLike, count: int, single: bool, width: int) -> Array:
+    """Returns ``value``, one for all or one for each of a set, as (count, width)."""
+    shape = checks.shape_of(name, value)
+    full = (width,) if single or shape != (count, width) else (count, width)
+    values = checks.numbers(name, value, full, limits("m") if width == 3 else checks.FINITE)
+    return np.array(np.broadcast_to(values, (count, width)))
+
+
+def _bits(name: str, value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 0 <= value <= ALL:
+        raise ValueError(
+            f"{name} must be a whole number from 0 to {ALL:#x}, one bit for each group, got {value!r}"
+        )
+    return int(value)

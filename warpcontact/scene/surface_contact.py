@@ -1,0 +1,113 @@
+"""Surfaces against surfaces: points made of one or of both, and the contacts that they need."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from warpcontact.meshes import SurfaceSamples, sample_surface
+from warpcontact.scene.elements import ContactOptions
+from warpcontact.scene.scene import Contact, ContactMaterial, Scene, Surface
+from warpcontact.validation import checks
+
+SIDES = ("first", "average")
+#: Ways to make points that know how many there are.
+COUNTED = ("vertices", "centroids")
+
+
+def add_surface_contact(
+    scene: Scene,
+    surface_a: Surface,
+    surface_b: Surface,
+    material: ContactMaterial,
+    samples: int | str | Sequence[int | str],
+    *,
+    seed: int,
+    sides: str,
+    name: str | None,
+    options: ContactOptions,
+) -> tuple[Contact, ...]:
+    """Adds what ``Scene.add_surface_contact`` promises, or nothing."""
+    before = scene.snapshot()
+    try:
+        return _add(scene, surface_a, surface_b, material, samples, seed, sides, name, options)
+    except Exception:
+        scene.restore(before)
+        raise
+
+
+def _add(
+    scene: Scene,
+    surface_a: Surface,
+    surface_b: Surface,
+    material: ContactMaterial,
+    samples: int | str | Sequence[int | str],
+    seed: int,
+    sides: str,
+    name: str | None,
+    options: ContactOptions,
+) -> tuple[Contact, ...]:
+    name = scene.new_name("contact", name)
+    checks.choice(f"{name}.sides", sides, SIDES)
+    for label, surface in (("surface_a", surface_a), ("surface_b", surface_b)):
+        if not isinstance(surface, Surface) or surface not in scene.surfaces:
+            raise ValueError(
+                f"{name}.{label} must come from add_surface of this scene, got {checks.element(surface)}"
+            )
+    pair = _pair(name, samples, sides)
+    runs = [(surface_a, surface_b, pair[0], name)]
+    if sides == "average":
+        share = 0.5 * float(checks.numbers(f"{name}.force_scale", options.get("force_scale", 1.0), ()))
+        options = {**options, "force_scale": share}
+        runs = [
+            (surface_a, surface_b, pair[0], f"{name}_first"),
+            (surface_b, surface_a, pair[1], f"{name}_second"),
+        ]
+    made = []
+    for own, other, amount, label in runs:
+        points = scene.add_points(own, sample_points(own, amount, seed, f"{name}.samples"), name=f"{label}_points")
+        made.append(scene.add_contact(points, other, material, name=label, **options))
+    return tuple(made)
+
+
+def sample_points(surface: Surface, amount: Any, seed: int, label: str) -> SurfaceSamples:
+    """Returns points of the active faces of a surface, in the frame of its mesh.
+
+    Args:
+        surface: The surface.
+        amount: Their number, or one of ``COUNTED``.
+        seed: Of the random numbers that spread them.
+        label: What to call ``amount`` in messages.
+    """
+    amount = check_amount(label, amount)
+    if len(surface.meshes) > 1:
+        raise ValueError(
+            f"{label}: {surface.name!r} has {len(surface.meshes)} meshes, and points are of one. Let it be the "
+            "surface that is touched; or make points of each mesh with wc.sample_surface and add_points, with a "
+            f"contact each, and set <contact>.enabled to 1 where {surface.name}.mesh is that mesh, to 0 elsewhere"
+        )
+    if not surface.active_faces.any():
+        raise ValueError(f"{label}: {surface.name!r} has no active face to make points of")
+    if isinstance(amount, str):
+        return sample_surface(surface.mesh, method=amount, faces=surface.active_faces)
+    return sample_surface(surface.mesh, amount, seed=seed, faces=surface.active_faces)
+
+
+def check_amount(label: str, amount: Any) -> int | str:
+    """Returns ``amount`` if it is a number of points or one of ``COUNTED``, or raises ``ValueError``."""
+    if isinstance(amount, str) and amount in COUNTED:
+        return amount
+    if isinstance(amount, int | np.integer) and not isinstance(amount, bool) and amount >= 1:
+        return int(amount)
+    options = " or ".join(map(repr, COUNTED))
+    raise ValueError(f"{label} must be a whole number of points, at least 1, or {options}, got {amount!r}")
+
+
+def _pair(name: str, samples: Any, sides: str) -> tuple[Any, Any]:
+    if isinstance(samples, str) or not isinstance(samples, Sequence):
+        return samples, samples
+    if sides != "average" or len(samples) != 2:
+        raise ValueError(
+            f"{name}.samples must be one entry, or with sides='average' two, one for each surface, got {samples!r}"
+        )
+    return samples[0], samples[1]

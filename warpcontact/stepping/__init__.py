@@ -1,0 +1,1 @@
+"""Time stepping: simulation, execution plan, worker pool, recorder, checkpoints."""

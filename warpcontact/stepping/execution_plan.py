@@ -1,0 +1,509 @@
+"""The step as a list of prepared launches.
+
+Each stage reads what earlier ones wrote:
+
+    travel → closest point → couplings → shape contacts → contact force (one launch per law) → wrenches → piles
+    → integrate, motions → sweep → outcomes → finish → history
+
+or, of bodies alone in their environment, one launch for all of it.
+
+What an integrator does between forces and ``finish`` is its own: ``integrators/``.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import warp as wp
+
+from warpcontact.kernels.broadphase import (
+    contact_detection,
+    contact_detection_grid,
+    contact_detection_queues,
+    motion_bound,
+)
+from warpcontact.kernels.contact import (
+    fused_contact,
+    fused_contact_grid,
+    fused_step,
+    fused_steps_cpu,
+    history,
+    wrenches,
+)
+from warpcontact.kernels.couplings import contact_coupling
+from warpcontact.kernels.integrators import accept_step, semi_implicit
+from warpcontact.kernels.lowlevel import warps
+from warpcontact.kernels.lowlevel.unique_kernel import QUICK
+from warpcontact.kernels.narrowphase import swept
+from warpcontact.kernels.narrowphase.closest_point import (
+    DETECT_BVH,
+    DETECT_CACHED,
+    DETECT_CANDIDATES,
+    DETECT_FACE_CACHE,
+    DETECT_GRID,
+    DETECT_QUERY,
+)
+from warpcontact.kernels.types import LaunchRange
+from warpcontact.system.compilation import disable_fma
+
+if TYPE_CHECKING:
+    from warpcontact.forces.nonsmooth.contacts import NonsmoothContacts
+    from warpcontact.model.contact_groups import ContactGroup
+    from warpcontact.model.model import Model
+
+
+# Whether stages are fused into one kernel where results stay bitwise identical. Staged kernels compile faster.
+FUSE_STAGES = not QUICK
+# Most threads of a GPU that work off a queue, in whole warps, however long it is.
+DETECTION_THREADS = 262144
+SEARCH_THREADS = 65536
+# Contacts, or threads, that are few for a GPU, at most.
+SMALL_LAUNCH = 131072
+# Blocks of contacts that who integrates a body adds up on a GPU, at most.
+MAX_SUMMED_CLUSTERS = 16
+# Threads of a block: of kernels with many registers each, small blocks fill a processor better.
+SMALL_BLOCK, GRID_BLOCK, LARGE_BLOCK = 64, 128, 256
+# Warps that fill the processors of a GPU; measured on an H200.
+FULL_WARPS = 2048
+
+
+@dataclass(frozen=True)
+class ExecutionPlan:
+    """Environments of one model, and how their contacts are computed.
+
+    Attributes:
+        model: The model.
+        count: How many, from the first on.
+        uses_cache: Whether what is known of distances saves work: gap, normal and point are not told of what is far
+            away then, which steps do without.
+        ordered_sum: Whether wrenches are summed in one order, the same in every run.
+        uses_queues: Whether threads share out contacts by what they need, not by blocks: for many threads.
+        nonsmooth: The contacts that are solved for impulses and have no force; ``None``: all have theirs.
+        evaluated_state: A state whose contacts are known, as nothing changed since they were looked at; ``None``: none.
+        write_outputs: Whether anyone asks what contacts did in a step: else they need not tell.
+        slice: Where launches read, when they run, which of these environments they are for, the first and how
+            many, and how many steps those in place take of them; ``None``: for all.
+    """
+
+    model: "Model"
+    count: int
+    uses_cache: bool
+    ordered_sum: bool
+    uses_queues: bool = False
+    nonsmooth: "NonsmoothContacts | None" = None
+    evaluated_state: Any = None
+    write_outputs: bool = True
+    slice: wp.array | None = None
+
+    @property
+    def other_forces(self) -> tuple[bool, bool]:
+        """What acts on bodies beside contacts: couplings or shape contacts, and forces from outside."""
+        return bool(self.model.couplings or self.model.shape_contact_sets), self.model.has_external_forces
+
+    @property
+    def is_small(self) -> bool:
+        """Whether contacts are so few that a launch less is worth more than threads that do the same."""
+        return self.count * self.model.contact_count <= SMALL_LAUNCH
+
+    @property
+    def sums_by_body(self) -> bool:
+        """Whether who integrates a body may add up few blocks, and touches of a pile: nothing comes between."""
+        model = self.model
+        few_clusters = model.device.is_cpu or model.clusters.max_per_body <= MAX_SUMMED_CLUSTERS
+        return few_clusters and (
+            not model.particle_contact_sets
+            or (len(model.particle_contact_sets) == 1 and model.particle_contact_sets[0].sums_by_body)
+        )
+
+    @property
+    def fuses_contact(self) -> bool:
+        """Whether who looks at a contact computes its force, and tells nobody: on a CPU, or of single contacts."""
+        model = self.model
+        needs_outputs = self.write_outputs or model.has_latched_contacts or self._has_contact_couplings
+        uses_face_grid, single_contacts = (
+            model.arrays.uses_face_grid,
+            model.clusters.width == 1 and len(model.groups) == 1,
+        )
+        supported = (
+            uses_face_grid and single_contacts if self.uses_queues else model.device.is_cpu and not uses_face_grid
+        )
+        return FUSE_STAGES and supported and self.uses_cache and self.nonsmooth is None and not needs_outputs
+
+    @property
+    def accepts_in_integrator(self) -> bool:
+        """Whether who integrates a body may end the step of its environment: it has no other, and few contacts."""
+        model = self.model
+        # Of many environments of a GPU two launches, with fewer registers each, take less.
+        few_clusters = model.device.is_cpu or (model.clusters.count == 1 and self.is_small)
+        return (
+            FUSE_STAGES and few_clusters and self._single_body and model.clusters.count > 0 and self.sums_by_body
+        )
+
+    @property
+    def _has_contact_couplings(self) -> bool:
+        """Whether contacts are those of contact couplings, which ask where each of them is."""
+        return any(group.coupling_count for group in self.model.groups)
+
+    @property
+    def _single_body(self) -> bool:
+        """Whether environments have one body, which is free, and contacts that follow no surface."""
+        model = self.model
+        return model.body_count == 1 and not (
+            model.has_joints or model.prescribed_motions or model.has_latched_contacts
+        )
+
+    @property
+    def fuses_step(self) -> bool:
+        """Whether one launch takes a step: of bodies alone in their environments with one set of contacts."""
+        model, clusters = self.model, self.model.clusters
+        detects = self.uses_queues and self.uses_cache and model.arrays.uses_face_grid and clusters.set_count == 1
+        return (
+            FUSE_STAGES
+            and detects
+            and self._single_body
+            and not self._has_other_forces
+            and clusters.count <= MAX_SUMMED_CLUSTERS
+        )
+
+    @property
+    def fuses_steps(self) -> bool:
+        """Whether one launch takes any number of steps: on a CPU, of bodies alone with one kind of contacts."""
+        per_body = not self.uses_queues and self.fuses_contact and self.accepts_in_integrator
+        return (
+            per_body
+            and len(self.model.groups) == 1
+            and not self._has_other_forces
+            and self.evaluated_state is None
+        )
+
+    @property
+    def _has_other_forces(self) -> bool:
+        """Whether other things act on bodies than contacts of points and forces from outside."""
+        model = self.model
+        return bool(
+            model.couplings
+            or model.shape_contact_sets
+            or model.particle_contact_sets
+            or self._has_contact_couplings
+        )
+
+    def prepare(
+        self,
+        kernel: wp.Kernel,
+        items: int,
+        inputs: list[Any],
+        threads: int | None = None,
+        block_dim: int | None = None,
+    ) -> list[wp.Launch]:
+        """Returns the launch for some items per environment, recorded once; none if there is no work.
+
+        Args:
+            kernel: The kernel.
+            items: Items per environment.
+            inputs: Its inputs after the work.
+            threads: How many, on a GPU; one for each item if not given.
+            block_dim: How many of them share the registers of a GPU block; so many that few are spread over all
+                processors if not given.
+        """
+        if items == 0:
+            return []
+        device = self.model.device
+        work = LaunchRange()
+        work.envs, work.items = self.count, items
+        work.threads = (threads or self.count * items) if device.is_cuda else 1
+        if self.slice is not None:
+            work.slice = self.slice
+        block_dim = block_dim or (SMALL_BLOCK if work.threads <= SMALL_LAUNCH else LARGE_BLOCK)
+        inputs = [work, *inputs]
+        disable_fma(kernel, device)
+        return [wp.launch(kernel, work.threads, inputs, device=device, record_cmd=True, block_dim=block_dim)]
+
+
+@dataclass(frozen=True)
+class StepLength:
+    """Length of a step [env, 0] [s].
+
+    Attributes:
+        real: In the precision of the model, for what forces do over it.
+        clock: In float64, for clocks and for motions that are functions of time.
+        half_clock: Half of that.
+    """
+
+    real: wp.array
+    clock: wp.array
+    half_clock: wp.array
+
+
+def force_stages(
+    plan: ExecutionPlan, state: Any, step: wp.array, status: wp.array, *, by_cluster: bool = False
+) -> list[wp.Launch]:
+    """Returns the launches that compute contacts and wrenches of ``state``; they change nothing else.
+
+    Args:
+        plan: The environments.
+        state: Their state.
+        step: What the forces act over [env, 0] [s]; zeros for the forces of the instant.
+        status: Of the environments [env]; left out are those that are not active.
+        by_cluster: Whether what blocks of contacts and touches of a pile do is left with them, to be added up by
+            whoever comes next, or by nobody.
+    """
+    model = plan.model
+    a, real = model.arrays, model.types.real
+    ordered_sum = plan.ordered_sum or by_cluster
+    evaluated = state is plan.evaluated_state
+    fuses_contact = plan.fuses_contact and not evaluated
+    launches = [] if evaluated or fuses_contact else detection_stages(plan, state, status)
+    for couplings in model.couplings:
+        launches += couplings.force_stages(plan, state, status)
+    for contacts in model.shape_contact_sets:
+        launches += contacts.force_stages(plan, state, step, status)
+    if not ordered_sum:
+        kernel = wrenches.clear(real, *plan.other_forces)
+        inputs = [status, a.cache.queue_count, a.model, a.coupling_wrenches, a.wrenches]
+        launches += plan.prepare(kernel, model.body_count, inputs)
+    for group in model.groups:
+        if fuses_contact:
+            launches += _fused_contact_stages(plan, group, state, step, status, ordered_sum=ordered_sum)
+            continue
+        clusters = [(group.first_cluster, group.cluster_count)]
+        for first_cluster, count in (
+            clusters if plan.nonsmooth is None else plan.nonsmooth.compliant_clusters(group)
+        ):
+            inputs = [status, a.model, state, a.history, group.history_in, step, first_cluster]
+            inputs += [
+                group.first,
+                group.coefficients,
+                a.contacts,
+                group.history_out,
+                a.active_contacts,
+                plan.write_outputs,
+                ordered_sum,
+            ]
+            inputs += [a.wrenches]
+            launches += plan.prepare(group.kernel, count, inputs)
+    if ordered_sum and not by_cluster:
+        kernel = wrenches.sum_by_body(real, *plan.other_forces)
+        inputs = [status, a.cache.queue_count, a.model, a.active_contacts, a.coupling_wrenches, a.wrenches]
+        launches += plan.prepare(kernel, model.body_count, inputs)
+    for particle_set in model.particle_contact_sets:
+        launches += particle_set.force_stages(plan, state, step, status, by_cluster=by_cluster)
+    return launches
+
+
+def _fused_contact_stages(
+    plan: ExecutionPlan, group: "ContactGroup", state: Any, step: wp.array, status: wp.array, *, ordered_sum: bool
+) -> list[wp.Launch]:
+    """Returns the launches that look at the contacts of a group and compute what they do."""
+    model = plan.model
+    a, codes = model.arrays, (group.parts, model.types.real, group.has_joints, group.projected)
+    state_inputs = [a.model, state, a.history, group.history_in, step]
+    contact_outputs = [group.coefficients, group.history_out, a.cache, a.contacts, a.active_contacts]
+    if not plan.uses_queues:
+        kernel = fused_contact.kernel(*codes)
+        return plan.prepare(
+            kernel, group.set_count, [status, *state_inputs, group.first_set, group.first, *contact_outputs]
+        )
+    inputs = [*state_inputs, *contact_outputs, ordered_sum, a.wrenches]
+    kernel = fused_contact_grid.kernel(*codes, plan.is_small)
+    launches = plan.prepare(kernel, group.cluster_count, [status, *inputs], None, GRID_BLOCK)
+    if plan.is_small:
+        return launches
+    threads = min(SEARCH_THREADS, _whole_warps(plan.count * group.cluster_count))
+    return launches + plan.prepare(
+        fused_contact_grid.remaining(*codes), group.cluster_count, inputs, threads, SMALL_BLOCK
+    )
+
+
+def detection_stages(plan: ExecutionPlan, state: Any, status: wp.array) -> list[wp.Launch]:
+    """Returns the launches that look at what is near of points and meshes; arguments as in ``force_stages``.
+
+    What adds up wrenches has to follow: it empties the queues.
+    """
+    model = plan.model
+    a, real = model.arrays, model.types.real
+    if (
+        plan.uses_cache
+        and a.uses_face_grid
+        and (plan.is_small or model.clusters.width == 1 or not plan.uses_queues)
+    ):
+        return _grid_detection_stages(plan, state, status)
+    launches = []
+    if plan.uses_cache:
+        launches += plan.prepare(
+            motion_bound.kernel(real), model.clusters.set_count, [status, a.model, state, a.cache]
+        )
+    if plan.uses_cache and plan.uses_queues:
+        return launches + _queued_detection_stages(plan, state, status)
+    inputs = [status, a.model, state, a.history, plan.uses_cache, a.cache, a.contacts, a.active_contacts]
+    return launches + plan.prepare(
+        contact_detection.kernel(real, model.has_latched_contacts), model.clusters.count, inputs
+    )
+
+
+def _grid_detection_stages(plan: ExecutionPlan, state: Any, status: wp.array) -> list[wp.Launch]:
+    """Returns the launches that look at all contacts in the cells of meshes, and search for the rest."""
+    model = plan.model
+    a, real, latched, clusters = model.arrays, model.types.real, model.has_latched_contacts, model.clusters.count
+    inputs = [a.model, state, a.history, a.cache, a.contacts, a.active_contacts]
+    # On a CPU one thread looks at a whole block.
+    width = model.clusters.width if model.device.is_cuda else 0
+    single_launch = plan.is_small or not plan.uses_queues
+    kernel = contact_detection_grid.kernel(real, latched, width, single_launch)
+    threads, block_dim = _whole_warps(plan.count * clusters * width), warps.LANES if single_launch else GRID_BLOCK
+    launches = plan.prepare(kernel, clusters, [status, *inputs], threads, block_dim)
+    if single_launch:
+        return launches
+    threads = min(SEARCH_THREADS, _whole_warps(plan.count * clusters))
+    return launches + plan.prepare(
+        contact_detection_grid.remaining(real, latched), clusters, inputs, threads, SMALL_BLOCK
+    )
+
+
+def _queued_detection_stages(plan: ExecutionPlan, state: Any, status: wp.array) -> list[wp.Launch]:
+    """Returns the launches that look at what is near on a GPU, by what it takes."""
+    model = plan.model
+    a, real, latched = model.arrays, model.types.real, model.has_latched_contacts
+    clusters, contacts = model.clusters.count, model.contact_count
+    inputs = [a.model, state, a.history, a.cache, a.contacts, a.active_contacts]
+    launches = plan.prepare(
+        contact_detection_queues.enqueue(real, latched), clusters, [contacts, status, a.model, a.cache]
+    )
+    if contacts > clusters:
+        kernel, threads = (
+            contact_detection_queues.probe_clusters(real, latched, a.uses_face_grid),
+            min(SEARCH_THREADS, _whole_warps(plan.count * clusters)),
+        )
+        launches += plan.prepare(kernel, clusters, [contacts, *inputs], threads, SMALL_BLOCK)
+    parts = (
+        [DETECT_GRID, DETECT_QUERY]
+        if a.uses_face_grid
+        else [DETECT_FACE_CACHE, DETECT_BVH]
+        if plan.is_small
+        else [DETECT_CACHED, DETECT_CANDIDATES, DETECT_BVH]
+    )
+    for part, next_part in zip(parts, [*parts[1:], parts[-1]], strict=True):
+        kernel = contact_detection_queues.process(real, latched, part, next_part)
+        most = SEARCH_THREADS if part in (DETECT_BVH, DETECT_QUERY) else DETECTION_THREADS
+        threads = min(most, _whole_warps(plan.count * contacts))
+        launches += plan.prepare(kernel, contacts, inputs, threads, SMALL_BLOCK)
+    return launches + plan.prepare(
+        contact_detection_queues.compact(real), clusters, [status, a.model, a.cache, a.active_contacts]
+    )
+
+
+def _whole_warps(threads: int) -> int:
+    return -(-threads // warps.LANES) * warps.LANES
+
+
+def accept_stages(
+    plan: ExecutionPlan, dt: StepLength, state_in: Any, state_out: Any, *, accepted: bool = False
+) -> list[wp.Launch]:
+    """Returns the launches that accept a proposed step in all active environments.
+
+    ``accepted``: whether clocks and the history of contacts have gone on already.
+    """
+    if accepted and plan.fuses_step:
+        # What formulas remember has as well, see ``Integrator.step_stages``.
+        return []
+    model = plan.model
+    a, real = model.arrays, model.types.real
+    launches = []
+    if not accepted:
+        single_launch = model.clusters.count > 0 and not model.has_latched_contacts
+        states = [model.body_count, state_in, state_out]
+        inputs = [a.status, dt.clock, a.time, *states]
+        launches += [] if single_launch else plan.prepare(accept_step.kernel(real), 1, inputs)
+        inputs = [a.status, a.time, dt.real, dt.clock, *states]
+        inputs += [a.model, a.contacts, a.active_contacts, a.history, a.cache]
+        launches += plan.prepare(
+            history.kernel(real, model.has_latched_contacts, single_launch), model.clusters.count, inputs
+        )
+    for group in model.groups:
+        if group.coupling_count:
+            launches += plan.prepare(
+                contact_coupling.advance(group.parts.law, real, group.projected),
+                group.coupling_count,
+                [
+                    a.status,
+                    a.model,
+                    state_in,
+                    a.contacts,
+                    a.active_contacts,
+                    a.coupling_contacts,
+                    group.first_coupling,
+                    group.first,
+                    group.coefficients.law,
+                    a.coupling_extremes,
+                ],
+            )
+        for formula, history_in, history_out in group.histories():
+            launches += plan.prepare(
+                history.material_history_kernel(formula, real),
+                group.cluster_count,
+                [a.status, a.model, a.active_contacts, group.first_cluster, group.first, history_out, history_in],
+            )
+    for couplings in model.couplings:
+        launches += couplings.accept_stages(plan)
+    for contacts in model.shape_contact_sets:
+        launches += contacts.accept_stages(plan)
+    for particle_set in model.particle_contact_sets:
+        launches += particle_set.accept_stages(plan)
+    if plan.nonsmooth is not None:
+        launches += plan.nonsmooth.accept_stages(plan, dt.real)
+    return launches
+
+
+def fused_step_stages(plan: ExecutionPlan, dt: StepLength, state_in: Any, state_out: Any) -> list[wp.Launch]:
+    """Returns the launch that takes an accepted semi-implicit Euler step of a span that is ``alone``."""
+    model, clusters = plan.model, plan.model.clusters
+    a, real, (group,) = model.arrays, model.types.real, model.groups
+    lanes = warps.LANES if model.device.is_cuda else 1
+    codes = group.parts, real, group.projected, model.has_external_forces
+    kernel = fused_step.kernel(*codes, clusters.width, clusters.count, lanes)
+    # Of many environments each thread has one; of few so many that all processors have warps. One contact is not
+    # shared out.
+    envs_per_warp = lanes if model.contact_count == 1 else min(lanes, max(1, plan.count // FULL_WARPS))
+    inputs = [
+        envs_per_warp,
+        a.status,
+        dt.real,
+        dt.clock,
+        a.time,
+        a.model,
+        a.guard,
+        state_in,
+        a.history,
+        group.history_in,
+    ]
+    inputs += [
+        group.coefficients,
+        group.history_out,
+        a.contacts,
+        a.active_contacts,
+        a.cache,
+        a.coupling_wrenches,
+        state_out,
+    ]
+    block_dim = SMALL_BLOCK if plan.is_small else LARGE_BLOCK
+    return plan.prepare(kernel, 1, inputs, -(-plan.count // envs_per_warp) * lanes, block_dim)
+
+
+def multi_step_stages(plan: ExecutionPlan, dt: StepLength, state: Any) -> list[wp.Launch]:
+    """Returns the launch that takes accepted semi-implicit Euler steps of a slice, if the span is ``in_place``."""
+    model, clusters = plan.model, plan.model.clusters
+    a, (group,) = model.arrays, model.groups
+    kernel = fused_steps_cpu.kernel(group.parts, model.types.real, group.projected, model.has_external_forces)
+    inputs = [a.status, dt.real, dt.clock, a.time, a.model, a.guard, a.history, group.history_in]
+    inputs += [group.coefficients, group.history_out, a.contacts, a.active_contacts, a.cache, a.coupling_wrenches]
+    return plan.prepare(kernel, 1, [*inputs, clusters.set_count, clusters.count, state])
+
+
+def copy_state_stage(plan: ExecutionPlan, source: Any, target: Any) -> list[wp.Launch]:
+    """Returns the launch that copies the state of the active environments; a frozen one is left as it is."""
+    model = plan.model
+    kernel = semi_implicit.copy_state(model.types.real)
+    return plan.prepare(kernel, model.body_count, [model.arrays.status, source, target])
+
+
+def mask_substeps_stage(plan: ExecutionPlan, *, unmask: bool) -> list[wp.Launch]:
+    """Returns the launch that lets environments with a crossing step and the others wait, or all step again."""
+    return plan.prepare(swept.mask_substeps(), 1, [plan.model.arrays.status, int(unmask)])

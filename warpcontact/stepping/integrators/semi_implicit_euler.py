@@ -1,0 +1,133 @@
+"""The semi-implicit Euler scheme."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import warp as wp
+
+from warpcontact.forces.particle_contact.contact_set import particle_arrays
+from warpcontact.kernels.catalogue.keywords import explain_keywords_of
+from warpcontact.kernels.integrators import semi_implicit
+from warpcontact.kernels.joints import driven, step
+from warpcontact.kernels.narrowphase import swept
+from warpcontact.stepping.execution_plan import (
+    SMALL_BLOCK,
+    ExecutionPlan,
+    StepLength,
+    force_stages,
+    fused_step_stages,
+    multi_step_stages,
+)
+from warpcontact.stepping.integrators.base import Integrator, formulas_of
+
+if TYPE_CHECKING:
+    from warpcontact.scene.scene import Scene
+
+
+@explain_keywords_of
+@dataclass(frozen=True)
+class SemiImplicitEuler(Integrator):
+    """Velocities from the forces at the state before the step, positions from the new velocities.
+
+    First order; symplectic for conservative forces, so the energy of an elastic bounce does not drift.
+    """
+
+    order = 1
+
+    def check(self, scene: "Scene") -> None:
+        """Checks that every contact of ``scene`` has a force.
+
+        Raises:
+            ValueError: If one is rigid.
+        """
+        for name, formulas in formulas_of(scene).items():
+            for part, formula in formulas.items():
+                if formula.rigid:
+                    raise ValueError(
+                        f"{name}.{part} is {type(formula).__name__}, which has no force of its own; it needs the "
+                        "integrator MoreauJean"
+                    )
+
+    def can_accept(self, plan: ExecutionPlan) -> bool:
+        """Of one body alone."""
+        return plan.fuses_step or plan.accepts_in_integrator
+
+    def step_stages(
+        self,
+        plan: ExecutionPlan,
+        dt: StepLength,
+        state_in: Any,
+        state_out: Any,
+        mark: wp.array | None,
+        *,
+        accepts: bool = False,
+    ) -> list[wp.Launch]:
+        """Returns the launches of forces, of free bodies and of others, and those that look for crossings."""
+        if accepts and plan.fuses_step:
+            return fused_step_stages(plan, dt, state_in, state_out)
+        model = plan.model
+        a, real = model.arrays, model.types.real
+        by_cluster = plan.sums_by_body
+        launches = force_stages(plan, state_in, dt.real, a.status, by_cluster=by_cluster)
+        particle_set = model.particle_contact_sets[0] if by_cluster and model.particle_contact_sets else None
+        sources = plan.other_forces if by_cluster else None
+        kernel = semi_implicit.semi_implicit_euler(
+            real, model.has_joints, sources, accepts, particle_set is not None
+        )
+        inputs = [
+            a.status,
+            dt.real,
+            a.model,
+            a.guard,
+            state_in,
+            a.cache.queue_count,
+            a.active_contacts,
+            a.coupling_wrenches,
+        ]
+        inputs += particle_arrays(particle_set, real)
+        # Steps that nobody asks about them need no wrenches but those of bodies that are not free.
+        inputs += [plan.write_outputs or model.has_joints or bool(model.prescribed_motions), a.wrenches]
+        inputs += [dt.clock, a.time, model.clusters.count, a.contacts, a.history, a.cache, state_out]
+        launches += plan.prepare(kernel, model.body_count, inputs, block_dim=SMALL_BLOCK if particle_set else None)
+        if model.has_joints:
+            inputs = [a.status, dt.real, a.model, a.guard, a.constrained, state_in, a.wrenches, state_out]
+            launches += plan.prepare(step.semi_implicit_euler(real), model.constrained_count, inputs)
+        for motion_set in model.prescribed_motions:
+            inputs = [a.status, dt.clock, a.time, a.model, a.guard, *motion_set.inputs]
+            inputs += [0.0, 1.0, a.wrenches, state_out]
+            launches += plan.prepare(driven.follow(motion_set.motion, real), motion_set.count, inputs)
+        if model.has_swept_contacts:
+            marked = wp.zeros(1, dtype=wp.int32, device=model.device) if mark is None else mark
+            inputs = [
+                a.status,
+                a.model,
+                state_in,
+                state_out,
+                plan.uses_cache,
+                a.cache,
+                a.contacts,
+                a.active_contacts,
+            ]
+            inputs += [int(mark is not None), marked]
+            launches += plan.prepare(swept.kernel(real), model.clusters.count, inputs)
+        return launches
+
+    def multi_step_stages(self, plan: ExecutionPlan, dt: StepLength, state: Any) -> list[wp.Launch]:
+        """Returns one launch, of bodies alone on a CPU; none of a subclass whose steps are others."""
+        own = type(self).step_stages is SemiImplicitEuler.step_stages
+        return multi_step_stages(plan, dt, state) if own and plan.fuses_steps else []
+
+    def change_stages(self, plan: ExecutionPlan, change: wp.array, state: Any) -> list[wp.Launch]:
+        """Returns the launches that take the velocities, half a step behind the positions, to another step."""
+        model = plan.model
+        a, real = model.arrays, model.types.real
+        launches = force_stages(plan, state, model.zero_step, a.status)
+        inputs = [a.status, change, a.model, a.wrenches, state]
+        launches += plan.prepare(semi_implicit.change_step(real, model.has_joints), model.body_count, inputs)
+        if model.has_joints:
+            inputs = [a.status, change, a.model, a.constrained, a.wrenches, state]
+            launches += plan.prepare(step.change_step(real), model.constrained_count, inputs)
+        for motion_set in model.prescribed_motions:
+            inputs = [a.status, change, a.time, a.model, *motion_set.inputs, state]
+            launches += plan.prepare(driven.change_step(motion_set.motion, real), motion_set.count, inputs)
+        return launches

@@ -1,0 +1,51 @@
+"""Outcomes: what is kept of sensors over time, by a few numbers per environment, while it is stepped."""
+
+from typing import TYPE_CHECKING
+
+from warpcontact.kernels.catalogue.lazy_catalogue import lazy_names
+from warpcontact.kernels.outcomes.base import OfContact, Outcome
+
+if TYPE_CHECKING:
+    from warpcontact.kernels.outcomes.catalogue import (
+        OUTCOMES,
+        Change,
+        Count,
+        Duration,
+        Final,
+        FirstTime,
+        Initial,
+        Integral,
+        Max,
+        Mean,
+        Min,
+        Range,
+        Restitution,
+        Rms,
+        TimeOfMax,
+        Work,
+    )
+
+__all__ = [
+    "OUTCOMES",
+    "Change",
+    "Count",
+    "Duration",
+    "Final",
+    "FirstTime",
+    "Initial",
+    "Integral",
+    "Max",
+    "Mean",
+    "Min",
+    "OfContact",
+    "Outcome",
+    "Range",
+    "Restitution",
+    "Rms",
+    "TimeOfMax",
+    "Work",
+]
+
+if not TYPE_CHECKING:  # there it would know every name
+    _LATER = [name for name in __all__ if name not in ("OfContact", "Outcome")]
+    __getattr__, __dir__ = lazy_names(__name__, dict.fromkeys(_LATER, "..kernels.outcomes.catalogue"), {})

@@ -1,0 +1,277 @@
+"""What a part of a model is watched by on its device: the memory of outcomes, conditions and events."""
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from warpcontact.kernels.outcomes import events, reduce, stop
+from warpcontact.kernels.outcomes.base import Condition, Outcome
+from warpcontact.kernels.outcomes.source import MAX_SOURCES, SourceForm
+from warpcontact.model.allocation_plan import AllocationPlan, per_env
+from warpcontact.model.sensor_evaluation import sensor_stages
+from warpcontact.model.state_storage import COUNT, SWITCH
+from warpcontact.stepping.outcomes.sources import ResolvedSource, SourceResolver
+from warpcontact.stepping.outcomes.watch import MonitorSettings
+from warpcontact.system.capture_lock import shared_capture_lock
+from warpcontact.system.compilation import load
+from warpcontact.validation.custom_law_errors import compile_error_text
+
+if TYPE_CHECKING:
+    from warpcontact.forces.nonsmooth.contacts import NonsmoothContacts
+    from warpcontact.model.model import Model
+    from warpcontact.model.plan import DeviceModelPlan
+    from warpcontact.stepping.execution_plan import ExecutionPlan, StepLength
+
+PURPOSE = "outcomes"
+#: Events of an environment in a checkpoint: their place in the ring follows from a 32-bit count.
+MOST_EVENTS = 2**30
+
+
+@dataclass
+class OutcomeState:
+    """An outcome of a part.
+
+    Attributes:
+        name: Its name.
+        outcome: What it is.
+        sources: Its sources.
+        memory: [env, result].
+    """
+
+    name: str
+    outcome: Outcome
+    sources: tuple[ResolvedSource, ...]
+    memory: Any = None
+
+    @property
+    def length(self) -> int:
+        """Numbers of its memory; a vector of Warp has two at least."""
+        return max(2, len(self.outcome.memory))
+
+    @property
+    def results(self) -> int:
+        """Number of results of an environment."""
+        return self.sources[0].items * self.sources[0].components
+
+
+class Monitor:
+    """What a part of a model is watched by.
+
+    Args:
+        model: The model, or what is drawn up of it.
+        settings: What to watch.
+        layout: Where to declare arrays.
+        nonsmooth: The contacts that are solved for impulses.
+
+    Attributes:
+        settings: What it watches.
+        outcome_state: The outcomes.
+        needs: What has to be computed for results, see ``Sensor.needs``.
+        needs_all_distances: Whether all contacts have to be looked at in every step.
+
+    Raises:
+        KeyError: If there is no sensor of a name.
+        ValueError: If one is not what is asked for.
+    """
+
+    def __init__(
+        self,
+        model: "Model | DeviceModelPlan",
+        settings: MonitorSettings,
+        layout: AllocationPlan,
+        nonsmooth: "NonsmoothContacts | None",
+    ) -> None:
+        self.settings = settings
+        self._real, self._device = model.types.real, layout.device
+        self._model: Model | None = None
+        self._hard = nonsmooth
+        resolver = SourceResolver(model, nonsmooth)
+        self.outcome_states = [
+            OutcomeState(name, outcome, sources_of(resolver, f"outcomes[{name!r}]", outcome))
+            for name, outcome in settings.outcomes.items()
+        ]
+        self._stops = [
+            resolver.resolve_scalar(f"stop[{name!r}]", one.source) for name, one in settings.stops.items()
+        ]
+        names = () if settings.events is None else settings.events.contacts
+        self.event_sources = [resolver.contact_indicator("events", name) for name in names]
+        #: Number of the first item of each watched contact.
+        self.event_offsets = np.cumsum([0, *(one.items for one in self.event_sources)]).tolist()
+        step_sources = [
+            one
+            for outcome_state in self.outcome_states
+            if not outcome_state.outcome.at_end
+            for one in outcome_state.sources
+        ]
+        step_sources += [*self._stops, *self.event_sources]
+        self._step_needs = frozenset(need for one in step_sources for need in one.sensor.needs)
+        self.needs = self._step_needs.union(
+            need
+            for outcome_state in self.outcome_states
+            for one in outcome_state.sources
+            for need in one.sensor.needs
+        )
+        self.needs_all_distances = any(one.needs_all_distances for one in step_sources)
+        self._has_nonsmooth = any(one.is_nonsmooth for one in step_sources)
+        for outcome_state in self.outcome_states:
+            Memory = wp.types.vector(length=outcome_state.length, dtype=wp.float64)
+            layout.array(PURPOSE, outcome_state, "memory", Memory, per_env(outcome_state.results))
+        self.stops = stop.StopStates()
+        if self._stops:
+            count = len(self._stops)
+            stop_range = {"stopped_by": (-1, count - 1)}
+            self.stops = layout.struct(
+                PURPOSE, stop.StopStates, per_env(count), ranges=stop_range, stopped_by=per_env()
+            )
+        self.events = events.Events()
+        if settings.events is not None:
+            slots, places = per_env(settings.events.most), per_env(self.event_offsets[-1])
+            ranges = {"touching": SWITCH, "count": (0, MOST_EVENTS), "what": (0, 2 * self.event_offsets[-1] - 1)}
+            self.events = layout.struct(
+                PURPOSE, events.Events, slots, ranges=ranges, count=per_env(), touching=places
+            )
+        self.resets: Any = None
+        layout.array(PURPOSE, self, "resets", wp.int32, per_env(), ranges={"resets": COUNT})
+
+    def initialize(self, model: "Model") -> None:
+        """Takes the model, once everything is allocated, and compiles outcomes, which may be a user's own.
+
+        Raises:
+            TypeError: If one does not compile.
+        """
+        self._model = model
+        for outcome_state in self.outcome_states:
+            outcome = outcome_state.outcome
+            forms, _ = self._forms_and_views(outcome_state, model.arrays.state)
+            try:
+                kernel = reduce.report(outcome.update, outcome.result, outcome_state.length, forms)
+                load(kernel, self._device)
+            except Exception as error:
+                text = compile_error_text(error, [type(outcome)])
+                raise TypeError(
+                    f"outcomes[{outcome_state.name!r}]: {type(outcome).__name__} does not compile: {text}\n"
+                    "m is the memory, a vector of float64, x a float64, or a vector of them of an outcome of a "
+                    "contact, time and dt are float64; constants are written as wp.float64(1.5)."
+                ) from error
+
+    def stages(self, plan: "ExecutionPlan", dt: "StepLength", state: Any) -> list[wp.Launch]:
+        """Returns the launches that look at the ``state`` that a step begins from, before it is accepted."""
+        model, status = plan.model, plan.model.arrays.status
+        launches = self._sensor_stages(plan, status, state)
+        time = model.arrays.time
+        for first, one in zip(self.event_offsets, self.event_sources, strict=False):
+            form, view = self._form_and_view(one, state)
+            launches += plan.prepare(events.kernel(form), 1, [status, time, first, view, self.events])
+        for number, (one, stop_condition) in enumerate(
+            zip(self._stops, self.settings.stops.values(), strict=True)
+        ):
+            form, view = self._form_and_view(one, state)
+            condition = stop.Condition()
+            condition.limit, condition.sign = stop_condition.condition
+            condition.lasting, condition.number = stop_condition.lasting, number
+            inputs = [status, time, dt.clock, condition, view, self.stops]
+            launches += plan.prepare(stop.kernel(form), 1, inputs)
+        for outcome_state in self.outcome_states:
+            if outcome_state.outcome.at_end:
+                continue
+            forms, views = self._forms_and_views(outcome_state, state)
+            kernel = reduce.accumulate(
+                outcome_state.outcome.update, outcome_state.length, forms, outcome_state.results == 1
+            )
+            inputs = [status, time, dt.clock, _source_view(outcome_state), *views, outcome_state.memory]
+            launches += plan.prepare(kernel, outcome_state.results, inputs)
+        return launches
+
+    def _sensor_stages(self, plan: "ExecutionPlan", status: wp.array, state: Any) -> list[wp.Launch]:
+        """Returns the launches that measure what is looked at."""
+        launches = sensor_stages(plan, self._step_needs, state, status)
+        if self._has_nonsmooth and self._hard is not None:
+            launches += self._hard.show_stages(plan, status)
+        return launches
+
+    def _form_and_view(self, sources: ResolvedSource, state: Any) -> tuple[SourceForm, Any]:
+        """Returns the form and the array of a source in ``state``; no array if nothing is allocated."""
+        form = sources.form(self._real)
+        if self._model is None:
+            return form, None
+        view = sources.view(SimpleNamespace(**{**vars(self._model.arrays), "state": state, "hard": self._hard}))
+        return form._replace(dtype=view.dtype), view
+
+    def _forms_and_views(
+        self, outcome_state: OutcomeState, state: Any
+    ) -> tuple[tuple[SourceForm, ...], list[Any]]:
+        """Returns the forms of the sources of an outcome, and ``MOST`` arrays."""
+        pairs = [self._form_and_view(one, state) for one in outcome_state.sources]
+        views = [view for _, view in pairs]
+        return tuple(form for form, _ in pairs), views + views[:1] * (MAX_SOURCES - len(views))
+
+    def reset_state(self, chosen: wp.array) -> None:
+        """Starts anew in the environments of the mask ``chosen`` [env]."""
+        envs = len(chosen)
+        for outcome_state in self.outcome_states:
+            start = outcome_state.memory.dtype(
+                *outcome_state.outcome.memory, *[0.0] * (outcome_state.length - len(outcome_state.outcome.memory))
+            )
+            kernel, shape = reduce.restart(outcome_state.length), (envs, outcome_state.results)
+            wp.launch(kernel, dim=shape, inputs=[chosen, start, outcome_state.memory], device=self._device)
+        if self._stops:
+            inputs = [chosen, len(self._stops), self.stops]
+            wp.launch(stop.restart(), dim=envs, inputs=inputs, device=self._device)
+        if self.event_sources:
+            wp.launch(events.restart(), dim=envs, inputs=[chosen, self.events], device=self._device)
+        wp.launch(reduce.reset_counts(), dim=envs, inputs=[chosen, self.resets], device=self._device)
+
+    @shared_capture_lock()
+    def results(self, outcome_state: OutcomeState) -> NDArray[np.float64]:
+        """Returns the results of an outcome at the current state (env, item, component); it has been measured."""
+        from warpcontact.stepping.execution_plan import ExecutionPlan
+
+        model = self._model
+        assert model is not None
+        plan = ExecutionPlan(model, model.envs, uses_cache=False, ordered_sum=True)
+        forms, views = self._forms_and_views(outcome_state, model.arrays.state)
+        outcome = outcome_state.outcome
+        results = wp.empty((model.envs, outcome_state.results), dtype=wp.float64, device=self._device)
+        inputs = [
+            model.arrays.status,
+            model.arrays.time,
+            _source_view(outcome_state),
+            *views,
+            outcome_state.memory,
+            results,
+        ]
+        for launch in plan.prepare(
+            reduce.report(outcome.update, outcome.result, outcome_state.length, forms),
+            outcome_state.results,
+            inputs,
+        ):
+            launch.launch()
+        first = outcome_state.sources[0]
+        return results.numpy().reshape(model.envs, first.items, first.components).copy()
+
+
+def sources_of(resolver: SourceResolver, owner: str, outcome: Outcome) -> tuple[ResolvedSource, ...]:
+    """Returns the sources of an outcome.
+
+    Raises:
+        KeyError: If there is no sensor of a name.
+        ValueError: If one is not what is asked for; messages begin with ``owner``.
+    """
+    try:
+        outcome.check(resolver.nonsmooth)
+    except ValueError as error:
+        raise ValueError(f"{owner}: {error}") from None
+    find = resolver.resolve if outcome.at_end else resolver.resolve_in_step
+    return tuple(find(owner, source) for source in outcome.sources)
+
+
+def _source_view(outcome_state: OutcomeState) -> Any:
+    condition: Condition = outcome_state.outcome.condition
+    source_view = reduce.SourceView()
+    source_view.limit, source_view.sign = condition
+    source_view.components = outcome_state.sources[0].components
+    return source_view

@@ -1,0 +1,159 @@
+"""Outcomes and events as labelled data sets."""
+
+from collections.abc import Mapping, Sequence
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from warpcontact._version import __version__
+from warpcontact.model.environments import Environments
+from warpcontact.model.sensors import AXES
+from warpcontact.model.status import EnvironmentStatus, FailureCause
+from warpcontact.stepping.outcomes.observer import Monitor, OutcomeState
+from warpcontact.stepping.outcomes.watch import MonitorSettings
+from warpcontact.stepping.recorder import item_dimension
+
+Variable = tuple[Sequence[str], NDArray[Any], Mapping[str, Any]]
+
+
+def outcomes_of(model: Environments, settings: MonitorSettings, monitors: Sequence[Monitor]) -> xr.Dataset:
+    """Returns the outcomes of a simulation so far; see ``Simulation.outcomes``.
+
+    Args:
+        model: The model, the current state of which is seen.
+        settings: What is watched.
+        monitors: Those of its parts; none: nothing is watched.
+    """
+    variables: dict[str, Variable] = {}
+    if settings.outcomes:
+        needs = {*monitors[0].needs}
+        model.ensure_sensor_arrays(needs)
+        # All parts are at work before the first is waited for.
+        for part in model.parts:
+            part.evaluate_needs(needs)
+        model.check_neighbor_lists()
+        for number, outcome_state in enumerate(monitors[0].outcome_states):
+            values = np.concatenate([one.results(one.outcome_states[number]) for one in monitors])
+            variables[outcome_state.name] = _outcome(model, outcome_state, values)
+    parts = model.parts
+    status = np.concatenate([part.arrays.status.numpy() for part in parts]).astype(np.int8)
+    cause = np.concatenate([part.arrays.guard.cause.numpy() for part in parts]).astype(np.int8)
+    time = np.concatenate([part.arrays.time.numpy() for part in parts])
+    resets = np.zeros(model.envs, np.int32)
+    if monitors:
+        resets = np.concatenate([one.resets.numpy() for one in monitors])
+    variables["status"] = (["env"], status, {"long_name": "state of the environment", **_flags(EnvironmentStatus)})
+    variables["cause"] = (["env"], cause, {"long_name": "why it was frozen", **_flags(FailureCause)})
+    variables["end_time"] = (["env"], time, {"units": "s", "long_name": "time that it has come to"})
+    about = {"units": "-", "long_name": "times that it was put back to its initial state after it failed"}
+    variables["resets"] = (["env"], resets, about)
+    if settings.stops:
+        stopped = np.concatenate([one.stops.stopped_by.numpy() for one in monitors]).astype(np.int16)
+        about = {"long_name": "condition that stopped it; −1: none", **_named(settings.stops)}
+        variables["stopped_by"] = (["env"], stopped, about)
+    if settings.events is not None:
+        count = np.concatenate([one.events.count.numpy() for one in monitors])
+        about = {"units": "-", "long_name": "events that were not kept"}
+        variables["events_missed"] = (["env"], np.maximum(count - settings.events.most, 0), about)
+    return _dataset(model, variables)
+
+
+def events_of(model: Environments, settings: MonitorSettings, monitors: Sequence[Monitor]) -> xr.Dataset:
+    """Returns the events of a simulation so far; see ``Simulation.events``.
+
+    Args:
+        model: The model.
+        settings: What is watched.
+        monitors: Those of its parts.
+
+    Raises:
+        ValueError: If no events are watched.
+    """
+    if settings.events is None:
+        raise ValueError("no events are watched: give the simulation events=wc.ContactEvents(['touch'])")
+    most = settings.events.most
+    event_offsets = np.array(monitors[0].event_offsets)
+    count = np.concatenate([one.events.count.numpy() for one in monitors])
+    # The oldest first.
+    order = (np.arange(most) + np.where(count > most, count, 0)[:, None]) % most
+    there = np.arange(most) < count[:, None]
+    time = np.concatenate([one.events.time.numpy() for one in monitors])
+    what = np.concatenate([one.events.what.numpy() for one in monitors])
+    time, what = (np.take_along_axis(values, order, axis=1) for values in (time, what))
+    place = what // 2
+    contact = np.searchsorted(event_offsets, place, side="right") - 1
+    dims = ["env", "event"]
+    named = _named(settings.events.contacts)
+    made = {"flag_values": [0, 1], "flag_meanings": "lost made"}
+    return _dataset(
+        model,
+        {
+            "time": (
+                dims,
+                np.where(there, time, np.nan),
+                {"units": "s", "long_name": "time of the first state after the event; NaN: no event"},
+            ),
+            "contact": (
+                dims,
+                np.where(there, contact, -1).astype(np.int16),
+                {"long_name": "contact; −1: no event", **named},
+            ),
+            "item": (
+                dims,
+                np.where(there, place - event_offsets[contact], -1).astype(np.int32),
+                {"long_name": "item of the contact; −1: no event"},
+            ),
+            "made": (
+                dims,
+                np.where(there, what % 2, -1).astype(np.int8),
+                {"long_name": "whether the contact was made or lost; −1: no event", **made},
+            ),
+        },
+    )
+
+
+def _outcome(model: Environments, outcome_state: OutcomeState, values: NDArray[np.float64]) -> Variable:
+    """Returns the results of an outcome (env, item, component) as a variable."""
+    first = outcome_state.sources[0]
+    dims = ["env"]
+    if first.sensor.items and first.source.items == "each":
+        dims.append(item_dimension(model.scene, first.sensor.name.partition(".")[0]))
+    else:
+        values = values[:, 0]
+    if first.axis is None:
+        values = values[..., 0]
+    else:
+        dims.append(first.axis)
+    return (
+        dims,
+        values,
+        {"units": outcome_state.outcome.unit(first.sensor.unit), "long_name": outcome_state.outcome.long_name},
+    )
+
+
+def _dataset(model: Environments, variables: Mapping[str, Variable]) -> xr.Dataset:
+    used = {dim for dims, _, _ in variables.values() for dim in dims}
+    coordinates: dict[str, Any] = {
+        "env": ("env", model.first_env + np.arange(model.envs), {"long_name": "environment"})
+    }
+    coordinates |= {dim: (dim, np.array(labels, object)) for dim, labels in AXES.values() if dim in used}
+    attributes = {
+        "source": f"warpcontact {__version__}",
+        "device": ", ".join(map(str, model.devices)),
+        "precision": model.precision,
+    }
+    return xr.Dataset(dict(variables), coords=coordinates, attrs=attributes)
+
+
+def _flags(codes: type[IntEnum]) -> dict[str, Any]:
+    return {
+        "flag_values": [int(code) for code in codes],
+        "flag_meanings": " ".join(code.name for code in codes),
+    }
+
+
+def _named(names: Sequence[str] | Mapping[str, Any]) -> dict[str, Any]:
+    return {"flag_values": list(range(len(names))), "flag_meanings": " ".join(names)}

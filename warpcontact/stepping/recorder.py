@@ -1,0 +1,363 @@
+"""Recording: chosen sensors, frame by frame, put into one labelled data set."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from warpcontact._version import __version__
+from warpcontact.model.allocation_plan import row_bytes
+from warpcontact.model.environments import Environments
+from warpcontact.model.memory import (
+    MemoryEstimate,
+    MemoryItem,
+    MemoryShortage,
+    available_memory_for,
+    format_bytes,
+    shortage,
+    shortage_message,
+    total,
+    usable_bytes,
+)
+from warpcontact.model.model import Model
+from warpcontact.model.parameters import Parameter
+from warpcontact.model.sensors import AXES
+from warpcontact.scene.scene import Scene
+from warpcontact.stepping.frame_buffers import Channel, Frame
+from warpcontact.stepping.frame_copies import FrameCopies
+from warpcontact.system.resources import HOST, AvailableMemory
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from warpcontact.stepping.recording import Recording
+
+#: Attribute of a recording: parameters that it does not hold and that are those of the scene everywhere.
+UNCHANGED = "unchanged_parameters"
+
+
+@dataclass(frozen=True)
+class RecordingSize:
+    """What a recording takes.
+
+    Attributes:
+        frames: One frame of each sensor.
+        parameters: Parameters that are kept with it, for one environment [bytes].
+        measured: What the sensors are measured into, see ``Sensor.needs``.
+    """
+
+    frames: tuple[Frame, ...]
+    parameters: int
+    measured: frozenset[str]
+
+    def memory_items(self, device: str, envs: int, count: int, blocks: int = 1) -> list[MemoryItem]:
+        """Returns what blocks of ``count`` frames of ``envs`` environments of a device take."""
+        needs = [need for frame in self.frames for need in frame.memory_items(device, envs, count, blocks)]
+        return [*needs, MemoryItem("recording", HOST, envs * self.parameters, self.parameters)]
+
+    def on_host(self, envs: int, count: int) -> int:
+        """Returns the size of the data set [bytes]."""
+        return envs * (self.parameters + count * sum(frame.host for frame in self.frames))
+
+
+def item_dimension(scene: Scene, element: str) -> str:
+    """Returns the name of the item axis of a set: sets of different size cannot share one."""
+    sizes = {points.count for points in scene.points if not points.single}
+    sizes |= {body.count for body in scene.bodies if not body.single}
+    # A particle contact has one item for each of its shapes, which may be those of several sets.
+    sizes |= {pile.count for pile in scene.particle_contacts if pile.name == element}
+    return "item" if len(sizes) == 1 else f"{element}.item"
+
+
+def replay_parameters(model: Environments) -> list[str]:
+    """Returns the parameters that a replay takes from the scene and that are not those of it in environment 0."""
+    scene = model.scene
+    first = {
+        f"{surface.name}.{key}": getattr(surface, key)
+        for surface in scene.surfaces
+        for key in ("position", "orientation", "scale")
+    }
+    first |= {f"{surface.name}.mesh": np.zeros(()) for surface in scene.surfaces if len(surface.meshes) > 1}
+    for shape in scene.shapes:
+        own = {"position": shape.positions, "orientation": shape.orientations, **shape.sizes}
+        first |= {f"{shape.name}.{key}": v[0] if shape.single else v for key, v in own.items()}
+    for points in scene.points:
+        first[f"{points.name}.position"] = points.positions[0] if points.single else points.positions
+    first["scene.gravity"] = scene.gravity
+    for body in scene.bodies:
+        first |= {f"{body.name}.motion.{key}": value for key, value in body.motion.parameters().items()}
+    contacts: list[Any] = [*scene.contacts, *scene.shape_contacts, *scene.particle_contacts]
+    for contact in contacts:
+        formulas = contact.material.formulas
+        values = {f"friction.{key}": value for key, value in formulas["friction"].parameters().items()}
+        values["law.restitution"] = getattr(formulas["law"], "restitution", None)
+        first |= {f"{contact.name}.{key}": value for key, value in values.items() if value is not None}
+    known = model.parts[0].parameters
+    return [name for name, value in first.items() if name in known and not _equals(model, name, value)]
+
+
+def _equals(model: Environments, name: str, value: Any) -> bool:
+    """Whether a parameter has a value in environment 0."""
+    part = model.parts[0]
+    return bool((part.parameters[name].read(part.envs)[0] == value).all())
+
+
+def unchanged_parameters(model: Environments, kept: Iterable[str]) -> list[str]:
+    """Returns what a recording does not hold of masses and inertias, and is that of the scene everywhere."""
+    own = {f"{body.name}.{key}": getattr(body, key) for body in model.scene.bodies for key in ("mass", "inertia")}
+    absent = own.keys() - set(kept)
+    # Values of one field are of all bodies, and may be equal where each environment has its own.
+    return [name for name in own if name in absent and bool((model[name] == own[name]).all())]
+
+
+class Recorder:
+    """Takes frames of sensors from a model, once it is started, all of them or block after block.
+
+    Args:
+        model: The model.
+        names: Sensors to take.
+        frames: Number of frames that it holds, of each block.
+        poses: Whether to take the pose of every body as well, and keep the parameters that differ.
+        parameters: Names of further parameters to keep.
+        series: Whether to take any frames: if not, only the parameters are kept.
+        blocks: How many blocks of frames it holds. What was taken stays until as many were begun after it.
+    """
+
+    def __init__(
+        self,
+        model: Environments,
+        names: Iterable[str],
+        frames: int,
+        poses: bool,
+        parameters: Iterable[str] = (),
+        series: bool = True,
+        blocks: int = 1,
+    ) -> None:
+        self.model = model
+        self.kept = [model.find_parameter(name) for name in parameters]
+        if poses:
+            # What a replay needs beside the poses, and whatever sets the environments apart.
+            needed = (".mass", ".inertia", ".radius")
+            moved = replay_parameters(model)
+            self.kept += [
+                model.find_parameter(name)
+                for name in model
+                if model.varies(name) or name.endswith(needed) or name in moved
+            ]
+        wanted = list(names)
+        if poses and series:
+            both = ("position", "orientation")
+            wanted += [f"{body.name}.{key}" for body in model.scene.bodies for key in both]
+        # By the names under which they are stored: two names of one sensor are one channel.
+        sensors = {sensor.name: sensor for sensor in model.find_sensors(wanted)}
+        self.needs = {need for sensor in sensors.values() for need in sensor.needs}
+        model.ensure_sensor_arrays(self.needs)
+        self.channels = [Channel(model, name) for name in sensors]
+        self.capacity, self._blocks = frames, blocks
+        # Of each block, once started: what takes its frames of parts on the CPU, and their times.
+        self._copies: list[dict[Model, FrameCopies]] = [{}]
+        self._times = np.zeros((1, 0))
+        self._block = 0
+        self.taken = 0
+
+    def size(self) -> RecordingSize:
+        """Returns what it takes."""
+        envs = self.model.parts[0].envs
+        parameters = {parameter.name: row_bytes(parameter.read(envs)) for parameter in self.kept}
+        frames = tuple(channel.frame for channel in self.channels)
+        return RecordingSize(frames, sum(parameters.values()), frozenset(self.needs))
+
+    @property
+    def copies(self) -> dict[Model, FrameCopies]:
+        """What takes frames of parts on the CPU now."""
+        return self._copies[self._block]
+
+    @property
+    def times(self) -> NDArray[np.float64]:
+        """Times of the frames of the block [s], of which the first ``taken`` are there."""
+        return self._times[self._block]
+
+    @property
+    def free_frames(self) -> int:
+        """How many frames more it holds until it is rewound; none before it is started."""
+        return len(self.times) - self.taken
+
+    def require(self, frames: int) -> None:
+        """Raises ``RuntimeError`` if it does not hold so many frames more."""
+        if frames > self.free_frames:
+            raise RuntimeError(
+                f"the recorder has room for {self.free_frames} of {self.capacity} frames, not for {frames} more: "
+                "start it first, and rewind it for a new block"
+            )
+
+    def start(self, extra: Iterable[MemoryItem] = ()) -> None:
+        """Allocates what the frames are put into.
+
+        Args:
+            extra: What steps take more of memory for these frames.
+
+        Raises:
+            MemoryError: If that is more than there is; says how many frames would fit.
+        """
+        size, frames, blocks = self.size(), self.capacity, self._blocks
+        footprint = total(
+            MemoryEstimate(
+                part.envs, str(part.device), tuple(size.memory_items(str(part.device), part.envs, frames, blocks))
+            )
+            for part in self.model.parts
+        ).with_items(extra)
+        room = shortage(footprint, available_memory_for(footprint))
+        if room is not None:
+            raise MemoryShortage(
+                self._shortage_message(footprint, room), footprint.bytes_at(room.location), usable_bytes(room)
+            )
+        on_cpu = [part for part in self.model.parts if part.device.is_cpu]
+        self._copies = [{part: FrameCopies(part) for part in on_cpu} for _ in range(blocks)]
+        self._times, self._block, self.taken = np.zeros((blocks, frames)), 0, 0
+        for channel in self.channels:
+            channel.allocate(frames, self._copies)
+
+    def _shortage_message(self, footprint: MemoryEstimate, room: AvailableMemory) -> str:
+        envs, frames = self.model.envs, self.capacity
+        sizes = {channel.frame.name: envs * frames * channel.frame.host for channel in self.channels}
+        largest = sorted(sizes, key=lambda name: -sizes[name])[:3]
+        capacity = int(frames * usable_bytes(room) / footprint.bytes_at(room.location))
+        if capacity:
+            advice = (
+                f"at most {capacity} frames fit: make every {-(-frames // capacity)} times as long, or record less"
+            )
+        else:
+            advice = "not even one frame fits: record less, or of fewer environments"
+        named = ", ".join(f"{name} {format_bytes(sizes[name])}" for name in largest)
+        return (
+            f"the recording of {frames} frames: {shortage_message(footprint, room)}; {advice} (largest: {named})"
+        )
+
+    def take(self, time: float) -> None:
+        """Takes one frame of the current state at ``time`` [s].
+
+        Raises:
+            RuntimeError: If there is no room for it.
+        """
+        self.require(1)
+        # All parts are at work before the first is waited for.
+        for part in self.model.parts:
+            part.evaluate_needs(self.needs)
+        for part in self.model.parts:
+            self.take_part(part, slice(0, part.envs), self.taken)
+        self.count([time])
+
+    def take_part(self, part: Model, own: slice, number: int) -> None:
+        """Takes frame ``number`` of a part, what it needs being computed; ``own`` are all of its environments."""
+        if part in self.copies:
+            self.copies[part].take(number)
+        else:
+            for channel in self.channels:
+                channel.rings[part].take(number, channel.result)
+
+    def count(self, times: Sequence[float] | NDArray[Any]) -> None:
+        """Counts the next frames, at ``times`` [s], which are taken of all environments."""
+        self.times[self.taken : self.taken + len(times)] = times
+        self.taken += len(times)
+
+    def _parameter_variable(self, parameter: Parameter) -> dict[str, Any]:
+        """Returns a parameter as a variable (env, …); that of an initial state has a name of its own."""
+        name = parameter.name
+        dims = ["env"] + ([] if parameter.single else [item_dimension(self.model.scene, name.partition(".")[0])])
+        if parameter.tail == (3, 3):
+            dims += ["row", "column"]
+        elif parameter.tail:
+            dims.append(AXES[parameter.tail[0]][0])
+        label = f"{name}.initial" if name in self.model.sensor_names else name
+        notes = {"units": parameter.limits["unit"], "long_name": f"parameter {name}"}
+        return {label: (dims, self.model[name].copy(), notes)}
+
+    def frames(self) -> dict[str, NDArray[Any]]:
+        """Returns the frames taken since the last ``rewind``, (frame, env, …) by sensor; views."""
+        for channel in self.channels:
+            channel.drain()
+        return {channel.frame.name: channel.result[: self.taken] for channel in self.channels}
+
+    def continue_from(self, frames: Mapping[str, NDArray[Any]], times: NDArray[Any]) -> None:
+        """Takes over what ``frames`` returned of another recorder, and ``times`` [s] of these."""
+        self.taken = 0
+        self.require(len(times))
+        self.count(times)
+        for channel in self.channels:
+            channel.result[: self.taken] = frames[channel.frame.name]
+            channel.continue_from(self.taken)
+
+    def rewind(self) -> None:
+        """Begins a new block of frames, in place of the oldest."""
+        self._block, self.taken = (self._block + 1) % self._blocks, 0
+        for channel in self.channels:
+            channel.begin(self._block)
+
+    def series(self) -> "xr.Dataset":
+        """Returns the frames taken since the last ``rewind`` as a data set, (time, env, …); views."""
+        import xarray as xr
+
+        return xr.Dataset(**self._labelled(self._series_variables(), self._time()))
+
+    def _series_variables(self) -> dict[str, Any]:
+        variables = {}
+        frames = self.frames()
+        for channel in self.channels:
+            sensor = channel.sensor
+            element = sensor.name.rpartition(".")[0]
+            dims = ["time", "env"] + ([item_dimension(self.model.scene, element)] if sensor.items else [])
+            values = frames[sensor.name]
+            if values.ndim == len(dims) + 2:
+                dims += ["row", "column"]
+            elif values.ndim > len(dims):
+                dims.append(AXES[values.shape[-1]][0])
+            notes = {"units": sensor.unit, "long_name": sensor.meaning, **sensor.flags}
+            variables[sensor.name] = (dims, values, notes)
+        return variables
+
+    def _time(self) -> dict[str, Any]:
+        return {"time": ("time", self.times[: self.taken], {"units": "s", "long_name": "simulated time"})}
+
+    def parameters(self) -> "xr.Dataset":
+        """Returns the parameters that are kept, (env, …)."""
+        import xarray as xr
+
+        return xr.Dataset(**self._labelled(self._parameter_variables(), {}))
+
+    def _parameter_variables(self) -> dict[str, Any]:
+        variables: dict[str, Any] = {}
+        for parameter in self.kept:
+            variables |= self._parameter_variable(parameter)
+        return variables
+
+    def _labelled(self, variables: Mapping[str, Any], coordinates: Mapping[str, Any]) -> dict[str, Any]:
+        """Returns ``variables`` with the labels of all axes that they have, as a data set takes them."""
+        model = self.model
+        used = {dim for dims, _, _ in variables.values() for dim in dims}
+        numbers = ("env", model.first_env + np.arange(model.envs), {"long_name": "environment"})
+        # As objects: texts of fixed length have no place in some files, the Zarr v3 specification among them.
+        labels = {dim: (dim, np.array(names, object)) for dim, names in AXES.values() if dim in used}
+        return {"data_vars": variables, "coords": {**coordinates, "env": numbers, **labels}}
+
+    def finish(self, attributes: Mapping[str, Any]) -> "Recording":
+        """Returns the frames taken and the parameters kept as one data set."""
+        from warpcontact.stepping.recording import Recording
+
+        variables = {**self._series_variables(), **self._parameter_variables()}
+        attrs = {**sources(self.model), **attributes}
+        if unchanged := unchanged_parameters(self.model, map(str, variables)):
+            attrs[UNCHANGED] = unchanged
+        recording = Recording(**self._labelled(variables, self._time()), attrs=attrs)
+        recording.scene = self.model.scene
+        return recording
+
+
+def sources(model: Environments) -> dict[str, str]:
+    """Returns what is said of where sensors of ``model`` come from."""
+    return {
+        "source": f"warpcontact {__version__}",
+        "device": ", ".join(map(str, model.devices)),
+        "precision": model.precision,
+    }

@@ -1,0 +1,40 @@
+"""Recorded sensors as labelled data sets; a module of its own, because xarray takes long to import."""
+
+from typing import TYPE_CHECKING, Any
+
+import xarray as xr
+
+from warpcontact.kernels.catalogue.names import stored_name
+from warpcontact.scene.scene import Scene
+
+
+class Series(xr.Dataset):
+    """An ``xarray.Dataset`` of sensors, in which an alias finds its sensor: ``data["touch.delta"]``."""
+
+    __slots__ = ()
+
+    if not TYPE_CHECKING:  # the types are those of the base
+
+        def __getitem__(self, key: Any) -> Any:
+            if isinstance(key, str):
+                return super().__getitem__(self._stored(key))
+            if isinstance(key, list):
+                return super().__getitem__([self._stored(one) for one in key])
+            return super().__getitem__(key)
+
+        def __contains__(self, key: Any) -> bool:
+            return super().__contains__(self._stored(key))
+
+    def _stored(self, key: Any) -> Any:
+        """Returns the name under which a variable is stored, an unknown name unchanged."""
+        if isinstance(key, str) and key not in self._variables and (name := stored_name(key)) in self._variables:
+            return name
+        return key
+
+
+class Recording(Series):
+    """The data set that ``Simulation.run`` returns: sensors over time, with the scene that they are of."""
+
+    __slots__ = ("scene",)
+
+    scene: Scene

@@ -1,0 +1,194 @@
+"""What stepping takes beside the model: slices of environments, kernels, and memory for launches and graphs."""
+
+import ctypes
+import functools
+import itertools
+from collections.abc import Collection, Mapping, Sequence, Set
+from typing import TYPE_CHECKING, Any, cast
+
+import warp as wp
+
+from warpcontact.kernels.outcomes import recording
+from warpcontact.model.memory import MemoryEstimate, MemoryItem, total
+from warpcontact.model.sensor_evaluation import can_evaluate_by_slice, evaluation_plan, evaluation_stages
+from warpcontact.stepping.execution_plan import ExecutionPlan
+from warpcontact.stepping.integrators import Integrator, SemiImplicitEuler
+from warpcontact.stepping.outcomes.watch import ContactEvents, MonitorSettings, StopCondition
+from warpcontact.stepping.slice_stepper import MAX_FRAME_GRAPHS, StepBuffers, StepChunk, Stepper
+from warpcontact.system.capture_lock import shared_capture_lock
+from warpcontact.system.resources import HOST, available_threads
+
+if TYPE_CHECKING:
+    from warpcontact.kernels.outcomes.base import Outcome
+    from warpcontact.model.model import Model
+    from warpcontact.model.plan import DeviceModelPlan
+
+# Of the cache of a core that a slice may fill, and what a contact, a body and a face take of it; measured.
+CACHE_BYTES = 512 * 1024
+CONTACT_BYTES = 300
+BODY_BYTES = 400
+FACE_BYTES = 100
+MAX_SLICE = 256
+# For faces alone slices are not made smaller: launches would take more than the cache saves.
+MIN_SLICE_FOR_FACES = 32
+
+# What a prepared launch takes, a graph, and what is captured in it for each byte of the arguments of its launches,
+# which are kept with the places of all pointers among them; measured with Warp 1.19 (tests/test_memory_plan.py).
+LAUNCH_BYTES = 1800
+GRAPH_BYTES = 50_000
+CAPTURED_PER_ARGUMENT_BYTE = 2.05
+# What a kernel is told of an array: pointers, shape and strides.
+ARRAY_BYTES = 56
+
+
+class KernelLister(ExecutionPlan):
+    """Lists kernels in place of launches."""
+
+    def prepare(self, kernel: wp.Kernel, items: int, inputs: list[Any], *_: Any, **__: Any) -> list[Any]:
+        """Returns the kernel that would be launched; none if there is no work."""
+        return [kernel] if items else []
+
+
+def slice_sizes(shares: "Sequence[tuple[Model | DeviceModelPlan, int]]", threads: int) -> list[int]:
+    """Returns how many environments a slice has, by part: as fit into the cache of a core, and enough slices.
+
+    Args:
+        shares: The parts, each with how many environments it has.
+        threads: How many threads step those on the CPU.
+    """
+    on_cpu = sum(envs for part, envs in shares if part.device.is_cpu)
+    largest = min(MAX_SLICE, -(-on_cpu // threads))
+    return [max(1, min(_max_slice(part), largest)) if part.device.is_cpu else envs for part, envs in shares]
+
+
+def cut_slices(envs: int, size: int) -> list[slice]:
+    """Returns ``envs`` environments in slices of ``size``, the last perhaps smaller."""
+    return [slice(first, min(first + size, envs)) for first in range(0, envs, size)]
+
+
+def _max_slice(part: "Model | DeviceModelPlan") -> int:
+    """Returns how many environments fit into the cache of a core, of many with the faces that they read."""
+    per_env = _cache_bytes_per_env(part)
+    with_faces = CACHE_BYTES // (per_env + FACE_BYTES * part.arrays.faces_read)
+    return min(CACHE_BYTES // per_env, max(MIN_SLICE_FOR_FACES, with_faces))
+
+
+def _cache_bytes_per_env(part: "Model | DeviceModelPlan") -> int:
+    """Returns what an environment takes of a cache."""
+    for_contacts = CONTACT_BYTES * (part.contact_count + part.shape_contact_count) + BODY_BYTES * part.body_count
+    return for_contacts + sum(particle_set.bytes_per_step for particle_set in part.particle_contact_sets)
+
+
+@shared_capture_lock()
+def stepping_memory(
+    shares: Sequence[tuple["Model | DeviceModelPlan", int]],
+    integrator: Integrator | None = None,
+    *,
+    crossing_substeps: int = 1,
+    threads: int | None = None,
+    distance_cache: bool = True,
+    capture_graphs: bool = True,
+    outcomes: "Mapping[str, Outcome] | None" = None,
+    stop: Mapping[str, StopCondition] | None = None,
+    events: ContactEvents | None = None,
+    quarantine: str = "freeze",
+    recorded_needs: Set[str] | None = None,
+    varied: Collection[str] = (),
+) -> MemoryEstimate:
+    """Returns what a ``Simulation`` takes beside the model; the options are those of its class.
+
+    ``shares`` are the parts of the model, each with how many environments it has; the parameters ``varied`` are to
+    have a value in each. ``recorded_needs`` is what sensors need that are recorded meanwhile; ``None``: none are.
+    """
+    threads = available_threads() if threads is None else threads
+    integrator = SemiImplicitEuler() if integrator is None else integrator
+    settings = MonitorSettings.of(outcomes, stop, events, quarantine)
+    # As many as may have a slice; with few environments some have none.
+    threads_used = min(threads, sum(envs for part, envs in shares if part.device.is_cpu))
+    estimates = []
+    for part, envs in shares:
+        buffers = StepBuffers(part, integrator, settings=settings)
+        monitor = buffers.monitor
+        # Nothing is launched, so that a draft does as well.
+        queued = part.device.is_cuda
+        plan = KernelLister(
+            cast("Model", part),
+            1,
+            distance_cache and not (monitor and monitor.needs_all_distances),
+            ordered_sum=not queued,
+            uses_queues=queued,
+            nonsmooth=buffers.nonsmooth,
+        )
+        stepper = Stepper(plan, integrator, buffers, substeps=crossing_substeps, captured=capture_graphs)
+        size = LAUNCH_BYTES * sum(len(launches) for launches in stepper.launches())
+        for steps in (1,) if stepper.multi_step else stepper.graph_steps:
+            size += _captured_bytes(stepper.graph(StepChunk(steps)))
+        if (
+            recorded_needs is not None
+            and settings.quarantine == "freeze"
+            and can_evaluate_by_slice(part.device, buffers.nonsmooth, recorded_needs)
+        ):
+            lister = evaluation_plan(KernelLister, part, 1, buffers.nonsmooth, recorded_needs)
+            evaluation = [
+                *evaluation_stages(lister, recorded_needs, part.zero_step, None),
+                recording.record_frame(),
+            ]
+            size += LAUNCH_BYTES * len(evaluation)
+            if stepper.captured:
+                # By itself, and with the steps before it.
+                evaluations = [evaluation]
+                if stepper.prepare_step_after_evaluation(recorded_needs):
+                    first = stepper.graph(StepChunk(1 + stepper.multi_step, after_evaluation=True))
+                    size += LAUNCH_BYTES * len(first)
+                    evaluations += [first, [*evaluation, *first]] if stepper.multi_step else [first]
+                # Few of those that are no steps in place are smaller.
+                steps = 1 if stepper.multi_step else MAX_FRAME_GRAPHS * stepper.graph_steps[0]
+                evaluations.append([*evaluation, *stepper.graph(StepChunk(steps))])
+                size += sum(_captured_bytes(graph) for graph in evaluations)
+        launches = MemoryItem("launches", HOST, size * (threads_used if part.device.is_cpu else 1))
+        needs = [*buffers.layout.memory_items(envs), launches]
+        if monitor is not None:
+            # What is there already is the model's.
+            unallocated = [name for name in monitor.needs if getattr(part.arrays, name, True) is None]
+            needs += part.sensor_memory(part.device, unallocated, envs)
+        if buffers.nonsmooth is not None:
+            needs.append(buffers.nonsmooth.material_need(part.parameters_by_name, envs, varied))
+        estimates.append(MemoryEstimate(envs, str(part.device), tuple(needs)))
+    return total(estimates)
+
+
+def step_kernels(part: "Model", stepper: Stepper, recorded_needs: Sequence[Set[str]]) -> list[wp.Kernel]:
+    """Returns the kernels that steps and frames launch, each once, the largest first.
+
+    Args:
+        part: The model.
+        stepper: Its stepper, with a ``KernelLister`` as span.
+        recorded_needs: The needs of each kind of frame, see ``Sensor.needs``.
+    """
+    evaluations = [
+        evaluation_stages(
+            evaluation_plan(KernelLister, part, part.envs, part.nonsmooth, needs), needs, part.zero_step, None
+        )
+        for needs in recorded_needs
+    ]
+    for needs in recorded_needs:
+        stepper.prepare_step_after_evaluation(needs)
+    # Looks first: these kernels are the largest.
+    return list(dict.fromkeys(itertools.chain(*evaluations, *stepper.launches())))
+
+
+def _captured_bytes(launched: list[Any]) -> int:
+    """Returns what a graph of kernels takes; none if there are none."""
+    return GRAPH_BYTES + int(CAPTURED_PER_ARGUMENT_BYTE * sum(map(_argument_bytes, launched))) if launched else 0
+
+
+@functools.cache
+def _argument_bytes(kernel: wp.Kernel) -> int:
+    """Returns the size of the arguments of a kernel."""
+    return sum(_size(argument.type) for argument in kernel.adj.args)
+
+
+def _size(kind: Any) -> int:
+    if isinstance(kind, wp.array):
+        return ARRAY_BYTES
+    return ctypes.sizeof(kind.ctype) if hasattr(kind, "ctype") else wp.types.type_size_in_bytes(kind)

@@ -1,0 +1,1 @@
+"""The machine: devices, memory, compilation of kernels, signals."""

@@ -1,0 +1,276 @@
+"""The contacts that the elements of a scene can make, in one environment, as hard ones: measured on the host."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from warpcontact.forces.nonsmooth.materials import NonsmoothSource, check_rigid
+from warpcontact.forces.particle_contact.contact_set import ParticleContactSet
+from warpcontact.geometry.vectors import cross
+from warpcontact.kernels.friction import Frictionless
+from warpcontact.kernels.types import TIME_FUNCTION, UNSOLVED, WORLD
+from warpcontact.model.status import ContactStatus
+from warpcontact.scene.elements import Contact
+from warpcontact.scene.particles import ParticleContact
+from warpcontact.scene.shapes import ShapeContact
+from warpcontact.unilateral.reference.bodies import rotation_matrices
+from warpcontact.unilateral.reference.events import Event, EventKind
+from warpcontact.unilateral.reference.segments import closest_on_segments
+from warpcontact.unilateral.reference.snapshot import EnvironmentAccess, Snapshot
+from warpcontact.validation.checks import Array
+
+AnyContact = Contact | ShapeContact | ParticleContact
+
+# A point that a latch keeps out by a rounding touches; one farther in came from the wrong side [m].
+LATCHED_IN = 1.0e-6
+
+
+@dataclass(frozen=True)
+class MeasuredPairs:
+    """Where contacts are in a state.
+
+    Attributes:
+        gap: Signed distances (n,) [m]; ∞ where nothing can touch.
+        normal: Unit normals (n, 3) out of the second body, towards the first, world.
+        point: Points K (n, 3) where forces act, world [m].
+        force: Forces and moments about the centre of mass that couplings and forces from outside apply to each
+            body, one after the other, (6 bodies,), without gravity and nonsmooth contacts; world axes [N, N·m].
+    """
+
+    gap: Array
+    normal: Array
+    point: Array
+    force: Array
+
+
+class Candidates:
+    """All pairs that may touch in one environment, and what is the same in all its states.
+
+    Contact couplings are forces like those of other couplings, and none of these.
+
+    Args:
+        environment: The environment.
+
+    Attributes:
+        names: Name of the contact of each pair, (n,).
+        items: Its item (n,), −1 of a contact without items; of a particle contact the number of the pair.
+        labels: What to call each pair.
+        bodies: Numbers of the first and the second body, or ``WORLD``, (n, 2).
+        mu_static: Coefficients of friction of pairs that stick (n,).
+        mu: Of those that slide, likewise.
+        restitution: Coefficients of restitution (n,).
+
+    Raises:
+        ValueError: If a friction of a contact is none that a cone can take, or its share is not 1.
+    """
+
+    def __init__(self, environment: EnvironmentAccess) -> None:
+        self.environment = environment
+        self.model, self.env = environment.model, environment.env
+        model = environment.model
+        scene = model.scene
+        own = [contact for contact in scene.contacts if contact.facing is None]
+        self.elements: list[Contact | ShapeContact] = [*own, *scene.shape_contacts]
+        self.particle_contact_sets = [(pile, _pairs(pile)) for pile in model.particle_contact_sets]
+        names: list[str] = []
+        items: list[int] = []
+        labels: list[str] = []
+        bodies: list[NDArray[np.int_]] = []
+        coefficients: list[Array] = []
+        for contact in self.elements:
+            single = contact.points.single if isinstance(contact, Contact) else contact.single
+            numbers = [-1] if single else list(range(contact.count))
+            names += [contact.name] * contact.count
+            items += numbers
+            labels += [contact.name if item < 0 else f"{contact.name}[{item}]" for item in numbers]
+            bodies.append(_bodies_of(contact))
+            coefficients.append(self._coefficients(contact, contact.count))
+        for pile, pairs in self.particle_contact_sets:
+            index_1 = pile.contact
+            names += [index_1.name] * len(pairs)
+            items += range(len(pairs))
+            labels += [f"{index_1.name}: {index_1.label(i)} on {index_1.label(j)}" for i, j in pairs]
+            bodies.append(index_1.bodies[pairs].astype(int))
+            coefficients.append(self._coefficients(index_1, len(pairs)))
+        self.names, self.items, self.labels = np.array(names, dtype=object), np.array(items, dtype=int), labels
+        self.bodies = np.concatenate([np.zeros((0, 2), dtype=int), *bodies])
+        table = np.concatenate([np.zeros((0, 4)), *coefficients])
+        self.mu_static, self.mu, self.restitution, self.enabled = table.T
+        self._needs = {"contacts", "distances"}
+        if scene.contacts:
+            self._needs.add("points")
+        if scene.shape_contacts:
+            self._needs.add("shape_points")
+        if any(body.motion.kind == TIME_FUNCTION for body in scene.bodies):
+            self._needs |= {"wrenches", "reactions"}
+        model.ensure_sensor_arrays(self._needs)
+        self._views: tuple[int, dict[str, Array]] = (-1, {})
+
+    @property
+    def count(self) -> int:
+        """Number of pairs."""
+        return len(self.names)
+
+    def event(
+        self,
+        time: float,
+        kind: EventKind,
+        pair: int,
+        impulse: Array | None = None,
+        approach: float = 0.0,
+        separation: float = 0.0,
+    ) -> Event:
+        """Returns what happens to a pair; the impulse (3,) is on its first body, world [N·s]."""
+        return Event(
+            time=float(time),
+            kind=kind,
+            contact=str(self.names[pair]),
+            item=int(self.items[pair]),
+            label=self.labels[pair],
+            impulse=np.zeros(3) if impulse is None else impulse,
+            approach_speed=float(approach) + 0.0,  # not −0
+            separation_speed=float(separation) + 0.0,
+        )
+
+    def measure(self, snapshot: Snapshot) -> MeasuredPairs:
+        """Returns where they are in a state, which becomes the current one of the environment.
+
+        Raises:
+            RuntimeError: If it was not found where smooth shapes meet.
+        """
+        self.environment.write(snapshot)
+        self.model.evaluate_needs(self._needs)
+        parts = [(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)))]
+        parts += [self._of_sensor(contact) for contact in self.elements]
+        parts += [self._particle_pairs(pile, pairs, snapshot) for pile, pairs in self.particle_contact_sets]
+        gap, normal, point = (np.concatenate([part[i] for part in parts]) for i in range(3))
+        gap = np.where(self.enabled > 0.0, gap, np.inf)
+        return MeasuredPairs(gap, normal, point, self._forces())
+
+    def _coefficients(self, contact: AnyContact, count: int) -> Array:
+        """Returns μ at rest, μ sliding, restitution and whether it is enabled, of each item (count, 4)."""
+        for part in ("rolling", "torsion"):
+            if not isinstance(contact.material.formulas[part], Frictionless):
+                raise ValueError(
+                    f"{contact.name}.{part} must be left out: resistance to rolling and spinning is not part of "
+                    f"this method, got {type(contact.material.formulas[part]).__name__}"
+                )
+        sources = NonsmoothSource(contact, contact.material.formulas, count).parameter_paths()
+        check_rigid(contact.name, contact.material.formulas, "Or use SemiImplicitEuler")
+        if (self._values(f"{contact.name}.force_scale", count, 1.0) != 1.0).any():
+            raise ValueError(f"{contact.name}.force_scale must be 1: a nonsmooth contact cannot be a part of one")
+        columns = [
+            np.zeros(count)
+            if source is None
+            else self._values(f"{contact.name}.{source[0]}.{source[1]}", count, 0.0)
+            for source in (sources[key] for key in ("mu_static", "mu_dynamic", "restitution"))
+        ]
+        columns.append(self._values(f"{contact.name}.enabled", count, 1.0))
+        return np.stack(columns, axis=1)
+
+    def _values(self, name: str, count: int, otherwise: Array | float) -> Array:
+        """Returns a parameter of each item (count,); ``otherwise`` if there is none of that name."""
+        values = self.model[name][self.env] if name in self.model else otherwise
+        return np.broadcast_to(values, (count,))
+
+    def _sensor(self, name: str) -> Array:
+        """Returns a sensor of this environment as it was computed last."""
+        if not self.model.device.is_cpu:
+            return self.model.last_value(name)[self.env].astype(np.float64)
+        revision, views = self._views
+        if revision != self.model.revision:
+            self._views = revision, views = self.model.revision, {}
+        if name not in views:
+            # A view of what is computed next, too.
+            views[name] = self.model.find_sensor(name).array(self.model.arrays).numpy()
+        return views[name][self.env].astype(np.float64)
+
+    def _of_sensor(self, contact: Contact | ShapeContact) -> tuple[Array, Array, Array]:
+        def read(key: str) -> Array:
+            return self._sensor(f"{contact.name}.{key}").reshape(contact.count, -1)
+
+        gap, status = read("gap")[:, 0], read("status")[:, 0].astype(int)
+        if (status == UNSOLVED).any():
+            raise RuntimeError(f"{contact.name}: it was not found where the shapes meet")
+        may_touch = (status == ContactStatus.OPEN) | (status == ContactStatus.CONTACT)
+        may_touch |= (status == ContactStatus.WRONG_SIDE) & (gap > -LATCHED_IN)
+        return np.where(may_touch, gap, np.inf), read("normal"), read("point")
+
+    def _particle_pairs(
+        self, pile: ParticleContactSet, pairs: NDArray[np.int_], snapshot: Snapshot
+    ) -> tuple[Array, Array, Array]:
+        shapes, bodies = pile.particles, pile.contact.bodies
+        rotations = rotation_matrices(snapshot.orientation)[bodies]
+        offset, axis = (getattr(shapes, key).numpy()[self.env].astype(np.float64) for key in ("offset", "axis"))
+        radius = shapes.radius.numpy()[self.env].astype(np.float64)
+        center = snapshot.position[bodies] + (rotations @ offset[..., None])[..., 0]
+        axis = (rotations @ axis[..., None])[..., 0]
+        index_1, index_2 = pairs.T
+        s, t = closest_on_segments(center[index_1] - center[index_2], axis[index_1], axis[index_2])
+        point_1, point_2 = (
+            center[index_1] + s[:, None] * axis[index_1],
+            center[index_2] + t[:, None] * axis[index_2],
+        )
+        distance = np.linalg.norm(point_1 - point_2, axis=1)
+        # Where centres coincide there is no direction; any keeps them apart.
+        normal = np.where(distance[:, None] > 0.0, point_1 - point_2, [0.0, 0.0, 1.0])
+        normal = normal / np.where(distance > 0.0, distance, 1.0)[:, None]
+        gap = distance - radius[index_1] - radius[index_2]
+        return gap, normal, point_2 + (radius[index_2] + 0.5 * gap)[:, None] * normal
+
+    def _forces(self) -> Array:
+        """Returns what couplings and forces from outside apply to each body (6 bodies,)."""
+        model, env = self.model, self.env
+        a, scene = model.arrays, model.scene
+        result = np.zeros((model.body_count, 6))
+        if model.has_external_forces:
+            result[:, :3] = a.model.body_external_force.numpy()[env]
+            result[:, 3:] = a.model.body_external_torque.numpy()[env]
+        if scene.couplings:
+            ends = np.array([end for couplings in model.couplings for end in couplings.end_bodies()])
+            force, torque = (
+                getattr(a.coupling_wrenches, key).numpy()[env][: len(ends)] for key in ("force", "torque")
+            )
+            moves_body = ends != WORLD
+            np.add.at(result, ends[moves_body], np.hstack([force, torque])[moves_body])
+        for contact in scene.contacts:
+            if contact.facing is not None:
+                self._add_compliant(contact, result)
+        return result.reshape(-1)
+
+    def _add_compliant(self, contact: Contact, result: Array) -> None:
+        """Adds the forces of a contact of a contact coupling to those of the bodies."""
+
+        def read(key: str) -> Array:
+            return self._sensor(f"{contact.name}.{key}").reshape(contact.count, -1)
+
+        force = read("normal_force") * read("normal") + read("friction_force")
+        point, couple = read("point"), read("torque")
+        position = self.environment.read().position
+        for sign, numbers in zip((1.0, -1.0), _bodies_of(contact).T, strict=True):
+            moves_body = (numbers != WORLD) & (force != 0.0).any(axis=1)
+            moment = (
+                cross(point[moves_body] - position[numbers[moves_body]], force[moves_body]) + couple[moves_body]
+            )
+            np.add.at(result, numbers[moves_body], sign * np.hstack([force[moves_body], moment]))
+
+
+def _bodies_of(contact: Contact | ShapeContact) -> NDArray[np.int_]:
+    """Returns the bodies of each item of a contact (items, 2)."""
+    if isinstance(contact, Contact):
+        second = WORLD if contact.surface.body is None else contact.surface.body.index
+        sides = [contact.points.body_numbers, np.array([second])]
+    else:
+        sides = [contact.shape.body_numbers, contact.other_shape.body_numbers]
+    return np.stack([np.broadcast_to(side, contact.count) for side in sides], axis=1).astype(int)
+
+
+def _pairs(pile: ParticleContactSet) -> NDArray[np.int_]:
+    """Returns the pairs of shapes of a particle contact that may touch (pairs, 2), the lower number first."""
+    index_1, index_2 = np.triu_indices(pile.contact.count, 1)
+    kind, allowed = pile.contact.kinds
+    allowed_pairs = (allowed[kind[index_1], kind[index_2]] > 0) & (
+        pile.contact.bodies[index_1] != pile.contact.bodies[index_2]
+    )
+    return np.stack([index_1[allowed_pairs], index_2[allowed_pairs]], axis=1)

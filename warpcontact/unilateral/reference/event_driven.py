@@ -1,0 +1,320 @@
+"""Event-driven motion of rigid bodies with nonsmooth contacts: reference solutions for few of them."""
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from warpcontact.forces.nonsmooth.materials import CONTACT_GAP, IMPACT_LAWS
+from warpcontact.kernels.catalogue.keywords import explain_keywords_of
+from warpcontact.kernels.types import MODE_OPEN, MODE_STICK
+from warpcontact.unilateral.reference.acceleration import FRICTION_METHODS, ParadoxError, find_contact_modes
+from warpcontact.unilateral.reference.assembly import Assembler
+from warpcontact.unilateral.reference.crossings import SPEED_TOLERANCE, Step
+from warpcontact.unilateral.reference.events import Event, EventKind, EventRun, sorted_by_time
+from warpcontact.unilateral.reference.impacts import Impacts
+from warpcontact.unilateral.reference.snapshot import Snapshot
+from warpcontact.unilateral.reference.trajectory import EvaluatedState, HeldContacts, Trajectory
+from warpcontact.validation import checks
+
+# Most that a body turns between two looks at contacts [rad].
+MAX_TURN = 0.5
+# How far beyond where a contact may close at the earliest the next look is, so that it is seen closed.
+OVERSHOOT = 1.3
+# Parts of a step after an event at which it is looked what the contacts do: at the event itself it is undecided.
+TIME_FRACTIONS = (1.0e-6, 1.0e-5, 1.0e-4, 1.0e-3, 1.0e-2)
+# Events and steps without any time between them after which a run is given up.
+MAX_IDLE = 20
+# No pairs.
+NO_PAIRS = np.zeros(0, dtype=int)
+
+
+@explain_keywords_of
+class EventDriven:
+    """The motion of one environment with nonsmooth contacts, from event to event.
+
+    All contacts of the scene are rigid: they close without penetration, bounce by Newton's law with the
+    ``restitution`` of their law (0 if it has none; less where that would bring energy), and slide or stick by
+    Coulomb's with the ``mu`` of their friction (``mu_static`` and ``mu_dynamic`` if it has two). Couplings, and
+    contact couplings, are forces, as the model computes them; what these remember stays as it is. State, masses
+    and coefficients are those of the model when this is made.
+
+    Flight is in closed form where accelerations are uniform, else by DOP853 to 1e-12. Times at which a gap closes,
+    or a contact parts, slides or stops, are roots, to rounding. Contacts that impact together do so in one problem
+    with friction, and impacts that come ever closer are summed up as a geometric series. What is smooth must be
+    so: where a ball rolls over the edges of a tessellated surface, its acceleration is that of the faces.
+
+    Args:
+        model: From ``Scene.build``, best with ``precision="float64"`` and few environments: each evaluation of
+            forces is one of all of them. Its state stays as it is.
+        env: Number of the environment.
+        closed: Gaps up to this are zero [m].
+        step: Longest time between two looks at the contacts [s].
+        zeno: Impacts of a contact that follow one another within this time, ever closer, are summed up [s].
+        method: Of ``wc.unilateral.solve_delassus``, one that takes friction in space.
+        most_events: After so many events a run is given up.
+        impacts: Law of multiple impacts, as that of ``wc.integrators.MoreauJean``: ``"simultaneous"`` or
+            ``"sequential"``.
+
+    Attributes:
+        state: The state that the run has come to, at first that of the model.
+
+    Raises:
+        TypeError: If ``model`` is none.
+        ValueError: If an argument is out of range, or a contact has a friction that a cone cannot take.
+    """
+
+    def __init__(
+        self,
+        model: Any,
+        env: int = 0,
+        *,
+        closed: float = CONTACT_GAP[wp.float64],
+        step: float = 0.02,
+        zeno: float = 1.0e-5,
+        method: str = "gauss_seidel",
+        most_events: int = 10_000,
+        impacts: str = "simultaneous",
+    ) -> None:
+        seconds = checks.limits("s", above=0.0)
+        self.closed = float(checks.numbers("closed", closed, (), checks.limits("m", above=0.0)))
+        self.step = float(checks.numbers("step", step, (), seconds))
+        self.zeno = float(checks.numbers("zeno", zeno, (), seconds))
+        self.method = checks.choice("method", method, FRICTION_METHODS)
+        is_integer = isinstance(most_events, int | np.integer) and not isinstance(most_events, bool)
+        if not is_integer or most_events < 1:
+            raise ValueError(f"most_events must be a whole number, at least 1, got {most_events!r}")
+        self.most_events = most_events
+        self.impacts = checks.choice("impacts", impacts, IMPACT_LAWS)
+        self.assembler = Assembler(model, env)
+        self.trajectory = Trajectory(self.assembler)
+        self.state = self.assembler.bodies.project_anchors(self.assembler.environment.read())
+        self._held_contacts: HeldContacts | None = None
+        self._impacts = Impacts(self.assembler, self.zeno, method, impacts == "sequential")
+        self._events: list[Event] = []
+
+    def run(self, duration: float, every: float | None = None) -> EventRun:
+        """Goes on for ``duration`` [s].
+
+        Args:
+            duration: Simulated time [s].
+            every: Time between the states that are kept [s]; ``None``: those of all steps, and before and after
+                each event.
+
+        Raises:
+            ValueError: If a time is not positive, or a contact begins in overlap.
+            ParadoxError: If at some time no accelerations agree with rigid bodies and Coulomb friction, or
+                several; ``error.run`` has what was computed up to there.
+            RuntimeError: If there are too many events, contacts close and part without any time between, or the
+                motion could not be integrated.
+        """
+        seconds = checks.limits("s", above=0.0)
+        end = self.state.time + float(checks.numbers("duration", duration, (), seconds))
+        if every is not None:
+            every = float(checks.numbers("every", every, (), seconds))
+        stored = _StoredStates(self.state.time, every)
+        self._events = []
+        try:
+            with self.assembler.environment.preserved_state():
+                self._advance_to(end, stored)
+        except ParadoxError as error:
+            located_error = ParadoxError(f"t = {self.state.time:.9g} s: {error}")
+            located_error.run = self._result(stored)
+            raise located_error from error
+        return self._result(stored)
+
+    def _result(self, stored: "_StoredStates") -> EventRun:
+        times = np.array([state.time for state in stored.states])
+        return EventRun(times, tuple(stored.states), sorted_by_time(self._events), self.assembler.model.scene)
+
+    def _advance_to(self, end: float, stored: "_StoredStates") -> None:
+        if self._held_contacts is None:
+            self.state = self.assembler.environment.apply_prescribed_motion(self.state)
+            self._held_contacts = HeldContacts.none()
+            self._check_overlaps()
+            start = self.state
+            stored.first(start)
+            self._resolve_impacts(start)
+            # What contacts do from the start on is nothing that happens, unless velocities jump.
+            self._events = [one for one in self._events if one.kind is EventKind.IMPACT]
+            if self._events:
+                stored.step(self.state)
+            else:
+                stored.states[0] = self.state
+        else:
+            stored.first(self.state)
+        evaluated = self.trajectory.evaluate(self.state, self._held_contacts)
+        idle = 0
+        while self.state.time < end:
+            before = self.state.time
+            self.trajectory.check(evaluated, self._held_contacts)
+            length = min(self._safe_step(evaluated), end - self.state.time)
+            step = Step(self.trajectory, evaluated, self.state, self._held_contacts, length)
+            found = step.first_crossing(self.closed)
+            if found is not None:
+                self._advance_to_event(step, *found, stored)
+            else:
+                stored.between(step, step.length)
+                # The last step of a run ends there, whatever the sum of times is rounded to.
+                last = step.length == end - self.state.time
+                self.state = (
+                    step.end if len(step.lost) else self.trajectory.projected(step.end, step.held_contacts)
+                )
+                self.state = self.state.at(end) if last else self.state
+                stored.step(self.state)
+                if len(step.lost):
+                    self._resolve_impacts(self.state, step.lost)
+                    stored.step(self.state)
+            if len(self._events) > self.most_events:
+                raise RuntimeError(
+                    f"more than {self.most_events} events up to t = {self.state.time:.9g} s; "
+                    "zeno= may be too small for them, or most_events="
+                )
+            idle = idle + 1 if self.state.time == before else 0
+            if idle > MAX_IDLE:
+                self._raise_no_progress()
+            evaluated = self.trajectory.evaluate(self.state, self._held_contacts)
+
+    def _raise_no_progress(self) -> None:
+        labels = ", ".join(dict.fromkeys(one.label for one in self._events[-MAX_IDLE:])) or "the contacts"
+        raise RuntimeError(
+            f"at t = {self.state.time:.9g} s {labels} close and part again and again: in an inner edge of one "
+            "mesh a point touches one face at a time; let the faces be surfaces of their own"
+        )
+
+    def _advance_to_event(self, step: Step, time: float, velocities_decide: bool, stored: "_StoredStates") -> None:
+        """Goes to the event that is ``time`` after the start of a step, and finds what contacts do after it."""
+        stored.between(step, time)
+        self.state = step.at(time)
+        stored.step(self.state)
+        if velocities_decide:
+            self._resolve_impacts(self.state)
+        else:
+            self._change_modes(step, time)
+        stored.step(self.state)
+
+    def _check_overlaps(self) -> None:
+        gap = self.assembler.candidates.measure(self.state).gap
+        deep = np.flatnonzero(gap < -self.closed)
+        if len(deep):
+            label = self.assembler.candidates.labels[deep[0]]
+            raise ValueError(
+                f"{label} begins in overlap, {-gap[deep[0]]:.3g} m deep; nonsmooth contacts begin apart or closed"
+            )
+
+    def _safe_step(self, evaluated: EvaluatedState) -> float:
+        """Returns a time [s] within which no contact that is open closes unseen by more than ``closed``."""
+        assert self._held_contacts is not None
+        longest = self.step
+        spin = np.linalg.norm(self.state.angular_velocity, axis=1).max(initial=0.0)
+        if spin > 0.0:
+            longest = min(longest, MAX_TURN / spin)
+        is_open = np.isfinite(evaluated.measured.gap)
+        is_open[self._held_contacts.pairs] = False
+        gap, rate, change = (
+            values[is_open] for values in (evaluated.measured.gap, evaluated.rate, evaluated.acceleration_bound)
+        )
+        gap = np.maximum(gap, 0.0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            normal_response = (rate + np.sqrt(rate**2 + 2.0 * change * gap)) / change
+            straight = np.where(rate < 0.0, -gap / rate, np.inf)
+            earliest = np.where(change > 0.0, normal_response, straight)
+            shortest = np.sqrt(8.0 * self.closed / change)
+        return float(np.maximum(OVERSHOOT * earliest, shortest).min(initial=longest))
+
+    def _closed_pairs(self, state: Snapshot, before: HeldContacts) -> NDArray[np.int_]:
+        gap = self.assembler.candidates.measure(state).gap
+        is_closed = np.abs(gap) <= self.closed
+        is_closed[before.pairs] = np.isfinite(gap[before.pairs])
+        return np.flatnonzero(is_closed)
+
+    def _resolve_impacts(self, state: Snapshot, lost: NDArray[np.int_] = NO_PAIRS) -> None:
+        """Lets contacts that are closed impact, and finds what they do from then on; ``lost`` do nothing more."""
+        before = self._held_contacts
+        assert before is not None
+        pairs = self._closed_pairs(state, before)
+        pairs = pairs[np.isin(pairs, lost, invert=True)]
+        state, parted, events = self._impacts.resolve(state, pairs)
+        self._events += events
+        self._held_contacts = self._held_contacts_from(state, pairs[~parted])
+        self._record_changes(state.time, before, self._held_contacts)
+        self.state = self.trajectory.projected(state, self._held_contacts)
+
+    def _change_modes(self, step: Step, time: float) -> None:
+        """Finds what contacts do after they came to the edge of what they did, ``time`` after the start.
+
+        A little later, forces that they cannot have show what they do instead. Redundant contacts may share them
+        out otherwise, and go on.
+        """
+        before = self._held_contacts
+        assert before is not None
+        state = later = self.state
+        for part in TIME_FRACTIONS:
+            later = step.at(time + part * step.length)
+            found = self._held_contacts_from(later, self._closed_pairs(later, before))
+            same = np.array_equal(found.pairs, before.pairs) and np.array_equal(found.mode, before.mode)
+            if not same:
+                self._record_changes(state.time, before, found)
+                later = state
+                break
+        self._held_contacts = found
+        self.state = self.trajectory.projected(later, found)
+
+    def _held_contacts_from(self, state: Snapshot, pairs: NDArray[np.int_]) -> HeldContacts:
+        """Returns what closed contacts that do not part do from a state on."""
+        measured = self.assembler.candidates.measure(state)
+        own = self.assembler.assembly(state, measured, pairs)
+        b = self.trajectory.free_relative(state, own, pairs)
+        slip = own.contact_velocity[:, 1:]
+        sliding = np.linalg.norm(slip, axis=1) > SPEED_TOLERANCE
+        found = find_contact_modes(own.delassus, b, own.mu_static, own.mu, slip, sliding, own.labels, self.method)
+        stays = found.mode != MODE_OPEN
+        tangents = own.axes[stays, 1:]
+        return HeldContacts(
+            pairs=pairs[stays],
+            mode=found.mode[stays],
+            direction=(found.direction[stays, None, :] @ tangents)[:, 0],
+            force=(found.force[stays, None, :] @ own.axes[stays])[:, 0],
+        )
+
+    def _record_changes(self, time: float, before: HeldContacts, after: HeldContacts) -> None:
+        """Adds the events of contacts that do something else than before."""
+        candidates = self.assembler.candidates
+        was = dict(zip(before.pairs.tolist(), before.mode.tolist(), strict=True))
+        now = dict(zip(after.pairs.tolist(), after.mode.tolist(), strict=True))
+        for pair in was:
+            if pair not in now:
+                self._events.append(candidates.event(time, EventKind.LIFT_OFF, pair))
+        rubs = candidates.mu_static > 0.0
+        for pair, mode in now.items():
+            if rubs[pair] and was.get(pair) != mode:
+                kind = EventKind.STICK if mode == MODE_STICK else EventKind.SLIP
+                self._events.append(candidates.event(time, kind, pair))
+
+
+class _StoredStates:
+    """The states that a run keeps."""
+
+    def __init__(self, start: float, every: float | None) -> None:
+        self.start, self.every = start, every
+        self.states: list[Snapshot] = []
+
+    def first(self, state: Snapshot) -> None:
+        self.states.append(state)
+
+    def between(self, step: Step, length: float) -> None:
+        """Keeps the states at whole intervals within the first ``length`` [s] of a step."""
+        if self.every is None:
+            return
+        # Of a time that a step ends at to rounding, the state at its end.
+        while (next_time := self.start + len(self.states) * self.every) <= step.start.time + length * (
+            1.0 + 1.0e-12
+        ):
+            within = min(max(next_time - step.start.time, 0.0), length)
+            self.states.append(step.at(within).at(next_time))
+
+    def step(self, state: Snapshot) -> None:
+        """Keeps the state at the end of a step, or before or after an event."""
+        if self.every is None:
+            self.states.append(state)

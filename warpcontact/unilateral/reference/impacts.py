@@ -1,0 +1,124 @@
+"""Impacts of rigid bodies: several contacts at once, with friction, and series that come ever closer."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from warpcontact.unilateral.reference.acceleration import find_contact_modes
+from warpcontact.unilateral.reference.assembly import Assembler, Assembly
+from warpcontact.unilateral.reference.crossings import NO_FORCE, SPEED_TOLERANCE
+from warpcontact.unilateral.reference.events import Event, EventKind
+from warpcontact.unilateral.reference.sequence import parting_speeds
+from warpcontact.unilateral.reference.snapshot import Snapshot
+from warpcontact.validation.checks import Array
+
+# Work of impulses over that of all single ones that is rounding, and halvings of the restitution that brings more.
+WORK_TOLERANCE = 1.0e-12
+MAX_HALVINGS = 45
+# Speed of sliding over that of the last impact of a series up to which both end together.
+SLIDE_SPEED_RATIO = 20.0
+
+
+class Impacts:
+    """What impacts do to velocities; it remembers when they were.
+
+    Args:
+        assembler: Of the environment.
+        zeno: Impacts of a contact that follow one another within this time, ever closer, are summed up [s].
+        method: Of ``wc.unilateral.solve_delassus``.
+        sequential: Whether pairs of bodies collide one after the other.
+    """
+
+    def __init__(self, assembler: Assembler, zeno: float, method: str, sequential: bool) -> None:
+        self._assembler, self._zeno, self._method = assembler, zeno, method
+        self._sequential = sequential
+        self._last: dict[int, tuple[float, float]] = {}  # of a pair: when it was last, and how long before that
+
+    def resolve(self, state: Snapshot, pairs: NDArray[np.int_]) -> tuple[Snapshot, NDArray[np.bool_], list[Event]]:
+        """Returns the state after impacts of closed contacts, which of these part (contacts,), and the events."""
+        candidates = self._assembler.candidates
+        own = self._assembler.assembly(state, candidates.measure(state), pairs)
+        speed = own.contact_velocity
+        if not (speed[:, 0] < -SPEED_TOLERANCE).any():
+            return state, speed[:, 0] > SPEED_TOLERANCE, []
+        ending = self._series(state.time, pairs, speed[:, 0])
+        ends = np.isin(pairs, list(ending))
+        force = self._impulses(own, speed, np.where(ends, 0.0, own.restitution))
+        velocity = state.velocity + own.inverse_mass @ (own.rows.T @ force.reshape(-1))
+        if ending:
+            velocity = _end_series(own, velocity, ends, -speed[:, 0].min())
+        after = (own.rows @ velocity).reshape(-1, 3)[:, 0]
+        impulse = (force[:, None, :] @ own.axes)[:, 0]
+        events = [
+            candidates.event(state.time, EventKind.IMPACT, pair, impulse[number], -speed[number, 0], after[number])
+            for number, pair in enumerate(pairs)
+            if force[number, 0] > NO_FORCE * force[:, 0].max()
+        ]
+        events += [candidates.event(time, EventKind.REST, pair) for pair, time in ending.items()]
+        return state.with_velocity(velocity), after > SPEED_TOLERANCE, events
+
+    def _impulses(self, own: Assembly, speed: Array, restitution: Array) -> Array:
+        """Returns the impulses of an impact by local axes (contacts, 3) [N·s].
+
+        Simultaneous impacts keep Newton's law with the velocities before; sequential ones part as they do one
+        after the other. Friction acts in one problem either way. Newton's law alone may bring energy where
+        friction turns a slip round, or contacts of different restitution are hit together: restitution is then
+        lowered, of all contacts alike, until it brings none.
+        """
+        none = np.zeros(own.count, dtype=bool)
+        separation_speed = -restitution * np.minimum(speed[:, 0], 0.0)
+        if self._sequential and restitution.any():
+            normals = 3 * np.arange(own.count)
+            W = own.delassus[np.ix_(normals, normals)]
+            separation_speed = parting_speeds(W, speed[:, 0], restitution, own.bodies, self._method)
+
+        def solve_impact(factor: float) -> tuple[Array, float]:
+            target = speed.copy()
+            target[:, 0] -= factor * separation_speed
+            slip = np.zeros((own.count, 2))
+            found = find_contact_modes(own.delassus, target, own.mu, own.mu, slip, none, own.labels, self._method)
+            after = speed + (own.delassus @ found.force.reshape(-1)).reshape(-1, 3)
+            work = found.force * (speed + after)
+            return found.force, float(work.sum() / (np.abs(work).sum() or 1.0))
+
+        force, gain = solve_impact(1.0)
+        if gain <= WORK_TOLERANCE or not restitution.any():
+            return force
+        low, high = 0.0, 1.0
+        for _ in range(MAX_HALVINGS):
+            factor = 0.5 * (low + high)
+            low, high = (factor, high) if solve_impact(factor)[1] <= WORK_TOLERANCE else (low, factor)
+        return solve_impact(low)[0]
+
+    def _series(self, time: float, pairs: NDArray[np.int_], speed: Array) -> dict[int, float]:
+        """Returns contacts of which impacts that come ever closer are summed up, and when these have ended."""
+        limit = None
+        for pair, approach in zip(pairs.tolist(), speed, strict=True):
+            if approach >= -SPEED_TOLERANCE:
+                continue
+            last, interval = self._last.get(pair, (-np.inf, np.inf))
+            since = time - last
+            if np.isfinite(interval) and since <= self._zeno and since < interval:
+                ratio = since / interval
+                limit = max(limit or 0.0, time + since * ratio / (1.0 - ratio))
+            self._last[pair] = (time, since)
+        if limit is None:
+            return {}
+        # Contacts that take turns come to rest together.
+        recent = [pair for pair, (last, _) in self._last.items() if time - last <= 2.0 * self._zeno]
+        ending = {pair: limit for pair in recent if pair in pairs}
+        for pair in ending:
+            del self._last[pair]
+        return ending
+
+
+def _end_series(own: Assembly, velocity: Array, ending: NDArray[np.bool_], approach: float) -> Array:
+    """Returns velocities (6 bodies,) after all of a series of impacts: without what is left of parting.
+
+    And of sliding that is no faster than the last ``approach`` [m/s] by more than bodies are longer than wide.
+    """
+    U = (own.rows @ velocity).reshape(-1, 3)
+    is_slow = (np.linalg.norm(U[:, 1:], axis=1) < SLIDE_SPEED_RATIO * approach) & (own.mu > 0.0)
+    chosen = np.stack([ending, ending & is_slow, ending & is_slow], axis=1).reshape(-1)
+    rows = own.rows[chosen]
+    response = own.inverse_mass @ rows.T
+    return velocity - response @ np.linalg.lstsq(rows @ response, rows @ velocity, rcond=1.0e-11)[0]

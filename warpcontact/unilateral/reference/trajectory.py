@@ -1,0 +1,314 @@
+"""Motion between events: bodies in flight, and in contacts of which it is known what each of them does."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from warpcontact.geometry.vectors import cross
+from warpcontact.kernels.types import MODE_SLIP, MODE_STICK, TIME_FUNCTION, WORLD
+from warpcontact.unilateral.reference.acceleration import check_slides, forces_of_modes, normal_response, zero_rows
+from warpcontact.unilateral.reference.assembly import Assembler, Assembly, contact_rows
+from warpcontact.unilateral.reference.candidates import MeasuredPairs
+from warpcontact.unilateral.reference.snapshot import Snapshot
+from warpcontact.validation.checks import Array
+
+# Relative and absolute tolerance of a step of DOP853, some roundings of float64.
+RELATIVE, ABSOLUTE = 1.0e-12, 1.0e-13
+# Both, in contact with a body that follows a function of time: its accelerations are differences in time, good to
+# 1e-6, and steps that ask for more shrink for ever.
+PRESCRIBED_ERROR = 1.0e-8
+# Way over which the rows of H are differentiated [rad, m]: the error of the formula, of its fourth power, and that
+# of rounding are both below 1e-12.
+DIFFERENCE = 3.0e-4
+# Speed below which the direction of a slide is that in which it began [m/s].
+SLOW = 1.0e-10
+# Gyroscopic acceleration below this share of ω² is rounding.
+ROUNDING = 1.0e-13
+
+
+@dataclass(frozen=True)
+class HeldContacts:
+    """Contacts that stay closed, and what they do; vectors in world axes, whatever tangents are called.
+
+    Attributes:
+        pairs: Numbers of the candidates (contacts,).
+        mode: STICK or SLIP of each (contacts,).
+        direction: Of sliding (contacts, 3), 0 of others.
+        force: Forces of the instant from which this holds (contacts, 3) [N].
+    """
+
+    pairs: NDArray[np.int_]
+    mode: NDArray[np.int_]
+    direction: Array
+    force: Array
+
+    @staticmethod
+    def none() -> "HeldContacts":
+        """Returns that of bodies in flight."""
+        return HeldContacts(np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros((0, 3)), np.zeros((0, 3)))
+
+
+class LostContact(Exception):
+    """A contact that is held has left its surface: beyond its boundary nothing can touch."""
+
+    def __init__(self, pairs: NDArray[np.int_]) -> None:
+        super().__init__()
+        self.pairs = pairs
+
+
+@dataclass(frozen=True)
+class EvaluatedState:
+    """What one sees of a state.
+
+    Attributes:
+        measured: Where all pairs are.
+        rate: Rates of their gaps (pairs,) [m/s].
+        assembly: Of the contacts that are held.
+        force: Their forces, by local axes (contacts, 3) [N].
+        slide: Their speeds along the direction in which each slides (contacts,) [m/s].
+        acceleration: Of all bodies (6 bodies,) [m/s², rad/s²].
+        acceleration_bound: Bounds on accelerations of the gaps of all pairs (pairs,) [m/s²].
+    """
+
+    measured: MeasuredPairs
+    rate: Array
+    assembly: Assembly
+    force: Array
+    slide: Array
+    acceleration: Array
+    acceleration_bound: Array
+
+
+class Trajectory:
+    """How the bodies of one environment move while their contacts do what they do."""
+
+    def __init__(self, assembler: Assembler) -> None:
+        self.assembler = assembler
+        scene, bodies = assembler.model.scene, assembler.bodies
+        self.pairs = assembler.candidates.bodies
+        self.prescribed = bodies.kinds == TIME_FUNCTION
+        # Whether accelerations in flight do not depend on where bodies are, but for gyroscopic ones.
+        self.uniform = not (
+            scene.couplings
+            or scene.contact_couplings
+            or bodies.anchored.any()
+            or assembler.model.prescribed_motions
+        )
+
+    def evaluate(self, snapshot: Snapshot, held_contacts: HeldContacts) -> EvaluatedState:
+        """Returns what is seen of a state in which ``held_contacts`` holds."""
+        measured = self.assembler.candidates.measure(snapshot)
+        own = self.assembler.assembly(snapshot, measured, held_contacts.pairs)
+        local = self._forces(snapshot, own, held_contacts)
+        acceleration = own.accelerations(local)
+        is_slipping = held_contacts.mode == MODE_SLIP
+        speed = own.contact_velocity[:, None, :] @ own.axes
+        slide = np.where(is_slipping, (speed[:, 0] * held_contacts.direction).sum(axis=1), 0.0)
+        rows = self.normal_rows(snapshot, measured)
+        # What bodies that move alike have in common counts little; of turning it is at most ω² times the arm of K.
+        acceleration_bound = 2.0 * np.abs(rows @ acceleration) + 0.1 * np.abs(rows) @ np.abs(acceleration)
+        arms = np.linalg.norm(
+            np.nan_to_num(measured.point)[:, None] - snapshot.position[np.maximum(self.pairs, 0)], axis=2
+        )
+        fastest = (snapshot.angular_velocity**2).sum(axis=1)[np.maximum(self.pairs, 0)]
+        acceleration_bound += (fastest * arms * (self.pairs >= 0)).sum(axis=1)
+        return EvaluatedState(
+            measured, rows @ snapshot.velocity, own, local, slide, acceleration, acceleration_bound
+        )
+
+    def normal_rows(self, snapshot: Snapshot, measured: MeasuredPairs) -> Array:
+        """Returns the rows of H of all gaps (pairs, 6 bodies); zeros of pairs that cannot touch."""
+        valid = np.isfinite(measured.gap)
+        normal = np.where(valid[:, None], measured.normal, 0.0)
+        point = np.where(valid[:, None], measured.point, 0.0)
+        return contact_rows(normal[:, None, :], point, self.pairs, snapshot.position)[:, 0]
+
+    def free_relative(self, snapshot: Snapshot, own: Assembly, pairs: NDArray[np.int_]) -> Array:
+        """Returns relative accelerations of contacts without contact forces (contacts, 3) [m/s²]."""
+        b = (own.rows @ own.free_acceleration).reshape(-1, 3)
+        return b + self._convective_acceleration(snapshot, own, pairs)
+
+    def advance(self, snapshot: Snapshot, held_contacts: HeldContacts, duration: float) -> Snapshot:
+        """Returns the state after ``duration`` [s], in which ``held_contacts`` holds.
+
+        In closed form where accelerations are uniform; to rounding otherwise, by DOP853.
+
+        Raises:
+            LostContact: If a contact that is held leaves its surface before.
+        """
+        if duration == 0.0:
+            return snapshot
+        if self.uniform and not len(held_contacts.pairs):
+            uniform = self._uniform(snapshot)
+            if uniform is not None:
+                displacement = duration * snapshot.velocity
+                displacement[np.arange(len(displacement)) % 6 < 3] += (
+                    (0.5 * duration**2 * uniform).reshape(-1, 6)[:, :3].reshape(-1)
+                )
+                moved = snapshot.displaced(displacement).with_velocity(snapshot.velocity + duration * uniform)
+                return replace(moved, time=snapshot.time + duration)
+        return self._integrated(snapshot, held_contacts, duration)
+
+    def _uniform(self, snapshot: Snapshot) -> Array | None:
+        """Returns the accelerations of bodies in flight (6 bodies,), ``None`` if they are going to change."""
+        model, env = self.assembler.model, self.assembler.env
+        bodies = self.assembler.bodies
+        if model.arrays.model.body_external_torque.numpy()[env].any():
+            return None
+        response = bodies.response(snapshot)
+        spin = (snapshot.angular_velocity**2).sum(axis=1)
+        if (np.abs(response.bias.reshape(-1, 6)).max(axis=1) > ROUNDING * spin).any():
+            return None
+        force = np.zeros((bodies.count, 6))
+        force[:, :3] = model.arrays.model.body_external_force.numpy()[env] + bodies.mass[:, None] * bodies.gravity
+        acceleration: Array = response.inverse_mass @ force.reshape(-1)
+        return acceleration
+
+    def _integrated(self, snapshot: Snapshot, held_contacts: HeldContacts, duration: float) -> Snapshot:
+        from scipy.integrate import solve_ivp
+
+        count = len(snapshot.position)
+        normal = self.assembler.candidates.measure(snapshot).normal[held_contacts.pairs]
+        start = np.concatenate(
+            [snapshot.position.reshape(-1), snapshot.orientation.reshape(-1), snapshot.velocity]
+        )
+
+        def state(time: float, values: Array) -> Snapshot:
+            orientation = values[3 * count : 7 * count].reshape(count, 4)
+            moved = replace(
+                snapshot,
+                time=snapshot.time + time,
+                position=values[: 3 * count].reshape(count, 3),
+                orientation=orientation / np.linalg.norm(orientation, axis=1, keepdims=True),
+            ).with_velocity(values[7 * count :])
+            moved = self.assembler.bodies.project_anchors(moved)
+            return self.assembler.environment.apply_prescribed_motion(moved)
+
+        def derivatives(time: float, values: Array) -> Array:
+            now = state(time, values)
+            measured = self.assembler.candidates.measure(now)
+            valid = _same_surface(measured, held_contacts.pairs, normal)
+            if not valid.all():
+                raise LostContact(held_contacts.pairs[np.logical_not(valid)])
+            own = self.assembler.assembly(now, measured, held_contacts.pairs)
+            acceleration = own.accelerations(self._forces(now, own, held_contacts))
+            spin, q = now.angular_velocity, values[3 * count : 7 * count].reshape(count, 4)
+            turn = np.hstack(
+                [q[:, 3:] * spin + cross(spin, q[:, :3]), -(spin * q[:, :3]).sum(axis=1, keepdims=True)]
+            )
+            # Bodies that follow functions of time are put where these say.
+            parts = (now.linear_velocity, 0.5 * turn, acceleration.reshape(count, 6))
+            return np.concatenate([np.where(self.prescribed[:, None], 0.0, part).reshape(-1) for part in parts])
+
+        bodies = self.pairs[held_contacts.pairs]
+        is_prescribed = bool(self.prescribed[bodies[bodies != WORLD]].any())
+        relative, absolute = (PRESCRIBED_ERROR, PRESCRIBED_ERROR) if is_prescribed else (RELATIVE, ABSOLUTE)
+        result = solve_ivp(
+            derivatives, (0.0, duration), start, "DOP853", rtol=relative, atol=absolute, first_step=duration
+        )
+        if not result.success:
+            raise RuntimeError(
+                f"the motion from t = {snapshot.time:.9g} s could not be integrated: {result.message}"
+            )
+        return state(duration, result.y[:, -1])
+
+    def _forces(self, snapshot: Snapshot, own: Assembly, held_contacts: HeldContacts) -> Array:
+        """Returns the forces of contacts that are held, by local axes (contacts, 3) [N]."""
+        if not len(held_contacts.pairs):
+            return np.zeros((0, 3))
+        b = self.free_relative(snapshot, own, held_contacts.pairs)
+        guess = (own.axes @ held_contacts.force[..., None])[..., 0]
+        return forces_of_modes(
+            own.delassus, b, own.mu, held_contacts.mode, self.slide_directions(own, held_contacts), guess
+        )
+
+    def slide_directions(self, own: Assembly, held_contacts: HeldContacts) -> Array:
+        """Returns the directions of sliding by local axes (contacts, 2).
+
+        Beyond the end of a slide it is continued, so that the end can be found.
+        """
+        directions = (own.axes[:, 1:] @ held_contacts.direction[..., None])[..., 0]
+        sizes = np.linalg.norm(directions, axis=1, keepdims=True)
+        directions = np.divide(directions, sizes, out=np.zeros_like(directions), where=sizes > 0.0)
+        slip = own.contact_velocity[:, 1:]
+        speed = np.linalg.norm(slip, axis=1, keepdims=True)
+        keeps_sliding = ((slip * directions).sum(axis=1, keepdims=True) > SLOW) & (sizes > 0.0)
+        return np.where(keeps_sliding, slip / np.where(speed > 0.0, speed, 1.0), directions)
+
+    def check(self, evaluated: EvaluatedState, held_contacts: HeldContacts) -> None:
+        """Raises ``ParadoxError`` if contacts that slide do not determine their normal forces."""
+        own = evaluated.assembly
+        sliding = np.flatnonzero((held_contacts.mode == MODE_SLIP) & (own.mu > 0.0))
+        if len(sliding):
+            matrix = normal_response(own.delassus, own.mu, self.slide_directions(own, held_contacts), sliding)
+            check_slides(matrix, [own.labels[i] for i in sliding])
+
+    def projected(self, snapshot: Snapshot, held_contacts: HeldContacts) -> Snapshot:
+        """Returns the state with the gaps of closed contacts, and their velocities, at zero."""
+        if not len(held_contacts.pairs):
+            return snapshot
+        for _ in range(2):
+            measured = self.assembler.candidates.measure(snapshot)
+            own = self.assembler.assembly(snapshot, measured, held_contacts.pairs)
+            normals = 3 * np.arange(own.count)
+            snapshot = snapshot.displaced(_least_energy_change(own, normals, -own.gap))
+            snapshot = self.assembler.bodies.project_anchors(snapshot)
+        measured = self.assembler.candidates.measure(snapshot)
+        own = self.assembler.assembly(snapshot, measured, held_contacts.pairs)
+        rows = zero_rows(held_contacts.mode)
+        change = _least_energy_change(own, rows, -own.contact_velocity.reshape(-1)[rows])
+        return self.assembler.bodies.project_anchors(snapshot.with_velocity(snapshot.velocity + change))
+
+    def _convective_acceleration(self, snapshot: Snapshot, own: Assembly, pairs: NDArray[np.int_]) -> Array:
+        """Returns Ḣ v of contacts (contacts, 3): accelerations of K that turning and rolling bring about [m/s²].
+
+        By differences along the motion: the shapes of bodies need not be known.
+        """
+        velocity = snapshot.velocity
+        rate = np.linalg.norm(snapshot.angular_velocity, axis=1).max(initial=0.0)
+        rate = max(rate, np.linalg.norm(snapshot.linear_velocity, axis=1).max(initial=0.0))
+        if rate == 0.0 or not len(pairs):
+            return np.zeros((len(pairs), 3))
+        step = DIFFERENCE / rate
+        values = {0: (own.rows @ velocity).reshape(-1, 3)}
+        valid = np.ones(len(pairs), dtype=bool)
+        for steps in (-2, -1, 1, 2):
+            moved = snapshot.displaced(steps * step * velocity)
+            measured = self.assembler.candidates.measure(moved)
+            if steps > 0:
+                valid &= _same_surface(measured, pairs, own.axes[:, 0])
+            axes = np.concatenate([measured.normal[pairs][:, None], own.axes[:, 1:]], axis=1)
+            rows = contact_rows(axes, measured.point[pairs], self.pairs[pairs], moved.position)
+            values[steps] = (rows.reshape(3 * len(pairs), -1) @ velocity).reshape(-1, 3)
+        result = values[-2] - 8.0 * values[-1] + 8.0 * values[1] - values[2]
+        # At the boundary of a surface, by what lies behind.
+        one_sided = 6.0 * (values[-2] - 4.0 * values[-1] + 3.0 * values[0])
+        result = np.where(valid[:, None], result, one_sided)
+        self.assembler.environment.write(snapshot)
+        return result / (12.0 * step)
+
+
+def _same_surface(measured: MeasuredPairs, pairs: NDArray[np.int_], normal: Array) -> NDArray[np.bool_]:
+    """Whether contacts that were closed with these normals a little before touch the same part of a surface.
+
+    What is beside the boundary of a surface is turned away from it.
+    """
+    same_side = (measured.normal[pairs] * normal).sum(axis=1) > 0.5
+    result: NDArray[np.bool_] = np.isfinite(measured.gap[pairs]) & same_side
+    return result
+
+
+def _least_energy_change(own: Assembly, rows: NDArray[np.int_], targets: Array) -> Array:
+    """Returns the change (6 bodies,) of least kinetic energy that changes rows of H by ``targets``."""
+    H = own.rows[rows]
+    response = own.inverse_mass @ H.T
+    return response @ np.linalg.lstsq(H @ response, targets, rcond=1.0e-11)[0]
+
+
+def contact_margins(evaluated: EvaluatedState, held_contacts: HeldContacts) -> tuple[Array, Array]:
+    """Returns how far contacts that are held are from parting and sliding (contacts,) [N]; ∞: they cannot."""
+    normal = evaluated.force[:, 0]
+    sticks = (held_contacts.mode == MODE_STICK) & (evaluated.assembly.mu_static > 0.0)
+    friction_reserve = evaluated.assembly.mu_static * normal - np.linalg.norm(evaluated.force[:, 1:], axis=1)
+    return normal, np.where(sticks, friction_reserve, np.inf)

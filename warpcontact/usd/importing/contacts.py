@@ -1,0 +1,220 @@
+"""Which colliders touch, and by which contacts; ``docs/usd.md`` says the rules."""
+
+from dataclasses import astuple, dataclass
+from itertools import islice
+from typing import Any
+
+import numpy as np
+
+from warpcontact.kernels.shapes import shapes
+from warpcontact.meshes import sample_surface
+from warpcontact.scene.elements import Body, ContactMaterial, Points, Surface
+from warpcontact.scene.scene import Scene
+from warpcontact.scene.shapes import Shape
+from warpcontact.usd.importing.contact_count import averaged_force_scale
+from warpcontact.usd.importing.contact_materials import ContactMaterials, PhysicsMaterial, Side
+from warpcontact.usd.importing.findings import InvalidValue
+from warpcontact.usd.importing.pairs import Numbers, group_particles, other_pairs, pairs_within_groups
+from warpcontact.usd.importing.shapes import ColliderShape
+from warpcontact.usd.rolling import rolling_radius
+
+#: So many spheres and capsules of one material are a pile, in which partners are looked for.
+MIN_PARTICLES = 32
+#: Most contacts of one scene, but for piles.
+MOST_CONTACTS = 10_000
+#: Most points of what is at rest that look for what moves.
+MOST_POINTS = 2000
+
+
+@dataclass(eq=False)
+class Collider:
+    """A collider of a scene, and what was made of it.
+
+    Attributes:
+        path: Path of its prim.
+        name: Its name.
+        body: Body that carries it; ``None``: the world.
+        moves: Whether forces move that.
+        geometry: What it is.
+        material: Its physics material.
+        visible: Whether it is drawn.
+    """
+
+    path: str
+    name: str
+    body: Body | None
+    moves: bool
+    geometry: ColliderShape
+    material: PhysicsMaterial
+    visible: bool
+    shape: Shape | None = None
+    surface_element: Surface | None = None
+    centre: Points | None = None
+    points: Points | None = None
+
+    @property
+    def side(self) -> Side:
+        """Its material and the body that forces move."""
+        return Side(self.material, self.body if self.moves else None)
+
+    def is_a(self, *kinds: type) -> bool:
+        """Whether its form is one of these."""
+        return isinstance(self.geometry.form, kinds)
+
+    def add(self, scene: Scene) -> None:
+        """Adds its shape, or its surface if it is a mesh."""
+        if self.geometry.form is None:
+            self.surface(scene)
+            return
+        position, rotation = self.geometry.position, self.geometry.orientation
+        self.shape = scene.add_shape(
+            self.body, self.geometry.form, position, rotation, name=self.name, visible=self.visible
+        )
+
+    def surface(self, scene: Scene) -> Surface:
+        """Returns its surface, which is added when it is first asked for."""
+        if self.surface_element is None:
+            mesh, is_mesh = self.geometry.surface(self.name), self.geometry.form is None
+            name = self.name if is_mesh else scene.new_name(f"{self.name}_surface", None)
+            position, rotation, visible = (
+                self.geometry.position,
+                self.geometry.orientation,
+                is_mesh and self.visible,
+            )
+            self.surface_element = scene.add_surface(
+                mesh, self.body, position, rotation, name=name, visible=visible
+            )
+        return self.surface_element
+
+    def center_point(self, scene: Scene) -> Points:
+        """Returns the centre of a sphere as a point."""
+        if self.centre is None:
+            name = scene.new_name(f"{self.name}_centre", None)
+            self.centre = scene.add_point(self.body, self.geometry.position, name=name)
+        return self.centre
+
+    def sample_points(self, scene: Scene, samples: int | str) -> Points:
+        """Returns points of its surface."""
+        if self.points is None:
+            surface_element = self.surface(scene)
+            method = {"method": samples} if isinstance(samples, str) else {"count": samples}
+            name = scene.new_name(f"{self.name}_points", None)
+            self.points = scene.add_points(
+                surface_element, sample_surface(surface_element.mesh, **method), name=name
+            )
+        return self.points
+
+
+class ContactBuilder:
+    """Adds the contacts of colliders to a scene.
+
+    Args:
+        scene: The scene.
+        material: Law and friction of all contacts; ``None``: as materials say.
+        contact_time: Time that an impact takes, which stiffness follows from [s].
+        samples: Of ``add_surface_contact``.
+    """
+
+    def __init__(
+        self, scene: Scene, material: ContactMaterial | None, contact_time: float, samples: int | str
+    ) -> None:
+        self.scene = scene
+        self.samples = samples
+        self.combiner = ContactMaterials(material, contact_time)
+        self.remarks: list[str] = []
+
+    def add(self, colliders: list[Collider], excluded: Numbers) -> None:
+        """Adds all contacts of colliders.
+
+        Args:
+            colliders: The colliders.
+            excluded: Pairs (n, 2) of their numbers that do not touch, the lower number first, ordered.
+        """
+        groups = group_particles([_particle_key(collider) for collider in colliders], MIN_PARTICLES)
+        for number, exclude in enumerate(pairs_within_groups(groups, excluded)):
+            self._add_particles([colliders[i] for i in np.flatnonzero(groups == number)], exclude, colliders)
+        carriers: dict[Body | None, int] = {}
+        bodies = np.array(
+            [carriers.setdefault(collider.body, len(carriers)) for collider in colliders], dtype=np.int64
+        )
+        moves = np.array([collider.moves for collider in colliders], dtype=bool)
+        pairs = list(islice(other_pairs(bodies, moves, groups, excluded), MOST_CONTACTS + 1))
+        if len(pairs) > MOST_CONTACTS:
+            raise InvalidValue(
+                f"more than {MOST_CONTACTS} pairs of colliders may touch; no more are allowed. Keep "
+                "apart what does not touch, with collision groups or filtered pairs"
+            )
+        for i, j in pairs:
+            first, second = colliders[i], colliders[j]
+            # What moves, and no half-space, is the first: normals point towards it.
+            swap = (first.is_a(shapes.Plane), not first.moves) > (second.is_a(shapes.Plane), not second.moves)
+            self._add_pair(*((second, first) if swap else (first, second)))
+        self.remarks += self.combiner.remarks()
+
+    def _add_particles(self, members: list[Collider], excluded: Numbers, colliders: list[Collider]) -> None:
+        heaviest = max(members, key=lambda first: first.side.mass)
+        radii = {first.geometry.form.radius for first in members}  # type: ignore[union-attr]
+        radius = radii.pop() / 2.0 if len(radii) == 1 else None
+        label = f"the particle contact of {members[0].name!r}"
+        material, options = self.combiner.combine(label, heaviest.side, heaviest.side, radius)
+        exclude = [(_shape(colliders[i]), _shape(colliders[j])) for i, j in excluded.tolist()]
+        self.scene.add_particle_contact([_shape(first) for first in members], material, exclude=exclude, **options)
+
+    def _add_pair(self, first: Collider, second: Collider) -> None:
+        scene = self.scene
+        name = scene.new_name(f"{first.name}_{second.name}", None)
+        form, second_form = first.geometry.form, second.geometry.form
+        sphere, surface_side = (first, second) if first.is_a(shapes.Sphere) else (second, first)
+        smooth = form is not None and second_form is not None
+        if form is not None and second_form is not None:
+            radius = rolling_radius(form, second_form)
+        else:
+            radius = sphere.geometry.form.radius if sphere.is_a(shapes.Sphere) else None  # type: ignore[union-attr]
+        material, common = self.combiner.combine(repr(name), first.side, second.side, radius)
+        options: dict[str, Any] = {**common, "name": name}
+        if smooth:
+            scene.add_shape_contact(_shape(first), _shape(second), material, **options)
+        elif radius is not None:
+            scene.add_contact(
+                sphere.center_point(scene), surface_side.surface(scene), material, radius=radius, **options
+            )
+        elif second.is_a(shapes.Plane):
+            self._add_points(first, second, material, options, 1.0)
+        else:
+            self._add_surfaces(first, second, material, options)
+
+    def _add_surfaces(
+        self, first: Collider, second: Collider, material: ContactMaterial, options: dict[str, Any]
+    ) -> None:
+        """Lets points of two surfaces touch the other one; of one at rest only if they are not too many."""
+        both = second.moves or len(second.surface(self.scene).mesh.vertices) <= MOST_POINTS
+        self._add_points(first, second, material, options, 0.5 if both else 1.0)
+        if both:
+            name = self.scene.new_name(f"{second.name}_{first.name}", None)
+            self._add_points(second, first, material, options | {"name": name}, 0.5)
+        else:
+            self.remarks.append(
+                f"{second.path}: it has more than {MOST_POINTS} vertices and does not move: points of "
+                f"{first.path} touch it, and not the reverse"
+            )
+
+    def _add_points(
+        self, first: Collider, second: Collider, material: ContactMaterial, options: dict[str, Any], part: float
+    ) -> None:
+        """Lets points of one surface touch the other; ``part``: of the force of the pair."""
+        points, surface_element = first.sample_points(self.scene, self.samples), second.surface(self.scene)
+        reach = 0.5 * float(np.linalg.norm(np.ptp(surface_element.mesh.bounds, axis=0)))
+        force_scale = part * averaged_force_scale(points.positions, reach, convex=first.moves)
+        self.scene.add_contact(points, surface_element, material, force_scale=force_scale, **options)
+
+
+def _shape(first: Collider) -> Shape:
+    assert first.shape is not None
+    return first.shape
+
+
+def _particle_key(first: Collider) -> tuple[float | None, ...] | None:
+    """Returns what spheres and capsules of a pile have in common; ``None``: it is in none."""
+    if first.moves and first.is_a(shapes.Sphere, shapes.Capsule):
+        return astuple(first.material)
+    return None

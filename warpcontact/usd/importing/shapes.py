@@ -1,0 +1,248 @@
+"""Colliders as what can touch here: shapes of analytic form and meshes, in the frame of their body."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial.transform import Rotation
+
+from warpcontact.kernels.shapes import shapes
+from warpcontact.kernels.shapes.base import Shape as Form
+from warpcontact.meshes import Mesh, MeshError, icosphere
+from warpcontact.meshes.repair import repaired
+from warpcontact.meshes.topology import area_vectors
+from warpcontact.usd.importing import solids
+from warpcontact.usd.importing.colliders import APPROXIMATIONS
+from warpcontact.usd.importing.findings import InvalidValue, Unsupported
+from warpcontact.validation.checks import Array
+
+# Scales, and right angles between axes, are equal but for so much: more than rounding to float32.
+_EQUAL = 1.0e-5
+# Segments around what is made of triangles.
+_AROUND = 32
+# Half the side of the square that stands for a half-space where meshes touch it [m].
+REACH = 1000.0
+
+
+@dataclass(frozen=True)
+class ColliderShape:
+    """A collider in the frame of its body, or of the world.
+
+    Attributes:
+        form: Its analytic form; ``None``: it is a mesh.
+        mesh: Its mesh, in its frame; ``None``: it has a form.
+        position: Origin of its frame (3,) [m].
+        orientation: Rotation out of its frame, quaternion (x, y, z, w).
+        solid: What it encloses, in the frame of its body; ``None``: nothing.
+        remarks: What to know of it.
+    """
+
+    form: Form | None
+    mesh: Mesh | None
+    position: Array
+    orientation: Array
+    solid: solids.Solid | None
+    remarks: tuple[str, ...] = ()
+
+    def surface(self, name: str) -> Mesh:
+        """Returns its surface as a mesh, in its frame."""
+        if self.mesh is not None:
+            return self.mesh
+        assert self.form is not None
+        return triangles(self.form, name)
+
+
+def collider_shape(
+    shape: dict[str, Any], linear: Array, position: Array, name: str, *, filled: bool
+) -> ColliderShape:
+    """Returns what a collider is.
+
+    Args:
+        shape: As ``colliders.shape_of`` returns it.
+        linear: From its prim to the frame of its body, (3, 3), with all scales [m].
+        position: Origin of its prim in that frame (3,) [m].
+        name: For its mesh.
+        filled: Whether it is sure to be a solid, and no room.
+
+    Raises:
+        InvalidValue: If its mesh cannot carry contact.
+        Unsupported: If its transformation makes no shape of it.
+    """
+    kind = shape["kind"]
+    if kind == "mesh":
+        return _mesh(shape, linear, position, name, filled)
+    if kind == "sphere":
+        return _sphere(shape["radius"], linear, position)
+    if kind == "box":
+        return _box(shape["half"], linear, position)
+    if kind == "plane":
+        normal = np.linalg.solve(linear.T, shape["axes"][2])
+        tangent = np.linalg.svd(normal[None])[2][1]
+        return ColliderShape(shapes.Plane(), None, position, _rotation_from_axes(tangent, normal), None)
+    return _about_axis(shape, linear, position)
+
+
+def _rotation_from_axes(u: Array, w: Array) -> Array:
+    """Returns the rotation whose x and z axes are along two directions at right angles."""
+    x, z = u / np.linalg.norm(u), w / np.linalg.norm(w)
+    return Rotation.from_matrix(np.column_stack([x, np.cross(z, x), z])).as_quat()
+
+
+def _sphere(radius: float, linear: Array, position: Array) -> ColliderShape:
+    axes, sizes, _ = np.linalg.svd(linear)
+    solid = solids.ball(radius).transformed(linear, position)
+    if sizes[0] - sizes[2] <= _EQUAL * sizes[0]:
+        return ColliderShape(
+            shapes.Sphere(radius * float(sizes.mean())), None, position, np.array([0.0, 0, 0, 1]), solid
+        )
+    semi_axes: Any = tuple((radius * sizes).tolist())
+    return ColliderShape(
+        shapes.Ellipsoid(semi_axes), None, position, _rotation_from_axes(axes[:, 0], axes[:, 2]), solid
+    )
+
+
+def _box(half: Array, linear: Array, position: Array) -> ColliderShape:
+    lengths = np.linalg.norm(linear, axis=0)
+    _check_square(linear / lengths, "box")
+    extents: Any = tuple((half * lengths).tolist())
+    solid = solids.cuboid(half).transformed(linear, position)
+    return ColliderShape(
+        shapes.RoundedBox(extents), None, position, _rotation_from_axes(linear[:, 0], linear[:, 2]), solid
+    )
+
+
+def _check_square(axes: Array, kind: str) -> None:
+    if np.abs(axes.T @ axes - np.eye(3)).max() > _EQUAL:
+        raise Unsupported(f"a {kind} that is sheared")
+
+
+def _about_axis(shape: dict[str, Any], linear: Array, position: Array) -> ColliderShape:
+    kind, radius, half, frame = shape["kind"], shape["radius"], shape["half"], shape["axes"].T
+    shape_axes = linear @ frame  # columns: x, y and z of the shape in the frame of the body
+    lengths = np.linalg.norm(shape_axes, axis=0)
+    _check_square(shape_axes / lengths, kind)
+    if abs(lengths[0] - lengths[1]) > _EQUAL * lengths[0]:
+        raise Unsupported(f"a {kind} that is scaled unevenly around its axis, by {lengths[:2].tolist()}")
+    if kind == "capsule" and abs(lengths[2] - lengths[0]) > _EQUAL * lengths[0]:
+        raise Unsupported(f"a capsule that is scaled unevenly, by {lengths.tolist()}")
+    make_solid = {"capsule": solids.capsule, "cylinder": solids.rod, "cone": solids.cone}[kind]
+    solid = make_solid(radius, half).transformed(shape_axes, position)
+    scaled_radius, scaled_half = radius * float(lengths[0]), half * float(lengths[2])
+    orientation = _rotation_from_axes(shape_axes[:, 0], shape_axes[:, 2])
+    if kind == "capsule":
+        return ColliderShape(shapes.Capsule(scaled_radius, scaled_half), None, position, orientation, solid)
+    if kind == "cylinder":
+        return ColliderShape(shapes.Cylinder(scaled_radius, scaled_half), None, position, orientation, solid)
+    return ColliderShape(
+        shapes.Cone(scaled_radius, 2.0 * scaled_half), None, position - half * shape_axes[:, 2], orientation, solid
+    )
+
+
+def _mesh(shape: dict[str, Any], linear: Array, position: Array, name: str, filled: bool) -> ColliderShape:
+    vertices, faces, approximation_name = shape["vertices"], shape["faces"], shape["approximation"]
+    used = vertices[np.unique(faces)]
+    approximation = APPROXIMATIONS[approximation_name]
+    if approximation == "box":
+        lower, upper = used.min(axis=0), used.max(axis=0)
+        if (upper <= lower).any():
+            raise InvalidValue(f"the box around its points must have a volume, got {(upper - lower).tolist()}")
+        return _box(0.5 * (upper - lower), linear, position + linear @ (0.5 * (lower + upper)))
+    points = used @ linear.T
+    if approximation == "sphere":
+        middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+        radius = float(np.linalg.norm(points - middle, axis=1).max())
+        return _sphere(radius, np.eye(3), position + middle)
+    remarks = []
+    if approximation == "hull":
+        mesh = hull(points, name)
+    else:
+        if approximation_name != "none":
+            remarks.append(f"the approximation {approximation_name} is not carried out: the mesh itself touches")
+        flipped = faces[:, ::-1] if np.linalg.det(linear) < 0.0 else faces
+        mesh = _repaired_if_needed(vertices @ linear.T, flipped, name, remarks)
+        if mesh.report.orientation == "inward" and (filled or approximation_name != "none"):
+            mesh = mesh.flipped()
+            remarks.append("its faces looked inward and were turned: it is a solid")
+    solid = solids.mesh_solid(mesh)
+    if solid is None and mesh.report.closed is False:
+        try:
+            solid = solids.mesh_solid(hull(points, name))
+        except InvalidValue:
+            solid = None  # a flat one weighs nothing
+    placed = None if solid is None else solid.transformed(np.eye(3), position)
+    return ColliderShape(None, mesh, position, np.array([0.0, 0.0, 0.0, 1.0]), placed, tuple(remarks))
+
+
+def _repaired_if_needed(vertices: Array, faces: Any, name: str, remarks: list[str]) -> Mesh:
+    """Returns a mesh as it is, or else repaired."""
+    try:
+        return Mesh(vertices, faces, name=name)
+    except MeshError:
+        try:
+            mesh = repaired(_Triangles(vertices, faces), name=name)
+        except MeshError as error:
+            raise InvalidValue(error) from error
+    remarks += [f"its mesh was repaired: {step.text}" for step in mesh.report.repairs if step.count]
+    return mesh
+
+
+@dataclass(frozen=True)
+class _Triangles:
+    vertices: Array
+    faces: Any
+
+
+def hull(points: Array, name: str) -> Mesh:
+    """Returns the convex hull of points (n, 3).
+
+    Raises:
+        InvalidValue: If they lie in a plane.
+    """
+    try:
+        found = ConvexHull(points)
+    except (QhullError, ValueError) as error:
+        raise InvalidValue("the convex hull of its points has no volume: they lie in a plane") from error
+    faces, corners = found.simplices, points[found.simplices]
+    outward = area_vectors(corners)
+    back = (outward * found.equations[:, :3]).sum(axis=1) < 0.0
+    faces = np.where(back[:, None], faces[:, ::-1], faces)
+    used, numbers = np.unique(faces, return_inverse=True)
+    return _repaired_if_needed(points[used], numbers.reshape(-1, 3), name, [])
+
+
+def triangles(form: Form, name: str) -> Mesh:
+    """Returns the surface of a form as a mesh, in its frame; of a half-space a square."""
+    match form:
+        case shapes.Plane():
+            corners = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
+            return Mesh(REACH * corners, [[0, 1, 2], [0, 2, 3]], name=name)
+        case shapes.RoundedBox():
+            signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+            return hull(signs * np.array(form.half_extents), name)
+        case shapes.Sphere() | shapes.Ellipsoid():
+            semi_axes = (form.radius,) * 3 if isinstance(form, shapes.Sphere) else form.semi_axes
+            round_one = icosphere(1.0, 3)
+            return Mesh(round_one.vertices * np.array(semi_axes), round_one.faces, name=name)
+        case shapes.Cylinder():
+            return hull(_rings([(form.radius, -form.half_length), (form.radius, form.half_length)]), name)
+        case shapes.Cone():
+            return hull(np.vstack([_rings([(form.radius, 0.0)]), [[0.0, 0.0, form.height]]]), name)
+        case shapes.Capsule():
+            bends = np.linspace(0.0, 0.5 * np.pi, _AROUND // 4, endpoint=False)
+            ends = [
+                (form.radius * np.cos(bend), sign * (form.half_length + form.radius * np.sin(bend)))
+                for sign in (-1.0, 1.0)
+                for bend in bends
+            ]
+            tips = [[0.0, 0.0, sign * (form.half_length + form.radius)] for sign in (-1.0, 1.0)]
+            return hull(np.vstack([_rings(ends), tips]), name)
+    raise Unsupported(f"a {type(form).__name__} that touches a mesh")
+
+
+def _rings(profile: list[tuple[float, float]]) -> Array:
+    """Returns points on circles of radius and height about the z axis."""
+    angles = np.linspace(0.0, 2.0 * np.pi, _AROUND, endpoint=False)
+    return np.concatenate(
+        [np.column_stack([r * np.cos(angles), r * np.sin(angles), np.full(_AROUND, z)]) for r, z in profile]
+    )

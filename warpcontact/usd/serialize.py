@@ -1,0 +1,220 @@
+"""A scene in words: each element as the call that adds it, with the arguments that make it anew.
+
+An element keeps what it was given, checked. Its words are the arguments of its function of ``Scene``, in the order
+in which elements were added: called again they make the same scene, to the bit.
+"""
+
+import functools
+import inspect
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from warpcontact.kernels.joints import Free, Motion
+from warpcontact.scene.contact_coupling import ContactCoupling
+from warpcontact.scene.couplings import Bushing, Catenary, SpringDamper
+from warpcontact.scene.elements import Body, Contact, Points, Surface
+from warpcontact.scene.particles import ParticleContact
+from warpcontact.scene.scene import Scene
+from warpcontact.scene.shapes import Shape, ShapeContact
+from warpcontact.validation.checks import Array
+
+#: The function of ``Scene`` that adds an element, by its kind.
+ADDERS = {
+    "body": "add_body",
+    "bodies": "add_bodies",
+    "surface": "add_surface",
+    "point": "add_point",
+    "points": "add_points",
+    "contact": "add_contact",
+    "contact_coupling": "add_contact_coupling",
+    "spring_damper": "add_spring_damper",
+    "bushing": "add_bushing",
+    "catenary": "add_catenary",
+    "shape": "add_shape",
+    "shape_contact": "add_shape_contact",
+    "particle_contact": "add_particle_contact",
+}
+#: What an element keeps as 0 or 1 and is given as false or true.
+SWITCHES = ("enabled", "tension_only")
+# Arguments that say what another one says already: the faces of the meshes of a surface are turned.
+_DERIVED_ARGUMENTS = {"surface": ("flip",)}
+
+
+@dataclass(frozen=True)
+class ElementCall:
+    """An element as the call that adds it.
+
+    Attributes:
+        kind: One of ``ADDERS``.
+        name: Name of the element.
+        arguments: By name, those that have their default left out. Numbers are Python's, or arrays.
+        rows: Names of those that have one entry for each of a set.
+    """
+
+    kind: str
+    name: str
+    arguments: dict[str, Any]
+    rows: frozenset[str]
+
+
+@dataclass(frozen=True)
+class ShapeParameters:
+    """The form of a shape, or those of a set of shapes.
+
+    Attributes:
+        kind: Their class.
+        sizes: Their parameters by name, one entry for each (n, …).
+    """
+
+    kind: type
+    sizes: dict[str, Array]
+
+
+@functools.cache
+def argument_names(kind: str) -> tuple[str, ...]:
+    """Returns the names of the arguments that elements of a kind have; points may have ``normals``, too."""
+    names = tuple(inspect.signature(getattr(Scene, ADDERS[kind])).parameters)[1:]
+    names_without_derived = tuple(
+        name for name in names if name != "name" and name not in _DERIVED_ARGUMENTS.get(kind, ())
+    )
+    return (*names_without_derived, "normals") if kind == "points" else names_without_derived
+
+
+@functools.cache
+def required_names(kind: str) -> tuple[str, ...]:
+    """Returns the names of the arguments that elements of a kind cannot be made without."""
+    parameters = inspect.signature(getattr(Scene, ADDERS[kind])).parameters.values()
+    return tuple(one.name for one in parameters if one.default is inspect.Parameter.empty)[1:]
+
+
+def element_calls(scene: Scene) -> list[ElementCall]:
+    """Returns all elements in the order in which they were added; parts of a contact coupling are left to it."""
+    parts = set[str]()
+    for coupling in scene.contact_couplings:
+        for contact in coupling.contacts:
+            parts |= {contact.name, contact.points.name}
+    return [_element_call(element) for element in scene.elements() if element.name not in parts]
+
+
+def _element_call(element: Any) -> ElementCall:
+    kind, overrides, rows = _call_arguments(element)
+    arguments = {}
+    for name in argument_names(kind):
+        value = overrides[name] if name in overrides else getattr(element, name)
+        if value is not None:
+            plain = _plain(name, value)
+            if not _is_default(plain, _defaults(kind).get(name)):
+                arguments[name] = plain
+    return ElementCall(kind, element.name, arguments, frozenset(rows) & arguments.keys())
+
+
+@functools.cache
+def _defaults(kind: str) -> dict[str, Any]:
+    parameters = inspect.signature(getattr(Scene, ADDERS[kind])).parameters.values()
+    return {one.name: one.default for one in parameters if one.default is not inspect.Parameter.empty}
+
+
+def _is_default(value: Any, default: Any) -> bool:
+    """Whether a value is the default of its argument, to the bit."""
+    if isinstance(value, np.ndarray):
+        return isinstance(default, tuple) and value.tobytes() == np.array(default, dtype=np.float64).tobytes()
+    return (
+        isinstance(value, bool | int | float | str)
+        and type(value) is type(default)
+        and repr(value) == repr(default)
+    )
+
+
+def _plain(name: str, value: Any) -> Any:
+    if name in SWITCHES:
+        return bool(value)
+    return value.item() if isinstance(value, np.ndarray) and value.ndim == 0 else value
+
+
+def _call_arguments(element: Any) -> tuple[str, dict[str, Any], tuple[str, ...]]:
+    """Returns the kind of an element, the arguments that are not attributes of their name, and those in rows."""
+    match element:
+        case Body(single=True):
+            return "body", {"motion": _motion(element)}, ()
+        case Body():
+            attributes = {
+                "positions": element.position,
+                "orientations": element.orientation,
+                "linear_velocities": element.linear_velocity,
+                "angular_velocities": element.angular_velocity,
+                "external_forces": element.external_force,
+                "external_torques": element.external_torque,
+            }
+            return "bodies", attributes | {"motion": _motion(element)}, (*attributes, "mass", "inertia")
+        case Surface():
+            has_meshes = len(element.meshes) > 1
+            masks = [None if mask.all() else mask for mask in element.active]
+            active_status = all(mask is None for mask in masks)
+            active = None if active_status else list(element.active) if has_meshes else element.active[0]
+            return "surface", {"mesh": element.meshes, "active_faces": active}, ()
+        case Points():
+            carrier = element.body if element.surface is None else element.surface
+            if element.single:
+                return "point", {"body": carrier, "position": element.positions[0]}, ()
+            return "points", {"body": carrier}, ("positions", "areas", "normals")
+        case Contact():
+            return "contact", _max_depth(element), ("radius",) if element.radius.ndim else ()
+        case ContactCoupling():
+            return "contact_coupling", _coupling_arguments(element), ()
+        case SpringDamper():
+            plain = {
+                "stiffness": element.spring.stiffness if element.plain_spring else None,
+                "damping": element.damper.damping if element.plain_damper else None,
+            }
+            formulas = {
+                "spring": None if element.plain_spring else element.spring,
+                "damper": None if element.plain_damper else element.damper,
+            }
+            return "spring_damper", plain | formulas, ()
+        case Bushing():
+            return "bushing", {}, ()
+        case Catenary():
+            return "catenary", {}, ()
+        case Shape():
+            form = ShapeParameters(element.kind, element.sizes)
+            if element.single:
+                overrides = {"position": element.positions[0], "orientation": element.orientations[0]}
+                return "shape", overrides | {"form": form}, ()
+            overrides = {"position": element.positions, "orientation": element.orientations}
+            return "shape", overrides | {"form": form}, ("position", "orientation")
+        case ShapeContact():
+            return "shape_contact", _max_depth(element), ()
+        case ParticleContact():
+            # By numbers: a relationship has each of its targets once.
+            pairs = [[element.shapes.index(shape) for shape in pair] for pair in element.excluded]
+            excluded = np.array(pairs, dtype=np.int32) if pairs else None
+            return "particle_contact", {"exclude": excluded, **_max_depth(element)}, ("exclude",)
+    raise TypeError(f"{element.name!r} is a {type(element).__name__}, which has no words")
+
+
+def _motion(body: Body) -> Motion | None:
+    return None if type(body.motion) is Free else body.motion
+
+
+def _max_depth(contact: Contact | ShapeContact | ParticleContact) -> dict[str, Any]:
+    """Returns the greatest depth; ``None``: any."""
+    return {"max_depth": contact.max_depth if np.isfinite(contact.max_depth) else None}
+
+
+def _coupling_arguments(coupling: ContactCoupling) -> dict[str, Any]:
+    first = coupling.contacts[0]
+    law: Any = first.material.law
+    # As many points for each active face.
+    quadrature = first.points.count // int(np.count_nonzero(coupling.surface_a.active_faces))
+    return {
+        "friction": first.material.friction,
+        "quadrature": quadrature,
+        "damping_ramp": law.ramp,
+        "search": first.search,
+        "boundary": first.boundary,
+        "enabled": first.enabled,
+        "color": first.color,
+        "visible": first.visible,
+    }

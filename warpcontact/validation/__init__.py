@@ -1,0 +1,1 @@
+"""Checks of user input, and safe text for messages."""

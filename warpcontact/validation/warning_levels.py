@@ -1,0 +1,56 @@
+"""Warnings and their levels. Warning filters import this module first, so it imports no kernels."""
+
+import enum
+
+from warpcontact.validation.safe_text import escape_controls
+
+
+class WarningLevel(enum.StrEnum):
+    """Level of a warning: its meaning for the results.
+
+    NOTE: results are as accurate as requested, and the warning is for information. CAUTION: results may be less
+    accurate than the user expects, or an output is missing. ERROR: a part of the results is wrong or missing.
+    """
+
+    NOTE = "note"
+    CAUTION = "caution"
+    ERROR = "error"
+
+
+class ContactWarning(UserWarning):
+    """Warns of a scene that can be simulated, but whose results are probably not those that its author expects.
+
+    Args:
+        message: The problem, its consequence, and the remedy.
+        level: Meaning for the results, the attribute ``level``.
+    """
+
+    def __init__(self, message: str, level: WarningLevel = WarningLevel.CAUTION) -> None:
+        super().__init__(escape_controls(message))
+        self.level = level
+
+
+class RunWarning(RuntimeWarning):
+    """Warns of events of a run: failed environments, problems that were not solved, repeated shards.
+
+    Args:
+        message: The event, its consequence, and the remedy.
+        level: Meaning for the results, the attribute ``level``.
+    """
+
+    def __init__(self, message: str, level: WarningLevel = WarningLevel.CAUTION) -> None:
+        super().__init__(escape_controls(message))
+        self.level = level
+
+
+def labeled(warning: Warning | str) -> str:
+    """Returns the text of a warning behind its level, such as ``caution: …``; without one it is a caution."""
+    return escape_controls(f"{getattr(warning, 'level', WarningLevel.CAUTION)}: {warning}")
+
+
+def split_label(text: str) -> tuple[WarningLevel, str]:
+    """Returns level and text of what ``labeled`` returned; text without a level is a caution."""
+    level, colon, rest = text.partition(": ")
+    if colon and level in list(WarningLevel):
+        return WarningLevel(level), rest
+    return WarningLevel.CAUTION, text

@@ -1,0 +1,1 @@
+"""Drawing, stills and films, report, and live view."""

@@ -1,0 +1,82 @@
+"""What an environment holds that can be seen, whatever shows it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from warpcontact.validation.checks import Array
+from warpcontact.visualize.drawing.body_sets import BodySet, body_sets_of
+from warpcontact.visualize.drawing.couplings import Coil, CouplingCurve
+from warpcontact.visualize.drawing.forces import ForceLines, length_scale, resultant_lines
+from warpcontact.visualize.drawing.replay import Replay
+from warpcontact.visualize.drawing.shapes import ShapePlacement, ShapeSet
+from warpcontact.visualize.drawing.spheres import Spheres, find_spheres, scene_size
+from warpcontact.visualize.drawing.surfaces import Placement
+
+#: Width of what has no size, in sizes of its body.
+POINT = 0.03
+
+
+@dataclass(frozen=True)
+class Content:
+    """What is seen of the chosen environments of a recording, element by element.
+
+    Attributes:
+        replay: The recording.
+        poses: Positions (time, env, …, 3) and orientations of the bodies by their names.
+        placements: The surfaces by their names.
+        spheres: Spheres and points of contacts.
+        forms: Single shapes.
+        shape_sets: Shapes on sets of bodies.
+        body_sets: Spheres and points on sets of bodies.
+        lines: Forces of contacts.
+        resultants: Forces of contact couplings and of particle contacts, of which only sums are recorded.
+        curves: Couplings.
+        size: Length of the largest body [m].
+        force_scale: Metres per newton that draw the largest force at 1.5 times ``size``.
+    """
+
+    replay: Replay
+    poses: dict[str, tuple[Array, Array]]
+    placements: dict[str, Placement]
+    spheres: list[Spheres]
+    forms: list[ShapePlacement]
+    shape_sets: list[ShapeSet]
+    body_sets: list[BodySet]
+    lines: list[ForceLines]
+    resultants: list[ForceLines]
+    curves: list[CouplingCurve]
+    size: float
+    force_scale: float
+
+    @classmethod
+    def of(cls, replay: Replay, coils: Mapping[str, Coil] | None = None) -> "Content":
+        """Gathers it; ``coils``: of springs by their names, if ``replay`` holds not all records."""
+        scene = replay.scene
+        spheres = find_spheres(replay)
+        placements = {surface.name: Placement.of(replay, surface) for surface in scene.surfaces}
+        poses = {body.name: replay.pose(body) for body in scene.bodies}
+        forms = [ShapePlacement.of(replay, shape) for shape in scene.shapes]
+        reaches = [2.0 * form.reach for form in forms if form.shape.body is not None]
+        size = max([scene_size(replay, list(placements.values()), spheres), *reaches])
+        pushing: list[Any] = [*scene.contacts, *scene.shape_contacts]
+        lines = [line for contact in pushing if (line := ForceLines.of(replay, contact))]
+        resultants = resultant_lines(replay, poses, lines)
+        return cls(
+            replay=replay,
+            poses=poses,
+            placements=placements,
+            spheres=spheres,
+            forms=[form for form in forms if form.shape.single],
+            shape_sets=[
+                ShapeSet(form, poses[form.shape.body.name])
+                for form in forms
+                if form.shape.body is not None and not form.shape.single
+            ],
+            body_sets=body_sets_of(scene, spheres, poses),
+            lines=lines,
+            resultants=resultants,
+            curves=[CouplingCurve(replay, one, (coils or {}).get(one.name)) for one in scene.couplings],
+            size=size,
+            force_scale=length_scale([*lines, *resultants], size),
+        )

@@ -1,0 +1,98 @@
+"""What has to be known of all records before the first is written: sizes, places, the largest force."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from warpcontact.scene.scene import Body
+from warpcontact.validation.checks import Array
+from warpcontact.visualize.drawing.content import Content
+from warpcontact.visualize.drawing.couplings import Coil
+from warpcontact.visualize.drawing.forces import LONGEST, ForceLines
+from warpcontact.visualize.drawing.spheres import body_size
+
+
+@dataclass
+class SceneRanges:
+    """What the chosen environments take of space and force over time.
+
+    Attributes:
+        size: Length of the largest body [m].
+        low: Corner of the space that bodies and couplings take, (env, 3), world [m].
+        high: The opposite corner.
+        peak: The largest force [N].
+        coils: Of springs by their names.
+    """
+
+    size: float
+    low: Array
+    high: Array
+    peak: float = 0.0
+    coils: dict[str, Coil] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, blocks: Iterable[Content]) -> "SceneRanges":
+        """Returns it of records, block by block."""
+        ranges: SceneRanges | None = None
+        for content in blocks:
+            if ranges is None:
+                count = len(content.replay.envs)
+                ranges = cls(0.0, np.full((count, 3), np.inf), np.full((count, 3), -np.inf))
+                sized = _body_sizes(content)
+            ranges._add(content)
+        if ranges is None:
+            raise ValueError("the recording holds no records")
+        ranges._finish(content, sized)
+        return ranges
+
+    @property
+    def force_scale(self) -> float:
+        """Metres per newton that draw the largest force at ``LONGEST`` times the size."""
+        return LONGEST * self.size / self.peak if self.peak > 0.0 else 1.0
+
+    def _add(self, content: Content) -> None:
+        for body in content.replay.scene.bodies:
+            self._reach(content.poses[body.name][0], body_reach(content, body))
+        for curve in content.curves:
+            ends = curve.points[:, :, [0, -1]]
+            self._reach(curve.points if curve.coil is None else ends, 0.0)
+            if curve.coil is not None:
+                name = curve.coupling.name
+                previous = self.coils.get(name, curve.coil)
+                self.coils[name] = previous.merge(curve.coil)
+        forces: list[ForceLines] = [*content.lines, *content.resultants]
+        self.peak = max([self.peak, *(line.peak() for line in forces)])
+
+    def _reach(self, places: Array, reach: float) -> None:
+        """Takes in places (time, env, …, 3), with what is up to ``reach`` around them [m]."""
+        axes = (0, *range(2, places.ndim - 1))
+        self.low = np.minimum(self.low, places.min(axis=axes) - reach)
+        self.high = np.maximum(self.high, places.max(axis=axes) + reach)
+
+    def _finish(self, content: Content, sized: tuple[float, float]) -> None:
+        largest, reach = sized
+        corners = [placement.corners for placement in content.placements.values()]
+        if largest == 0.0:
+            all_points = np.concatenate([self.low, self.high, *corners])
+            largest = 0.1 * float(np.linalg.norm(np.ptp(all_points, axis=0))) or 1.0
+        self.size = max(largest, reach)
+        coil_radius = max((coil.radius for coil in self.coils.values()), default=0.0)
+        self.low -= coil_radius
+        self.high += coil_radius
+
+
+def body_reach(content: Content, body: Body) -> float:
+    """Returns how far what a body carries reaches from its centre of mass in any environment [m]."""
+    forms = [*content.forms, *(shape_set.placement for shape_set in content.shape_sets)]
+    own = [form.reach for form in forms if form.shape.body is body]
+    return max([0.5 * body_size(body, content.placements.values(), content.spheres), *own])
+
+
+def _body_sizes(content: Content) -> tuple[float, float]:
+    """Returns the largest diameter of a body by its surfaces and spheres, and by its shapes [m]."""
+    bodies, placements = content.replay.scene.bodies, content.placements.values()
+    forms = [*content.forms, *(shape_set.placement for shape_set in content.shape_sets)]
+    by_shapes = [2.0 * form.reach for form in forms if form.shape.body is not None]
+    by_surfaces = [body_size(body, placements, content.spheres) for body in bodies]
+    return max(by_surfaces, default=0.0), max(by_shapes, default=0.0)

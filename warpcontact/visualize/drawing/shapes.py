@@ -1,0 +1,113 @@
+"""Shapes of analytic form, on single bodies and on sets of them."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from warpcontact.forces.shape_contact.tessellate import tessellate
+from warpcontact.kernels.shapes import shapes
+from warpcontact.kernels.shapes.parametric_surface import ParametricSurface
+from warpcontact.kernels.shapes.plane import Plane
+from warpcontact.scene.shapes import Shape
+from warpcontact.stepping.frames import product, transform_points
+from warpcontact.validation.checks import Array
+from warpcontact.visualize.drawing.replay import Replay
+from warpcontact.visualize.drawing.spheres import body_color
+
+# Half the side of what is drawn of a half-space, in sizes of the scene.
+PLANE = 10.0
+
+
+@dataclass(frozen=True)
+class ShapePlacement:
+    """A shape in the environments of a replay; arrays are (env, item, …).
+
+    Attributes:
+        shape: The shape, or a set of them.
+        positions: Origins of their frames in those of their carriers [m].
+        orientations: Rotations to those, x, y, z, w.
+        sizes: Their parameters by name.
+    """
+
+    shape: Shape
+    positions: Array
+    orientations: Array
+    sizes: dict[str, Array]
+
+    @classmethod
+    def of(cls, replay: Replay, shape: Shape) -> "ShapePlacement":
+        """Returns the shape as recorded, or else as in the scene."""
+
+        def setting(key: str, default: Array) -> Array:
+            found = replay.setting(f"{shape.name}.{key}", default[0] if shape.single else default)
+            return found[:, None] if shape.single else found
+
+        return cls(
+            shape,
+            setting("position", shape.positions),
+            setting("orientation", shape.orientations),
+            {key: setting(key, values) for key, values in shape.sizes.items()},
+        )
+
+    @property
+    def shared(self) -> bool:
+        """Whether it is the same in all environments."""
+        arrays = (self.positions, self.orientations, *self.sizes.values())
+        return all(bool((values == values[:1]).all()) for values in arrays)
+
+    @property
+    def reach(self) -> float:
+        """How far it reaches at most from the origin of its carrier in any environment [m]; 0 of a half-space."""
+        if issubclass(self.shape.kind, Plane):
+            return 0.0
+        far = [np.linalg.norm(tessellate(self.shape.kind, sizes)[0], axis=1).max() for sizes in self._largest()]
+        return float(max(far) + np.linalg.norm(self.positions, axis=-1).max())
+
+    def _largest(self) -> Iterator[dict[str, Array]]:
+        """Iterates over sizes of which one reaches as far as any of them."""
+        kind = self.shape.kind
+        lengths = {key for key in self.sizes if kind.limits(key)["unit"] == "m"}
+        if issubclass(kind, ParametricSurface):
+            lengths = set()
+        most = {key: self.sizes[key].max(axis=(0, 1)) for key in lengths}
+        others = [key for key in self.sizes if key not in lengths]
+        count = self.positions.shape[0] * self.positions.shape[1]
+        rows = [self.sizes[key].reshape(count, -1) for key in others]
+        _, first = np.unique(np.concatenate([np.zeros((count, 1)), *rows], axis=1), axis=0, return_index=True)
+        for number in first.tolist():
+            own = self.item_sizes(*divmod(number, self.positions.shape[1]))
+            yield {key: most.get(key, value) for key, value in own.items()}
+
+    def item_sizes(self, row: int, item: int) -> dict[str, Array]:
+        """Returns the parameters of one of them in environment number ``row``."""
+        return {key: values[row, item] for key, values in self.sizes.items()}
+
+    @property
+    def color(self) -> Array:
+        """RGB in 0…1."""
+        return body_color(self.shape.body) if self.shape.color is None else self.shape.color
+
+
+class ShapeSet:
+    """Shapes on the bodies of a set: where they are over time, and which of them are of one size.
+
+    Args:
+        placement: The shapes.
+        poses: Positions (time, env, item, 3) and orientations of the bodies.
+    """
+
+    def __init__(self, placement: ShapePlacement, poses: tuple[Array, Array]) -> None:
+        self.placement = placement
+        positions, orientations = poses
+        self.places = transform_points(placement.positions[..., None, :], positions, orientations)[..., 0, :]
+        turns = np.broadcast_to(placement.orientations, orientations.shape)
+        self.turns = product(orientations, turns)
+        # One prototype for all of one size; spheres and ellipsoids are scaled from one.
+        sizes = placement.sizes
+        self.scaled = issubclass(placement.shape.kind, shapes.Sphere | shapes.Ellipsoid)
+        shape = placement.positions.shape[:2]
+        rows = np.concatenate([values.reshape(*shape, -1) for values in sizes.values()], axis=-1)
+        flat = rows.reshape(shape[0] * shape[1], -1)
+        _, self.first, numbers = np.unique(flat, axis=0, return_index=True, return_inverse=True)
+        self.numbers = numbers.reshape(shape)

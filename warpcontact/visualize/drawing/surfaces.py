@@ -1,0 +1,64 @@
+"""Surfaces: as they are in all environments, or in each its own pose, size and mesh."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from warpcontact.scene.scene import Surface
+from warpcontact.stepping.frames import transform_points
+from warpcontact.validation.checks import Array
+from warpcontact.visualize.drawing.replay import Replay
+from warpcontact.visualize.drawing.spheres import body_color
+
+# Brightness of the faces that nothing can touch.
+INACTIVE = 0.4
+
+
+@dataclass(frozen=True)
+class Placement:
+    """A surface in the environments of a replay.
+
+    Attributes:
+        surface: The surface.
+        position: Origin of its frame in that of its carrier, (env, 3) [m].
+        orientation: Rotation to that of its carrier, (env, 4), x, y, z, w.
+        scale: Size, (env,).
+        mesh: Which of its meshes it has, (env,).
+    """
+
+    surface: Surface
+    position: Array
+    orientation: Array
+    scale: Array
+    mesh: Array
+
+    @classmethod
+    def of(cls, replay: Replay, surface: Surface) -> "Placement":
+        """Returns the surface as recorded, or else as in the scene."""
+        return cls(surface, *replay.pose_of(surface), replay.setting(f"{surface.name}.mesh", np.zeros(())))
+
+    @property
+    def reach(self) -> float:
+        """How far it reaches at most from the origin of its carrier [m]."""
+        # Rotation of the mesh in its own frame does not change how far it reaches from that frame's origin.
+        far = np.array([np.linalg.norm(mesh.vertices, axis=1).max() for mesh in self.surface.meshes])
+        return float((self.scale * far[self.mesh.astype(int)] + np.linalg.norm(self.position, axis=1)).max())
+
+    @property
+    def corners(self) -> Array:
+        """Corners of the boxes that it fills in its own frame, in that of its carrier, (n, 3) [m]."""
+        bounds = np.array([mesh.bounds for mesh in self.surface.meshes])[self.mesh.astype(int)]
+        box = np.stack([bounds[:, [i, j, k], [0, 1, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)], axis=1)
+        return transform_points(self.scale[:, None, None] * box, self.position, self.orientation).reshape(-1, 3)
+
+    @property
+    def shared(self) -> bool:
+        """Whether it is the same in all environments."""
+        return all(
+            (values == values[:1]).all() for values in (self.position, self.orientation, self.scale, self.mesh)
+        )
+
+
+def surface_color(surface: Surface) -> Array:
+    """Returns the colour of the active faces of a surface, RGB in 0…1."""
+    return body_color(surface.body) if surface.color is None else surface.color

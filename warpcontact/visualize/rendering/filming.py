@@ -1,0 +1,177 @@
+"""Films of a recording: many pictures from one place, written as they are made."""
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any, Unpack
+
+import numpy as np
+
+from warpcontact.files.picture_file import check_path
+from warpcontact.kernels.catalogue.keywords import explain_keywords
+from warpcontact.scene.scene import Scene
+from warpcontact.validation import checks
+from warpcontact.validation.checks import Array, limits
+from warpcontact.validation.safe_text import escape_controls, terminal
+from warpcontact.visualize.rendering.frame_renderer import Coloring, FrameRenderer
+from warpcontact.visualize.rendering.painter import Picture
+from warpcontact.visualize.rendering.records import Source
+from warpcontact.visualize.rendering.render_style import RenderOptions, RenderStyle
+from warpcontact.visualize.rendering.writers import GIF_FASTEST, write_gif, write_mp4
+
+#: More take days, and are a slip of who asks for them.
+MOST_PICTURES = 100_000
+
+FILMS = (".gif", ".mp4")
+# Pictures per second at most.
+FASTEST = 240.0
+# Pictures of a film that the colours of a GIF are chosen by.
+_PALETTE_PICTURES = 6
+
+
+@dataclass(frozen=True)
+class Film:
+    """What a film shows.
+
+    Attributes:
+        path: The file.
+        envs: Numbers of the environments.
+        times: Simulated time of each of its pictures [s], of the record nearest to it.
+        duration: How long it plays [s].
+        forces: Whether there are forces that could be shown.
+        partial: Whether later records are still to come, of a run that is not finished.
+    """
+
+    path: Path
+    envs: list[int]
+    times: Array
+    duration: float
+    forces: bool
+    partial: bool
+
+
+@explain_keywords
+def film(
+    recording: Any,
+    path: str | PathLike[str],
+    *,
+    env: int | Iterable[int] | None = None,
+    time: tuple[float, float] | None = None,
+    fps: float = 25.0,
+    speed: float = 1.0,
+    scene: Scene | None = None,
+    progress: bool | None = None,
+    **style: Unpack[RenderOptions],
+) -> Film:
+    """Films a recording, each picture the record nearest to its time: nothing is made up between records.
+
+    Args:
+        recording: What ``wc.open_run`` or ``Simulation.run`` returned, with the poses of all bodies.
+        path: A .gif file, or an .mp4 file, for which the program ffmpeg is needed.
+        env: Numbers of the environments, side by side; ``None``: the first.
+        time: First and last simulated time [s]; ``None``: all of the recording, of a run that is not finished all
+            that these environments have.
+        fps: Pictures per second that it plays.
+        speed: Simulated seconds in one second of it: 0.1 is ten times slower than real.
+        scene: What was simulated; ``None``: what the recording remembers.
+        progress: Whether to show a bar; ``None``: in a terminal.
+        **look: Size, place of the eye and more, see ``RenderOptions`` and docs/pictures.md.
+
+    Raises:
+        ValueError: If the file cannot be written, an environment or a time is not in the recording, poses are not,
+            or an option is not allowed; or there is no ffmpeg for an .mp4 file, or it fails.
+        TypeError: If the recording is none.
+        OSError: If writing fails.
+    """
+    return shoot(
+        recording,
+        path,
+        env=env,
+        time=time,
+        fps=fps,
+        speed=speed,
+        scene=scene,
+        progress=progress,
+        style=RenderStyle(**style),
+    )
+
+
+def shoot(
+    recording: Any,
+    path: str | PathLike[str],
+    *,
+    env: int | Iterable[int] | None,
+    time: tuple[float, float] | None,
+    fps: float,
+    speed: float,
+    scene: Scene | None,
+    progress: bool | None,
+    style: RenderStyle,
+) -> Film:
+    """Films it, see ``film``."""
+    from tqdm import tqdm
+
+    file = check_path(path, FILMS)
+    is_gif = file.suffix.lower() == ".gif"
+    fps = float(
+        checks.numbers("fps", fps, (), limits("1/s", above=0.0, at_most=GIF_FASTEST if is_gif else FASTEST))
+    )
+    speed = float(checks.numbers("speed", speed, (), limits("-", above=0.0)))
+    if not is_gif and (style.size[0] % 2 or style.size[1] % 2):
+        raise ValueError(f"size must be even for an .mp4 file, got {style.size[0]} × {style.size[1]} pixels")
+    source = Source.of(recording, scene, env)
+    moments = _moments(source, time, speed / fps)
+    shown = source.nearest(moments)
+    overview = source.overview()
+    records = sorted({*overview, *shown.tolist()})
+    drawing = source.drawing(records)
+    coloring = None
+    if style.color_by is not None:
+        coloring = Coloring.of(style.color_by, source.numbers(style.color_by, drawing.envs))
+    frame_renderer = FrameRenderer(drawing, style, coloring, [records.index(number) for number in overview])
+    order = np.searchsorted(records, shown)
+
+    def pictures() -> Iterator[Picture]:
+        last, picture = -1, None
+        bar = tqdm(
+            order.tolist(),
+            unit="picture",
+            desc=escape_controls(file.name),
+            disable=None if progress is None else not progress,
+            file=terminal(),
+        )
+        with bar:
+            for number in bar:
+                if picture is None or number != last:
+                    last, picture = number, frame_renderer.picture(number, float(drawing.times[number]))
+                yield picture
+
+    if is_gif:
+        palette_pictures = np.unique(np.linspace(0, len(order) - 1, _PALETTE_PICTURES).round().astype(int))
+        colors = [frame_renderer.picture(int(order[i]), samples=1)[::2, ::2] for i in palette_pictures]
+        write_gif(file, pictures(), len(order), fps, colors)
+    else:
+        write_mp4(file, pictures(), fps, style.size)
+    return Film(
+        file, drawing.envs, drawing.times[order], len(order) / fps, bool(drawing.contact_forces), source.partial
+    )
+
+
+def _moments(source: Source, time: tuple[float, float] | None, step: float) -> Array:
+    """Returns the simulated time of each picture, ``step`` apart [s]."""
+    first, last = float(source.times[0]), float(source.times[-1])
+    if time is not None:
+        first, last = checks.numbers("time", time, (2,)).tolist()
+        source.nearest(np.array([first, last]))
+        if last <= first:
+            raise ValueError(f"time must be the first and a later last one [s], got {first:g} and {last:g}")
+    # What is missing for the last one may be rounding.
+    count = math.floor((last - first) / step + 1.0e-6) + 1
+    if count > MOST_PICTURES:
+        raise ValueError(
+            f"a film must have at most {MOST_PICTURES} pictures, got {count} of {first:g} to {last:g} s; "
+            "lower fps, raise speed, or give a shorter time"
+        )
+    return np.minimum(first + step * np.arange(count), last)

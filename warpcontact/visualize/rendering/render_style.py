@@ -1,0 +1,143 @@
+"""How a picture looks: the options that stills and films share, checked."""
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, TypedDict
+
+import numpy as np
+import warp as wp
+
+from warpcontact.system.devices import find_device
+from warpcontact.validation import checks
+from warpcontact.validation.checks import Array, limits
+
+#: Colours as displayed at the top and the bottom of a picture, behind everything.
+BACKGROUNDS = {
+    "light": ((0.80, 0.85, 0.90), (0.96, 0.97, 0.98)),
+    "white": ((1.0, 1.0, 1.0), (1.0, 1.0, 1.0)),
+    "dark": ((0.05, 0.06, 0.08), (0.16, 0.18, 0.21)),
+}
+#: Smallest and largest side of a picture [pixels], and rays of a pixel.
+SIDES = (16, 8192)
+SAMPLES = (1, 1024)
+# Where the eye may be: from steeper in front, over what is low; from other sides; from above, into what is deep.
+_FRONT, _SIDES, _SLOPES = -60.0, (30.0, -150.0, 120.0), (22.0, 35.0, 50.0)
+_VIEW_DIRECTIONS = [
+    *((_FRONT, elevation) for elevation in _SLOPES),
+    *((side, elevation) for elevation in _SLOPES for side in _SIDES),
+    *((_FRONT, elevation) for elevation in (65.0, 80.0, 90.0)),
+]
+_HEX = re.compile(r"#([0-9a-fA-F]{2})([0-9a-fA-F]{2})([0-9a-fA-F]{2})")
+
+
+class RenderOptions(TypedDict, total=False):
+    """The options of ``RenderStyle``, all of which may be left out."""
+
+    size: tuple[int, int]
+    view_from: tuple[float, float] | None
+    look_at: Sequence[float] | None
+    distance: float | None
+    fov: float
+    forces: bool
+    force_scale: float | None
+    together: bool
+    color_by: str | None
+    labels: bool
+    background: str
+    samples: int
+    device: str
+    threads: int | None
+
+
+@dataclass(frozen=True)
+class RenderStyle:
+    """How pictures of a recording look.
+
+    Args:
+        size: Width and height [pixels].
+        view_from: Where the eye is: azimuth, from the x axis towards the y axis, and elevation above the
+            horizontal [degrees]; ``None``: −60 and 22, or from where what stands still hides nothing that moves.
+        look_at: The point in the middle of the picture, world [m]; ``None``: of what moves.
+        distance: From there to the eye [m]; ``None``: so that all that moves is in the picture.
+        fov: Angle of view, from top to bottom [degrees].
+        forces: Whether to show contact forces as arrows, where force, normal and point of a contact were recorded.
+        force_scale: Length of arrows [m/N]; ``None``: the largest force is 1.5 sizes of the largest body long, if
+            there is room for that.
+        together: Whether to show several environments in one picture, in place of one beside the other.
+        color_by: A parameter or an outcome with one number for each environment, or one for all items of a set in
+            it, to colour what moves by.
+        labels: Whether to write numbers of several environments, the time of a film and the scale of ``color_by``.
+        background: ``"light"``, ``"white"``, ``"dark"`` or a colour such as ``"#20242c"``.
+        samples: Most rays of a pixel; it takes fewer where they see the same.
+        device: Where to compute: ``"auto"``, ``"cpu"``, ``"cuda:0"``, …
+        threads: How many threads work on a CPU; ``None``: one per core. They change no pixel.
+
+    Raises:
+        ValueError: If a value is not allowed.
+    """
+
+    size: tuple[int, int] = (1280, 720)
+    view_from: tuple[float, float] | None = None
+    look_at: Sequence[float] | None = None
+    distance: float | None = None
+    fov: float = 30.0
+    forces: bool = True
+    force_scale: float | None = None
+    together: bool = False
+    color_by: str | None = None
+    labels: bool = True
+    background: str = "light"
+    samples: int = 16
+    device: str = "auto"
+    threads: int | None = None
+
+    def __post_init__(self) -> None:
+        sides = checks.numbers("size", self.size, (2,), limits("pixels", at_least=SIDES[0], at_most=SIDES[1]))
+        checks.integers("size", sides)
+        if self.view_from is not None:
+            checks.numbers("view_from", self.view_from, (2,))
+            checks.numbers("view_from[1]", self.view_from[1], (), limits("degrees", at_least=-90.0, at_most=90.0))
+        if self.look_at is not None:
+            checks.numbers("look_at", self.look_at, (3,))
+        if self.distance is not None:
+            checks.numbers("distance", self.distance, (), limits("m", above=0.0))
+        if self.force_scale is not None:
+            checks.numbers("force_scale", self.force_scale, (), limits("m/N", above=0.0))
+        checks.numbers("fov", self.fov, (), limits("degrees", at_least=1.0, at_most=120.0))
+        for name, least, most in (("samples", *SAMPLES), ("threads", 1, 4096)):
+            value = getattr(self, name)
+            if value is not None:
+                number = checks.numbers(name, value, (), limits("-", at_least=least, at_most=most))
+                checks.integers(name, number)
+        for name in ("forces", "together", "labels"):
+            checks.switch(name, getattr(self, name))
+        self.background_colors()
+
+    def background_colors(self) -> Array:
+        """Returns the colours at the top and the bottom as displayed, (2, 3) in 0…1."""
+        if isinstance(self.background, str) and (found := _HEX.fullmatch(self.background)):
+            return np.array([[int(part, 16) / 255.0 for part in found.groups()]] * 2)
+        if self.background not in BACKGROUNDS:
+            named = ", ".join(map(repr, BACKGROUNDS))
+            raise ValueError(f"background must be one of {named}, or a colour as #rrggbb, got {self.background!r}")
+        return np.array(BACKGROUNDS[self.background])
+
+    def find_device(self) -> wp.Device:
+        """Returns the device to compute on."""
+        return find_device(self.device)
+
+    @property
+    def view_directions(self) -> list[tuple[float, float]]:
+        """Azimuths and elevations of the eye [rad], the first from which what moves is seen is taken."""
+        view_directions = _VIEW_DIRECTIONS if self.view_from is None else [self.view_from]
+        return [
+            (math.radians(float(azimuth)), math.radians(float(elevation)))
+            for azimuth, elevation in view_directions
+        ]
+
+
+def environment_numbers(env: Any) -> list[int] | None:
+    """Returns environments to show as a list; ``None``: the first of the recording."""
+    return None if env is None else checks.entries(env)

@@ -1,0 +1,125 @@
+"""How the outcomes are spread over the environments: their statistics, and a histogram of each."""
+
+from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from warpcontact.analysis.results import frozen
+from warpcontact.experiment.bars import bin_edges, has_integer_bins
+from warpcontact.stepping.outcomes.watch import RESERVED
+from warpcontact.validation.checks import Array
+from warpcontact.validation.number_format import count, number, scaled, several, unit_suffix
+from warpcontact.visualize.report import chart
+from warpcontact.visualize.report.columns import Column, columns_of, too_many_in
+from warpcontact.visualize.report.markup import Markup, element, joined, name, table
+
+# Rows of the table, and histograms; more are counted.
+ROWS = 60
+HISTOGRAMS = 12
+QUANTILES = (0.05, 0.5, 0.95)
+
+
+@dataclass(frozen=True, eq=False)
+class OutcomeSpread:
+    """One outcome over the environments that are not frozen.
+
+    Attributes:
+        column: The outcome.
+        lowest: Number of the environment with the smallest value; ``None``: none is finite.
+        highest: Number of that with the largest.
+        row: Cells of the table.
+        histogram: Its picture, ``None``: not drawn.
+    """
+
+    column: Column
+    lowest: int | None
+    highest: int | None
+    row: tuple[Markup | str, ...]
+    histogram: Markup | None
+
+
+def make_spreads(outcome: xr.Dataset) -> tuple[list[OutcomeSpread], int]:
+    """Returns the first outcomes, one in memory at a time, and how many more there are, sets as one."""
+    every = columns_of(outcome, without=RESERVED)
+    envs = np.asarray(outcome["env"].values)
+    halted = np.isin(envs, frozen(outcome))
+    found = [_spread(column, envs, halted, drawn=i < HISTOGRAMS) for i, column in enumerate(islice(every, ROWS))]
+    return found, sum(1 for _ in every) + len(too_many_in(outcome))
+
+
+def _spread(column: Column, envs: NDArray[np.int64], halted: NDArray[np.bool_], *, drawn: bool) -> OutcomeSpread:
+    values = column.values.astype(np.float64)
+    good = np.isfinite(values) & ~halted
+    finite, labels = values[good], envs[good]
+    if not len(finite):
+        unit = "" if column.unit == "-" else column.unit
+        return OutcomeSpread(column, None, None, (name(column.name), unit, "0", *["–"] * 7), None)
+    factor, unit = scaled(column.unit, float(np.abs(finite).max()))
+    least, most = int(finite.argmin()), int(finite.argmax())
+    # Offset, so that squares of large numbers neither overflow nor cancel.
+    deviation = float(np.std(finite - finite[0]))
+    low, middle, high = np.quantile(finite, QUANTILES)
+    sentences = (finite[least], low, middle, finite.mean(), high, finite[most], deviation)
+    cells = (name(column.name), unit, count(len(finite)), *(number(factor * value) for value in sentences))
+    picture = _histogram(column, finite, int((~halted).sum() - len(finite))) if drawn else None
+    return OutcomeSpread(column, int(labels[least]), int(labels[most]), cells, picture)
+
+
+def section(spreads: list[OutcomeSpread], more: int, envs: int, halted: int) -> Markup:
+    """Returns the section of the page.
+
+    Args:
+        spreads: The outcomes.
+        more: How many others there are.
+        envs: Number of environments of which they are known.
+        halted: How many of these are frozen, and left out.
+    """
+    if not spreads:
+        text = "The experiment asks for no outcomes; a table [outcome] in its file does."
+        return element("p", text, class_="note")
+    left_out = f", without {several(halted, 'frozen one')}" if halted else ""
+    head = ("outcome", "unit", "finite", "smallest", "5 %", "median", "mean", "95 %", "largest", "std. dev.")
+    pictures = [spread.histogram for spread in spreads if spread.histogram is not None]
+    notes = [f"Over {several(envs, 'environment')}{left_out}."]
+    if more:
+        notes.append(f"{several(more, 'further number')} of outcomes: warpcontact export DIR --csv FILE.")
+    return joined(
+        [
+            element("p", " ".join(notes), class_="note"),
+            table(head, (spread.row for spread in spreads), numbers=range(2, len(head)), class_="facts"),
+            element("div", joined(pictures), class_="charts"),
+        ]
+    )
+
+
+def _histogram(column: Column, values: Array, missing: int) -> Markup:
+    edges = bin_edges(values)
+    heights, _ = np.histogram(values, bins=edges)
+    x = chart.horizontal(float(edges[0]), float(edges[-1]), column.unit, whole=has_integer_bins(values))
+    y = chart.vertical(0.0, float(heights.max()), "-", whole=True)
+    unit, factor = x.label or "-", x.factor
+    floor, tops, sides = float(y.place(np.zeros(()))), y.place(heights), x.place(edges)
+    suffix = unit_suffix(unit)
+    bars = []
+    for i in np.flatnonzero(heights):
+        first, last = (number(factor * edge) for edge in edges[i : i + 2])
+        title = f"{first} to {last}{suffix}: {several(int(heights[i]), 'environment')}"
+        bars.append(chart.rectangle(sides[i] + 0.4, tops[i], sides[i + 1] - 0.4, floor, "bar", title))
+    quantiles = np.quantile(values, QUANTILES)
+    low, middle, high = (number(factor * value) for value in quantiles)
+    rules = [
+        chart.rule(float(x.place(at)), "median" if q == 0.5 else "quantile")
+        for q, at in zip(QUANTILES, quantiles, strict=True)
+    ]
+    about = (
+        f"Histogram of {column.name}: 5 % below {low}{suffix}, median {middle}{suffix}, 95 % below {high}{suffix}"
+    )
+    sentences = f"median {middle}{suffix}; 90 % from {low} to {high}{suffix}"
+    if missing:
+        sentences += f"; {count(missing)} without a finite value"
+    title = element("figcaption", element("strong", name(column.name, 40)), element("span", column.about))
+    drawing = chart.chart(x, y, [*bars, *rules], about, "value")
+    return element("figure", title, drawing, element("p", sentences, class_="note"), class_="chart")

@@ -1,0 +1,234 @@
+"""The replay in three dimensions: which environments and records there is room for, and their data."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from warpcontact.scene.scene import Scene
+from warpcontact.validation.checks import Array
+from warpcontact.validation.number_format import count, several
+from warpcontact.visualize.decimation import evenly, kept_samples
+from warpcontact.visualize.drawing.colors import GAPS
+from warpcontact.visualize.drawing.drawing import Drawing, Shape
+from warpcontact.visualize.report.choice import Choice
+from warpcontact.visualize.report.markup import short
+from warpcontact.visualize.report.meshes import add_shape, drawable_shape
+from warpcontact.visualize.report.packing import Pack
+
+# Records that are drawn; between them bodies are interpolated.
+FRAMES = 256
+# Poses that are in memory at once.
+POSES = 2_000_000
+# Size of all environments in the page [bytes]; of those that somebody named.
+MAX_BYTES = 3 * 2**20
+MAX_BYTES_REQUESTED = 48 * 2**20
+# Steps of positions in this part of the largest body are not seen.
+POSITION_STEP = 1.0e-3
+
+
+@dataclass
+class Replay:
+    """What the page needs to replay some environments.
+
+    Attributes:
+        notes: What is to be known of it, or why there is none.
+        scene: Content of the data block that describes what there is; empty: there is no replay.
+        packs: That of each environment by its number.
+    """
+
+    notes: list[str] = field(default_factory=list)
+    scene: dict[str, Any] = field(default_factory=dict)
+    packs: dict[int, dict[str, Any]] = field(default_factory=dict)
+
+
+def replay_of(recording: xr.Dataset, scene: Scene, choice: Choice) -> Replay:
+    """Returns the replay of chosen environments, as many as there is room for.
+
+    Args:
+        recording: Poses and sensors (time, env, …), read where they are needed.
+        scene: What ran.
+        choice: The environments, those first that matter most.
+
+    Raises:
+        ValueError: If nothing can be drawn.
+    """
+    replay = Replay()
+    records = recording.sizes["time"]
+    items = _items(recording, scene)
+    if 2 * items > POSES:
+        replay.notes.append(
+            f"There is no replay of {several(items, 'body')} and points of contact: too many for a page."
+        )
+        return replay
+    frames = min(FRAMES, POSES // items)
+    envs = choice.envs[: max(1, POSES // (items * min(frames, records)))]
+    rows = _frames(recording.sel(env=envs), scene, frames)
+    drawing, refused = _drawing(recording.isel(time=rows), scene, envs)
+    replay.notes += refused
+    if drawing is None:
+        return replay
+    shapes, replay.scene = _described(drawing)
+    remaining_bytes = MAX_BYTES_REQUESTED if choice.requested else MAX_BYTES
+    for row, env in enumerate(drawing.envs):
+        packed = _packed(drawing, row)
+        remaining_bytes -= len(packed["data"])
+        if remaining_bytes < 0 and replay.packs:
+            break
+        replay.packs[env] = packed
+    shown = sorted(replay.packs)
+    replay.scene["shapes"] = shapes
+    replay.scene["envs"] = [{"env": env, "label": short(choice.label(env), 200)} for env in shown]
+    if len(shown) < len(choice.envs):
+        named = "" if choice.requested else "; warpcontact report DIR --envs N … chooses others"
+        replay.notes.append(f"There is room for {count(len(shown))} of {len(choice.envs)} environments{named}.")
+    if len(rows) < records:
+        replay.notes.append(f"{count(len(rows))} of {count(records)} records are drawn.")
+    return replay
+
+
+def _frames(recording: xr.Dataset, scene: Scene, most: int) -> NDArray[np.intp]:
+    """Returns the records that are drawn: evenly spaced ones, and those with the largest and smallest forces."""
+    records = recording.sizes["time"]
+    contacts: list[Any] = [*scene.contacts, *scene.shape_contacts]
+    forces = [recording[name] for one in contacts if (name := f"{one.name}.normal_force") in recording]
+    if records <= most or most < 8 or not forces:
+        return evenly(records, most)
+    largest = np.max([_largest(force) for force in forces], axis=0)
+    return np.union1d(evenly(records, most // 2), kept_samples(largest, most // 2))
+
+
+def _largest(forces: xr.DataArray) -> Array:
+    """Returns the largest force of each record (time, env, …), read in blocks of time."""
+    records = forces.sizes["time"]
+    rows = max(1, POSES * records // max(1, forces.size))
+    found = np.zeros(records)
+    for first in range(0, records, rows):
+        block = forces.isel(time=slice(first, first + rows)).transpose("time", ...).values
+        sizes = np.where(np.isfinite(block), np.abs(block), 0.0).reshape(len(block), -1)
+        found[first : first + rows] = sizes.max(axis=1)
+    return found
+
+
+def _items(recording: xr.Dataset, scene: Scene) -> int:
+    """Returns how many poses and points of forces one record of one environment has."""
+    contacts: list[Any] = [*scene.contacts, *scene.shape_contacts]
+    points = sum(contact.count for contact in contacts if f"{contact.name}.point" in recording)
+    return max(1, points + sum(body.count for body in scene.bodies))
+
+
+def _drawing(recording: xr.Dataset, scene: Scene, envs: list[int]) -> tuple[Drawing | None, list[str]]:
+    """Returns what is seen of the environments that can be drawn, and what is wrong with others."""
+    chosen = recording.sel(env=envs)
+    try:
+        return Drawing.of(chosen, scene, envs), []
+    except ValueError as error:
+        if len(envs) == 1:
+            return None, [f"There is no replay: {short(error, 300)}."]
+    notes, good = [], []
+    for env in envs:
+        try:
+            Drawing.of(chosen.sel(env=[env]), scene, [env])
+            good.append(env)
+        except ValueError as error:
+            notes.append(f"Environment {env} is not replayed: {short(error, 300)}.")
+    return (Drawing.of(chosen.sel(env=good), scene, good) if good else None), notes
+
+
+def _described(drawing: Drawing) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Returns the shapes as a pack, and what all environments have in common."""
+    pack = Pack()
+    about: list[dict[str, bool]] = []
+    numbers: dict[int, int] = {}
+    figures = []
+    finest = POSITION_STEP * drawing.size
+    kept: list[Shape] = []  # alive, so that no two have one id
+    for figure in drawing.figures:
+        copies = figure.scales.shape[1]
+        shape = drawable_shape(figure.shape, copies)
+        if id(shape) not in numbers:
+            numbers[id(shape)] = len(about)
+            about.append(add_shape(pack, shape, finest))
+            kept.append(shape)
+        figures.append(
+            {
+                "name": short(figure.name, 200),
+                "kind": figure.kind,
+                "color": _color(figure.color),
+                "shape": numbers[id(shape)],
+                "moves": len(figure.positions) > 1 or len(figure.orientations) > 1,
+            }
+        )
+    gaps = [
+        contact.gaps[np.isfinite(contact.gaps)] for contact in drawing.contact_forces if contact.gaps is not None
+    ]
+    every = np.concatenate(gaps) if gaps else np.zeros(0)
+    scene = {
+        "times": drawing.times.tolist(),
+        "size": drawing.size,
+        "forceScale": drawing.force_scale,
+        "about": about,
+        "figures": figures,
+        "curves": [{"name": short(curve.name, 200), "color": _color(curve.color)} for curve in drawing.curves],
+        "touches": [
+            {"name": short(contact.name, 200), "color": _color(contact.color), "gaps": contact.gaps is not None}
+            for contact in drawing.contact_forces
+        ],
+        "deepest": max(0.0, -float(every.min(initial=0.0))),
+        "gaps": bool(len(every)),
+        "gapColors": GAPS,
+        "largestForce": max(
+            (
+                float(np.linalg.norm(contact.forces, axis=-1).max(initial=0.0))
+                for contact in drawing.contact_forces
+            ),
+            default=0.0,
+        ),
+    }
+    return pack.content(), scene
+
+
+def _packed(drawing: Drawing, row: int) -> dict[str, Any]:
+    """Returns environment number ``row`` of a drawing as a pack."""
+    pack = Pack()
+    finest = POSITION_STEP * drawing.size
+    for figure in drawing.figures:
+        items = figure.scales.shape[1]
+        there = np.broadcast_to(figure.present[row], (items,))
+        _add(pack, _env_values(figure.positions, row, items)[:, there], finest)
+        turns = _env_values(figure.orientations, row, items)[:, there]
+        if len(turns) > 1 and there.any():
+            pack.rotations(turns)
+        else:
+            pack.exact(turns[:1])
+        pack.exact(figure.scales[row, there])
+    for curve in drawing.curves:
+        _add(pack, _env_values(curve.points, row), finest)
+        pack.exact(_env_values(curve.shown[..., None], row))
+    for contact in drawing.contact_forces:
+        _add(pack, _env_values(contact.points, row), finest)
+        _add(pack, _env_values(contact.forces, row), 0.0)
+        if contact.gaps is not None:
+            _add(pack, _env_values(contact.gaps, row)[..., None], 0.0)
+    return pack.content()
+
+
+def _env_values(values: np.ndarray, row: int, items: int | None = None) -> np.ndarray:
+    """Returns an array (time|1, env|1, …) of environment ``row``, with so many items."""
+    own = values[:, row if values.shape[1] > 1 else 0]
+    if items is not None and own.shape[1] != items:
+        own = np.broadcast_to(own, (len(own), items, own.shape[2]))
+    return own
+
+
+def _add(pack: Pack, values: np.ndarray, finest: float) -> None:
+    if len(values) > 1 and values.size:
+        pack.series(values, finest)
+    else:
+        pack.exact(values[:1])
+
+
+def _color(color: Any) -> list[float]:
+    return [round(float(part), 4) for part in np.asarray(color, dtype=np.float64)]

@@ -1,0 +1,247 @@
+"""The page of a simulation that steps while it is looked at, and whose parameters can be changed meanwhile."""
+
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from warpcontact.experiment.defaults import default_sensors
+from warpcontact.model.status import FailureCause
+from warpcontact.stepping.recorder import Recorder
+from warpcontact.stepping.simulation import Simulation
+from warpcontact.visualize.drawing.drawing import Drawing
+from warpcontact.visualize.viewer.environments import Picker
+from warpcontact.visualize.viewer.page import LocalServer
+from warpcontact.visualize.viewer.parameters import Parameters
+from warpcontact.visualize.viewer.values import rows_of, value_text
+from warpcontact.visualize.viewer.viewer_thread import FRAME_TIME, ViewerThread
+
+# What is recorded of each contact, to be drawn and read.
+_CONTACT_SENSORS = ("gap", "normal_force", "normal", "point", "friction_force")
+#: The part of the time from picture to picture that goes into steps.
+STEPPING = 0.7
+#: How much longer arrows become from picture to picture after a large force.
+FADE = 1.02
+# Of so many contacts sensors are written out.
+_MAX_CONTACTS = 8
+#: Time between looks at outcomes and at what failed [s].
+UPDATE_INTERVAL = 0.5
+
+
+class Live(ViewerThread):
+    """Steps a simulation and shows one of its environments.
+
+    Args:
+        server: The server of the page.
+        simulation: What is stepped; from now on by this alone.
+        name: What to call it.
+        speed: Simulated time to that on the wall.
+        varied: Names of the parameters that are offered first.
+
+    Attributes:
+        simulation: What is stepped.
+        rate: Simulated time to that on the wall, as of late; it falls behind ``speed`` where steps take longer.
+    """
+
+    def __init__(
+        self, server: LocalServer, simulation: Simulation, name: str, speed: float, varied: Sequence[str] = ()
+    ) -> None:
+        super().__init__(server, speed)
+        self.simulation = simulation
+        self.name = name
+        self.rate = 0.0
+        self._varied = varied
+        self._drawing: Drawing | None = None
+        self._force_scale = np.inf
+        self._pending_steps = 0.0
+        self._steps_per_second = 0.0
+        self._last_update = 0.0
+        scene, names = simulation.model.scene, simulation.model.sensor_names
+        force_elements: list[Any] = [*scene.contacts, *scene.shape_contacts]
+        self._displayed_sensors = list(
+            dict.fromkeys([*default_sensors(simulation.model, with_gap=True), *self._set_sensors()])
+        )
+        drawn = [f"{one.name}.{key}" for one in force_elements for key in _CONTACT_SENSORS]
+        drawn += [f"{coupling.name}.status" for coupling in scene.couplings]
+        self._recorder = Recorder(
+            simulation.model,
+            [name for name in [*self._displayed_sensors, *drawn] if name in names],
+            frames=1,
+            poses=True,
+        )
+
+    def _set_sensors(self) -> list[str]:
+        """Returns gaps and forces of sets of contacts, of which an experiment records nothing unless asked."""
+        contacts = [one for one in self.simulation.model.scene.contacts if not one.points.single]
+        return [f"{one.name}.{key}" for one in contacts[:_MAX_CONTACTS] for key in ("gap", "normal_force")]
+
+    def add_panel(self) -> None:
+        """Puts all that can be read and done on the page."""
+        gui = self.server.gui
+        self.add_time()
+        self.step_button = self.button("Step", self._step, hint="one time step of all environments")
+        self._resets = gui.add_button_group("Reset", ("This one", "All"))
+        self._resets.on_click(lambda event: self.post(lambda: self._reset(event.target.value)))
+        self.picker = Picker(self, self._select_env)
+        self.add_display_options()
+        with gui.add_folder("Sensors"):
+            self._sensors = gui.add_html("")
+        self.parameters = Parameters(self, self.simulation.model, self._varied)
+        self._outcomes = None
+        if self.simulation.monitor_settings.outcomes or self.simulation.monitor_settings.stops:
+            with gui.add_folder("Outcomes", expand_by_default=False):
+                self._outcomes = gui.add_html("")
+        self._notes = gui.add_html("")
+
+    def begin(self) -> None:
+        """Compiles what steps, and shows the start."""
+        simulation = self.simulation
+        self.show_status("compiling …")
+        self._recorder.start()
+        if simulation.model.at_start:
+            self.write(self._notes, "\n".join(f"Caution: {sentence}" for sentence in simulation.check()))
+            simulation.warned_at_start = True
+            # Compiles; whoever made the simulation may have put it into another state than that at the start.
+            with tempfile.TemporaryDirectory() as folder:
+                state = Path(folder) / "state.npz"
+                simulation.save(state)
+                simulation.step()
+                simulation.load(state)
+        self._update_environments()
+        self.picker.pick(0)
+        self._frame_bodies()
+
+    def _update_environments(self) -> None:
+        self._health = self.simulation.model.health()
+        self.picker.set_environments(np.arange(self.simulation.model.envs), self._health.frozen)
+
+    def _select_env(self, env: int) -> None:
+        self._force_scale = np.inf
+        self._capture_state()
+        if self._drawing is not None:
+            self.stage.follow(self._drawing, 0)
+        self.parameters.show_env(env)
+        self._describe()
+
+    def _describe(self) -> None:
+        """Tells what became of the environment, and its outcomes so far."""
+        env, health = self.picker.env, self._health
+        if env is None:
+            return
+        description = ""
+        frozen = np.flatnonzero(health.frozen == env)
+        if len(frozen):
+            at, cause = health.times[frozen[0]], FailureCause(health.causes[frozen[0]])
+            description = f"frozen: {cause.name}, at {value_text(float(at))} s"
+        elif env in health.stopped:
+            description = "stopped by a condition"
+        self.picker.describe(description)
+        if self._outcomes is not None:
+            self.write_table(self._outcomes, rows_of(self.simulation.outcomes().isel(env=env)))
+
+    def tick(self, seconds: float) -> None:
+        """Steps as far as the time on the wall went, if steps are fast enough, and shows the state."""
+        if self.playing:
+            self._step_until(seconds)
+        if time.monotonic() - self._last_update > UPDATE_INTERVAL and self.picker.env is not None:
+            self._last_update = time.monotonic()
+            self._update_environments()
+            self._describe()
+
+    def _step_until(self, seconds: float) -> None:
+        simulation = self.simulation
+        begin = time.perf_counter()
+        before = simulation.steps
+        self._pending_steps += self.speed * seconds / simulation.dt
+        # As many at once as take half of what is left of the time, as far as is known.
+        while self._pending_steps >= 1.0:
+            remaining = STEPPING * FRAME_TIME - (time.perf_counter() - begin)
+            if remaining <= 0.0:
+                # The machine is too slow for this speed: what it owes is let go.
+                self._pending_steps = 0.0
+                break
+            count = int(min(self._pending_steps, max(1.0, 0.5 * remaining * self._steps_per_second)))
+            start = time.perf_counter()
+            simulation.step(count)
+            self._finish_queued()
+            self._steps_per_second = count / max(time.perf_counter() - start, 1.0e-6)
+            self._pending_steps -= count
+        done = (simulation.steps - before) * simulation.dt
+        # Of the last second or so.
+        self.rate += min(1.0, 2.0 * seconds) * (done / max(seconds, 1.0e-6) - self.rate)
+        self._capture_state()
+
+    def _finish_queued(self) -> None:
+        """Waits for a GPU, which queues steps: the next count is by how long they take."""
+        import warp as wp
+
+        for device in self.simulation.model.devices:
+            if device.is_cuda:
+                wp.synchronize_device(device)
+
+    def _capture_state(self) -> None:
+        """Looks at the state and draws it."""
+        env = self.picker.env
+        if env is None:
+            return
+        recorder = self._recorder
+        recorder.rewind()
+        recorder.take(self.simulation.time)
+        recording = recorder.finish({})
+        self._drawing = drawing = Drawing.of(recording, envs=[env])
+        if any(contact.forces.any() for contact in drawing.contact_forces):
+            # Arrows are comparable over some seconds: the longest is of the largest force of late.
+            self._force_scale = min(self._force_scale * FADE, drawing.force_scale)
+        self.redraw()
+        own = recording[self._displayed_sensors].isel(time=0).sel(env=env)
+        self.write_table(self._sensors, rows_of(own))
+        self._show_state()
+
+    def _show_state(self) -> None:
+        simulation = self.simulation
+        paced = f", {self.rate:.3g} × real time" if self.playing else ""
+        self.show_status(f"{self.name}\n{simulation.time:.6g} s, step {simulation.steps}{paced}")
+
+    def redraw(self) -> None:
+        """Draws the state that was taken last."""
+        if self._drawing is not None:
+            scale = self._force_scale if np.isfinite(self._force_scale) else self._drawing.force_scale
+            self.draw(self._drawing, 0, scale)
+
+    def _step(self) -> None:
+        self.pause()
+        self.show_problem("")
+        self.simulation.step()
+        self._capture_state()
+
+    def _reset(self, which: str) -> None:
+        mask = None
+        if which == "This one":
+            mask = np.arange(self.simulation.model.envs) == self.picker.env
+        self.simulation.reset(mask)
+        self.show_problem("")
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Shows the state after it was changed other than by steps."""
+        self._force_scale = np.inf
+        self._capture_state()
+        self._update_environments()
+        self._describe()
+
+    def play(self) -> None:
+        """Lets time go on."""
+        self._pending_steps, self.rate = 0.0, 0.0
+        super().play()
+
+    def pause(self) -> None:
+        """Stops the time."""
+        super().pause()
+        self._show_state()
+
+    def current_drawing(self) -> tuple[Drawing, int] | None:
+        """Returns what is seen, and the record of it."""
+        return None if self._drawing is None else (self._drawing, 0)

@@ -1,0 +1,303 @@
+"""What is drawn on a page: one environment of a drawing, of which only what moved is sent."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from warpcontact.validation.checks import Array
+from warpcontact.visualize.drawing.colors import gap_colors, linear
+from warpcontact.visualize.drawing.drawing import ContactForces, Curve, Drawing, Figure, Shape
+
+# Lights: of all around, grey from below, and from one side.
+SKY = 1.8
+GROUND = (150, 150, 150)
+SUN = 1.8
+SUN_DIRECTION = (-4.0, -6.0, 10.0)
+
+# Widths in sizes of the largest body.
+ARROW = 0.03
+LINE = 0.02
+SPOT = 0.08
+#: Ends of the colours of gaps, in sizes: how deep, and how far away.
+DEEP, FAR = 0.02, 1.0
+
+# So many copies are drawn in full; of more, those that are far away are drawn with fewer faces.
+FEW = 64
+# The camera stands in this direction from what it looks at, so many times its radius away.
+CAMERA_DIRECTION = np.array([0.8, -1.5, 0.7]) / np.linalg.norm([0.8, -1.5, 0.7])
+CAMERA_DISTANCE = 2.6
+
+
+def by_color(shape: Shape, color: Array) -> Iterator[tuple[Array, NDArray[Any], Array]]:
+    """Yields the faces of a shape of each colour as (vertices, faces, color)."""
+    if shape.colors is None:
+        yield shape.vertices, shape.faces, color
+        return
+    colors, number = np.unique(shape.colors, axis=0, return_inverse=True)
+    for i, own in enumerate(colors):
+        used, faces = np.unique(shape.faces[number.reshape(-1) == i], return_inverse=True)
+        yield shape.vertices[used], faces.reshape(-1, 3), own
+
+
+def is_same(a: Shape, b: Shape) -> bool:
+    """Whether two shapes look the same."""
+    if a is b:
+        return True
+    if (a.normals is None) != (b.normals is None) or (a.colors is None) != (b.colors is None):
+        return False
+    pairs: list[tuple[Any, Any]] = [(a.vertices, b.vertices), (a.faces, b.faces)]
+    if a.colors is not None and b.colors is not None:
+        pairs.append((a.colors, b.colors))
+    return all(one is other or np.array_equal(one, other) for one, other in pairs)
+
+
+@dataclass
+class _Drawn:
+    """A figure that is on the page: its nodes, one of each colour."""
+
+    shape: Shape
+    color: Array
+    name: str
+    nodes: list[Any]
+    colors: list[Array]
+
+
+class Stage:
+    """The scene of a page.
+
+    Args:
+        server: The server of the page.
+
+    Attributes:
+        forces: Whether arrows of forces are drawn.
+        length: Factor on the length of arrows.
+        gaps: Whether contacts have the colours of their gaps.
+        following: Whether the camera moves with the bodies.
+    """
+
+    def __init__(self, server: Any) -> None:
+        self.server = server
+        self.forces = True
+        self.length = 1.0
+        self.gaps = False
+        self.following = False
+        self._figures: list[_Drawn] = []
+        self._curves: list[Any] = []
+        self._touches: list[tuple[Any, Any]] = []
+        self._names: list[list[str]] = []
+        self._centre: Array | None = None
+        # Those of viser outshine colours.
+        server.scene.configure_environment_map(None)
+        server.scene.configure_default_lights(False)
+        server.scene.add_light_hemisphere("/lights/sky", ground_color=GROUND, intensity=SKY)
+        server.scene.add_light_directional(
+            "/lights/sun", intensity=SUN, cast_shadow=True, position=tuple(SUN_DIRECTION)
+        )
+
+    def show(self, drawing: Drawing, record: int, force_scale: float) -> None:
+        """Shows the first environment of a drawing at one of its records.
+
+        Args:
+            drawing: The drawing.
+            record: Number of the record.
+            force_scale: Length of arrows [m/N].
+        """
+        with self.server.atomic():
+            names = [
+                [one.name for one in group] for group in (drawing.figures, drawing.curves, drawing.contact_forces)
+            ]
+            if names != self._names:
+                self.clear()
+                self._names = names
+                self._curves = [self._add_curve(i, curve, drawing) for i, curve in enumerate(drawing.curves)]
+                self._touches = [
+                    self._add_touch(i, contact, drawing) for i, contact in enumerate(drawing.contact_forces)
+                ]
+            colors = {} if not self.gaps else {one.name: one.gaps for one in drawing.contact_forces}
+            spheres = set()
+            for number, figure in enumerate(drawing.figures):
+                gaps = colors.get(figure.name)
+                if (
+                    gaps is not None
+                    and figure.kind in ("sphere", "point")
+                    and gaps.shape[2:] == figure.present.shape[1:]
+                ):
+                    spheres.add(figure.name)
+                    self._place(number, figure, record, _gap_colors(gaps[record, 0], drawing.size))
+                else:
+                    self._place(number, figure, record, None)
+            for curve, node in zip(drawing.curves, self._curves, strict=True):
+                points = at(curve.points, record)
+                node.points = np.stack([points[:-1], points[1:]], axis=1)
+                node.visible = bool(at(curve.shown, record))
+            for contact, (arrows, spots) in zip(drawing.contact_forces, self._touches, strict=True):
+                self._draw_forces(arrows, contact, record, force_scale)
+                self._draw_spots(spots, contact, record, drawing.size, shown=contact.name not in spheres)
+            if self.following:
+                self.follow(drawing, record)
+
+    def clear(self) -> None:
+        """Takes everything off the page."""
+        for drawn in self._figures:
+            for node in drawn.nodes:
+                node.remove()
+        for node in [*self._curves, *(one for pair in self._touches for one in pair)]:
+            node.remove()
+        self._figures, self._curves, self._touches, self._names = [], [], [], []
+
+    def frame_bodies(self, drawing: Drawing, record: int) -> None:
+        """Puts the cameras where all that moves is seen."""
+        centre, radius = middle(drawing, record)
+        self._centre = centre
+        place = centre + CAMERA_DISTANCE * radius * CAMERA_DIRECTION
+        for camera in self._cameras():
+            # In this order: a camera that is moved takes what it looks at along.
+            camera.position, camera.look_at = place, centre
+        self.server.initial_camera.near = 0.01 * radius
+        self.server.initial_camera.far = max(1000.0, 1000.0 * radius)
+
+    def follow(self, drawing: Drawing, record: int) -> None:
+        """Moves the cameras along with the bodies, as they look and as far away as they are."""
+        centre, _ = middle(drawing, record)
+        if self._centre is None:
+            self.frame_bodies(drawing, record)
+            return
+        displacement = centre - self._centre
+        if not displacement.any():
+            return
+        self._centre = centre
+        for camera in self._cameras():
+            camera.position, camera.look_at = camera.position + displacement, camera.look_at + displacement
+
+    def _cameras(self) -> list[Any]:
+        """Returns those of the pages that are open, and of those that will be."""
+        return [self.server.initial_camera, *(one.camera for one in self.server.get_clients().values())]
+
+    def _place(self, number: int, figure: Figure, record: int, colors: Array | None) -> None:
+        """Puts a figure where it is; ``colors``: of each item, instead of its own."""
+        there = figure.present[0]
+        positions, orientations = at(figure.positions, record)[there], at(figure.orientations, record)[there]
+        orientations, scales = orientations[:, [3, 0, 1, 2]], figure.scales[0][there]
+        previous = self._figures[number] if number < len(self._figures) else None
+        if previous is None or not is_same(previous.shape, figure.shape) or (previous.color != figure.color).any():
+            for node in [] if previous is None else previous.nodes:
+                node.remove()
+            self._figures[number:] = [
+                self._add_figure(number, figure, orientations, positions, scales),
+                *self._figures[number + 1 :],
+            ]
+            previous = self._figures[number]
+        for node, color in zip(previous.nodes, previous.colors, strict=True):
+            node.visible = bool(there.any())
+            if there.any():
+                node.batched_positions, node.batched_wxyzs, node.batched_scales = positions, orientations, scales
+                node.batched_colors = _bytes(linear(color if colors is None else colors[there]))
+
+    def _add_figure(
+        self, number: int, figure: Figure, orientations: Array, positions: Array, scales: Array
+    ) -> _Drawn:
+        nodes, colors = [], []
+        if not len(positions):
+            orientations, positions, scales = np.array([[1.0, 0.0, 0.0, 0.0]]), np.zeros((1, 3)), np.ones((1, 3))
+        for i, (vertices, faces, color) in enumerate(by_color(figure.shape, figure.color)):
+            nodes.append(
+                self.server.scene.add_batched_meshes_simple(
+                    f"/figures/{number}_{_plain(figure.name)}/{i}",
+                    vertices,
+                    faces,
+                    orientations,
+                    positions,
+                    batched_scales=scales,
+                    batched_colors=_bytes(linear(color)),
+                    lod="off" if len(positions) <= FEW else "auto",
+                    flat_shading=figure.shape.normals is None,
+                    side="double",
+                    cast_shadow=figure.kind != "surface",
+                )
+            )
+            colors.append(color)
+        return _Drawn(figure.shape, figure.color, figure.name, nodes, colors)
+
+    def _add_curve(self, number: int, curve: Curve, drawing: Drawing) -> Any:
+        return self.server.scene.add_line_segments(
+            f"/couplings/{number}_{_plain(curve.name)}",
+            np.zeros((1, 2, 3)),
+            _bytes(curve.color),
+            thickness=LINE * drawing.size,
+        )
+
+    def _add_touch(self, number: int, contact: ContactForces, drawing: Drawing) -> tuple[Any, Any]:
+        name, size = f"/contacts/{number}_{_plain(contact.name)}", drawing.size
+        arrows = self.server.scene.add_arrows(
+            f"{name}/force",
+            np.zeros((1, 2, 3)),
+            _bytes(linear(contact.color)),
+            shaft_radius=ARROW * size,
+            head_radius=2.0 * ARROW * size,
+            head_length=4.0 * ARROW * size,
+            visible=False,
+        )
+        spots = self.server.scene.add_point_cloud(
+            f"{name}/gap",
+            np.zeros((1, 3)),
+            np.zeros((1, 3), np.uint8),
+            point_size=SPOT * size,
+            point_shape="circle",
+            precision="float32",
+            visible=False,
+        )
+        return arrows, spots
+
+    def _draw_forces(self, node: Any, contact: ContactForces, record: int, force_scale: float) -> None:
+        force = at(contact.forces, record)
+        acting = force.any(axis=-1)
+        if self.forces and acting.any():
+            start = at(contact.points, record)[acting]
+            node.points = np.stack([start, start + self.length * force_scale * force[acting]], axis=1)
+        node.visible = bool(self.forces and acting.any())
+
+    def _draw_spots(self, node: Any, contact: ContactForces, record: int, size: float, *, shown: bool) -> None:
+        gaps = None if contact.gaps is None else at(contact.gaps, record)
+        # Where two are far from each other there is nothing to see between them.
+        known = np.zeros(0, bool) if gaps is None or not (shown and self.gaps) else gaps < FAR * size
+        if gaps is not None and known.any():
+            # Both at once: a cloud with fewer colours than points is drawn black.
+            with self.server.atomic():
+                node.points = at(contact.points, record)[known].astype(np.float32)
+                node.colors = _bytes(_gap_colors(gaps[known], size))
+        node.visible = bool(known.any())
+
+
+def at(values: NDArray[Any], record: int) -> NDArray[Any]:
+    """Returns the values (1|time, env, …) of the first environment at a record."""
+    return values[record if len(values) > 1 else 0, 0]
+
+
+def middle(drawing: Drawing, record: int) -> tuple[Array, float]:
+    """Returns the middle of all that moves, world [m], and the radius of what is to be seen around it [m]."""
+    moving = [figure for figure in drawing.figures if figure.kind != "surface" or len(figure.positions) > 1]
+    places = [at(figure.positions, record)[figure.present[0]] for figure in moving]
+    if not places or not sum(map(len, places)):
+        places = [contact.points[min(record, len(contact.points) - 1), 0] for contact in drawing.contact_forces]
+    if not places or not sum(map(len, places)):
+        return np.zeros(3), 5.0 * drawing.size
+    box = np.concatenate(places)
+    low, high = box.min(axis=0), box.max(axis=0)
+    return 0.5 * (low + high), max(0.6 * float(np.linalg.norm(high - low)), 3.0 * drawing.size)
+
+
+def _gap_colors(gaps: Array, size: float) -> Array:
+    return gap_colors(gaps, DEEP * size, FAR * size)
+
+
+def _bytes(color: Array) -> NDArray[np.uint8]:
+    return (255.0 * np.clip(color, 0.0, 1.0)).round().astype(np.uint8)
+
+
+def _plain(name: str) -> str:
+    """Returns what of a name of the user's can be part of the name of a node."""
+    return re.sub(r"[^A-Za-z0-9._-]+", "_", name)[:40]
