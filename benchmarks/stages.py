@@ -65,7 +65,7 @@ def stages(sim: wc.Simulation, envs: int) -> dict[str, float]:
     )
     buffers = StepBuffers(model, sim.integrator, sim.dt)
     buffers.allocate(envs)
-    own, other = model.arrays.state, buffers.other
+    own, other = model.arrays.state, buffers.other_state
     ends = sim.integrator.can_accept(plan)
     launch_sequences = [
         sim.integrator.step_stages(plan, sim.times.full, *states, None, accepts=ends)

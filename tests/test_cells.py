@@ -249,7 +249,7 @@ def test_face_grid_of_scaled_surface_has_scaled_reach():
     (as_it_is,) = grids_of(scene_of(mesh, radius))
     (larger,) = grids_of(scene_of(mesh, 10.0 * radius, scale=10.0))
     assert (larger.counts, larger.size) == (as_it_is.counts, as_it_is.size)
-    assert larger.reach == pytest.approx(as_it_is.reach)
+    assert larger.radius == pytest.approx(as_it_is.radius)
 
 
 @pytest.mark.parametrize("radius", [5.0, 30.0])
@@ -297,7 +297,7 @@ def test_memory_estimate_includes_face_grid(precision, device):
         if name.startswith(("patch_", "wall_", "face_", "surface_"))
     )
     assert taken > 100_000
-    planned = model.memory_estimate().of("surfaces")
+    planned = model.memory_estimate().bytes_for("surfaces")
     assert taken < planned < taken + without + 1_000_000
 
 

@@ -44,7 +44,7 @@ def small_example():
 @pytest.mark.parametrize("flip", [False, True])
 def test_experiment_check_reuses_loaded_meshes_for_the_first_model(flip, monkeypatch):
     made = []
-    for name in ("make_patch", "make_tree"):
+    for name in ("make_query_mesh", "build_bvh"):
         function = getattr(query_mesh, name)
 
         def counted(*args, name=name, function=function, **options):
@@ -55,12 +55,12 @@ def test_experiment_check_reuses_loaded_meshes_for_the_first_model(flip, monkeyp
     described = content()
     described["surface"][0]["flip"] = flip
     experiment = wc.Experiment.from_dict(described)
-    assert sorted(made) == ["make_patch", "make_tree"]
+    assert sorted(made) == ["build_bvh", "make_query_mesh"]
     experiment.model(device="cpu")
     assert len(made) == 2
     # It is kept no longer, and of several experiments that are changes of one that of the last.
     experiment.model(device=["cpu", "cpu"])
-    assert sorted(made) == ["make_patch"] * 2 + ["make_tree"] * 2
+    assert sorted(made) == ["build_bvh"] * 2 + ["make_query_mesh"] * 2
     for envs in (2, 3):
         experiment.changed(envs=envs)
     assert len(experiment._file_cache.patches) == 1

@@ -293,7 +293,7 @@ def start(case, device, monkeypatch, *, staged, **options):
     """
     with monkeypatch.context() as patch:
         if staged:
-            for name in ("alone", "meets", "accepts_in_integrator", "sums_by_body"):
+            for name in ("fuses_step", "fuses_contact", "accepts_in_integrator", "sums_by_body"):
                 patch.setattr(ExecutionPlan, name, False)
             patch.setattr(ParticleContactSet, "sums_by_body", False)
             options |= {"distance_cache": False, "deterministic": True, "capture_graphs": False}

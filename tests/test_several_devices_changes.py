@@ -91,7 +91,7 @@ def test_failed_upload_to_the_last_device_changes_nothing_on_any_part(device, mo
         return upload(device_field, content, envs)
 
     with monkeypatch.context() as patch:
-        patch.setattr(DeviceField, "send", failing)
+        patch.setattr(DeviceField, "upload", failing)
         with pytest.raises(RuntimeError, match="Failed to allocate"):
             model["ball.mass"] = np.arange(1.0, 7.0)
     np.testing.assert_array_equal(model["ball.mass"], mass)
@@ -175,7 +175,7 @@ def test_diverged_environment_is_reported_with_its_global_number(devices, device
 @pytest.mark.parametrize("looked_at", [4096, 5])
 def test_warnings_are_issued_once_with_global_environment_numbers(looked_at, device, monkeypatch):
     for module in (step_warnings, friction_warnings):
-        monkeypatch.setattr(module, "LOOKED_AT", looked_at)
+        monkeypatch.setattr(module, "MAX_CHECKED_ENVS", looked_at)
 
     def warnings_of(where):
         model = dropped_sphere(

@@ -73,7 +73,7 @@ def test_array_strides_match_the_declared_layout(fill, celled, precision, monkey
     instances = [
         own.model,
         own.state,
-        sim._buffers[0].other,
+        sim._buffers[0].other_state,
         own.history,
         own.contacts,
         own.active_contacts,

@@ -100,9 +100,9 @@ def reset() -> wp.Kernel:
     ):
         env, slot = wp.tid()
         if mask[env]:
-            if slot < flags.particle[1]:
+            if slot < flags.shape[1]:
                 flags[env, slot] = 0
-            if slot < particle_flags.particle[1]:
+            if slot < particle_flags.shape[1]:
                 particle_flags[env, slot] = 0
             if slot == 0:
                 valid[env] = 0

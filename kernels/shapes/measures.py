@@ -240,7 +240,7 @@ def gradients(kind_a: type[Shape], kind_b: type[Shape], real: type) -> wp.Kernel
             wp.quat_rotate(pose.q_W, contact_point.point_b),
             curvature_a,
             curvature_b,
-            origin_b + pose.bodies,
+            origin_b + pose.body_offset,
             origin_b,
         )
         measured.gap_by_position_a[env, index] = vector_of(rates.gap, 0)

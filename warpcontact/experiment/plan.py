@@ -158,7 +158,7 @@ def make_plan(
         stepping = {
             "integrator": settings.integrator.make(),
             "crossing_substeps": settings.crossing_substeps,
-            "looks": size.measured if frames else None,
+            "recorded_needs": size.measured if frames else None,
         }
         return draft.memory(envs, design.names, **stepping, **monitor_arguments(settings)).with_items(
             [

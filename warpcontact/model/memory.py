@@ -33,7 +33,7 @@ class MemoryItem:
 
     def __post_init__(self) -> None:
         if self.location == "cpu":
-            object.__setattr__(self, "place", HOST)
+            object.__setattr__(self, "location", HOST)
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ class MemoryEstimate:
 
     def __repr__(self) -> str:
         parts = [f"{format_bytes(self.bytes_at(location))} on {location}" for location in self.locations]
-        return f"<Footprint of {env_count_text(self.envs)} on {self.device}: {', '.join(parts) or 'nothing'}>"
+        return f"<MemoryEstimate of {env_count_text(self.envs)} on {self.device}: {', '.join(parts) or 'nothing'}>"
 
 
 def total(parts: Iterable[MemoryEstimate]) -> MemoryEstimate:

@@ -508,19 +508,19 @@ OF_SCENE = {
     "solve_converged": ("solve_result", "converged", "-", "1: to its tolerance"),
     "solve_failures": ("statistics", "failures", "-", "steps that were not solved to it, since reset"),
     "restitution_limited": (
-        "account",
+        "statistics",
         "restitution_limited",
         "-",
         "steps in which restitution was lowered to bring no energy",
     ),
     "friction_dissipation": (
-        "account",
+        "statistics",
         "friction_dissipation",
         "J",
         "energy that friction of nonsmooth contacts took, since reset",
     ),
     "impact_dissipation": (
-        "account",
+        "statistics",
         "impact_dissipation",
         "J",
         "energy that impacts of nonsmooth contacts took, since reset",
