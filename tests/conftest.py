@@ -138,10 +138,10 @@ def devices(request, device):
 @pytest.fixture(scope="session")
 def whole_run(tmp_path_factory):
     """A finished run of three shards, with chunks of 19 frames."""
-    import runs
+    import sharded_runs
 
     folder = tmp_path_factory.mktemp("whole")
-    code, _, err = runs.run(runs.study(folder), "--out", folder / "out", *runs.OPTIONS)
+    code, _, err = sharded_runs.run(sharded_runs.study(folder), "--out", folder / "out", *sharded_runs.OPTIONS)
     assert code == 0, err
     return folder / "out"
 
@@ -149,20 +149,20 @@ def whole_run(tmp_path_factory):
 @pytest.fixture(scope="session")
 def part_run(tmp_path_factory):
     """The same, killed when one shard was finished and another on its way."""
-    import runs
+    import sharded_runs
 
     folder = tmp_path_factory.mktemp("part")
-    study, out = runs.study(folder), folder / "out"
-    process = runs.start_run(study, "--out", out, *runs.OPTIONS, first=runs.COMMIT_OFTEN)
+    study, out = sharded_runs.study(folder), folder / "out"
+    process = sharded_runs.start_run(study, "--out", out, *sharded_runs.OPTIONS, first=sharded_runs.COMMIT_OFTEN)
 
     def halfway():
-        shards = runs.records(out)
+        shards = sharded_runs.records(out)
         return 1 in shards and shards[1]["frames"] > 0 and not shards[1]["finished"]
 
     try:
-        assert runs.wait_until(halfway, process)
+        assert sharded_runs.wait_until(halfway, process)
     finally:
-        runs.kill(process)
+        sharded_runs.kill(process)
     return out
 
 

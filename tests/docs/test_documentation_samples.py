@@ -1,0 +1,45 @@
+"""Every Python sample of the README and the docs runs as it stands."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def samples(page):
+    return re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+
+
+# Those with Python on them.
+PAGES = [
+    page
+    for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+    if page.is_file() and samples(page)
+]
+
+
+# Pages of one process share the start of Python and of Warp.
+GROUPS = [PAGES[first::4] for first in range(4)]
+RUN = "import runpy, sys\nfor page in sys.argv[1:]: runpy.run_path(page, run_name='__main__')"
+
+
+@pytest.mark.skipif(not PAGES, reason="the pages are in a checkout, not in an installed package")
+@pytest.mark.parametrize("pages", GROUPS, ids=lambda pages: " ".join(page.stem for page in pages))
+def test_documentation_samples_run_in_page_order(pages, tmp_path):
+    scripts = []
+    for page in pages:
+        script = tmp_path / f"{page.stem}.py"  # Warp reads the source of kernels from a file
+        script.write_text("\n\n".join(samples(page)), encoding="utf-8")
+        scripts.append(script)
+    result = subprocess.run(
+        [sys.executable, "-W", "error", "-c", RUN, *scripts],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert result.returncode == 0, result.stderr

@@ -1,0 +1,152 @@
+"""Rings and superellipsoids: no place of the core circle is nearer than told, by bounds of distances."""
+
+import numpy as np
+import pytest
+import warp as wp
+from convex_pairs import directions, heights, random_rotations, random_shapes, solved
+from nonconvex_pairs import inverse_rotation, largest_separation, rotated
+from parametric_pairs import support
+from superellipsoid_distance import distance_lower_bound, separation
+from warpcontact.kernels.shapes import shapes as S
+from warpcontact.kernels.shapes.torus import Torus
+from warpcontact.kernels.types import MET
+
+# Of the signed distance: beyond rounding of the support function, whose powers go to 20.
+TIE = 1e-9
+UP = wp.constant(wp.vec3d(0.0, 0.0, 1.0))
+ANGLES = wp.constant(wp.int32(300))
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def search_neighborhood(
+    axes: wp.array(dtype=wp.vec3d),
+    exponents: wp.array(dtype=wp.vec2d),
+    radius: wp.array(dtype=wp.float64),
+    x: wp.array(dtype=wp.vec3d),
+    q: wp.array(dtype=wp.quatd),
+    normal: wp.array(dtype=wp.vec3d),
+    center: wp.array(dtype=wp.vec3d),
+    reported: wp.array(dtype=wp.float64),
+    shortfall: wp.array(dtype=wp.float64),
+    there: wp.array(dtype=wp.float64),
+):
+    """By how much places of the core circle are nearer than ``told`` at most, and the distance of ``center``."""
+    i = wp.tid()
+    n = normal[i]
+    for k in range(ANGLES):
+        angle = wp.float64(2.0 * wp.pi) * wp.float64(k) / wp.float64(ANGLES)
+        y = x[i] + wp.quat_rotate(q[i], radius[i] * wp.vec3d(wp.cos(angle), wp.sin(angle), wp.float64(0.0)))
+        if separation(axes[i], exponents[i], normal[i], y) < reported[i]:
+            value, m = distance_lower_bound(axes[i], exponents[i], n, y, reported[i])
+            n = m
+            shortfall[i] = wp.max(shortfall[i], reported[i] - value)
+    value, m = distance_lower_bound(axes[i], exponents[i], normal[i], center[i], wp.float64(wp.inf))
+    there[i] = value
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def measure(
+    axes: wp.vec3d, exponents: wp.vec2d, y: wp.array(dtype=wp.vec3d), distance: wp.array(dtype=wp.float64)
+):
+    """Signed distances of places."""
+    i = wp.tid()
+    value, _n = distance_lower_bound(axes, exponents, UP, y[i], wp.float64(wp.inf))
+    distance[i] = value
+
+
+def random_poses(count, seed):
+    """Returns sizes, and poses: three in four from apart to overlap by hulls, else with near middles."""
+    random = np.random.default_rng(seed)
+    major = random.uniform(0.25, 1.0, count)
+    a = {"major_radius": major, "minor_radius": major * random.uniform(0.1, 0.9, count)}
+    b = random_shapes(S.Superellipsoid, count, random)
+    q = random_rotations(count, random)
+    n = random.normal(size=(count, 3))
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    reach = (
+        support(Torus, a, rotated(inverse_rotation(q), -n)[:, None])[:, 0]
+        + heights(S.Superellipsoid, b, n[:, None])[:, 0]
+    )
+    own = directions(64)[None]
+    size = 2.0 * np.minimum(support(Torus, a, own).mean(axis=1), heights(S.Superellipsoid, b, own).mean(axis=1))
+    gap = np.where(random.random(count) < 0.5, random.uniform(-0.6, 2.0, count), random.uniform(-0.6, 0.2, count))
+    out = np.where(np.arange(count) % 4 > 0, reach + gap * size, random.uniform(0.0, 0.5, count) * reach)
+    return a, b, out[:, None] * n, q
+
+
+def check(count, seed, device):
+    a, b, x, q = random_poses(count, seed)
+    contact = solved(Torus, S.Superellipsoid, a, b, x, q, device=device)
+    assert (contact["status"] == MET).all()
+    n, gap = contact["normal"], contact["gap"]
+    # On the surface of both: what touches the body across n, and what is r from the core circle, square to it.
+    along = np.sum(n * contact["point_b"], axis=1) - heights(S.Superellipsoid, b, n[:, None])[:, 0]
+    np.testing.assert_allclose(along, 0.0, atol=TIE)
+    np.testing.assert_allclose(np.linalg.norm(n, axis=1), 1.0, atol=1e-12)
+    np.testing.assert_allclose(np.sum(n * (contact["point_a"] - contact["point_b"]), axis=1), gap, atol=TIE)
+    center = contact["point_a"] + a["minor_radius"][:, None] * n
+    local, m = rotated(inverse_rotation(q), center - x), rotated(inverse_rotation(q), n)
+    np.testing.assert_allclose(np.hypot(local[:, 0], local[:, 1]), a["major_radius"], atol=TIE)
+    np.testing.assert_allclose(local[:, 2], 0.0, atol=TIE)
+    np.testing.assert_allclose(local[:, 0] * m[:, 1], local[:, 1] * m[:, 0], atol=TIE)
+    # What rounding of the normal does to points goes by powers of it, to 1/19.
+    beside = contact["point_a"] - contact["point_b"] - gap[:, None] * n
+    assert np.abs(beside).max() < 1e-5
+
+    shortfall, there = (wp.zeros(count, dtype=wp.float64, device=device) for _ in range(2))
+    reported = gap + a["minor_radius"]
+    numbers = [wp.array(values, dtype=wp.float64, device=device) for values in (a["major_radius"], reported - TIE)]
+    vectors = [wp.array(values, dtype=wp.vec3d, device=device) for values in (x, n, center)]
+    inputs = [
+        wp.array(b["semi_axes"], dtype=wp.vec3d, device=device),
+        wp.array(b["exponents"], dtype=wp.vec2d, device=device),
+        numbers[0], vectors[0], wp.array(q, dtype=wp.quatd, device=device), *vectors[1:], numbers[1],
+        shortfall, there,
+    ]  # fmt: skip
+    wp.launch(search_neighborhood, count, inputs=inputs, device=device)
+    # No place of the circle is nearer, and the one that is told is as near as that; or farther, and pierced.
+    assert (shortfall.numpy() <= 0.0).all()
+    pierced = there.numpy() > reported + TIE
+    assert (reported[pierced] < 0.0).all()
+    assert 0.05 < pierced.mean() < 0.3
+    slopes = []
+    for i in np.flatnonzero(pierced)[:10]:
+        ring = Torus(a["major_radius"][i], a["minor_radius"][i])
+        body = S.Superellipsoid(tuple(b["semi_axes"][i]), tuple(b["exponents"][i]))
+        slopes.append(min(slopes_near_the_minimum(ring, body, x[i], q[i], device)))
+        # Cells are 0.065 apart: of an edge of g, as steep as both are wide, half of that is missed.
+        steep = np.linalg.norm(body.semi_axes) + ring.major_radius
+        np.testing.assert_allclose(gap[i], largest_separation(ring, body, x[i], q[i]), atol=0.033 * steep)
+    # There are two ways out of the body, neither of them across the circle: one may be so by little.
+    assert np.median(slopes) > 0.01
+    assert min(slopes) > 1e-5
+
+
+def slopes_near_the_minimum(ring, body, x, q, device):
+    """Returns by how much the distance of the core circle grows to both sides of its least value, per length."""
+    middle, width = 0.0, np.pi
+    for count in (300, 60, 60):
+        angle = middle + width * np.linspace(-1.0, 1.0, count + 1)
+        circle = ring.major_radius * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=-1)
+        y = wp.array(x + rotated(q, circle), dtype=wp.vec3d, device=device)
+        distance = wp.zeros(count + 1, dtype=wp.float64, device=device)
+        sizes = [wp.vec3d(*body.semi_axes), wp.vec2d(*body.exponents)]
+        wp.launch(measure, count + 1, inputs=[*sizes, y, distance], device=device)
+        value = distance.numpy()
+        k = np.clip(value.argmin(), 1, count - 1)
+        step = angle[1] - angle[0]
+        middle, width = angle[k], step
+    return (value[[k - 1, k + 1]] - value[k]) / (step * ring.major_radius)
+
+
+@pytest.mark.slow
+def test_torus_and_superellipsoid_contact_is_at_the_deepest_core_point(device):
+    check(500, 1, device)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("first", range(10, 14))
+def test_many_random_torus_and_superellipsoid_pairs_match_reference(first, times, device):
+    """20 000 in all, or 100 000 with --thorough."""
+    for seed in range(first, first + 4 * times, 4):
+        check(5000, seed, device)

@@ -1,0 +1,150 @@
+"""Bodies alone in their environment take many steps in one launch on a CPU; nothing else comes of it."""
+
+import numpy as np
+import pytest
+from test_fused_step_gpu import SINGLE_BODY_SCENES, assert_same, built, states
+
+import warpcontact as wc
+from warpcontact.stepping import simulation
+from warpcontact.stepping.execution_plan import ExecutionPlan
+from warpcontact.stepping.recorder import Recorder
+from warpcontact.stepping.slice_stepper import StepChunk
+
+pytestmark = [pytest.mark.launch_shapes, pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")]
+KEYS = ("normal_force", "friction_force", "gap", "status")
+
+
+def contact_sensors(model):
+    """Returns sensors of contacts, and what is known of them from step to step."""
+    history = model.arrays.history
+    return [
+        *(model.sensor(f"touch.{key}") for key in KEYS),
+        *(getattr(history, key).numpy() for key in ("armed", "entry_speed")),
+    ]
+
+
+def names_of(launches):
+    return [launch.kernel.key.split("__")[-1] for launch in launches]
+
+
+def stepper_of(sim):
+    return sim._prepared[1]._steppers[0]
+
+
+def kernels_of(sim):
+    return set(names_of(stepper_of(sim)._steps[0].full))
+
+
+@pytest.mark.parametrize(
+    ("name", "precision"),
+    [
+        *((name, "float32") for name in SINGLE_BODY_SCENES),
+        ("points in clusters", "float64"),
+        pytest.param("a sphere with history", "float64", marks=pytest.mark.slow),
+    ],
+)
+@pytest.mark.parametrize("graphs", [True, False], ids=["graphs", "launches"])
+def test_fused_steps_equal_staged_steps(name, precision, graphs, monkeypatch):
+    model = built(SINGLE_BODY_SCENES[name], "cpu", precision)
+    sim = wc.Simulation(model, dt=1e-3, capture_graphs=graphs)
+    with monkeypatch.context() as patch:
+        patch.setattr(ExecutionPlan, "fuses_steps", False)
+        other = built(SINGLE_BODY_SCENES[name], "cpu", precision)
+        staged = wc.Simulation(other, dt=1e-3)
+        staged.step(1)
+    sim.step(1)
+    touched = False
+    # In one launch each, captured or not.
+    for count in (1, 73, 8, 64, 3, 300, 130):
+        sim.step(count)
+        staged.step(count)
+        assert_same(states(model), states(other))
+        assert_same(contact_sensors(model), contact_sensors(other))
+        np.testing.assert_array_equal(model.arrays.time.numpy(), other.arrays.time.numpy())
+        touched |= (model.sensor("touch.normal_force") > 0).any()
+    assert touched
+    assert kernels_of(sim) == {"fused_steps"}
+    assert "fused_steps" not in kernels_of(staged)
+    stepper = stepper_of(sim)
+    # The same for any number.
+    assert {way for way, _ in stepper._graphs} == ({StepChunk(1)} if graphs else set())
+    assert len(stepper._steps[0].full) == 1
+
+
+def test_failed_environment_in_fused_steps_keeps_its_state_and_others_continue(monkeypatch):
+    found = []
+    for in_place in (True, False):
+        with monkeypatch.context() as patch:
+            if not in_place:
+                patch.setattr(ExecutionPlan, "fuses_steps", False)
+            model = built(SINGLE_BODY_SCENES["a pushed box"], "cpu")
+            sim = wc.Simulation(model, dt=1e-3)
+            sim.step(100)
+            force = model["body.external_force"]
+            # Beyond what a number holds, at once and after some steps.
+            force[3], force[5] = 1e38, 1e35
+            model["body.external_force"] = force
+            sim.step(200)
+            health = model.health()
+            found.append([*states(model), model.arrays.time.numpy(), health.frozen, health.times])
+    assert_same(*found)
+    np.testing.assert_array_equal(found[0][-2], [3, 5])
+    assert np.isfinite(found[0][0]).all()
+
+
+@pytest.mark.parametrize("every", [1, 5, 70])
+def test_frames_of_fused_steps_have_every_recorded_step(every, monkeypatch):
+    def recorded():
+        model = built(SINGLE_BODY_SCENES["with history"], "cpu")
+        sim = wc.Simulation(model, dt=1e-3)
+        names = ["body.position", "touch.normal_force", "scene.kinetic_energy"]
+        recorder = Recorder(model, names, 210 // every + 1, poses=False)
+        recorder.start()
+        for _ in sim.advance(recorder, 210, every, start=0.0):
+            pass
+        return stepper_of(sim), [*states(model), *recorder.frames().values()]
+
+    stepper, own = recorded()
+    assert names_of(stepper._steps[0].full) == ["fused_steps"]
+    # The step after a frame knows what is near.
+    after_look = names_of(stepper._step_after_evaluation)
+    assert "fused_steps" not in after_look
+    assert after_look[-1] == "copy_state"
+    # The others, if there are any, are one launch. Of 70 steps a frame is handed on before the next begins.
+    known = {way for way, _ in stepper._graphs if way.after_evaluation}
+    assert (StepChunk(min(every, 2), after_evaluation=True, evaluates=True) in known) == (every < 70)
+    assert all(names_of(stepper.graph(way)).count("fused_steps") == (way.steps > 1) for way in known)
+    monkeypatch.setattr(ExecutionPlan, "fuses_steps", False)
+    assert_same(own, recorded()[1])
+
+
+@pytest.mark.slow
+def test_integrator_subclass_is_not_fused():
+    asked = []
+
+    class Own(wc.integrators.SemiImplicitEuler):
+        def step_stages(self, plan, *arguments, **options):
+            asked.append(plan)
+            return super().step_stages(plan, *arguments, **options)
+
+    sim = wc.Simulation(built(SINGLE_BODY_SCENES["with history"], "cpu"), dt=1e-3, integrator=Own())
+    sim.step(20)
+    assert asked
+    assert "fused_steps" not in kernels_of(sim)
+
+
+@pytest.mark.parametrize(
+    "sensors", [pytest.param(["body.position"], marks=pytest.mark.slow), ["touch.normal_force"]]
+)
+def test_all_kernels_of_a_recorded_run_are_precompiled(sensors, monkeypatch):
+    ahead = []
+    monkeypatch.setattr(simulation, "load_all", lambda kernels, *_: ahead.extend(kernels))
+    model = built(SINGLE_BODY_SCENES["with history"], "cpu")
+    sim = wc.Simulation(model, dt=1e-3)
+    recorder = Recorder(model, sensors, 5, poses=False)
+    recorder.start()
+    for _ in sim.advance(recorder, 20, 5, start=0.0):
+        pass
+    stepper = stepper_of(sim)
+    assert bool(stepper._step_after_evaluation) == (sensors == ["touch.normal_force"])
+    assert {one.kernel for launches in stepper.launches() for one in launches} <= set(ahead)
