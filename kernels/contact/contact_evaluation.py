@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 import warp as wp
 from warpcontact.kernels import frames
+from warpcontact.kernels.catalogue import history_variables
 from warpcontact.kernels.catalogue.device_model import Formula, coefficient_struct, named_struct
-from warpcontact.kernels.contact import history_variables
 from warpcontact.kernels.friction import Frictionless
 from warpcontact.kernels.joints import bodies
 from warpcontact.kernels.laws import pull_off

@@ -7,10 +7,10 @@ not enter anew.
 import functools
 
 import warp as wp
+from warpcontact.kernels.acceptance import accept_step
 from warpcontact.kernels.catalogue.device_model import Formula
+from warpcontact.kernels.catalogue.history_variables import memory_struct
 from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs
-from warpcontact.kernels.contact.history_variables import memory_struct
-from warpcontact.kernels.integrators import accept_step
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.types import (
     CONTACT,

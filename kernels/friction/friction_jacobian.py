@@ -3,8 +3,8 @@
 import functools
 
 import warp as wp
+from warpcontact.kernels.catalogue import history_variables
 from warpcontact.kernels.catalogue.device_model import Formula, coefficient_struct
-from warpcontact.kernels.contact import history_variables
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.types import structs
 

@@ -5,9 +5,9 @@ from types import SimpleNamespace
 
 import warp as wp
 from warpcontact.kernels import frames, rotations
+from warpcontact.kernels.acceptance import accept_step, quarantine
 from warpcontact.kernels.contact import history
 from warpcontact.kernels.contact import wrenches as wrench_functions
-from warpcontact.kernels.integrators import accept_step, quarantine
 from warpcontact.kernels.lowlevel.static_strides import assume_strides, hide_from_optimizer
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.particles import sums as sums_of_piles

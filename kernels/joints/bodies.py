@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import warp as wp
 from warpcontact.kernels import frames, rotations
-from warpcontact.kernels.integrators import quarantine
+from warpcontact.kernels.acceptance import quarantine
 from warpcontact.kernels.types import (
     BALL,
     ENV_FAILED,

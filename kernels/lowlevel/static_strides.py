@@ -2,7 +2,7 @@
 
 Warp looks up where an array begins, and its strides, at run time. On a CPU what belongs to an item lies side by
 side, in a record of known size, and other arrays are as wide as their neighbors: so one address serves for many,
-and most of it is constant. ``warpcontact/model/allocation_plan.py`` makes them so; ``tests/test_strides.py`` compares.
+and most of it is constant. ``warpcontact/storage/allocation_plan.py`` makes them so; ``tests/test_strides.py`` compares.
 """
 
 import functools

@@ -8,7 +8,7 @@ import functools
 
 import warp as wp
 from warpcontact.kernels import rotations
-from warpcontact.kernels.integrators import quarantine
+from warpcontact.kernels.acceptance import quarantine
 from warpcontact.kernels.joints import bodies
 from warpcontact.kernels.joints.bodies import arm_of, inertia_about, inertia_at, momentum_of, spin_of
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel

@@ -7,9 +7,9 @@ model, state and history, whichever pairs beside those that touch are in the lis
 import functools
 
 import warp as wp
+from warpcontact.kernels.catalogue.history_variables import memory_struct
 from warpcontact.kernels.contact import contact_evaluation
 from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs, kinematics_structs
-from warpcontact.kernels.contact.history_variables import memory_struct
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.particles import particle_geometry
 from warpcontact.kernels.particles.base import (

@@ -4,7 +4,7 @@ import functools
 
 import warp as wp
 from warpcontact.kernels.catalogue.device_model import Formula
-from warpcontact.kernels.contact.history_variables import memory_struct
+from warpcontact.kernels.catalogue.history_variables import memory_struct
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.shapes.base import WarmStart
 from warpcontact.kernels.shapes.records import WarmStarts, shape_contact_structs

@@ -15,7 +15,7 @@ import warpcontact as wc
 from warpcontact.cli import main
 from warpcontact.experiment.cluster import ClusterResources, cluster_resources, connect
 from warpcontact.experiment.plan import Plan
-from warpcontact.model.memory import USABLE_FRACTION, MemoryEstimate, MemoryItem
+from warpcontact.storage.memory_estimate import USABLE_FRACTION, MemoryEstimate, MemoryItem
 from warpcontact.system.resources import HOST
 
 WORDS = ("--shard", 4, "--device", "cpu")

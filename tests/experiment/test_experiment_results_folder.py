@@ -12,8 +12,8 @@ import xarray as xr
 from test_experiment import content
 
 import warpcontact as wc
+from warpcontact.drawing.decimation import evenly
 from warpcontact.experiment.status import run_status
-from warpcontact.visualize.decimation import evenly
 
 pytestmark = pytest.mark.installed
 

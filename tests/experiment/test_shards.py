@@ -19,10 +19,10 @@ import warpcontact as wc
 from warpcontact.experiment import plan, shards, store
 from warpcontact.experiment.plan import shard_size
 from warpcontact.experiment.shards import ShardRunner
-from warpcontact.model.memory import MemoryItem
 from warpcontact.model.plan import ModelPlan
 from warpcontact.stepping.frame_buffers import Frame
 from warpcontact.stepping.recorder import RecordingSize
+from warpcontact.storage.memory_estimate import MemoryItem
 from warpcontact.system import resources
 
 VARIED = {
@@ -94,7 +94,7 @@ def animation(run):
 
 
 def test_plan_selects_shard_size_by_memory(at_once, device, tmp_path, monkeypatch):
-    from warpcontact.model import memory as footprint
+    from warpcontact.storage import memory_estimate as footprint
 
     plan = varied().plan(device=device)
     assert (plan.envs, plan.shard, plan.shards) == (11, 11, 1)

@@ -5,7 +5,7 @@ import pytest
 import warp as wp
 from warpcontact.kernels.lowlevel.static_strides import RECORD
 
-from warpcontact.model.allocation_plan import AllocationPlan, per_env
+from warpcontact.storage.allocation_plan import AllocationPlan, per_env
 from warpcontact.system.resources import HOST, available_memory
 
 

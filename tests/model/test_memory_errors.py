@@ -6,8 +6,8 @@ from memory_scenes import MIB, ball_scene, set_available_memory
 from scenes import dropped_sphere
 
 import warpcontact as wc
-from warpcontact.model import memory
 from warpcontact.model.build import plan_model
+from warpcontact.storage import memory_estimate
 from warpcontact.system import resources
 
 
@@ -26,9 +26,9 @@ def test_too_many_environments_are_refused_before_allocation(device, monkeypatch
     assert caught.value.needed > caught.value.available == int(0.85 * 400 * MIB)
     # So many do fit, and one more does not.
     draft = plan_model(ball_scene(), device)
-    rooms = memory.available_memory_for(draft.memory(1))
-    assert memory.shortage(draft.memory(most, capture_graphs=False), rooms) is None
-    assert memory.shortage(draft.memory(most + 1, capture_graphs=False), rooms) is not None
+    rooms = memory_estimate.available_memory_for(draft.memory(1))
+    assert memory_estimate.shortage(draft.memory(most, capture_graphs=False), rooms) is None
+    assert memory_estimate.shortage(draft.memory(most + 1, capture_graphs=False), rooms) is not None
     set_available_memory(monkeypatch, 100_000)
     with pytest.raises(MemoryError, match="not even one environment fits"):
         ball_scene().build(1, device)
@@ -37,20 +37,22 @@ def test_too_many_environments_are_refused_before_allocation(device, monkeypatch
 def test_memory_error_names_the_device_with_too_little_memory(monkeypatch):
     def split(envs):
         """Twice as much on the first device as on the second."""
-        return memory.total(
-            memory.MemoryEstimate(envs // 2, name, (memory.MemoryItem("state", name, size * envs // 2, size),))
+        return memory_estimate.total(
+            memory_estimate.MemoryEstimate(
+                envs // 2, name, (memory_estimate.MemoryItem("state", name, size * envs // 2, size),)
+            )
             for name, size in (("cuda:0", 2 * MIB), ("cuda:1", MIB))
         )
 
     rooms = {"cuda:0": 200 * MIB, "cuda:1": 20 * MIB}
     monkeypatch.setattr(resources, "_device", rooms.get)
     with pytest.raises(MemoryError) as caught:
-        memory.require(split, 100)
+        memory_estimate.require(split, 100)
     assert str(caught.value) == (
         "100 environments need 50 MiB of the memory of cuda:1, of which 17 MiB can be used (85% of the 20 MiB "
         "available); at most 34 environments at once fit on cuda:0, cuda:1: run them in 3 batches of 34"
     )
-    memory.require(split, 34)
+    memory_estimate.require(split, 34)
 
 
 def test_split_model_is_refused_before_allocation(device, monkeypatch, counting_allocator):
@@ -59,10 +61,10 @@ def test_split_model_is_refused_before_allocation(device, monkeypatch, counting_
         ball_scene().build(10_000_000, [device] * 2)
     assert counting_allocator.used == 0
     draft = plan_model(ball_scene(), [device] * 2)
-    rooms = memory.available_memory_for(draft.memory(1))
+    rooms = memory_estimate.available_memory_for(draft.memory(1))
     most = caught.value.max_envs
-    assert memory.shortage(draft.memory(most, capture_graphs=False), rooms) is None
-    assert memory.shortage(draft.memory(most + 1, capture_graphs=False), rooms) is not None
+    assert memory_estimate.shortage(draft.memory(most, capture_graphs=False), rooms) is None
+    assert memory_estimate.shortage(draft.memory(most + 1, capture_graphs=False), rooms) is not None
 
 
 def test_simulation_is_refused_before_allocation_of_step_buffers(monkeypatch):
@@ -77,7 +79,7 @@ def test_nothing_is_refused_if_available_memory_is_unknown(device, monkeypatch):
     set_available_memory(monkeypatch, None)
     assert ball_scene().build(2, device).envs == 2
     draft = plan_model(ball_scene(), device)
-    assert memory.available_memory_for(draft.memory(10**12)) == ()
+    assert memory_estimate.available_memory_for(draft.memory(10**12)) == ()
 
 
 def test_recording_is_refused_before_the_run_if_it_does_not_fit(device, monkeypatch):

@@ -13,8 +13,8 @@ from scenes import dropped_sphere
 
 import warpcontact as wc
 from warpcontact.cli import main
-from warpcontact.model import memory as footprint
 from warpcontact.model.build import plan_model
+from warpcontact.storage import memory_estimate as footprint
 from warpcontact.system import resources
 from warpcontact.system.resources import HOST
 

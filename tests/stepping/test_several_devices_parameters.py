@@ -11,7 +11,7 @@ from split_models import ENVS, assert_same_recordings, assert_same_state, both, 
 
 import warpcontact as wc
 from warpcontact.forces.mesh_contact import friction_warnings, step_warnings
-from warpcontact.model.parameters import DeviceField
+from warpcontact.storage.parameters import DeviceField
 
 # Parameters
 

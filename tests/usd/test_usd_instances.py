@@ -210,7 +210,7 @@ def test_contact_sphere_name_does_not_collide_with_elements(device, tmp_path):
 
 
 def test_many_environments_are_subsampled_evenly(recording, tmp_path, monkeypatch):
-    monkeypatch.setattr("warpcontact.visualize.drawing.ensemble.MAX_POSES", 2 * 31 * 2)
+    monkeypatch.setattr("warpcontact.drawing.ensemble.MAX_POSES", 2 * 31 * 2)
     stage = export(recording, tmp_path, envs=1)
     np.testing.assert_array_equal(value(stage, "/World/Ensemble/ball", "ids"), [0, 3])
     np.testing.assert_array_equal(

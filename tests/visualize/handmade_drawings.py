@@ -5,8 +5,8 @@ import math
 import numpy as np
 import warp as wp
 
-from warpcontact.visualize.drawing.drawing import Drawing, Figure, Shape
-from warpcontact.visualize.drawing.triangles import ball
+from warpcontact.drawing.drawing import Drawing, Figure, Shape
+from warpcontact.drawing.triangles import ball
 from warpcontact.visualize.rendering.camera import Camera, direction
 from warpcontact.visualize.rendering.items import place_figure
 from warpcontact.visualize.rendering.painter import Painter

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from warpcontact.drawing.decimation import evenly, kept_samples
 from warpcontact.experiment import curves
 from warpcontact.experiment.curves import DISTANCE, MAGNITUDE, read_curves, sample_size
-from warpcontact.visualize.decimation import evenly, kept_samples
 
 
 def noisy(size, seed, gaps=0.0):

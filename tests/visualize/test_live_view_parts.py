@@ -5,8 +5,8 @@ import pytest
 from viewer_helpers import ball_on_ground
 
 import warpcontact as wc
-from warpcontact.visualize.drawing.colors import GAPS, gap_colors
-from warpcontact.visualize.drawing.drawing import Shape
+from warpcontact.drawing.colors import GAPS, gap_colors
+from warpcontact.drawing.drawing import Shape
 from warpcontact.visualize.viewer.page import LONGEST, gap_legend, is_own, message, shortened, table
 from warpcontact.visualize.viewer.stage import by_color, is_same
 from warpcontact.visualize.viewer.values import ParameterText, value_text

@@ -11,10 +11,10 @@ from warpcontact.kernels.rendering.forms import intersect_shape, shape_normal
 from warpcontact.kernels.rendering.rays import trace
 from warpcontact.kernels.rendering.world import CONE, CYLINDER, SPHERE, World
 
+from warpcontact.drawing.colors import linear
+from warpcontact.drawing.drawing import Shape
+from warpcontact.drawing.triangles import ball
 from warpcontact.meshes import icosphere
-from warpcontact.visualize.drawing.colors import linear
-from warpcontact.visualize.drawing.drawing import Shape
-from warpcontact.visualize.drawing.triangles import ball
 from warpcontact.visualize.rendering.items import Items, place_figure
 from warpcontact.visualize.rendering.painter import Painter, light_of
 from warpcontact.visualize.rendering.stage import Stage

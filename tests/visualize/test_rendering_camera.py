@@ -9,9 +9,9 @@ import xarray as xr
 from handmade_drawings import PLATE, balls, camera, covered, drawing, figure
 from warpcontact.kernels.rendering.world import CONE, CYLINDER
 
-from warpcontact.stepping.frames import transform_points
-from warpcontact.visualize.drawing.colors import Scale, per_environment_number
-from warpcontact.visualize.drawing.drawing import ContactForces, Curve
+from warpcontact.algebra.poses import transform_points
+from warpcontact.drawing.colors import Scale, per_environment_number
+from warpcontact.drawing.drawing import ContactForces, Curve
 from warpcontact.visualize.rendering import sheet
 from warpcontact.visualize.rendering.camera import MARGIN, bounding_spheres, direction, frame_spheres
 from warpcontact.visualize.rendering.frame_renderer import Coloring, FrameRenderer

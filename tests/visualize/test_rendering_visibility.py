@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from handmade_drawings import PLATE, balls, drawing, figure
 
+from warpcontact.drawing.drawing import Shape
 from warpcontact.meshes import grid
-from warpcontact.visualize.drawing.drawing import Shape
 from warpcontact.visualize.rendering.camera import direction
 from warpcontact.visualize.rendering.frame_renderer import FrameRenderer
 from warpcontact.visualize.rendering.render_style import RenderStyle

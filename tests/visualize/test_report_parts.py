@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from warpcontact.drawing.drawing import Shape
+from warpcontact.drawing.triangles import ball
 from warpcontact.forces.contact_coupling.report import CouplingReport
 from warpcontact.model.health import Health
 from warpcontact.model.status import EnvironmentStatus, FailureCause
 from warpcontact.validation import number_format
-from warpcontact.visualize.drawing.drawing import Shape
-from warpcontact.visualize.drawing.triangles import ball
 from warpcontact.visualize.report import (
     chart,
     couplings,

@@ -10,11 +10,11 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 
 import warpcontact as wc
+from warpcontact.algebra.poses import transform_points
 from warpcontact.experiment import picture
 from warpcontact.experiment.ground import GroundSurface, contour_step, draw_from_above
 from warpcontact.experiment.sensor_panels import CURVES, draw_panel, make_panels
 from warpcontact.model.health import Health
-from warpcontact.stepping.frames import transform_points
 from warpcontact.stepping.recording import Recording
 
 WINDOW = np.array([-2.0, -2.0]), np.array([2.0, 2.0])

@@ -107,7 +107,7 @@ def writable_cache() -> Path:
 
 
 def _build_experiments(files: Sequence[Path], arguments: argparse.Namespace, device: str | Sequence[str]) -> None:
-    from warpcontact.system.kernel_build import ExperimentKernels, load_kernels
+    from warpcontact.cli.kernel_build import ExperimentKernels, load_kernels
 
     found = [ExperimentKernels(_experiment(file, arguments), device) for file in files]
     _print_stage("compiling")
@@ -129,7 +129,7 @@ def _experiment(file: Path, arguments: argparse.Namespace) -> "Experiment":
 
 
 def _build_bench(arguments: argparse.Namespace, device: str | Sequence[str]) -> None:
-    from warpcontact.system.kernel_build import build_bench
+    from warpcontact.cli.kernel_build import build_bench
 
     if not isinstance(device, str):
         raise ValueError(f"--device {arguments.device}: must be a single device without an experiment")

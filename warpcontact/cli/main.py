@@ -314,8 +314,8 @@ def _plan(arguments: argparse.Namespace) -> int:
 
     wp.config.log_level = wp.LOG_ERROR
     from warpcontact.experiment import ExperimentError
-    from warpcontact.model.memory import MemoryShortage
     from warpcontact.stepping.quarantine import QuarantineError
+    from warpcontact.storage.memory_estimate import MemoryShortage
 
     try:
         experiment = _experiment(arguments)

@@ -4,7 +4,7 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from warpcontact.model.memory import format_bytes
+from warpcontact.storage.memory_estimate import format_bytes
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,6 @@ from warpcontact.kernels.catalogue.keywords import explain_keywords_of
 from warpcontact.kernels.catalogue.names import stored_name
 from warpcontact.model.build import plan_model
 from warpcontact.model.environments import Environments
-from warpcontact.model.memory import env_count_text
 from warpcontact.model.model import Model
 from warpcontact.model.plan import ModelPlan
 from warpcontact.model.split_model import SplitModel
@@ -35,6 +34,7 @@ from warpcontact.scene.scene import Scene
 from warpcontact.stepping.integrators.base import formulas_of
 from warpcontact.stepping.simulation import Simulation
 from warpcontact.stepping.step_counts import whole_steps
+from warpcontact.storage.memory_estimate import env_count_text
 from warpcontact.system import gc_pause
 from warpcontact.validation.warning_levels import RunWarning
 

@@ -10,11 +10,11 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
+from warpcontact.algebra.poses import transform_points
 from warpcontact.forces.shape_contact.tessellate import tessellate
 from warpcontact.meshes.topology import area_vectors
 from warpcontact.scene.scene import Surface
 from warpcontact.scene.shapes import Shape
-from warpcontact.stepping.frames import transform_points
 from warpcontact.stepping.recording import Recording
 from warpcontact.validation.checks import Array
 

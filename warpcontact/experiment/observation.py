@@ -22,7 +22,6 @@ from warpcontact.experiment.user_code import UserFiles
 from warpcontact.kernels.catalogue.names import stored_name, suggestion
 from warpcontact.kernels.outcomes.base import COMPONENTS, OfContact, Outcome
 from warpcontact.kernels.outcomes.source import EACH, ITEM_REDUCTIONS
-from warpcontact.model.allocation_plan import AllocationPlan
 from warpcontact.model.environments import Environments
 from warpcontact.scene.scene import MAX_DISTANCE, MAX_SPEED
 from warpcontact.stepping import outcomes
@@ -36,6 +35,7 @@ from warpcontact.stepping.outcomes.watch import (
     ContactEvents,
     StopCondition,
 )
+from warpcontact.storage.allocation_plan import AllocationPlan
 from warpcontact.validation import checks
 from warpcontact.validation.checks import limits
 

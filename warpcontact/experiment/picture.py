@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from warpcontact.drawing.decimation import evenly
 from warpcontact.experiment.equal_items import merged_items
 from warpcontact.experiment.ground import (
     GroundSurface,
@@ -33,11 +34,10 @@ from warpcontact.experiment.sensor_panels import CURVES, draw_panel, make_panels
 from warpcontact.files.picture_file import save
 from warpcontact.files.run_folder import RunPath
 from warpcontact.model.health import Health
-from warpcontact.model.memory import env_count_text
 from warpcontact.scene.scene import Body, Scene
 from warpcontact.stepping.recording import Recording
+from warpcontact.storage.memory_estimate import env_count_text
 from warpcontact.validation.safe_text import single_line, truncate
-from warpcontact.visualize.decimation import evenly
 
 # Sensors over time: below each other, or in one row if the tracks take the whole width.
 PANELS, WIDE_PANELS = 3, 2
@@ -215,8 +215,8 @@ def _tracks(recording: Recording, body: Body, chosen: NDArray[np.int_]) -> NDArr
 
 def _coupling_shapes(recording: Recording) -> list[NDArray[Any]]:
     """Returns the couplings of the first environment at the end, (n, 3) each, world [m]."""
-    from warpcontact.visualize.drawing.couplings import CouplingCurve
-    from warpcontact.visualize.drawing.replay import Replay
+    from warpcontact.drawing.couplings import CouplingCurve
+    from warpcontact.drawing.replay import Replay
 
     shown = [coupling for coupling in recording.scene.couplings if coupling.visible]
     if not shown:

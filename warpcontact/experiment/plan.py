@@ -10,7 +10,10 @@ from warpcontact.experiment.observation import monitor_arguments
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.store import CHUNK, WRITERS
 from warpcontact.model.environments import Environments
-from warpcontact.model.memory import (
+from warpcontact.model.plan import DeviceModelPlan, ModelPlan
+from warpcontact.stepping.recorder import Recorder, RecordingSize
+from warpcontact.stepping.step_counts import frame_count, recorded_steps
+from warpcontact.storage.memory_estimate import (
     CAUTIOUS_FRACTION,
     MemoryEstimate,
     MemoryItem,
@@ -24,9 +27,6 @@ from warpcontact.model.memory import (
     total,
     usable_bytes,
 )
-from warpcontact.model.plan import DeviceModelPlan, ModelPlan
-from warpcontact.stepping.recorder import Recorder, RecordingSize
-from warpcontact.stepping.step_counts import frame_count, recorded_steps
 from warpcontact.system.resources import HOST, AvailableMemory, used_memory
 
 # Frames are gathered up to this size before they are written, while others are gathered [bytes].

@@ -14,7 +14,7 @@ from warpcontact.experiment.folder import PROGRESS
 from warpcontact.experiment.store import Commit, Shard
 from warpcontact.files.regular_files import UnsafeFileError
 from warpcontact.files.run_folder import RunPath
-from warpcontact.model.memory import env_count_text
+from warpcontact.storage.memory_estimate import env_count_text
 from warpcontact.validation.safe_text import terminal
 
 # Between two looks [s].

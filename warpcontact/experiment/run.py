@@ -33,8 +33,8 @@ from warpcontact.forces.contact_coupling.report import CouplingReport, report_of
 from warpcontact.kernels.catalogue.keywords import explain_keywords, explain_keywords_of
 from warpcontact.model.flags import words_of
 from warpcontact.model.health import Health
-from warpcontact.model.memory import env_count_text
 from warpcontact.scene.scene import Scene
+from warpcontact.storage.memory_estimate import env_count_text
 from warpcontact.validation.safe_text import escape_lines
 
 if TYPE_CHECKING:

@@ -11,6 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from warpcontact.analysis.fan import quantiles_over
+from warpcontact.drawing.decimation import evenly, kept_samples
 from warpcontact.experiment.curves import (
     DISTANCE,
     MAGNITUDE,
@@ -24,7 +25,6 @@ from warpcontact.stepping.recording import Recording
 from warpcontact.validation.checks import Array
 from warpcontact.validation.number_format import quantity, scaled
 from warpcontact.validation.safe_text import truncate
-from warpcontact.visualize.decimation import evenly, kept_samples
 
 #: Up to this number of environments, each has a curve of its own; more are drawn as quantiles.
 CURVES = 12

@@ -35,7 +35,7 @@ from warpcontact.experiment.variation_settings import (
 )
 from warpcontact.kernels.catalogue.names import suggestion
 from warpcontact.model.environments import Environments
-from warpcontact.model.parameters import Parameter
+from warpcontact.storage.parameters import Parameter
 from warpcontact.validation.checks import Array, available_names
 
 # Values are checked so many environments at a time.

@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from warpcontact.model.allocation_plan import AllocationPlan
+from warpcontact.storage.allocation_plan import AllocationPlan
 from warpcontact.validation.checks import Array
 
 #: Branches of a node.

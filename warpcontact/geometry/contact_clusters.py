@@ -9,9 +9,9 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.kernels.types import WORLD
-from warpcontact.model.allocation_plan import AllocationPlan
-from warpcontact.model.parameters import Parameters
 from warpcontact.scene.scene import Contact
+from warpcontact.storage.allocation_plan import AllocationPlan
+from warpcontact.storage.parameters import Parameters
 from warpcontact.validation.checks import Array
 
 # Contacts of a block: so few that looking through them costs little, so many that a block is worth it.

@@ -10,10 +10,10 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from warpcontact.geometry.vectors import bounds
+from warpcontact.algebra.vectors import bounds
 from warpcontact.kernels.narrowphase.face_grid import LIST_ALIGNMENT, LIST_STRIDE
 from warpcontact.kernels.types import SIDE_KNOWN_NOWHERE
-from warpcontact.model.allocation_plan import AllocationPlan
+from warpcontact.storage.allocation_plan import AllocationPlan
 
 if TYPE_CHECKING:
     from warpcontact.geometry.query_mesh import QueryMesh, QueryMeshes

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpcontact.stepping.frames import inverse, transform_points
+from warpcontact.algebra.poses import inverse, transform_points
 from warpcontact.validation.checks import Array
 
 if TYPE_CHECKING:

@@ -14,17 +14,17 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from warpcontact.algebra.vectors import cross, dot, norm
 from warpcontact.geometry.bvh import FaceBvh, build_bvh, declare_bvhs
 from warpcontact.geometry.face_grid import FaceGrid, declare_grids
 from warpcontact.geometry.side_regions import SideRegion, side_region_of
-from warpcontact.geometry.vectors import cross, dot, norm
 from warpcontact.kernels.lowlevel.simd import WIDTH
 from warpcontact.kernels.types import FEATURE_ACTIVE, FEATURE_BOUNDARY, FEATURE_COUNT
 from warpcontact.meshes import Mesh
 from warpcontact.meshes.examine import SLIVER_LIMIT
 from warpcontact.meshes.topology import angles, area_vectors, directions, slenderness
-from warpcontact.model.allocation_plan import AllocationPlan
 from warpcontact.scene.scene import Contact
+from warpcontact.storage.allocation_plan import AllocationPlan
 from warpcontact.validation.checks import Array
 
 # Warp's queries skip triangles slimmer than the limit, which they compute in float32.

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from warpcontact.geometry.vectors import bounds, norm
+from warpcontact.algebra.vectors import bounds, norm
 from warpcontact.kernels.types import SIDE_KNOWN_EVERYWHERE, SIDE_KNOWN_INSIDE_WALLS, SIDE_KNOWN_NOWHERE
 from warpcontact.meshes import Mesh
 from warpcontact.meshes.overlap import MOST_FACES

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from warpcontact.geometry.vectors import norm
+from warpcontact.algebra.vectors import norm
 from warpcontact.meshes.examine import examine
 from warpcontact.meshes.groups import FaceChoice, face_mask
 from warpcontact.meshes.mesh import MeshError

@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from warpcontact.geometry.vectors import norm
+from warpcontact.algebra.vectors import norm
 from warpcontact.meshes.nesting import find_containing_parts
 from warpcontact.meshes.topology import Edges, area_vectors, components, representatives, volumes_of
 

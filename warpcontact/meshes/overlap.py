@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from warpcontact.geometry.vectors import bounds, norm
+from warpcontact.algebra.vectors import bounds, norm
 from warpcontact.meshes.topology import CRACK_LIMIT, area_vectors
 
 #: Surfaces with more faces are not examined unless asked for.

@@ -5,7 +5,7 @@ from math import sqrt
 import numpy as np
 import numpy.typing as npt
 
-from warpcontact.geometry.vectors import norm
+from warpcontact.algebra.vectors import norm
 from warpcontact.meshes.mesh import Mesh
 from warpcontact.meshes.sample import SurfaceSamples
 from warpcontact.meshes.topology import area_vectors

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from warpcontact.geometry.vectors import norm
+from warpcontact.algebra.vectors import norm
 from warpcontact.kernels.catalogue.keywords import explain_keywords
 from warpcontact.meshes.blue_noise import blue_noise
 from warpcontact.meshes.mesh import Mesh

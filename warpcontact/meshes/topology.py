@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from warpcontact.geometry.vectors import bounds, cross, dot, norm
+from warpcontact.algebra.vectors import bounds, cross, dot, norm
 from warpcontact.meshes.nesting import find_containing_parts
 
 Orientation = Literal["outward", "inward", "open surface", "mixed", "undefined"]

@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from warpcontact.algebra.poses import transform_points
 from warpcontact.forces.contact_coupling.contact_couplings import ContactCouplings
 from warpcontact.forces.couplings.ends import add_ends
 from warpcontact.forces.couplings.sets import make_sets
@@ -19,18 +20,17 @@ from warpcontact.geometry.contact_clusters import ContactClusters, make_clusters
 from warpcontact.geometry.face_grid import make_grids
 from warpcontact.geometry.query_mesh import QueryMeshCache, QueryMeshes, make_query_meshes, upload_query_meshes
 from warpcontact.kernels import types
-from warpcontact.model.allocation_plan import AllocationPlan
 from warpcontact.model.contact_groups import group_by_model, make_group
 from warpcontact.model.core_arrays import declare_arrays
 from warpcontact.model.model import Model
-from warpcontact.model.parameters import ClosedGap, DeviceField, Field, Parameter, Parameters, pack, split
 from warpcontact.model.plan import DeviceModelPlan, ModelPlan
 from warpcontact.model.sensors import sensors_of
 from warpcontact.model.split_model import SplitModel
 from warpcontact.scene import elements as limits_of
 from warpcontact.scene.scene import Body, Contact, Scene
-from warpcontact.stepping.frames import transform_points
 from warpcontact.stepping.quarantine import add_guard
+from warpcontact.storage.allocation_plan import AllocationPlan
+from warpcontact.storage.parameters import ClosedGap, DeviceField, Field, Parameter, Parameters, pack, split
 from warpcontact.system.devices import find_devices
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array, limits

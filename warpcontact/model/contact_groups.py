@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from warpcontact.forces.contact_coupling.contact_couplings import ContactCouplings
 from warpcontact.geometry.contact_clusters import ContactClusters
 from warpcontact.kernels.catalogue.device_model import Formula, coefficient_struct
+from warpcontact.kernels.catalogue.history_variables import memory_struct
 from warpcontact.kernels.contact import contact_force
 from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs
-from warpcontact.kernels.contact.history_variables import memory_struct
 from warpcontact.kernels.friction import Frictionless
 from warpcontact.kernels.types import structs
-from warpcontact.model.allocation_plan import AllocationPlan, fixed, per_env
-from warpcontact.model.parameters import Field, Parameters, pack
 from warpcontact.scene.scene import Contact
+from warpcontact.storage.allocation_plan import AllocationPlan, fixed, per_env
+from warpcontact.storage.parameters import Field, Parameters, pack
 from warpcontact.system.compilation import load
 from warpcontact.validation.custom_law_errors import explain_compile_errors, has_user_code
 

@@ -8,10 +8,10 @@ import warp as wp
 from warpcontact.geometry.contact_clusters import ContactClusters
 from warpcontact.geometry.query_mesh import QueryMeshes
 from warpcontact.kernels import types
-from warpcontact.model.allocation_plan import AllocationPlan, fixed, per_env
 from warpcontact.model.scene_traits import SENSOR_ARRAYS
-from warpcontact.model.state_storage import COUNT, SWITCH
 from warpcontact.scene.scene import Scene
+from warpcontact.storage.allocation_plan import AllocationPlan, fixed, per_env
+from warpcontact.storage.state_storage import COUNT, SWITCH
 
 #: Status of environments between steps; all others are those of a part of a step.
 BETWEEN_STEPS = frozenset((types.ENV_ACTIVE, types.ENV_FROZEN, types.ENV_STOPPED))

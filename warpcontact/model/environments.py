@@ -13,14 +13,14 @@ from warpcontact.kernels.catalogue.keywords import explain_keywords_of
 from warpcontact.kernels.catalogue.names import stored_name
 from warpcontact.kernels.catalogue.renamed import explain_renamed
 from warpcontact.model.health import Health
-from warpcontact.model.memory import MemoryEstimate, env_count_text, require, total
-from warpcontact.model.parameters import Parameter
 from warpcontact.model.scene_traits import SENSOR_ARRAYS
 from warpcontact.model.sensor_evaluation import CONTACT_NEEDS
 from warpcontact.model.sensors import Sensor
 from warpcontact.scene.couplings import Catenary
 from warpcontact.scene.scene import Scene
 from warpcontact.stepping.requirements import stepping_memory
+from warpcontact.storage.memory_estimate import MemoryEstimate, env_count_text, require, total
+from warpcontact.storage.parameters import Parameter
 from warpcontact.system.devices import split_evenly
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array, find_entry

@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warpcontact.algebra.poses import transform_points
 from warpcontact.kernels.types import BALL, FREE, HINGE, PLANAR, SLIDER, TRANSLATION
 from warpcontact.scene.elements import Body
 from warpcontact.scene.particles import ParticleContact
 from warpcontact.scene.shapes import Shape, ShapeContact
-from warpcontact.stepping.frames import transform_points
 from warpcontact.validation.checks import Array
 
 if TYPE_CHECKING:

@@ -13,16 +13,16 @@ from warpcontact.forces.couplings.coupling_set import CouplingSet
 from warpcontact.forces.joints.joint_data import PrescribedMotionSet
 from warpcontact.geometry.contact_clusters import ContactClusters
 from warpcontact.geometry.side_regions import SideRegion
-from warpcontact.model.allocation_plan import AllocationPlan, broadcast
 from warpcontact.model.contact_groups import ContactGroup
 from warpcontact.model.environments import Environments
-from warpcontact.model.memory import MemoryItem
-from warpcontact.model.parameters import DeviceField, Parameter, parameter_memory
 from warpcontact.model.scene_traits import SENSOR_ARRAYS, SHAPE_CONTACT_MEASURES, SceneTraits
 from warpcontact.model.sensor_evaluation import evaluation_plan, evaluation_stages, needs_contacts
 from warpcontact.model.sensors import Sensor
 from warpcontact.scene.scene import Contact, Scene
 from warpcontact.stepping.execution_plan import ExecutionPlan
+from warpcontact.storage.allocation_plan import AllocationPlan, broadcast
+from warpcontact.storage.memory_estimate import MemoryItem
+from warpcontact.storage.parameters import DeviceField, Parameter, parameter_memory
 from warpcontact.system.capture_lock import shared_capture_lock
 
 if TYPE_CHECKING:
@@ -260,8 +260,8 @@ class Model(Environments, SceneTraits):
     @shared_capture_lock()
     def reset_state(self, mask: NDArray[np.bool_]) -> None:
         """Puts the environments of ``mask`` (envs,) back to their initial state, with empty history."""
+        from warpcontact.kernels.acceptance import reset
         from warpcontact.kernels.couplings import contact_coupling
-        from warpcontact.kernels.integrators import reset
 
         a = self.arrays
         chosen = wp.array(mask, dtype=wp.bool, device=self.device)

@@ -11,16 +11,16 @@ from warpcontact.forces.couplings.coupling_set import CouplingSet
 from warpcontact.forces.joints.joint_data import PrescribedMotionSet
 from warpcontact.geometry.contact_clusters import ContactClusters
 from warpcontact.geometry.side_regions import SideRegion
-from warpcontact.model.allocation_plan import AllocationPlan
 from warpcontact.model.contact_groups import ContactGroup
-from warpcontact.model.memory import MemoryEstimate, MemoryItem, require, total
 from warpcontact.model.model import Model
-from warpcontact.model.parameters import Parameter, Parameters, parameter_memory
 from warpcontact.model.scene_traits import SceneTraits
 from warpcontact.model.sensors import Sensor
 from warpcontact.model.split_model import SplitModel
 from warpcontact.scene.scene import Contact, Scene
 from warpcontact.stepping.requirements import stepping_memory
+from warpcontact.storage.allocation_plan import AllocationPlan
+from warpcontact.storage.memory_estimate import MemoryEstimate, MemoryItem, require, total
+from warpcontact.storage.parameters import Parameter, Parameters, parameter_memory
 from warpcontact.system.capture_lock import shared_capture_lock
 from warpcontact.system.devices import split_evenly
 

@@ -6,14 +6,14 @@ from typing import Any
 
 import warp as wp
 
-from warpcontact.kernels import measures
 from warpcontact.kernels.couplings import contact_coupling
 from warpcontact.kernels.joints.measures import Coordinates, Reactions
+from warpcontact.kernels.outcomes import body_measures
 from warpcontact.kernels.types import FREE, TIME_FUNCTION
-from warpcontact.model.allocation_plan import SENSOR_PURPOSE as PURPOSE
-from warpcontact.model.allocation_plan import AllocationPlan, per_env
-from warpcontact.model.memory import MemoryItem
 from warpcontact.scene.scene import Scene
+from warpcontact.storage.allocation_plan import SENSOR_PURPOSE as PURPOSE
+from warpcontact.storage.allocation_plan import AllocationPlan, per_env
+from warpcontact.storage.memory_estimate import MemoryItem
 
 
 class SceneTraits:
@@ -75,7 +75,7 @@ def _per_body(struct: Any) -> Callable[[AllocationPlan, SceneTraits], Any]:
 
 
 def _points(layout: AllocationPlan, model: SceneTraits) -> Any:
-    return layout.struct(PURPOSE, measures.Points, per_env(model.contact_count))
+    return layout.struct(PURPOSE, body_measures.Points, per_env(model.contact_count))
 
 
 def _reactions(layout: AllocationPlan, model: SceneTraits) -> Any:
@@ -111,7 +111,7 @@ def _shape_gradients(layout: AllocationPlan, model: SceneTraits) -> Any:
 
 #: How to declare what sensors are measured into, by what they need.
 SENSOR_ARRAYS: dict[str, Callable[[AllocationPlan, SceneTraits], Any]] = {
-    **{name: _per_body(struct) for name, (struct, _) in measures.BODY_MEASURES.items()},
+    **{name: _per_body(struct) for name, (struct, _) in body_measures.BODY_MEASURES.items()},
     "points": _points,
     "reactions": _reactions,
     "coordinates": _coordinates,

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from warpcontact.kernels import measures
 from warpcontact.kernels.joints.measures import coordinates
+from warpcontact.kernels.outcomes import body_measures
 from warpcontact.model.scene_traits import SHAPE_CONTACT_MEASURES
 from warpcontact.stepping.execution_plan import ExecutionPlan, force_stages
 
@@ -16,7 +16,9 @@ if TYPE_CHECKING:
 #: Needs of sensors that tell of surfaces that are far away as well.
 NEEDS_ALL_DISTANCES = ("distances", "points", "contact_couplings", *SHAPE_CONTACT_MEASURES)
 #: Needs that can be computed of some environments apart from the others, and in every step.
-SLICE_NEEDS = frozenset(("contacts", "wrenches", "distances", *measures.BODY_MEASURES, "points", "coordinates"))
+SLICE_NEEDS = frozenset(
+    ("contacts", "wrenches", "distances", *body_measures.BODY_MEASURES, "points", "coordinates")
+)
 
 #: What tells contacts and wrenches, of what is far away as well.
 CONTACT_NEEDS = frozenset(("wrenches", "distances"))
@@ -103,12 +105,12 @@ def sensor_stages(plan: ExecutionPlan, needs: Set[str], state: Any, status: wp.a
     model = plan.model
     a, real = model.arrays, model.types.real
     launches = []
-    for name, (_, kernel) in measures.BODY_MEASURES.items():
+    for name, (_, kernel) in body_measures.BODY_MEASURES.items():
         if name in needs:
             launches += plan.prepare(kernel(real), model.body_count, [status, a.model, state, getattr(a, name)])
     if "points" in needs:
         inputs = [status, a.model, state, a.contacts, a.points]
-        launches += plan.prepare(measures.points(real), model.contact_count, inputs)
+        launches += plan.prepare(body_measures.points(real), model.contact_count, inputs)
     if "coordinates" in needs:
         inputs = [status, a.model, state, a.coordinates]
         launches += plan.prepare(coordinates(real), model.body_count, inputs)

@@ -11,10 +11,10 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.forces.contact_coupling.contact_couplings import ContactCouplings
-from warpcontact.kernels import measures
 from warpcontact.kernels.couplings import contact_coupling
 from warpcontact.kernels.joints import Motion
 from warpcontact.kernels.joints.measures import Coordinates, Reactions
+from warpcontact.kernels.outcomes import body_measures
 from warpcontact.kernels.types import BALL, FREE, HINGE, PLANAR, SLIDER
 from warpcontact.model.contact_groups import ContactGroup
 from warpcontact.model.status import ContactStatus
@@ -176,8 +176,8 @@ def sensors_of(
         "contacts": types.Contacts,
         "history": types.History,
         "coupling_extremes": types.CouplingExtremes,
-        **{name: struct for name, (struct, _) in measures.BODY_MEASURES.items()},
-        "points": measures.Points,
+        **{name: struct for name, (struct, _) in body_measures.BODY_MEASURES.items()},
+        "points": body_measures.Points,
         "reactions": Reactions,
         "coordinates": Coordinates,
         "contact_couplings": contact_coupling.ContactCouplings,

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
+from warpcontact.algebra.poses import transform_points
 from warpcontact.kernels.catalogue.keywords import explain_keywords_of
 from warpcontact.kernels.couplings import springs
 from warpcontact.kernels.couplings.springs import Damper, Spring
@@ -26,7 +27,6 @@ from warpcontact.scene.couplings import (
     SpringDamper,
 )
 from warpcontact.scene.elements import Points, Surface
-from warpcontact.stepping.frames import transform_points
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array
 

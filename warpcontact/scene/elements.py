@@ -6,6 +6,7 @@ from typing import Any, TypedDict
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from warpcontact.algebra import poses
 from warpcontact.kernels.catalogue.device_model import Formula
 from warpcontact.kernels.catalogue.keywords import explain_keywords_of
 from warpcontact.kernels.contact.contact_evaluation import ContactModel
@@ -15,7 +16,6 @@ from warpcontact.kernels.laws import Law
 from warpcontact.kernels.types import WORLD
 from warpcontact.meshes import Mesh
 from warpcontact.meshes.topology import seen_from
-from warpcontact.stepping import frames
 from warpcontact.validation.checks import Array, limits
 
 MASS = limits("kg", above=0.0)
@@ -201,7 +201,7 @@ class Points:
         if self.surface is None:
             return self.positions
         scaled = self.surface.scale * self.positions
-        return frames.transform_points(scaled, self.surface.position, self.surface.orientation)
+        return poses.transform_points(scaled, self.surface.position, self.surface.orientation)
 
 
 class ContactOptions(TypedDict, total=False):

@@ -25,7 +25,6 @@ from warpcontact._version import __version__
 from warpcontact.files.atomic_files import atomic_file
 from warpcontact.files.regular_files import UnsafeFileError
 from warpcontact.files.run_folder import RunPath, open_file
-from warpcontact.model.allocation_plan import AllocationPlan
 from warpcontact.stepping.checkpoint_values import (
     CheckpointError,
     ParameterValues,
@@ -34,6 +33,7 @@ from warpcontact.stepping.checkpoint_values import (
     set_values,
 )
 from warpcontact.stepping.integrators.base import formulas_of
+from warpcontact.storage.allocation_plan import AllocationPlan
 from warpcontact.system.capture_lock import shared_capture_lock
 from warpcontact.validation.safe_text import truncate
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from warpcontact.kernels.catalogue.device_model import check_values
 from warpcontact.kernels.types import ENV_FROZEN
-from warpcontact.model.parameters import Field, Parameter
+from warpcontact.storage.parameters import Field, Parameter
 from warpcontact.validation import checks
 from warpcontact.validation.safe_text import SafeTextError
 

@@ -15,25 +15,20 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
+from warpcontact.kernels.acceptance import accept_step
 from warpcontact.kernels.broadphase import (
     contact_detection,
     contact_detection_grid,
     contact_detection_queues,
     motion_bound,
+    swept,
 )
-from warpcontact.kernels.contact import (
-    fused_contact,
-    fused_contact_grid,
-    fused_step,
-    fused_steps_cpu,
-    history,
-    wrenches,
-)
+from warpcontact.kernels.contact import history, wrenches
 from warpcontact.kernels.couplings import contact_coupling
-from warpcontact.kernels.integrators import accept_step, semi_implicit
+from warpcontact.kernels.integrators import semi_implicit
+from warpcontact.kernels.launch_shapes import fused_contact, fused_contact_grid, fused_step, fused_steps_cpu
 from warpcontact.kernels.lowlevel import warps
 from warpcontact.kernels.lowlevel.unique_kernel import QUICK
-from warpcontact.kernels.narrowphase import swept
 from warpcontact.kernels.narrowphase.closest_point import (
     DETECT_BVH,
     DETECT_CACHED,

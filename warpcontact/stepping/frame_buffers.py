@@ -15,9 +15,9 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.model.environments import Environments
-from warpcontact.model.memory import MemoryItem
 from warpcontact.model.model import Model
 from warpcontact.stepping.frame_copies import FrameCopies
+from warpcontact.storage.memory_estimate import MemoryItem
 from warpcontact.system.capture_lock import shared_capture_lock
 from warpcontact.system.resources import HOST
 

@@ -6,12 +6,12 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from warpcontact.kernels.integrators import quarantine
+from warpcontact.kernels.acceptance import quarantine
 from warpcontact.kernels.types import ENV_FROZEN, NO_CAUSE, TOO_FAR
-from warpcontact.model.allocation_plan import AllocationPlan, per_env
-from warpcontact.model.parameters import Field, Parameters, pack
 from warpcontact.model.status import FailureCause
 from warpcontact.scene.scene import MAX_DISTANCE, MAX_SPEED, Scene
+from warpcontact.storage.allocation_plan import AllocationPlan, per_env
+from warpcontact.storage.parameters import Field, Parameters, pack
 
 if TYPE_CHECKING:
     from warpcontact.model.environments import Environments

@@ -8,9 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact._version import __version__
-from warpcontact.model.allocation_plan import row_bytes
 from warpcontact.model.environments import Environments
-from warpcontact.model.memory import (
+from warpcontact.model.model import Model
+from warpcontact.model.sensors import AXES
+from warpcontact.scene.scene import Scene
+from warpcontact.stepping.frame_buffers import Channel, Frame
+from warpcontact.stepping.frame_copies import FrameCopies
+from warpcontact.storage.allocation_plan import row_bytes
+from warpcontact.storage.memory_estimate import (
     MemoryEstimate,
     MemoryItem,
     MemoryShortage,
@@ -21,12 +26,7 @@ from warpcontact.model.memory import (
     total,
     usable_bytes,
 )
-from warpcontact.model.model import Model
-from warpcontact.model.parameters import Parameter
-from warpcontact.model.sensors import AXES
-from warpcontact.scene.scene import Scene
-from warpcontact.stepping.frame_buffers import Channel, Frame
-from warpcontact.stepping.frame_copies import FrameCopies
+from warpcontact.storage.parameters import Parameter
 from warpcontact.system.resources import HOST, AvailableMemory
 
 if TYPE_CHECKING:

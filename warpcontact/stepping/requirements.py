@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any, cast
 import warp as wp
 
 from warpcontact.kernels.outcomes import recording
-from warpcontact.model.memory import MemoryEstimate, MemoryItem, total
 from warpcontact.model.sensor_evaluation import can_evaluate_by_slice, evaluation_plan, evaluation_stages
 from warpcontact.stepping.execution_plan import ExecutionPlan
 from warpcontact.stepping.integrators import Integrator, SemiImplicitEuler
 from warpcontact.stepping.outcomes.watch import ContactEvents, MonitorSettings, StopCondition
 from warpcontact.stepping.slice_stepper import MAX_FRAME_GRAPHS, StepBuffers, StepChunk, Stepper
+from warpcontact.storage.memory_estimate import MemoryEstimate, MemoryItem, total
 from warpcontact.system.capture_lock import shared_capture_lock
 from warpcontact.system.resources import HOST, available_threads
 

@@ -14,11 +14,8 @@ from warpcontact.forces.mesh_contact.step_warnings import caller_stacklevel, con
 from warpcontact.kernels.catalogue.keywords import explain_keywords_of
 from warpcontact.kernels.catalogue.renamed import explain_renamed
 from warpcontact.kernels.outcomes.base import Outcome
-from warpcontact.model.allocation_plan import AllocationPlan
 from warpcontact.model.environments import Environments
-from warpcontact.model.memory import MemoryEstimate, MemoryItem, env_count_text, require
 from warpcontact.model.model import Model, State
-from warpcontact.model.parameters import rounded
 from warpcontact.model.sensor_evaluation import CONTACT_NEEDS, can_evaluate_by_slice, check_needs
 from warpcontact.stepping import checkpoint
 from warpcontact.stepping.chunk_sizer import ChunkSizer, progress_bar
@@ -32,6 +29,9 @@ from warpcontact.stepping.run_warnings import RunWarnings
 from warpcontact.stepping.slice_stepper import FrameSchedule, StepBuffers, StepLengths, Stepper
 from warpcontact.stepping.step_counts import frame_count, recorded_steps
 from warpcontact.stepping.worker_pool import DeviceShare, WorkerPool
+from warpcontact.storage.allocation_plan import AllocationPlan
+from warpcontact.storage.memory_estimate import MemoryEstimate, MemoryItem, env_count_text, require
+from warpcontact.storage.parameters import rounded
 from warpcontact.system.capture_lock import shared_capture_lock
 from warpcontact.system.compilation import load_all
 from warpcontact.system.resources import HOST, available_threads

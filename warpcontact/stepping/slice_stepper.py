@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import warp as wp
 
 from warpcontact.kernels.lowlevel.unique_kernel import QUICK
-from warpcontact.model.allocation_plan import AllocationPlan, broadcast, per_env
 from warpcontact.model.sensor_evaluation import provides_contacts
 from warpcontact.stepping.execution_plan import (
     ExecutionPlan,
@@ -26,6 +25,7 @@ from warpcontact.stepping.frame_copies import FrameCopies, FrameRecording
 from warpcontact.stepping.integrators import Integrator
 from warpcontact.stepping.outcomes.observer import Monitor
 from warpcontact.stepping.outcomes.watch import MonitorSettings
+from warpcontact.storage.allocation_plan import AllocationPlan, broadcast, per_env
 from warpcontact.system.capture_lock import exclusive_capture_lock, shared_capture_lock
 
 if TYPE_CHECKING:

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warpcontact.stepping.frames import shortest_rotations
+from warpcontact.algebra.poses import shortest_rotations
+from warpcontact.drawing.forces import ForceLines
 from warpcontact.usd.author import Samples, integers, long_integers, quaternions, vectors
 from warpcontact.usd.geometry import set_color
 from warpcontact.validation.checks import Array
-from warpcontact.visualize.drawing.forces import ForceLines
 
 # Radius of a shaft, in sizes of the largest body; of a head, and its length, in radii of the shaft.
 SHAFT = 0.012

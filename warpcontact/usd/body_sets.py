@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 
+from warpcontact.drawing.body_sets import BodySet
+from warpcontact.drawing.spheres import body_color
 from warpcontact.usd.author import Samples, integers, store_element_name, vectors
 from warpcontact.usd.geometry import set_color
-from warpcontact.visualize.drawing.body_sets import BodySet
-from warpcontact.visualize.drawing.spheres import body_color
 
 
 def define_body_set(stage: Any, path: str, body_set: BodySet, width: float) -> None:

@@ -20,6 +20,8 @@ from typing import Any
 
 import numpy as np
 
+from warpcontact.drawing.content import Content
+from warpcontact.drawing.couplings import Coil
 from warpcontact.files.atomic_files import write_json
 from warpcontact.files.regular_files import UnsafeFileError
 from warpcontact.files.run_folder import RunPath, below_run
@@ -27,8 +29,6 @@ from warpcontact.usd.author import Samples
 from warpcontact.usd.files import remove_file, save_layer
 from warpcontact.usd.layout import WORLD
 from warpcontact.usd.stage import Export, ProgressCallback
-from warpcontact.visualize.drawing.content import Content
-from warpcontact.visualize.drawing.couplings import Coil
 
 FOLDER_SUFFIX = ".clips"
 RECORD = "clips.json"

@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from warpcontact.drawing.colors import COLORMAP, Scale, per_environment_number
 from warpcontact.kernels.catalogue.names import stored_name, suggestion
 from warpcontact.usd.author import attribute_name
 from warpcontact.validation.checks import Array
-from warpcontact.visualize.drawing.colors import COLORMAP, Scale, per_environment_number
 
 
 def named_number(recording: xr.Dataset, name: str, outcome: xr.Dataset | None = None) -> xr.DataArray:

@@ -5,6 +5,9 @@ from typing import Any
 
 import numpy as np
 
+from warpcontact.drawing.content import POINT
+from warpcontact.drawing.ensemble import BodyAppearance, Ensemble
+from warpcontact.drawing.spheres import body_color
 from warpcontact.usd.author import (
     Samples,
     attribute_name,
@@ -21,9 +24,6 @@ from warpcontact.usd.layout import ENSEMBLE, Layout
 from warpcontact.usd.shapes import write_shape
 from warpcontact.usd.surfaces import write_surface
 from warpcontact.validation.checks import Array
-from warpcontact.visualize.drawing.content import POINT
-from warpcontact.visualize.drawing.ensemble import BodyAppearance, Ensemble
-from warpcontact.visualize.drawing.spheres import body_color
 
 
 def define_ensemble(stage: Any, ensemble: Ensemble, layout: Layout, coloring: Coloring | None) -> None:

@@ -5,6 +5,9 @@ from typing import Any
 
 import numpy as np
 
+from warpcontact.drawing.content import Content
+from warpcontact.drawing.ranges import SceneRanges
+from warpcontact.drawing.replay import Replay
 from warpcontact.scene.scene import Body
 from warpcontact.usd import geometry, physics
 from warpcontact.usd.arrows import write_arrows
@@ -19,9 +22,6 @@ from warpcontact.usd.sensors import Sensors
 from warpcontact.usd.shapes import write_shape, write_shape_set
 from warpcontact.usd.surfaces import write_surface
 from warpcontact.validation.checks import Array
-from warpcontact.visualize.drawing.content import Content
-from warpcontact.visualize.drawing.ranges import SceneRanges
-from warpcontact.visualize.drawing.replay import Replay
 
 
 def layout_of(

@@ -6,6 +6,7 @@ from pathlib import Path
 import xarray as xr
 from numpy.typing import ArrayLike
 
+from warpcontact.drawing.content import Content
 from warpcontact.kernels.catalogue.keywords import explain_keywords
 from warpcontact.scene.scene import Scene
 from warpcontact.usd.author import Samples
@@ -13,7 +14,6 @@ from warpcontact.usd.clips import Clips, check_frames
 from warpcontact.usd.files import check_path, save_stage
 from warpcontact.usd.stage import Export, ProgressCallback
 from warpcontact.validation.safe_text import escape_controls, terminal
-from warpcontact.visualize.drawing.content import Content
 
 
 @explain_keywords

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from warpcontact.drawing.spheres import Spheres, body_color
 from warpcontact.usd.author import store_element_name, vectors
-from warpcontact.visualize.drawing.spheres import Spheres, body_color
 
 
 def set_color(gprim: Any, color: ArrayLike) -> None:

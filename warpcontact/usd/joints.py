@@ -4,13 +4,13 @@ from typing import Any
 
 import numpy as np
 
+from warpcontact.algebra.poses import inverse, product, shortest_rotations, transform_points
+from warpcontact.drawing.replay import Replay
 from warpcontact.kernels.catalogue.device_model import unit_vectors
 from warpcontact.kernels.types import BALL, HINGE, PLANAR, SLIDER, TRANSLATION
 from warpcontact.scene.scene import Body
-from warpcontact.stepping.frames import inverse, product, shortest_rotations, transform_points
 from warpcontact.usd.author import store_element_name
 from warpcontact.validation.checks import Array
-from warpcontact.visualize.drawing.replay import Replay
 
 #: Freedoms that a joint without a schema of its own takes away, in its frame, whose x axis is that of the motion.
 _LOCKED = {PLANAR: ("transX", "rotY", "rotZ"), TRANSLATION: ("rotX", "rotY", "rotZ")}

@@ -3,11 +3,11 @@
 import math
 from dataclasses import dataclass
 
+from warpcontact.drawing.body_sets import CENTRES, BodySet
+from warpcontact.drawing.shapes import ShapePlacement
+from warpcontact.drawing.surfaces import Placement
 from warpcontact.scene.scene import Body
 from warpcontact.validation.checks import Array
-from warpcontact.visualize.drawing.body_sets import CENTRES, BodySet
-from warpcontact.visualize.drawing.shapes import ShapePlacement
-from warpcontact.visualize.drawing.surfaces import Placement
 
 WORLD = "/World"
 #: The class that environments refer to.

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from warpcontact.drawing.replay import Replay
 from warpcontact.kernels.friction import Friction, Frictionless
 from warpcontact.scene.scene import Contact
 from warpcontact.scene.shapes import ShapeContact
 from warpcontact.usd.layout import WORLD
 from warpcontact.usd.rolling import rolling_radius
 from warpcontact.validation.checks import Array
-from warpcontact.visualize.drawing.replay import Replay
 
 #: Of a friction: parameters that are its static coefficient, and its dynamic one; the first group it has.
 STATIC = (("mu_static",), ("mu",), ("mu_1", "mu_2"))

@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
+from warpcontact.drawing.replay import Replay
 from warpcontact.kernels.types import FIXED, PRESCRIBED, TIME_FUNCTION
 from warpcontact.scene.scene import Body
 from warpcontact.usd.author import Samples, vectors
 from warpcontact.validation.checks import Array
-from warpcontact.visualize.drawing.replay import Replay
 
 # Recordings have the time step in single precision.
 _SINGLE = 1.0e-6

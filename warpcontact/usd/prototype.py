@@ -4,6 +4,9 @@ from typing import Any
 
 import numpy as np
 
+from warpcontact.drawing.content import POINT, Content
+from warpcontact.drawing.ranges import body_reach
+from warpcontact.drawing.spheres import body_size
 from warpcontact.scene.scene import Body
 from warpcontact.usd import geometry, physics
 from warpcontact.usd.arrows import define_arrows
@@ -16,9 +19,6 @@ from warpcontact.usd.materials import UsdMaterials, bind_material, define_materi
 from warpcontact.usd.sensors import Sensors
 from warpcontact.usd.shapes import define_shape_set, write_shape
 from warpcontact.usd.surfaces import define_shapes, define_surfaces, write_surface
-from warpcontact.visualize.drawing.content import POINT, Content
-from warpcontact.visualize.drawing.ranges import body_reach
-from warpcontact.visualize.drawing.spheres import body_size
 
 
 class Prototype:

@@ -6,8 +6,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from warpcontact.drawing.replay import Replay
 from warpcontact.usd.author import Samples, attribute_name, attribute_type, plain, series
-from warpcontact.visualize.drawing.replay import Replay
 
 _KINDS = {"axis": "vector", "component": "quaternion"}
 _ROLES = {"point": "Point3", "normal": "Normal3"}

@@ -8,6 +8,10 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from warpcontact._version import __version__
+from warpcontact.drawing.content import Content
+from warpcontact.drawing.ensemble import Ensemble
+from warpcontact.drawing.ranges import SceneRanges
+from warpcontact.drawing.replay import Replay
 from warpcontact.scene.scene import Scene
 from warpcontact.usd.author import Samples, write_box
 from warpcontact.usd.coloring import Coloring
@@ -19,10 +23,6 @@ from warpcontact.usd.materials import UsdMaterials
 from warpcontact.usd.scenery import define_camera, define_display_material, define_lights
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array, limits
-from warpcontact.visualize.drawing.content import Content
-from warpcontact.visualize.drawing.ensemble import Ensemble
-from warpcontact.visualize.drawing.ranges import SceneRanges
-from warpcontact.visualize.drawing.replay import Replay
 
 #: Goes up when what is on a stage is to be read in another way.
 SCHEMA = 1

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from warpcontact.drawing.surfaces import INACTIVE, Placement, surface_color
 from warpcontact.scene.scene import Surface
 from warpcontact.usd.author import add_pose, store_element_name, vectors, write_box
 from warpcontact.usd.geometry import set_color
-from warpcontact.visualize.drawing.surfaces import INACTIVE, Placement, surface_color
 
 
 def write_surface(

@@ -1,4 +1,4 @@
-// Gaps as colours, which warpcontact/visualize/drawing/colors.py chooses: from the deepest overlap over touch to far away.
+// Gaps as colours, which warpcontact/drawing/colors.py chooses: from the deepest overlap over touch to far away.
 import { SRGBColorSpace } from "three";
 
 /** Sets the colour of a gap [m] among `stops` (−1…1, RGB): −deepest and less is the one end, `far` and more the other. */

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from warpcontact.algebra.poses import transform_points
 from warpcontact.kernels.couplings import contact_coupling as kernels
-from warpcontact.model.allocation_plan import AllocationPlan, per_env
-from warpcontact.model.parameters import DeviceField, Field, Parameters
 from warpcontact.scene.elements import ENABLED, RANGE, Contact
-from warpcontact.stepping.frames import transform_points
+from warpcontact.storage.allocation_plan import AllocationPlan, per_env
+from warpcontact.storage.parameters import DeviceField, Field, Parameters
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array
 

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warpcontact.algebra.vectors import norm
 from warpcontact.forces.mesh_contact.friction_warnings import MAX_CHECKED_ENVS, TYPICAL_SPEED, steepest_slopes
-from warpcontact.geometry.vectors import norm
 from warpcontact.kernels.friction import Frictionless
 from warpcontact.meshes.topology import area_vectors
 from warpcontact.model.mobility import MIN_MOBILITY, mobility_of

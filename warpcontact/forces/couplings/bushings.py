@@ -7,21 +7,21 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import warp as wp
 
+from warpcontact.algebra.poses import inverse, product
 from warpcontact.forces.couplings.coupling_set import CouplingSet
 from warpcontact.kernels.couplings import bushing
-from warpcontact.model.allocation_plan import per_env
 from warpcontact.scene import couplings as elements
 from warpcontact.scene import elements as limits_of
 from warpcontact.scene.couplings import Bushing
-from warpcontact.stepping.frames import inverse, product
+from warpcontact.storage.allocation_plan import per_env
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array
 
 if TYPE_CHECKING:
-    from warpcontact.model.allocation_plan import AllocationPlan
-    from warpcontact.model.parameters import Parameters
     from warpcontact.scene.elements import Body
     from warpcontact.stepping.execution_plan import ExecutionPlan
+    from warpcontact.storage.allocation_plan import AllocationPlan
+    from warpcontact.storage.parameters import Parameters
 
 _RANGES = {
     "stiffness": elements.STIFFNESS,

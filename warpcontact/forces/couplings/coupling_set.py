@@ -11,16 +11,16 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.kernels.types import WORLD
-from warpcontact.model.parameters import Field, pack
 from warpcontact.model.sensors import Sensor, shape_in
 from warpcontact.model.status import CouplingStatus
+from warpcontact.storage.parameters import Field, pack
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array
 
 if TYPE_CHECKING:
-    from warpcontact.model.allocation_plan import AllocationPlan
-    from warpcontact.model.parameters import Parameters
     from warpcontact.stepping.execution_plan import ExecutionPlan
+    from warpcontact.storage.allocation_plan import AllocationPlan
+    from warpcontact.storage.parameters import Parameters
 
 # Values that are not taken as they are given.
 _CONVERTED = {

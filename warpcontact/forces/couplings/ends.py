@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from warpcontact.forces.couplings.coupling_set import CouplingSet
     from warpcontact.forces.shape_contact.contact_sets import ShapeContactSet
-    from warpcontact.model.allocation_plan import AllocationPlan
+    from warpcontact.storage.allocation_plan import AllocationPlan
 
 
 def add_ends(

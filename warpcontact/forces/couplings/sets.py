@@ -7,9 +7,9 @@ from warpcontact.forces.couplings.coupling_set import CouplingSet
 from warpcontact.scene.couplings import Bushing, Catenary, Coupling, SpringDamper
 
 if TYPE_CHECKING:
-    from warpcontact.model.allocation_plan import AllocationPlan
-    from warpcontact.model.parameters import Parameters
     from warpcontact.scene.scene import Scene
+    from warpcontact.storage.allocation_plan import AllocationPlan
+    from warpcontact.storage.parameters import Parameters
 
 
 def set_of(kind: type[Coupling]) -> type[CouplingSet]:

@@ -12,19 +12,19 @@ from warpcontact.kernels.catalogue.device_model import coefficient_struct
 from warpcontact.kernels.couplings import spring
 from warpcontact.kernels.couplings.spring import SpringModel
 from warpcontact.kernels.couplings.springs import Undamped, tables
-from warpcontact.model.allocation_plan import per_env
-from warpcontact.model.parameters import Field, pack
-from warpcontact.model.state_storage import SWITCH
 from warpcontact.scene import couplings as elements
 from warpcontact.scene import elements as limits_of
 from warpcontact.scene.couplings import SpringDamper
+from warpcontact.storage.allocation_plan import per_env
+from warpcontact.storage.parameters import Field, pack
+from warpcontact.storage.state_storage import SWITCH
 from warpcontact.system.compilation import load
 from warpcontact.validation.custom_law_errors import explain_compile_errors, has_user_code
 
 if TYPE_CHECKING:
-    from warpcontact.model.allocation_plan import AllocationPlan
-    from warpcontact.model.parameters import Parameters
     from warpcontact.stepping.execution_plan import ExecutionPlan
+    from warpcontact.storage.allocation_plan import AllocationPlan
+    from warpcontact.storage.parameters import Parameters
 
 
 _RANGES = {

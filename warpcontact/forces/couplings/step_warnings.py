@@ -4,9 +4,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warpcontact.algebra.poses import transform_points
 from warpcontact.model.mobility import mobility_along
 from warpcontact.scene.couplings import Catenary, Coupling, SpringDamper
-from warpcontact.stepping.frames import transform_points
 from warpcontact.validation.checks import Array
 
 if TYPE_CHECKING:

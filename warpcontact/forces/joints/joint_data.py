@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from warpcontact.kernels.catalogue.device_model import unit_vectors
 from warpcontact.kernels.joints import Motion, driven
 from warpcontact.kernels.types import FREE, TIME_FUNCTION, BodyMotion
-from warpcontact.model.allocation_plan import AllocationPlan
-from warpcontact.model.parameters import DeviceField, Field, Parameters, pack, split
 from warpcontact.scene.elements import Body
 from warpcontact.scene.scene import Scene
+from warpcontact.storage.allocation_plan import AllocationPlan
+from warpcontact.storage.parameters import DeviceField, Field, Parameters, pack, split
 from warpcontact.system.compilation import load
 from warpcontact.validation.checks import Array
 from warpcontact.validation.custom_law_errors import compile_error_text, has_user_code

@@ -16,16 +16,16 @@ from warpcontact.kernels.nonsmooth.records import record_structs
 from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs
 from warpcontact.kernels.shapes.records import shape_contact_structs
 from warpcontact.kernels.types import MODE_OPEN, MODE_SLIP
-from warpcontact.model.allocation_plan import AllocationPlan, per_env
 from warpcontact.model.contact_groups import ContactGroup, group_by_model
-from warpcontact.model.memory import MemoryItem
-from warpcontact.model.parameters import Parameter
 from warpcontact.model.sensors import Sensor
-from warpcontact.model.state_storage import COUNT, SWITCH, Allowed
 from warpcontact.model.status import ContactMode
 from warpcontact.scene.particles import ParticleContact
 from warpcontact.scene.scene import Contact, Scene
 from warpcontact.scene.shapes import ShapeContact
+from warpcontact.storage.allocation_plan import AllocationPlan, per_env
+from warpcontact.storage.memory_estimate import MemoryItem
+from warpcontact.storage.parameters import Parameter
+from warpcontact.storage.state_storage import COUNT, SWITCH, Allowed
 from warpcontact.system.capture_lock import shared_capture_lock
 from warpcontact.validation.checks import similar
 

@@ -12,7 +12,7 @@ from warpcontact.kernels.catalogue.device_model import Formula
 from warpcontact.kernels.friction import Friction, Frictionless
 from warpcontact.kernels.laws import Law
 from warpcontact.kernels.nonsmooth.records import record_structs
-from warpcontact.model.parameters import DeviceField, Parameter, pack
+from warpcontact.storage.parameters import DeviceField, Parameter, pack
 
 #: Gaps below this are closed [m], by precision: more than rounding leaves of bodies of a few meters.
 CONTACT_GAP = {wp.float32: 1.0e-6, wp.float64: 1.0e-9}

@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from warpcontact.algebra import poses
 from warpcontact.forces.particle_contact.neighbor_capacity import (
     ALL_PAIRS_LIMIT,
     all_pair_lists,
@@ -15,8 +16,8 @@ from warpcontact.forces.particle_contact.neighbor_capacity import (
     owned_records,
 )
 from warpcontact.kernels.catalogue.device_model import Formula, coefficient_struct
+from warpcontact.kernels.catalogue.history_variables import memory_struct
 from warpcontact.kernels.contact.contact_evaluation import group_structs
-from warpcontact.kernels.contact.history_variables import memory_struct
 from warpcontact.kernels.particles import force, history, measures, sums
 from warpcontact.kernels.particles import neighbor_lists as lists
 from warpcontact.kernels.particles.base import (
@@ -27,16 +28,15 @@ from warpcontact.kernels.particles.base import (
     particle_structs,
 )
 from warpcontact.kernels.types import FREE
-from warpcontact.model.allocation_plan import AllocationPlan, fixed, per_env
 from warpcontact.model.contact_groups import compile_force_kernel
-from warpcontact.model.parameters import ClosedGap, DeviceField, Field, Parameter, Parameters, pack
 from warpcontact.model.sensors import Sensor, shape_in
-from warpcontact.model.state_storage import COUNT
 from warpcontact.scene import elements as limits_of
 from warpcontact.scene.particles import ParticleContact
 from warpcontact.scene.shapes import Shape
-from warpcontact.stepping import frames
 from warpcontact.stepping.execution_plan import SMALL_BLOCK
+from warpcontact.storage.allocation_plan import AllocationPlan, fixed, per_env
+from warpcontact.storage.parameters import ClosedGap, DeviceField, Field, Parameter, Parameters, pack
+from warpcontact.storage.state_storage import COUNT
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array
 
@@ -258,7 +258,7 @@ class ParticleContactSet:
             half = self._column("half_length")
             turn = self._column("orientation")
             ends = half[..., None] * np.array([0.0, 0.0, 1.0])
-            return frames.transform_points(ends[..., None, :], np.zeros(3), turn)[..., 0, :]
+            return poses.transform_points(ends[..., None, :], np.zeros(3), turn)[..., 0, :]
 
         follow: dict[str, list[DeviceField]] = {
             "radius": [parameters.device_field(particles, "radius", self.real, self._radii)],

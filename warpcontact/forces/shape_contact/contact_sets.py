@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from warpcontact.forces.shape_contact.measures import has_curvatures
 from warpcontact.forces.shape_contact.shape_sets import ShapeSet
+from warpcontact.kernels.acceptance import reset
 from warpcontact.kernels.catalogue.device_model import Formula, coefficient_struct
+from warpcontact.kernels.catalogue.history_variables import memory_struct
 from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs
-from warpcontact.kernels.contact.history_variables import memory_struct
-from warpcontact.kernels.integrators import reset
 from warpcontact.kernels.shapes import force, history, measures, narrow_phase
 from warpcontact.kernels.shapes.base import Shape as Form
 from warpcontact.kernels.shapes.records import (
@@ -24,23 +24,23 @@ from warpcontact.kernels.shapes.records import (
     WarmStarts,
     shape_contact_structs,
 )
-from warpcontact.model.allocation_plan import fixed, per_env
 from warpcontact.model.contact_groups import compile_force_kernel, history_view
-from warpcontact.model.parameters import ClosedGap, Field, pack
 from warpcontact.model.sensors import CONTACT_SENSORS, Sensor, shape_in
-from warpcontact.model.state_storage import COUNT, SWITCH
 from warpcontact.model.status import ContactStatus
 from warpcontact.scene import elements as limits_of
 from warpcontact.scene.shapes import ShapeContact
+from warpcontact.storage.allocation_plan import fixed, per_env
+from warpcontact.storage.parameters import ClosedGap, Field, pack
+from warpcontact.storage.state_storage import COUNT, SWITCH
 from warpcontact.system.compilation import load
 from warpcontact.validation import checks
 from warpcontact.validation.custom_law_errors import compile_error_text, has_user_code
 
 if TYPE_CHECKING:
-    from warpcontact.model.allocation_plan import AllocationPlan
-    from warpcontact.model.parameters import DeviceField, Parameters
     from warpcontact.scene.scene import Scene
     from warpcontact.stepping.execution_plan import ExecutionPlan
+    from warpcontact.storage.allocation_plan import AllocationPlan
+    from warpcontact.storage.parameters import DeviceField, Parameters
 
 _RANGES = {
     "kappa": limits_of.KAPPA,

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from warpcontact.kernels.catalogue.device_model import coefficient_struct
 from warpcontact.kernels.shapes.base import Shape as Form
 from warpcontact.kernels.shapes.records import ShapePose, shapes_struct
-from warpcontact.model.parameters import Field, pack
 from warpcontact.scene.shapes import Shape
+from warpcontact.storage.parameters import Field, pack
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array, limits
 
 if TYPE_CHECKING:
-    from warpcontact.model.parameters import Parameters
+    from warpcontact.storage.parameters import Parameters
 
 
 class ShapeSet:

@@ -14,7 +14,7 @@ from warpcontact.kernels.shapes.parametric_surface import ParametricSurface
 from warpcontact.kernels.shapes.plane import Plane
 from warpcontact.kernels.shapes.torus import Torus
 from warpcontact.meshes import icosphere
-from warpcontact.model.parameters import pack
+from warpcontact.storage.parameters import pack
 from warpcontact.system.capture_lock import shared_capture_lock
 from warpcontact.system.devices import find_device
 from warpcontact.validation.checks import Array

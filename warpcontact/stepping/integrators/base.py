@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from warpcontact.model.allocation_plan import AllocationPlan
 from warpcontact.stepping.execution_plan import ExecutionPlan, StepLength
+from warpcontact.storage.allocation_plan import AllocationPlan
 
 if TYPE_CHECKING:
     from warpcontact.forces.nonsmooth.contacts import NonsmoothContacts

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any
 import warp as wp
 
 from warpcontact.forces.particle_contact.contact_set import particle_arrays
+from warpcontact.kernels.broadphase import swept
 from warpcontact.kernels.catalogue.keywords import explain_keywords_of
 from warpcontact.kernels.integrators import semi_implicit
 from warpcontact.kernels.joints import driven, step
-from warpcontact.kernels.narrowphase import swept
 from warpcontact.stepping.execution_plan import (
     SMALL_BLOCK,
     ExecutionPlan,

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from warpcontact.kernels.outcomes import events, reduce, stop
 from warpcontact.kernels.outcomes.base import Condition, Outcome
 from warpcontact.kernels.outcomes.source import MAX_SOURCES, SourceForm
-from warpcontact.model.allocation_plan import AllocationPlan, per_env
 from warpcontact.model.sensor_evaluation import sensor_stages
-from warpcontact.model.state_storage import COUNT, SWITCH
 from warpcontact.stepping.outcomes.sources import ResolvedSource, SourceResolver
 from warpcontact.stepping.outcomes.watch import MonitorSettings
+from warpcontact.storage.allocation_plan import AllocationPlan, per_env
+from warpcontact.storage.state_storage import COUNT, SWITCH
 from warpcontact.system.capture_lock import shared_capture_lock
 from warpcontact.system.compilation import load
 from warpcontact.validation.custom_law_errors import compile_error_text

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from warpcontact.geometry.vectors import cross
+from warpcontact.algebra.vectors import cross
 from warpcontact.kernels.catalogue.keywords import explain_keywords
 from warpcontact.kernels.types import WORLD
 from warpcontact.unilateral.reference.bodies import Bodies

@@ -4,10 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from warpcontact.geometry.vectors import cross
+from warpcontact.algebra.poses import inverse, product
+from warpcontact.algebra.vectors import cross
 from warpcontact.kernels.types import BALL, FREE, HINGE, PLANAR, SLIDER, TIME_FUNCTION, TRANSLATION
 from warpcontact.model.model import Model
-from warpcontact.stepping.frames import inverse, product
 from warpcontact.unilateral.reference.snapshot import Snapshot
 from warpcontact.validation.checks import Array
 

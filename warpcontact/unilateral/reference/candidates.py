@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from warpcontact.algebra.vectors import cross
 from warpcontact.forces.nonsmooth.materials import NonsmoothSource, check_rigid
 from warpcontact.forces.particle_contact.contact_set import ParticleContactSet
-from warpcontact.geometry.vectors import cross
 from warpcontact.kernels.friction import Frictionless
 from warpcontact.kernels.types import TIME_FUNCTION, UNSOLVED, WORLD
 from warpcontact.model.status import ContactStatus

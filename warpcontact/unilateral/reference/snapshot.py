@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from warpcontact.algebra.poses import product
 from warpcontact.kernels.joints import driven
 from warpcontact.model.environments import Environments
 from warpcontact.model.model import Model
-from warpcontact.model.parameters import split
-from warpcontact.stepping.frames import product
+from warpcontact.storage.parameters import split
 from warpcontact.validation.checks import Array
 
 _STATE = ("position", "orientation", "linear_velocity", "angular_velocity")

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from warpcontact.geometry.vectors import cross
+from warpcontact.algebra.vectors import cross
 from warpcontact.kernels.types import MODE_SLIP, MODE_STICK, TIME_FUNCTION, WORLD
 from warpcontact.unilateral.reference.acceleration import check_slides, forces_of_modes, normal_response, zero_rows
 from warpcontact.unilateral.reference.assembly import Assembler, Assembly, contact_rows

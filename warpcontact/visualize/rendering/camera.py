@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warpcontact.drawing.drawing import Drawing
 from warpcontact.kernels.rendering.world import SPHERE
 from warpcontact.validation.checks import Array
-from warpcontact.visualize.drawing.drawing import Drawing
 from warpcontact.visualize.rendering.items import Items, is_static
 
 # Part of the picture that is left free around what moves.

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warpcontact.drawing.colors import Scale
+from warpcontact.drawing.drawing import Drawing
 from warpcontact.validation.checks import Array
-from warpcontact.visualize.drawing.colors import Scale
-from warpcontact.visualize.drawing.drawing import Drawing
 from warpcontact.visualize.rendering import sheet
 from warpcontact.visualize.rendering.camera import (
     LEAST,

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from warpcontact.algebra.poses import shortest_rotations, transform_points
+from warpcontact.drawing.drawing import ContactForces, Curve, Figure, Shape
+from warpcontact.drawing.triangles import ball
 from warpcontact.kernels.rendering.world import CONE, CYLINDER, MESH, SPHERE
-from warpcontact.stepping.frames import shortest_rotations, transform_points
 from warpcontact.validation.checks import Array
-from warpcontact.visualize.drawing.drawing import ContactForces, Curve, Figure, Shape
-from warpcontact.visualize.drawing.triangles import ball
 
 # Of an arrow, in its length at most and in widths of its shaft: the head.
 HEAD_LENGTH = 0.45

@@ -8,12 +8,12 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from warpcontact.drawing.colors import linear
 from warpcontact.kernels.rendering.paint import View, kernel
 from warpcontact.kernels.rendering.shade import Backdrop, Grid, Light
 from warpcontact.system.compilation import compile_as_launched
 from warpcontact.system.resources import available_threads
 from warpcontact.validation.checks import Array
-from warpcontact.visualize.drawing.colors import linear
 from warpcontact.visualize.rendering.camera import Camera, direction
 from warpcontact.visualize.rendering.items import Items, turned_axes
 from warpcontact.visualize.rendering.stage import Stage

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from warpcontact.drawing.colors import per_environment_number
+from warpcontact.drawing.drawing import Drawing
 from warpcontact.experiment.run import Run
 from warpcontact.kernels.catalogue.names import suggestion
 from warpcontact.scene.scene import Scene
 from warpcontact.validation.checks import Array
-from warpcontact.visualize.drawing.colors import per_environment_number
-from warpcontact.visualize.drawing.drawing import Drawing
 from warpcontact.visualize.rendering.render_style import environment_numbers
 
 # As many records give an overview as make so many poses, within limits.

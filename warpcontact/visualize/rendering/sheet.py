@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from warpcontact.drawing.colors import Scale
 from warpcontact.validation import safe_text
-from warpcontact.visualize.drawing.colors import Scale
 
 Place = tuple[int, int, int, int]
 

@@ -7,11 +7,11 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from warpcontact.algebra.poses import transform_points
+from warpcontact.drawing.drawing import Drawing, Figure
+from warpcontact.drawing.triangles import ball
 from warpcontact.kernels.rendering.sight import kernel
-from warpcontact.stepping.frames import transform_points
 from warpcontact.validation.checks import Array
-from warpcontact.visualize.drawing.drawing import Drawing, Figure
-from warpcontact.visualize.drawing.triangles import ball
 from warpcontact.visualize.rendering.camera import Camera
 from warpcontact.visualize.rendering.items import Items, bounds, place_figure
 from warpcontact.visualize.rendering.painter import extend_planes

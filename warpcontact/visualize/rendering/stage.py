@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from warpcontact.algebra.poses import transform_points
+from warpcontact.drawing.colors import linear
+from warpcontact.drawing.drawing import Drawing, Shape
+from warpcontact.drawing.triangles import ball
 from warpcontact.kernels.rendering.world import World
-from warpcontact.stepping.frames import transform_points
 from warpcontact.validation.checks import Array
-from warpcontact.visualize.drawing.colors import linear
-from warpcontact.visualize.drawing.drawing import Drawing, Shape
-from warpcontact.visualize.drawing.triangles import ball
 from warpcontact.visualize.rendering.items import Items, bounds
 
 # Boxes are larger than what they hold by this part of it: no ray misses what is flat, or is lost to rounding.

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
+from warpcontact.drawing.decimation import kept_samples
 from warpcontact.validation.checks import Array
 from warpcontact.validation.number_format import quantity, several
-from warpcontact.visualize.decimation import kept_samples
 from warpcontact.visualize.report import chart
 from warpcontact.visualize.report.markup import Markup, element, joined, name
 

@@ -4,9 +4,9 @@ import functools
 
 import numpy as np
 
+from warpcontact.drawing.drawing import Shape
+from warpcontact.drawing.triangles import ball
 from warpcontact.meshes import icosphere
-from warpcontact.visualize.drawing.drawing import Shape
-from warpcontact.visualize.drawing.triangles import ball
 from warpcontact.visualize.report.packing import Pack
 
 # Triangles of one shape; of more, points that are near each other become one.

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from warpcontact.analysis.fan import quantile_fan
 from warpcontact.analysis.results import frozen
+from warpcontact.drawing.decimation import evenly, kept_samples
 from warpcontact.experiment.curves import (
     VALUES,
     Extreme,
@@ -20,7 +21,6 @@ from warpcontact.experiment.curves import (
 from warpcontact.model.health import Health
 from warpcontact.validation.checks import Array
 from warpcontact.validation.number_format import count, quantity, several
-from warpcontact.visualize.decimation import evenly, kept_samples
 from warpcontact.visualize.report import chart
 from warpcontact.visualize.report.markup import Markup, element, joined, name, short
 

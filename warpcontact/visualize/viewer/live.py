@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from warpcontact.drawing.drawing import Drawing
 from warpcontact.experiment.defaults import default_sensors
 from warpcontact.model.status import FailureCause
 from warpcontact.stepping.recorder import Recorder
 from warpcontact.stepping.simulation import Simulation
-from warpcontact.visualize.drawing.drawing import Drawing
 from warpcontact.visualize.viewer.environments import Picker
 from warpcontact.visualize.viewer.page import LocalServer
 from warpcontact.visualize.viewer.parameters import Parameters

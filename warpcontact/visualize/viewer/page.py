@@ -12,8 +12,8 @@ import rich
 import viser
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
 
+from warpcontact.drawing.colors import GAPS
 from warpcontact.validation import safe_text
-from warpcontact.visualize.drawing.colors import GAPS
 
 HOST = "127.0.0.1"
 #: Names under which a browser finds it.

@@ -5,7 +5,7 @@ import time
 
 import numpy as np
 
-from warpcontact.visualize.drawing.drawing import Drawing
+from warpcontact.drawing.drawing import Drawing
 from warpcontact.visualize.viewer.environments import Picker
 from warpcontact.visualize.viewer.page import LocalServer
 from warpcontact.visualize.viewer.sources import Source

@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from warpcontact.drawing.drawing import Drawing
 from warpcontact.experiment.folder import SUMMARY
 from warpcontact.experiment.records import COMMITS
 from warpcontact.experiment.run import Run, open_run
@@ -17,7 +18,6 @@ from warpcontact.experiment.trust import Trust
 from warpcontact.files.run_folder import RunPath
 from warpcontact.model.status import FailureCause
 from warpcontact.scene.scene import Scene
-from warpcontact.visualize.drawing.drawing import Drawing
 from warpcontact.visualize.viewer.values import rows_of, rows_of_parameters, value_text
 
 Facts = dict[str, list[tuple[str, str]]]

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from warpcontact.drawing.colors import gap_colors, linear
+from warpcontact.drawing.drawing import ContactForces, Curve, Drawing, Figure, Shape
 from warpcontact.validation.checks import Array
-from warpcontact.visualize.drawing.colors import gap_colors, linear
-from warpcontact.visualize.drawing.drawing import ContactForces, Curve, Drawing, Figure, Shape
 
 # Lights: of all around, grey from below, and from one side.
 SKY = 1.8

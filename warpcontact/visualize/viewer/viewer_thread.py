@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any
 
-from warpcontact.visualize.drawing.drawing import Drawing
+from warpcontact.drawing.drawing import Drawing
 from warpcontact.visualize.viewer.page import LocalServer, gap_legend, message, table
 from warpcontact.visualize.viewer.stage import DEEP, FAR, Stage
 

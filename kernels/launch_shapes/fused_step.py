@@ -13,11 +13,13 @@ import functools
 from types import SimpleNamespace
 
 import warp as wp
+from warpcontact.kernels.acceptance import accept_step
 from warpcontact.kernels.broadphase import contact_detection, motion_bound
-from warpcontact.kernels.contact import fused_contact, history
+from warpcontact.kernels.contact import history
 from warpcontact.kernels.contact import wrenches as wrench_functions
 from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs
-from warpcontact.kernels.integrators import accept_step, semi_implicit
+from warpcontact.kernels.integrators import semi_implicit
+from warpcontact.kernels.launch_shapes import fused_contact
 from warpcontact.kernels.lowlevel import warps
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.narrowphase.closest_point import DETECT_GRID_ANY

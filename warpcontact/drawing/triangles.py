@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import trimesh
 
+from warpcontact.drawing.drawing import Shape
 from warpcontact.forces.shape_contact.tessellate import tessellate
 from warpcontact.kernels.shapes import shapes
 from warpcontact.kernels.shapes.base import Shape as Form
 from warpcontact.kernels.shapes.plane import Plane
 from warpcontact.meshes import icosphere
 from warpcontact.validation.checks import Array
-from warpcontact.visualize.drawing.drawing import Shape
 
 # Faces that meet at less than this look round.
 SHAPE_CONTACT_MEASURES = math.radians(25.0)

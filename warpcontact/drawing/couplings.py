@@ -5,13 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warpcontact.algebra.poses import transform_points
+from warpcontact.drawing.replay import Replay
+from warpcontact.drawing.spheres import WORLD_COLOR
 from warpcontact.kernels.types import COUPLING_BROKEN
 from warpcontact.scene.couplings import Catenary, Coupling, SpringDamper
 from warpcontact.scene.scene import Points, Scene
-from warpcontact.stepping.frames import transform_points
 from warpcontact.validation.checks import Array
-from warpcontact.visualize.drawing.replay import Replay
-from warpcontact.visualize.drawing.spheres import WORLD_COLOR
 
 # A coil: turns, points of each, the part of its length that is coiled, and its radius in greatest lengths.
 TURNS = 8

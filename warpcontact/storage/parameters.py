@@ -16,8 +16,8 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from warpcontact.kernels.catalogue.device_model import as_numbers, check_values
-from warpcontact.model.allocation_plan import broadcast, row_bytes
-from warpcontact.model.memory import MemoryItem
+from warpcontact.storage.allocation_plan import broadcast, row_bytes
+from warpcontact.storage.memory_estimate import MemoryItem
 from warpcontact.system.resources import HOST
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array

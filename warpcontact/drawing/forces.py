@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 
+from warpcontact.algebra.poses import transform_points
+from warpcontact.drawing.replay import Replay
+from warpcontact.drawing.shapes import ShapePlacement
 from warpcontact.scene.particles import ParticleContact
 from warpcontact.scene.scene import Contact
 from warpcontact.scene.shapes import ShapeContact
-from warpcontact.stepping.frames import transform_points
 from warpcontact.validation.checks import Array
-from warpcontact.visualize.drawing.replay import Replay
-from warpcontact.visualize.drawing.shapes import ShapePlacement
 
 FORCE_COLOR = (0.9, 0.25, 0.1)
 # Length of the longest force line, in sizes of the largest body.

@@ -5,7 +5,7 @@ import functools
 import warp as wp
 from warpcontact.kernels import frames
 from warpcontact.kernels.catalogue.device_model import Formula
-from warpcontact.kernels.contact.history_variables import memory_struct
+from warpcontact.kernels.catalogue.history_variables import memory_struct
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.types import ENV_ACTIVE, NO_CAUSE, structs
 

@@ -8,10 +8,11 @@ computed than in the launches of ``schedule``, by the same functions.
 import functools
 
 import warp as wp
-from warpcontact.kernels.contact import fused_contact, history
+from warpcontact.kernels.contact import history
 from warpcontact.kernels.contact import wrenches as wrench_functions
 from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs
 from warpcontact.kernels.integrators import semi_implicit
+from warpcontact.kernels.launch_shapes import fused_contact
 from warpcontact.kernels.lowlevel.static_strides import assume_strides, hide_from_optimizer
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.types import (

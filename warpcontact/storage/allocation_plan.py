@@ -9,8 +9,8 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.kernels.lowlevel import static_strides as strides
-from warpcontact.model.memory import MemoryItem
-from warpcontact.model.state_storage import Allocation, Allowed
+from warpcontact.storage.memory_estimate import MemoryItem
+from warpcontact.storage.state_storage import Allocation, Allowed
 
 #: Purpose of what sensors are measured into.
 SENSOR_PURPOSE = "measures"

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warpcontact.algebra.poses import transform_points
+from warpcontact.drawing.replay import Replay
+from warpcontact.drawing.spheres import body_color
 from warpcontact.scene.scene import Surface
-from warpcontact.stepping.frames import transform_points
 from warpcontact.validation.checks import Array
-from warpcontact.visualize.drawing.replay import Replay
-from warpcontact.visualize.drawing.spheres import body_color
 
 # Brightness of the faces that nothing can touch.
 INACTIVE = 0.4

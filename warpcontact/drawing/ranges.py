@@ -5,12 +5,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from warpcontact.drawing.content import Content
+from warpcontact.drawing.couplings import Coil
+from warpcontact.drawing.forces import LONGEST, ForceLines
+from warpcontact.drawing.spheres import body_size
 from warpcontact.scene.scene import Body
 from warpcontact.validation.checks import Array
-from warpcontact.visualize.drawing.content import Content
-from warpcontact.visualize.drawing.couplings import Coil
-from warpcontact.visualize.drawing.forces import LONGEST, ForceLines
-from warpcontact.visualize.drawing.spheres import body_size
 
 
 @dataclass

@@ -8,12 +8,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from warpcontact.drawing.replay import Replay
+from warpcontact.drawing.shapes import ShapePlacement
+from warpcontact.drawing.spheres import Spheres, find_spheres
+from warpcontact.drawing.surfaces import Placement
 from warpcontact.scene.scene import Body, Scene
 from warpcontact.validation.checks import Array
-from warpcontact.visualize.drawing.replay import Replay
-from warpcontact.visualize.drawing.shapes import ShapePlacement
-from warpcontact.visualize.drawing.spheres import Spheres, find_spheres
-from warpcontact.visualize.drawing.surfaces import Placement
 
 # With ``"auto"`` so many poses at most, over all bodies and records, and so many different looks of a body; beyond
 # that environments evenly spread over all.

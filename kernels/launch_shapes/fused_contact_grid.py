@@ -8,8 +8,9 @@ import functools
 
 import warp as wp
 from warpcontact.kernels.broadphase import contact_detection
-from warpcontact.kernels.contact import contact_force, fused_contact
+from warpcontact.kernels.contact import contact_force
 from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs
+from warpcontact.kernels.launch_shapes import fused_contact
 from warpcontact.kernels.lowlevel import warps
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.narrowphase.closest_point import DEFERRED, DETECT_GRID_ANY, DETECT_GRID_FAR, DETECT_QUERY

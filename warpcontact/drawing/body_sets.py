@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warpcontact.algebra.poses import transform_points
+from warpcontact.drawing.spheres import Spheres
 from warpcontact.scene.scene import Body, Scene
-from warpcontact.stepping.frames import transform_points
 from warpcontact.validation.checks import Array
-from warpcontact.visualize.drawing.spheres import Spheres
 
 #: Of a set without contacts.
 CENTRES = "centres"

@@ -5,15 +5,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warpcontact.algebra.poses import product, transform_points
+from warpcontact.drawing.replay import Replay
+from warpcontact.drawing.spheres import body_color
 from warpcontact.forces.shape_contact.tessellate import tessellate
 from warpcontact.kernels.shapes import shapes
 from warpcontact.kernels.shapes.parametric_surface import ParametricSurface
 from warpcontact.kernels.shapes.plane import Plane
 from warpcontact.scene.shapes import Shape
-from warpcontact.stepping.frames import product, transform_points
 from warpcontact.validation.checks import Array
-from warpcontact.visualize.drawing.replay import Replay
-from warpcontact.visualize.drawing.spheres import body_color
 
 # Half the side of what is drawn of a half-space, in sizes of the scene.
 PLANE = 10.0

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from warpcontact.drawing.replay import Replay
 from warpcontact.scene.scene import Body, Contact
 from warpcontact.validation.checks import Array
-from warpcontact.visualize.drawing.replay import Replay
 
 if TYPE_CHECKING:
-    from warpcontact.visualize.drawing.surfaces import Placement
+    from warpcontact.drawing.surfaces import Placement
 
 WORLD_COLOR = (0.55, 0.55, 0.5)
 BODY_COLOR = (0.35, 0.5, 0.7)

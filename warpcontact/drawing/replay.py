@@ -8,8 +8,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from warpcontact.algebra.poses import transform_points
 from warpcontact.scene.scene import Body, Contact, Points, Scene, Surface
-from warpcontact.stepping.frames import transform_points
 from warpcontact.stepping.recorder import UNCHANGED
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array

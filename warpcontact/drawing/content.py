@@ -4,14 +4,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from warpcontact.drawing.body_sets import BodySet, body_sets_of
+from warpcontact.drawing.couplings import Coil, CouplingCurve
+from warpcontact.drawing.forces import ForceLines, length_scale, resultant_lines
+from warpcontact.drawing.replay import Replay
+from warpcontact.drawing.shapes import ShapePlacement, ShapeSet
+from warpcontact.drawing.spheres import Spheres, find_spheres, scene_size
+from warpcontact.drawing.surfaces import Placement
 from warpcontact.validation.checks import Array
-from warpcontact.visualize.drawing.body_sets import BodySet, body_sets_of
-from warpcontact.visualize.drawing.couplings import Coil, CouplingCurve
-from warpcontact.visualize.drawing.forces import ForceLines, length_scale, resultant_lines
-from warpcontact.visualize.drawing.replay import Replay
-from warpcontact.visualize.drawing.shapes import ShapePlacement, ShapeSet
-from warpcontact.visualize.drawing.spheres import Spheres, find_spheres, scene_size
-from warpcontact.visualize.drawing.surfaces import Placement
 
 #: Width of what has no size, in sizes of its body.
 POINT = 0.03

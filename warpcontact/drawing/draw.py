@@ -6,19 +6,19 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from warpcontact.algebra.poses import product, transform_points
+from warpcontact.drawing.body_sets import BodySet
+from warpcontact.drawing.content import POINT, Content
+from warpcontact.drawing.drawing import ContactForces, Curve, Drawing, Figure, Shape
+from warpcontact.drawing.replay import Replay
+from warpcontact.drawing.shapes import PLANE, ShapePlacement, ShapeSet
+from warpcontact.drawing.spheres import Spheres, body_color, body_size
+from warpcontact.drawing.surfaces import INACTIVE, Placement, surface_color
+from warpcontact.drawing.triangles import analytic_shape, ball
 from warpcontact.kernels.shapes import shapes
 from warpcontact.kernels.shapes.plane import Plane
 from warpcontact.scene.scene import Body, Scene
-from warpcontact.stepping.frames import product, transform_points
 from warpcontact.validation.checks import Array
-from warpcontact.visualize.drawing.body_sets import BodySet
-from warpcontact.visualize.drawing.content import POINT, Content
-from warpcontact.visualize.drawing.drawing import ContactForces, Curve, Drawing, Figure, Shape
-from warpcontact.visualize.drawing.replay import Replay
-from warpcontact.visualize.drawing.shapes import PLANE, ShapePlacement, ShapeSet
-from warpcontact.visualize.drawing.spheres import Spheres, body_color, body_size
-from warpcontact.visualize.drawing.surfaces import INACTIVE, Placement, surface_color
-from warpcontact.visualize.drawing.triangles import analytic_shape, ball
 
 # What is round is scaled from one sphere.
 _ROUND = (shapes.Sphere, shapes.Ellipsoid)

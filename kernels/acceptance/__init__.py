@@ -1,0 +1,1 @@
+"""Acceptance of steps, quarantine and reset."""

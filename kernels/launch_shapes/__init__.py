@@ -1,0 +1,1 @@
+"""Fused kernels: stages of a step composed into one launch, bitwise equal to the staged kernels."""

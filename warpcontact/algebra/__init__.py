@@ -1,0 +1,1 @@
+"""Vectors and poses on the host."""

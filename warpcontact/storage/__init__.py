@@ -1,0 +1,1 @@
+"""Device arrays: parameters, planned allocation, checkpointed state, memory estimates."""
