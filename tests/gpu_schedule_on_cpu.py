@@ -8,8 +8,8 @@ from warpcontact.kernels.types import QUEUE_COUNT
 
 from warpcontact.geometry import face_grid
 from warpcontact.model import build
+from warpcontact.model.execution_plan import ExecutionPlan
 from warpcontact.stepping import simulation
-from warpcontact.stepping.execution_plan import ExecutionPlan
 
 
 def build_all_face_grids(monkeypatch, finest=0.6):

@@ -31,8 +31,15 @@ if TYPE_CHECKING:
     from warpcontact.meshes import Mesh, MeshError, MeshReport, SurfaceSamples, load_mesh, sample_surface
     from warpcontact.model.health import Health
     from warpcontact.model.model import Model
+    from warpcontact.model.quarantine import QuarantineError
     from warpcontact.model.split_model import SplitModel
-    from warpcontact.model.status import (
+    from warpcontact.scene.contact_coupling import ContactCoupling
+    from warpcontact.scene.contact_range import ContactRange
+    from warpcontact.scene.couplings import Bushing, Catenary, SpringDamper
+    from warpcontact.scene.elements import Body, Contact, ContactMaterial, Points, Surface
+    from warpcontact.scene.scene import Scene
+    from warpcontact.scene.shapes import Shape, ShapeContact
+    from warpcontact.scene.status import (
         CatenaryStatus,
         ContactMode,
         ContactStatus,
@@ -40,16 +47,9 @@ if TYPE_CHECKING:
         EnvironmentStatus,
         FailureCause,
     )
-    from warpcontact.scene.contact_coupling import ContactCoupling
-    from warpcontact.scene.contact_range import ContactRange
-    from warpcontact.scene.couplings import Bushing, Catenary, SpringDamper
-    from warpcontact.scene.elements import Body, Contact, ContactMaterial, Points, Surface
-    from warpcontact.scene.scene import Scene
-    from warpcontact.scene.shapes import Shape, ShapeContact
     from warpcontact.stepping import integrators, outcomes
     from warpcontact.stepping.checkpoint_values import CheckpointError
     from warpcontact.stepping.outcomes.watch import ContactEvents, StopCondition
-    from warpcontact.stepping.quarantine import QuarantineError
     from warpcontact.stepping.recording import Recording
     from warpcontact.stepping.simulation import Simulation
     from warpcontact.usd import check_usd, export_usd
@@ -79,22 +79,22 @@ _HOME = {
     "Bushing": "warpcontact.scene.couplings",
     "Catenary": "warpcontact.scene.couplings",
     "CheckpointError": "warpcontact.stepping.checkpoint_values",
-    "FailureCause": "warpcontact.model.status",
+    "FailureCause": "warpcontact.scene.status",
     "Contact": "warpcontact.scene.elements",
     "ContactCoupling": "warpcontact.scene.contact_coupling",
-    "ContactMode": "warpcontact.model.status",
+    "ContactMode": "warpcontact.scene.status",
     "ContactRange": "warpcontact.scene.contact_range",
     "ContactWarning": "warpcontact.validation.warning_levels",
-    "CouplingStatus": "warpcontact.model.status",
+    "CouplingStatus": "warpcontact.scene.status",
     "Damper": "warpcontact.kernels.couplings.springs.base",
-    "EnvironmentStatus": "warpcontact.model.status",
+    "EnvironmentStatus": "warpcontact.scene.status",
     "ContactEvents": "warpcontact.stepping.outcomes.watch",
     "Experiment": "warpcontact.experiment",
     "ExperimentError": "warpcontact.experiment",
     "Friction": "warpcontact.kernels.friction.base",
     "Health": "warpcontact.model.health",
     "Law": "warpcontact.kernels.laws.base",
-    "CatenaryStatus": "warpcontact.model.status",
+    "CatenaryStatus": "warpcontact.scene.status",
     "Mesh": "warpcontact.meshes",
     "MeshError": "warpcontact.meshes",
     "MeshReport": "warpcontact.meshes",
@@ -103,7 +103,7 @@ _HOME = {
     "Outcome": "warpcontact.kernels.outcomes.base",
     "ParametricSurface": "warpcontact.kernels.shapes.parametric_surface",
     "Points": "warpcontact.scene.elements",
-    "QuarantineError": "warpcontact.stepping.quarantine",
+    "QuarantineError": "warpcontact.model.quarantine",
     "Recording": "warpcontact.stepping.recording",
     "Run": "warpcontact.experiment",
     "RunWarning": "warpcontact.validation.warning_levels",
@@ -115,7 +115,7 @@ _HOME = {
     "Spring": "warpcontact.kernels.couplings.springs.base",
     "SpringDamper": "warpcontact.scene.couplings",
     "UsdError": "warpcontact.usd.importing.errors",
-    "ContactStatus": "warpcontact.model.status",
+    "ContactStatus": "warpcontact.scene.status",
     "RunDataError": "warpcontact.experiment",
     "StopCondition": "warpcontact.stepping.outcomes.watch",
     "Surface": "warpcontact.scene.elements",

@@ -7,8 +7,8 @@ import functools
 
 import warp as wp
 from warpcontact.kernels import frames
+from warpcontact.kernels.contact.impulse_records import record_structs
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
-from warpcontact.kernels.nonsmooth.records import record_structs
 from warpcontact.kernels.nonsmooth.rows import row_structs
 from warpcontact.kernels.particles.base import IN_CONTACT, particle_structs
 from warpcontact.kernels.shapes.records import ContactShapes, ShapeContactSettings, shape_contact_structs

@@ -7,8 +7,8 @@ of these the next does not either, until something is changed from outside. ``re
 import functools
 
 import warp as wp
+from warpcontact.kernels.contact.impulse_records import record_structs
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
-from warpcontact.kernels.nonsmooth.records import record_structs
 from warpcontact.kernels.types import ENV_ACTIVE, ENV_SLEEPING, LaunchRange, first_env, task_count
 
 

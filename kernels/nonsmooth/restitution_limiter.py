@@ -13,9 +13,9 @@ point with W < 0 and one with W > 0 is zero at a point with W ≤ 0, near the ro
 import functools
 
 import warp as wp
+from warpcontact.kernels.contact.impulse_records import record_structs
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.nonsmooth import relative, velocity_update
-from warpcontact.kernels.nonsmooth.records import record_structs
 from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs
 from warpcontact.kernels.types import ENV_ACTIVE, ENV_PAUSED, LaunchRange, first_env, structs, task_count
 

@@ -4,9 +4,9 @@ import functools
 from typing import Any
 
 import warp as wp
+from warpcontact.kernels.contact.impulse_records import record_structs
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.nonsmooth import relative
-from warpcontact.kernels.nonsmooth.records import record_structs
 from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs
 from warpcontact.kernels.particles.base import IN_CONTACT, particle_structs
 from warpcontact.kernels.types import (

@@ -9,10 +9,10 @@ import functools
 import warp as wp
 from warpcontact.kernels import rotations
 from warpcontact.kernels.acceptance import quarantine
+from warpcontact.kernels.contact.impulse_records import record_structs
 from warpcontact.kernels.joints import bodies
 from warpcontact.kernels.joints.bodies import arm_of, inertia_about, inertia_at, momentum_of, spin_of
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
-from warpcontact.kernels.nonsmooth.records import record_structs
 from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs
 from warpcontact.kernels.types import (
     BALL,

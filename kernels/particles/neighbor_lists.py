@@ -15,8 +15,8 @@ import functools
 import warp as wp
 from warpcontact.kernels import frames
 from warpcontact.kernels.contact.contact_evaluation import ContactModel, group_structs
+from warpcontact.kernels.contact.impulse_records import record_structs
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
-from warpcontact.kernels.nonsmooth.records import record_structs
 from warpcontact.kernels.particles import particle_geometry
 from warpcontact.kernels.particles.base import (
     NO_INDEX,

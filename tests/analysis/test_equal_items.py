@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from warpcontact.drawing import equal_items
 from warpcontact.drawing.colors import per_environment_number
-from warpcontact.experiment import equal_items
-from warpcontact.experiment.equal_items import merged_items
+from warpcontact.drawing.equal_items import merged_items
 from warpcontact.visualize.viewer.values import rows_of_parameters
 
 ENVS, ITEMS = 6, 40

@@ -20,8 +20,8 @@ import warpcontact as wc
 from warpcontact.benchmark.simulation import simulation
 from warpcontact.benchmark.works import DT
 from warpcontact.forces.particle_contact.contact_set import ParticleContactSet
-from warpcontact.stepping import execution_plan
-from warpcontact.stepping.execution_plan import ExecutionPlan
+from warpcontact.model import execution_plan
+from warpcontact.model.execution_plan import ExecutionPlan
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 pytestmark = [

@@ -5,7 +5,7 @@ import pytest
 from scenes import dropped_sphere
 
 import warpcontact as wc
-from warpcontact.stepping.quarantine import CADENCE
+from warpcontact.model.quarantine import CADENCE
 
 DT = 1.0e-3
 

@@ -10,11 +10,12 @@ from test_particle_force_sums import heap
 from test_step_schedules import ENVS, SCENES, STATE, start
 
 import warpcontact as wc
+from warpcontact.model import execution_plan
 from warpcontact.model import sensor_evaluation as looks
+from warpcontact.model.execution_plan import ExecutionPlan, force_stages
 from warpcontact.model.model import ZERO_WITHOUT_CONTACT
 from warpcontact.model.sensor_evaluation import can_evaluate_by_slice, check_needs
-from warpcontact.stepping import execution_plan, requirements, slice_stepper, worker_pool
-from warpcontact.stepping.execution_plan import ExecutionPlan, force_stages
+from warpcontact.stepping import requirements, slice_stepper, worker_pool
 from warpcontact.stepping.recorder import Recorder
 from warpcontact.stepping.slice_stepper import StepChunk
 from warpcontact.system.capture_lock import exclusive_capture_lock

@@ -7,7 +7,7 @@ import pytest
 from rigid_scenes import G, block, ladder, rigid, three_balls
 
 import warpcontact as wc
-from warpcontact.model.status import ContactMode
+from warpcontact.scene.status import ContactMode
 
 # Contact forces follow from a linear system once it is known what slides: what is left is rounding, of 100 N.
 FORCE = 1.0e-9

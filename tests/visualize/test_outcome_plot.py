@@ -6,7 +6,7 @@ import xarray as xr
 
 import warpcontact as wc
 from warpcontact.experiment import outcome_picture
-from warpcontact.model.status import EnvironmentStatus
+from warpcontact.scene.status import EnvironmentStatus
 
 pytestmark = pytest.mark.installed
 

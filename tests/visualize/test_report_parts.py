@@ -15,7 +15,7 @@ from warpcontact.drawing.drawing import Shape
 from warpcontact.drawing.triangles import ball
 from warpcontact.forces.contact_coupling.report import CouplingReport
 from warpcontact.model.health import Health
-from warpcontact.model.status import EnvironmentStatus, FailureCause
+from warpcontact.scene.status import EnvironmentStatus, FailureCause
 from warpcontact.validation import number_format
 from warpcontact.visualize.report import (
     chart,

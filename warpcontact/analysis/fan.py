@@ -1,12 +1,11 @@
 """Quantiles over the environments at each time."""
 
-import warnings
 from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike
 
+from warpcontact.algebra.quantiles import quantiles_over
 from warpcontact.analysis.results import (
     MISSING,
     STOPPED,
@@ -21,7 +20,6 @@ from warpcontact.analysis.results import (
 from warpcontact.kernels.catalogue.device_model import as_numbers
 from warpcontact.kernels.catalogue.keywords import explain_keywords
 from warpcontact.validation import checks
-from warpcontact.validation.checks import Array
 
 # Times are taken together up to this size of what they are computed from [bytes].
 BLOCK = 256 * 2**20
@@ -96,20 +94,3 @@ def quantile_fan(
         name=array.name,
         attrs=array.attrs | {"stopped": stopped, "stopped_environments": int(np.isfinite(ends).sum())},
     )
-
-
-def quantiles_over(values: Array, levels: ArrayLike) -> Array:
-    """Returns quantiles (level, time, …) of the values (time, env, …) that are not NaN."""
-    levels = np.asarray(levels)
-    found = np.full((len(levels), len(values), *values.shape[2:]), np.nan)
-    if not values.shape[1]:
-        return found
-    whole = ~np.isnan(values).any(axis=tuple(range(1, values.ndim)))
-    if whole.any():
-        found[:, whole] = np.quantile(values[whole], levels, axis=1)
-    # Much slower.
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "All-NaN slice", RuntimeWarning)
-        if not whole.all():
-            found[:, ~whole] = np.nanquantile(values[~whole], levels, axis=1)
-    return found

@@ -259,7 +259,7 @@ def _run_experiment(arguments: argparse.Namespace, context: _RunContext) -> int:
     from warpcontact.experiment import ExperimentError, RunDataError
     from warpcontact.experiment.folder import DATA, EXPERIMENT, check_usable, has_commits, read_summary
     from warpcontact.files.run_folder import RunPath
-    from warpcontact.stepping.quarantine import QuarantineError
+    from warpcontact.model.quarantine import QuarantineError
 
     def warn(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
@@ -314,7 +314,7 @@ def _plan(arguments: argparse.Namespace) -> int:
 
     wp.config.log_level = wp.LOG_ERROR
     from warpcontact.experiment import ExperimentError
-    from warpcontact.stepping.quarantine import QuarantineError
+    from warpcontact.model.quarantine import QuarantineError
     from warpcontact.storage.memory_estimate import MemoryShortage
 
     try:
@@ -456,7 +456,7 @@ def _bench(arguments: argparse.Namespace) -> int:
 
 
 def _build_kernels(arguments: argparse.Namespace) -> int:
-    from warpcontact.stepping.quarantine import QuarantineError
+    from warpcontact.model.quarantine import QuarantineError
 
     try:
         build_kernels.run(arguments)

@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from warpcontact.experiment.equal_items import merged_items
+from warpcontact.drawing.equal_items import merged_items
 from warpcontact.validation.checks import Array
 
 #: Perceptually ordered, and readable for who does not see some colours.

@@ -16,8 +16,9 @@ from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.folder import read_summary
 from warpcontact.experiment.progress import INTERVAL, ProgressBar, read_progress
 from warpcontact.experiment.store import Commit, RunDataError, Shard
-from warpcontact.stepping.quarantine import QuarantineError
-from warpcontact.storage.memory_estimate import USABLE_FRACTION, MemoryShortage, env_count_text, format_bytes
+from warpcontact.model.quarantine import QuarantineError
+from warpcontact.storage.memory_estimate import USABLE_FRACTION, MemoryShortage, env_count_text
+from warpcontact.validation.number_format import format_bytes
 from warpcontact.validation.warning_levels import RunWarning, WarningLevel, labeled, split_label
 
 if TYPE_CHECKING:

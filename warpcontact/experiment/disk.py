@@ -4,7 +4,7 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from warpcontact.storage.memory_estimate import format_bytes
+from warpcontact.validation.number_format import format_bytes
 
 
 @dataclass(frozen=True)

@@ -32,9 +32,10 @@ from warpcontact.experiment.toml import to_toml
 from warpcontact.experiment.warning_log import WarningLog
 from warpcontact.files.run_folder import RunPath
 from warpcontact.model.environments import Environments
+from warpcontact.model.quarantine import QuarantineError
 from warpcontact.scene.scene import Scene
-from warpcontact.stepping.quarantine import QuarantineError
-from warpcontact.storage.memory_estimate import env_count_text, format_bytes
+from warpcontact.storage.memory_estimate import env_count_text
+from warpcontact.validation.number_format import format_bytes
 from warpcontact.validation.warning_levels import RunWarning, WarningLevel
 
 #: How often a shard is tried.

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from warpcontact.experiment.bars import bin_edges, has_integer_bins
 from warpcontact.files.picture_file import save
 from warpcontact.files.run_folder import RunPath
-from warpcontact.model.status import EnvironmentStatus
+from warpcontact.scene.status import EnvironmentStatus
 from warpcontact.stepping.outcomes.watch import RESERVED
 from warpcontact.storage.memory_estimate import env_count_text
 from warpcontact.validation.safe_text import single_line, truncate

@@ -21,7 +21,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from warpcontact.drawing.decimation import evenly
-from warpcontact.experiment.equal_items import merged_items
+from warpcontact.drawing.equal_items import merged_items
 from warpcontact.experiment.ground import (
     GroundSurface,
     contour_step,

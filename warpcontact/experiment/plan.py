@@ -20,7 +20,6 @@ from warpcontact.storage.memory_estimate import (
     MemoryShortage,
     available_memory_for,
     env_count_text,
-    format_bytes,
     max_envs_that_fit,
     shortage,
     shortage_message,
@@ -28,6 +27,7 @@ from warpcontact.storage.memory_estimate import (
     usable_bytes,
 )
 from warpcontact.system.resources import HOST, AvailableMemory, used_memory
+from warpcontact.validation.number_format import format_bytes
 
 # Frames are gathered up to this size before they are written, while others are gathered [bytes].
 BLOCK = 32 * 2**20

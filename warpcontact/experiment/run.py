@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, SupportsInt, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
+from warpcontact.drawing.equal_items import merged_items
 from warpcontact.experiment import folder as files_of
 from warpcontact.experiment.assemble import FileCache, SceneBuilder
-from warpcontact.experiment.equal_items import merged_items
 from warpcontact.experiment.errors import ExperimentError, Problems, abbreviated
 from warpcontact.experiment.expected import LABELS, ORDER, RunExtent
 from warpcontact.experiment.lock import is_locked

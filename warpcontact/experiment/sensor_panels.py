@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from warpcontact.analysis.fan import quantiles_over
+from warpcontact.algebra.quantiles import quantiles_over
 from warpcontact.drawing.decimation import evenly, kept_samples
 from warpcontact.experiment.curves import (
     DISTANCE,

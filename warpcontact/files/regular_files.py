@@ -6,7 +6,7 @@ import stat
 from io import BufferedReader
 from pathlib import Path
 
-from warpcontact.storage.memory_estimate import format_bytes
+from warpcontact.validation.number_format import format_bytes
 
 #: Largest text that is read: JSON, TOML, Python [bytes].
 TEXT = 512 * 2**20

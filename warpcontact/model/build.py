@@ -24,11 +24,11 @@ from warpcontact.model.contact_groups import group_by_model, make_group
 from warpcontact.model.core_arrays import declare_arrays
 from warpcontact.model.model import Model
 from warpcontact.model.plan import DeviceModelPlan, ModelPlan
+from warpcontact.model.quarantine import add_guard
 from warpcontact.model.sensors import sensors_of
 from warpcontact.model.split_model import SplitModel
 from warpcontact.scene import elements as limits_of
 from warpcontact.scene.scene import Body, Contact, Scene
-from warpcontact.stepping.quarantine import add_guard
 from warpcontact.storage.allocation_plan import AllocationPlan
 from warpcontact.storage.parameters import ClosedGap, DeviceField, Field, Parameter, Parameters, pack, split
 from warpcontact.system.devices import find_devices

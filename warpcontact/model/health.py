@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.kernels.types import ENV_FROZEN, ENV_STOPPED
-from warpcontact.model.status import FailureCause
+from warpcontact.scene.status import FailureCause
 
 _WORDS = {
     FailureCause.NON_FINITE: "turned non-finite",

@@ -15,11 +15,11 @@ from warpcontact.geometry.contact_clusters import ContactClusters
 from warpcontact.geometry.side_regions import SideRegion
 from warpcontact.model.contact_groups import ContactGroup
 from warpcontact.model.environments import Environments
+from warpcontact.model.execution_plan import ExecutionPlan
 from warpcontact.model.scene_traits import SENSOR_ARRAYS, SHAPE_CONTACT_MEASURES, SceneTraits
 from warpcontact.model.sensor_evaluation import evaluation_plan, evaluation_stages, needs_contacts
 from warpcontact.model.sensors import Sensor
 from warpcontact.scene.scene import Contact, Scene
-from warpcontact.stepping.execution_plan import ExecutionPlan
 from warpcontact.storage.allocation_plan import AllocationPlan, broadcast
 from warpcontact.storage.memory_estimate import MemoryItem
 from warpcontact.storage.parameters import DeviceField, Parameter, parameter_memory

@@ -7,8 +7,8 @@ import warp as wp
 
 from warpcontact.kernels.joints.measures import coordinates
 from warpcontact.kernels.outcomes import body_measures
+from warpcontact.model.execution_plan import ExecutionPlan, force_stages
 from warpcontact.model.scene_traits import SHAPE_CONTACT_MEASURES
-from warpcontact.stepping.execution_plan import ExecutionPlan, force_stages
 
 if TYPE_CHECKING:
     from warpcontact.forces.nonsmooth.contacts import NonsmoothContacts

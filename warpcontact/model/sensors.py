@@ -17,8 +17,8 @@ from warpcontact.kernels.joints.measures import Coordinates, Reactions
 from warpcontact.kernels.outcomes import body_measures
 from warpcontact.kernels.types import BALL, FREE, HINGE, PLANAR, SLIDER
 from warpcontact.model.contact_groups import ContactGroup
-from warpcontact.model.status import ContactStatus
 from warpcontact.scene.scene import Contact, Scene
+from warpcontact.scene.status import ContactStatus
 
 if TYPE_CHECKING:
     from warpcontact.forces.couplings.coupling_set import CouplingSet

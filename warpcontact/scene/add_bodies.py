@@ -7,9 +7,9 @@ from numpy.typing import ArrayLike
 
 from warpcontact.kernels.catalogue.keywords import explain_keywords_of
 from warpcontact.kernels.joints import Free, Motion
-from warpcontact.model.initial_velocity_check import check_initial_velocity
 from warpcontact.scene.body_sets import body_set
 from warpcontact.scene.elements import MASS, Body
+from warpcontact.scene.initial_velocity_check import check_initial_velocity
 from warpcontact.validation import checks
 from warpcontact.validation.checks import limits
 

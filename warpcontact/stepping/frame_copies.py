@@ -8,7 +8,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.kernels.outcomes import recording
-from warpcontact.stepping.execution_plan import ExecutionPlan
+from warpcontact.model.execution_plan import ExecutionPlan
 from warpcontact.system.capture_lock import shared_capture_lock
 
 if TYPE_CHECKING:

@@ -20,7 +20,6 @@ from warpcontact.storage.memory_estimate import (
     MemoryItem,
     MemoryShortage,
     available_memory_for,
-    format_bytes,
     shortage,
     shortage_message,
     total,
@@ -28,6 +27,7 @@ from warpcontact.storage.memory_estimate import (
 )
 from warpcontact.storage.parameters import Parameter
 from warpcontact.system.resources import HOST, AvailableMemory
+from warpcontact.validation.number_format import format_bytes
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -15,15 +15,15 @@ from warpcontact.kernels.catalogue.keywords import explain_keywords_of
 from warpcontact.kernels.catalogue.renamed import explain_renamed
 from warpcontact.kernels.outcomes.base import Outcome
 from warpcontact.model.environments import Environments
+from warpcontact.model.execution_plan import ExecutionPlan
 from warpcontact.model.model import Model, State
+from warpcontact.model.quarantine import CADENCE, raise_failed, reset_failed
 from warpcontact.model.sensor_evaluation import CONTACT_NEEDS, can_evaluate_by_slice, check_needs
 from warpcontact.stepping import checkpoint
 from warpcontact.stepping.chunk_sizer import ChunkSizer, progress_bar
-from warpcontact.stepping.execution_plan import ExecutionPlan
 from warpcontact.stepping.frame_recording import record_first_frame, record_frames
 from warpcontact.stepping.integrators import Integrator, SemiImplicitEuler
 from warpcontact.stepping.outcomes.watch import ContactEvents, MonitorSettings, StopCondition
-from warpcontact.stepping.quarantine import CADENCE, raise_failed, reset_failed
 from warpcontact.stepping.requirements import KernelLister, cut_slices, slice_sizes, step_kernels, stepping_memory
 from warpcontact.stepping.run_warnings import RunWarnings
 from warpcontact.stepping.slice_stepper import FrameSchedule, StepBuffers, StepLengths, Stepper

@@ -6,13 +6,12 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 from warpcontact.system.resources import HOST, AvailableMemory, available_memory
+from warpcontact.validation.number_format import format_bytes
 
 # Of what is available, what is planned with: estimates are good to 15 %, and others need some, too.
 USABLE_FRACTION = 0.85
 # The same where one may choose how much to take: more would be no faster, and others may come.
 CAUTIOUS_FRACTION = 0.7
-
-_UNITS = ("B", "KiB", "MiB", "GiB", "TiB", "PiB")
 
 
 @dataclass(frozen=True)
@@ -228,14 +227,6 @@ def shortage_message(estimate: MemoryEstimate, memory: AvailableMemory) -> str:
 def env_count_text(count: int) -> str:
     """Returns how many environments, in words."""
     return f"{count} environment{'' if count == 1 else 's'}"
-
-
-def format_bytes(size: float) -> str:
-    """Returns a number of bytes as one reads it, such as ``1.50 GiB``."""
-    unit = 0
-    while abs(size) >= 1024.0 and unit < len(_UNITS) - 1:
-        size, unit = size / 1024.0, unit + 1
-    return f"{size:.0f} {_UNITS[unit]}" if unit == 0 or size >= 999.5 else f"{size:.3g} {_UNITS[unit]}"
 
 
 def _fixed(items: Iterable[MemoryItem], envs: int) -> int:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from warpcontact.model.status import ContactMode
+from warpcontact.scene.status import ContactMode
 from warpcontact.unilateral.delassus import Delassus, length
 from warpcontact.unilateral.residual import ResidualEvaluator
 from warpcontact.validation.checks import Array

@@ -9,6 +9,8 @@ _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _PREFIXED = re.compile(r"(m|s|N|J|W|Pa|Hz|rad)(?![²³⁴\w])")
 _PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 3: "k", 6: "M", 9: "G"}
 
+_UNITS = ("B", "KiB", "MiB", "GiB", "TiB", "PiB")
+
 
 def number(value: Any, digits: int = 4) -> str:
     """Returns a number with so many digits: ``1.234``, ``−1.2×10⁻⁵``."""
@@ -58,3 +60,11 @@ def scaled(unit: str, largest: float) -> tuple[float, str]:
         return 10.0**-exponent, prefix + unit
     power = f"10{str(exponent).translate(_RAISED)}"
     return 10.0**-exponent, power if unit == "-" else f"{power} {unit}"
+
+
+def format_bytes(size: float) -> str:
+    """Returns a number of bytes as one reads it, such as ``1.50 GiB``."""
+    unit = 0
+    while abs(size) >= 1024.0 and unit < len(_UNITS) - 1:
+        size, unit = size / 1024.0, unit + 1
+    return f"{size:.0f} {_UNITS[unit]}" if unit == 0 or size >= 999.5 else f"{size:.3g} {_UNITS[unit]}"

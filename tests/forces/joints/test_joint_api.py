@@ -13,8 +13,8 @@ from warpcontact.kernels.joints import step as constrained
 from warpcontact.kernels.types import ENV_FROZEN
 
 import warpcontact as wc
-from warpcontact.model.mobility import mobility_along, mobility_of
-from warpcontact.stepping.execution_plan import ExecutionPlan
+from warpcontact.model.execution_plan import ExecutionPlan
+from warpcontact.scene.mobility import mobility_along, mobility_of
 
 HINGE = wc.motions.Hinge(axis=(0, 1, 0), anchor=(0, 0, 1))
 HINGE_ABOVE = wc.motions.Hinge(axis=(0, 1, 0), anchor=(0, 0, 5))

@@ -17,8 +17,8 @@ from warpcontact.analysis.compare import instances as samples
 from warpcontact.kernels.laws.base import Law
 from warpcontact.meshes import grid
 from warpcontact.model.environments import Environments
-from warpcontact.model.status import ContactStatus
 from warpcontact.scene.scene import ContactMaterial, Scene
+from warpcontact.scene.status import ContactStatus
 from warpcontact.stepping.simulation import Simulation
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array

@@ -9,8 +9,8 @@ from warpcontact.algebra.vectors import norm
 from warpcontact.forces.mesh_contact.friction_warnings import MAX_CHECKED_ENVS, TYPICAL_SPEED, steepest_slopes
 from warpcontact.kernels.friction import Frictionless
 from warpcontact.meshes.topology import area_vectors
-from warpcontact.model.mobility import MIN_MOBILITY, mobility_of
 from warpcontact.scene.contact_range import ExpectedImpact
+from warpcontact.scene.mobility import MIN_MOBILITY, mobility_of
 from warpcontact.validation.checks import Array
 
 if TYPE_CHECKING:

@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 
 from warpcontact.forces.couplings.coupling_set import CouplingSet
 from warpcontact.kernels.couplings import catenary, line_measures
-from warpcontact.model.status import CatenaryStatus
 from warpcontact.scene import couplings as elements
 from warpcontact.scene import elements as limits_of
 from warpcontact.scene.couplings import Catenary
+from warpcontact.scene.status import CatenaryStatus
 from warpcontact.storage.allocation_plan import per_env
 from warpcontact.storage.state_storage import COUNT, SWITCH
 from warpcontact.system.capture_lock import shared_capture_lock
 
 if TYPE_CHECKING:
+    from warpcontact.model.execution_plan import ExecutionPlan
     from warpcontact.model.model import Model
-    from warpcontact.stepping.execution_plan import ExecutionPlan
     from warpcontact.storage.allocation_plan import AllocationPlan
     from warpcontact.storage.parameters import Parameters
 

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from warpcontact.kernels.types import WORLD
 from warpcontact.model.sensors import Sensor, shape_in
-from warpcontact.model.status import CouplingStatus
+from warpcontact.scene.status import CouplingStatus
 from warpcontact.storage.parameters import Field, pack
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array
 
 if TYPE_CHECKING:
-    from warpcontact.stepping.execution_plan import ExecutionPlan
+    from warpcontact.model.execution_plan import ExecutionPlan
     from warpcontact.storage.allocation_plan import AllocationPlan
     from warpcontact.storage.parameters import Parameters
 

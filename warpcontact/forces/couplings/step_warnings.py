@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpcontact.algebra.poses import transform_points
-from warpcontact.model.mobility import mobility_along
 from warpcontact.scene.couplings import Catenary, Coupling, SpringDamper
+from warpcontact.scene.mobility import mobility_along
 from warpcontact.validation.checks import Array
 
 if TYPE_CHECKING:

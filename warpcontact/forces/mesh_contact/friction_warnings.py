@@ -9,7 +9,7 @@ import warp as wp
 from warpcontact.kernels.catalogue.device_model import Formula
 from warpcontact.kernels.friction import Frictionless, friction_jacobian
 from warpcontact.kernels.laws import pull_off
-from warpcontact.model.mobility import MIN_MOBILITY, mobility_of
+from warpcontact.scene.mobility import MIN_MOBILITY, mobility_of
 from warpcontact.validation.checks import Array
 
 if TYPE_CHECKING:

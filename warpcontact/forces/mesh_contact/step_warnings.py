@@ -11,7 +11,7 @@ from warpcontact.forces.mesh_contact.friction_warnings import MAX_CHECKED_ENVS, 
 from warpcontact.geometry.initial_clearance import starts_clear
 from warpcontact.kernels.laws.undamped import contact_time, greatest_penetration
 from warpcontact.kernels.types import CONTACT
-from warpcontact.model.mobility import MIN_MOBILITY, mobility_of
+from warpcontact.scene.mobility import MIN_MOBILITY, mobility_of
 from warpcontact.validation.checks import Array
 
 if TYPE_CHECKING:

@@ -11,17 +11,17 @@ from numpy.typing import NDArray
 
 from warpcontact.forces.nonsmooth.materials import CONTACT_GAP, NonsmoothSource, material_upload, parameters_of
 from warpcontact.forces.particle_contact.contact_set import ParticleContactSet
+from warpcontact.kernels.contact.impulse_records import record_structs
 from warpcontact.kernels.nonsmooth import build_rows, exact_sleep, save_impulses, sequence, velocity_update
-from warpcontact.kernels.nonsmooth.records import record_structs
 from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs
 from warpcontact.kernels.shapes.records import shape_contact_structs
 from warpcontact.kernels.types import MODE_OPEN, MODE_SLIP
 from warpcontact.model.contact_groups import ContactGroup, group_by_model
 from warpcontact.model.sensors import Sensor
-from warpcontact.model.status import ContactMode
 from warpcontact.scene.particles import ParticleContact
 from warpcontact.scene.scene import Contact, Scene
 from warpcontact.scene.shapes import ShapeContact
+from warpcontact.scene.status import ContactMode
 from warpcontact.storage.allocation_plan import AllocationPlan, per_env
 from warpcontact.storage.memory_estimate import MemoryItem
 from warpcontact.storage.parameters import Parameter
@@ -31,9 +31,9 @@ from warpcontact.validation.checks import similar
 
 if TYPE_CHECKING:
     from warpcontact.forces.shape_contact.contact_sets import ShapeContactSet
+    from warpcontact.model.execution_plan import ExecutionPlan
     from warpcontact.model.model import Model
     from warpcontact.model.plan import DeviceModelPlan
-    from warpcontact.stepping.execution_plan import ExecutionPlan
 
 
 PURPOSE = "nonsmooth contacts"
@@ -455,7 +455,7 @@ class NonsmoothContacts:
 
     def show(self, model: "Model") -> None:
         """Puts the last step where sensors look; forces are the mean over it."""
-        from warpcontact.stepping.execution_plan import ExecutionPlan
+        from warpcontact.model.execution_plan import ExecutionPlan
 
         a, device, real = model.arrays, self._device, self._real
         for launch in self.show_stages(

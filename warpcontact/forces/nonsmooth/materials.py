@@ -9,9 +9,9 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.kernels.catalogue.device_model import Formula
+from warpcontact.kernels.contact.impulse_records import record_structs
 from warpcontact.kernels.friction import Friction, Frictionless
 from warpcontact.kernels.laws import Law
-from warpcontact.kernels.nonsmooth.records import record_structs
 from warpcontact.storage.parameters import DeviceField, Parameter, pack
 
 #: Gaps below this are closed [m], by precision: more than rounding leaves of bodies of a few meters.

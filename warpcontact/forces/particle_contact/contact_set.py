@@ -29,11 +29,11 @@ from warpcontact.kernels.particles.base import (
 )
 from warpcontact.kernels.types import FREE
 from warpcontact.model.contact_groups import compile_force_kernel
+from warpcontact.model.execution_plan import SMALL_BLOCK
 from warpcontact.model.sensors import Sensor, shape_in
 from warpcontact.scene import elements as limits_of
 from warpcontact.scene.particles import ParticleContact
 from warpcontact.scene.shapes import Shape
-from warpcontact.stepping.execution_plan import SMALL_BLOCK
 from warpcontact.storage.allocation_plan import AllocationPlan, fixed, per_env
 from warpcontact.storage.parameters import ClosedGap, DeviceField, Field, Parameter, Parameters, pack
 from warpcontact.storage.state_storage import COUNT
@@ -41,8 +41,8 @@ from warpcontact.validation import checks
 from warpcontact.validation.checks import Array
 
 if TYPE_CHECKING:
+    from warpcontact.model.execution_plan import ExecutionPlan
     from warpcontact.scene.scene import Scene
-    from warpcontact.stepping.execution_plan import ExecutionPlan
 
 # What a step takes of the cache of a core: of an entry, and of a shape with the records of its touches.
 ENTRY_BYTES = 8

@@ -26,9 +26,9 @@ from warpcontact.kernels.shapes.records import (
 )
 from warpcontact.model.contact_groups import compile_force_kernel, history_view
 from warpcontact.model.sensors import CONTACT_SENSORS, Sensor, shape_in
-from warpcontact.model.status import ContactStatus
 from warpcontact.scene import elements as limits_of
 from warpcontact.scene.shapes import ShapeContact
+from warpcontact.scene.status import ContactStatus
 from warpcontact.storage.allocation_plan import fixed, per_env
 from warpcontact.storage.parameters import ClosedGap, Field, pack
 from warpcontact.storage.state_storage import COUNT, SWITCH
@@ -37,8 +37,8 @@ from warpcontact.validation import checks
 from warpcontact.validation.custom_law_errors import compile_error_text, has_user_code
 
 if TYPE_CHECKING:
+    from warpcontact.model.execution_plan import ExecutionPlan
     from warpcontact.scene.scene import Scene
-    from warpcontact.stepping.execution_plan import ExecutionPlan
     from warpcontact.storage.allocation_plan import AllocationPlan
     from warpcontact.storage.parameters import DeviceField, Parameters
 

@@ -10,7 +10,7 @@ from warpcontact.kernels.broadphase import swept
 from warpcontact.kernels.catalogue.keywords import explain_keywords_of
 from warpcontact.kernels.integrators import semi_implicit
 from warpcontact.kernels.joints import driven, step
-from warpcontact.stepping.execution_plan import (
+from warpcontact.model.execution_plan import (
     SMALL_BLOCK,
     ExecutionPlan,
     StepLength,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from warpcontact._version import __version__
 from warpcontact.model.environments import Environments
 from warpcontact.model.sensors import AXES
-from warpcontact.model.status import EnvironmentStatus, FailureCause
+from warpcontact.scene.status import EnvironmentStatus, FailureCause
 from warpcontact.stepping.outcomes.observer import Monitor, OutcomeState
 from warpcontact.stepping.outcomes.watch import MonitorSettings
 from warpcontact.stepping.recorder import item_dimension

@@ -10,10 +10,10 @@ from warpcontact.forces.nonsmooth.materials import NonsmoothSource, check_rigid
 from warpcontact.forces.particle_contact.contact_set import ParticleContactSet
 from warpcontact.kernels.friction import Frictionless
 from warpcontact.kernels.types import TIME_FUNCTION, UNSOLVED, WORLD
-from warpcontact.model.status import ContactStatus
 from warpcontact.scene.elements import Contact
 from warpcontact.scene.particles import ParticleContact
 from warpcontact.scene.shapes import ShapeContact
+from warpcontact.scene.status import ContactStatus
 from warpcontact.unilateral.reference.bodies import rotation_matrices
 from warpcontact.unilateral.reference.events import Event, EventKind
 from warpcontact.unilateral.reference.segments import closest_on_segments

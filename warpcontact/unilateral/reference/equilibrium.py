@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.kernels.catalogue.keywords import explain_keywords
-from warpcontact.model.status import ContactMode
+from warpcontact.scene.status import ContactMode
 from warpcontact.unilateral.reference.acceleration import (
     FRICTION_METHODS,
     SINGULAR,

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from warpcontact.experiment.equal_items import merged_items
+from warpcontact.drawing.equal_items import merged_items
 from warpcontact.model.flags import words_of
 
 # Numbers of a variable in each environment that have columns; sets of bodies and points have more.

@@ -5,7 +5,7 @@ import xarray as xr
 
 from warpcontact.model.flags import words_of
 from warpcontact.model.health import Health
-from warpcontact.model.status import FailureCause
+from warpcontact.scene.status import FailureCause
 from warpcontact.validation.number_format import count, quantity, several
 from warpcontact.visualize.report.markup import Markup, element, joined, name, table
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from warpcontact.drawing.drawing import Drawing
 from warpcontact.experiment.defaults import default_sensors
-from warpcontact.model.status import FailureCause
+from warpcontact.scene.status import FailureCause
 from warpcontact.stepping.recorder import Recorder
 from warpcontact.stepping.simulation import Simulation
 from warpcontact.visualize.viewer.environments import Picker

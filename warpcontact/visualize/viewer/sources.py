@@ -16,8 +16,8 @@ from warpcontact.experiment.run import Run, open_run
 from warpcontact.experiment.status import run_status
 from warpcontact.experiment.trust import Trust
 from warpcontact.files.run_folder import RunPath
-from warpcontact.model.status import FailureCause
 from warpcontact.scene.scene import Scene
+from warpcontact.scene.status import FailureCause
 from warpcontact.visualize.viewer.values import rows_of, rows_of_parameters, value_text
 
 Facts = dict[str, list[tuple[str, str]]]

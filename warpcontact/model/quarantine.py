@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from warpcontact.kernels.acceptance import quarantine
 from warpcontact.kernels.types import ENV_FROZEN, NO_CAUSE, TOO_FAR
-from warpcontact.model.status import FailureCause
 from warpcontact.scene.scene import MAX_DISTANCE, MAX_SPEED, Scene
+from warpcontact.scene.status import FailureCause
 from warpcontact.storage.allocation_plan import AllocationPlan, per_env
 from warpcontact.storage.parameters import Field, Parameters, pack
 

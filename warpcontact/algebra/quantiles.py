@@ -1,0 +1,25 @@
+"""Quantiles over the environments."""
+
+import warnings
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from warpcontact.validation.checks import Array
+
+
+def quantiles_over(values: Array, levels: ArrayLike) -> Array:
+    """Returns quantiles (level, time, …) of the values (time, env, …) that are not NaN."""
+    levels = np.asarray(levels)
+    found = np.full((len(levels), len(values), *values.shape[2:]), np.nan)
+    if not values.shape[1]:
+        return found
+    whole = ~np.isnan(values).any(axis=tuple(range(1, values.ndim)))
+    if whole.any():
+        found[:, whole] = np.quantile(values[whole], levels, axis=1)
+    # Much slower.
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "All-NaN slice", RuntimeWarning)
+        if not whole.all():
+            found[:, ~whole] = np.nanquantile(values[~whole], levels, axis=1)
+    return found
