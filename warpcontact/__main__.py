@@ -2,6 +2,6 @@
 
 import sys
 
-from warpcontact.cli.main import main
+from warpcontact.cli import main
 
 sys.exit(main())

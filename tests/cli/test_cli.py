@@ -26,7 +26,7 @@ def python(*words):
 @pytest.mark.smoke
 def test_help_and_version_import_no_slow_package():
     code = (
-        "import sys\nfrom warpcontact.cli.main import main\ntry: main(sys.argv[1:])\nexcept SystemExit: pass\n"
+        "import sys\nfrom warpcontact.cli import main\ntry: main(sys.argv[1:])\nexcept SystemExit: pass\n"
         f"print('imported', sorted(set({HEAVY}) & set(sys.modules)))"
     )
     for words in (["--help"], ["run", "--help"], ["--version"]):

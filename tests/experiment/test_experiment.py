@@ -63,7 +63,7 @@ def test_experiment_check_reuses_loaded_meshes_for_the_first_model(flip, monkeyp
     assert sorted(made) == ["build_bvh"] * 2 + ["make_query_mesh"] * 2
     for envs in (2, 3):
         experiment.changed(envs=envs)
-    assert len(experiment._file_cache.patches) == 1
+    assert len(experiment._file_cache.query_meshes) == 1
 
 
 @pytest.mark.smoke
