@@ -20,7 +20,7 @@ from result_file import default_path, write
 
 import warpcontact as wc
 from warpcontact.benchmark.facts import facts
-from warpcontact.model.execution_plan import ExecutionPlan
+from warpcontact.forces.execution_plan import ExecutionPlan
 
 LINE = {"length": 100.0, "mass_per_length": 20.0, "axial_stiffness": 1e7}
 #: Where the ends are [m], and the floor.

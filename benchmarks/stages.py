@@ -23,7 +23,7 @@ import warpcontact as wc
 from warpcontact.benchmark.facts import facts
 from warpcontact.benchmark.limits import limits
 from warpcontact.benchmark.simulation import simulation
-from warpcontact.model.execution_plan import ExecutionPlan, accept_stages
+from warpcontact.forces.execution_plan import ExecutionPlan, accept_stages
 from warpcontact.stepping.slice_stepper import StepBuffers
 from warpcontact.system.resources import available_threads
 

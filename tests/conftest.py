@@ -180,11 +180,13 @@ def copied_run(tmp_path):
 def fused_kernels(request, monkeypatch):
     """Lets tests of launch shapes fuse stages if kernels are compiled for short compile times as well."""
     if request.node.get_closest_marker("launch_shapes"):
-        monkeypatch.setattr("warpcontact.model.execution_plan.FUSE_STAGES", True)
+        monkeypatch.setattr("warpcontact.forces.execution_plan.FUSE_STAGES", True)
 
 
 @pytest.fixture
 def write_step_outputs(monkeypatch):
     """Has steps tell of contacts what they computed, over the step, as if somebody watched."""
-    monkeypatch.setattr("warpcontact.model.execution_plan.Span.watched", property(lambda _: True, lambda *_: None))
-    monkeypatch.setattr("warpcontact.model.execution_plan.Span.alone", False)
+    monkeypatch.setattr(
+        "warpcontact.forces.execution_plan.Span.watched", property(lambda _: True, lambda *_: None)
+    )
+    monkeypatch.setattr("warpcontact.forces.execution_plan.Span.alone", False)

@@ -6,9 +6,9 @@ import warp as wp
 from warpcontact.kernels.particles import force
 from warpcontact.kernels.types import QUEUE_COUNT
 
+from warpcontact.forces.execution_plan import ExecutionPlan
 from warpcontact.geometry import face_grid
 from warpcontact.model import build
-from warpcontact.model.execution_plan import ExecutionPlan
 from warpcontact.stepping import simulation
 
 

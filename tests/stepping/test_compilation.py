@@ -17,10 +17,10 @@ from test_step_schedules import STUCK, falling_on, two_bodies
 from warpcontact.kernels.integrators import semi_implicit
 
 import warpcontact as wc
+from warpcontact.forces import contact_groups
 from warpcontact.forces.couplings import springs
 from warpcontact.forces.joints import joint_data
 from warpcontact.forces.shape_contact import contact_sets
-from warpcontact.model import contact_groups
 from warpcontact.stepping import simulation
 from warpcontact.system.compilation import disable_fma, load_all
 

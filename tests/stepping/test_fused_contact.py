@@ -7,7 +7,7 @@ from gpu_schedule_on_cpu import build_all_face_grids, use_work_queues
 from test_fused_step_gpu import ENVS, HILLS, MATERIAL, SINGLE_BODY_SCENES, STATE, STUCK
 
 import warpcontact as wc
-from warpcontact.model.execution_plan import ExecutionPlan
+from warpcontact.forces.execution_plan import ExecutionPlan
 from warpcontact.model.model import ZERO_WITHOUT_CONTACT
 
 pytestmark = [pytest.mark.launch_shapes, pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")]
@@ -94,7 +94,7 @@ def test_fused_contact_on_gpu_equals_staged_contact(name, few, asks, monkeypatch
     if device == "cpu":
         build_all_face_grids(monkeypatch)
         use_work_queues(monkeypatch)
-    monkeypatch.setattr("warpcontact.model.execution_plan.SMALL_LAUNCH", few)
+    monkeypatch.setattr("warpcontact.forces.execution_plan.SMALL_LAUNCH", few)
     states, seen = taken(MANY[name], device, "float32", at_once=True, asks=asks)
     monkeypatch.setattr(ExecutionPlan, "fuses_contact", False)
     others, also = taken(MANY[name], device, "float32", at_once=False, asks=asks)
@@ -113,7 +113,7 @@ def test_culling_of_many_contacts_on_gpu_matches_few_contacts(at_once, precision
         monkeypatch.setattr(ExecutionPlan, "fuses_contact", False)
     ends = []
     for few in (131072, 0):
-        monkeypatch.setattr("warpcontact.model.execution_plan.SMALL_LAUNCH", few)
+        monkeypatch.setattr("warpcontact.forces.execution_plan.SMALL_LAUNCH", few)
         scene = wc.Scene()
         balls()(scene)
         model = scene.build(envs=ENVS, precision=precision, device=device)

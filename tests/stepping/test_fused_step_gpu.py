@@ -7,7 +7,7 @@ from case_marks import slow_except
 from gpu_schedule_on_cpu import build_all_face_grids, use_work_queues
 
 import warpcontact as wc
-from warpcontact.model import execution_plan
+from warpcontact.forces import execution_plan
 from warpcontact.stepping.integrators import SemiImplicitEuler
 
 pytestmark = pytest.mark.launch_shapes

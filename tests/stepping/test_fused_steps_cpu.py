@@ -5,7 +5,7 @@ import pytest
 from test_fused_step_gpu import SINGLE_BODY_SCENES, assert_same, built, states
 
 import warpcontact as wc
-from warpcontact.model.execution_plan import ExecutionPlan
+from warpcontact.forces.execution_plan import ExecutionPlan
 from warpcontact.stepping import simulation
 from warpcontact.stepping.recorder import Recorder
 from warpcontact.stepping.slice_stepper import StepChunk

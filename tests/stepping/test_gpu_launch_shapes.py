@@ -19,9 +19,9 @@ from warpcontact.kernels.particles.base import WAS_IN_CONTACT
 import warpcontact as wc
 from warpcontact.benchmark.simulation import simulation
 from warpcontact.benchmark.works import DT
+from warpcontact.forces import execution_plan
+from warpcontact.forces.execution_plan import ExecutionPlan
 from warpcontact.forces.particle_contact.contact_set import ParticleContactSet
-from warpcontact.model import execution_plan
-from warpcontact.model.execution_plan import ExecutionPlan
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 pytestmark = [

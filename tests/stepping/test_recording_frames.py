@@ -10,9 +10,9 @@ from test_particle_force_sums import heap
 from test_step_schedules import ENVS, SCENES, STATE, start
 
 import warpcontact as wc
-from warpcontact.model import execution_plan
+from warpcontact.forces import execution_plan
+from warpcontact.forces.execution_plan import ExecutionPlan, force_stages
 from warpcontact.model import sensor_evaluation as looks
-from warpcontact.model.execution_plan import ExecutionPlan, force_stages
 from warpcontact.model.model import ZERO_WITHOUT_CONTACT
 from warpcontact.model.sensor_evaluation import can_evaluate_by_slice, check_needs
 from warpcontact.stepping import requirements, slice_stepper, worker_pool

@@ -12,7 +12,7 @@ import warp as wp
 from gpu_schedule_on_cpu import build_all_face_grids, use_work_queues
 
 import warpcontact as wc
-from warpcontact.model import execution_plan
+from warpcontact.forces import execution_plan
 from warpcontact.stepping import requirements, worker_pool
 
 STATE = ("position", "orientation", "linear_velocity", "angular_velocity")

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from warpcontact.algebra.poses import transform_points
 from warpcontact.forces.contact_coupling.contact_couplings import ContactCouplings
+from warpcontact.forces.contact_groups import group_by_model, make_group
 from warpcontact.forces.couplings.ends import add_ends
 from warpcontact.forces.couplings.sets import make_sets
 from warpcontact.forces.joints.joint_data import add_motions
@@ -20,7 +21,6 @@ from warpcontact.geometry.contact_clusters import ContactClusters, make_clusters
 from warpcontact.geometry.face_grid import make_grids
 from warpcontact.geometry.query_mesh import QueryMeshCache, QueryMeshes, make_query_meshes, upload_query_meshes
 from warpcontact.kernels import types
-from warpcontact.model.contact_groups import group_by_model, make_group
 from warpcontact.model.core_arrays import declare_arrays
 from warpcontact.model.model import Model
 from warpcontact.model.plan import DeviceModelPlan, ModelPlan

@@ -9,13 +9,13 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from warpcontact.forces.contact_groups import ContactGroup
 from warpcontact.forces.couplings.coupling_set import CouplingSet
+from warpcontact.forces.execution_plan import ExecutionPlan
 from warpcontact.forces.joints.joint_data import PrescribedMotionSet
 from warpcontact.geometry.contact_clusters import ContactClusters
 from warpcontact.geometry.side_regions import SideRegion
-from warpcontact.model.contact_groups import ContactGroup
 from warpcontact.model.environments import Environments
-from warpcontact.model.execution_plan import ExecutionPlan
 from warpcontact.model.scene_traits import SENSOR_ARRAYS, SHAPE_CONTACT_MEASURES, SceneTraits
 from warpcontact.model.sensor_evaluation import evaluation_plan, evaluation_stages, needs_contacts
 from warpcontact.model.sensors import Sensor

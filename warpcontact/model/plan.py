@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
+from warpcontact.forces.contact_groups import ContactGroup
 from warpcontact.forces.couplings.coupling_set import CouplingSet
 from warpcontact.forces.joints.joint_data import PrescribedMotionSet
 from warpcontact.geometry.contact_clusters import ContactClusters
 from warpcontact.geometry.side_regions import SideRegion
-from warpcontact.model.contact_groups import ContactGroup
 from warpcontact.model.model import Model
 from warpcontact.model.scene_traits import SceneTraits
 from warpcontact.model.sensors import Sensor

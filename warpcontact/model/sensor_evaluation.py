@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
+from warpcontact.forces.execution_plan import ExecutionPlan, force_stages
 from warpcontact.kernels.joints.measures import coordinates
 from warpcontact.kernels.outcomes import body_measures
-from warpcontact.model.execution_plan import ExecutionPlan, force_stages
 from warpcontact.model.scene_traits import SHAPE_CONTACT_MEASURES
 
 if TYPE_CHECKING:

@@ -11,12 +11,12 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.forces.contact_coupling.contact_couplings import ContactCouplings
+from warpcontact.forces.contact_groups import ContactGroup
 from warpcontact.kernels.couplings import contact_coupling
 from warpcontact.kernels.joints import Motion
 from warpcontact.kernels.joints.measures import Coordinates, Reactions
 from warpcontact.kernels.outcomes import body_measures
 from warpcontact.kernels.types import BALL, FREE, HINGE, PLANAR, SLIDER
-from warpcontact.model.contact_groups import ContactGroup
 from warpcontact.scene.scene import Contact, Scene
 from warpcontact.scene.status import ContactStatus
 

@@ -7,8 +7,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from warpcontact.forces.execution_plan import ExecutionPlan
 from warpcontact.kernels.outcomes import recording
-from warpcontact.model.execution_plan import ExecutionPlan
 from warpcontact.system.capture_lock import shared_capture_lock
 
 if TYPE_CHECKING:

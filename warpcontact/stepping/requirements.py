@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, cast
 
 import warp as wp
 
+from warpcontact.forces.execution_plan import ExecutionPlan
 from warpcontact.kernels.outcomes import recording
-from warpcontact.model.execution_plan import ExecutionPlan
 from warpcontact.model.sensor_evaluation import can_evaluate_by_slice, evaluation_plan, evaluation_stages
 from warpcontact.stepping.integrators import Integrator, SemiImplicitEuler
 from warpcontact.stepping.outcomes.watch import ContactEvents, MonitorSettings, StopCondition

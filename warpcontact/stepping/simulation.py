@@ -10,12 +10,12 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
+from warpcontact.forces.execution_plan import ExecutionPlan
 from warpcontact.forces.mesh_contact.step_warnings import caller_stacklevel, contacts_to_evaluate, scene_warnings
 from warpcontact.kernels.catalogue.keywords import explain_keywords_of
 from warpcontact.kernels.catalogue.renamed import explain_renamed
 from warpcontact.kernels.outcomes.base import Outcome
 from warpcontact.model.environments import Environments
-from warpcontact.model.execution_plan import ExecutionPlan
 from warpcontact.model.model import Model, State
 from warpcontact.model.quarantine import CADENCE, raise_failed, reset_failed
 from warpcontact.model.sensor_evaluation import CONTACT_NEEDS, can_evaluate_by_slice, check_needs

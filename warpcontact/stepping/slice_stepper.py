@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from warpcontact.kernels.lowlevel.unique_kernel import QUICK
-from warpcontact.model.execution_plan import (
+from warpcontact.forces.execution_plan import (
     ExecutionPlan,
     StepLength,
     accept_stages,
     copy_state_stage,
     mask_substeps_stage,
 )
+from warpcontact.kernels.lowlevel.unique_kernel import QUICK
 from warpcontact.model.sensor_evaluation import provides_contacts
 from warpcontact.stepping.frame_copies import FrameCopies, FrameRecording
 from warpcontact.stepping.integrators import Integrator

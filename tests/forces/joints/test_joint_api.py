@@ -13,7 +13,7 @@ from warpcontact.kernels.joints import step as constrained
 from warpcontact.kernels.types import ENV_FROZEN
 
 import warpcontact as wc
-from warpcontact.model.execution_plan import ExecutionPlan
+from warpcontact.forces.execution_plan import ExecutionPlan
 from warpcontact.scene.mobility import mobility_along, mobility_of
 
 HINGE = wc.motions.Hinge(axis=(0, 1, 0), anchor=(0, 0, 1))

@@ -18,7 +18,7 @@ from warpcontact.validation import checks
 from warpcontact.validation.checks import Array
 
 if TYPE_CHECKING:
-    from warpcontact.model.execution_plan import ExecutionPlan
+    from warpcontact.forces.execution_plan import ExecutionPlan
     from warpcontact.scene.elements import Body
     from warpcontact.storage.allocation_plan import AllocationPlan
     from warpcontact.storage.parameters import Parameters

@@ -19,7 +19,7 @@ from warpcontact.storage.state_storage import COUNT, SWITCH
 from warpcontact.system.capture_lock import shared_capture_lock
 
 if TYPE_CHECKING:
-    from warpcontact.model.execution_plan import ExecutionPlan
+    from warpcontact.forces.execution_plan import ExecutionPlan
     from warpcontact.model.model import Model
     from warpcontact.storage.allocation_plan import AllocationPlan
     from warpcontact.storage.parameters import Parameters

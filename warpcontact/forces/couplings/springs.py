@@ -22,7 +22,7 @@ from warpcontact.system.compilation import load
 from warpcontact.validation.custom_law_errors import explain_compile_errors, has_user_code
 
 if TYPE_CHECKING:
-    from warpcontact.model.execution_plan import ExecutionPlan
+    from warpcontact.forces.execution_plan import ExecutionPlan
     from warpcontact.storage.allocation_plan import AllocationPlan
     from warpcontact.storage.parameters import Parameters
 

@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from warpcontact.forces.contact_groups import ContactGroup, group_by_model
 from warpcontact.forces.nonsmooth.materials import CONTACT_GAP, NonsmoothSource, material_upload, parameters_of
 from warpcontact.forces.particle_contact.contact_set import ParticleContactSet
 from warpcontact.kernels.contact.impulse_records import record_structs
@@ -16,7 +17,6 @@ from warpcontact.kernels.nonsmooth import build_rows, exact_sleep, save_impulses
 from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs
 from warpcontact.kernels.shapes.records import shape_contact_structs
 from warpcontact.kernels.types import MODE_OPEN, MODE_SLIP
-from warpcontact.model.contact_groups import ContactGroup, group_by_model
 from warpcontact.model.sensors import Sensor
 from warpcontact.scene.particles import ParticleContact
 from warpcontact.scene.scene import Contact, Scene
@@ -30,8 +30,8 @@ from warpcontact.system.capture_lock import shared_capture_lock
 from warpcontact.validation.checks import similar
 
 if TYPE_CHECKING:
+    from warpcontact.forces.execution_plan import ExecutionPlan
     from warpcontact.forces.shape_contact.contact_sets import ShapeContactSet
-    from warpcontact.model.execution_plan import ExecutionPlan
     from warpcontact.model.model import Model
     from warpcontact.model.plan import DeviceModelPlan
 
@@ -455,7 +455,7 @@ class NonsmoothContacts:
 
     def show(self, model: "Model") -> None:
         """Puts the last step where sensors look; forces are the mean over it."""
-        from warpcontact.model.execution_plan import ExecutionPlan
+        from warpcontact.forces.execution_plan import ExecutionPlan
 
         a, device, real = model.arrays, self._device, self._real
         for launch in self.show_stages(

@@ -9,6 +9,8 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.algebra import poses
+from warpcontact.forces.contact_groups import compile_force_kernel
+from warpcontact.forces.execution_plan import SMALL_BLOCK
 from warpcontact.forces.particle_contact.neighbor_capacity import (
     ALL_PAIRS_LIMIT,
     all_pair_lists,
@@ -28,8 +30,6 @@ from warpcontact.kernels.particles.base import (
     particle_structs,
 )
 from warpcontact.kernels.types import FREE
-from warpcontact.model.contact_groups import compile_force_kernel
-from warpcontact.model.execution_plan import SMALL_BLOCK
 from warpcontact.model.sensors import Sensor, shape_in
 from warpcontact.scene import elements as limits_of
 from warpcontact.scene.particles import ParticleContact
@@ -41,7 +41,7 @@ from warpcontact.validation import checks
 from warpcontact.validation.checks import Array
 
 if TYPE_CHECKING:
-    from warpcontact.model.execution_plan import ExecutionPlan
+    from warpcontact.forces.execution_plan import ExecutionPlan
     from warpcontact.scene.scene import Scene
 
 # What a step takes of the cache of a core: of an entry, and of a shape with the records of its touches.

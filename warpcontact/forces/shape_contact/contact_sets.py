@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from warpcontact.forces.contact_groups import compile_force_kernel, history_view
 from warpcontact.forces.shape_contact.measures import has_curvatures
 from warpcontact.forces.shape_contact.shape_sets import ShapeSet
 from warpcontact.kernels.acceptance import reset
@@ -24,7 +25,6 @@ from warpcontact.kernels.shapes.records import (
     WarmStarts,
     shape_contact_structs,
 )
-from warpcontact.model.contact_groups import compile_force_kernel, history_view
 from warpcontact.model.sensors import CONTACT_SENSORS, Sensor, shape_in
 from warpcontact.scene import elements as limits_of
 from warpcontact.scene.shapes import ShapeContact
@@ -37,7 +37,7 @@ from warpcontact.validation import checks
 from warpcontact.validation.custom_law_errors import compile_error_text, has_user_code
 
 if TYPE_CHECKING:
-    from warpcontact.model.execution_plan import ExecutionPlan
+    from warpcontact.forces.execution_plan import ExecutionPlan
     from warpcontact.scene.scene import Scene
     from warpcontact.storage.allocation_plan import AllocationPlan
     from warpcontact.storage.parameters import DeviceField, Parameters

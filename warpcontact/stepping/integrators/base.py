@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from warpcontact.model.execution_plan import ExecutionPlan, StepLength
+from warpcontact.forces.execution_plan import ExecutionPlan, StepLength
 from warpcontact.storage.allocation_plan import AllocationPlan
 
 if TYPE_CHECKING:

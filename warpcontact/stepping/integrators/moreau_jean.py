@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
+from warpcontact.forces.execution_plan import ExecutionPlan, StepLength, force_stages
 from warpcontact.forces.nonsmooth.materials import IMPACT_LAWS, check_rigid
 from warpcontact.kernels.catalogue.keywords import explain_keywords_of
 from warpcontact.kernels.joints import driven
 from warpcontact.kernels.nonsmooth import accelerated, gauss_seidel, restitution_limiter, sequence, step
-from warpcontact.model.execution_plan import ExecutionPlan, StepLength, force_stages
 from warpcontact.stepping.integrators.base import Integrator, formulas_of
 from warpcontact.storage.allocation_plan import AllocationPlan
 from warpcontact.validation import checks

@@ -5,12 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from warpcontact.forces.particle_contact.contact_set import particle_arrays
-from warpcontact.kernels.broadphase import swept
-from warpcontact.kernels.catalogue.keywords import explain_keywords_of
-from warpcontact.kernels.integrators import semi_implicit
-from warpcontact.kernels.joints import driven, step
-from warpcontact.model.execution_plan import (
+from warpcontact.forces.execution_plan import (
     SMALL_BLOCK,
     ExecutionPlan,
     StepLength,
@@ -18,6 +13,11 @@ from warpcontact.model.execution_plan import (
     fused_step_stages,
     multi_step_stages,
 )
+from warpcontact.forces.particle_contact.contact_set import particle_arrays
+from warpcontact.kernels.broadphase import swept
+from warpcontact.kernels.catalogue.keywords import explain_keywords_of
+from warpcontact.kernels.integrators import semi_implicit
+from warpcontact.kernels.joints import driven, step
 from warpcontact.stepping.integrators.base import Integrator, formulas_of
 
 if TYPE_CHECKING:

@@ -21,8 +21,8 @@ from warpcontact.system.compilation import load
 from warpcontact.validation.custom_law_errors import compile_error_text
 
 if TYPE_CHECKING:
+    from warpcontact.forces.execution_plan import ExecutionPlan, StepLength
     from warpcontact.forces.nonsmooth.contacts import NonsmoothContacts
-    from warpcontact.model.execution_plan import ExecutionPlan, StepLength
     from warpcontact.model.model import Model
     from warpcontact.model.plan import DeviceModelPlan
 
@@ -228,7 +228,7 @@ class Monitor:
     @shared_capture_lock()
     def results(self, outcome_state: OutcomeState) -> NDArray[np.float64]:
         """Returns the results of an outcome at the current state (env, item, component); it has been measured."""
-        from warpcontact.model.execution_plan import ExecutionPlan
+        from warpcontact.forces.execution_plan import ExecutionPlan
 
         model = self._model
         assert model is not None

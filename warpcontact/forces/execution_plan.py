@@ -41,8 +41,8 @@ from warpcontact.kernels.types import LaunchRange
 from warpcontact.system.compilation import disable_fma
 
 if TYPE_CHECKING:
+    from warpcontact.forces.contact_groups import ContactGroup
     from warpcontact.forces.nonsmooth.contacts import NonsmoothContacts
-    from warpcontact.model.contact_groups import ContactGroup
     from warpcontact.model.model import Model
 
 

@@ -1,0 +1,190 @@
+"""The packages import each other in one direction; imports inside functions count."""
+
+import ast
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import warpcontact
+from warpcontact import kernels
+
+HOST = Path(warpcontact.__file__).parent
+KERNELS = Path(kernels.__file__).parent
+
+#: Packages of the host code, lowest first. A package imports itself, packages before it, and kernels.
+HOST_ORDER = [
+    "validation",
+    "algebra",
+    "system",
+    "storage",
+    "files",
+    "meshes",
+    "scene",
+    "geometry",
+    "forces",
+    "model",
+    "unilateral",
+    "stepping",
+    "drawing",
+    "usd",
+    "experiment",
+    "analysis",
+    "visualize",
+    "benchmark",
+    "cli",
+]
+#: Packages of the device code, lowest first; "types" are the modules outside of packages.
+KERNEL_ORDER = [
+    "types",
+    "catalogue",
+    "lowlevel",
+    "laws",
+    "friction",
+    "acceptance",
+    "joints",
+    "narrowphase",
+    "broadphase",
+    "contact",
+    "couplings",
+    "particles",
+    "integrators",
+    "launch_shapes",
+    "shapes",
+    "nonsmooth",
+    "outcomes",
+    "rendering",
+]
+#: Methods of objects of the API that are implemented in a package above. The list may only become shorter.
+UPWARD = {
+    ("scene.scene", "model.build"),  # Scene.build
+    ("scene.scene", "usd.importing.scene_from_stage"),  # Scene.from_usd
+    ("scene.contact_coupling", "forces.contact_coupling.report"),  # ContactCoupling.report
+    ("scene.mobility", "forces.shape_contact.tessellate"),
+    ("model.environments", "stepping.requirements"),  # Model.memory
+    ("model.plan", "stepping.requirements"),
+}
+#: Largest number of modules that may import each other in a circle.
+MAX_KNOT = 39
+
+
+def modules() -> dict[str, Path]:
+    """Returns the file of each module, by its name below ``warpcontact``."""
+    found = {}
+    for root, prefix in ((HOST, ""), (KERNELS, "kernels.")):
+        for path in sorted(root.rglob("*.py")):
+            if root == HOST and path.is_relative_to(KERNELS):
+                continue
+            name = ".".join(path.relative_to(root).with_suffix("").parts).removesuffix("__init__").rstrip(".")
+            found[(prefix + name).rstrip(".")] = path
+    return found
+
+
+def imported(tree: ast.Module) -> Iterator[str]:
+    """Iterates over the names that a module imports, without those for type checkers only."""
+    nodes: list[ast.AST] = [tree]
+    while nodes:
+        node = nodes.pop()
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            nodes += node.orelse
+        elif isinstance(node, ast.Import):
+            yield from (one.name for one in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "imports are absolute"
+            yield from (f"{node.module}.{one.name}" for one in node.names)
+        else:
+            nodes += ast.iter_child_nodes(node)
+
+
+@pytest.fixture(scope="module")
+def graph() -> dict[str, set[str]]:
+    """The modules that each module imports."""
+    files = modules()
+    edges: dict[str, set[str]] = defaultdict(set)
+    for name, path in files.items():
+        for target in imported(ast.parse(path.read_text(encoding="utf-8"))):
+            if target.startswith("warpcontact."):
+                own = target.removeprefix("warpcontact.")
+                module = own if own in files else own.rpartition(".")[0]
+                if module in files and module not in ("", "_version", "kernels", name):
+                    edges[name].add(module)
+    return edges
+
+
+def package(module: str) -> str:
+    """Returns the package of a module; device code outside of packages is in "types"."""
+    first, _, rest = module.partition(".")
+    if first != "kernels":
+        return first
+    return rest.partition(".")[0] if (KERNELS / rest.partition(".")[0]).is_dir() else "types"
+
+
+def upward(graph: dict[str, set[str]], order: list[str], is_device: bool) -> set[tuple[str, str]]:
+    """Returns the imports of a higher package."""
+    rank = {name: number for number, name in enumerate(order)}
+    return {
+        (module, target)
+        for module, targets in graph.items()
+        for target in targets
+        if module.startswith("kernels.") == target.startswith("kernels.") == is_device
+        and module not in ("", "__main__", "kernels")
+        and rank[package(module)] < rank[package(target)]
+    }
+
+
+def test_host_packages_import_lower_packages_only(graph):
+    assert upward(graph, HOST_ORDER, is_device=False) == UPWARD
+
+
+def test_kernel_packages_import_lower_packages_only(graph):
+    assert upward(graph, KERNEL_ORDER, is_device=True) == set()
+
+
+def test_kernels_do_not_import_the_host(graph):
+    hosts = {
+        (module, target)
+        for module, targets in graph.items()
+        for target in targets
+        if module.startswith("kernels") and not target.startswith("kernels")
+    }
+    assert hosts == set()
+
+
+def test_no_large_knot_of_modules(graph):
+    knots = [sorted(knot) for knot in strong_components(graph) if len(knot) > MAX_KNOT]
+    assert knots == []
+
+
+def strong_components(graph: dict[str, set[str]]) -> list[set[str]]:
+    """Returns the sets of modules that reach each other, by the algorithm of Kosaraju."""
+    reverse: dict[str, set[str]] = defaultdict(set)
+    for module, targets in graph.items():
+        for target in targets:
+            reverse[target].add(module)
+    order: list[str] = []
+    seen: set[str] = set()
+    for start in list(graph):
+        stack = [(start, iter(graph[start]))] if start not in seen else []
+        seen.add(start)
+        while stack:
+            module, targets = stack[-1]
+            following = next((target for target in targets if target not in seen), None)
+            if following is None:
+                order.append(module)
+                stack.pop()
+            else:
+                seen.add(following)
+                stack.append((following, iter(graph.get(following, ()))))
+    components: list[set[str]] = []
+    placed: set[str] = set()
+    for root in reversed(order):
+        members, pending = set(), [root] if root not in placed else []
+        while pending:
+            module = pending.pop()
+            if module not in placed:
+                placed.add(module)
+                members.add(module)
+                pending += reverse[module]
+        components += [members] if members else []
+    return components
