@@ -287,7 +287,7 @@ def test_analysis_raises_for_invalid_arguments():
     run = sampled(np.arange(4.0))
     saltelli = with_outcome(*ishigami(2))
     fan, _ = waves(4)
-    ordered = sampled(np.arange(4.0), touch_share={"linspace": [0, 1]})
+    ordered = sampled(np.arange(4.0), touch_force_scale={"linspace": [0, 1]})
     for call, message in (
         (
             lambda: wc.sensitivity(run, "peak"),

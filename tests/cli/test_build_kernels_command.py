@@ -104,9 +104,10 @@ def sources(tmp_path):
     """Folders of a small host package and of its kernels."""
     host, kernels = tmp_path / "host", tmp_path / "host" / "kernels"
     (kernels / "laws").mkdir(parents=True)
-    (host / "schedule.py").write_text("from warpcontact.kernels import near\n")
+    (host / "schedule.py").write_text("from warpcontact.kernels.broadphase import contact_detection\n")
     (host / "report.py").write_text("import numpy\n")
-    (kernels / "near.py").write_text("near = 1\n")
+    (kernels / "broadphase").mkdir()
+    (kernels / "broadphase" / "contact_detection.py").write_text("contact_detection = 1\n")
     (kernels / "laws" / "hooke.py").write_text("hooke = 1\n")
     return {"host": host, "kernels": kernels}
 
@@ -158,7 +159,7 @@ def test_kernel_cache_key_differs_with_experiments_and_their_files(sources, tmp_
 
 def test_kernel_cache_key_differs_with_compiler_options_and_versions(sources, monkeypatch):
     keys = {key(sources)}
-    monkeypatch.setitem(cache_key.unique.OPTIONS, "cpu_compiler_flags", "-O0")
+    monkeypatch.setitem(cache_key.unique_kernel.OPTIONS, "cpu_compiler_flags", "-O0")
     keys.add(key(sources))
     monkeypatch.setattr(wp.config, "version", "0.0.0")
     keys.add(key(sources))

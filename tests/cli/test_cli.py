@@ -48,7 +48,7 @@ def test_example_run_prints_result_paths(device, tmp_path, capsys, monkeypatch):
     assert "4 environments × 0.1 s in 500 steps" in out
     assert "environment steps per second" in out
     assert "all 4 environments are active" in out
-    for stage in ("sensor", "building", "running", "writing"):
+    for stage in ("reading", "building", "running", "writing"):
         assert stage in err
 
     assert main(words) == 2

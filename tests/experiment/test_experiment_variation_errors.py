@@ -135,7 +135,7 @@ BAD = [
     (sampled("saltelli", PAIR, envs=33), "got 33; next to it: 32 and 64"),
     (
         sampled("saltelli", PAIR | {"touch.force_scale": {"linspace": [0, 1]}}, envs=16),
-        "variation.\"touch.share\".linspace must be left out with sampling.method = 'saltelli'; "
+        "variation.\"touch.force_scale\".linspace must be left out with sampling.method = 'saltelli'; "
         "allowed: uniform, ",
     ),
     (

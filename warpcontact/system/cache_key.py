@@ -22,7 +22,7 @@ from warpcontact.files.run_folder import read_file
 from warpcontact.kernels.lowlevel import unique_kernel
 from warpcontact.system.devices import find_devices
 
-HOST = Path(__file__).parent
+HOST = Path(__file__).parents[1]
 KERNELS = Path(kernels.__file__).parent
 
 # Host modules with this text select the kernels of a model.
