@@ -1,4 +1,4 @@
-"""Poses and velocities of what is fixed to a body or to the world, and vectors in float64."""
+"""Poses and velocities of points and surfaces fixed to a body or to the world; float64 conversion of vectors."""
 
 import functools
 from types import SimpleNamespace
@@ -17,10 +17,11 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def offset_between(model: Model, state: State, env: int, point: int, surface: int):
-        """From the origin of what carries ``surface`` to that of what carries ``point``, W.
+        """Returns the vector from the origin of the carrier of ``surface`` to that of ``point``, W [m].
 
-        The origin of a body is its centre of mass; of what is fixed to the world, its anchor. Bodies that touch
-        are near each other, wherever in the world: the difference is as fine as they are, positions are not.
+        The origin of a body is its center of mass; the origin of an element of the world is its anchor. Rounding is
+        relative to the difference, not to the positions, so precision does not depend on the distance from the world
+        origin.
         """
         body = model.point_body[point]
         remainder = vec3()
@@ -38,33 +39,33 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def rotate_to_world(state: State, env: int, body: int, v_B: vec3):
-        """A vector given in the axes of ``body`` (WORLD: already in W), in W."""
+        """Returns a vector given in the axes of ``body`` (WORLD: already in W) in W."""
         if body < 0:
             return v_B
         return wp.quat_rotate(state.body_orientation[env, body], v_B)
 
     @wp.func
     def facing_fraction(model: Model, env: int, point: int, R_WB: mat33, n_W: vec3):
-        """Part of the area of ``point`` that faces a surface with the normal ``n_W``: a cosine, or nothing."""
+        """Returns the cosine between the inward surface normal and the normal of ``point``, 0 if it faces away."""
         return wp.max(-wp.dot(R_WB * model.point_normal[env, point], n_W), real(0.0))
 
     @wp.func
     def orientation_to_world(state: State, env: int, body: int, q_BS: quat):
-        """Rotation S → W of what is fixed to ``body`` with rotation ``q_BS``."""
+        """Returns the rotation S → W of an element fixed to ``body`` with rotation ``q_BS``."""
         if body < 0:
             return q_BS
         return state.body_orientation[env, body] * q_BS
 
     @wp.func
     def rotation_to_world(state: State, env: int, body: int):
-        """Rotation B → W of ``body`` (WORLD: none), for many points."""
+        """Returns the rotation matrix B → W of ``body`` (WORLD: identity)."""
         if body < 0:
             return wp.identity(n=3, dtype=real)
         return matrix(state.body_orientation[env, body])
 
     @wp.func
     def velocity_at(state: State, env: int, body: int, arm_W: vec3):
-        """Velocity in W of the point of ``body`` at ``arm_W`` from its centre of mass; 0 for the world."""
+        """Returns the velocity of the point of ``body`` at ``arm_W`` from its center of mass, W; 0 for the world."""
         if body < 0:
             return vec3()
         return state.body_linear_velocity[env, body] + wp.cross(state.body_angular_velocity[env, body], arm_W)
@@ -80,12 +81,12 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def wide(v: vec3):
-        """A vector in float64."""
+        """Converts a vector to float64."""
         return wp.vec3d(wp.float64(v[0]), wp.float64(v[1]), wp.float64(v[2]))
 
     @wp.func
     def narrow(v: wp.vec3d):
-        """A vector of float64, rounded."""
+        """Rounds a float64 vector to ``real``."""
         return vec3(real(v[0]), real(v[1]), real(v[2]))
 
     return SimpleNamespace(

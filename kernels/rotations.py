@@ -1,4 +1,4 @@
-"""Rotations: as matrices, and by rotation vectors."""
+"""Rotations: matrices, quaternion normalization and rotation vectors."""
 
 import functools
 import math
@@ -14,17 +14,17 @@ def functions(real: type) -> SimpleNamespace:
     n = numbers(real)
     vec3, quat, mat33 = n.vec3, n.quat, n.mat33
     one, two, half = wp.constant(real(1.0)), wp.constant(real(2.0)), wp.constant(real(0.5))
-    # Of (sin √x)/√x and cos √x, to the fourth power of x.
+    # Coefficients of (sin √x)/√x and cos √x up to x⁴.
     s_1, s_2, s_3, s_4 = (wp.constant(real((-1) ** k / math.factorial(2 * k + 1))) for k in range(1, 5))
     c_1, c_2, c_3, c_4 = (wp.constant(real((-1) ** k / math.factorial(2 * k))) for k in range(1, 5))
-    # Newton's step to unit length leaves 3/8 of the square of the excess: below a rounding, this near.
+    # A Newton step to unit length leaves 3/8 of the squared excess, which is below rounding for this excess.
     nearly = wp.constant(real(n.epsilon**0.5 / 4.0))
 
     @wp.func
     def matrix(q: quat):
-        """The rotation that ``wp.quat_rotate`` does, of any length of ``q``, for many vectors.
+        """Returns the matrix of ``wp.quat_rotate``, also for ``q`` that is not of unit length.
 
-        That of Warp rotates three vectors, with their zeros.
+        Cheaper than ``wp.quat_to_matrix``, which rotates the three unit vectors.
         """
         x = two * q[0]
         y = two * q[1]
@@ -47,7 +47,7 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def unit(q: quat):
-        """A quaternion of about unit length with unit length, to a rounding."""
+        """Returns ``q``, of nearly unit length, normalized to rounding."""
         excess = wp.dot(q, q) - one
         if wp.abs(excess) < nearly:
             return (one - half * excess) * q
@@ -55,12 +55,12 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def rotated(q: quat, angle_W: vec3):
-        """Turns orientation ``q`` by the rotation vector ``angle_W`` given in W: exp(angle/2) q, unit length."""
+        """Returns orientation ``q`` rotated by the rotation vector ``angle_W`` in W: exp(angle/2) q, normalized."""
         squared = real(0.25) * wp.dot(angle_W, angle_W)
         sinc = one
         cosine = one
         if squared < real(0.01):
-            # A step turns a body by little: to a rounding.
+            # Rotations within one step are small: the series is exact to rounding.
             sinc = one + squared * (s_1 + squared * (s_2 + squared * (s_3 + squared * s_4)))
             cosine = one + squared * (c_1 + squared * (c_2 + squared * (c_3 + squared * c_4)))
         else:
@@ -72,7 +72,7 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def rotation_vector(q: quat):
-        """Axis times angle of a rotation, the shorter way round: what ``rotated`` takes."""
+        """Returns the rotation vector of ``q``, at most π long; inverse of ``rotated``."""
         v = vec3(q[0], q[1], q[2])
         cosine = q[3]
         if cosine < real(0.0):
@@ -80,7 +80,7 @@ def functions(real: type) -> SimpleNamespace:
             cosine = -cosine
         sine = wp.length(v)
         if sine < real(1.0e-4):
-            # asin(s)/s to a rounding.
+            # asin(s)/s, exact to rounding.
             return (two + sine * sine / real(3.0)) * v
         return (two * wp.atan2(sine, cosine) / sine) * v
 

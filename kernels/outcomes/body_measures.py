@@ -1,4 +1,4 @@
-"""Places, energy and momentum, in float64 whatever the precision: sums, and what is far from the origin."""
+"""Positions, energies and momenta of bodies and contact points, in float64 for any precision."""
 
 import functools
 from types import SimpleNamespace
@@ -11,14 +11,14 @@ from warpcontact.kernels.types import ENV_ACTIVE, LaunchRange, structs, task_cou
 
 @wp.struct
 class Positions:
-    """Where bodies are."""
+    """Positions of bodies."""
 
-    position: wp.array2d(dtype=wp.vec3d)  # [env, body] centre of mass, W [m]
+    position: wp.array2d(dtype=wp.vec3d)  # [env, body] center of mass, W [m]
 
 
 @wp.struct
 class Energies:
-    """What is measured of the energy of bodies."""
+    """Energies of bodies."""
 
     kinetic_energy: wp.array2d(dtype=wp.float64)  # [env, body] [J]
     potential_energy: wp.array2d(dtype=wp.float64)  # [env, body] −m g·x, zero at the origin of W [J]
@@ -26,7 +26,7 @@ class Energies:
 
 @wp.struct
 class Momenta:
-    """What is measured of the momentum of bodies."""
+    """Momenta of bodies."""
 
     linear_momentum: wp.array2d(dtype=wp.vec3d)  # [env, body] W [kg·m/s]
     angular_momentum: wp.array2d(dtype=wp.vec3d)  # [env, body] about the origin of W [kg·m²/s]
@@ -34,26 +34,26 @@ class Momenta:
 
 @wp.struct
 class Points:
-    """What is measured of contacts."""
+    """Positions of contact points."""
 
     position: wp.array2d(dtype=wp.vec3d)  # [env, contact] K, where the force acts, W [m]
 
 
 @functools.cache
 def _functions(real: type) -> SimpleNamespace:
-    """Returns the device functions that tell where a body is, and its spin."""
+    """Returns the device functions for position and angular momentum of a body."""
     t = structs(real)
     Model, State = t.Model, t.State
     wide = frames.functions(real).wide
 
     @wp.func
     def position(state: State, env: int, body: int):
-        """Centre of mass of a body, W [m]."""
+        """Returns the center of mass of a body, W [m]."""
         return wide(state.body_position[env, body]) + wide(state.body_position_remainder[env, body])
 
     @wp.func
     def spin(model: Model, state: State, env: int, body: int):
-        """Angular momentum of a body about its centre of mass, W [kg·m²/s]."""
+        """Returns the angular momentum of a body about its center of mass, W [kg·m²/s]."""
         q_WB = state.body_orientation[env, body]
         w_W = state.body_angular_velocity[env, body]
         return wp.quat_rotate(q_WB, model.body_inertia[env, body] * wp.quat_rotate_inv(q_WB, w_W))
@@ -63,7 +63,7 @@ def _functions(real: type) -> SimpleNamespace:
 
 @functools.cache
 def positions(real: type) -> wp.Kernel:
-    """Returns the kernel that tells where each body of the active environments is; items: bodies."""
+    """Returns the kernel that computes body positions in active environments; items: bodies."""
     t, f = structs(real), _functions(real)
     Model, State, position = t.Model, t.State, f.position
 
@@ -83,7 +83,7 @@ def positions(real: type) -> wp.Kernel:
 
 @functools.cache
 def energies(real: type) -> wp.Kernel:
-    """Returns the kernel that measures energies of each body of the active environments; items: bodies."""
+    """Returns the kernel that computes body energies in active environments; items: bodies."""
     t, f = structs(real), _functions(real)
     Model, State, wide, position = t.Model, t.State, f.wide, f.position
 
@@ -110,7 +110,7 @@ def energies(real: type) -> wp.Kernel:
 
 @functools.cache
 def momenta(real: type) -> wp.Kernel:
-    """Returns the kernel that measures momenta of each body of the active environments; items: bodies."""
+    """Returns the kernel that computes body momenta in active environments; items: bodies."""
     t, f = structs(real), _functions(real)
     Model, State, wide, position, spin = t.Model, t.State, f.wide, f.position, f.spin
 
@@ -131,7 +131,7 @@ def momenta(real: type) -> wp.Kernel:
     return measure_momenta
 
 
-#: What is measured of bodies, by the needs of sensors: for each what it is measured into, and the kernel.
+#: Measures of bodies by the requirement of a sensor: output struct and kernel.
 BODY_MEASURES = {
     "positions": (Positions, positions),
     "energies": (Energies, energies),
@@ -141,7 +141,7 @@ BODY_MEASURES = {
 
 @functools.cache
 def points(real: type) -> wp.Kernel:
-    """Returns the kernel that places the points of the contacts of the active environments; items: contacts."""
+    """Returns the kernel that computes contact points K in active environments; items: contacts."""
     t = structs(real)
     Model, State, Contacts = t.Model, t.State, t.Contacts
     wide = frames.functions(real).wide
