@@ -1,8 +1,10 @@
-"""Which contacts a step has to do with: blocks and points that cannot touch yet are left alone.
+"""Contact detection on triangle meshes, one thread per cluster of contacts.
 
-A point can only touch after it moved as far as it was from touching when it was looked at; ``travel.py`` says how
-far it can have moved. What is near is looked at by ``closest_point.py``: here by one thread for a whole block, on
-a GPU contact by contact, by ``queues.py``.
+Broad phase: a contact is skipped while the accumulated motion bound of its set (``motion_bound.py``) is below its
+safe travel, that is, while its point cannot have moved farther than its last clearance. The test is applied to sets,
+clusters and single contacts, in this order. Narrow phase: ``closest_point.py`` evaluates the remaining contacts. The
+kernel writes ``Contacts``, ``ActiveContacts`` and ``Cache``. On a GPU, ``contact_detection_queues.py`` and
+``contact_detection_grid.py`` do the same with one thread per contact.
 """
 
 import functools
@@ -37,7 +39,7 @@ from warpcontact.kernels.types import (
 
 @functools.cache
 def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
-    """Returns the device functions for ``real``; ``tracks`` and ``part`` are those of ``closest_point``."""
+    """Returns the device functions for ``real``. ``tracks`` and ``part``: see ``closest_point.functions``."""
     t = structs(real)
     Model, History, Contacts, ActiveContacts, Cache = t.Model, t.History, t.Contacts, t.ActiveContacts, t.Cache
     narrow = narrow_phase.functions(real, tracks, part)
@@ -57,15 +59,15 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
 
     @wp.func
     def cluster_clearance(model: Model, set_frames: SetFrames, cache: Cache, env: int, cluster: int):
-        """How far a point in the middle of a block is from coming to touch, or to be on the inner side [m].
+        """Returns a lower bound on the distance of a cluster's center to the surface or its inner side [m].
 
-        All that lies nearer to it than this is as free. Negative: nothing is known.
+        Points nearer to the center than this are on the outer side as well. Negative: unknown.
         """
         query_mesh = set_frames.query_mesh
         c_W = set_frames.offset_W + set_frames.R_WB * model.cluster_center[env, cluster]
         c_S = set_frames.inverse_scale * (wp.transpose(set_frames.R_WS) * c_W)
         if wp.static(part in (DETECT_GRID, DETECT_GRID_FAR, DETECT_GRID_ANY)):
-            # Where that is little, each point looks into its own.
+            # Near the surface this bound is small, and each contact reads its own cell.
             return set_frames.scale * cell_at(model, query_mesh, c_S).clearance
         extent = max_coordinate(c_S)
         if wp.static(part == DETECT_ALL):
@@ -87,7 +89,7 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
             closest = closest_on_face(model, set_frames.start + query.face, c_S)
             error = query_error(model, query_mesh, extent, closest.distance)
             if wp.static(real is wp.float64) or model.query_mesh_thin_length[query_mesh] > real(0.0):
-                # One that the query takes for as near may show the other side.
+                # Among faces within the error of the query another may be nearest, with the point on its inner side.
                 closest = refine_closest(model, query_mesh, c_S, closest, error)
         if is_inside(model, closest):
             return real(-1.0)
@@ -95,7 +97,7 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
 
     @wp.func
     def contact_clearance(model: Model, env: int, cluster: int, contact: int, center_clearance: real):
-        """Clearance of one contact, from the clearance at the center of its cluster [m]."""
+        """Returns the clearance of one contact, from the clearance at the center of its cluster [m]."""
         arm_B = (
             model.point_position[env, assume_nonnegative(model.contact_point[contact])]
             - model.cluster_center[env, cluster]
@@ -105,7 +107,7 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
 
     @wp.func
     def probe_distance(model: Model, env: int, start: int, stop: int, cluster: int, center_clearance: real):
-        """Displacement of a cluster after which the clearance at its center can cull a contact again [m]."""
+        """Returns the displacement of a cluster after which the clearance at its center can cull again [m]."""
         smallest = real(wp.inf)
         for index in range(start, stop):
             smallest = wp.min(
@@ -119,17 +121,17 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
 
     @wp.func
     def needs_arming(model: Model, history: History, env: int, contact: int):
-        """Whether a latched contact is not armed yet: a look has to tell when it comes into sight."""
+        """Returns whether a latched contact is not armed. Only the narrow phase can arm it."""
         if wp.static(tracks):
             return (model.contact_options[contact] & LATCHED) != 0 and history.armed[env, contact] == 0
         return False
 
     @wp.func
     def can_cull(model: Model, history: History, env: int, contact: int):
-        """Whether a contact is of no concern if it is far away on the outer side, as its surroundings are.
+        """Returns whether a contact may be culled if its surroundings are far away on the outer side.
 
-        One that stays with the face that it touched is on the inner side of that, wherever it is; another may have
-        to be armed.
+        A tracked contact may not, because the face that it tracks determines its side. A latched contact that is not
+        armed may not, because only the narrow phase can arm it.
         """
         if wp.static(tracks):
             if (model.contact_options[contact] & TRACKED) != 0 and history.face[env, contact] >= 0:
@@ -149,9 +151,9 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
         contact: int,
         center_clearance: real,
     ):
-        """Fills ``contacts`` for one that is far away on the outer side, as the middle of its block shows.
+        """Marks a contact as far if the clearance at the center of its cluster is sufficient.
 
-        Returns how far its point can move and not touch [m]; negative: nothing is known, and nothing was filled.
+        Returns the distance that its point can move without contact [m]. Negative: unknown; nothing was written.
         """
         if not (center_clearance > real(0.0)) or cache.face_count[env, contact] != 0:
             return real(-1.0)
@@ -165,7 +167,7 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
 
     @wp.func
     def safe_travel_for(travel: real, clearance: real):
-        """Travel up to which a contact that is ``clearance`` cannot touch [m]."""
+        """Returns the safe travel of a contact with this clearance [m]."""
         if not (clearance > real(0.0)):
             return real(0.0)
         return rounded_down * (travel + clearance)
@@ -181,7 +183,7 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
         travel: real,
         center_clearance: real,
     ):
-        """Lets a contact that is asleep sleep longer if the middle of its block shows that it can."""
+        """Returns the safe travel of a culled contact, extended if the clearance at the cluster center allows [m]."""
         safe_travel = cache.safe_travel[env, contact]
         if needs_arming(model, history, env, contact):
             return safe_travel
@@ -194,7 +196,7 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
 
     @wp.func
     def has_uncached(model: Model, cache: Cache, env: int, start: int, stop: int, max_travel: real):
-        """Whether some contact of a block is awake and no faces near it are known."""
+        """Returns whether any contact of a cluster that cannot be culled has no cached faces."""
         for index in range(start, stop):
             contact = assume_nonnegative(model.cluster_contact[index])
             if cache.face_count[env, contact] == 0 and not (max_travel < cache.safe_travel[env, contact]):
@@ -203,9 +205,10 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
 
     @wp.func
     def needs_history(contacts: Contacts, history: History, env: int, contact: int, previous_status: int):
-        """1 if the rest of the step has to do with a contact: it touches, or did, or its latch moved; or 0.
+        """Returns 1 if the later stages must process a contact, otherwise 0.
 
-        ``previous_status`` is its status when it was looked at last, not necessarily in an accepted step.
+        They must if it is in contact, was in contact, or its latch changed. ``previous_status`` is the status of the last
+        evaluation, which need not belong to an accepted step.
         """
         latch_changed = contacts.armed[env, contact] != history.armed[env, contact]
         was_touching = previous_status == CONTACT or history.entry_speed[env, contact] >= real(0.0)
@@ -223,12 +226,12 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
         travel: real,
         max_travel: real,
     ):
-        """Clearance at the center of a cluster, if that can cull some of its contacts; negative: unknown.
+        """Returns the clearance at the center of a cluster if that can cull any of its contacts; negative: unknown.
 
         One search at the center can cull all contacts that are far from the surface.
         """
         if stop - start > 1 and travel >= cache.cluster_probe_travel[env, cluster]:
-            # (Nested, as Warp computes both sides of an ``and``.)
+            # Nested, because Warp evaluates both operands of ``and``.
             if has_uncached(model, cache, env, start, stop, max_travel):
                 return cluster_clearance(model, set_frames, cache, env, cluster)
         return real(-1.0)
@@ -245,7 +248,7 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
         clearance: real,
         previous_status: int,
     ):
-        """Remembers what was found of a contact; returns the travel up to which it may be left alone [m]."""
+        """Stores the result for one contact; returns its safe travel [m]."""
         safe_travel = safe_travel_for(travel, clearance)
         cache.safe_travel[env, contact] = safe_travel
         active_contacts.needs_history[env, contact] = needs_history(
@@ -267,12 +270,12 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
         active_count: int,
         min_safe_travel: real,
     ):
-        """Remembers of a block when it has to be looked at again, and when in its middle."""
+        """Stores the safe travel of a cluster and the travel after which its center is probed again."""
         if center_clearance >= real(0.0) and not culled_any:
             cache.cluster_probe_travel[env, cluster] = travel + probe_distance(
                 model, env, start, stop, cluster, center_clearance
             )
-        # What is new is told until history has it; a step may be taken again.
+        # A cluster with active contacts is evaluated in every step, because a step may be repeated.
         cache.cluster_safe_travel[env, cluster] = wp.where(active_count > 0, real(0.0), min_safe_travel)
 
     return SimpleNamespace(
@@ -300,16 +303,16 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
 
 @functools.cache
 def kernel(real: type, tracks: bool) -> wp.Kernel:
-    """Returns the kernel that fills ``contacts`` and ``active_contacts`` from ``state``; items: blocks.
+    """Returns the kernel that fills ``contacts`` and ``active_contacts`` from ``state``; items: clusters.
 
-    With ``cached``, only contacts that can touch are evaluated, and their clearances are stored. Contacts that it
-    skips do not touch and did not in the last step; ``active_contacts`` lists the others. Without ``cached``,
-    all contacts are evaluated and listed, and gap, normal and contact point are written for distant ones too.
-    Results for the other contacts are identical.
+    With ``cached``, only contacts that cannot be culled are evaluated, and their clearances are stored. Culled contacts
+    are open and were open in the last step; ``active_contacts`` lists the others. Without ``cached``, all contacts are
+    evaluated and listed, and gap, normal and contact point are written for distant ones too. Results for the other
+    contacts are identical.
 
     Args:
-        real: Type of a real number.
-        tracks: Whether any contact stays with the part of the surface that it touched.
+        real: Scalar type, ``wp.float32`` or ``wp.float64``.
+        tracks: Whether any contact is latched or swept and so tracks the face that it touched.
     """
     t = structs(real)
     Model, State, History = t.Model, t.State, t.History
@@ -395,7 +398,7 @@ def kernel(real: type, tracks: bool) -> wp.Kernel:
                         )
                         min_safe_travel = wp.min(min_safe_travel, safe_travel)
                     elif contacts.status[env, contact] == CONTACT:
-                        # A later look with ``cached`` may not leave it out.
+                        # A later evaluation with ``cached`` must not cull this contact.
                         cache.safe_travel[env, contact] = real(0.0)
                         active_count += 1
                 if cached:

@@ -1,7 +1,8 @@
-"""Which contacts a step has to do with, where all meshes have cells: nothing is remembered but what is quiet.
+"""Contact detection if all query meshes have face grids.
 
-The cell of a point tells at once that it is far away, or which few faces to look at. What no cell tells of is left
-to a second launch, which searches: points that lie deep, or beside a boundary.
+The cell of a point (``face_grid.py``) gives its clearance, or the few faces that may be nearest. Contacts that no cell
+decides, deep inside or outside the boundary of an open surface, are searched with the BVH, on a GPU in a second launch
+(``remaining``). No face lists or safe travels are cached; only inactive clusters are marked.
 """
 
 import functools
@@ -22,22 +23,23 @@ from warpcontact.kernels.types import (
     task_item,
 )
 
-# What ``ActiveContacts.needs_history`` says of a contact that is left to the second launch.
+# Value of ``ActiveContacts.needs_history`` of a contact that the second launch evaluates.
 NEEDS_SEARCH = 2
-# Registers of a thread of a GPU in float32, so that many of them wait for memory at once; measured.
+# Register limit per GPU thread in float32 (measured): with fewer registers more threads are resident, which hides
+# memory latency.
 REGISTERS = 80
 
 
 @functools.cache
 def _functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
-    """Returns the device functions of ``near.functions``, and those of blocks."""
+    """Returns the device functions of ``contact_detection.functions`` and the compaction of clusters."""
     t = structs(real)
     Model, ActiveContacts = t.Model, t.ActiveContacts
     detection = contact_detection.functions(real, tracks, part)
 
     @wp.func
     def compact(model: Model, active_contacts: ActiveContacts, env: int, cluster: int):
-        """Lists the contacts of a block with news, in their order."""
+        """Lists the contacts of a cluster that need later stages, in their order; returns their number."""
         start = assume_nonnegative(model.cluster_start[cluster])
         count = wp.int32(0)
         for index in range(start, model.cluster_start[cluster + 1]):
@@ -53,13 +55,13 @@ def _functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
 
 @functools.cache
 def kernel(real: type, tracks: bool, width: int, search_now: bool) -> wp.Kernel:
-    """Returns the kernel that fills ``contacts`` and ``active_contacts`` from ``state``; items: blocks.
+    """Returns the kernel that fills ``contacts`` and ``active_contacts`` from ``state``; items: clusters.
 
     Args:
-        real: Type of a real number.
-        tracks: Whether any contact stays with the part of the surface that it touched.
-        width: Threads of a block on a GPU, a power of two, one for each of its contacts; 0: one thread for all.
-        search_now: Whether to search at once for what cells do not tell, and not to leave it to ``remaining``.
+        real: Scalar type, ``wp.float32`` or ``wp.float64``.
+        tracks: Whether any contact is latched or swept and so tracks the face that it touched.
+        width: Threads per cluster on a GPU, a power of two, one per contact. 0: one thread per cluster.
+        search_now: Whether to query the BVH in this kernel instead of deferring contacts to ``remaining``.
     """
     t = structs(real)
     Model, State, History = t.Model, t.State, t.History
@@ -77,7 +79,7 @@ def kernel(real: type, tracks: bool, width: int, search_now: bool) -> wp.Kernel:
 
     @wp.func
     def is_clear(model: Model, history: History, env: int, cluster: int, contact: int, center_clearance: real):
-        """Whether the middle of its block shows that a contact is far away on the outer side."""
+        """Returns whether the clearance at the cluster center shows that a contact is far on the outer side."""
         if not (center_clearance > real(0.0)) or not can_cull(model, history, env, contact):
             return False
         return contact_clearance(model, env, cluster, contact, center_clearance) > real(0.0)
@@ -96,16 +98,16 @@ def kernel(real: type, tracks: bool, width: int, search_now: bool) -> wp.Kernel:
         center_clearance: real,
         was_inactive: bool,
     ):
-        """Looks at a contact; returns whether the rest of the step has to do with it, or ``NEEDS_SEARCH``."""
+        """Evaluates a contact; returns 1 if later stages must process it, 0 if not, or ``NEEDS_SEARCH``."""
         result = wp.static(NEEDS_SEARCH)
-        # Right before it is written, what this comes with would be long in coming.
+        # Read early: directly before the write the thread would wait for this cache line.
         previous_status = contacts.status[env, contact]
         clearance = is_clear(model, history, env, cluster, contact, center_clearance)
         detected = DetectedContact()
         if not clearance:
             detected = detect(model, set_frames, history, True, cache, env, contact)
         if clearance or detected.clearance != real(DEFERRED):
-            # One that was quiet, and is, has nothing to tell.
+            # A contact that was inactive and still is needs no write.
             if (
                 was_inactive
                 and not detected.has_details
@@ -168,7 +170,7 @@ def kernel(real: type, tracks: bool, width: int, search_now: bool) -> wp.Kernel:
                         compact(model, active_contacts, env, cluster) == 0, 1, 0
                     )
         else:
-            # The threads of a warp have whole blocks, and all of them have to come by where they vote.
+            # A warp holds whole clusters. All its lanes must reach the ballots below, so there is no early exit.
             task = assume_nonnegative(wp.tid()) // wp.static(max(1, width))
             lane = assume_nonnegative(wp.tid()) % wp.static(max(1, width))
             has_task = task < task_count(launch)
@@ -225,7 +227,7 @@ def kernel(real: type, tracks: bool, width: int, search_now: bool) -> wp.Kernel:
 
 @functools.cache
 def remaining(real: type, tracks: bool) -> wp.Kernel:
-    """Returns the kernel that searches for what ``kernel`` left, block by block; items: blocks."""
+    """Returns the kernel that evaluates the contacts deferred by ``kernel``; items: clusters."""
     t = structs(real)
     Model, State, History = t.Model, t.State, t.History
     Contacts, ActiveContacts, Cache = t.Contacts, t.ActiveContacts, t.Cache

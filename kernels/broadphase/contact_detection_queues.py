@@ -1,10 +1,10 @@
-"""The same on a GPU, contact by contact: threads side by side do the same kind of work.
+"""Contact detection on a GPU with work queues, so that neighboring threads do the same kind of work.
 
-Contacts that may touch are put into a queue; what is sure to be nearest is looked at there, and what needs more is
-handed on: to the remembered faces, then to a search, each with a queue of its own. Blocks of which nothing is
-known are probed before. About meshes with cells, where no faces are remembered, contacts look into their cell, and
-what no cell tells of is searched for. In the end each block gathers which of its contacts the rest of the step has
-to do with.
+``enqueue`` puts contacts that cannot be culled into the first queue and clusters without cached faces into a queue of
+their own. ``probe_clusters`` culls contacts of these clusters by the clearance at the center. ``process`` evaluates
+one queue and passes contacts that it cannot decide to the next: cached nearest face, cached candidates, BVH search; or,
+with a face grid, the cell of the point, then a BVH search. ``compact`` lists the active contacts of each cluster.
+Results equal those of ``contact_detection.py``.
 """
 
 import functools
@@ -24,7 +24,7 @@ from warpcontact.kernels.narrowphase.closest_point import (
 )
 from warpcontact.kernels.types import ENV_ACTIVE, LaunchRange, first_env, structs, task_count, task_env, task_item
 
-# Queues of contacts, by what they need; that of blocks to probe comes first.
+# Queue index of each part of the narrow phase. Queue 0 holds the clusters to probe.
 QUEUE_INDEX = {
     DETECT_CACHED: 1,
     DETECT_FACE_CACHE: 1,
@@ -33,10 +33,10 @@ QUEUE_INDEX = {
     DETECT_BVH: 3,
     DETECT_QUERY: 3,
 }
-# Registers of a search in float32, which would take 200: with so few an H200 holds all its threads at once
-# (``schedule.SEARCHING``). They wait for memory most of the time.
+# Register limit of the search in float32, which would use 200. With 128, an H200 holds all its threads
+# (``execution_plan.SEARCH_THREADS``) at the same time. They wait for memory most of the time.
 SEARCH_REGISTERS = 128
-# Of a look into a cell, likewise.
+# Register limit of the evaluation of a grid cell, for the same reason.
 CELL_REGISTERS = 112
 
 
@@ -53,7 +53,7 @@ def _push(real: type) -> wp.Function:
 
 @functools.cache
 def enqueue(real: type, tracks: bool) -> wp.Kernel:
-    """Returns the kernel that puts contacts that may touch into the first queue; items: blocks."""
+    """Returns the kernel that puts contacts that cannot be culled into the first queue; items: clusters."""
     t = structs(real)
     Model, Cache = t.Model, t.Cache
     has_uncached = contact_detection.functions(real, tracks, DETECT_CACHED).has_uncached
@@ -89,9 +89,9 @@ def enqueue(real: type, tracks: bool) -> wp.Kernel:
 
 @functools.cache
 def probe_clusters(real: type, tracks: bool, uses_grid: bool) -> wp.Kernel:
-    """Returns the kernel that looks in the middle of blocks of which nothing is known; items: blocks.
+    """Returns the kernel that evaluates the centers of clusters without cached faces; items: clusters.
 
-    ``uses_grid``: whether all meshes have cells, which tell; else it searches.
+    ``uses_grid``: Whether all query meshes have a face grid; otherwise the kernel searches the BVH.
     """
     t = structs(real)
     Model, State, History, Contacts, ActiveContacts, Cache = (
@@ -156,7 +156,7 @@ def probe_clusters(real: type, tracks: bool, uses_grid: bool) -> wp.Kernel:
 
 @functools.cache
 def process(real: type, tracks: bool, part: str, next_part: str) -> wp.Kernel:
-    """Returns the kernel that looks at the contacts in the queue of ``part`` or hands them on; items: contacts."""
+    """Returns the kernel that evaluates the queue of ``part``; undecided contacts go to ``next_part``."""
     t = structs(real)
     Model, State, History, Contacts, ActiveContacts, Cache = (
         t.Model,
@@ -209,7 +209,7 @@ def process(real: type, tracks: bool, part: str, next_part: str) -> wp.Kernel:
                     contacts, history, env, contact, previous_status
                 )
                 if wp.static(part in (DETECT_GRID, DETECT_QUERY)):
-                    # Of what is near a look in the middle of its block tells nothing.
+                    # If any contact is near the surface, the clearance at the cluster center cannot cull it.
                     size = set_frames.scale * model.query_mesh_cell_size[set_frames.query_mesh]
                     cache.face_count[env, contact] = wp.where(clearance < size, 1, 0)
 
@@ -218,7 +218,7 @@ def process(real: type, tracks: bool, part: str, next_part: str) -> wp.Kernel:
 
 @functools.cache
 def compact(real: type) -> wp.Kernel:
-    """Returns the kernel that lists in ``active_contacts`` what was found; items: blocks."""
+    """Returns the kernel that lists active contacts in ``active_contacts``; items: clusters."""
     t = structs(real)
     Model, ActiveContacts, Cache = t.Model, t.ActiveContacts, t.Cache
 
@@ -250,7 +250,7 @@ def compact(real: type) -> wp.Kernel:
                     active_contacts.contact[env, start + count] = contact
                     count += 1
             active_contacts.count[env, cluster] = count
-            # What is new is told until history has it; a step may be taken again.
+            # A cluster with active contacts is evaluated in every step, because a step may be repeated.
             cache.cluster_safe_travel[env, cluster] = wp.where(count > 0, real(0.0), safe_travel)
 
     return compact_contacts

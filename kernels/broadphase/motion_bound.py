@@ -1,4 +1,8 @@
-"""How far the points of a set moved over their surface: none that was farther away than this can touch it now."""
+"""Bounds the motion of point sets relative to their surface.
+
+``Cache.set_travel`` accumulates, per set, an upper bound on the displacement of its points, as in conservative
+advancement (Mirtich 1996). A point whose clearance exceeded the travel since then cannot be in contact.
+"""
 
 import functools
 from types import SimpleNamespace
@@ -16,7 +20,7 @@ from warpcontact.kernels.types import (
     task_item,
 )
 
-# Rounding of a position, in units of epsilon times the size of what it is computed from.
+# Rounding error of a position, in units of epsilon times the sum of its terms.
 ROUNDING = 32.0
 
 
@@ -36,15 +40,15 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.struct
     class SetPose:
-        """Where a set of points is, seen from its surface."""
+        """Pose of a point set relative to its surface."""
 
-        position: vec3  # its middle, S [m]
-        orientation: quat  # B → S, if it has an extent
+        position: vec3  # center of the set, S [m]
+        orientation: quat  # B → S, if the set has an extent
         margin: real  # rounding of a position [m]
 
     @wp.func
     def one_norm(v: vec3):
-        """The length of a vector, or up to √3 times that."""
+        """Returns the sum of absolute components, between 1 and √3 times the length."""
         return wp.abs(v[0]) + wp.abs(v[1]) + wp.abs(v[2])
 
     @wp.func
@@ -64,7 +68,7 @@ def functions(real: type) -> SimpleNamespace:
         pose = SetPose()
         pose.position = wp.quat_rotate_inv(q_WS, c_W)
         extent = model.set_extent[env, set_index]
-        # A single point is where it is however it turns.
+        # The orientation does not affect a single point.
         if extent > real(0.0):
             pose.orientation = wp.quat_inverse(q_WS)
             if body >= 0:
@@ -74,11 +78,11 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def displacement_bound(model: Model, cache: Cache, env: int, set_index: int, pose: SetPose):
-        """How far, at most, any point of the set is from where it was when its travel was last added up [m]."""
+        """Returns an upper bound on the displacement of any point of the set since the last accumulation [m]."""
         displacement = wp.length(pose.position - cache.set_position[env, set_index])
         extent = model.set_extent[env, set_index]
         if extent > real(0.0):
-            # Two rotations, as unit quaternions, move a point at distance 1 from each other by 2 |q − q'| at most.
+            # Unit quaternions q, q' move a point at distance 1 from the center to places at most 2 |q − q'| apart.
             last = cache.set_orientation[env, set_index]
             displacement += (
                 real(2.0) * extent * wp.min(wp.length(pose.orientation - last), wp.length(pose.orientation + last))
@@ -87,7 +91,7 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def accumulate_travel(model: Model, state: State, cache: Cache, env: int, set_index: int):
-        """Adds up the travel of a set; returns it with the rounding of positions, as it is held against wakes."""
+        """Adds the displacement of a set to its travel; returns the travel plus the rounding of positions [m]."""
         pose = set_pose(model, state, env, set_index)
         displacement = displacement_bound(model, cache, env, set_index, pose)
         previous_travel = cache.set_travel[env, set_index]
@@ -101,11 +105,11 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def is_culled(model: Model, cache: Cache, env: int, set_index: int, max_travel: real):
-        """Whether no point of a set can touch yet."""
+        """Returns whether no point of a set can be in contact."""
         safe_travel = cache.set_safe_travel[env, set_index]
         if max_travel < safe_travel:
             return True
-        # Its blocks may have learned more since.
+        # Safe travels of the clusters may have grown since.
         safe_travel = real(wp.inf)
         cluster = assume_nonnegative(model.set_cluster_start[set_index])
         stop = model.set_cluster_start[set_index + 1]
@@ -125,9 +129,9 @@ def functions(real: type) -> SimpleNamespace:
 
 @functools.cache
 def kernel(real: type) -> wp.Kernel:
-    """Returns the kernel that adds up the travel of every set; items: sets.
+    """Returns the kernel that accumulates the travel of every set; items: sets.
 
-    It is seen from the surface, which may move as well. A body that was put elsewhere has travelled there.
+    Motion is measured relative to the surface, which may move as well. Setting the pose of a body counts as motion.
     """
     t = structs(real)
     Model, State, Cache = t.Model, t.State, t.Cache

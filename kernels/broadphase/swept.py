@@ -1,4 +1,4 @@
-"""Finds points that cross a surface from its outer side within a step: however fast, they are caught."""
+"""Swept test (continuous detection): finds points that cross a surface from its outer side within a step."""
 
 import functools
 
@@ -25,20 +25,20 @@ from warpcontact.kernels.types import (
     task_item,
 )
 
-# Rounding of the test, in units of epsilon times the size of the coordinates: what passes between two faces would
-# be lost, so each takes in a little more than itself.
+# Rounding error of the test, in units of epsilon times the size of the coordinates. Faces are enlarged by it, so
+# that no point passes between two faces.
 ROUNDING = 64.0
-# Times a point may go in and out within a step.
+# Largest number of crossings of one point within a step.
 MAX_CROSSINGS = 8
 
 
 @functools.cache
 def kernel(real: type) -> wp.Kernel:
-    """Returns the kernel that follows swept contacts in and out of their surface; items: blocks.
+    """Returns the kernel that tracks swept contacts through their surface; items: clusters.
 
-    A point moves on a straight line from ``state_in`` to ``state_out`` as seen from the surface. The first time
-    that it goes in is what counts as a crossing; whatever it is over in the end is ``face`` and ``crossed_face``.
-    ``active_contacts`` lists those that crossed after the others, which have had to do with the step before.
+    Relative to the surface, a point moves on a straight line from ``state_in`` to ``state_out``. The first inward
+    crossing is recorded; ``face`` and ``crossed_face`` are the face below the point at the end of the step. Contacts
+    that crossed are appended to ``active_contacts``, unless they are listed already.
     """
     t = structs(real)
     vec3, Model, State, Contacts, ActiveContacts, Cache = (
@@ -65,7 +65,7 @@ def kernel(real: type) -> wp.Kernel:
 
     @wp.func
     def to_surface(model: Model, state: State, env: int, contact: int, surface: int):
-        """The point in the mesh's frame and unit."""
+        """Returns the point of a contact in the frame and unit of the mesh."""
         point = model.contact_point[contact]
         carrier = model.surface_body[surface]
         arm_W = rotate_to_world(state, env, model.point_body[point], model.point_position[env, point])
@@ -80,9 +80,9 @@ def kernel(real: type) -> wp.Kernel:
 
     @wp.func
     def face_crossing(model: Model, row: int, p: vec3, q: vec3, sense: real, slack: real):
-        """Where on the way from ``p`` to ``q`` face ``row`` is crossed, 0 to 1; 2: nowhere.
+        """Returns the fraction of the path from ``p`` to ``q`` at which face ``row`` is crossed; 2: not crossed.
 
-        Inwards with ``sense`` 1, outwards with −1.
+        ``sense``: 1: inwards, −1: outwards.
         """
         n = model.face_normal[row, 0]
         a = model.face_corner[row, 0]
@@ -104,9 +104,9 @@ def kernel(real: type) -> wp.Kernel:
 
     @wp.func
     def first_crossing(model: Model, query_mesh: int, holding_face: int, p: vec3, q: vec3):
-        """Where on the way from ``p`` to ``q`` a face is first crossed, 0 to 1, and its row; 2 and −1: nowhere.
+        """Returns the fraction of the path from ``p`` to ``q`` at the first crossing, and the row; 2 and −1: none.
 
-        An active face, inwards; or, if the point is inside, a face of the sheet of ``holding_face``, outwards.
+        If ``holding_face`` < 0, inward crossings of active faces count; otherwise outward crossings of its sheet.
         """
         sense = wp.where(holding_face >= 0, real(-1.0), real(1.0))
         scale = max_component(p) + max_component(q)
@@ -138,7 +138,7 @@ def kernel(real: type) -> wp.Kernel:
 
     @wp.func
     def plane_crossing(model: Model, row: int, p: vec3, q: vec3):
-        """Where on the way from ``p`` to ``q`` the plane of face ``row`` is passed, 0 to 1."""
+        """Returns the fraction of the path from ``p`` to ``q`` at which the plane of face ``row`` is crossed."""
         n = model.face_normal[row, 0]
         before = wp.dot(p - model.face_corner[row, 0], n)
         after = wp.dot(q - model.face_corner[row, 0], n)
@@ -151,19 +151,19 @@ def kernel(real: type) -> wp.Kernel:
         option = model.contact_options[contact]
         if (option & SWEPT) == 0 or model.contact_geometry[env, contact].enabled == 0:
             return False
-        # Not armed: known to be on the wrong side, or never near enough for its side to be known.
+        # Not armed: on the wrong side, or never near enough to determine the side.
         armed = contacts.armed[env, contact] != 0 or contacts.status[env, contact] == FAR
         return armed or (option & LATCHED) == 0
 
     @wp.func
     def track_through(model: Model, state_in: State, state_out: State, contacts: Contacts, env: int, contact: int):
-        """Follows a contact into and out of its surface; returns whether it crossed inwards."""
+        """Tracks a contact into and out of its surface; returns whether it crossed inwards."""
         base = model.contact_query_mesh[contact]
         surface = model.query_mesh_surface[base]
         query_mesh = base + model.surface_mesh[env, surface]
         p = to_surface(model, state_in, env, contact, surface)
         q = to_surface(model, state_out, env, contact, surface)
-        # A point on the inner side is held by a face, and free from where it comes out of that sheet.
+        # A point on the inner side belongs to a face until it leaves the sheet of that face.
         holding_face = wp.int32(-1)
         depth = contacts.penetration[env, contact] - model.contact_geometry[env, contact].radius
         if contacts.status[env, contact] == CONTACT and depth >= real(0.0):
@@ -179,7 +179,7 @@ def kernel(real: type) -> wp.Kernel:
                 if fraction > real(1.0):
                     if is_inside(model, closest):
                         break
-                    # Past a boundary it comes out where it passes the plane of the face there.
+                    # Past a boundary, the point is free again where it passes the plane of the face.
                     fraction = plane_crossing(model, final_face, p, q)
             elif row < 0:
                 break
@@ -191,7 +191,7 @@ def kernel(real: type) -> wp.Kernel:
             p = p + fraction * (q - p)
             elapsed_fraction = elapsed_fraction + (real(1.0) - elapsed_fraction) * fraction
         if final_face >= 0:
-            # Whatever face it was held by, from the one that it is over now its nearest point is found.
+            # The next closest-point search starts from the face at the end of the path.
             contacts.face[env, contact] = final_face
         if entry_fraction > real(1.0):
             return False
@@ -211,8 +211,8 @@ def kernel(real: type) -> wp.Kernel:
         cache: Cache,
         contacts: Contacts,
         active_contacts: ActiveContacts,
-        mark_crossings: wp.int32,  # whether environments with a crossing are to take the step again
-        any_crossed: wp.array(dtype=wp.int32),  # [0] set if there are any
+        mark_crossings: wp.int32,  # whether environments with a crossing repeat the step in substeps
+        any_crossed: wp.array(dtype=wp.int32),  # [0] 1 if any environment is marked
     ):
         for task in range(wp.tid(), task_count(launch), launch.threads):
             env = task_env(launch, task)
@@ -223,11 +223,11 @@ def kernel(real: type) -> wp.Kernel:
             start = model.cluster_start[cluster]
             if (model.contact_options[model.cluster_contact[start]] & SWEPT) == 0:
                 continue
-            # A step that is taken again may have crossed elsewhere before.
+            # A repeated step may have crossed other faces before.
             count = active_contacts.count[env, cluster]
             for i in range(start, start + count):
                 contacts.crossed_face[env, active_contacts.contact[env, i]] = -1
-            # At the end of the step; what could not even touch until then did not cross.
+            # Travel at the end of the step: contacts that are still culled there did not cross.
             max_travel = real(wp.inf)
             if cached:
                 set_index = model.cluster_set[cluster]
@@ -254,7 +254,7 @@ def kernel(real: type) -> wp.Kernel:
                     active_contacts.contact[env, start + count + crossed] = contact
                     crossed += 1
                 if mark_crossings != 0:
-                    # Many threads may say so, all the same.
+                    # Several threads may write the same values.
                     status[env] = ENV_SUBSTEP
                     any_crossed[0] = 1
             active_contacts.crossed_count[env, cluster] = crossed
@@ -264,9 +264,9 @@ def kernel(real: type) -> wp.Kernel:
 
 @functools.cache
 def mask_substeps() -> wp.Kernel:
-    """Returns the kernel that lets environments take turns.
+    """Returns the kernel that masks environments for substeps; items: environments.
 
-    ``restore`` 0: those with a crossing become active and the active ones wait; 1: all that can be are active.
+    ``restore`` 0: environments with a crossing become active, active ones are paused. 1: both become active again.
     """
 
     @unique_kernel()

@@ -1,12 +1,12 @@
-"""Memory of laws and friction models: what a formula declares by ``history_in``, one struct per contact and environment.
+"""History variables of laws and friction models: one struct per contact and environment.
 
-The force stage never changes it. It recalls the memory of the last accepted step, lets the formula advance it to
-the present instant, answers with the force, and keeps the result in a second array; ``history.py`` takes that over
-once the step is accepted. So a force can be asked for any number of times. How long ago the memory was advanced is
-part of it.
+A model declares them by ``history_in``. The force stage reads the variables of the last accepted step, lets the model
+advance them to the present instant, evaluates the force and writes the advanced variables to a second array.
+``history.py`` copies them once the step is accepted. So a force can be evaluated any number of times. The time since
+the last advance is one of the variables.
 
-A tangent vector is kept in the axes of the surface, so that it turns with it, and follows the normal by the
-smallest rotation from the last normal to the present one.
+A tangent vector is stored in the axes of the surface, so that it rotates with it, and is transported by the smallest
+rotation from the last normal to the present one.
 """
 
 import functools
@@ -19,32 +19,32 @@ from warpcontact.kernels.types import structs
 
 
 def memory_struct(formula: type[Formula], real: type) -> Any:
-    """Returns the struct of what ``formula`` remembers; of a formula without memory it is never looked at."""
+    """Returns the struct of the history variables of ``formula``; unused if there are none."""
     vec3 = structs(real).vec3
     fields = tuple((name, vec3 if field.tangent else real) for name, field in formula.memories.items())
     return named_struct(f"{formula.__name__}Memory", (*fields, ("elapsed", real), ("_normal", vec3)))
 
 
 class Functions(NamedTuple):
-    """Device functions of one part of a contact."""
+    """Device functions of one model of a contact."""
 
-    #: ``(memory, kept, env, member, p, x, max_elapsed, dt, q_WS, n_W)``: the force, from the memory advanced by no
-    #: more than ``max_elapsed`` [s], which is kept.
+    #: ``(history_in, history_out, env, member, p, x, max_elapsed, dt, q_WS, n_W)``: returns the force; writes the
+    #: history, advanced by at most ``max_elapsed`` [s], to ``history_out``.
     evaluate: wp.Function
-    #: ``(p, x)``: the force of a contact that has just begun.
+    #: ``(p, x)``: returns the force at the start of a contact.
     start_force: wp.Function
-    #: ``(kept, env, member, dt)``: keeps an empty memory.
+    #: ``(history_out, env, member, dt)``: clears the history.
     clear_history: wp.Function
 
 
 @functools.cache
 def functions(formula: type[Formula], real: type, along_normal: bool = False) -> Functions:
-    """Returns the device functions of one part of a contact.
+    """Returns the device functions of one model of a contact.
 
     Args:
-        formula: Law or friction.
-        real: Precision.
-        along_normal: Whether its vectors lie along the normal, as in torsion, not in the tangent plane.
+        formula: Class of the law or friction model.
+        real: Scalar type, ``wp.float32`` or ``wp.float64``.
+        along_normal: Whether its vectors are parallel to the normal, as in torsion, not tangential.
     """
     t = structs(real)
     vec3, quat = t.vec3, t.quat
@@ -57,7 +57,7 @@ def functions(formula: type[Formula], real: type, along_normal: bool = False) ->
 
     @wp.func
     def with_length(v: vec3, size: real):
-        """``v`` at length ``size``: a rounded quaternion scales what it rotates, and every step would again."""
+        """Returns ``v`` scaled to length ``size``, because a rounded quaternion changes lengths a little in each step."""
         length = wp.length(v)
         if length == real(0.0):
             return v
@@ -65,25 +65,25 @@ def functions(formula: type[Formula], real: type, along_normal: bool = False) ->
 
     @wp.func
     def transport(v: vec3, before: vec3, after: vec3):
-        """``v`` by the smallest rotation from unit vector ``before`` to ``after``."""
+        """Returns ``v`` rotated by the smallest rotation from unit vector ``before`` to ``after``."""
         axis = wp.cross(before, after)
         cosine = wp.dot(before, after)
         if cosine < real(-0.999):
-            # Turned over: no direction is the right one, and no memory gives nothing back.
+            # Opposite normals: the rotation is undefined, and a zero vector adds no energy.
             return vec3()
         rotated = wp.cross(axis, v)
         return v + rotated + wp.cross(axis, rotated) / (real(1.0) + cosine)
 
     @wp.func
     def project_tangent(v: vec3, n: vec3):
-        """``v`` without the rounding that is not in the tangent plane, or not along the normal."""
+        """Removes the rounding error normal to the tangent plane, or off the normal with ``along_normal``."""
         if wp.static(along_normal):
             return wp.dot(v, n) * n
         return v - wp.dot(v, n) * n
 
     @wp.func
     def to_world(m: Struct, v_S: vec3, q_WS: quat, n_S: vec3):
-        """Follows the normal and takes a vector to world axes."""
+        """Transports a vector to the present normal and rotates it to world axes."""
         transported_S = project_tangent(transport(v_S, m._normal, n_S), n_S)
         return with_length(
             wp.quat_rotate(q_WS, transported_S), wp.min(wp.length(v_S), real(1.001) * wp.length(transported_S))
@@ -135,7 +135,7 @@ def functions(formula: type[Formula], real: type, along_normal: bool = False) ->
 
 
 def _without_memory(real: type, Array: Any, force: wp.Function) -> Functions:
-    """The same functions for a formula that remembers nothing."""
+    """Returns the same functions for a model without history variables."""
     t = structs(real)
     vec3, quat = t.vec3, t.quat
 
@@ -174,7 +174,7 @@ def _for_each(fields: list[str], Struct: Any, rotated: wp.Function, quat: Any, v
     lines += [f"    m.{name} = turned(m, m.{name}, q_WS, n_S)" for name in fields]
     lines += ["    return m"]
     file = f"<memory of {Struct.key}>"
-    # Where inspect, and with it Warp, looks for source that is in no file.
+    # Registered with linecache, where inspect, and so Warp, finds the source of code without a file.
     linecache.cache[file] = (0, None, [f"{line}\n" for line in lines], file)
     scope = {"Struct": Struct, "turned": rotated, "quat": quat, "vec3": vec3}
     exec(compile("\n".join(lines), file, "exec"), scope)

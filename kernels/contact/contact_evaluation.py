@@ -1,6 +1,6 @@
-"""The mechanics of one touch: from depth and velocities, through law, friction, rolling and torsion, to forces.
+"""Force and torque of one contact, from its kinematics, the normal law and the friction models.
 
-Whatever found the touch, a point on a mesh, two smooth shapes or two spheres of many, it is computed here.
+Used by point contact on meshes, shape contact and particle contact.
 """
 
 import functools
@@ -20,7 +20,7 @@ from warpcontact.kernels.types import FREE, structs
 
 
 class ContactModel(NamedTuple):
-    """The formulas of a contact, as classes: what kernels are compiled from."""
+    """Classes of the models of a contact, for which kernels are compiled."""
 
     law: type[Formula]
     friction: type[Formula] = Frictionless
@@ -29,27 +29,27 @@ class ContactModel(NamedTuple):
 
     @property
     def needs_surface_axes(self) -> bool:
-        """Whether any of them has directions that turn with what is touched."""
+        """Whether any model needs axes that rotate with the surface."""
         return self.directional or any(part.memories for part in self)
 
     @property
     def directional(self) -> bool:
-        """Whether any of them tells directions in the tangent plane apart."""
+        """Whether any friction model depends on the direction in the tangent plane."""
         return self.friction.directional or self.rolling.directional
 
     @property
     def has_rolling(self) -> bool:
-        """Whether anything opposes rolling."""
+        """Whether there is rolling friction."""
         return self.rolling is not Frictionless
 
     @property
     def has_torsion(self) -> bool:
-        """Whether anything opposes spinning about the normal."""
+        """Whether there is torsional friction."""
         return self.torsion is not Frictionless
 
 
 def group_structs(contact_model: ContactModel, real: type) -> tuple[Any, Any]:
-    """Returns the structs of arrays [env, contact of the group]: coefficients and memory of every part."""
+    """Returns the structs of arrays [env, contact of the group]: coefficients and history variables of all models."""
 
     def struct(name: str, dtype_of: Callable[[type[Formula], type], Any]) -> Any:
         elements = [(part, dtype_of(formula, real)) for part, formula in contact_model._asdict().items()]
@@ -60,39 +60,39 @@ def group_structs(contact_model: ContactModel, real: type) -> tuple[Any, Any]:
 
 @functools.cache
 def array_struct(name: str, elements: tuple[tuple[str, Any], ...]) -> Any:
-    """Returns the struct of arrays [env, item] of these elements (name, Warp type)."""
+    """Returns the struct of arrays [env, item] with these elements (name, Warp type)."""
     return named_struct(name, tuple((part, wp.array2d(dtype=dtype)) for part, dtype in elements))
 
 
 @functools.cache
 def kinematics_structs(real: type) -> SimpleNamespace:
-    """Returns what goes into a touch and what comes out of it."""
+    """Returns the structs of the inputs and outputs of a contact evaluation."""
     vec3 = structs(real).vec3
 
     @wp.struct
     class ContactKinematics:
-        """Where two bodies touch, at a point K; normals point from the second to the first."""
+        """Kinematics of a contact at its point K; the normal points from the second body to the first."""
 
         body_1: wp.int32  # or WORLD
         body_2: wp.int32
-        arm_1: vec3  # to K from the centre of mass, W [m]
+        arm_1: vec3  # from the center of mass to K, W [m]
         arm_2: vec3
         normal: vec3  # unit, W
         penetration: real  # > 0 [m]
-        radius: real  # of the rolling body, and of a patch of contact √(radius × penetration) [m]
+        radius: real  # of the rolling body; the radius of the contact patch is √(radius × penetration) [m]
         # Relative principal curvatures, the smaller first; only for laws with needs_curvature
         curvature_1: real  # [1/m]
         curvature_2: real  # [1/m]
 
     @wp.struct
     class ContactForce:
-        """What the second body does to the first; nothing while they do not touch."""
+        """Force of the second body on the first; zero without contact."""
 
         approach_speed: real  # dδ/dt at K [m/s]
         slip_speed: real  # tangential, at K [m/s]
         normal_force: real  # [N]
         friction_force: vec3  # W [N]
-        torque: vec3  # couple of rolling and torsion, W [N·m]
+        torque: vec3  # rolling and torsional friction, W [N·m]
 
     return SimpleNamespace(ContactKinematics=ContactKinematics, ContactForce=ContactForce)
 
@@ -100,13 +100,13 @@ def kinematics_structs(real: type) -> SimpleNamespace:
 class Functions(NamedTuple):
     """Device functions of one group of contacts."""
 
-    #: ``(model, state, env, place, entry_speed, dt, coefficients, remembered, kept, member, torsion_radius,
-    #: q_WS)``: what acts there. ``entry_speed`` is that of the history, < 0 if the contact begins;
-    #: ``torsion_radius`` < 0: that of the overlap under the pressure of Hertz; ``q_WS`` turns the axes of what is
-    #: touched to W, and is only looked at if the parts are ``needs_surface_axes``.
+    #: ``(model, state, env, kinematics, entry_speed, dt, coefficients, history_in, history_out, member,
+    #: torsion_radius, q_WS)``: returns the contact force. ``entry_speed`` < 0: the contact begins [m/s];
+    #: ``torsion_radius`` < 0: mean arm of a Hertz pressure, from the overlap [m]; ``q_WS``: axes of the surface → W,
+    #: read only if ``needs_surface_axes``.
     evaluate_contact: wp.Function
-    #: ``(kept, env, member, armed, dt)``: empties the memory of a contact that does not touch. Was it never on the
-    #: outer side (``armed`` 0), it will begin where it is put, or enabled.
+    #: ``(history_out, env, member, armed, dt)``: clears the history variables of an open contact. A contact that was
+    #: never on the outer side (``armed`` 0) starts without slip when it is enabled or placed in overlap.
     clear_history: wp.Function
 
 
@@ -114,7 +114,7 @@ class Functions(NamedTuple):
 def functions(contact_model: ContactModel, real: type, has_joints: bool = False) -> Functions:
     """Returns the device functions for the classes of ``contact_model``.
 
-    With ``has_joints``, bodies that are not free oppose to a force what their motions let them.
+    With ``has_joints``, the mobility of bodies with joints is that of their joint.
     """
     t = structs(real)
     vec3, quat, Model, State, NormalState, TangentialState = (
@@ -145,14 +145,14 @@ def functions(contact_model: ContactModel, real: type, has_joints: bool = False)
         contact_model.directional,
     )
     lowest = wp.constant(real(-math.inf if contact_model.law.pulls else 0.0))
-    # Mean arm of friction under the pressure of Hertz: (3π/16) a.
+    # Mean arm of friction under a Hertz pressure over radius a: (3π/16) a.
     hertz_arm = wp.constant(real(3.0 * math.pi / 16.0))
     velocity_at = frames.functions(real).velocity_at
     mobility_of_motion = bodies.functions(real).mobility
 
     @wp.func
     def mobility(model: Model, state: State, env: int, body: int, arm_W: vec3, n_W: vec3):
-        """Inverse of the mass that ``body`` opposes to a force along ``n_W`` at ``arm_W``; 0 for the world."""
+        """Returns the inverse effective mass of ``body`` for a force along ``n_W`` at ``arm_W`` [1/kg]; world: 0."""
         if body < 0:
             return real(0.0)
         if wp.static(has_joints):
@@ -175,14 +175,14 @@ def functions(contact_model: ContactModel, real: type, has_joints: bool = False)
 
     @wp.func
     def clip_pull(force: real):
-        """A law that does not pull is cut at zero. Not by max, which turns a NaN into 0 and hides it."""
+        """Clips the force of a law without adhesion at zero. Not with max, which would turn NaN into 0."""
         if force < lowest:
             return lowest
         return force
 
     @wp.func
     def surface_axis(q_WS: quat, n_W: vec3):
-        """The x axis of the surface, laid into the tangent plane; where it is normal to that, the y axis."""
+        """Returns the x axis of the surface projected into the tangent plane, or the y axis if x is normal to it."""
         x_W = wp.quat_rotate(q_WS, vec3(real(1.0), real(0.0), real(0.0)))
         tangent = x_W - wp.dot(x_W, n_W) * n_W
         if wp.length_sq(tangent) < real(1.0e-6):
@@ -213,7 +213,7 @@ def functions(contact_model: ContactModel, real: type, has_joints: bool = False)
     ):
         result = ContactForce()
         n_W = kinematics.normal
-        # Of the second relative to the first: approach is positive.
+        # Velocity of the second body relative to the first: positive in approach.
         v_W = velocity_at(state, env, kinematics.body_2, kinematics.arm_2) - velocity_at(
             state, env, kinematics.body_1, kinematics.arm_1
         )
@@ -222,8 +222,8 @@ def functions(contact_model: ContactModel, real: type, has_joints: bool = False)
         normal_state = NormalState()
         normal_state.delta = kinematics.penetration
         normal_state.delta_dot = approach
-        # A contact that begins here has no entry speed yet; one that reloads faster than it began takes the
-        # faster speed. The same rule advances the history, so a trial state sees the same force.
+        # A new contact has no entry speed yet; a contact that reloads faster than it began takes the higher speed. The
+        # same rule advances the history, so trial states get the same force.
         normal_state.entry_speed = wp.max(wp.max(entry_speed, approach), real(0.0))
         if wp.static(needs_mass):
             normal_state.inverse_mass = mobility(
@@ -235,7 +235,7 @@ def functions(contact_model: ContactModel, real: type, has_joints: bool = False)
             normal_state.curvature_2 = kinematics.curvature_2
         normal_state.dt = dt
         is_new = entry_speed < real(0.0)
-        # What begins since the last step has not moved for longer than it took to come this deep.
+        # A new contact cannot have slipped for longer than it took to reach this penetration.
         max_elapsed = real(math.inf)
         if is_new and approach > real(0.0):
             max_elapsed = normal_state.delta / approach
@@ -245,14 +245,14 @@ def functions(contact_model: ContactModel, real: type, has_joints: bool = False)
         )
         tension = real(0.0)
         if wp.static(pulls):
-            # Not below 0, and not by max, which hides a NaN.
+            # Clipped at 0 with a comparison; max would turn NaN into 0.
             tension = tension_of(p, normal_state)
             if tension < real(0.0):
                 tension = real(0.0)
 
-        # The force of a step stands for the time from half a step before this state to half a step after: the
-        # contact's share of it, when it began since the last state, is δ/(δ̇ dt) + 1/2 steps. A law continuous
-        # at touch makes no difference of first order; one that jumps (a dashpot) is given its missing impulse.
+        # The force of a step acts from half a step before this state to half a step after. If the contact began since
+        # the last state, its part of that interval is δ/(δ̇ dt) + 1/2 steps. For a law that is continuous at δ = 0 the
+        # correction is of higher order; a law with a jump (dashpot) gets its missing impulse.
         approach_distance = approach * dt
         if is_new and normal_state.delta <= approach_distance * real(1.001):
             step_fraction = wp.min(normal_state.delta / approach_distance, real(1.0))
@@ -263,7 +263,7 @@ def functions(contact_model: ContactModel, real: type, has_joints: bool = False)
 
         tangential_state = TangentialState()
         tangential_state.normal = n_W
-        # The load of friction: N, and with a law that pulls the pull-off force as well.
+        # Load of friction: N, plus the pull-off force for a law with adhesion.
         tangential_state.normal_force = normal_force
         if wp.static(pulls):
             tangential_state.normal_force = normal_force + tension
@@ -292,7 +292,7 @@ def functions(contact_model: ContactModel, real: type, has_joints: bool = False)
         if wp.static(has_rolling or has_torsion):
             w_W = angular_velocity(state, env, kinematics.body_1) - angular_velocity(state, env, kinematics.body_2)
             if wp.static(has_rolling):
-                # The velocity at which the point of contact travels, and a couple of the same power.
+                # Rolling velocity of the contact point, and the torque of equal power.
                 tangential_state = with_velocity(tangential_state, kinematics.radius * wp.cross(w_W, n_W))
                 rolling_W = rolling_force(
                     history_in.rolling,
@@ -334,7 +334,7 @@ def functions(contact_model: ContactModel, real: type, has_joints: bool = False)
 
     @wp.func
     def clear_history(history_out: MaterialHistory, env: int, member: int, armed: int, dt: real):
-        """Empties the memory: what begins next moved for a step at most if it comes from outside, else not yet."""
+        """Clears the history: a contact from the outer side may slip over one step at its start, others not."""
         elapsed = wp.where(armed != 0, dt, real(0.0))
         clear_law_history(history_out.law, env, member, elapsed)
         clear_friction_history(history_out.friction, env, member, elapsed)

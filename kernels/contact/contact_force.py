@@ -1,7 +1,7 @@
-"""Contact force of one group of points on meshes: what each touch does, added up for the bodies of a block.
+"""Contact forces of one group of point contacts on meshes, summed per cluster.
 
-A factory compiles law, friction, rolling and torsion into the kernel, once per combination and precision; their
-coefficients are data. A pure function of model, state and history: nothing here changes them.
+Law, friction, rolling and torsion are compiled into the kernel, once per combination of classes and precision; their
+coefficients are arrays. Model, state and history are inputs and are not changed.
 """
 
 import functools
@@ -27,7 +27,7 @@ from warpcontact.kernels.types import (
 
 @functools.cache
 def functions(contact_model: ContactModel, real: type, has_joints: bool, projected: bool) -> SimpleNamespace:
-    """Returns the device functions of a contact that touches; arguments: ``kernel``."""
+    """Returns the device functions of a closed contact; for the arguments see ``kernel``."""
     t = structs(real)
     vec3, quat, mat33, Model, State = t.vec3, t.quat, t.mat33, t.Model, t.State
     Contacts, Wrenches = t.Contacts, t.Wrenches
@@ -39,16 +39,16 @@ def functions(contact_model: ContactModel, real: type, has_joints: bool, project
 
     @wp.struct
     class ContactWrench:
-        """What one contact does, and what that adds to both bodies about their centres of mass."""
+        """Force of one contact and its wrench on both bodies about their centers of mass."""
 
         approach_speed: real  # dδ/dt at K [m/s]
         slip_speed: real  # tangential, at K [m/s]
         normal_force: real  # [N]
         friction_force: vec3  # on the point's body, W [N]
-        torque: vec3  # couple of rolling and torsion on it, W [N·m]
-        force: vec3  # on it; on the surface's the opposite
-        torque_1: vec3  # on the point's body
-        torque_2: vec3  # on the surface's
+        torque: vec3  # rolling and torsional friction on it, W [N·m]
+        force: vec3  # on the point's body, W [N]; opposite on the surface's
+        torque_1: vec3  # on the point's body, W [N·m]
+        torque_2: vec3  # on the surface's body, W [N·m]
 
     @wp.func
     def contact_wrench(
@@ -71,19 +71,19 @@ def functions(contact_model: ContactModel, real: type, has_joints: bool, project
         penetration: real,
         entry_speed: real,
     ):
-        """What a contact that touches does: with the arm to K from the point's body, from the surface outwards."""
+        """Returns the wrench of a closed contact; ``arm``: from the point's body to K; ``normal``: out of the surface."""
         geometry = model.contact_geometry[env, contact]
         kinematics = ContactKinematics()
         kinematics.body_1 = body_1
         kinematics.body_2 = body_2
-        # To K, from the centre of mass of either body.
+        # Arms to K from the centers of mass.
         kinematics.arm_1 = arm
         kinematics.arm_2 = offset_W + arm
         kinematics.normal = normal
         kinematics.penetration = penetration
         kinematics.radius = geometry.radius
         if wp.static(needs_curvature):
-            # The facets are flat, whatever the mesh stands for.
+            # The facets of the mesh are flat; only the curvature of the sphere counts.
             kinematics.curvature_1 = real(1.0) / geometry.radius
             kinematics.curvature_2 = kinematics.curvature_1
         torsion_radius = real(-1.0)
@@ -105,7 +105,7 @@ def functions(contact_model: ContactModel, real: type, has_joints: bool, project
             q_WS,
         )
 
-        # After the formulas: what is springy or viscous in them is shared like what is in proportion to N.
+        # Scale the results, not the load, so that elastic and viscous terms are scaled like terms proportional to N.
         force_scale = geometry.force_scale
         if wp.static(projected):
             force_scale *= facing_fraction(model, env, model.contact_point[contact], R_W1, normal)
@@ -115,7 +115,7 @@ def functions(contact_model: ContactModel, real: type, has_joints: bool, project
         wrench.normal_force = force_scale * contact_force.normal_force
         wrench.friction_force = force_scale * contact_force.friction_force
         wrench.torque = force_scale * contact_force.torque
-        # The same force at the same point K, and the same couple, on both bodies: nothing is left in total.
+        # Equal and opposite forces at the same point K and equal and opposite torques: no net wrench.
         wrench.force = wrench.normal_force * normal + wrench.friction_force
         wrench.torque_1 = wp.cross(kinematics.arm_1, wrench.force) + wrench.torque
         wrench.torque_2 = -(wp.cross(kinematics.arm_2, wrench.force) + wrench.torque)
@@ -125,7 +125,7 @@ def functions(contact_model: ContactModel, real: type, has_joints: bool, project
     def write_no_force(
         contacts: Contacts, history_out: MaterialHistory, env: int, contact: int, member: int, dt: real
     ):
-        """Tells of a contact that does not touch that nothing acts, and that formulas may forget it."""
+        """Writes zero forces for an open contact and clears its history variables."""
         contacts.approach_speed[env, contact] = real(0.0)
         contacts.normal_force[env, contact] = real(0.0)
         contacts.friction_force[env, contact] = vec3()
@@ -151,13 +151,13 @@ def functions(contact_model: ContactModel, real: type, has_joints: bool, project
 def kernel(
     contact_model: ContactModel, real: type, has_joints: bool = False, projected: bool = False
 ) -> wp.Kernel:
-    """Returns the kernel for the classes of ``contact_model``; items: blocks of the group.
+    """Returns the kernel for the classes of ``contact_model``; items: clusters of the group.
 
     With ``has_joints``, the mobility of bodies with joints is that of their joint. With ``projected``, forces are
     multiplied by the fraction of the area that faces the surface, from the normal of the point.
 
-    What a block adds to its bodies goes to the block if ``ordered``, to be summed in order; else to the bodies,
-    whoever comes first. Forces of each contact are ``write_outputs`` where anyone may ask for them.
+    The wrenches of a cluster are stored per cluster if ``ordered``, to be summed in a fixed order; otherwise they are
+    added to the bodies atomically. ``write_outputs``: Whether to write the forces of each contact for sensors.
     """
     t = structs(real)
     vec3, quat, mat33, Model, State, History = t.vec3, t.quat, t.mat33, t.Model, t.State, t.History
@@ -176,7 +176,7 @@ def kernel(
 
     @wp.struct
     class WrenchPair:
-        """Wrenches on the point's body and on the surface's, about their centres of mass; forces are opposite."""
+        """Wrenches on the point's body and on the surface's, about their centers of mass; forces are opposite."""
 
         force: vec3
         torque_1: vec3
@@ -204,7 +204,7 @@ def kernel(
     ):
         """Returns the wrenches of one contact on both bodies; writes ``contacts`` if ``write_outputs``."""
         pair = WrenchPair()
-        # Returned early: of both sides of a branch Warp copies what they change.
+        # Early return: Warp evaluates both branches and copies every variable they assign.
         if contacts.status[env, contact] != CONTACT:
             write_no_force(contacts, history_out, env, contact, member, dt)
             return pair
@@ -247,7 +247,7 @@ def kernel(
         state: State,
         history: History,
         history_in: MaterialHistory,
-        step: wp.array2d(dtype=real),  # [env, 0] what the force acts over [s]; 0: the force of this instant
+        step: wp.array2d(dtype=real),  # [env, 0] step over which the force acts [s]; 0: force at this instant
         first_cluster: wp.int32,
         first_contact: wp.int32,
         coefficients: Coefficients,
@@ -263,7 +263,7 @@ def kernel(
             cluster = first_cluster + task_item(launch, task)
             if status[env] != ENV_ACTIVE or active_contacts.count[env, cluster] == 0:
                 continue
-            # One body and one surface for all contacts of a block.
+            # All contacts of a cluster have the same body and surface.
             start = assume_nonnegative(model.cluster_start[cluster])
             contact = assume_nonnegative(model.cluster_contact[start])
             surface = assume_nonnegative(

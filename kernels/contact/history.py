@@ -1,7 +1,7 @@
-"""Advances the memory of the contacts, once per accepted step; ``alone.py`` and ``in_place.py`` do so themselves.
+"""Advances the contact history, once per accepted step.
 
-The record belongs to the pair of point and surface, not to a triangle: a point that slides over a mesh edge does
-not enter anew.
+``fused_step.py`` and ``fused_steps_cpu.py`` call the same functions. The history belongs to the pair of point and
+surface, not to a triangle: a point that slides over a mesh edge does not start a new contact.
 """
 
 import functools
@@ -26,7 +26,7 @@ from warpcontact.kernels.types import (
 
 @functools.cache
 def entry_function(real: type) -> wp.Function:
-    """Returns the device function that takes whether a contact touches, and how fast, into ``history``."""
+    """Returns the device function that records the status and entry speed of a contact in ``history``."""
     t = structs(real)
     Model, History, Cache = t.Model, t.History, t.Cache
 
@@ -44,10 +44,10 @@ def entry_function(real: type) -> wp.Function:
         previous = history.entry_speed[env, contact]
         speed = real(-1.0)
         if touching:
-            # Not below 0, which says "not touching".
+            # Not below 0, because negative values mean "no contact".
             speed = wp.max(previous, wp.max(approach_speed, real(0.0)))
             if previous < real(0.0):
-                # Whoever found it: what others know of distances must not leave it out when it ends.
+                # A new contact must be evaluated in the next steps, until its end is in the history.
                 cache.safe_travel[env, contact] = real(0.0)
                 cache.cluster_safe_travel[env, cluster] = real(0.0)
                 cache.cluster_inactive[env, cluster] = 0
@@ -59,9 +59,9 @@ def entry_function(real: type) -> wp.Function:
 
 @functools.cache
 def advance(real: type, tracks: bool) -> wp.Function:
-    """Returns the device function that takes the contacts of a block that are near into ``history``.
+    """Returns the device function that advances the history of the active contacts of a cluster.
 
-    ``tracks``: whether any contact stays with the face that it touched, or crossed; it asks for the time then.
+    ``tracks``: Whether any contact tracks a face or is swept; only then ``time`` and ``step`` are read.
     """
     t = structs(real)
     Model, Contacts, ActiveContacts, History, Cache = t.Model, t.Contacts, t.ActiveContacts, t.History, t.Cache
@@ -109,7 +109,7 @@ def advance(real: type, tracks: bool) -> wp.Function:
 
 @functools.cache
 def material_history_function(contact_model: ContactModel, real: type) -> wp.Function:
-    """Returns the device function that takes what the force kept of a contact into the memory of its formulas."""
+    """Returns the device function that copies the history variables of a contact after an accepted step."""
     _, MaterialHistory = group_structs(contact_model, real)
 
     @wp.func
@@ -128,10 +128,10 @@ def material_history_function(contact_model: ContactModel, real: type) -> wp.Fun
 
 @functools.cache
 def kernel(real: type, tracks: bool, accepts_step: bool = False) -> wp.Kernel:
-    """Returns the kernel that takes contacts that are near into ``history``; items: blocks.
+    """Returns the kernel that advances the history of active contacts; items: clusters.
 
-    With ``accepts_step``, the first cluster of an environment accepts the step before, as ``finish.kernel`` does;
-    not with ``tracks``, which needs the time.
+    With ``accepts_step``, the first cluster of an environment accepts the step, as ``accept_step.kernel`` does. This
+    excludes ``tracks``, which needs the time after the step.
     """
     assert not (tracks and accepts_step)
     t = structs(real)
@@ -151,7 +151,7 @@ def kernel(real: type, tracks: bool, accepts_step: bool = False) -> wp.Kernel:
         status: wp.array(dtype=wp.int32),
         time: wp.array(dtype=wp.float64),  # [env] at the end of the step [s]
         step: wp.array2d(dtype=real),  # [env, 0] [s]
-        clock_step: wp.array2d(dtype=wp.float64),  # [env, 0] the same for the clock [s]
+        clock_step: wp.array2d(dtype=wp.float64),  # [env, 0] step of the clock, in float64 [s]
         bodies: wp.int32,
         state_in: State,
         state_out: State,
@@ -166,7 +166,7 @@ def kernel(real: type, tracks: bool, accepts_step: bool = False) -> wp.Kernel:
             cluster = task_item(launch, task)
             previous = status[env]
             if wp.static(accepts_step):
-                # What it does to the status makes none active, whoever looks at it meanwhile.
+                # Accepting never makes an environment active, so other clusters may read the status before or after it.
                 if cluster == 0:
                     accept(status, clock_step, time, bodies, state_in, state_out, env, previous)
             if previous == ENV_ACTIVE:
@@ -177,9 +177,9 @@ def kernel(real: type, tracks: bool, accepts_step: bool = False) -> wp.Kernel:
 
 @functools.cache
 def material_history_kernel(formula: type[Formula], real: type) -> wp.Kernel:
-    """Returns the kernel that takes what the force stage kept into the memory of ``formula``.
+    """Returns the kernel that copies the history variables of ``formula`` after an accepted step.
 
-    Items: blocks of the group.
+    Items: clusters of the group.
     """
     t = structs(real)
     Model, ActiveContacts = t.Model, t.ActiveContacts

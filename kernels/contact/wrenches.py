@@ -1,4 +1,4 @@
-"""From the blocks of contacts, the ends of couplings and from outside to the wrenches of the bodies."""
+"""Sums cluster wrenches, coupling wrenches and external wrenches per body."""
 
 import functools
 from types import SimpleNamespace
@@ -19,7 +19,7 @@ from warpcontact.kernels.types import (
 
 @wp.func
 def reset_queues(queue_count: wp.array(dtype=wp.int32)):
-    """Empties the queues of what is near, which has been looked at: those of the next step begin anew."""
+    """Empties the work queues of contact detection for the next step."""
     for kind in range(QUEUE_COUNT):
         queue_count[kind] = 0
 
@@ -29,9 +29,9 @@ def functions(real: type, has_couplings: bool, has_external_forces: bool) -> Sim
     """Returns the device functions of the wrench on a body: ``external_wrench``; ``body_wrench`` adds contacts.
 
     Args:
-        real: Precision.
+        real: Scalar type, ``wp.float32`` or ``wp.float64``.
         has_couplings: Whether there are couplings.
-        has_external_forces: Whether there are forces from outside.
+        has_external_forces: Whether there are external forces.
     """
     t = structs(real)
     vec3, Model, ActiveContacts, CouplingWrenches = t.vec3, t.Model, t.ActiveContacts, t.CouplingWrenches
@@ -39,7 +39,7 @@ def functions(real: type, has_couplings: bool, has_external_forces: bool) -> Sim
     @wp.struct
     class Wrench:
         force: vec3  # W [N]
-        torque: vec3  # about the centre of mass, W [N·m]
+        torque: vec3  # about the center of mass, W [N·m]
 
     @wp.func
     def external_wrench(model: Model, ends: CouplingWrenches, env: int, body: int):
@@ -56,7 +56,7 @@ def functions(real: type, has_couplings: bool, has_external_forces: bool) -> Sim
 
     @wp.func
     def body_wrench(model: Model, active_contacts: ActiveContacts, ends: CouplingWrenches, env: int, body: int):
-        """With the blocks of contacts in their order: the same bits in every run, whoever computed them."""
+        """Returns the wrench on a body, with clusters summed in their order, so that runs are bitwise reproducible."""
         wrench = external_wrench(model, ends, env, body)
         index = assume_nonnegative(model.body_cluster_start[body])
         stop = model.body_cluster_start[body + 1]
@@ -78,12 +78,12 @@ def functions(real: type, has_couplings: bool, has_external_forces: bool) -> Sim
 
 @functools.cache
 def clear(real: type, has_couplings: bool = False, has_external_forces: bool = False) -> wp.Kernel:
-    """Returns the kernel that prepares ``wrenches`` for blocks that add to them; items: bodies.
+    """Returns the kernel that initializes ``wrenches``, to which clusters are then added; items: bodies.
 
     Args:
-        real: Precision.
+        real: Scalar type, ``wp.float32`` or ``wp.float64``.
         has_couplings: Whether there are couplings.
-        has_external_forces: Whether there are forces from outside.
+        has_external_forces: Whether there are external forces.
     """
     t = structs(real)
     Model, CouplingWrenches, Wrenches = t.Model, t.CouplingWrenches, t.Wrenches
@@ -114,7 +114,7 @@ def clear(real: type, has_couplings: bool = False, has_external_forces: bool = F
 
 @functools.cache
 def sum_by_body(real: type, has_couplings: bool = False, has_external_forces: bool = False) -> wp.Kernel:
-    """Returns the kernel that sums what acts on each body, blocks of contacts in their order; items: bodies.
+    """Returns the kernel that sums the wrenches on each body, clusters in their order; items: bodies.
 
     Arguments are those of ``clear``.
     """

@@ -1,7 +1,7 @@
-"""Contacts looked at, and what they do computed at once, by one thread for a set of them.
+"""Contact detection and contact force in one kernel, one thread per set of contacts, on a CPU.
 
-Uses the functions of ``near`` and ``contact_force``, without intermediate arrays. Contact sensors are not written;
-their evaluation runs contact detection again.
+Uses the functions of ``contact_detection`` and ``contact_force``, without intermediate arrays. Contact sensors are not
+written; their evaluation runs contact detection again.
 """
 
 import functools
@@ -32,7 +32,7 @@ from warpcontact.kernels.types import (
 def functions(
     contact_model: ContactModel, real: type, has_joints: bool, projected: bool, part: str
 ) -> SimpleNamespace:
-    """Returns the structs and device functions of a contact; ``part`` is that of ``closest_point``.
+    """Returns the structs and device functions of a contact; ``part``: see ``closest_point.functions``.
 
     The other arguments are those of ``contact_force.kernel``.
     """
@@ -49,25 +49,25 @@ def functions(
 
     @wp.struct
     class SetBodies:
-        """The two bodies of a set of contacts."""
+        """Frames and bodies of a set of contacts."""
 
         set_frames: SetFrames
         body_1: wp.int32
         body_2: wp.int32
-        offset_W: vec3  # from the centre of the surface's body to that of the points'
-        q_WS: quat  # if the formulas ask for it
+        offset_W: vec3  # from the center of mass of the surface's body to that of the points'
+        q_WS: quat  # S → W, only if the models need it
 
     @wp.struct
     class ContactUpdate:
-        """What a step finds of a contact."""
+        """Result of detection and force of one contact in a step."""
 
-        clearance: real  # how far its point can move and not touch [m]
+        clearance: real  # displacement of its point without contact [m]
         status: wp.int32
-        armed: wp.int32  # its latch
+        armed: wp.int32  # latch
         approach_speed: real  # [m/s]
         force: vec3  # on the point's body, W [N]; on the surface's the opposite
-        torque_1: vec3  # on the point's body about its centre of mass, W [N·m]
-        torque_2: vec3  # on the surface's
+        torque_1: vec3  # on the point's body about its center of mass, W [N·m]
+        torque_2: vec3  # on the surface's body, W [N·m]
 
     @wp.func
     def set_bodies_of(model: Model, state: State, env: int, set_index: int):
@@ -102,13 +102,13 @@ def functions(
         contact: int,
         member: int,
     ):
-        """Looks at a contact, and computes its force if it touches."""
+        """Returns the detection result of a contact and, if closed, its force."""
         update = ContactUpdate()
         detected = detect(model, set_bodies.set_frames, history, True, cache, env, contact)
         update.clearance = detected.clearance
         update.status = detected.status
         update.armed = detected.armed
-        # Returned early: of both sides of a branch Warp copies what they change.
+        # Early return: Warp evaluates both branches and copies every variable they assign.
         if detected.status != CONTACT:
             return update
         wrench = contact_wrench(
@@ -147,12 +147,12 @@ def functions(
 
 @functools.cache
 def set_function(contact_model: ContactModel, real: type, has_joints: bool, projected: bool) -> wp.Function:
-    """Returns the device function that sees to a set of contacts on a CPU.
+    """Returns the device function that evaluates a set of contacts on a CPU.
 
-    It adds up its travel, looks at those that may touch, as ``near.kernel`` with ``cached``, and leaves what
-    blocks do to their bodies with them, as ``contact_force.kernel`` if ``ordered``. Contacts are told no more than
-    the rest of a step asks for, and those that cease to touch that nothing acts: later looks leave them out.
-    Arguments: those of the latter.
+    It accumulates the motion bound of the set, evaluates contacts that cannot be culled, like
+    ``contact_detection.kernel`` with ``cached``, and stores wrenches per cluster, like ``contact_force.kernel`` with
+    ``ordered``. It writes only what the rest of a step reads. Contacts that end get zero forces, because later
+    evaluations skip them. For the arguments see ``contact_force.kernel``.
     """
     t = structs(real)
     vec3, Model, State, History = t.vec3, t.Model, t.State, t.History
@@ -319,9 +319,9 @@ def set_function(contact_model: ContactModel, real: type, has_joints: bool, proj
 def kernel(
     contact_model: ContactModel, real: type, has_joints: bool = False, projected: bool = False
 ) -> wp.Kernel:
-    """Returns the kernel that sees to sets of contacts on a CPU; items: sets of the group.
+    """Returns the kernel that evaluates sets of contacts on a CPU; items: sets of the group.
 
-    Arguments: those of ``contact_force.kernel``.
+    For the arguments see ``contact_force.kernel``.
     """
     t = structs(real)
     Model, State, History = t.Model, t.State, t.History
@@ -348,7 +348,7 @@ def kernel(
         state: State,
         history: History,
         history_in: MaterialHistory,
-        step: wp.array2d(dtype=real),  # [env, 0] what the force acts over [s]
+        step: wp.array2d(dtype=real),  # [env, 0] step over which the force acts [s]
         first_set: wp.int32,
         first_contact: wp.int32,
         coefficients: Coefficients,

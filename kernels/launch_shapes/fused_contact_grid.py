@@ -1,7 +1,7 @@
-"""Contacts looked at in cells, and what they do computed at once: on a GPU, of one group of sets of one contact.
+"""Contact detection with a face grid and contact force in one kernel, for sets of one contact, on a GPU.
 
-As ``near_cells`` and ``contact_force`` do, by the same functions; but what a look finds goes on to the force
-without a way through memory, sensors are not told, and of what stays quiet hardly anything is written.
+Uses the functions of ``contact_detection_grid`` and ``contact_force``, without intermediate arrays. Contact sensors are
+not written. Inactive contacts write only their count.
 """
 
 import functools
@@ -25,7 +25,7 @@ from warpcontact.kernels.types import (
     task_item,
 )
 
-# Registers of a thread of a GPU in float32; measured.
+# Register limit per GPU thread in float32 (measured).
 REGISTERS = 96
 
 
@@ -33,7 +33,7 @@ REGISTERS = 96
 def _evaluate_cluster(
     contact_model: ContactModel, real: type, has_joints: bool, projected: bool, part: str
 ) -> wp.Function:
-    """Returns the device function that meets a contact and takes what it does into its block."""
+    """Returns the device function that evaluates the contact of a cluster and adds its wrench."""
     t = structs(real)
     Model, State, History = t.Model, t.State, t.History
     Contacts, ActiveContacts, Cache, Wrenches = t.Contacts, t.ActiveContacts, t.Cache, t.Wrenches
@@ -64,11 +64,11 @@ def _evaluate_cluster(
         env: int,
         cluster: int,
     ):
-        """Returns whether anything is known of the contact of a block: if not, it has to be searched for."""
+        """Returns whether the contact was evaluated; if not, it needs a BVH search."""
         index = assume_nonnegative(model.cluster_start[cluster])
         contact = assume_nonnegative(model.cluster_contact[index])
         set_bodies = set_bodies_of(model, state, env, assume_nonnegative(model.cluster_set[cluster]))
-        # Right before it is written, what this comes with would be long in coming.
+        # Read early: directly before the write the thread would wait for this cache line.
         previous_status = contacts.status[env, contact]
         update = detect_and_evaluate(
             model,
@@ -87,7 +87,7 @@ def _evaluate_cluster(
         if wp.static(part == DETECT_GRID_FAR):
             if update.clearance == real(DEFERRED):
                 return False
-        # One that was quiet, and is, has nothing to tell. A look may have listed it.
+        # A contact that was inactive and still is needs no other write. An evaluation for sensors may have listed it.
         if update.status != CONTACT and cache.cluster_inactive[env, cluster] != 0:
             if update.armed == history.armed[env, contact]:
                 active_contacts.count[env, cluster] = 0
@@ -119,7 +119,7 @@ def _evaluate_cluster(
 def kernel(
     contact_model: ContactModel, real: type, has_joints: bool, projected: bool, search_now: bool
 ) -> wp.Kernel:
-    """Returns the kernel that sees to blocks of one contact; items: blocks.
+    """Returns the kernel that evaluates clusters of one contact; items: clusters.
 
     With ``search_now``, contacts that the face grid does not decide are queried here, not in ``remaining``. The
     other arguments are those of ``contact_force.kernel``.
@@ -141,7 +141,7 @@ def kernel(
         state: State,
         history: History,
         history_in: MaterialHistory,
-        step: wp.array2d(dtype=real),  # [env, 0] what the force acts over [s]
+        step: wp.array2d(dtype=real),  # [env, 0] step over which the force acts [s]
         coefficients: Coefficients,
         history_out: MaterialHistory,
         cache: Cache,
@@ -179,7 +179,7 @@ def kernel(
 
 @functools.cache
 def remaining(contact_model: ContactModel, real: type, has_joints: bool, projected: bool) -> wp.Kernel:
-    """Returns the kernel that searches for what ``kernel`` left; items: blocks."""
+    """Returns the kernel that evaluates the contacts deferred by ``kernel``; items: clusters."""
     t = structs(real)
     Model, State, History = t.Model, t.State, t.History
     Contacts, ActiveContacts, Cache, Wrenches = t.Contacts, t.ActiveContacts, t.Cache, t.Wrenches
@@ -193,7 +193,7 @@ def remaining(contact_model: ContactModel, real: type, has_joints: bool, project
         state: State,
         history: History,
         history_in: MaterialHistory,
-        step: wp.array2d(dtype=real),  # [env, 0] what the force acts over [s]
+        step: wp.array2d(dtype=real),  # [env, 0] step over which the force acts [s]
         coefficients: Coefficients,
         history_out: MaterialHistory,
         cache: Cache,

@@ -1,12 +1,11 @@
-"""The whole step of bodies that are alone in their environment, with one set of contacts: in one launch on a GPU.
+"""Whole semi-implicit Euler step in one launch on a GPU, for single-body environments with one set of contacts.
 
-What a contact finds goes from its look to its force and on to the motion without a way through memory. Nothing
-else is computed than in the launches of ``schedule``, by the same functions. Sensors are told nothing: they look
-for themselves; and who watches steps has them taken in launches, from contacts that tell nothing.
+It calls the device functions of the separate stages, without intermediate arrays, so results are the same. Contact
+sensors are not written; their evaluation runs contact detection again. Monitored steps use the separate stages.
 
-A thread of a GPU sees to an environment: which of its contacts may touch. What these do is found by all threads of
-its warp, a contact each, of whichever environment it is; and each thread takes the forces of its own contacts, in
-their order, so that sums are those of one thread, and moves its body.
+One thread per environment finds the contacts that cannot be culled. All lanes of the warp then evaluate these
+contacts, one each, for any environment of the warp. Finally each thread sums the forces of its contacts in their
+order, as a single thread would, and integrates its body. Conditions: ``ExecutionPlan.fuses_step``.
 """
 
 import functools
@@ -35,15 +34,15 @@ from warpcontact.kernels.types import (
     task_count,
 )
 
-# What the step has to do with a contact: nothing, or that it does not touch any more, or that it does.
+# State of a contact in a step: open, contact just ended (history must be cleared), closed.
 NO_CONTACT, ENDED, IN_CONTACT = 0, 1, 2
-# Registers of a thread of a GPU in float32, of 190 that it would take: measured.
+# Register limit per GPU thread in float32 (measured); without a limit, 190.
 REGISTERS = 128
 
 
 @functools.cache
 def _functions(contact_model: ContactModel, real: type, projected: bool, width: int) -> SimpleNamespace:
-    """Returns the structs and device functions of a contact, of what all of a step share, and of its end."""
+    """Returns the structs and device functions of a contact, of the body and of the end of a step."""
     t = structs(real)
     vec3, Model, State, History = t.vec3, t.Model, t.State, t.History
     ActiveContacts, Cache = t.ActiveContacts, t.Cache
@@ -70,22 +69,22 @@ def _functions(contact_model: ContactModel, real: type, projected: bool, width: 
 
     @wp.struct
     class ContactUpdate:
-        """What a step finds of a contact."""
+        """Result of detection and force of one contact in a step."""
 
-        kind: wp.int32  # NOTHING, ENDED, TOUCHES
-        clearance: real  # how far its point can move and not touch [m]
-        armed: wp.int32  # its latch; only where formulas remember
+        kind: wp.int32  # NO_CONTACT, ENDED, IN_CONTACT
+        clearance: real  # displacement of its point without contact [m]
+        armed: wp.int32  # latch; only with history variables
         approach_speed: real  # [m/s]
         force: vec3  # on the body, W [N]
-        torque: vec3  # about its centre of mass, W [N·m]
+        torque: vec3  # about its center of mass, W [N·m]
 
     @wp.func
     def active_mask(model: Model, cache: Cache, env: int, cluster: int, max_travel: real):
-        """The contacts of a block that may touch, as bits by their places in it."""
+        """Returns the contacts of a cluster that cannot be culled, as bits by their index in the cluster."""
         start = assume_nonnegative(model.cluster_start[cluster])
         size = model.cluster_start[cluster + 1] - start
         mask = wp.int32(0)
-        # Unrolled: all are read at once.
+        # Unrolled, so that all reads are issued together.
         for index in range(wp.static(width)):
             if index < size:
                 if not (
@@ -96,7 +95,7 @@ def _functions(contact_model: ContactModel, real: type, projected: bool, width: 
 
     @wp.func
     def cluster_safe_travel(model: Model, cache: Cache, env: int, cluster: int, news: bool):
-        """Travel up to which no contact of a block can touch [m]; with ``news`` of one it is looked at again."""
+        """Returns the safe travel of a cluster [m]; 0 with ``news``, if a contact is active or has just ended."""
         safe_travel = real(wp.inf)
         if news:
             return real(0.0)
@@ -123,9 +122,9 @@ def _functions(contact_model: ContactModel, real: type, projected: bool, width: 
         contact: int,
         has_env: bool,
     ):
-        """Looks at a contact, and computes its force if it touches; nothing if there is none."""
+        """Returns the result of a contact, with its force if closed; an empty result without ``has_env``."""
         update = ContactUpdate()
-        # Returned early: of both sides of a branch Warp copies what they change.
+        # Early return: Warp evaluates both branches and copies every variable they assign.
         if not has_env:
             return update
         set_bodies = set_bodies_of(model, state, env, 0)
@@ -178,11 +177,11 @@ def _functions(contact_model: ContactModel, real: type, projected: bool, width: 
         armed: int,
         approach_speed: real,
     ):
-        """Takes a contact into the history, of a step that is accepted."""
+        """Advances the history of a contact in an accepted step."""
         active_contacts.needs_history[env, contact] = wp.where(touching, 1, 0)
         record_entry(model, cache, history, env, cluster, contact, touching, approach_speed)
         if wp.static(has_history):
-            # Of others nobody asks for it, without latches.
+            # Without history variables and latches, ``armed`` is not read.
             history.armed[env, contact] = armed
         store_history(history_in, history_out, env, contact)
 
@@ -200,7 +199,7 @@ def _functions(contact_model: ContactModel, real: type, projected: bool, width: 
         torque: vec3,
         dt: real,
     ):
-        """Moves the body of an environment, and ends its step; returns whether it is accepted."""
+        """Integrates the body of an environment and ends its step; returns whether the step is accepted."""
         body_step = stepped_body(model, state_in, env, 0, force, torque, dt)
         write_body(state_out, env, 0, body_step)
         found = wp.int32(ENV_ACTIVE)
@@ -235,12 +234,12 @@ def kernel(
     """Returns the kernel of a semi-implicit Euler step; a warp handles ``envs_per_warp`` environments.
 
     Args:
-        contact_model: The classes of law and friction models.
-        real: Type of a real number.
-        projected: Whether contacts are weighed by the normals of their points.
-        has_external_forces: Whether there are forces from outside.
-        width: Contacts that a block has room for, fewer than a number has bits.
-        clusters: Blocks of contacts.
+        contact_model: Classes of the law and friction models.
+        real: Scalar type, ``wp.float32`` or ``wp.float64``.
+        projected: Whether forces are multiplied by the fraction of the area that faces the surface.
+        has_external_forces: Whether there are external forces.
+        width: Capacity of a cluster in contacts, less than the number of bits of an integer.
+        clusters: Number of clusters of contacts.
         lanes: Threads of a warp.
     """
     t = structs(real)
@@ -272,9 +271,9 @@ def kernel(
     safe_travel_for = contact_detection.functions(real, False, DETECT_GRID_ANY).safe_travel_for
     external_wrench_of = wrench_functions.functions(real, False, has_external_forces).external_wrench
     broadcast_from, broadcast_int_from = warps.broadcast_function(real), warps.broadcast_function(wp.int32)
-    # What is kept of each block until the step is accepted: bits by the places of contacts.
+    # Per cluster, until the step is accepted: one bit per contact.
     Bits = wp.types.vector(length=clusters, dtype=wp.int32)
-    # A contact alone is met by the thread of its environment.
+    # A single contact is evaluated by the thread of its environment.
     single_contact = width == 1 and clusters == 1
     registers = REGISTERS if real is wp.float32 else None
 
@@ -284,7 +283,7 @@ def kernel(
 
     @wp.func
     def mask_index(cluster: int):
-        """Where it is kept what was found of a block."""
+        """Returns the index of the bits of a cluster."""
         if wp.static(clusters == 1):
             return 0
         return cluster
@@ -292,7 +291,7 @@ def kernel(
     @unique_kernel(registers)
     def fused_step(
         launch: LaunchRange,
-        envs_per_warp: wp.int32,  # environments of a warp
+        envs_per_warp: wp.int32,  # environments per warp
         status: wp.array(dtype=wp.int32),
         step: wp.array2d(dtype=real),  # [env, 0] [s]
         clock_step: wp.array2d(dtype=wp.float64),  # [env, 0] [s]
@@ -311,7 +310,7 @@ def kernel(
         state_out: State,
     ):
         lane = warps.lane()
-        # All threads of a warp come by together where they tell each other, those without work as well.
+        # All lanes must reach the exchanges below together, also those without an environment.
         for warp in range(
             wp.tid() // wp.static(lanes),
             (task_count(launch) + envs_per_warp - 1) // envs_per_warp,
@@ -360,7 +359,7 @@ def kernel(
                 if has_env:
                     max_travel = accumulate_travel(model, state_in, cache, env, 0)
                     is_active = not is_culled(model, cache, env, 0, max_travel)
-                # What a thread wrote of its environment is there for the others.
+                # Makes the writes of each lane visible to the warp.
                 warps.sync()
                 active_masks = Bits()
                 count = wp.int32(0)
@@ -371,7 +370,7 @@ def kernel(
                             active_masks[mask_index(cluster)] = mask
                             count += warps.popcount(mask)
                             evaluated_clusters = evaluated_clusters | (1 << cluster)
-                # Of the contacts of all environments of the warp, the next of this one: its block and those left.
+                # Prefix sums over the environments of the warp: position of the next own contact, its cluster and remaining bits.
                 inclusive_sum = warps.inclusive_scan(count)
                 position = inclusive_sum - count
                 start = position
@@ -450,7 +449,7 @@ def kernel(
                         pending = position < wp.min(inclusive_sum, first_item + wp.static(lanes))
                 force += sum_force
                 torque += sum_torque
-                # And what others wrote of its contacts.
+                # Makes the safe travels written by other lanes visible.
                 warps.sync()
                 for cluster in range(model.cluster_set.shape[0]):
                     if warps.bit_range(evaluated_clusters, cluster, 1) != 0:

@@ -1,8 +1,9 @@
-"""Steps of bodies that are alone in their environment, in place: any number in one launch on a CPU.
+"""Multi-step kernel for single-body environments on a CPU.
 
-An environment takes its steps one after the other, before the next has its turn: what they read of it, and of the
-surface about it, stays in the nearest cache of the core, which also foresees branches better. Nothing else is
-computed than in the launches of ``schedule``, by the same functions.
+One launch takes n accepted semi-implicit Euler steps of each environment of a slice, one environment after the other,
+and updates the state in place. Environment data and nearby faces stay in the core's cache, and branches are predicted
+better. It calls the device functions of the stages, so results are bitwise identical. Conditions:
+``ExecutionPlan.fuses_steps``.
 """
 
 import functools
@@ -30,13 +31,13 @@ from warpcontact.kernels.types import (
 
 @functools.cache
 def kernel(contact_model: ContactModel, real: type, projected: bool, has_external_forces: bool) -> wp.Kernel:
-    """Returns the kernel of accepted semi-implicit Euler steps, as many as the slice says; items: one.
+    """Returns the kernel of accepted semi-implicit Euler steps; their number is in the slice; items: one.
 
     Args:
-        contact_model: The classes of law and friction models, of all contacts.
-        real: Type of a real number.
-        projected: Whether contacts are weighed by the normals of their points.
-        has_external_forces: Whether there are forces from outside.
+        contact_model: Classes of the law and friction models of all contacts.
+        real: Scalar type, ``wp.float32`` or ``wp.float64``.
+        projected: Whether forces are multiplied by the fraction of the area that faces the surface.
+        has_external_forces: Whether there are external forces.
     """
     t = structs(real)
     Model, State, History, Contacts, ActiveContacts, Cache, CouplingWrenches = (
@@ -86,7 +87,7 @@ def kernel(contact_model: ContactModel, real: type, projected: bool, has_externa
         env_index: int,
         cluster: int,
     ):
-        """Takes the contacts of a block into the history."""
+        """Advances the history of the contacts of a cluster."""
         env = hide_from_optimizer(env_index)
         advance(time, step, model, contacts, active_contacts, history, cache, env, cluster)
         if wp.static(has_history):
@@ -155,7 +156,7 @@ def kernel(contact_model: ContactModel, real: type, projected: bool, has_externa
                 body_step = stepped_body(model, state, env, 0, wrench.force, wrench.torque, step[env, 0])
                 cause = step_failure_cause(guard, env, body_step)
                 if cause != NO_CAUSE:
-                    # It stays where it was.
+                    # The state of the last accepted step is kept.
                     status[env] = ENV_FROZEN
                     guard.cause[env] = cause
                     break

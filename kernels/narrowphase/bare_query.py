@@ -1,4 +1,4 @@
-"""One closest-point query of Warp for every point and nothing else: what a step is compared with."""
+"""Plain closest-point query of Warp for every point: the reference in speed benchmarks."""
 
 import functools
 
@@ -8,7 +8,7 @@ from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 
 @functools.cache
 def kernel() -> wp.Kernel:
-    """Returns the kernel that looks for the nearest face of every point."""
+    """Returns the kernel that finds the nearest face of every point."""
 
     @unique_kernel()
     def bare_query(mesh: wp.uint64, points: wp.array(dtype=wp.vec3f), found: wp.array(dtype=wp.int32)):

@@ -1,6 +1,7 @@
-"""A traversal through the tree over the faces of a patch, eight branches at once; on a CPU.
+"""Traversal of the eight-wide BVH of a query mesh on a CPU, eight children per instruction.
 
-``warpcontact/geometry/bvh.py`` makes the tree, ``tree.py`` looks for faces with it.
+Each child is bounded by a disk with a thickness. ``warpcontact/geometry/bvh.py`` builds the BVH; ``bvh_search.py``
+searches faces with it.
 """
 
 import functools
@@ -11,7 +12,7 @@ import warp as wp
 from warpcontact.kernels.narrowphase.face_cache import ROUNDING
 from warpcontact.kernels.types import structs
 
-# Branches that still have to be looked at: eight of every level, of which 2³¹ faces have eleven.
+# Stack entries: up to eight per level. A BVH of 2³¹ faces has eleven levels.
 STACK_SIZE = 96
 
 
@@ -23,34 +24,37 @@ def functions(real: type) -> SimpleNamespace:
     Nodes = wp.types.vector(length=STACK_SIZE, dtype=wp.int32)
     Distances = wp.types.vector(length=STACK_SIZE, dtype=real)
     scalar, tiny = {wp.float32: ("float", "1e-37f"), wp.float64: ("double", "1e-300")}[real]
-    # What bounds branches is kept in float32, a unit normal as well.
+    # Bounds are stored in float32, including the unit normal of the disk.
     rounding = ROUNDING * float(np.finfo(np.float32).eps)
 
     @wp.struct
     class Traversal:
-        """A traversal from face to face, and what it still has to look at, the nearest of a node last."""
+        """State of a traversal: a stack of nodes, among the children of one node the nearest on top."""
 
         count: wp.int32
         node: Nodes
-        least: Distances  # how far from the point the faces of each are, at least
+        least: Distances  # lower bound on the distance of the faces of each node
 
     @wp.struct
     class PruningReference:
-        """A foot, and how far a point goes; see ``recall.lead_distance`` for what then is no nearer."""
+        """A closest point, used to prune faces that stay farther while the query point moves.
 
-        far: real  # that the point goes; 0: only what is near where it is counts
+        See ``face_cache.lead_distance``.
+        """
+
+        far: real  # largest displacement of the query point; 0: no pruning
         distance: real
-        direction: vec3  # unit, from the foot
-        rounding: real  # of that
+        direction: vec3  # unit, from the closest point to the query point
+        rounding: real  # rounding error of the direction
 
     @wp.func
     def start_traversal():
-        """Returns a traversal that begins."""
+        """Returns a traversal that starts at the root."""
         traversal = Traversal()
         traversal.count = 1
         return traversal
 
-    # Vectors of Clang, which splits those that are wider than a core's. A GPU has no trees, and never asks.
+    # Vector extensions of Clang, which splits vectors that are wider than a register. GPUs use no BVH of this kind.
     @wp.func_native(
         f"""
         #if defined(__CUDA_ARCH__)
@@ -63,7 +67,7 @@ def functions(real: type) -> SimpleNamespace:
         const {scalar} rounding = {rounding};
         while (traversal.count > 0) {{
             const int node = traversal.node[--traversal.count];
-            // What came nearer since then, or a distance that is no number, ends it.
+            // Skip nodes that a closer face has excluded since they were pushed, and nodes with a NaN distance.
             if (!(traversal.least[traversal.count] <= within)) continue;
             if (node >= tree[1]) return tree[3] + node - tree[1];
             const float* numbers = bounds.data + 64 * (size_t(tree[0]) + node);
@@ -75,7 +79,7 @@ def functions(real: type) -> SimpleNamespace:
             const Reals x = p[0] - read(0), y = p[1] - read(1), z = p[2] - read(2), radius = read(3);
             const Reals n_x = read(4), n_y = read(5), n_z = read(6);
             const Reals height = x * n_x + y * n_y + z * n_z;
-            // Not the root of a difference of squares, of which rounding leaves little.
+            // Lateral distance from the components: a difference of squares would lose its digits to rounding.
             const Reals a = x - height * n_x, b = y - height * n_y, c = z - height * n_z;
             const Reals lateral = __builtin_elementwise_sqrt(a * a + b * b + c * c);
             const Reals above = __builtin_elementwise_abs(height);
@@ -86,7 +90,7 @@ def functions(real: type) -> SimpleNamespace:
             const Reals least = distance - slack;
             Flags those = __builtin_convertvector(least <= within, Flags);
             if (reference.far > 0) {{
-                // As ``lead``, where it needs no root, with the slope of the distance of each disk.
+                // Sufficient condition of ``lead_distance`` without a root, with the gradient of the distance to the disk.
                 const {scalar} far = reference.far, d = reference.distance;
                 const Reals ahead = least - d;
                 const Reals turning = ahead / far - (far / d + reference.rounding)
@@ -124,13 +128,16 @@ def functions(real: type) -> SimpleNamespace:
     )
     def next_leaf(
         traversal: wp.ref[Traversal],
-        bounds: wp.array(dtype=wp.float32),  # those of ``Model``
+        bounds: wp.array(dtype=wp.float32),  # ``Model.bvh_bound``
         tree: wp.vec4i,
         p: vec3,
         within: real,
         reference: PruningReference,
     ) -> int:
-        """Where the next face is in ``Model.bvh_face`` that may be ``within`` reach and is not behind; or −1."""
+        """Returns the index in ``Model.bvh_face`` of the next face that may be ``within`` reach; −1: none.
+
+        Faces that ``reference`` dominates are skipped.
+        """
         ...
 
     return SimpleNamespace(

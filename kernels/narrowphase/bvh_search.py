@@ -1,9 +1,9 @@
-"""The nearest face, and lists of those that may be it near a point, by a tree over the faces of a patch; on a CPU.
+"""Nearest face, and face lists for ``face_cache.py``, by the BVH of a query mesh; CPU only.
 
-What bounds a node is convex, as a triangle is: its distance is nowhere less than its slope says. So a node is left
-out of a list, with all of its faces, where it is farther than the list reaches, and where no way within the skin
-makes it as near as a face that is known. On a fine mesh beneath a sphere the latter does: there all that is about
-as near lies in the same direction, and draws away or nears alike. ``warpcontact/geometry/bvh.py`` makes the tree.
+The bounds of a node are convex, as triangles are, so their distance is at least its linear extrapolation. A node is
+omitted from a list if it is farther than the reach of the list, or if it stays farther than a listed face for every
+displacement within the skin. On a fine mesh below a sphere the second criterion is decisive: faces at about the same
+distance lie in about the same direction, so their order rarely changes. ``warpcontact/geometry/bvh.py`` builds the BVH.
 """
 
 import functools
@@ -14,7 +14,8 @@ from warpcontact.kernels.narrowphase import bvh8_traversal, face_cache, search
 from warpcontact.kernels.narrowphase import face_closest_point as closest_points
 from warpcontact.kernels.types import assume_nonnegative, structs
 
-# Of the skin: how far a list is made ahead of a point, which serves for longer then. Less than one, for ties.
+# Offset of a list ahead of the moving point, as a fraction of the skin. A list ahead is valid longer. Less than one,
+# to leave a margin for ties.
 AHEAD_FRACTION = 0.8
 
 
@@ -52,12 +53,12 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def rounding_error(extent: real, closest: ClosestPoint):
-        """Bound on the error of a distance, for coordinates up to ``extent``."""
+        """Returns a bound on the error of a distance, for coordinates up to ``extent``."""
         return rounding * (extent + closest.span)
 
     @wp.func
     def closest_in_bvh(model: Model, query_mesh: int, p: vec3, hint: int):
-        """Returns the nearest foot; ``hint`` is a face that may be near, or none."""
+        """Returns the closest point on a query mesh; ``hint`` is a row that may be near, or invalid."""
         tree = model.query_mesh_bvh[query_mesh]
         start = model.query_mesh_face_start[query_mesh]
         row = hint
@@ -78,7 +79,7 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def pruning_reference(best: ClosestPoint, far: real):
-        """Returns a foot as what leads."""
+        """Returns a closest point as the reference that prunes faces within the displacement ``far``."""
         reference = PruningReference()
         reference.far = far
         reference.distance = best.distance
@@ -89,14 +90,14 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def offset_ahead(model: Model, query_mesh: int, cache: Cache, env: int, contact: int, p: vec3, distance: real):
-        """From a point to where its list is to be made, in the direction in which it left that of the last.
+        """Returns the offset from a point to the center of its next list, in its direction of motion.
 
-        As far as a part of what the last list reached beyond the nearest face: what there was room for.
+        The length is a fraction of the distance that the last list reached beyond its nearest face.
         """
         offset = p - cache.list_center[env, contact]
         length = wp.length(offset)
         reserve = wp.min(cache.uncached_bound[env, contact] - distance, model.query_mesh_skin[query_mesh])
-        # Not where it never was, nor after a jump, nor where a state was not finite.
+        # No offset for a first list, after a jump or from a non-finite state.
         if length > real(0.0) and length <= real(2.0) * reserve:
             return (ahead_fraction * reserve / length) * offset
         return vec3()
@@ -105,10 +106,10 @@ def functions(real: type) -> SimpleNamespace:
     def cache_faces_near(
         model: Model, query_mesh: int, p: vec3, closest: ClosestPoint, cache: Cache, env: int, contact: int
     ):
-        """Lists the faces that may be nearest near a place ahead of ``p``, with its nearest ``closest``.
+        """Caches the faces that may be nearest around a center ahead of ``p``; ``closest`` is nearest to ``p``.
 
-        All others are farther from that place than is kept as ``reach``, or no nearer than some other within the
-        skin of it.
+        All other faces are farther from the center than the stored ``uncached_bound``, or stay farther than a listed face
+        for every displacement within the skin.
         """
         center = p + offset_ahead(model, query_mesh, cache, env, contact, p, closest.distance)
         skin = model.query_mesh_skin[query_mesh]
@@ -134,7 +135,7 @@ def functions(real: type) -> SimpleNamespace:
                         best = other
                     leaf = slot + count
                     if count == capacity:
-                        # The farthest makes room, and ends the reach of the list.
+                        # Replace the farthest face; its bound limits the reach of the list.
                         reach = least
                         for k in range(capacity):
                             i = assume_nonnegative(slot + k)

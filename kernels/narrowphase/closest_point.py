@@ -1,9 +1,9 @@
-"""Closest point and orientation: the kinematics of a point or sphere against an oriented surface.
+"""Narrow phase of a point or sphere against an oriented triangle mesh: gap, normal and contact point.
 
-The algorithm of EULER's ``contactPS2`` element on a triangle mesh: the nearest
-point S over the whole patch, then whether S is active, then the side. Warp's query runs in float32 in the mesh's
-own frame and only names a face; the distance, the feature hit and its pseudonormal are computed here in the
-precision of the simulation. Where a CPU remembers faces it searches in that as well, by a tree of its own.
+Algorithm of the element ``contactPS2`` of EULER: the closest point S on the whole query mesh, then whether S is on an
+active face, then the side by the pseudonormal. Warp's query runs in float32 in the mesh frame and only selects a face;
+distance, feature and pseudonormal are computed here in the precision of the simulation. With a cache, a CPU searches
+in that precision, with the BVH of ``bvh_search.py``.
 """
 
 import functools
@@ -37,14 +37,14 @@ from warpcontact.kernels.types import (
     structs,
 )
 
-# A point counts as beside an open boundary when it is farther sideways than this fraction of the boundary edge.
+# A point is outside an open boundary if its lateral distance exceeds this fraction of the length of the boundary edge.
 BOUNDARY_TOLERANCE = 1.0e-4
-# Rounding, in units of epsilon times the size of the differences: below it a direction between two points means
-# nothing.
+# Rounding error in units of epsilon times the size of the differences. A direction between points that are closer
+# than this is undefined.
 ROUNDING = 16.0
-# The same of a point alone, in units of epsilon times its coordinates: on fine meshes this is more.
+# Rounding error of the point itself, in units of epsilon times its coordinates. Larger than ROUNDING on fine meshes.
 POINT_ROUNDING = 4.0
-# Parts of a look.
+# Parts of the narrow phase that a kernel is compiled for.
 DETECT_ALL, DETECT_CACHED, DETECT_CANDIDATES, DETECT_FACE_CACHE, DETECT_BVH = (
     "all",
     "cached",
@@ -53,11 +53,11 @@ DETECT_ALL, DETECT_CACHED, DETECT_CANDIDATES, DETECT_FACE_CACHE, DETECT_BVH = (
     "bvh",
 )
 DETECT_GRID, DETECT_GRID_FAR, DETECT_GRID_ANY, DETECT_QUERY = "grid", "grid_far", "grid_any", "query"
-# Of what a point was free by: with less left it would soon be looked at again.
+# Fraction of the cached clearance below which a contact is evaluated again instead of culled.
 MIN_CLEARANCE_FRACTION = 0.25
-# Result of one that is left to the next part: no distance.
+# Clearance of a contact that is deferred to the next part.
 DEFERRED = -math.inf
-# Contacts that stay with the part of the surface that they touched.
+# Options of contacts that track the face that they touched.
 TRACKED = LATCHED | SWEPT
 
 
@@ -65,15 +65,14 @@ TRACKED = LATCHED | SWEPT
 def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
     """Returns the struct ``SetFrames`` and the device functions for ``real``.
 
-    With ``tracks``, latched and swept contacts stay with the part of the surface that they touched: on the inner
-    side their nearest point is the one reached by walking from the last, so that neither the middle of a plate
-    nor its far side turns the force over.
+    With ``tracks``, latched and swept contacts track the surface: on the inner side, their closest point is found by
+    descent from the last face, so that the force does not flip in the middle or on the far side of a plate.
 
-    ``part`` selects the code that is compiled. ``DETECT_ALL`` does everything. The others are successive
-    parts, each of which defers what it cannot decide. With a face cache: ``DETECT_CACHED`` uses the nearest face,
-    ``DETECT_CANDIDATES`` the cached candidates, ``DETECT_FACE_CACHE`` both, ``DETECT_BVH`` queries the BVH. With a
-    face grid: ``DETECT_GRID`` uses the faces of a cell, ``DETECT_GRID_FAR`` first the stored clearance,
-    ``DETECT_QUERY`` queries the BVH, ``DETECT_GRID_ANY`` uses the cell and, if necessary, the BVH.
+    ``part`` selects the code that is compiled. ``DETECT_ALL`` does everything. The others are successive parts, each of
+    which defers what it cannot decide. With a face cache: ``DETECT_CACHED`` uses the nearest face, ``DETECT_CANDIDATES``
+    the cached candidates, ``DETECT_FACE_CACHE`` both, ``DETECT_BVH`` queries the BVH. With a face grid: ``DETECT_GRID``
+    uses the faces of a cell, ``DETECT_GRID_FAR`` first the stored clearance, ``DETECT_QUERY`` queries the BVH,
+    ``DETECT_GRID_ANY`` uses the cell and, if necessary, the BVH.
     """
     t = structs(real)
     vec3, mat33, Model, State, History = t.vec3, t.mat33, t.Model, t.State, t.History
@@ -120,13 +119,13 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
     orientation_to_world, rotation_to_world = frame.orientation_to_world, frame.rotation_to_world
     epsilon = wp.constant(real(t.epsilon * ROUNDING))
     point_epsilon = wp.constant(real(t.epsilon * POINT_ROUNDING))
-    # The mesh that the query searches is stored in float32, whatever the precision of the simulation.
+    # The mesh of the query is stored in float32 for any precision of the simulation.
     query_epsilon = wp.constant(real(float(np.finfo(np.float32).eps) * search.QUERY_ROUNDING))
     boundary_tolerance = wp.constant(real(BOUNDARY_TOLERANCE))
 
     @wp.func
     def edge_length(model: Model, row: int, feature: int):
-        """Length of the edge hit, or of the shorter of the two edges of this face at the corner hit."""
+        """Returns the length of an edge, or for a vertex that of the shorter of its two edges of this face."""
         a = model.face_corner[row, 0]
         b = model.face_corner[row, 1]
         c = model.face_corner[row, 2]
@@ -148,16 +147,16 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
 
     @wp.struct
     class SetFrames:
-        """Where the points of a set are, and what they see of their surface."""
+        """Frames of a point set and its surface."""
 
-        offset_W: vec3  # from the origin of the surface to where the points are given from
+        offset_W: vec3  # from the origin of the surface to the origin of the points
         R_WB: mat33
         R_WS: mat33
         scale: real
         inverse_scale: real
-        set_index: wp.int32  # of their set
+        set_index: wp.int32
         query_mesh: wp.int32
-        start: wp.int32  # first row of its faces
+        start: wp.int32  # first face row of the query mesh
         stop: wp.int32
 
     @wp.func
@@ -183,32 +182,32 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
 
     @wp.struct
     class DetectedContact:
-        """What a look at a contact finds."""
+        """Result of the narrow phase for one contact."""
 
-        clearance: real  # how far its point can move and not touch [m]; < 0: not at all; LATER: nothing was found
+        clearance: real  # displacement without contact [m]; < 0: none; DEFERRED: undecided
         status: wp.int32  # OPEN, CONTACT, …
-        armed: wp.int32  # the latch that this leads to
+        armed: wp.int32  # resulting latch
         penetration: real  # 0 unless status is CONTACT [m]
-        has_details: wp.bool  # whether what follows is told: not of what is far away, as far as steps look at it
+        has_details: wp.bool  # whether the fields below are set; not for a contact that is far away
         gap: real  # < 0 in overlap [m]
         face: wp.int32  # row of the face; −1: none
         normal: vec3  # out of the surface, W
-        arm: vec3  # to K, where the force acts, from where points are given, W [m]
+        arm: vec3  # from the origin of the points to K, where the force acts, W [m]
 
     @wp.func
     def store_clearance(cache: Cache, env: int, contact: int, p_S: vec3, clearance: real):
-        """Remembers how far a point can move from where it is and not touch, in units of the mesh."""
+        """Stores a displacement from ``p_S`` without contact [mesh unit]."""
         cache.clearance[env, contact] = clearance
         cache.clearance_center[env, contact] = p_S
 
     @wp.func
     def remaining_clearance(cache: Cache, env: int, contact: int, p_S: vec3):
-        """How far a point can still move, of what it could where that was remembered, in units of the mesh."""
+        """Returns what is left of the stored clearance at ``p_S`` [mesh unit]."""
         return cache.clearance[env, contact] - wp.length(p_S - cache.clearance_center[env, contact])
 
     @wp.func
     def no_closest_point(clearance: real, gap: real, status: int, armed: int, arm_W: vec3):
-        """What is found of one that has no nearest point."""
+        """Returns the result for a contact without a closest point."""
         detected = DetectedContact()
         detected.clearance = clearance
         detected.status = status
@@ -221,7 +220,7 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
 
     @wp.func
     def far_contact(clearance: real):
-        """What is found of one that is far away on the outer side."""
+        """Returns the result for a contact far away on the outer side."""
         detected = DetectedContact()
         detected.clearance = clearance
         detected.status = OPEN
@@ -230,14 +229,14 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
 
     @wp.func
     def deferred_contact():
-        """What is found by a part that leaves it to the next."""
+        """Returns the result of a part that defers the contact to the next."""
         detected = DetectedContact()
         detected.clearance = real(DEFERRED)
         return detected
 
     @wp.func
     def mark_far(contacts: Contacts, env: int, contact: int):
-        """Fills ``contacts`` for one that is far away on the outer side, as far as steps look at it."""
+        """Writes the fields of ``contacts`` that a step reads for a contact far away on the outer side."""
         contacts.status[env, contact] = OPEN
         contacts.penetration[env, contact] = real(0.0)
         contacts.armed[env, contact] = 1
@@ -246,7 +245,7 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
     def detect(
         model: Model, set_frames: SetFrames, history: History, cached: bool, cache: Cache, env: int, contact: int
     ):
-        """Looks at a contact."""
+        """Returns the narrow-phase result of a contact."""
         geometry = model.contact_geometry[env, contact]
         radius = geometry.radius
         armed = history.armed[env, contact]
@@ -255,9 +254,9 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
             return no_closest_point(real(wp.inf), real(wp.nan), DISABLED, armed, arm_W)
         search_gap = wp.max(geometry.search_radius - radius, real(0.0))
 
-        # Distance below which there is contact.
+        # Distance below which the contact is closed.
         contact_radius = radius + geometry.closed
-        # Into the mesh's own frame and unit, where float32 is as good as the mesh.
+        # Mesh frame and unit, in which float32 is as accurate as the mesh.
         query_mesh, scale = set_frames.query_mesh, set_frames.scale
         contact_distance = contact_radius * set_frames.inverse_scale
         p_S = set_frames.inverse_scale * (wp.transpose(set_frames.R_WS) * (set_frames.offset_W + arm_W))
@@ -265,19 +264,19 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
         option = model.contact_options[contact]
         extent = max_coordinate(p_S)
         closest = ClosestPoint()
-        # How far the nearest face may be nearer than the foot.
+        # Bound on how much nearer another face may be than ``closest``.
         error = real(0.0)
         tracked_inside = wp.bool(False)
         if wp.static(tracks):
-            # A face of another mesh, which the surface had before, says nothing.
+            # Ignore a face of another mesh that the surface had before.
             last = history.face[env, contact]
             if last >= set_frames.start and last < set_frames.stop and (option & TRACKED) != 0:
                 closest = descend(model, last, p_S)
                 tracked_inside = is_inside(model, closest)
         if not tracked_inside:
-            # A sphere sees at least what it overlaps.
+            # The search covers at least the sphere.
             search_distance = wp.max(geometry.search_radius * set_frames.inverse_scale, contact_distance)
-            # A latch that is not armed waits until the surface is in sight.
+            # A latched contact that is not armed needs the closest point to become armed.
             can_be_far = armed != 0 or (option & LATCHED) == 0
             if wp.static(part == DETECT_GRID_FAR):
                 if can_be_far:
@@ -298,7 +297,7 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
                     if cached:
                         cache.nearest[env, contact] = cached_point.closest.row
                     else:
-                        # Far away a search settles no ties, as what is remembered does.
+                        # An uncached search breaks no ties between distant faces, but the cache does. Use the cache only nearby.
                         farthest = cached_point.closest.distance
                         farthest += query_error(model, query_mesh, extent, farthest)
                         cached_point.valid = farthest < contact_distance + model.query_mesh_skin[query_mesh]
@@ -321,7 +320,7 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
                 if cached and not valid:
                     closest = search_tree(model, query_mesh, p_S, cache.nearest[env, contact])
                     cache.face_count[env, contact] = 0
-                    # A point that is no number has none.
+                    # A NaN point has no closest point.
                     if not (closest.distance < real(wp.inf)):
                         return no_closest_point(real(0.0), search_gap, FAR, armed, arm_W)
                     if closest.distance < contact_distance + model.query_mesh_skin[query_mesh] or is_inside(
@@ -332,8 +331,8 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
                     error = rounding_error(extent, closest)
                     valid = True
             if not valid:
-                # With a cache it looks farther, to know how long it need not look again. It never looks beyond the
-                # face that was nearest last: whichever that was, what is found is the same.
+                # With a cache, search farther, to obtain a clearance. The limit is the distance of the last nearest face,
+                # which does not affect the result.
                 lookahead = wp.where(cached, real(2.0) * search_distance, search_distance)
                 limit = lookahead
                 hinted = wp.bool(False)
@@ -348,7 +347,7 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
                     hinted = closest.distance < lookahead
                     limit = wp.min(limit, closest.distance)
                 margin = query_error(model, query_mesh, extent, limit)
-                # Ties are settled from the nearest on; what is remembered keeps the choice of an earlier search.
+                # Ties are broken within the skin only; a face list built earlier must contain the same candidates.
                 hint_suffices = (
                     cached
                     and hinted
@@ -367,7 +366,7 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
                         return no_closest_point(
                             scale * (lookahead - search_distance), search_gap, FAR, armed, arm_W
                         )
-                # Wherever rounding matters, the choice is looked at again.
+                # Search again among nearly equal faces if rounding can affect the result.
                 error = query_error(model, query_mesh, extent, closest.distance)
                 inside = is_inside(model, closest)
                 is_close = inside or closest.distance < contact_distance + model.query_mesh_skin[query_mesh]
@@ -409,7 +408,7 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
         n_S = model.face_normal[row, feature]
         flags = wp.int32(model.face_flags[row, feature])
 
-        # Signed distance s [m], direction n, and whether P lies beside an open boundary.
+        # Signed distance s [m], normal n, and whether P is outside an open boundary.
         side = wp.dot(closest.to_point, n_S)
         s = side
         beside_boundary = wp.bool(False)
@@ -428,7 +427,7 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
         distance = scale * closest.distance
 
         is_inactive = (flags & FEATURE_ACTIVE) == 0
-        # Beside a boundary only a sphere on the outer side can touch, and only the boundary.
+        # Outside a boundary only a sphere on the outer side can be in contact, and only with the boundary.
         outside_boundary = beside_boundary and (
             s < real(0.0) or radius == real(0.0) or (option & BOUNDARY_OUTER) == 0
         )
@@ -461,8 +460,8 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
         if contact_status == CONTACT:
             penetration = wp.max(radius - s, real(0.0))
 
-        # How far the point is from touching. On the side that it is on it stays, where that is known; one that is
-        # deeper than counts as contact, or farther than that outside, does not touch whatever its side.
+        # Displacement without contact. Within the side region, the point stays on its side. Beyond max_depth, on
+        # either side, there is no contact.
         clearance = real(-1.0)
         if not tracked_inside and contact_status != CONTACT:
             nearest = distance - scale * error
@@ -474,7 +473,7 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
                 if cached and contact_status == OPEN and armed != 0 and clearance > real(0.0):
                     store_clearance(cache, env, contact, p_S, set_frames.inverse_scale * clearance)
 
-        # K = S + κ (D − S) with D = P − RC n, the deepest point; seen from P.
+        # K = S + κ (D − S), where D = P − r n is the deepest point of the sphere; relative to P.
         to_surface = -scale * closest.to_point
         if closest.feature == 0:
             to_surface = -s * n_S
@@ -496,7 +495,7 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
 
     @wp.func
     def write_contact(detected: DetectedContact, contacts: Contacts, env: int, contact: int):
-        """Fills ``contacts`` for one."""
+        """Writes a result to ``contacts``."""
         if wp.static(tracks):
             contacts.crossed_face[env, contact] = -1
         if not detected.has_details:
@@ -521,7 +520,7 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
         env: int,
         contact: int,
     ):
-        """Fills ``contacts`` for one; returns how far its point can move and not touch [m], < 0: not at all."""
+        """Updates a contact; returns the displacement of its point without contact [m], < 0: none."""
         detected = detect(model, set_frames, history, cached, cache, env, contact)
         if wp.static(part in (DETECT_CACHED, DETECT_CANDIDATES, DETECT_FACE_CACHE, DETECT_GRID)):
             if detected.clearance == real(DEFERRED):

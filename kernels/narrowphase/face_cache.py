@@ -1,13 +1,11 @@
-"""The outcome of a search, kept from step to step: most contacts need no search.
+"""Cache of candidate faces for closest-point queries.
 
-As in the neighbour lists of molecular dynamics: faces within a skin of a place are remembered, each with its
-distance and the slope of that. A triangle is convex, so its distance is nowhere less than the slope says; and a
-point at m from that place is at least the skin less m away from all others. So the nearest is in the list, or a
-new one is due, which ``search.py`` makes, or on a CPU ``tree.py``. That one leaves out as well what some face of
-the list is nearer than within the skin, so a point that went farther has to have a new one.
-
-A CPU holds these bounds of all faces of a list against the distance of the nearest so far, at each look. On a GPU
-threads keep how far a point can move until that may change, and which faces are rivals then.
+Like a neighbor list in molecular dynamics: a search at point p₀ stores all faces within distance d_min + skin, each with
+its distance and gradient. Because a triangle is convex, its distance at p is at least d₀ + ∇d₀·(p − p₀). A face that is
+not stored is at distance ≥ bound − |p − p₀|. If the smallest stored distance is below that bound, the result is exact;
+otherwise the cache is rebuilt (``search.py``; on a CPU ``bvh_search.py``, whose lists also omit dominated faces and are
+valid only within the skin). CPU kernels test the bounds of all listed faces with vector instructions. GPU kernels
+store the radius within which the nearest face, or one of at most three others, remains nearest.
 """
 
 import functools
@@ -20,11 +18,11 @@ from warpcontact.kernels.lowlevel.warps import lowest_set_bit
 from warpcontact.kernels.narrowphase import face_closest_point as closest_points
 from warpcontact.kernels.types import assume_nonnegative, structs
 
-# Rounding of a distance, in units of epsilon times the size of the differences; wider than a tie of two feet.
+# Rounding error of a distance, in units of epsilon times the size of the differences. Wider than a tie.
 ROUNDING = 32.0
-# Distance, in units of the size of the differences, from which on rounding turns a direction by little.
+# Smallest distance, in units of the size of the differences, at which rounding errors of a direction are negligible.
 MIN_RELATIVE_DISTANCE = 0.002
-# Steps for which one face has to do, or two or three, or one more is looked at as well.
+# Number of steps for which the valid radius should suffice; otherwise up to three more candidates are tested.
 LOOKAHEAD_STEPS = 20.0
 
 
@@ -46,21 +44,21 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.struct
     class CachedClosestPoint:
-        """The nearest foot, as far as it is known."""
+        """Closest point from the cache, if valid."""
 
         closest: ClosestPoint
         valid: wp.bool
 
     @wp.func
     def distance_gradient(closest: ClosestPoint):
-        """Slope of the distance of a face; 0 where rounding would turn it."""
+        """Returns the gradient of the distance of a face; 0 where rounding would dominate it."""
         if closest.distance > min_relative_distance * closest.span:
             return (real(1.0) / closest.distance) * closest.to_point
         return vec3()
 
     @wp.func
     def distance_lower_bound(closest: ClosestPoint, direction: vec3, displacement: vec3):
-        """Distance of a face, at least, at a place that the point is ``displacement`` away from."""
+        """Returns a lower bound on the distance of a face from the point shifted by −``displacement``."""
         if closest.distance > min_relative_distance * closest.span:
             return closest.distance - wp.dot(direction, displacement)
         return real(0.0)
@@ -74,12 +72,12 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def face_capacity(cache: Cache):
-        """How many faces are remembered per contact."""
+        """Returns the number of faces that can be cached per contact."""
         return cache.face.shape[1] // cache.face_count.shape[1]
 
     @wp.func
     def store_face_list(cache: Cache, env: int, contact: int, count: int, p: vec3, uncached_bound: real):
-        """Says what was found from ``p``: ``count`` faces, all others farther than ``uncached_bound``."""
+        """Stores the header of a list: ``count`` faces around ``p``, all others farther than ``uncached_bound``."""
         cache.face_count[env, contact] = count
         cache.valid_radius[env, contact] = real(0.0)
         cache.list_center[env, contact] = p
@@ -87,17 +85,15 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def lead_distance(best: ClosestPoint, direction: vec3, distance: real, limit: real, inverse_limit: real):
-        """How far the point can move, in any direction, with ``best`` nearer than a face ``distance`` away.
+        """Returns a displacement up to which ``best`` stays nearer than a face ``distance`` away, at most ``limit``.
 
-        Or ``limit``, of which ``inverse_limit`` is the inverse, if it is not less than that.
-
-        A distance changes by no more than the point moved. And better where both lie in about one direction: the
-        distance of that face is at least what its slope says, u' being the ``direction`` from its nearest point,
-        and the distance from ``best`` at most that from where its foot is now,
+        ``inverse_limit`` is 1/``limit``. A distance d changes by at most the displacement |v|. A better bound holds if both
+        faces lie in about the same direction. With the gradient u' = ``direction`` of the other face's distance d', and u
+        the unit vector from the closest point of ``best``,
 
             d'(p + v) ≥ d' + u'·v,   d(p + v) ≤ |d u + v| ≤ d + u·v + |v|²/d for |v| ≤ d/2
 
-        so ``best`` leads as long as |v|²/d + |u' − u| |v| < d' − d.
+        so ``best`` stays nearest while |v|²/d + |u' − u| |v| < d' − d.
         """
         d = best.distance
         ahead = distance - d
@@ -108,7 +104,7 @@ def functions(real: type) -> SimpleNamespace:
         per_d = real(1.0) / d
         direction_change = direction - per_d * best.to_point
         rounded = per_d * rounded
-        # Most need no root: whether it would be less at |v| = most.
+        # Usually no root is needed: evaluate the condition at |v| = limit.
         least = ahead * inverse_limit - limit * per_d - rounded
         if least > real(0.0) and wp.length_sq(direction_change) < least * least and limit < real(0.5) * d:
             return limit
@@ -118,20 +114,20 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def no_cached_point(model: Model, query_mesh: int, cache: Cache, env: int, contact: int, p: vec3, step: real):
-        """Takes no remembered face for the nearest."""
+        """Returns an invalid result, for kernels without a face cache."""
         return CachedClosestPoint()
 
     @wp.func
     def bound_rounding(model: Model, query_mesh: int, best: ClosestPoint, distance_moved: real):
-        """Rounding error of a cached distance bound, at ``distance_moved`` from the center of the list."""
-        # Slopes were taken no farther away from it than a list reaches.
+        """Returns the rounding error of a cached distance bound ``distance_moved`` from the center of the list."""
+        # Gradients were computed at points within the reach of the list.
         return rounding * (
             best.span + best.distance + real(16.0) * (distance_moved + model.query_mesh_skin[query_mesh])
         )
 
     @wp.func
     def candidate_lower_bound(cache: Cache, env: int, i: int, displacement: vec3, slack: real):
-        """Distance of a remembered face, at least, at a place ``displacement`` away from that of the list."""
+        """Returns a lower bound on the distance of a cached face, ``displacement`` from the center of the list."""
         return cache.distance[env, i] + wp.dot(cache.gradient[env, i], displacement) - slack
 
     @wp.func
@@ -146,7 +142,7 @@ def functions(real: type) -> SimpleNamespace:
         slack: real,
         best: ClosestPoint,
     ):
-        """Returns the nearer of ``best`` and a remembered face, which is not looked at if it is ``first``."""
+        """Returns the nearer of ``best`` and a cached face; skips face ``first``."""
         face = cache.face[env, i]
         if candidate_lower_bound(cache, env, i, displacement, slack) > best.distance or face == first:
             return best
@@ -158,7 +154,7 @@ def functions(real: type) -> SimpleNamespace:
     def list_suffices(
         model: Model, query_mesh: int, cache: Cache, env: int, contact: int, displacement: vec3, best: ClosestPoint
     ):
-        """Whether no face that is not in the list is as near as ``best``."""
+        """Returns whether ``best`` is nearer than all faces that are not cached."""
         distance_moved = wp.length(displacement)
         return best.distance < cache.uncached_bound[env, contact] - distance_moved - bound_rounding(
             model, query_mesh, best, distance_moved
@@ -166,7 +162,7 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def cached_nearest(model: Model, query_mesh: int, cache: Cache, env: int, contact: int, p: vec3, step: real):
-        """Takes the face that is known to be the nearest here, or one of few."""
+        """Returns the closest point on the stored nearest face and its tied candidates, if still valid."""
         result = CachedClosestPoint()
         result.valid = False
         if cache.face_count[env, contact] != 0:
@@ -199,7 +195,7 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def swap(cache: Cache, env: int, slot: int, k: int, other: int):
-        """Lets two faces of a list change places."""
+        """Swaps two faces of a list."""
         if k != other:
             i = assume_nonnegative(slot + k)
             j = assume_nonnegative(slot + other)
@@ -224,15 +220,15 @@ def functions(real: type) -> SimpleNamespace:
         best: ClosestPoint,
         step: real,
     ):
-        """Remembers how far from here the nearest of a list is that, or one of few; those others it puts first."""
+        """Stores the radius around ``p`` within which ``best`` or one of the first ``tied_count`` faces is nearest."""
         slot = assume_nonnegative(contact * face_capacity(cache))
-        # How far the point can move with the nearest ahead of all others, of all but one, two and three of them.
+        # Displacements up to which the nearest face leads all others, all but one, all but two and all but three.
         lead_0 = real(wp.inf)
         lead_1 = real(wp.inf)
         lead_2 = real(wp.inf)
         lead_3 = real(wp.inf)
         inverse_last = real(0.0)
-        # Where these are in the list.
+        # Their positions in the list.
         slot_0 = wp.int32(0)
         slot_1 = wp.int32(0)
         slot_2 = wp.int32(0)
@@ -256,7 +252,7 @@ def functions(real: type) -> SimpleNamespace:
                                 lead_0 = leads
                                 slot_0 = wp.int32(k)
             k += 1
-        # Those that may come as near first are looked at as well, where they would soon be asked for again.
+        # If the radius is too small for the next steps, move up to three competing faces to the front of the list.
         valid_radius = lead_0
         tied_count = wp.int32(0)
         if lead_0 < lookahead_steps * step:
@@ -280,19 +276,19 @@ def functions(real: type) -> SimpleNamespace:
         cache.nearest[env, contact] = best.row
 
     def candidate_search(vectorized: bool) -> wp.Function:
-        """Returns the device function that looks through a list, by bounds of several faces ``vectorized`` or not.
+        """Returns the device function that searches a list, testing the bounds of several faces at a time or not.
 
-        On a CPU the first costs less than to know of which one need not ask, as threads of a GPU do.
+        On a CPU, vectorized tests of all faces cost less than maintaining the valid radius, as GPU threads do.
         """
 
         @wp.func
         def nearest_candidate(
             model: Model, query_mesh: int, cache: Cache, env: int, contact: int, p: vec3, step: real
         ):
-            """Looks for the nearest point among the remembered faces.
+            """Returns the closest point on the cached faces, if the list suffices.
 
-            A look leaves closer bounds, one for sensors as well; in cells, where none are kept, it finds nothing.
-            ``step``: how far the point came in the last step, about.
+            Replaces the bounds of evaluated faces by tighter ones. ``step``: Displacement of the point in the last step,
+            approximate [mesh unit].
             """
             result = CachedClosestPoint()
             result.valid = False
@@ -347,7 +343,7 @@ def functions(real: type) -> SimpleNamespace:
             result.closest = best
             result.valid = settled and list_suffices(model, query_mesh, cache, env, contact, displacement, best)
             if wp.static(vectorized):
-                # ``tree.py`` left out what is no nearer within the skin.
+                # Lists of ``bvh_search.py`` omit dominated faces and are valid within the skin only.
                 result.valid = result.valid and distance_moved + slack < model.query_mesh_skin[query_mesh]
             if wp.static(not vectorized):
                 if result.valid:
@@ -363,7 +359,7 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def cached_closest(model: Model, query_mesh: int, cache: Cache, env: int, contact: int, p: vec3, step: real):
-        """Takes the nearest face if it is among the remembered ones."""
+        """Returns the closest point from the stored nearest face or, if that fails, from the cached faces."""
         result = cached_nearest(model, query_mesh, cache, env, contact, p, step)
         if not result.valid:
             result = nearest_candidate(model, query_mesh, cache, env, contact, p, step)

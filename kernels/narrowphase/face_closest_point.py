@@ -1,4 +1,4 @@
-"""The nearest point of a face, seen from a point; which of two is nearer; a walk to the nearest about there."""
+"""Closest point on a face; comparison of two closest points with tie-breaking; descent over adjacent faces."""
 
 import functools
 from types import SimpleNamespace
@@ -8,15 +8,15 @@ from warpcontact.kernels.lowlevel import vector_loads
 from warpcontact.kernels.narrowphase import triangle
 from warpcontact.kernels.types import FEATURE_ACTIVE, assume_nonnegative, structs
 
-# Rounding, in units of epsilon times the size of the differences: two distances this near are equal. Not wider:
-# the distances to a face and to its neighbour's edge differ in second order only, and the pseudonormal of an edge
-# tells the side of a point only if the edge is nearest.
+# Rounding error in units of epsilon times the size of the differences: two distances this close are tied. Not wider,
+# because the distances to a face and to the edge of its neighbor differ in second order only, and the pseudonormal
+# of an edge gives the side of a point only if the edge is nearest.
 TIE = 3.0
-# Faces about a corner that a walk looks at, and steps of a walk: only to have an end. A swept point may have come
-# over hundreds of faces in one step.
+# Limits on the faces of a vertex fan and on the steps of a descent; they only guarantee termination. A swept point
+# may pass hundreds of faces in one step.
 MAX_FAN_FACES = 1024
 MAX_DESCENT_STEPS = 4096
-# Steps at most in which a point is followed.
+# Largest number of steps in which a moving point is tracked.
 MAX_TRACK_STEPS = 32
 
 
@@ -32,13 +32,13 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.struct
     class ClosestPoint:
-        """The nearest point S of a face, seen from P: differences of coordinates carry less rounding."""
+        """Closest point S of a face, relative to P; relative coordinates have less rounding error."""
 
-        to_point: vec3  # P − S, in the mesh's frame
-        row: wp.int32  # of the face tables
+        to_point: vec3  # P − S, mesh frame
+        row: wp.int32  # of the face, in the face tables
         feature: wp.int32
         distance: real  # |P − S|
-        span: real  # size of the differences that went into it
+        span: real  # size of the coordinate differences, for rounding errors
 
     @wp.func
     def closest_on_face(model: Model, row: int, p: vec3):
@@ -57,7 +57,7 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def face_distance(model: Model, row: int, p: vec3):
-        """Distance of a face, to rounding and without branches: in its plane, in its own axes."""
+        """Returns the distance of a face, exact to rounding, computed in the axes of the face without branches."""
         corners = row_of(model.face_corner, row)
         axes = row_of(model.face_frame, row)
         v = p - corners[0]
@@ -66,7 +66,7 @@ def functions(real: type) -> SimpleNamespace:
         height = wp.dot(v, corners[3])
         shape = axes[2]
         per_square = axes[3]
-        # The corners are (0, 0), (length, 0) and (c_x, c_y), anticlockwise.
+        # Vertices in these axes: (0, 0), (length, 0) and (c_x, c_y), counterclockwise.
         length = shape[0]
         c_x = shape[1]
         c_y = shape[2]
@@ -88,7 +88,7 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def is_inside(model: Model, closest: ClosestPoint):
-        """Whether P is on the inner side of S."""
+        """Returns whether P is on the inner side of the surface at S."""
         return wp.dot(
             closest.to_point,
             model.face_normal[assume_nonnegative(closest.row), assume_nonnegative(closest.feature)],
@@ -96,15 +96,15 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def is_inactive(model: Model, closest: ClosestPoint):
-        """Whether S is not on the active part."""
+        """Returns whether S is on an inactive face."""
         return (wp.int32(model.face_flags[closest.row, closest.feature]) & FEATURE_ACTIVE) == 0
 
     @wp.func
     def wins_tie(model: Model, a: ClosestPoint, b: ClosestPoint, tie: real):
-        """Whether ``a`` is taken of two feet at the same distance.
+        """Returns whether ``a`` wins a tie of two closest points.
 
-        One on the active part if they are one point; else a face before an edge before a corner, the outer side
-        before the inner, and the lower face.
+        If they coincide, the one on an active face wins. Otherwise, in this order: a face before an edge before a vertex,
+        the outer side before the inner, the lower row.
         """
         inactive_a = is_inactive(model, a)
         if inactive_a != is_inactive(model, b) and wp.length(a.to_point - b.to_point) <= tie:
@@ -120,9 +120,9 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def closer(model: Model, best: ClosestPoint, other: ClosestPoint):
-        """Returns the nearer foot; ``distance`` of the result is the smallest seen, so that ties do not drift.
+        """Returns the nearer closest point; its ``distance`` is the smaller one, so that ties do not drift.
 
-        Of many, one after the other, which is taken may hang on their order: see ``lost_tie``.
+        Over many candidates the result may depend on their order; see ``lost_tie``.
         """
         tie = tie_epsilon * wp.max(best.span, other.span)
         nearest = wp.min(best.distance, other.distance)
@@ -135,18 +135,17 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def lost_tie(best: ClosestPoint):
-        """Whether a foot that was taken of many is not tied with the nearest of them.
+        """Returns whether the selected closest point is not tied with the smallest distance seen.
 
-        It was tied with one that was as near as any until then. Others may have been passed over for it that are
-        tied with the nearest.
+        It was tied with an earlier minimum. Candidates that are tied with the final minimum may have been rejected.
         """
         return wp.length(best.to_point) > best.distance + tie_epsilon * best.span
 
     @wp.func
     def break_tie(model: Model, best: ClosestPoint, other: ClosestPoint):
-        """Returns which of two is taken among those that are tied with the nearest, one after the other.
+        """Returns the winner among candidates tied with the smallest distance, called once per candidate.
 
-        ``distance`` of ``best``, and of the result, is that of the nearest. It has no row while there is none.
+        ``distance`` of ``best`` and of the result is that smallest distance. ``best.row`` < 0: no candidate yet.
         """
         if other.distance > best.distance + tie_epsilon * other.span:
             return best
@@ -158,9 +157,9 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def search_vertex_fan(model: Model, best: ClosestPoint, row: int, edge: int, about_end: int, p: vec3):
-        """Looks at the faces that follow across ``edge`` of face ``row`` about one of its ends.
+        """Evaluates the faces around one end of ``edge`` of face ``row``, starting across that edge.
 
-        ``about_end`` is 1 to go on about the end of the edge, 0 about its start.
+        ``about_end``: 1: around the end of the edge, 0: around its start.
         """
         across = model.face_neighbor[row, edge]
         for _ in range(wp.static(MAX_FAN_FACES)):
@@ -168,7 +167,7 @@ def functions(real: type) -> SimpleNamespace:
             if across < 0 or other == row:
                 break
             best = closer(model, best, closest_on_face(model, other, p))
-            # The neighbour runs along the edge the other way: its end there is our start.
+            # The neighbor traverses the edge in the opposite direction: its end there is the start here.
             entered = across - 3 * other
             leave = (entered + 2) % 3
             if about_end == 0:
@@ -178,9 +177,9 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def search_adjacent(model: Model, current: ClosestPoint, best: ClosestPoint, p: vec3):
-        """Looks at the faces that meet in the feature of ``current``."""
+        """Evaluates the faces adjacent to the feature of ``current``."""
         if current.feature > 3:
-            # Out across the edge that begins at this corner, and the one that ends there.
+            # Start across the edge that begins at this vertex and across the edge that ends there.
             corner = current.feature - 4
             best = search_vertex_fan(model, best, current.row, corner, 0, p)
             best = search_vertex_fan(model, best, current.row, (corner + 2) % 3, 1, p)
@@ -193,7 +192,7 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def descend(model: Model, row: int, p: vec3):
-        """The nearest point that is reached from face ``row`` by going from face to neighbour, ever nearer."""
+        """Returns the closest point found by descent from face ``row`` over adjacent, ever nearer faces."""
         best = closest_on_face(model, row, p)
         for _ in range(wp.static(MAX_DESCENT_STEPS)):
             current = best
@@ -204,10 +203,10 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def track(model: Model, row: int, p: vec3, q: vec3):
-        """The nearest point to ``q`` on the sheet that has face ``row`` nearest to ``p``, followed on the way.
+        """Returns the closest point to ``q`` on the sheet whose face ``row`` is nearest to ``p``, by tracking.
 
-        In steps as long as the sheet is far, but where one face stays nearest: a longer one could miss an edge
-        that is passed, from behind which the face that was left looks as near as any.
+        Steps are as long as the distance of the sheet, unless one face remains nearest. A longer step could pass an edge,
+        behind which the face that was left would appear nearest.
         """
         closest = closest_on_face(model, row, p)
         length = wp.length(q - p)

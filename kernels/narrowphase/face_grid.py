@@ -1,7 +1,7 @@
-"""A grid of cells about a mesh: which faces may be nearest to a point of a cell, and how far all its points are.
+"""Uniform grid around a mesh: each cell stores its clearance and the faces that may be nearest.
 
-What a search in a tree finds node by node, each step waiting for the last, a cell has in one place; and what is
-far away is known from one look, whatever was there before.
+One read replaces a BVH traversal, in which each step depends on the last. The clearance of a distant point needs no
+cached data of earlier steps. ``fill_face_grid.py`` fills the cells.
 """
 
 import functools
@@ -16,8 +16,8 @@ from warpcontact.kernels.types import assume_nonnegative, structs
 # A face list is one integer: first index / LIST_ALIGNMENT * LIST_STRIDE + number of faces (< LIST_STRIDE).
 LIST_STRIDE = 32
 LIST_ALIGNMENT = 4
-# A cell is filled as if it were so much larger, for points that rounding puts into the one beside theirs; what is
-# taken off for the rounding of a query serves for them as well.
+# Factor on the cell size when cells are filled, for points that rounding assigns to a neighboring cell. The margin
+# for the rounding of a query covers them as well.
 OVERLAP = 1.001
 
 
@@ -34,9 +34,9 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def cell_at(model: Model, query_mesh: int, p_S: vec3):
-        """What is known about a point of the mesh's frame; of a patch without cells nothing.
+        """Returns the cell of a point in the mesh frame; without a grid, an empty cell.
 
-        A point outside of the grid is on the side of the nearest cell, with no surface between them.
+        Outside the grid, the point is on the side of the nearest boundary cell, with no surface between them.
         """
         cell = Cell()
         cell.faces = -1
@@ -63,10 +63,10 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def closest_in_cell(model: Model, faces: int, p_S: vec3, margin: real):
-        """The foot on the nearest of the faces of a list, ``margin`` being wide enough for rounding."""
+        """Returns the closest point on the faces of a list; ``margin`` covers rounding."""
         start = assume_nonnegative(faces) // wp.static(LIST_STRIDE) * wp.static(LIST_ALIGNMENT)
         least = real(wp.inf)
-        # Those that are about as near as the nearest so far, as bits.
+        # Bits of the faces whose distance is within the margin of the smallest.
         candidates = wp.int32(0)
         for number in range(assume_nonnegative(faces) % wp.static(LIST_STRIDE)):
             distance = face_distance(model, assume_nonnegative(model.cell_face[start + number]), p_S)
@@ -84,7 +84,7 @@ def functions(real: type) -> SimpleNamespace:
                 )
                 remaining = remaining & (remaining - 1)
             if lost_tie(best):
-                # Once more, now that it is known how near the nearest is.
+                # Second pass: break ties among the candidates within rounding of the smallest distance.
                 best.row = -1
                 while candidates != 0:
                     best = break_tie(

@@ -1,4 +1,4 @@
-"""Fills the cells of ``cells.py``, once for each mesh."""
+"""Fills the cells of ``face_grid.py``, once per mesh."""
 
 import functools
 
@@ -10,26 +10,27 @@ from warpcontact.kernels.narrowphase.face_grid import LIST_ALIGNMENT, LIST_STRID
 from warpcontact.kernels.narrowphase.side_regions import side_clearance as side_clearance_of
 from warpcontact.kernels.types import structs
 
-# Faces that may be nearest before it is looked at which of them another is always nearer than.
+# Capacity for candidate faces of a cell before dominated faces are removed.
 MAX_CANDIDATES = 192
-# Those, the nearest to the middle, that others are held against.
+# Number of faces nearest to the cell center that others are compared with.
 COMPARED_FACES = 4
-# Distance, in units of the size of the differences, from which on rounding leaves a direction as it is.
+# Smallest distance, in units of the size of the differences, at which rounding errors of a direction are negligible.
 MIN_RELATIVE_DISTANCE = 0.05
 
 
 @functools.cache
 def kernel(real: type) -> wp.Kernel:
-    """Returns the kernel that fills one cell of a patch for each thread.
+    """Returns the kernel that fills the cells of a query mesh, one per thread.
 
-    A face may be nearest to a point of a cell only if its least distance there is not more than the largest of
-    the face that is nearest to the middle: that of a corner, as the distance from a triangle is convex. Of those
-    that are left one is never nearest if another is nearer everywhere in the cell. What its distance is at least,
+    A face can be nearest to a point of the cell only if its smallest distance to the cell is not above the largest
+    distance of the face nearest to the center. The latter occurs at a corner of the cell, because the distance to a
+    triangle is convex. A remaining face is removed if another is nearer everywhere in the cell. Its distance has the
+    linear lower bound
 
         d(p) ≥ d(q) + u·(p − q)
 
-    with its slope u at any point q, is linear, and the distance from the other convex: so the difference of both
-    is least in a corner.
+    with its gradient u at any point q, and the distance of the other face is convex. So the smallest difference of the
+    two occurs at a corner of the cell.
     """
     t = structs(real)
     vec3, Model = t.vec3, t.Model
@@ -49,7 +50,7 @@ def kernel(real: type) -> wp.Kernel:
 
     @wp.func
     def corner(c: vec3, half: real, number: int):
-        """A corner of a cell, or with the number 8 its middle."""
+        """Returns a corner of a cell, or its center for ``number`` 8."""
         if number == 8:
             return c
         side = vec3(real(number & 1), real((number >> 1) & 1), real((number >> 2) & 1))
@@ -65,9 +66,9 @@ def kernel(real: type) -> wp.Kernel:
         corner_distances: Corners,
         margin: real,
     ):
-        """Whether one of the rivals is nearer than a face by more than a margin, wherever in the cell."""
+        """Returns whether one of the compared faces is nearer by more than ``margin`` everywhere in the cell."""
         for at in range(9):
-            # From the middle first.
+            # Start with the center.
             q = corner(c, half, 8 - at)
             closest = closest_on_face(model, row, q)
             if closest.distance > min_relative_distance * closest.span:
@@ -82,14 +83,14 @@ def kernel(real: type) -> wp.Kernel:
                             return True
         return False
 
-    # Loops in loops: written out they take the compiler seven times as long, and run no faster; measured.
+    # Loops are not unrolled: unrolling takes seven times as long to compile and is not faster (measured).
     @unique_kernel(unrolled=1)
     def fill_cells(
         model: Model,
         query_mesh: wp.int32,
-        reach: real,  # from the outer side, of points that are searched for [unit of the mesh]
-        first: wp.int32,  # place of the first face that is listed
-        face_capacity: wp.int32,  # that there is room for; both are multiples of ``LIST_ALIGNMENT``
+        reach: real,  # distance up to which points on the outer side are searched [mesh unit]
+        first: wp.int32,  # index of the first list entry of this mesh
+        face_capacity: wp.int32,  # number of list entries; like ``first`` a multiple of ``LIST_ALIGNMENT``
         used_units: wp.array(dtype=wp.int32),
     ):
         number = wp.tid()
@@ -112,7 +113,7 @@ def kernel(real: type) -> wp.Kernel:
         start = model.query_mesh_face_start[query_mesh]
         nearest = closest_on_face(model, start + query.face, c)
         error = query_error(model, query_mesh, max_coordinate(c), nearest.distance)
-        # One that the query takes for as near may show the other side.
+        # Among faces within the error of the query another may be nearest, with the point on its inner side.
         nearest = refine_closest(model, query_mesh, c, nearest, error)
         inside = is_inside(model, nearest)
         if not inside:
@@ -126,7 +127,7 @@ def kernel(real: type) -> wp.Kernel:
         largest = real(0.0)
         for k in range(8):
             largest = wp.max(largest, closest_on_face(model, nearest.row, corner(c, half, k)).distance)
-        # The nearest to the middle are the rivals.
+        # Keep the faces nearest to the center for comparison.
         rows = Rows()
         compared_faces = ComparedFaces(-1)
         distances = Distances(real(wp.inf))

@@ -1,6 +1,6 @@
-"""Search for the face nearest to a point by a query of Warp, and lists of those near it for ``recall.py``.
+"""Nearest-face search with Warp's mesh query, and face lists for ``face_cache.py`` on a GPU.
 
-A CPU that remembers searches by a tree of its own: ``tree.py``.
+With a cache, a CPU searches with its own BVH: ``bvh_search.py``.
 """
 
 import functools
@@ -12,7 +12,7 @@ from warpcontact.kernels.narrowphase import face_cache
 from warpcontact.kernels.narrowphase import face_closest_point as closest_points
 from warpcontact.kernels.types import structs
 
-# Rounding of the query, in units of epsilon of float32, in which its mesh is stored, times coordinates.
+# Rounding error of the query, in units of float32 epsilon (the precision of its mesh) times coordinates.
 QUERY_ROUNDING = 16.0
 
 
@@ -34,19 +34,19 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def max_coordinate(p: vec3):
-        """The largest of its coordinates, with which they round."""
+        """Returns the largest absolute coordinate, which determines rounding."""
         return wp.max(wp.max(wp.abs(p[0]), wp.abs(p[1])), wp.abs(p[2]))
 
     @wp.func
     def query_error(model: Model, query_mesh: int, extent: real, distance: real):
-        """How much nearer the nearest face may be than one at ``distance`` that the query found."""
+        """Returns how much nearer the nearest face may be than the one that the query found at ``distance``."""
         return model.query_mesh_error[query_mesh] + query_rounding * (extent + distance)
 
     @wp.func
     def faces_within(model: Model, query_mesh: int, p: vec3, reach: real):
-        """Faces within ``reach``, which has to be wide enough for rounding, and some others.
+        """Returns the faces within ``reach`` and possibly others. ``reach`` must include rounding.
 
-        In float32 a point of a thin face is taken for its nearest that is not, but it is one of the face.
+        On a thin face, the float32 query may return a wrong closest point, but still a point of that face.
         """
         centre = wp.vec3f(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
         return wp.mesh_query_sphere(
@@ -55,10 +55,10 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def refine_closest(model: Model, query_mesh: int, p: vec3, first: ClosestPoint, margin: real):
-        """Looks again at all faces about as near as ``first``, in the precision of the simulation.
+        """Searches again among all faces about as near as ``first``, in the precision of the simulation.
 
-        Makes the choice on edges and medial axes independent of the traversal, and exact in float64. ``margin`` is
-        so wide that ``first`` is among them.
+        Makes the result on edges and medial axes independent of the traversal order, and exact in float64. ``margin`` must
+        be large enough to include ``first``.
         """
         start = model.query_mesh_face_start[query_mesh]
         best = first
@@ -75,7 +75,7 @@ def functions(real: type) -> SimpleNamespace:
                     best = closer(model, best, other)
             searching = not breaking_ties and lost_tie(best)
             if searching:
-                # Once more, now that it is known how near the nearest is.
+                # Second pass: break ties among the candidates within rounding of the smallest distance.
                 breaking_ties = True
                 best.row = -1
         best.distance = wp.length(best.to_point)
@@ -91,11 +91,11 @@ def functions(real: type) -> SimpleNamespace:
 
 @functools.cache
 def closest_and_cache(real: type, capacity: int) -> wp.Function:
-    """Returns the device function that lists faces, for threads side by side, which wait for each other.
+    """Returns the device function that finds the closest point and caches the faces near it, for a GPU.
 
     Args:
-        real: Type of a real number.
-        capacity: Faces that are remembered per contact, not more than the cache has room for.
+        real: Scalar type, ``wp.float32`` or ``wp.float64``.
+        capacity: Number of faces to cache per contact, at most the capacity of the cache.
     """
     t = structs(real)
     vec3, Model, Cache = t.vec3, t.Model, t.Cache
@@ -125,16 +125,16 @@ def closest_and_cache(real: type, capacity: int) -> wp.Function:
         env: int,
         contact: int,
     ):
-        """As ``refine_closest``, looking farther and remembering the faces, in registers while they are found.
+        """Like ``refine_closest``, but with a larger reach, and caches the faces (in registers until the end).
 
-        Of the foot ``distance`` is that of the nearest: if it is ``lost_tie``, another may have to be taken.
+        ``distance`` of the result is the smallest found. If ``lost_tie`` holds, the caller must refine the result.
         """
         start = model.query_mesh_face_start[query_mesh]
         best = first
         reach = first.distance + model.query_mesh_skin[query_mesh]
         found = faces_within(model, query_mesh, p, reach + margin)
         face = wp.int32(0)
-        # The nearest first: loops over a constant are unrolled.
+        # Sorted by distance. Loops with a constant range are unrolled, so the vectors stay in registers.
         distances = Distances(real(wp.inf))
         rows = Rows(-1)
         while wp.mesh_query_next(found, face):
@@ -151,7 +151,7 @@ def closest_and_cache(real: type, capacity: int) -> wp.Function:
                         rows[i] = row
                         distance = replaced
                         row = replaced_row
-                # The farthest makes room, and ends the reach of the list.
+                # A face that drops out limits the reach of the list.
                 reach = wp.min(reach, distance)
         slot = contact * face_capacity(cache)
         count = wp.int32(0)

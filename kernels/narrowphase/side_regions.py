@@ -1,4 +1,4 @@
-"""How far a point may go and stay on the side of a surface that it is on."""
+"""Distance that a point can move while its side of a surface is known."""
 
 import functools
 
@@ -14,9 +14,9 @@ def side_clearance(real: type) -> wp.Function:
 
     @wp.func
     def side_clearance(model: Model, query_mesh: int, p_S: vec3):
-        """How far a point of the outer side can go before it may be on the inner side without coming through.
+        """Returns how far a point on the outer side can move without reaching the inner side around the boundary.
 
-        Of surfaces that are not known to keep their sides apart nothing is said: the result is negative.
+        Negative if the sides of the surface are not known anywhere [mesh unit].
         """
         sides = model.query_mesh_side_region[query_mesh]
         clearance = real(wp.inf)

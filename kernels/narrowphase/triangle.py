@@ -1,6 +1,6 @@
-"""Point of a triangle closest to the origin, and which feature of it is hit: the face, an edge or a corner.
+"""Point of a triangle closest to the origin, and its feature: the face, an edge or a vertex.
 
-The pseudonormal of the feature, not of the face that a query happened to return, decides sign and direction.
+Sign and direction of a contact follow from the pseudonormal of the feature, not of the face that a query returned.
 """
 
 import functools
@@ -20,19 +20,19 @@ def functions(real: type) -> SimpleNamespace:
     @wp.struct
     class Hit:
         point: vec3  # closest point
-        feature: wp.int32  # column of the feature tables: 0 face, 1–3 edges, 4–6 corners
+        feature: wp.int32  # column of the feature tables: 0 face, 1–3 edges, 4–6 vertices
 
     @wp.func
     def along(u: vec3, e: vec3):
-        """Where on the edge from ``u`` along ``e`` the point nearest to the origin lies, 0 to 1."""
+        """Returns the position along the edge ``e`` from ``u`` of the point nearest to the origin, 0 to 1."""
         return wp.clamp(-wp.dot(u, e) / wp.dot(e, e), real(0.0), real(1.0))
 
     @wp.func
     def closest_to_origin(a: vec3, b: vec3, c: vec3, n: vec3):
         """Returns the point of triangle ``abc`` with unit normal ``n`` closest to the origin, and its feature.
 
-        The usual test by barycentric areas subtracts products of lengths and loses all digits in thin triangles;
-        each comparison here is one of lengths, so they cost no more than rounding.
+        The usual test by barycentric areas subtracts products of lengths and loses all digits in thin triangles. Here only
+        lengths are compared, so errors are of the order of rounding.
         """
         hit = Hit()
         ab = b - a
@@ -46,7 +46,7 @@ def functions(real: type) -> SimpleNamespace:
             hit.point = wp.dot(a, n) * n
             hit.feature = 0
             return hit
-        # The nearest edge; of equally near points, one inside an edge rather than a corner.
+        # Nearest edge. Among equally near points, a point inside an edge is preferred to a vertex.
         t = along(a, ab)
         hit.point = a + t * ab
         hit.feature = 1
