@@ -1,4 +1,4 @@
-"""The end of a step: clocks go on, and what failed or is to stop stays where it was."""
+"""End of a step: advances clocks; failed and stopped environments keep their last valid state."""
 
 import functools
 
@@ -20,10 +20,10 @@ from warpcontact.kernels.types import (
 
 @functools.cache
 def accept_step(real: type) -> wp.Function:
-    """Returns the device function that ends a step of an environment, with what it was of before.
+    """Returns the device function that ends a step of an environment, given its status after integration.
 
-    Clocks go on; failed and halted environments stay where they were: both state buffers then hold their last
-    accepted state, so a frozen or stopped one needs no further work.
+    Clocks of active environments advance. For failed and halted environments it copies the last accepted state, so that
+    both state buffers hold it and frozen or stopped environments need no further work.
     """
     State = structs(real).State
     copy_body = frames.functions(real).copy_body

@@ -1,4 +1,4 @@
-"""When a step has failed: the body is no longer where numbers say, too fast, or too far away."""
+"""Checks the state after a step: non-finite, too fast or too far away."""
 
 import functools
 from types import SimpleNamespace
@@ -14,25 +14,25 @@ def guard(real: type) -> SimpleNamespace:
 
     @wp.struct
     class Limits:
-        """What a centre of mass may do, squared."""
+        """Squared limits on the motion of the center of mass."""
 
         speed: real  # [m²/s²]
         distance: real  # from the origin of W [m²]
 
     @wp.struct
     class Guard:
-        """What environments may not do, and why they were frozen."""
+        """Limits of environments, and the causes of failures."""
 
-        suspect: wp.array2d(dtype=real)  # [env, 0] what keeps all squares below this, in sum, has not failed
-        limits: wp.array2d(dtype=Limits)  # [env, 0] to be looked at if not
+        suspect: wp.array2d(dtype=real)  # [env, 0] if the sum of all squares is below this, the state is valid
+        limits: wp.array2d(dtype=Limits)  # [env, 0] checked otherwise
         cause: wp.array(dtype=wp.int32)  # [env] NO_CAUSE, NON_FINITE, …
 
     @wp.func
     def failure_cause(position: vec3, velocity: vec3, spin: vec3, limits: Limits):
-        """Why a body with such a proposed state has failed."""
+        """Returns the failure cause of a proposed state, or NO_CAUSE."""
         distance = wp.length_sq(position)
         speed = wp.length_sq(velocity)
-        # One sum is finite only if every term is: squares have no opposite signs.
+        # A sum of squares is finite only if every term is.
         if not wp.isfinite(distance + speed + wp.length_sq(spin)):
             return NON_FINITE
         if speed > limits.speed:

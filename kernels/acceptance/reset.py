@@ -1,4 +1,4 @@
-"""Start of a run: the initial state, and nothing known of what was before."""
+"""Resets environments to their initial state and clears histories and caches."""
 
 import functools
 
@@ -12,7 +12,7 @@ from warpcontact.kernels.types import ENV_ACTIVE, NO_CAUSE, structs
 
 @functools.cache
 def environments(real: type) -> wp.Kernel:
-    """Returns the kernel that puts chosen environments back to the start. Launch with dim env."""
+    """Returns the kernel that resets selected environments. Launch with dim env."""
     t = structs(real)
     vec3, State, History, Cache, ActiveContacts, Wrenches = (
         t.vec3,
@@ -49,7 +49,7 @@ def environments(real: type) -> wp.Kernel:
         time[env] = wp.float64(0.0)
         for body in range(bodies):
             copy_body(initial, state, env, body)
-            # Whoever looks at them before they are computed anew is not to see why the environment failed.
+            # Wrenches may be read before the next evaluation; those of a failed state could be non-finite.
             wrenches.force[env, body] = vec3()
             wrenches.torque[env, body] = vec3()
         for contact in range(contacts):
@@ -74,7 +74,7 @@ def environments(real: type) -> wp.Kernel:
 
 @functools.cache
 def memory(formula: type[Formula], real: type) -> wp.Kernel:
-    """Returns the kernel that empties the memory of ``formula``. Launch with dim (env, contact of the group)."""
+    """Returns the kernel that clears the history variables of ``formula``. Launch with dim (env, contact of group)."""
     Struct = memory_struct(formula, real)
 
     @unique_kernel()

@@ -1,1 +1,1 @@
-"""Device code of couplings: force elements between two points, which need no search."""
+"""Device code of couplings: force elements between two points, without contact detection."""

@@ -1,4 +1,4 @@
-"""Bushings: springs and dampers along three axes and about them, between frames of two bodies."""
+"""Bushings: springs and dampers in six directions between frames of two bodies."""
 
 import functools
 from types import SimpleNamespace
@@ -21,7 +21,7 @@ from warpcontact.kernels.types import (
 
 @functools.cache
 def bushing_structs(real: type) -> SimpleNamespace:
-    """Returns the structs of bushings in one precision. Frame F: the axes of the bushing, on its first end."""
+    """Returns the structs of bushings in one precision. Frame F: axes of the bushing, fixed to its first body."""
     t = structs(real)
     vec3, quat = t.vec3, t.quat
 
@@ -32,15 +32,15 @@ def bushing_structs(real: type) -> SimpleNamespace:
         turn_stiffness: vec3  # about the axes [N·m/rad]
         turn_damping: vec3  # [N·m·s/rad]
         orientation_1: quat  # F → first body
-        orientation_2: quat  # F at rest → second body
+        orientation_2: quat  # F in the reference pose → second body
         enabled: wp.int32  # 0 or 1
 
     @wp.struct
     class Bushings:
-        displacement: wp.array2d(dtype=vec3)  # [env, bushing] of the second end from the first, F [m]
-        rotation: wp.array2d(dtype=vec3)  # [env, bushing] of the second body, rotation vector, F [rad]
+        displacement: wp.array2d(dtype=vec3)  # [env, bushing] second end relative to first, F [m]
+        rotation: wp.array2d(dtype=vec3)  # [env, bushing] second body relative to first, rotation vector, F [rad]
         force: wp.array2d(dtype=vec3)  # [env, bushing] on the second body, F [N]
-        torque: wp.array2d(dtype=vec3)  # [env, bushing] couple on the second body, F [N·m]
+        torque: wp.array2d(dtype=vec3)  # [env, bushing] on the second body, F [N·m]
         status: wp.array2d(dtype=wp.int32)  # [env, bushing] COUPLING_*
 
     return SimpleNamespace(Settings=Settings, Bushings=Bushings)
@@ -50,7 +50,7 @@ def bushing_structs(real: type) -> SimpleNamespace:
 def kernel(real: type) -> wp.Kernel:
     """Returns the kernel of the forces of bushings; items: bushings.
 
-    The force acts at the second end on both bodies, so that nothing but the couple turns them as a pair.
+    The force acts at the second end on both bodies, so the torque is the only net couple on the pair.
     """
     t = structs(real)
     s = bushing_structs(real)
@@ -94,7 +94,7 @@ def kernel(real: type) -> wp.Kernel:
             arm_1 = arm(model, state, env, point_1)
             arm_2 = arm(model, state, env, point_2)
             offset_W = separation(model, state, env, point_1, point_2, arm_1, arm_2)
-            # Of the second end relative to the point of the first body that is there.
+            # Velocity of the second end relative to the coincident point of the first body.
             relative_velocity = velocity(model, state, env, point_2, arm_2) - velocity(
                 model, state, env, point_1, arm_1 + offset_W
             )

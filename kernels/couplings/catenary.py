@@ -1,7 +1,8 @@
-"""Catenaries: elastic lines under their own weight between two points, always in equilibrium.
+"""Catenaries: elastic cables under their own weight between two points, in static equilibrium.
 
-A line lies in the upright plane through its ends. In float64 whatever the precision of the model: the tension of a
-taut line hangs on the small difference of two lengths.
+A cable lies in the vertical plane through its ends. Computed in float64 for any precision of the model, because the
+tension of a taut cable depends on a small difference of two lengths. Equations: ``elastic_line.py``; with a floor:
+``grounded_line.py``.
 """
 
 import functools
@@ -37,37 +38,37 @@ half = wp.constant(wp.float64(0.5))
 
 @wp.struct
 class Settings:
-    """Parameters of a line."""
+    """Parameters of a catenary."""
 
-    length: wp.float64  # unstretched [m]
-    mass_per_length: wp.float64  # of that [kg/m]
+    length: wp.float64  # unstretched length [m]
+    mass_per_length: wp.float64  # per unstretched length [kg/m]
     axial_stiffness: wp.float64  # EA [N]
-    floor: wp.float64  # height of the floor along the vertical, from the origin of W [m]
+    floor: wp.float64  # height of the floor above the origin of W, along the vertical [m]
     enabled: wp.int32  # 0 or 1
 
 
 @wp.struct
 class CatenarySolution:
-    """The solution of a line."""
+    """Solution and warm start of a catenary."""
 
     horizontal: wp.array2d(dtype=wp.float64)  # [env, line] horizontal tension [N]
-    low: wp.array2d(dtype=wp.float64)  # [env, line] force on the lower end, up [N]
-    grounded: wp.array2d(dtype=wp.int32)  # [env, line] 1: a part of it rests on the floor
+    low: wp.array2d(dtype=wp.float64)  # [env, line] upward force on the lower end [N]
+    grounded: wp.array2d(dtype=wp.int32)  # [env, line] 1: partly on the floor
 
 
 @functools.cache
 def line_structs(real: type) -> SimpleNamespace:
-    """Returns the struct of what is measured of lines in one precision."""
+    """Returns the struct of the measured quantities of catenaries in one precision."""
 
     @wp.struct
     class Lines:
         tension_a: wp.array2d(dtype=real)  # [env, line] at the first end [N]
         tension_b: wp.array2d(dtype=real)  # [env, line] at the second end [N]
         horizontal_tension: wp.array2d(dtype=real)  # [env, line] [N]
-        dip: wp.array2d(dtype=real)  # [env, line] of its lowest point below its first end [m]
+        dip: wp.array2d(dtype=real)  # [env, line] depth of the lowest point below the first end [m]
         stretched_length: wp.array2d(dtype=real)  # [env, line] [m]
-        grounded_length: wp.array2d(dtype=real)  # [env, line] unstretched, of what rests on the floor [m]
-        iterations: wp.array2d(dtype=wp.int32)  # [env, line] evaluations of its span
+        grounded_length: wp.array2d(dtype=real)  # [env, line] unstretched length on the floor [m]
+        iterations: wp.array2d(dtype=wp.int32)  # [env, line] number of evaluations of the span
         status: wp.array2d(dtype=wp.int32)  # [env, line] LINE_*
         # As of the last accepted step
         failures: wp.array2d(dtype=wp.int32)  # [env, line] steps without a solution
@@ -77,28 +78,28 @@ def line_structs(real: type) -> SimpleNamespace:
 
 @functools.cache
 def placement(real: type, floored: bool) -> SimpleNamespace:
-    """Returns the device functions that place a line; ``floored``: whether there is a floor."""
+    """Returns the device functions of the geometry of a catenary; ``floored``: whether there is a floor."""
     t = structs(real)
     vec3, Model, State = t.vec3, t.Model, t.State
     wide = frames.functions(real).wide
 
     @wp.struct
     class Plane:
-        """The upright plane of a line, and where its ends are in it."""
+        """Vertical plane of a catenary and its ends in that plane."""
 
-        origin: wp.vec3d  # the lower end; one below the floor is raised to it; W
-        along: wp.vec3d  # horizontal unit vector from the lower end to the upper; 0: they are above one another; W
-        up: wp.vec3d  # unit vector; 0: without gravity; W
+        origin: wp.vec3d  # lower end, raised to the floor if below it; W
+        along: wp.vec3d  # horizontal unit vector from the lower end to the upper, 0 if one is above the other; W
+        up: wp.vec3d  # upward unit vector, 0 without gravity; W
         run: wp.float64  # horizontal distance of the ends [m]
-        rise: wp.float64  # of the upper end above the lower [m]
-        height: wp.float64  # of the lower end above the floor [m]
-        weight: wp.float64  # of the line [N]
+        rise: wp.float64  # height of the upper end above the lower [m]
+        height: wp.float64  # height of the lower end above the floor [m]
+        weight: wp.float64  # weight of the cable [N]
         b_is_lower: wp.int32  # 0 or 1
-        sunk: wp.int32  # 1: an end lies below the floor
+        sunk: wp.int32  # 1: an end is below the floor
 
     @wp.func
     def point_position(model: Model, state: State, env: int, point: int, arm_W: vec3):
-        """Where ``point`` is, W."""
+        """Returns the position of ``point``, W [m]."""
         body = model.point_body[point]
         if body < 0:
             return wide(model.point_anchor[env, point]) + wide(arm_W)
@@ -108,7 +109,7 @@ def placement(real: type, floored: bool) -> SimpleNamespace:
 
     @wp.func
     def vertical_plane(gravity_W: vec3, position_a: wp.vec3d, position_b: wp.vec3d, line_settings: Settings):
-        """The plane of a line between two places."""
+        """Returns the plane of a catenary between two positions."""
         plane = Plane()
         gravity = wide(gravity_W)
         strength = wp.length(gravity)
@@ -145,10 +146,10 @@ def placement(real: type, floored: bool) -> SimpleNamespace:
 
 @functools.cache
 def kernel(real: type, floored: bool) -> wp.Kernel:
-    """Returns the kernel of the forces of lines; items: those of the set.
+    """Returns the kernel of the forces of catenaries; items: those of the set.
 
-    A pure function of model, state and ``last_solution``, the solution of the last accepted step, which is the
-    initial guess. The result is written to ``new_solution``.
+    The initial guess is ``last_solution``, the solution of the last accepted step, which is not changed. The result is
+    written to ``new_solution``.
     """
     t = structs(real)
     vec2, Model, State, CouplingWrenches = wp.vec2d, t.Model, t.State, t.CouplingWrenches
@@ -190,7 +191,7 @@ def kernel(real: type, floored: bool) -> wp.Kernel:
                 line_settings,
             )
 
-            # Without units: lengths by that of the line, forces by one like its tension.
+            # Dimensionless: lengths by the unstretched length, forces by a force of the order of the tension.
             x = plane.run / line_settings.length
             y = plane.rise / line_settings.length
             height = plane.height / line_settings.length
@@ -210,8 +211,8 @@ def kernel(real: type, floored: bool) -> wp.Kernel:
             h = zero
             low = zero
             high = zero
-            lowest = zero  # below the lower end
-            hanging = one  # part of the line
+            lowest = zero  # depth below the lower end
+            hanging = one  # suspended fraction of the length
             evaluations = wp.int32(0)
             more = wp.int32(0)
             converged = wp.bool(True)
@@ -220,7 +221,7 @@ def kernel(real: type, floored: bool) -> wp.Kernel:
                 h, evaluations, converged = solve_grounded(warm[0], x, height, height + y, weight, give)
                 low = -suspended_weight(h, height, weight, give)[0]
                 high = suspended_weight(h, height + y, weight, give)[0]
-                # It is lifted off where more hangs than there is.
+                # Lifted off if more weight is suspended than there is.
                 grounded = high - low <= weight
             if unit > zero and not grounded:
                 solution, more, converged = solve(warm, x, y, weight, give)
@@ -241,7 +242,7 @@ def kernel(real: type, floored: bool) -> wp.Kernel:
             mean = zero
             if grounded:
                 lowest = height
-                # What hangs, from its lowest point upwards on either side, and the rest.
+                # Integral of the tension: the part on the floor, then the suspended parts from their lowest points upwards.
                 hanging = wp.min((high - low) / weight, one)
                 mean = (one - hanging) * h
                 if low < zero:
@@ -297,7 +298,7 @@ def kernel(real: type, floored: bool) -> wp.Kernel:
 
 @functools.cache
 def accept(real: type) -> wp.Kernel:
-    """Returns the kernel that ends an accepted step of lines; items: those of the set."""
+    """Returns the kernel that stores the solutions of an accepted step; items: those of the set."""
     Lines = line_structs(real).Lines
 
     @unique_kernel()
@@ -314,7 +315,7 @@ def accept(real: type) -> wp.Kernel:
             if status[env] != ENV_ACTIVE:
                 continue
             if lines.status[env, line] == LINE_FAILED:
-                # It starts anew.
+                # The next step starts without a warm start.
                 lines.failures[env, line] = lines.failures[env, line] + 1
                 last_solution.horizontal[env, line] = zero
                 last_solution.grounded[env, line] = 0
@@ -328,7 +329,7 @@ def accept(real: type) -> wp.Kernel:
 
 @functools.cache
 def reset(real: type) -> wp.Kernel:
-    """Returns the kernel that starts lines anew. Launch with dim (env, line)."""
+    """Returns the kernel that resets catenaries. Launch with dim (env, line)."""
     Lines = line_structs(real).Lines
 
     @unique_kernel()

@@ -1,4 +1,4 @@
-"""Contact couplings: how close they came, which advances with accepted steps, and their force in total."""
+"""Contact couplings: closest approach, advanced with accepted steps, and total force."""
 
 import functools
 
@@ -11,25 +11,25 @@ from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, LaunchRange, structs,
 
 @wp.struct
 class ContactCouplings:
-    """What is measured of couplings."""
+    """Forces of contact couplings."""
 
     force: wp.array2d(dtype=wp.vec3d)  # [env, coupling] on the body of the first surface, W [N]
-    torque: wp.array2d(dtype=wp.vec3d)  # [env, coupling] on it, about its centre of mass, W [N·m]
+    torque: wp.array2d(dtype=wp.vec3d)  # [env, coupling] on that body, about its center of mass, W [N·m]
 
 
 @wp.struct
 class CouplingSets:
-    """Which sets of contacts a coupling has: one, or two side by side, the second the other way round."""
+    """Contact sets of a coupling: one, or two consecutive ones, the second with the surfaces exchanged."""
 
-    first: wp.array(dtype=wp.int32)  # [coupling] its first set
-    count: wp.array(dtype=wp.int32)  # [coupling] how many
+    first: wp.array(dtype=wp.int32)  # [coupling] first set
+    count: wp.array(dtype=wp.int32)  # [coupling] number of sets
 
 
 @functools.cache
 def advance(law: type[Formula], real: type, projected: bool) -> wp.Kernel:
-    """Returns the kernel that takes the contacts of one group that are near into ``extremes``; items: couplings.
+    """Returns the kernel that updates ``extremes`` with the active contacts of one group; items: couplings.
 
-    ``projected``: whether the group weighs areas by the normals of its points.
+    ``projected``: Whether the group weights areas by the normals of its points.
     """
     t = structs(real)
     mat33, Model, State, Contacts = t.mat33, t.Model, t.State, t.Contacts
@@ -43,7 +43,7 @@ def advance(law: type[Formula], real: type, projected: bool) -> wp.Kernel:
         launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         model: Model,
-        state: State,  # that of the contacts: the step began from it
+        state: State,  # state before the step, from which the contacts were computed
         contacts: Contacts,
         active_contacts: ActiveContacts,
         sets: CouplingSets,
@@ -69,13 +69,13 @@ def advance(law: type[Formula], real: type, projected: bool) -> wp.Kernel:
                 start = model.cluster_start[cluster]
                 R_WB = mat33()
                 if wp.static(projected):
-                    # One body for all points of a block.
+                    # All points of a cluster belong to one body.
                     point = model.contact_point[model.cluster_contact[start]]
                     R_WB = rotation_to_world(state, env, model.point_body[point])
                 for index in range(start, start + count):
                     contact = active_contacts.contact[env, index]
                     if contacts.status[env, contact] == CONTACT:
-                        # Of two sides each has its share of the touch.
+                        # If both surfaces have points, each set counts with its force scale.
                         contribution = model.contact_geometry[env, contact].force_scale
                         contribution *= coefficients[env, contact - first_contact].area
                         if wp.static(projected):
@@ -83,7 +83,7 @@ def advance(law: type[Formula], real: type, projected: bool) -> wp.Kernel:
                             contribution *= facing_fraction(model, env, point, R_WB, contacts.normal[env, contact])
                         area += contribution
                         radius = model.contact_geometry[env, contact].radius
-                        # A face that looks away is in nobody's way.
+                        # Faces that point away from the other surface do not count.
                         if contribution > real(0.0):
                             distance = radius - contacts.penetration[env, contact]
                             if not (distance >= closest):
@@ -96,7 +96,7 @@ def advance(law: type[Formula], real: type, projected: bool) -> wp.Kernel:
 
 @functools.cache
 def reset(real: type) -> wp.Kernel:
-    """Returns the kernel that empties ``extremes`` of chosen environments. Launch with dim (env, coupling)."""
+    """Returns the kernel that clears ``extremes`` of selected environments. Launch with dim (env, coupling)."""
     CouplingExtremes = structs(real).CouplingExtremes
 
     @unique_kernel()
@@ -137,7 +137,7 @@ def measure(real: type) -> wp.Kernel:
                     contribution = wide(contacts.normal_force[env, contact] * contacts.normal[env, contact])
                     contribution += wide(contacts.friction_force[env, contact])
                     if number > first:
-                        # Points of the other body: what is left for this one is the reaction.
+                        # The points belong to the other body: add the reaction.
                         arm += offset_between(model, state, env, point, surface)
                         contribution = -contribution
                     force += contribution

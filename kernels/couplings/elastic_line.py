@@ -1,41 +1,35 @@
-"""An elastic line under its own weight between two points in a vertical plane, solved for its end forces.
+"""An elastic cable under its own weight between two points in a vertical plane, solved for its end forces.
 
-All in numbers without units: lengths by the unstretched length, forces by ``scale`` of the line. The lower end is
-at the origin, the upper at (x, y) with x, y ≥ 0. Arguments:
-
-- ``weight`` ω of the whole line, 0 to 1,
-- ``give`` e, the strain that a tension of 1 makes,
-- ``h`` ≥ 0, the horizontal tension, and ``v``, the vertical force of the line on the lower end, up. On the upper
-  end it is −(v + ω).
-
-At unstretched length s from the lower end the tension vector is t = (h, v + ω s). The span of the line is the
-gradient of a strictly convex function of (h, v), so one (h, v) belongs to every span, and Newton's method with a
-line search finds it. No formula subtracts numbers that are nearly equal, however taut, slack, upright or light the
-line is; seen from the lower end, that holds for v + ω, too.
+All quantities are dimensionless: lengths by the unstretched length, forces by ``scale``. The lower end is at the
+origin, the upper at (x, y) with x, y ≥ 0. ``weight`` ω: of the whole cable, 0 to 1. ``give`` e: strain per tension.
+``h`` ≥ 0: horizontal tension. ``v``: upward force of the cable on the lower end; on the upper end it is −(v + ω). At
+unstretched length s from the lower end the tension vector is t = (h, v + ω s). The span is the gradient of a strictly
+convex function of (h, v), so the solution is unique, and Newton's method with a line search finds it. No formula
+subtracts nearly equal numbers, for any taut, slack, vertical or light cable; from the lower end this includes v + ω.
 """
 
 import numpy as np
 import warp as wp
 
-# Always: the tension of a taut line hangs on the small difference of two lengths.
+# Always float64: the tension of a taut cable depends on a small difference of two lengths.
 real = wp.float64
 vec2 = wp.vec2d
 vec3 = wp.vec3d
 
-# Evaluations of the span, of which a warm start may take the first few before it is given up.
+# Largest number of evaluations of the span, and of those spent on a warm start.
 EVALUATIONS = 20
 WARM_EVALUATIONS = 5
 
 zero, one, two, half = (wp.constant(real(value)) for value in (0.0, 1.0, 2.0, 0.5))
-# Where a span is as it should be, of the larger of length and chord; a last step follows, unchecked.
+# Tolerance on the span, relative to the larger of length and chord. One more Newton step follows.
 CLOSE = wp.constant(real(1.0e-10))
-# A warm start that is farther off is not worth its while.
+# Largest error of the span at which a warm start is used, likewise relative.
 MAX_WARM_ERROR = wp.constant(real(0.05))
-# A line this upright hangs straight down: its horizontal tension is lost beside its weight.
+# Horizontal distance below which a cable is vertical: its horizontal tension is negligible.
 VERTICAL = wp.constant(real(1.0e-100))
-# Slopes below which the difference of two integrals loses more than a quadrature.
+# Slopes below which a difference of two integrals is less accurate than quadrature.
 FLAT = wp.constant(real(3.0e-3))
-# Points and weights of Gauss over half of (−1, 1).
+# Points and weights of Gauss quadrature over half of (−1, 1).
 GAUSS_POINT = wp.constant(real(np.sqrt(0.6)))
 GAUSS_MIDDLE, GAUSS_SIDE = wp.constant(real(8.0 / 18.0)), wp.constant(real(5.0 / 18.0))
 SQRT_24 = wp.constant(real(np.sqrt(24.0)))
@@ -43,22 +37,22 @@ SQRT_24 = wp.constant(real(np.sqrt(24.0)))
 
 @wp.func
 def size(a: real, b: real):
-    """√(a² + b²)."""
+    """Returns √(a² + b²)."""
     return wp.sqrt(a * a + b * b)
 
 
 @wp.func
 def scale(weight: real, axial_stiffness: real, excess: real):
-    """Unit of force for a line whose chord is longer than the line by the part ``excess`` of it.
+    """Returns the unit of force, of the order of the tension.
 
-    Tensions are neither large nor small beside it.
+    ``excess``: (chord − length)/length.
     """
     return weight + axial_stiffness * wp.max(excess, zero)
 
 
 @wp.func
 def mean_slackness(h: real, v: real, weight: real):
-    """∫ ds/|t| over the line, for tensions that vanish nowhere."""
+    """Returns ∫ ds/|t| over the cable, for tensions that vanish nowhere."""
     v_2 = v + weight
     t_1 = size(h, v)
     t_2 = size(h, v_2)
@@ -86,7 +80,7 @@ def mean_slackness(h: real, v: real, weight: real):
 
 @wp.func
 def mean_tension(h: real, v: real, weight: real):
-    """∫ |t| ds over the line."""
+    """Returns ∫ |t| ds over the cable."""
     v_2 = v + weight
     t_1 = size(h, v)
     t_2 = size(h, v_2)
@@ -103,7 +97,7 @@ def mean_tension(h: real, v: real, weight: real):
 
 @wp.func
 def span(h: real, v: real, weight: real, give: real):
-    """Where the upper end is; also of a part of a line, by ``v`` at its beginning, its weight and its length."""
+    """Returns the position of the upper end, or of the end of a part with ``v`` at its start and its own weight."""
     total = size(h, v) + size(h, v + weight)
     if total == zero:
         return vec2()
@@ -115,14 +109,14 @@ def span(h: real, v: real, weight: real, give: real):
 
 @wp.func
 def steepness(h: real, v: real):
-    """v²/|t|³."""
+    """Returns v²/|t|³."""
     squared = h * h + v * v
     return v * v / (squared * wp.sqrt(squared))
 
 
 @wp.func
 def span_compliance(h: real, v: real, weight: real, give: real):
-    """How the span changes: ∂x/∂h, ∂y/∂v, −∂x/∂v = −∂y/∂h; for tensions that vanish nowhere."""
+    """Returns ∂x/∂h, ∂y/∂v and −∂x/∂v = −∂y/∂h of the span, for tensions that vanish nowhere."""
     v_2 = v + weight
     t_1 = size(h, v)
     t_2 = size(h, v_2)
@@ -151,24 +145,24 @@ def span_compliance(h: real, v: real, weight: real, give: real):
 
 @wp.func
 def vertical_force(y: real, weight: real, give: real):
-    """``v`` of a line whose ends are above one another."""
+    """Returns ``v`` of a cable with one end above the other."""
     stretched = (y - one) / give - half * weight
     if stretched >= zero:
         return stretched
-    # Folded: it hangs down from both ends.
+    # Folded: hangs from both ends.
     return half * weight * (y / (one + half * weight * give) - one)
 
 
 @wp.func
 def stretched_tension(excess: real, sag: real, give: real):
-    """Root T of T² (give T − excess) = sag², the mean tension of a shallow line of strain ``excess``."""
+    """Returns the root T of T² (give T − excess) = sag²: mean tension of a shallow cable of strain ``excess``."""
     tension = wp.cbrt(sag * sag / give)
     if excess < zero:
         tension = wp.min(tension, sag / wp.sqrt(-excess))
     else:
         tension += excess / give
     if tension > zero:
-        # From above, where the function is convex: it only falls.
+        # Newton iteration from above, where the function is convex: the iterates decrease monotonically.
         for _ in range(3):
             bent = tension * (give * tension - excess)
             tension -= (tension * bent - sag * sag) / (two * bent + give * tension * tension)
@@ -177,22 +171,22 @@ def stretched_tension(excess: real, sag: real, give: real):
 
 @wp.func
 def start(x: real, y: real, chord: real, weight: real, give: real):
-    """First guess of (h, v): as a line that hangs like one of its stretched length that stretches no more.
+    """Returns an initial guess of (h, v): that of an inextensible catenary of the stretched length.
 
-    Of such a line of length l, sinh ξ/ξ = √(l² − y²)/x, h = ω x/(2 ξ l) and v = ½ ω (y coth ξ/l − 1).
+    For such a catenary of length l, sinh ξ/ξ = √(l² − y²)/x, h = ω x/(2 ξ l) and v = ½ ω (y coth ξ/l − 1).
     """
     sag = weight * (x / chord) / SQRT_24
     tension = stretched_tension(chord - one, sag, give)
     xi = half * weight * chord / tension
     if xi < real(0.25):
-        # Shallow.
+        # Shallow cable.
         return vec2(tension * (x / chord), tension * (y / chord) - half * weight)
     v = vertical_force(y, weight, give)
     if v < zero:
         length = one + half * give * (v * v + (v + weight) * (v + weight)) / weight
         tall = (length - y) * (length + y)
         if tall > x * x:
-            # From the series of sinh, or from ξ = ln(2 r ξ), whichever fits.
+            # From the series of sinh, or for large ratios r from ξ = ln(2 r ξ).
             ratio = wp.sqrt(tall) / x
             xi = wp.sqrt(wp.sqrt(real(225.0) + real(120.0) * (ratio - one)) - real(15.0))
             if ratio > real(3.0):
@@ -201,7 +195,7 @@ def start(x: real, y: real, chord: real, weight: real, give: real):
     coth = one
     length = one
     for _ in range(3):
-        # Newton's method on the logarithm, over that of ξ; its tension stretches it.
+        # Newton's method in ln ξ on the logarithm of the equation; the length is stretched by the tension.
         decay = wp.exp(-two * xi)
         coth = (one + decay) / (one - decay)
         mean = size(y * coth, x / xi)
@@ -221,7 +215,7 @@ def start(x: real, y: real, chord: real, weight: real, give: real):
 
 @wp.func
 def newton(guess: vec2, x: real, y: real, chord: real, weight: real, give: real, max_error: real, at_most: int):
-    """Newton's method from ``guess``: (h, v), the evaluations it took, whether the span is met."""
+    """Newton's method from ``guess``. Returns (h, v), the number of evaluations and whether it converged."""
     h = guess[0]
     v = guess[1]
     allowed = CLOSE * wp.max(chord, one)
@@ -240,7 +234,7 @@ def newton(guess: vec2, x: real, y: real, chord: real, weight: real, give: real,
         converged = off <= allowed
         if off > max_error:
             break
-        # How the convex function changes along the step just taken: too far if it rises.
+        # Derivative of the convex function along the last step. If it is positive, the step was too long.
         rise = off_x * step_h + off_y * step_v
         if rise > real(0.9) * slope and evaluations > 1 and not converged:
             back = part * wp.max(slope / (slope + rise), real(0.1))
@@ -255,9 +249,9 @@ def newton(guess: vec2, x: real, y: real, chord: real, weight: real, give: real,
         slope = -(off_x * step_h + off_y * step_v)
         part = one
         if h + step_h < real(0.1) * h:
-            # The horizontal tension stays above 0.
+            # Keeps the horizontal tension positive.
             part = real(-0.9) * h / step_h
-        # A last step, which is not looked at, may only be small.
+        # The step after convergence is not checked, so it is taken only if it is small.
         if not converged or size(step_h, step_v) < real(0.03) * (h + wp.abs(v)):
             h += part * step_h
             v += part * step_v
@@ -266,9 +260,10 @@ def newton(guess: vec2, x: real, y: real, chord: real, weight: real, give: real,
 
 @wp.func
 def solve(warm: vec2, x: real, y: real, weight: real, give: real):
-    """Solves for (h, v) from ``warm``, unless its h is 0; also the evaluations used, and whether it is met.
+    """Solves for (h, v) from ``warm``, or without warm start if its h is 0.
 
-    A line without weight that is not stretched has no force.
+    Returns (h, v), the number of evaluations and whether it converged. A cable without weight that is not stretched has no
+    force.
     """
     chord = size(x, y)
     if weight == zero and chord <= one:

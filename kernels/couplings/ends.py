@@ -1,4 +1,4 @@
-"""Where the ends of a coupling are, how they move, and what pulls there does to the bodies."""
+"""Positions and velocities of the ends of couplings, and the wrench of a force at an end."""
 
 import functools
 from types import SimpleNamespace
@@ -12,7 +12,7 @@ from warpcontact.kernels.types import structs
 def functions(real: type) -> SimpleNamespace:
     """Returns the device functions for ``real``.
 
-    The arm of a point goes to it from the centre of mass of its body, or from its anchor in the world; W.
+    The arm of a point is its position relative to the center of mass of its body or to its anchor in the world, W [m].
     """
     t = structs(real)
     vec3, Model, State, CouplingWrenches = t.vec3, t.Model, t.State, t.CouplingWrenches
@@ -21,12 +21,12 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def arm(model: Model, state: State, env: int, point: int):
-        """Arm of ``point``."""
+        """Returns the arm of ``point``, W [m]."""
         return turned(state, env, model.point_body[point], model.point_position[env, point])
 
     @wp.func
     def separation(model: Model, state: State, env: int, point_1: int, point_2: int, arm_1: vec3, arm_2: vec3):
-        """Vector from the first point to the second, W, as fine as they are near each other."""
+        """Returns the vector from the first point to the second, W [m]. Rounding is relative to the difference."""
         body_1 = model.point_body[point_1]
         body_2 = model.point_body[point_2]
         remainder = arm_2 - arm_1
@@ -43,12 +43,12 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def velocity(model: Model, state: State, env: int, point: int, arm_W: vec3):
-        """Velocity of ``point``, W."""
+        """Returns the velocity of ``point``, W [m/s]."""
         return velocity_at(state, env, model.point_body[point], arm_W)
 
     @wp.func
     def pull(ends: CouplingWrenches, env: int, end: int, arm_W: vec3, force_W: vec3):
-        """Lets a force act at an end."""
+        """Writes a force at an end and its torque."""
         ends.force[env, end] = force_W
         ends.torque[env, end] = wp.cross(arm_W, force_W)
 

@@ -1,21 +1,21 @@
-"""An elastic line of which a part rests on a level floor without friction, between two parts that hang.
+"""An elastic cable with a part on a level, frictionless floor, between two suspended parts.
 
-Numbers, ends and arguments are those of ``elastic_line.py``; a height is that of an end above the floor, in
-unstretched lengths. What lies on the floor is straight and has the tension h throughout. A part that rises from
-there is part of a catenary from its lowest point, so the tension T at its end follows from its height alone, and
-the span grows with h: one equation with one unknown. With h = 0 more of the line lies there than has to.
+Quantities and arguments are those of ``elastic_line.py``; a height is that of an end above the floor. The part on the
+floor is straight and has the tension h. A part that rises from there is part of a catenary from its lowest point, so
+the tension T at its end follows from its height, and the span increases with h: one equation for one unknown. With
+h = 0 the part on the floor is longer than the span requires.
 """
 
 import warp as wp
 from warpcontact.kernels.couplings.elastic_line import CLOSE, EVALUATIONS, half, one, real, two, vec2, zero
 
-# Slopes below which a series is nearer than a difference of logarithms.
+# Slopes below which a series is more accurate than a difference of logarithms.
 SHALLOW = wp.constant(real(0.1))
 
 
 @wp.func
 def suspended_weight(h: real, height: real, weight: real, give: real):
-    """V, the weight of the part that hangs from an end at ``height``, and T − h there."""
+    """Returns V, the weight suspended from an end at ``height``, and T − h there."""
     taut = one + h * give
     lifted = height * weight
     more = two * lifted / (taut + wp.sqrt(taut * taut + two * give * lifted))
@@ -24,7 +24,7 @@ def suspended_weight(h: real, height: real, weight: real, give: real):
 
 @wp.func
 def slack(h: real, v: real):
-    """V − h asinh(V/h): times 1/weight, how much shorter than itself a rising part reaches."""
+    """Returns V − h asinh(V/h): ``weight`` times the excess of the length of a rising part over its horizontal span."""
     if v == zero:
         return zero
     if v < SHALLOW * h:
@@ -42,7 +42,7 @@ def slack(h: real, v: real):
 
 @wp.func
 def slack_slope(h: real, hanging: vec2, give: real):
-    """−∂/∂h of ``slack`` at a constant height; h > 0."""
+    """Returns −∂/∂h of ``slack`` at constant height; h > 0."""
     v = hanging[0]
     if v == zero:
         return zero
@@ -61,20 +61,21 @@ def slack_slope(h: real, hanging: vec2, give: real):
 
 @wp.func
 def solve_grounded(warm: real, x: real, height_1: real, height_2: real, weight: real, give: real):
-    """Solves for h from ``warm``, unless that is 0; also the evaluations used, and whether the span is met.
+    """Solves for h from ``warm``, or without warm start if it is 0; ``weight`` must be positive.
 
-    ``weight`` must be above 0. A solution with more weight hanging than there is does not touch the floor.
+    Returns h, the number of evaluations and whether it converged. If more weight is suspended than there is, the solution
+    does not touch the floor.
     """
     hanging = suspended_weight(zero, height_1, weight, give)[0] + suspended_weight(zero, height_2, weight, give)[0]
     if x <= one - hanging / weight:
         return zero, 0, True
     allowed = CLOSE * wp.max(x, one)
-    # Between these; no line reaches farther than one that does not rise.
+    # Bounds on h: without rise, the cable would reach farther.
     low = wp.max((x - one) / give, zero)
     high = real(wp.inf)
     h = warm
     if h <= low:
-        # From the series for shallow parts.
+        # Initial guess from the series for shallow parts.
         root = wp.sqrt(height_1)
         bent = height_1 * root
         root = wp.sqrt(height_2)
@@ -100,7 +101,7 @@ def solve_grounded(warm: real, x: real, height_1: real, height_2: real, weight: 
         rate = give + (slack_slope(h, hanging_1, give) + slack_slope(h, hanging_2, give)) / weight
         better = h - residual / rate
         if better > low and better < high:
-            # Once it is met, a last step that is not looked at.
+            # After convergence one more step, which is not checked.
             h = better
         elif converged == 0:
             h = wp.where(residual > zero, low + real(0.1) * (h - low), half * (low + high))

@@ -1,4 +1,4 @@
-"""The shape of catenaries, and how their forces change with their ends. What is not needed in a step."""
+"""Shape and end stiffness of catenaries, evaluated on request only."""
 
 import functools
 
@@ -21,7 +21,7 @@ def grounded_point(
     weight: wp.float64,
     give: wp.float64,
 ):
-    """Where a line with a part on the floor is at ``s`` from its lower end; ``low`` and ``high`` hang there."""
+    """Returns the point at ``s`` from the lower end; ``low`` and ``high``: weights suspended from the ends."""
     from_low = low / weight
     from_high = high / weight
     if s < from_low:
@@ -32,7 +32,7 @@ def grounded_point(
     if h > zero:
         point_position[0] += lying * (one + give * h)
     elif rest > zero:
-        # More than it takes: drawn straight.
+        # With slack on the floor the shape is not unique; draw it straight.
         point_position[0] += x * lying / rest
     rising = s - from_low - lying
     if rising > zero:
@@ -42,12 +42,12 @@ def grounded_point(
 
 @wp.func
 def free_stiffness(h: wp.float64, low: wp.float64, weight: wp.float64, give: wp.float64):
-    """−∂F/∂p of either end: in the plane along, up and across these, and out of it."""
+    """Returns −∂F/∂p of either end: horizontal in the plane, vertical, their coupling, and out of the plane."""
     rate = span_compliance(h, low, weight, give)
     across = zero
     if rate[2] != zero:
         across = rate[2] / (rate[0] * rate[1] - rate[2] * rate[2])
-    # A line that hangs straight down from both ends swings freely: its mean slackness is infinite.
+    # A cable that hangs straight down from both ends has infinite mean slackness and no stiffness out of the plane.
     return wp.vec4d(
         one / (rate[0] - rate[2] * rate[2] / rate[1]),
         one / (rate[1] - rate[2] * rate[2] / rate[0]),
@@ -60,12 +60,12 @@ def free_stiffness(h: wp.float64, low: wp.float64, weight: wp.float64, give: wp.
 def grounded_stiffness(
     h: wp.float64, x: wp.float64, own: wp.float64, other: wp.float64, weight: wp.float64, give: wp.float64
 ):
-    """Likewise of the end at height ``own`` of a line on the floor, away from the other end and up."""
+    """Returns the same for the end at height ``own`` of a grounded cable; horizontal: away from the other end."""
     hanging = suspended_weight(h, own, weight, give)
     v = hanging[0]
     tension = h + hanging[1]
     taut = one + give * tension
-    # ∂V/∂h, which is −∂x/∂(height) as well. An end on the floor is seen as it slides there.
+    # ∂V/∂h = −∂x/∂(height). For an end on the floor, the derivative along the floor.
     leans = zero
     lifts = zero
     if v > zero:
@@ -85,7 +85,7 @@ def grounded_stiffness(
 
 @functools.cache
 def shapes(real: type, floored: bool) -> wp.Kernel:
-    """Returns the kernel that places points of one line, evenly along its unstretched length from its first end.
+    """Returns the kernel that computes points of one catenary, equidistant in unstretched length from its first end.
 
     Launch with dim (env, point).
     """
@@ -116,7 +116,7 @@ def shapes(real: type, floored: bool) -> wp.Kernel:
         chord = size(plane.run, plane.rise)
         unit = scale(plane.weight, own.axial_stiffness, (chord - own.length) / own.length)
         if unit == zero or own.enabled == 0:
-            # Without form: drawn straight.
+            # No unique shape: draw it straight.
             points[env, number] = position_a + s * (position_b - position_a)
             return
         if plane.b_is_lower == 1:
@@ -138,7 +138,7 @@ def shapes(real: type, floored: bool) -> wp.Kernel:
 
 @functools.cache
 def stiffness(real: type, floored: bool) -> wp.Kernel:
-    """Returns the kernel of the derivatives of the force on the second end by its place. Launch with dim env."""
+    """Returns the kernel of the derivative of the force on the second end by its position. Launch with dim env."""
     t = structs(real)
     Model, State = t.Model, t.State
     placing = placement(real, floored)

@@ -1,6 +1,6 @@
-"""Spring-dampers: a force along the line between two points, from its length and the rate of that.
+"""Spring-dampers: a force along the line between two points, from its length and rate.
 
-A factory compiles elastic part and damping into the kernel, once per combination and precision.
+Spring and damper are compiled into the kernel, once per combination of classes and precision.
 """
 
 import functools
@@ -29,7 +29,7 @@ from warpcontact.kernels.types import (
 
 
 class SpringModel(NamedTuple):
-    """The formulas of a spring-damper, as classes: what the kernel is compiled from."""
+    """Classes of spring and damper, for which kernels are compiled."""
 
     spring: type[Spring]
     damper: type[Damper]
@@ -44,26 +44,28 @@ def spring_structs(real: type) -> SimpleNamespace:
     @wp.struct
     class Settings:
         rest_length: real  # [m]
-        break_force: real  # force of either sign beyond which it breaks [N]
+        break_force: real  # magnitude of the force above which it breaks [N]
         tension_only: wp.int32  # 0 or 1
         enabled: wp.int32  # 0 or 1
 
     @wp.struct
     class Springs:
-        """What is measured of spring-dampers, and what they remember."""
+        """Measured quantities and history of spring-dampers."""
 
         length: wp.array2d(dtype=real)  # [env, spring] [m]
-        rate: wp.array2d(dtype=real)  # [env, spring] of the length, > 0 apart [m/s]
-        force: wp.array2d(dtype=real)  # [env, spring] > 0 pulls its ends together [N]
+        rate: wp.array2d(dtype=real)  # [env, spring] rate of the length, > 0 apart [m/s]
+        force: wp.array2d(dtype=real)  # [env, spring] > 0: attractive [N]
         status: wp.array2d(dtype=wp.int32)  # [env, spring] COUPLING_*
-        direction: wp.array2d(dtype=vec3)  # [env, spring] from the first end to the second, unit; 0: unknown, W
+        direction: wp.array2d(
+            dtype=vec3
+        )  # [env, spring] unit vector from the first end to the second, W; 0: undefined
         # As of the last accepted step
         broken: wp.array2d(dtype=wp.int32)  # [env, spring] 0 or 1
         last_direction: wp.array2d(dtype=vec3)  # [env, spring]
 
     @wp.struct
     class Stretch:
-        """What a formula sees of a spring-damper at one instant."""
+        """Arguments of spring and damper models at one instant."""
 
         length: real  # x ≥ 0 [m]
         rest_length: real  # x₀ [m]
@@ -72,7 +74,7 @@ def spring_structs(real: type) -> SimpleNamespace:
 
     @wp.struct
     class Row:
-        """Of a table over the distance: from its ``start`` on the value rises linearly."""
+        """Row of a table over the distance: linear from ``start`` on."""
 
         start: real  # [m]
         value: real
@@ -81,17 +83,17 @@ def spring_structs(real: type) -> SimpleNamespace:
 
     @wp.struct
     class Tables:
-        """Rows of all tables of a part, one after another: one before a table, one per interval, one after."""
+        """Rows of all tables of a model, one table after another: one row before it, one per interval, one after it."""
 
         rows: wp.array(dtype=vec4)  # start, value, slope, integral
-        first: wp.array(dtype=wp.int32)  # [spring + 1] first of its rows
+        first: wp.array(dtype=wp.int32)  # [spring + 1] first row
 
     return SimpleNamespace(Settings=Settings, Springs=Springs, Stretch=Stretch, Row=Row, Tables=Tables)
 
 
 @functools.cache
 def coefficient_structs(parts: SpringModel, real: type) -> Any:
-    """Returns the struct of arrays [env, spring of the group]: coefficients of both parts, and settings."""
+    """Returns the struct of arrays [env, spring of the group]: coefficients of both models, and settings."""
     elements = [(part, coefficient_struct(formula, real)) for part, formula in parts._asdict().items()]
     elements.append(("settings", spring_structs(real).Settings))
     return named_struct("SpringCoefficients", tuple((part, wp.array2d(dtype=dtype)) for part, dtype in elements))
@@ -99,7 +101,7 @@ def coefficient_structs(parts: SpringModel, real: type) -> Any:
 
 @functools.cache
 def _device_functions(formula: type[Formula], real: type) -> tuple[wp.Function, wp.Function]:
-    """Returns the force of a formula, with the row of its table if it has one, and whether it is outside."""
+    """Returns the force of a model, with table lookup if it has a table, and the test whether it is out of range."""
     t = spring_structs(real)
     Row, Tables, Stretch = t.Row, t.Tables, t.Stretch
     Coefficients = coefficient_struct(formula, real)
@@ -121,7 +123,7 @@ def _device_functions(formula: type[Formula], real: type) -> tuple[wp.Function, 
     def evaluate_with_table(p: Coefficients, s: Stretch, tables: Tables, spring: int):
         low = tables.first[spring]
         above = tables.first[spring + 1]
-        # The last row that starts at or before the length; all before the table is its first.
+        # Binary search for the last row that starts at or before the length. Shorter lengths use the first row.
         while above - low > 1:
             middle = (low + above) // 2
             if tables.rows[middle][0] <= s.length:
@@ -149,8 +151,7 @@ def _device_functions(formula: type[Formula], real: type) -> tuple[wp.Function, 
 def kernel(parts: SpringModel, real: type) -> wp.Kernel:
     """Returns the kernel of the forces of spring-dampers; items: those of the group.
 
-    A pure function of model, state and what was remembered: that it breaks, or where it pointed, is noted in
-    ``springs`` and remembered once the step is accepted.
+    The history is read but not changed; ``accept`` advances it from ``springs`` once the step is accepted.
     """
     t = structs(real)
     s = spring_structs(real)
@@ -161,7 +162,7 @@ def kernel(parts: SpringModel, real: type) -> wp.Kernel:
     damper_force, damper_outside = _device_functions(parts.damper, real)
     end = ends.functions(real)
     arm, separation, velocity, pull = end.arm, end.separation, end.velocity, end.pull
-    # Below this part of what it is the difference of, a distance is rounding.
+    # Relative distance below which the direction is dominated by rounding.
     rounding = wp.constant(real(8.0 * t.epsilon))
 
     @unique_kernel()
@@ -210,7 +211,7 @@ def kernel(parts: SpringModel, real: type) -> wp.Kernel:
                 coupling_status = wp.max(coupling_status, COUPLING_OUTSIDE)
             if damper_outside(stretch.length, damper_tables, spring):
                 coupling_status = wp.max(coupling_status, COUPLING_OUTSIDE)
-            # A rope that is not stretched is nowhere: its damping does not act either.
+            # A rope without tension has no force, so damping does not act either.
             if settings.tension_only == 1:
                 if force <= real(0.0):
                     coupling_status = COUPLING_SLACK
@@ -237,7 +238,7 @@ def kernel(parts: SpringModel, real: type) -> wp.Kernel:
 
 @functools.cache
 def accept(real: type) -> wp.Kernel:
-    """Returns the kernel that ends an accepted step of spring-dampers; items: those of the group."""
+    """Returns the kernel that advances the history in an accepted step; items: those of the group."""
     Springs = spring_structs(real).Springs
 
     @unique_kernel()
@@ -256,7 +257,7 @@ def accept(real: type) -> wp.Kernel:
 
 @functools.cache
 def reset(real: type) -> wp.Kernel:
-    """Returns the kernel that mends spring-dampers at the start of a run. Launch with dim (env, spring)."""
+    """Returns the kernel that resets spring-dampers. Launch with dim (env, spring)."""
     t = structs(real)
     vec3 = t.vec3
     Springs = spring_structs(real).Springs

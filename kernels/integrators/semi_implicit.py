@@ -25,7 +25,7 @@ from warpcontact.kernels.types import (
     task_item,
 )
 
-# Registers of a thread of a GPU in float32 that adds touches up, so that many wait for memory at once; measured.
+# Register limit per GPU thread in float32 with particle sums (measured): more resident threads hide memory latency.
 REGISTERS = 72
 
 
@@ -36,7 +36,7 @@ def _spin(real: type) -> wp.Function:
 
     @wp.func
     def spin(inverse_inertia_B: mat33, q_WB: quat, momentum_W: vec3):
-        """Angular velocity in W of a body with angular momentum ``momentum_W``."""
+        """Returns the angular velocity of a body with angular momentum ``momentum_W``, W [rad/s]."""
         return wp.quat_rotate(q_WB, inverse_inertia_B * wp.quat_rotate_inv(q_WB, momentum_W))
 
     return spin
@@ -44,12 +44,12 @@ def _spin(real: type) -> wp.Function:
 
 @functools.cache
 def euler(real: type) -> SimpleNamespace:
-    """Returns the struct ``BodyStep`` and the device functions of a semi-implicit Euler step of a free body.
+    """Returns the device functions of a semi-implicit Euler step of a free body.
 
-    Velocities first, from the wrenches at ``state_in``; positions with the new velocities. Rotation advances the
-    angular momentum L, which carries the gyroscopic term without an approximation, and turns the body by the
-    exponential of the angular velocity at mid-step: a free body keeps L to rounding and its energy to second
-    order. One with the same inertia about all axes needs no more than its spin.
+    Velocities are advanced first, from the wrenches at ``state_in``; positions follow with the new velocities. Rotation
+    advances the angular momentum L, which includes the gyroscopic term exactly, and rotates the body by the exponential
+    of the mid-step angular velocity. A free body conserves L to rounding and its energy to second order. A body with
+    isotropic inertia needs its angular velocity only.
     """
     t = structs(real)
     vec3, quat, Model, State = t.vec3, t.quat, t.Model, t.State
@@ -70,10 +70,10 @@ def euler(real: type) -> SimpleNamespace:
 
     @wp.func
     def stepped_body(model: Model, state: State, env: int, body: int, force: vec3, torque: vec3, dt: real):
-        """The state that a wrench, beside gravity, leads to."""
+        """Returns the state after a step under gravity and a wrench about the center of mass."""
         acceleration = (real(1.0) / model.body_mass[env, body]) * force + model.gravity[env, 0]
         velocity = state.body_linear_velocity[env, body] + dt * acceleration
-        # A step is often smaller than what a position is rounded to: nothing of it is lost.
+        # Compensated sum: a displacement per step is often smaller than the rounding of the position.
         before = state.body_position[env, body]
         displacement = dt * velocity + state.body_position_remainder[env, body]
         position = before + displacement
@@ -93,8 +93,8 @@ def euler(real: type) -> SimpleNamespace:
             start = spin(inverse_B, q_WB, momentum)
             q_middle = rotated(q_WB, real(0.5) * dt * start)
             orientation = rotated(q_WB, dt * spin(inverse_B, q_middle, momentum))
-            # The change of spin, not the spin itself: a quaternion is a little longer or shorter than one and
-            # scales what it rotates, which in a difference from step to step cancels instead of adding up.
+            # Add the change of the angular velocity instead of replacing it: a quaternion is not exactly of unit length and
+            # scales the vectors that it rotates. In a difference this error cancels instead of accumulating.
             new_spin = w_W + (spin(inverse_B, orientation, momentum) - spin(inverse_B, q_WB, last_momentum))
         body_step = BodyStep()
         body_step.position = position
@@ -114,8 +114,8 @@ def euler(real: type) -> SimpleNamespace:
 
     @wp.func
     def step_failure_cause(guard: Guard, env: int, body_step: BodyStep):
-        """Why a step may not be taken, or NO_CAUSE."""
-        # One sum is finite only if every term is: squares have no opposite signs.
+        """Returns the failure cause of a step, or NO_CAUSE."""
+        # A sum of squares is finite only if every term is.
         sizes = wp.length_sq(body_step.position) + wp.length_sq(body_step.velocity) + wp.length_sq(body_step.spin)
         if sizes < guard.suspect[env, 0]:
             return NO_CAUSE
@@ -198,7 +198,9 @@ def semi_implicit_euler(
         pair_records: PairRecords,
         write_outputs: wp.bool,
         wrenches: Wrenches,
-        clock_step: wp.array2d(dtype=wp.float64),  # [env, 0] [s]; this and what follows if it accepts
+        clock_step: wp.array2d(
+            dtype=wp.float64
+        ),  # [env, 0] [s]; this and the next arguments are used with ``accepts``
         time: wp.array(dtype=wp.float64),  # [env] [s]
         clusters: wp.int32,
         contacts: Contacts,
@@ -274,12 +276,13 @@ def semi_implicit_euler(
 
 @functools.cache
 def change_step(real: type, has_joints: bool = False) -> wp.Kernel:
-    """Returns the kernel that readies a state for steps of another length; items: bodies.
+    """Returns the kernel that adapts velocities to a change of the time step; items: bodies.
 
-    With ``has_joints``, bodies that are not free are left to ``motions``.
+    With ``has_joints``, bodies with joints are skipped; ``joints`` handles them.
 
-    The velocities of semi-implicit Euler belong to half a step before the positions, so a step that is longer by
-    ``change`` begins from velocities of change/2 earlier. Without this the energy of a contact jumps.
+    The velocities of semi-implicit Euler belong to half a step before the positions. A step that is longer by
+    ``change`` therefore starts from the velocities of change/2 earlier. Without the correction the energy of a contact
+    would jump.
     """
     t = structs(real)
     Model, State, Wrenches = t.Model, t.State, t.Wrenches
@@ -289,9 +292,9 @@ def change_step(real: type, has_joints: bool = False) -> wp.Kernel:
     def change_step(
         launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
-        change: wp.array2d(dtype=real),  # [env, 0] length of the next step less that of the last [s]
+        change: wp.array2d(dtype=real),  # [env, 0] next time step minus last [s]
         model: Model,
-        wrenches: Wrenches,  # of this instant
+        wrenches: Wrenches,  # at this instant
         state: State,
     ):
         for task in range(wp.tid(), task_count(launch), launch.threads):

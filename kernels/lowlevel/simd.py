@@ -1,27 +1,27 @@
-"""Several remembered faces at once: a core computes with as many numbers in the time of one."""
+"""Vectorized test of the cached faces of a contact on a CPU."""
 
 import functools
 
 import warp as wp
 from warpcontact.kernels.types import structs
 
-#: Faces at once. Lists have room for a multiple of it.
+#: Number of faces per test. The capacity of face lists is a multiple of it.
 WIDTH = 8
 
 
 @functools.cache
 def candidates_within(real: type) -> wp.Function:
-    """Returns the device function that tells which of the next remembered faces may be as near as ``distance``.
+    """Returns the device function that tests which of the next cached faces may be as near as ``distance``.
 
-    As bits; of those from place ``start`` on, of which ``count`` are there, and no more than ``WIDTH``; never the
-    face ``first``. ``gone`` is the way from the place of the list to the point, ``slack`` the rounding of what is
-    remembered. See ``recall.candidate_lower_bound`` for the bound; a GPU takes one after the other.
+    It tests at most ``WIDTH`` of ``count`` faces from index ``start`` on and returns them as bits, without the face
+    ``first``. ``gone`` is the displacement of the point from the center of the list, ``slack`` the rounding error of the
+    bounds. For the bound see ``face_cache.candidate_lower_bound``. A GPU tests one face after the other.
     """
     vec3 = structs(real).vec3
     Rows, Distances, Slopes = wp.array2d(dtype=wp.int32), wp.array2d(dtype=real), wp.array2d(dtype=vec3)
     scalar = {wp.float32: "float", wp.float64: "double"}[real]
 
-    # Vectors of Clang, which splits those that are wider than a core's. Of a slope x, y, z lie side by side.
+    # Vector extensions of Clang, which splits vectors wider than a register. The components of a gradient are adjacent.
     @wp.func_native(
         f"""
         const {scalar}* distance_of = wp::address(distances, env, start);

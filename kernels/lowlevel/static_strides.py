@@ -1,8 +1,9 @@
-"""How the arrays of a struct lie in memory, told to the compiler: a third of what a core executed was addresses.
+"""Array layout of structs as compile-time information for CPU kernels.
 
-Warp looks up where an array begins, and its strides, at run time. On a CPU what belongs to an item lies side by
-side, in a record of known size, and other arrays are as wide as their neighbors: so one address serves for many,
-and most of it is constant. ``warpcontact/storage/allocation_plan.py`` makes them so; ``tests/test_strides.py`` compares.
+Warp reads the address and strides of an array at run time; computing addresses took a third of the instructions. On
+a CPU, arrays of one item kind are interleaved in records of known size, and other arrays have equal widths, so one
+address serves several arrays and most offsets are constants. ``warpcontact/model/allocation_plan.py`` allocates this
+layout; ``tests/test_strides.py`` checks it.
 """
 
 import functools
@@ -11,11 +12,11 @@ from typing import Any
 
 import warp as wp
 
-# A record takes a multiple of this [bytes], as much as a GPU fetches at once.
+# The size of a record is a multiple of this [bytes], the memory transaction size of a GPU.
 RECORD = 32
 
-# By struct, what lies in records on a CPU, of each kind of item; None: all. Not the state, whose arrays are shared
-# with other libraries, of which some take none with gaps.
+# By struct, the arrays that are interleaved in records on a CPU, one tuple per kind of item; None: all arrays. Not
+# the state, because its arrays are shared with other libraries, some of which accept no strided arrays.
 _IN_RECORDS: dict[str, tuple[tuple[str, ...], ...] | None] = {
     "History": None,
     "Contacts": None,
@@ -42,7 +43,7 @@ _IN_RECORDS: dict[str, tuple[tuple[str, ...], ...] | None] = {
         ),
     ),
 }
-# By struct, which of its other arrays are equally wide.
+# By struct, groups of other arrays of equal width.
 _EQUALLY_WIDE: dict[str, tuple[tuple[str, ...], ...]] = {
     "State": (
         (
@@ -64,18 +65,18 @@ _EQUALLY_WIDE: dict[str, tuple[tuple[str, ...], ...]] = {
 _FIXED: dict[str, dict[str, int]] = {
     "Model": {"face_corner": 4, "face_frame": 4, "face_normal": 7, "face_flags": 7, "face_neighbor": 3},
 }
-# Structs of which all environments may share one row, so that only the strides along it are known.
+# Structs whose rows may be shared by all environments, so that only the strides along a row are known.
 _SHARED = ("Model", "Coefficients")
 
 
 def record_fields(struct: Any) -> tuple[tuple[str, ...], ...]:
-    """Returns the names of the arrays of a struct that lie in records on a CPU, by kinds, in their order there."""
+    """Returns the names of the arrays of a struct that are interleaved on a CPU, by kind of item, in order."""
     kinds = _IN_RECORDS.get(struct.cls.__name__, ())
     return (tuple(struct.vars),) if kinds is None else kinds
 
 
 def record_layout(dtypes: Mapping[str, Any]) -> tuple[dict[str, int], int]:
-    """Returns where in a record of elements each begins, and how long the record is [bytes]."""
+    """Returns the offset of each element in a record and the size of the record [bytes]."""
     offsets, end = {}, 0
     for name, dtype in dtypes.items():
         element = wp.types.type_size_in_bytes(dtype)
@@ -95,9 +96,9 @@ def _array_types(struct: Any) -> dict[str, Any]:
 
 @functools.cache
 def assume_strides(struct: Any) -> wp.Function:
-    """Returns the device function that tells the compiler how the arrays of a struct lie.
+    """Returns the device function that sets the strides and addresses of a struct to compile-time expressions.
 
-    It writes what is there anyway, into the copy of the struct that a thread has. On a GPU it does nothing.
+    The values are equal to those in memory; they are written to the struct copy of the thread. Does nothing on a GPU.
     """
     kind, types = struct.cls.__name__, _array_types(struct)
     lines = ["#if !defined(__CUDA_ARCH__)"]
@@ -142,9 +143,9 @@ def assume_strides(struct: Any) -> wp.Function:
     """
 )
 def hide_from_optimizer(number: int) -> int:
-    """The same number, not negative, of which the compiler does not know that: for loops of few turns.
+    """Returns ``number``, which is not negative, and hides its value from the optimizer, for loops of few passes.
 
-    Else it computes what follows from the number before a loop, the addresses of all arrays in there, whatever is
-    asked for.
+    Otherwise the compiler computes the addresses of all arrays in the loop before the loop, even those that it does not
+    use.
     """
     ...

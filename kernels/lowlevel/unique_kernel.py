@@ -32,18 +32,16 @@ OPTIONS = QUICK_OPTIONS if QUICK else RELEASE_OPTIONS
 def unique_kernel(
     registers: int | None = None, *, unrolled: int | None = None
 ) -> Callable[[Callable[..., Any]], wp.Kernel]:
-    """Makes a kernel, without a backward pass, of a function; it is compiled when it is first needed.
+    """Returns a decorator that makes a kernel of a function, compiled at first use, without a backward pass.
 
     Args:
-        registers: How many a thread of a GPU may have, at most; ``None``: as the compiler sees fit.
-        unrolled: Loops of constant length are written out for the compiler if they have no more passes than this;
-            ``None``: than Warp's 16.
+        registers: Maximum number of registers per GPU thread. ``None``: chosen by the compiler.
+        unrolled: Largest number of passes of a constant loop that is unrolled. ``None``: 16, the default of Warp.
     """
     options: dict[str, Any] = dict(OPTIONS)
     if unrolled is not None:
         options["max_unroll"] = unrolled
     if not wp.is_cuda_available():
-        # Warp hashes a kernel for the block that its module says, and once more if launches have another: on a CPU
-        # that is one thread.
+        # Warp hashes a kernel for the block size of its module, and again if a launch has another. On a CPU it is 1.
         options["block_dim"] = 1
     return wp.kernel(module="unique", enable_backward=False, module_options=options, cuda_max_registers=registers)

@@ -1,4 +1,4 @@
-"""Rows of four vectors, as the tables of faces have them, read as a whole: on a GPU it is loads that cost."""
+"""Reads rows of four vectors from face tables with 16-byte loads, because loads dominate the time on a GPU."""
 
 import functools
 
@@ -8,12 +8,12 @@ from warpcontact.kernels.types import structs
 
 @functools.cache
 def row_of(real: type) -> wp.Function:
-    """Returns the device function that reads a row of a table of four vectors in each."""
+    """Returns the device function that reads a row of a table with four vectors per row."""
     Table = wp.array2d(dtype=structs(real).vec3)
     Row = wp.types.matrix(shape=(4, 3), dtype=real)
     scalar = {wp.float32: "wp::float32", wp.float64: "wp::float64"}[real]
 
-    # A row is some times 16 bytes long and begins at a multiple of that: tables are whole arrays of their own.
+    # The size of a row is a multiple of 16 bytes, and tables are separate allocations, so rows are aligned.
     @wp.func_native(
         f"""
         assert(row >= 0 && row < table.shape[0]);

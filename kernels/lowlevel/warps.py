@@ -1,18 +1,19 @@
-"""Warps of a GPU: what their threads tell each other, where all of them have to come by, and who is in which.
+"""Warp intrinsics of a GPU: lane index, ballot, shuffle, scan and bit operations.
 
-Compiled for a CPU a warp has one thread, so that what is written for warps can be tried there.
+All lanes must reach a ballot, shuffle, scan or ``sync``. On a CPU a warp has one lane, so that kernels written for
+warps can be tested there.
 """
 
 import functools
 
 import warp as wp
 
-#: Threads of a warp.
+#: Number of lanes of a warp.
 LANES = 32
 
 
 def _native(on_gpu: str, alone: str) -> str:
-    """Returns the source of a function for a thread of a GPU, and for one alone."""
+    """Returns the source of a function for a GPU, and for a CPU with one lane."""
     return f"""
     #if defined(__CUDA_ARCH__)
     {on_gpu}
@@ -24,19 +25,19 @@ def _native(on_gpu: str, alone: str) -> str:
 
 @wp.func_native(_native("return threadIdx.x & 31;", "return 0;"))
 def lane() -> int:
-    """Number of this thread in its warp."""
+    """Returns the lane index of this thread."""
     ...
 
 
 @wp.func_native(_native("return __ballot_sync(0xffffffffu, flag);", "return flag ? 1 : 0;"))
 def ballot(flag: bool) -> int:
-    """The threads that say yes, as bits."""
+    """Returns the lanes whose ``flag`` is set, as bits."""
     ...
 
 
 @wp.func_native(_native("__syncwarp();", ""))
 def sync():
-    """Threads go on from here when all have come, and see what each other wrote."""
+    """Synchronizes the lanes of a warp and makes their writes visible to each other."""
     ...
 
 
@@ -53,7 +54,7 @@ def sync():
     )
 )
 def inclusive_scan(value: int) -> int:
-    """Sum of the values of all threads up to this one."""
+    """Returns the sum of the values of all lanes up to and including this one."""
     ...
 
 
@@ -69,13 +70,13 @@ def inclusive_scan(value: int) -> int:
     )
 )
 def find_owner(start: int, number: int) -> int:
-    """The last thread whose ``start``, which rises from thread to thread from 0 on, is not above ``number``."""
+    """Returns the last lane with ``start`` <= ``number``; ``start`` increases over the lanes, from 0."""
     ...
 
 
 @functools.cache
 def broadcast_function(real: type) -> wp.Function:
-    """Returns the device function that tells each thread of a warp the ``value`` that a ``lane`` has."""
+    """Returns the device function that broadcasts ``value`` from ``lane`` to all lanes of a warp."""
 
     @wp.func_native(_native("return __shfl_sync(0xffffffffu, value, lane);", "return value;"))
     def broadcast_from(value: real, lane: int) -> real: ...
@@ -85,7 +86,7 @@ def broadcast_function(real: type) -> wp.Function:
 
 @wp.func_native(_native("return __popc(bits);", "return __builtin_popcount(bits);"))
 def popcount(bits: int) -> int:
-    """How many bits are set."""
+    """Returns the number of set bits."""
     ...
 
 
@@ -96,24 +97,24 @@ def popcount(bits: int) -> int:
     )
 )
 def nth_set_bit(bits: int, number: int) -> int:
-    """Place of the bit with a number among those that are set, from the lowest on."""
+    """Returns the index of a set bit, counted from the lowest set bit (``number`` 0)."""
     ...
 
 
 @wp.func_native(_native("return __ffs(bits) - 1;", "return __builtin_ctz(bits);"))
 def lowest_set_bit(bits: int) -> int:
-    """Place of the lowest bit that is set, of some."""
+    """Returns the index of the lowest set bit; ``bits`` must not be 0."""
     ...
 
 
 @wp.func_native("return (unsigned(bits) >> first) & ((1ull << count) - 1ull);")
 def bit_range(bits: int, first: int, count: int) -> int:
-    """Those among ``count`` bits from ``first`` on, as bits from 0 on."""
+    """Returns ``count`` bits from bit ``first`` on, shifted to bit 0."""
     ...
 
 
 @wp.func
 def interleave_warps(thread: int, threads: int):
-    """Numbers threads anew, so that the first are in different warps: searches go different ways."""
+    """Permutes thread numbers so that the first are in different warps, because searches in one warp diverge."""
     number = (threads + 31) // 32
     return (thread % 32) * number + thread // 32

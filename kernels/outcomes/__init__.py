@@ -1,1 +1,1 @@
-"""Outcomes: what is kept of sensors over time, in a few numbers per environment, while it is stepped."""
+"""Outcomes: scalars per environment, reduced from sensors over time during stepping."""

@@ -1,4 +1,4 @@
-"""The contract of an outcome: a few numbers that sum up a sensor over time."""
+"""Base classes of outcomes: scalars per environment, reduced from sensors over time."""
 
 import math
 from collections.abc import Sequence
@@ -10,17 +10,17 @@ from warpcontact.kernels.catalogue.keywords import explain_keywords_of
 from warpcontact.kernels.catalogue.names import stored_name
 from warpcontact.kernels.outcomes.source import EACH, ITEM_REDUCTIONS, MAX_SOURCES
 
-#: What may be taken of a sensor that is a vector, and which of its numbers that is.
+#: Components of a vector sensor, and their indices.
 COMPONENTS = {"x": 0, "y": 1, "z": 2, "w": 3, "norm": None}
 
 
 class Source(NamedTuple):
-    """A sensor as it is looked at.
+    """A sensor and how its values are selected.
 
     Attributes:
-        name: Its name.
-        component: One of ``COMPONENTS``; ``None``: all of it.
-        items: What becomes of the items of a set, one of ``ITEM_REDUCTIONS``.
+        name: Name of the sensor.
+        component: One of ``COMPONENTS``; ``None``: all components.
+        items: Reduction over the items of a set, one of ``ITEM_REDUCTIONS``.
     """
 
     name: str
@@ -38,11 +38,11 @@ class Condition(NamedTuple):
 def source_of(
     owner: str, of: object, component: object, items: object, folds: Sequence[str] = ITEM_REDUCTIONS
 ) -> Source:
-    """Checks what a user says of a source.
+    """Returns the source after checking the arguments.
 
     Raises:
-        TypeError: If ``of`` is no text.
-        ValueError: If ``component`` or ``items`` is not one of what there is.
+        TypeError: If ``of`` is not a string.
+        ValueError: If ``component`` or ``items`` is not an allowed value.
     """
     if not isinstance(of, str):
         raise TypeError(f"{owner}.of must be the name of a sensor, such as 'touch.normal_force', got {of!r}")
@@ -53,11 +53,11 @@ def source_of(
 
 
 def condition_of(owner: str, above: object, below: object) -> Condition:
-    """Checks the one limit that a condition has.
+    """Returns the condition after checking its limit.
 
     Raises:
-        TypeError: If it is no number.
-        ValueError: If there are none or two, or it is not finite.
+        TypeError: If the limit is not a number.
+        ValueError: If no limit or both limits are given, or the limit is not finite.
     """
     if (above is None) == (below is None):
         got = "neither" if above is None else f"above={above!r} and below={below!r}"
@@ -72,9 +72,9 @@ def condition_of(owner: str, above: object, below: object) -> Condition:
 
 @explain_keywords_of
 class Outcome:
-    """A sensor summed up over time, by a few numbers that are kept for each environment.
+    """Reduction of a sensor over time to one number per environment, component and item.
 
-    A subclass says what it starts from, and has two device functions in float64::
+    A subclass declares its initial memory and two device functions in float64::
 
         class MeanSquare(wc.Outcome):
             \"\"\"Mean of the squares over time.\"\"\"
@@ -91,31 +91,31 @@ class Outcome:
             def result(m: Any, time: Any):
                 return m[0] / m[1]
 
-    ``update`` returns the memory ``m`` after ``x`` was seen at ``time`` [s], for the step of ``dt`` [s] that
-    begins there. The last state of all is seen with ``dt`` = 0 whenever results are asked for, and then forgotten,
-    as steps may follow. ``result`` returns the outcome.
+    ``update`` returns the memory ``m`` after the value ``x`` at ``time`` [s], for the step of ``dt`` [s] that begins
+    there. For a result, the current state is added with ``dt`` = 0 to a copy of the memory, because steps may follow.
+    ``result`` returns the outcome.
 
     Args:
         of: Name of the sensor.
-        component: Of a vector: ``"x"``, ``"y"``, ``"z"``, ``"w"`` or ``"norm"``; ``None``: each has a result.
-        items: Of a set: ``"each"`` item has a result, or the ``"sum"``, ``"max"`` or ``"min"`` of them all at
-            every instant is looked at.
-        above: With a ``conditional`` outcome: where the sensor is above this ...
-        below: ... or below this; one of both.
+        component: Component of a vector: ``"x"``, ``"y"``, ``"z"``, ``"w"`` or ``"norm"``; ``None``: one result each.
+        items: Items of a set: ``"each"``: one result each; ``"sum"``, ``"max"`` or ``"min"``: reduced at every instant.
+        above: Limit of a ``conditional`` outcome: the condition holds above it. Exclusive with ``below``.
+        below: Limit of a ``conditional`` outcome: the condition holds below it.
 
     Raises:
+        TypeError: If ``of`` is not a string, or a limit is not a number.
         ValueError: If an argument is not allowed.
     """
 
-    #: Numbers that are kept, and what they are at the start.
+    #: Initial values of the stored numbers.
     memory: ClassVar[tuple[float, ...]] = (0.0,)
     update: ClassVar[wp.Function]
     result: ClassVar[wp.Function]
-    #: Whether there is a condition: ``x`` is then by how much it holds, above 0 where it does.
+    #: Whether there is a condition. ``x`` is then the distance from the limit, positive where the condition holds.
     conditional: ClassVar[bool] = False
-    #: Whether the state at the end is all that counts; ``update`` sees no other.
+    #: Whether ``update`` gets only the state at the end.
     at_end: ClassVar[bool] = False
-    #: What it is, before the name of the sensor.
+    #: Description, to be followed by the name of the sensor.
     meaning: ClassVar[str] = ""
 
     sources: tuple[Source, ...]
@@ -130,7 +130,7 @@ class Outcome:
                 raise TypeError(f"{cls.__name__}.{name} must be a device function: decorate it with @wp.func")
         memory = cls.memory
         if not isinstance(memory, tuple) or not memory or not all(isinstance(one, Real) for one in memory):
-            raise TypeError(f"{cls.__name__}.memory must be a tuple of numbers, what is kept at the start")
+            raise TypeError(f"{cls.__name__}.memory must be a tuple of numbers, its initial values")
 
     def __init__(
         self,
@@ -151,18 +151,18 @@ class Outcome:
             self.condition = Condition(0.0, 1.0)
 
     def check(self, nonsmooth: frozenset[str]) -> None:
-        """Checks that it can be had of a scene, given the names of the contacts that are hard.
+        """Checks that the outcome is possible, given the names of the nonsmooth contacts.
 
         Raises:
-            ValueError: If not.
+            ValueError: If it is not.
         """
 
     def unit(self, of: str) -> str:
-        """Returns its unit, given that of its source."""
+        """Returns the unit of the outcome, given that of its source."""
         return of
 
     def about(self) -> str:
-        """Returns what it is of, in words."""
+        """Returns a description of the source."""
         of = self.sources[0]
         text = of.name if of.component is None else f"{of.name} {of.component}"
         if of.items != EACH:
@@ -174,7 +174,7 @@ class Outcome:
 
     @property
     def long_name(self) -> str:
-        """What it is, in words."""
+        """Description of the outcome."""
         return f"{self.meaning or type(self).__name__} {self.about()}"
 
     def __repr__(self) -> str:
@@ -183,7 +183,7 @@ class Outcome:
 
 @explain_keywords_of
 class OfContact(Outcome, abstract=True):
-    """An outcome of several sensors of one contact, ``quantities``; the argument is the name of the contact."""
+    """Outcome of several sensors of one contact, ``quantities``. The argument is the name of the contact."""
 
     #: Sensors, each with its component.
     quantities: ClassVar[tuple[tuple[str, str | None], ...]]
@@ -195,12 +195,12 @@ class OfContact(Outcome, abstract=True):
                 f"{cls.__name__}.quantities must be 1 to {MAX_SOURCES} sensors, got {len(cls.quantities)}"
             )
 
-    # No items: sums of products are not products of sums.
+    # No reduction over items, because a sum of products is not the product of sums.
     def __init__(self, contact: str) -> None:
         super().__init__(contact)
         self.contact = contact
         self.sources = tuple(Source(f"{contact}.{quantity}", component) for quantity, component in self.quantities)
 
     def about(self) -> str:
-        """Returns what it is of, in words."""
+        """Returns a description of the source."""
         return self.contact

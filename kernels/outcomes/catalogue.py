@@ -8,7 +8,7 @@ from warpcontact.kernels.outcomes.base import OfContact, Outcome
 
 
 def per_second(unit: str) -> str:
-    """Returns the unit of an integral over time of what has ``unit``."""
+    """Returns the unit of a time integral of a quantity with ``unit``."""
     if unit == "-":
         return "s"
     return unit.removesuffix("/s") if unit.endswith("/s") else f"{unit}·s"
@@ -49,7 +49,7 @@ class Min(Outcome):
 
 
 class Range(Outcome):
-    """Largest less smallest value."""
+    """Largest minus smallest value."""
 
     memory = (-math.inf, math.inf)
     meaning = "range of"
@@ -157,7 +157,7 @@ class Final(Outcome):
 
 
 class Change(Outcome):
-    """Final less initial value."""
+    """Final minus initial value."""
 
     memory = (math.nan, 0.0, math.nan)
     meaning = "change of"
@@ -176,7 +176,7 @@ class Change(Outcome):
 
 
 class TimeOfMax(Outcome):
-    """Time of the first of the largest values."""
+    """Time of the first occurrence of the largest value."""
 
     memory = (-math.inf, math.nan)
     meaning = "time of the largest"
@@ -220,7 +220,7 @@ class FirstTime(Outcome):
 
 
 class Duration(Outcome):
-    """Time for which the condition held: of the steps that began so."""
+    """Total duration of the steps that began with the condition satisfied."""
 
     memory = (0.0,)
     conditional = True
@@ -242,7 +242,7 @@ class Duration(Outcome):
 
 
 class Count(Outcome):
-    """How many times the condition came to hold, the start included."""
+    """Number of times that the condition became satisfied, including at the start."""
 
     memory = (0.0, 0.0)
     conditional = True
@@ -266,16 +266,16 @@ class Count(Outcome):
 
 
 class Restitution(OfContact):
-    """Speed at the end of the first contact over that at its begin, −δ̇_end/δ̇_begin; NaN: no such contact ended.
+    """Coefficient of restitution of the first contact, −δ̇_end/δ̇_start; NaN: it has not ended or did not happen.
 
-    It is also NaN where that contact did not begin with an approach, as of a point that rests at the start.
+    Also NaN if the contact did not begin with an approach, for example for a point at rest at the start.
 
-    The speeds are those of the first and of the last state in contact, at most a step inside: what the force did
-    to them there is of second order in the step, what gravity did of first order.
+    The speeds are those of the first and the last state in contact, at most one step inside. The error due to the
+    contact force is of second order in the step, that due to gravity of first order.
     """
 
     quantities = (("penetration", None), ("approach_speed", None))
-    memory = (0.0, math.nan, math.nan)  # 0 before, 1 in and 2 after the first contact; δ̇ at its begin, the last
+    memory = (0.0, math.nan, math.nan)  # 0 before, 1 in, 2 after the first contact; first and last δ̇
     meaning = "restitution of the first contact of"
 
     @wp.func
@@ -297,11 +297,11 @@ class Restitution(OfContact):
         return wp.float64(wp.nan)
 
     def check(self, nonsmooth: frozenset[str]) -> None:
-        """Refuses nonsmooth contacts, which are no time in contact."""
+        """Raises ``ValueError`` for a nonsmooth contact, whose impacts have no duration."""
         if self.contact in nonsmooth:
             raise ValueError(
-                f"Restitution: {self.contact!r} is a nonsmooth contact, which ends within a step; that of its impacts "
-                f"is {self.contact}.law.restitution"
+                f"Restitution must be of a compliant contact, got the nonsmooth contact {self.contact!r}, whose impacts have "
+                f"no duration. Its coefficient of restitution is {self.contact}.law.restitution"
             )
 
     def unit(self, of: str) -> str:
@@ -310,10 +310,10 @@ class Restitution(OfContact):
 
 
 class Work(OfContact):
-    """∫ (N δ̇ + |F_t| v_slip) dt, what a contact took: over whole contacts, what it dissipated.
+    """Work of a contact, ∫ (N δ̇ + |F_t| v_slip) dt; over complete contacts, the dissipated energy.
 
-    Rolling and torsion are left out. Velocities are those from state to state, forces the mean of both: of second
-    order in the step.
+    Without rolling and torsional friction. Velocities are averages over a step, forces the mean of both states, so the
+    error is of second order in the step.
     """
 
     quantities = (
@@ -322,7 +322,7 @@ class Work(OfContact):
         ("friction_force", "norm"),
         ("slip_speed", None),
     )
-    memory = (0.0, 0.0, 0.0, 0.0)  # the work; both forces and the step before
+    memory = (0.0, 0.0, 0.0, 0.0)  # work; both forces and the step of the last state
     meaning = "work taken by"
 
     @wp.func
@@ -339,11 +339,11 @@ class Work(OfContact):
         return m[0]
 
     def check(self, nonsmooth: frozenset[str]) -> None:
-        """Refuses nonsmooth contacts, which keep an account of their own."""
+        """Raises ``ValueError`` for a nonsmooth contact, which has sensors of its dissipation."""
         if self.contact in nonsmooth:
             raise ValueError(
-                f"Work: {self.contact!r} is a nonsmooth contact; what those took is Final('scene.impact_dissipation') and "
-                "Final('scene.friction_dissipation')"
+                f"Work must be of a compliant contact, got the nonsmooth contact {self.contact!r}. The energy that nonsmooth "
+                "contacts dissipate is Final('scene.impact_dissipation') and Final('scene.friction_dissipation')"
             )
 
     def unit(self, of: str) -> str:

@@ -1,4 +1,4 @@
-"""Writes down when contacts are made and lost."""
+"""Records the start and end times of contacts."""
 
 import functools
 
@@ -10,21 +10,21 @@ from warpcontact.kernels.types import ENV_ACTIVE, LaunchRange, first_env, task_c
 
 @wp.struct
 class Events:
-    """The last events of an environment, in a ring."""
+    """Ring buffer of the last events of an environment."""
 
     touching: wp.array2d(
         dtype=wp.int32
-    )  # [env, place] whether it did at the last state; places: items of contacts
-    count: wp.array(dtype=wp.int32)  # [env] events so far
-    time: wp.array2d(dtype=wp.float64)  # [env, slot] of the first state after it [s]
-    what: wp.array2d(dtype=wp.int32)  # [env, slot] 2 × place + 1 if the contact was made, + 0 if it was lost
+    )  # [env, index] contact state at the last evaluation; index: item of a contact
+    count: wp.array(dtype=wp.int32)  # [env] total number of events
+    time: wp.array2d(dtype=wp.float64)  # [env, slot] time of the first state after the event [s]
+    what: wp.array2d(dtype=wp.int32)  # [env, slot] 2 × index + 1: contact began, + 0: contact ended
 
 
 @functools.cache
 def kernel(form: SourceForm) -> wp.Kernel:
-    """Returns the kernel that looks at the items of a contact, which touch where its source is above 0.
+    """Returns the kernel that detects events of a contact, which is closed where its source is positive.
 
-    Items: one, so that events are in one order.
+    Items: one per environment, so that the order of events is fixed.
     """
     source_value = value(form)
     dtype = form.dtype
@@ -34,7 +34,7 @@ def kernel(form: SourceForm) -> wp.Kernel:
         launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         time: wp.array(dtype=wp.float64),  # [env] before the step [s]
-        first: wp.int32,  # place of the first item
+        first: wp.int32,  # index of the first item
         a: wp.array3d(dtype=dtype),
         events: Events,
     ):
@@ -58,7 +58,7 @@ def kernel(form: SourceForm) -> wp.Kernel:
 
 @functools.cache
 def restart() -> wp.Kernel:
-    """Returns the kernel that forgets events. Launch with dim env."""
+    """Returns the kernel that clears events. Launch with dim env."""
 
     @unique_kernel()
     def reset_events(mask: wp.array(dtype=wp.bool), events: Events):

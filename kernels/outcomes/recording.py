@@ -1,4 +1,4 @@
-"""Takes frames of a recording where they are measured, so that nobody has to come by for them."""
+"""Copies frames of recorded sensors within a captured graph of steps, without a call from the host."""
 
 import functools
 
@@ -6,33 +6,33 @@ import warp as wp
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.types import LaunchRange, assume_nonnegative, first_env, task_count
 
-# Of an array that is known by its address alone: there are no more.
+# Nominal length of an array that is given by its address only.
 MAX_ARRAY_LENGTH = 2**31 - 1
 
-# Words that are copied at once.
+# Words per copy.
 WORDS_4 = wp.types.vector(length=4, dtype=wp.uint32)
 
 
 @wp.struct
 class Row:
-    """A sensor: where it is measured and where its frames go, by addresses and distances in bytes.
+    """Source and target of a recorded sensor, as addresses and strides in bytes.
 
-    Of arrays Warp keeps distances in 32 bits, and frames may be farther apart.
+    Strides are 64-bit, because Warp's strides are 32-bit and frames may be farther apart.
     """
 
-    source: wp.uint64  # address of environment 0
-    env_stride: wp.uint64  # from environment to environment
-    item_stride: wp.uint64  # from item to item
-    result: wp.uint64  # address of environment 0 in frame 0
-    frame_stride: wp.uint64  # from frame to frame
+    source: wp.uint64  # address for environment 0
+    env_stride: wp.uint64  # between environments
+    item_stride: wp.uint64  # between items
+    result: wp.uint64  # address for environment 0 in frame 0
+    frame_stride: wp.uint64  # between frames
     items: wp.int32
-    words: wp.int32  # of an item: four bytes each, or numbers in float64 that are added up
-    total: wp.int32  # whether they are, over the items
+    words: wp.int32  # per item: four bytes each, or float64 numbers to sum
+    total: wp.int32  # 1: sum over the items
 
 
 @functools.cache
 def record_frame() -> wp.Kernel:
-    """Returns the kernel that takes a frame of all sensors, and counts it; items: one. For the CPU."""
+    """Returns the kernel that records a frame of all sensors and increments the frame counter; items: one; CPU."""
 
     @wp.func
     def copy(row: Row, source: wp.uint64, target: wp.uint64, envs: int):
@@ -41,7 +41,7 @@ def record_frame() -> wp.Kernel:
         env_stride = wp.int32(row.env_stride / wp.uint64(4))
         item_stride = wp.int32(row.item_stride / wp.uint64(4))
         if row.items == 1 and env_stride == row.words:
-            # Environments are side by side: in a fifth of the time that one after the other takes.
+            # Environments are contiguous: copied as one block, in a fifth of the time.
             words = envs * row.words
             word_groups = words / 4
             read_groups = wp.array(ptr=source, shape=(wp.static(MAX_ARRAY_LENGTH // 4),), dtype=WORDS_4)
@@ -75,7 +75,7 @@ def record_frame() -> wp.Kernel:
     @unique_kernel()
     def take_frame(
         launch: LaunchRange,
-        counters: wp.array(dtype=wp.int32),  # number of the frame, and of rows
+        counters: wp.array(dtype=wp.int32),  # index of the frame, number of rows
         rows: wp.array(dtype=Row),
     ):
         first = wp.uint64(first_env(launch))

@@ -1,4 +1,4 @@
-"""Keeps outcomes: their memory advances once per accepted step, before the step, and is never looked at in it."""
+"""Advances the memory of outcomes once per accepted step, and evaluates results."""
 
 import functools
 
@@ -18,11 +18,11 @@ from warpcontact.kernels.types import (
 
 @wp.struct
 class SourceView:
-    """How an outcome looks at its first source: ``sign`` (x − ``limit``), above 0 where its condition holds."""
+    """Evaluation of the first source of an outcome: ``sign`` (x − ``limit``), positive where the condition holds."""
 
     limit: wp.float64
     sign: wp.float64
-    components: wp.int32  # of a result, of which an environment has one for each item
+    components: wp.int32  # number of components per item
 
 
 @functools.cache
@@ -57,13 +57,13 @@ def _source_value(forms: tuple[SourceForm, ...], single: bool) -> wp.Function:
 
 @functools.cache
 def accumulate(update: wp.Function, length: int, forms: tuple[SourceForm, ...], single: bool) -> wp.Kernel:
-    """Returns the kernel that shows an outcome the state that a step begins from; items: results.
+    """Returns the kernel that updates an outcome with the state before a step; items: results.
 
     Args:
-        update: Of the outcome.
-        length: Of its memory.
-        forms: Of its sources.
-        single: Whether an environment has one result: to divide takes longer than all the rest.
+        update: Device function of the outcome.
+        length: Length of its memory.
+        forms: Forms of its sources.
+        single: Whether there is one result per environment; avoids divisions, which would dominate the time.
     """
     Memory = wp.types.vector(length=length, dtype=wp.float64)
     source_value = _source_value(forms, single)
@@ -98,10 +98,10 @@ def accumulate(update: wp.Function, length: int, forms: tuple[SourceForm, ...], 
 
 @functools.cache
 def report(update: wp.Function, result: wp.Function, length: int, forms: tuple[SourceForm, ...]) -> wp.Kernel:
-    """Returns the kernel that tells the results at the current state; items: results.
+    """Returns the kernel that evaluates results at the current state; items: results.
 
-    That state is seen over no time, and nothing of it is kept. Where an environment was frozen it led to a step
-    that has failed, and is only seen if it is finite.
+    It adds the current state with ``dt`` = 0 to a copy of the memory. For a frozen environment, whose next step failed,
+    the state is added only if it is finite.
     """
     Memory = wp.types.vector(length=length, dtype=wp.float64)
     source_value = _source_value(forms, False)
@@ -134,7 +134,7 @@ def report(update: wp.Function, result: wp.Function, length: int, forms: tuple[S
 
 @functools.cache
 def restart(length: int) -> wp.Kernel:
-    """Returns the kernel that puts memories to their start. Launch with dim (env, result)."""
+    """Returns the kernel that resets memories to their initial values. Launch with dim (env, result)."""
     Memory = wp.types.vector(length=length, dtype=wp.float64)
 
     @unique_kernel()

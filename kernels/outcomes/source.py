@@ -1,23 +1,23 @@
-"""What outcomes, stop conditions and events look at: a number of a sensor, out of (env, item, component)."""
+"""Value of a sensor for outcomes, stop conditions and events, from an array (env, item, component)."""
 
 import functools
 from typing import NamedTuple
 
 import warp as wp
 
-#: What becomes of the items of a set.
+#: Reductions over the items of a set.
 EACH, SUM, LARGEST, SMALLEST = "each", "sum", "max", "min"
 ITEM_REDUCTIONS = (EACH, SUM, LARGEST, SMALLEST)
-#: Most sources of an outcome.
+#: Largest number of sources of an outcome.
 MAX_SOURCES = 4
 
 
 class SourceForm(NamedTuple):
-    """How numbers of a source become one.
+    """How a value is computed from the array of a sensor.
 
     Attributes:
-        dtype: Of the array, a scalar.
-        norm: Whether it is the length of the vector.
+        dtype: Scalar type of the array.
+        norm: Whether the value is the length of the vector.
         items: One of ``ITEM_REDUCTIONS``.
     """
 
@@ -62,9 +62,9 @@ def value(form: SourceForm) -> wp.Function:
 
 @functools.cache
 def values(forms: tuple[SourceForm, ...]) -> wp.Function:
-    """Returns the device function of four arrays that gives what an outcome sees, a number or a vector of them.
+    """Returns the device function that evaluates up to four sources, as a number or a vector.
 
-    Of fewer sources the arrays of the others are not looked at.
+    With fewer sources the remaining arrays are not read.
     """
     of = [value(form) for form in forms]
     count = len(forms)

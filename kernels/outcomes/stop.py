@@ -1,4 +1,4 @@
-"""Holds environments at the state at which a condition holds."""
+"""Stops environments at the state at which a condition holds."""
 
 import functools
 
@@ -7,31 +7,31 @@ from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.outcomes.source import SourceForm, value
 from warpcontact.kernels.types import ENV_ACTIVE, ENV_HALTED, LaunchRange, first_env, task_count
 
-#: Clocks are sums: a time is reached within this share of a step.
+#: Tolerance for the duration of a condition, as a fraction of a step, because clocks are rounded sums.
 TIME_TOLERANCE = wp.constant(wp.float64(1.0e-6))
 
 
 @wp.struct
 class Condition:
-    """``sign`` (x − ``limit``) > 0 for ``lasting``."""
+    """Stop condition: ``sign`` (x − ``limit``) > 0 for the duration ``lasting``."""
 
     limit: wp.float64
     sign: wp.float64
     lasting: wp.float64  # [s]
-    number: wp.int32  # of the condition
+    number: wp.int32  # index of the condition
 
 
 @wp.struct
 class StopStates:
-    """What is known of the conditions of an environment."""
+    """State of the stop conditions."""
 
-    since: wp.array2d(dtype=wp.float64)  # [env, condition] when it came to hold [s]; NaN: it does not
-    stopped_by: wp.array(dtype=wp.int32)  # [env] number of the condition; −1: none
+    since: wp.array2d(dtype=wp.float64)  # [env, condition] time since which it holds [s]; NaN: does not hold
+    stopped_by: wp.array(dtype=wp.int32)  # [env] index of the condition; −1: none
 
 
 @functools.cache
 def kernel(form: SourceForm) -> wp.Kernel:
-    """Returns the kernel that looks at a condition before a step; items: one."""
+    """Returns the kernel that checks a condition before a step; items: one per environment."""
     source_value = value(form)
     dtype = form.dtype
 
@@ -65,7 +65,7 @@ def kernel(form: SourceForm) -> wp.Kernel:
 
 @functools.cache
 def restart() -> wp.Kernel:
-    """Returns the kernel that forgets conditions. Launch with dim env."""
+    """Returns the kernel that resets conditions. Launch with dim env."""
 
     @unique_kernel()
     def reset_conditions(mask: wp.array(dtype=wp.bool), count: wp.int32, stops: StopStates):

@@ -88,7 +88,7 @@ BAD = [
     ),
     (outcome(type="FirstTime", above="x"), "outcome.peak.above must be a number, got 'x'"),
     (outcome(type="Restitution", of="tuch"), "outcome.peak: no sensor 'tuch.penetration'; did you mean"),
-    (outcome(type="Restitution", of="touch") | HARD, "outcome.peak: Restitution: 'touch' is a nonsmooth contact"),
+    (outcome(type="Restitution", of="touch") | HARD, "outcome.peak: Restitution must be of a compliant contact"),
     (
         outcome(of="ball.force") | HARD,
         "outcome.peak: ball.force is not there in every step, and may only be Final",

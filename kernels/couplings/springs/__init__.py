@@ -1,4 +1,4 @@
-"""Spring-dampers by the formula of their force: elastic parts and damping. One's own derive from the bases."""
+"""Spring and damper models of spring-dampers. Custom ones derive from ``Spring`` and ``Damper``."""
 
 from typing import TYPE_CHECKING
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     SPRINGS: tuple[type[Spring], ...]
     DAMPERS: tuple[type[Damper], ...]
 
-#: The names of all elastic parts, and of all dampings, that come with the library.
+#: Names of the springs and of the dampers of the library.
 SPRING_NAMES = ("Linear", "Polynomial", "StiffnessTable", "ForceTable")
 DAMPER_NAMES = ("Undamped", "Viscous", "PolynomialDamping", "DampingTable")
 

@@ -1,4 +1,4 @@
-"""The contract of the two parts of a spring-damper: an elastic force over the distance, and its damping."""
+"""Base classes of the models of a spring-damper: elastic force over the distance, and damping."""
 
 from typing import Any, ClassVar
 
@@ -8,7 +8,7 @@ from warpcontact.kernels.catalogue.device_model import Formula
 
 
 class AlongLine(Formula):
-    """What springs and dampers have in common: a force along the line between two points."""
+    """Base of springs and dampers: a force along the line between two points."""
 
     whole: ClassVar[str] = "spring"
     may_have_table: ClassVar[bool] = True
@@ -16,7 +16,7 @@ class AlongLine(Formula):
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
         if cls.memories:
-            raise TypeError(f"{cls.__name__} declares a memory, and a spring-damper has none")
+            raise TypeError(f"{cls.__name__} must not declare history variables: spring-dampers have none")
 
     def slope(self, values: dict[str, np.ndarray], lengths: np.ndarray) -> np.ndarray | None:
         """Returns df/dx of a spring, df/dẋ of a damper, for estimates of the time step; ``None``: unknown.
@@ -29,7 +29,7 @@ class AlongLine(Formula):
 
 
 class Spring(AlongLine):
-    """An elastic force f(x) between two points, positive where it pulls them together.
+    """Elastic force f(x) between two points, positive if attractive.
 
     A subclass declares its parameters and a device function::
 
@@ -46,14 +46,14 @@ class Spring(AlongLine):
     ``p`` holds the coefficients of this spring in this environment; ``s`` has the distance ``length`` x ≥ 0 [m],
     the ``rest_length`` x₀ [m], the ``extension`` x − x₀ [m] and the ``rate`` ẋ [m/s], > 0 apart. Constants take
     the precision of the simulation when written as ``type(s.length)(1.5)``. With a ``wc.table`` there is a third
-    argument, the row of the table that the distance is in.
+    argument, the row of the table for this distance.
     """
 
     part: ClassVar[str] = "spring"
 
 
 class Damper(AlongLine):
-    """A force of damping between two points, positive where it pulls them together: k_d ẋ with k_d ≥ 0.
+    """Damping force between two points, positive if attractive: k_d ẋ with k_d ≥ 0.
 
     Declared like a ``Spring``; its ``force`` uses ``s.rate``.
     """
@@ -69,12 +69,12 @@ def polynomial(a: Any, b: Any, c: Any, e: Any):
 
 @wp.func
 def area_below(row: Any, length: Any):
-    """Returns the integral of a table from its first distance to ``length``, which is in ``row``."""
+    """Returns the integral of a table from its first distance to ``length``, for which ``row`` is valid."""
     d = length - row.start
     return row.integral + d * (row.value + type(d)(0.5) * row.slope * d)
 
 
 @wp.func
 def value_at(row: Any, length: Any):
-    """Returns a table at ``length``, which is in ``row``."""
+    """Returns the value of a table at ``length``, for which ``row`` is valid."""
     return row.value + row.slope * (length - row.start)

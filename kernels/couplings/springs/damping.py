@@ -1,4 +1,4 @@
-"""Damping of spring-dampers."""
+"""Damper models of spring-dampers."""
 
 from typing import Any
 
@@ -25,7 +25,7 @@ class Undamped(Damper):
 
 
 class Viscous(Damper):
-    """Damping of constant coefficient."""
+    """Constant damping coefficient."""
 
     formula = "f = k_d ẋ"
     reference = f"{_MANUAL}, (4944)"
@@ -42,7 +42,7 @@ class Viscous(Damper):
 
 
 class PolynomialDamping(Damper):
-    """Damping coefficient of second order in the extension; where it would be negative there is none."""
+    """Damping coefficient quadratic in the extension, clipped at zero."""
 
     formula = "f = max(0, a + b (x − x₀) + c (x − x₀)²) ẋ"
     reference = f"{_MANUAL}; the polynomial method of its reference"
@@ -63,7 +63,7 @@ class PolynomialDamping(Damper):
 
 
 class DampingTable(Damper):
-    """Damping coefficient over the distance, piecewise linear; held beyond the ends of the table."""
+    """Damping coefficient over the distance, piecewise linear; constant outside the table."""
 
     formula = "f = k_d(x) ẋ"
     reference = f"{_MANUAL}; the table method of its reference"

@@ -1,4 +1,4 @@
-"""Elastic forces of spring-dampers."""
+"""Spring models of spring-dampers."""
 
 import dataclasses
 from collections.abc import Callable
@@ -15,7 +15,7 @@ _MANUAL = "Simcenter STAR-CCM+ manual, spring-damper coupling"
 
 
 class Linear(Spring):
-    """Spring of constant stiffness."""
+    """Constant stiffness."""
 
     formula = "f = k (x − x₀)"
     reference = _MANUAL
@@ -33,7 +33,7 @@ class Linear(Spring):
 
 
 class Polynomial(Spring):
-    """Force of third order in the extension, through the origin or through a force at a reference length.
+    """Force cubic in the extension, zero at rest length or given at a reference length.
 
     It is the integral of the stiffness k = a + 2 b (x − x₀) + 3 c (x − x₀)².
     """
@@ -68,10 +68,10 @@ class Polynomial(Spring):
 
 
 class StiffnessTable(Spring):
-    """Stiffness over the distance, piecewise linear, integrated exactly; held beyond the ends of the table.
+    """Stiffness over the distance, piecewise linear, integrated exactly; constant outside the table.
 
-    The force is zero at rest length, or ``reference_force`` at ``reference_length``. ``StiffnessTable.of`` makes
-    the table from a function.
+    The force is zero at rest length, or ``reference_force`` at ``reference_length``. ``StiffnessTable.of`` samples a
+    function.
     """
 
     formula = "f = f_r + ∫ k(ξ) dξ from x_r to x"
@@ -91,15 +91,15 @@ class StiffnessTable(Spring):
     def of(
         cls, stiffness: Callable[[np.ndarray], np.ndarray], lengths: Any, **parameters: Any
     ) -> "StiffnessTable":
-        """Returns the table of a function of the distance [m], vectorised, at some distances.
+        """Returns the table of a function of the distance, sampled at ``lengths``.
 
         Args:
-            stiffness: The function [N/m].
-            lengths: Where to take it [m].
-            **parameters: Parameters of the law.
+            stiffness: Vectorized function of the distance [m] that returns the stiffness [N/m].
+            lengths: Sample points [m].
+            **parameters: Parameters of the spring.
         """
-        own = [field.name for field in dataclasses.fields(cls) if field.name != "table"]
-        refuse_unknown(f"{cls.__name__}.of", parameters, [*keywords_of(cls.of), *own])
+        names = [field.name for field in dataclasses.fields(cls) if field.name != "table"]
+        refuse_unknown(f"{cls.__name__}.of", parameters, [*keywords_of(cls.of), *names])
         x = np.asarray(lengths, dtype=np.float64)
         return cls(table=tuple(zip(x.tolist(), np.asarray(stiffness(x)).tolist(), strict=True)), **parameters)
 
@@ -117,7 +117,7 @@ class StiffnessTable(Spring):
 
 
 class ForceTable(Spring):
-    """Force over the distance, piecewise linear; held beyond the ends of the table."""
+    """Force over the distance, piecewise linear; constant outside the table."""
 
     formula = "f = f_e(x)"
     reference = f"{_MANUAL}, (4946)"

@@ -1,4 +1,4 @@
-"""Tables over the distance, on the host: the rows that the device looks up, and integrals."""
+"""Tables over the distance on the host: rows for the device, values and integrals."""
 
 import numpy as np
 
@@ -20,19 +20,19 @@ def rows_of(pairs: tuple[tuple[float, float], ...]) -> np.ndarray:
 
 
 def row_at(pairs: tuple[tuple[float, float], ...], lengths: np.ndarray) -> np.ndarray:
-    """Returns the row of each of ``lengths``, (…, 4)."""
+    """Returns the row for each of ``lengths``, (…, 4)."""
     x = np.array(pairs)[:, 0]
     return rows_of(pairs)[np.searchsorted(x, lengths, side="right")]
 
 
 def area_to(pairs: tuple[tuple[float, float], ...], lengths: np.ndarray) -> np.ndarray:
-    """Returns the integral of a table from its first distance to each of ``lengths``; held outside."""
+    """Returns the integral from the first distance of a table to each of ``lengths``; constant value outside."""
     start, value, slope, integral = np.moveaxis(row_at(pairs, lengths), -1, 0)
     d = lengths - start
     return integral + d * (value + 0.5 * slope * d)
 
 
 def value_of(pairs: tuple[tuple[float, float], ...], lengths: np.ndarray) -> np.ndarray:
-    """Returns a table at each of ``lengths``; held outside."""
+    """Returns the value of a table at each of ``lengths``; constant outside."""
     start, value, slope, _ = np.moveaxis(row_at(pairs, lengths), -1, 0)
     return value + slope * (lengths - start)
