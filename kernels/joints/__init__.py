@@ -1,4 +1,4 @@
-"""How a body may move relative to the world: free, with a joint, or as a function of time says."""
+"""Joints of bodies relative to the world, and prescribed motion as a function of time."""
 
 from typing import TYPE_CHECKING
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     CATALOGUE: tuple[type[Motion], ...]
 
-# Modules of all motions that come with the library.
+# Modules of the motions of the library.
 _CATALOGUE = {
     "Free": "joints",
     "Fixed": "joints",
@@ -25,7 +25,7 @@ _CATALOGUE = {
     "Table": "prescribed",
 }
 
-#: The names of all motions.
+#: Names of all motions.
 NAMES = tuple(_CATALOGUE)
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""The contract of a motion: how a body may move relative to the world."""
+"""Base class of motions: the joint of a body with the world, or its pose as a function of time."""
 
 from typing import Any, ClassVar
 
@@ -10,12 +10,12 @@ from warpcontact.kernels.types import TIME_FUNCTION
 
 @wp.func
 def still(p: Any, t: Any):
-    """No displacement and no rotation."""
+    """Returns zero displacement or rotation."""
     return wp.vec3d(wp.float64(0.0), wp.float64(0.0), wp.float64(0.0))
 
 
 class Motion(Formula):
-    """How a body may move relative to the world; one that is derived from this is a function of time.
+    """Motion of a body relative to the world. A class derived from this one prescribes the pose as a function of time.
 
     A subclass declares its parameters and one or two device functions::
 
@@ -30,13 +30,13 @@ class Motion(Formula):
                 return wp.vec3d(wp.float64(0.0), wp.float64(0.0), p.amplitude * wp.sin(p.rate * t))
 
     ``displacement`` [m] and ``rotation``, a rotation vector [rad], are relative to the initial pose, in world
-    axes; one that is left out is zero. ``t`` is the time of the environment [s]. Both are computed in float64:
+    axes. An omitted function is zero. ``t`` is the time of the environment [s]. Both are computed in float64:
     ``p`` holds float64 parameters, constants are written ``wp.float64(0.5)`` and the result is a ``wp.vec3d``.
-    The body turns about its centre of mass, or about ``anchor`` if there is a parameter of that name with the
-    shape (3,) and a value: a point of the world at which the body is pinned before the displacement moves it.
+    The body rotates about its center of mass, or about ``anchor`` if there is a parameter of that name with the
+    shape (3,) and a value. The anchor is a world point, which the displacement moves with the body.
 
     After every step the pose is that of the functions at its time, and the velocities are their mean over the
-    step, so that the body and what rides on it have the same. Before the first step they are the derivative.
+    step, as for a body that rests on it. Before the first step the velocities are the derivatives.
     """
 
     whole: ClassVar[str] = "body"
@@ -47,27 +47,29 @@ class Motion(Formula):
     displacement: ClassVar[wp.Function] = still
     rotation: ClassVar[wp.Function] = still
 
-    #: What it is, of the constants of ``types``.
+    #: Joint type, a constant of ``kernels/types.py``.
     kind: ClassVar[int] = TIME_FUNCTION
-    #: Whether its functions take rows of numbers as a third argument: see ``samples``.
+    #: Whether the functions take an array of samples as third argument; see ``samples``.
     sampled: ClassVar[bool] = False
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
         if cls.memories:
-            raise TypeError(f"{cls.__name__}.{next(iter(cls.memories))}: a motion has no memory")
+            raise TypeError(
+                f"{cls.__name__}.{next(iter(cls.memories))}: a motion must not declare history variables"
+            )
 
     @classmethod
     def arguments(cls) -> tuple[str, ...]:
-        """Returns what its device functions take, in words."""
+        """Returns the names of the arguments of its device functions."""
         return ("coefficients", "time", "samples") if cls.sampled else ("coefficients", "time")
 
     @classmethod
     def missing_function(cls) -> str:
-        """Returns the name of a device function that it lacks; one of the two is enough."""
+        """Returns the name of a missing device function; one of the two is sufficient."""
         lacks_both = cls.kind == TIME_FUNCTION and cls.displacement is still and cls.rotation is still
         return "displacement" if lacks_both else super().missing_function()
 
     def samples(self) -> np.ndarray:
-        """Returns the rows of numbers that the functions of a ``sampled`` motion take."""
+        """Returns the samples that the functions of a ``sampled`` motion read, one row per sample."""
         return np.zeros((0, 1))

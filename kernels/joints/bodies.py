@@ -1,7 +1,7 @@
-"""What the kernels of motions share: bodies in float64, turns about an axis, inertia about an anchor.
+"""Device functions shared by the joint kernels: poses, rotations about an axis, inertia about an anchor.
 
-A body that is not free is computed in float64 whatever the precision, so that the pose it is given after every
-step lies on its joint to a rounding of the state.
+Bodies with joints are computed in float64 for any precision, so that the pose after every step satisfies the joint
+to the rounding of the state.
 """
 
 import functools
@@ -26,13 +26,13 @@ from warpcontact.kernels.types import (
 
 ONE = wp.constant(wp.float64(1.0))
 ZERO = wp.constant(wp.float64(0.0))
-# Least inverse mass [1/kg], of a body that nothing moves: a law that divides by it gets a number.
+# Lower bound on the inverse mass [1/kg] of an immovable body, because laws divide by it.
 MIN_INVERSE_MASS = wp.constant(wp.float64(1.0e-20))
 
 
 @wp.func
 def half_angle(axis: wp.vec3d, q: wp.quatd, q_initial: wp.quatd):
-    """Sine and cosine of half the angle by which ``q`` is turned about ``axis`` from ``q_initial``."""
+    """Returns sine and cosine of half the rotation angle about ``axis`` from ``q_initial`` to ``q``."""
     turn = q * wp.quat_inverse(q_initial)
     sine = axis[0] * turn[0] + axis[1] * turn[1] + axis[2] * turn[2]
     size = wp.sqrt(sine * sine + turn[3] * turn[3])
@@ -43,7 +43,7 @@ def half_angle(axis: wp.vec3d, q: wp.quatd, q_initial: wp.quatd):
 
 @wp.func
 def add_half_angle(sine: wp.float64, cosine: wp.float64, angle: wp.float64):
-    """The same after another turn by ``angle``."""
+    """Returns sine and cosine of half the angle after a further rotation by ``angle``."""
     s = wp.sin(wp.float64(0.5) * angle)
     c = wp.cos(wp.float64(0.5) * angle)
     return sine * c + cosine * s, cosine * c - sine * s
@@ -51,39 +51,39 @@ def add_half_angle(sine: wp.float64, cosine: wp.float64, angle: wp.float64):
 
 @wp.func
 def quat_about(axis: wp.vec3d, sine: wp.float64, cosine: wp.float64):
-    """The rotation about ``axis`` with that sine and cosine of half its angle."""
+    """Returns the rotation about ``axis`` with this sine and cosine of half its angle."""
     return wp.quatd(sine * axis[0], sine * axis[1], sine * axis[2], cosine)
 
 
 @wp.func
 def inertia_about(axis: wp.vec3d, q: wp.quatd, inertia_B: wp.mat33d):
-    """Moment of inertia about an axis through the centre of mass."""
+    """Returns the moment of inertia about an axis through the center of mass [kg·m²]."""
     axis_B = wp.quat_rotate_inv(q, axis)
     return wp.dot(axis_B, inertia_B * axis_B)
 
 
 @wp.func
 def inertia_at(inertia_B: wp.mat33d, mass: wp.float64, arm_B: wp.vec3d):
-    """Inertia about the point from which the centre of mass is at ``arm_B``."""
+    """Returns the inertia about a point from which the center of mass is at ``arm_B`` [kg·m²]."""
     steiner = wp.dot(arm_B, arm_B) * wp.identity(n=3, dtype=wp.float64) - wp.outer(arm_B, arm_B)
     return inertia_B + mass * steiner
 
 
 @wp.func
 def spin_of(inverse_B: wp.mat33d, q: wp.quatd, momentum: wp.vec3d):
-    """Angular velocity in W of a body with angular momentum ``momentum`` in W."""
+    """Returns the angular velocity in W of a body with angular momentum ``momentum`` in W."""
     return wp.quat_rotate(q, inverse_B * wp.quat_rotate_inv(q, momentum))
 
 
 @wp.func
 def momentum_of(inertia_B: wp.mat33d, q: wp.quatd, w: wp.vec3d):
-    """Angular momentum in W of a body with angular velocity ``w`` in W."""
+    """Returns the angular momentum in W of a body with angular velocity ``w`` in W."""
     return wp.quat_rotate(q, inertia_B * wp.quat_rotate_inv(q, w))
 
 
 @wp.func
 def arm_of(motion: BodyMotion, q: wp.quatd):
-    """From the anchor to the centre of mass of a body of orientation ``q`` on a hinge or a ball, W."""
+    """Returns the vector from the anchor to the center of mass on a hinge or ball, for orientation ``q``, W."""
     if motion.kind == HINGE:
         sine, cosine = half_angle(motion.axis, q, motion.orientation)
         return wp.quat_rotate(quat_about(motion.axis, sine, cosine), motion.position - motion.anchor)
@@ -111,7 +111,7 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def quat_to_float64(q: quat):
-        """The rotation, free of what rounding did to its length."""
+        """Returns the rotation in float64, normalized."""
         return wp.normalize(wp.quatd(wp.float64(q[0]), wp.float64(q[1]), wp.float64(q[2]), wp.float64(q[3])))
 
     @wp.func
@@ -120,7 +120,7 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def put(state: State, env: int, body: int, base: wp.vec3d, offset: wp.vec3d):
-        """Puts the centre of mass to ``base + way``: nothing of it is lost."""
+        """Sets the center of mass to ``base + offset``, with the rounding remainder of both precisions."""
         position = base + offset
         rounded_offset = position - base
         remainder = (base - (position - rounded_offset)) + (offset - rounded_offset)
@@ -137,7 +137,7 @@ def functions(real: type) -> SimpleNamespace:
     def check_body(
         guard: Guard, wrenches: Wrenches, state: State, env: int, body: int, status: wp.array(dtype=wp.int32)
     ):
-        """Lets the step fail if the body does, or is under a load that is no number, even if it does not yield."""
+        """Marks the step as failed if the state is invalid or a load is NaN, even one that the joint carries."""
         loads = wp.length_sq(wrenches.force[env, body]) + wp.length_sq(wrenches.torque[env, body])
         cause = failure_cause(
             state.body_position[env, body],
@@ -161,10 +161,10 @@ def functions(real: type) -> SimpleNamespace:
         angular: wp.vec3d,
         dt: wp.float64,
     ):
-        """Where a body comes that moves on its joint with these mean velocities: base, way and orientation.
+        """Returns the pose on the joint after a step with these mean velocities, as base, offset and orientation.
 
-        Its centre of mass is then at base + way; of a hinge or a ball the base is the anchor. A pose that is off
-        the joint is put onto it, and what stays as it is stays so to the bit.
+        The center of mass is at base + offset; for a hinge or ball the base is the anchor. A pose that violates the joint
+        is projected onto it. Coordinates that do not move remain bitwise identical.
         """
         kind = motion.kind
         axis = motion.axis
@@ -203,9 +203,9 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def mobility(model: Model, state: State, env: int, body: int, motion: BodyMotion, arm_W: vec3, n_W: vec3):
-        """Inverse of the mass that a body that is not free opposes to a force along ``n_W`` at ``arm_W`` [1/kg].
+        """Returns the inverse effective mass of a body with a joint for a force along ``n_W`` [1/kg].
 
-        ``arm_W`` is from its centre of mass.
+        ``arm_W``: From the center of mass to the point of the force.
         """
         n = wide(n_W)
         arm = wide(arm_W)

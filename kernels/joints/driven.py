@@ -1,8 +1,8 @@
-"""Bodies that follow a function of time: kernels for one class of motions.
+"""Prescribed motion as a function of time: kernels for one class of motions.
 
-The pose of a state is that of the function at the time of its environment. Its velocities are those that a free
-body which rides on it has in the scheme: in semi-implicit Euler the mean over the step that led there, in Moreau
-and Jean's with θ = ½ those of the instant.
+The pose of a state is that of the function at the time of its environment. The velocities are those that a free body
+at rest on it would have in the scheme: with semi-implicit Euler the mean over the last step, with Moreau–Jean
+(θ = ½) the velocities at that instant.
 """
 
 import functools
@@ -17,14 +17,14 @@ from warpcontact.kernels.joints.base import Motion
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.types import ENV_ACTIVE, BodyMotion, LaunchRange, structs, task_count, task_env, task_item
 
-# Differences in time from which a velocity and an acceleration are computed [s]: short against what moves bodies
-# that one can see, long against the rounding of float64.
+# Time differences for velocities and accelerations [s]: short compared with the motion of macroscopic bodies, long
+# compared with float64 rounding.
 VELOCITY_DT = wp.constant(wp.float64(1.0e-6))
 ACCELERATION_DT = wp.constant(wp.float64(2.0e-5))
 
 
 def coefficients_struct(motion: type[Motion]) -> Any:
-    """Returns the struct of the coefficients of ``motion``, in float64 whatever the precision."""
+    """Returns the struct of the coefficients of ``motion``, in float64 for any precision."""
     return coefficient_struct(motion, wp.float64)
 
 
@@ -40,14 +40,14 @@ def _functions(motion: type[Motion]) -> SimpleNamespace:
 
     @wp.func
     def rotation_at(p: Coefficients, samples: wp.array2d(dtype=wp.float64), t: wp.float64):
-        """Rotation from the initial orientation."""
+        """Returns the rotation from the initial orientation."""
         return rotated(wp.quat_identity(dtype=wp.float64), rotation(p, t, samples))
 
     @wp.func
     def offset_at(
         p: Coefficients, samples: wp.array2d(dtype=wp.float64), t: wp.float64, body: BodyMotion, turn: wp.quatd
     ):
-        """From the initial centre of mass to that at ``t``, where the body is turned by ``turn``."""
+        """Returns the displacement of the center of mass from its initial position at ``t``, with rotation ``turn``."""
         arm = body.position - body.anchor
         return (wp.quat_rotate(turn, arm) - arm) + displacement(p, t, samples)
 
@@ -59,7 +59,7 @@ def _functions(motion: type[Motion]) -> SimpleNamespace:
         before: wp.float64,
         after: wp.float64,
     ):
-        """Linear and angular, from one time to another."""
+        """Returns the mean linear and angular velocity between two times."""
         first = rotation_at(p, samples, before)
         last = rotation_at(p, samples, after)
         offset = offset_at(p, samples, after, body, last) - offset_at(p, samples, before, body, first)
@@ -68,7 +68,7 @@ def _functions(motion: type[Motion]) -> SimpleNamespace:
 
     @wp.func
     def accelerations(p: Coefficients, samples: wp.array2d(dtype=wp.float64), body: BodyMotion, t: wp.float64):
-        """Linear and angular, at ``t``."""
+        """Returns the linear and angular acceleration at ``t``."""
         before = t - ACCELERATION_DT
         after = t + ACCELERATION_DT
         v_before, w_before = mean_velocities(p, samples, body, before, t)
@@ -82,7 +82,7 @@ def _functions(motion: type[Motion]) -> SimpleNamespace:
 
 
 def _of_time(function: wp.Function) -> wp.Function:
-    """Returns ``function`` with a third argument, which it does not look at."""
+    """Returns ``function`` with a third argument, which is ignored."""
 
     @wp.func
     def of_time(p: Any, t: wp.float64, samples: wp.array2d(dtype=wp.float64)):
@@ -95,7 +95,7 @@ def _of_time(function: wp.Function) -> wp.Function:
 def follow(motion: type[Motion], real: type) -> wp.Kernel:
     """Returns the kernel that moves the bodies of a class over a step; items: ``members``.
 
-    Their velocities are the mean from one share of the step to another, ``first`` to ``last``.
+    Their velocities are the mean between the fractions ``first`` and ``last`` of the step.
     """
     t = structs(real)
     Model, State, Wrenches = t.Model, t.State, t.Wrenches
@@ -134,7 +134,7 @@ def follow(motion: type[Motion], real: type) -> wp.Kernel:
             motion = model.body_motion[env, body]
             p = coefficients[env, item]
             before = time[env]
-            # The same sum as that of the clock.
+            # The same sum as that of the clock, so that both are bitwise identical.
             after = before + step[env, 0]
             turn = rotation_at(p, samples, after)
             h = step[env, 0]
@@ -149,7 +149,7 @@ def follow(motion: type[Motion], real: type) -> wp.Kernel:
 
 @functools.cache
 def start(motion: type[Motion], real: type) -> wp.Kernel:
-    """Returns the kernel that puts the bodies of a class where they start. Launch with dim (env, item)."""
+    """Returns the kernel that sets the initial pose and velocities of a class. Launch with dim (env, item)."""
     t = structs(real)
     Model, State = t.Model, t.State
     Coefficients = coefficients_struct(motion)
@@ -189,9 +189,9 @@ def start(motion: type[Motion], real: type) -> wp.Kernel:
 
 @functools.cache
 def change_step(motion: type[Motion], real: type) -> wp.Kernel:
-    """Returns the kernel that readies the bodies of a class for steps of another length; items: ``members``.
+    """Returns the kernel that adapts velocities of a class to a change of the time step; items: ``members``.
 
-    Their velocities, the mean over a step, are those of half a step before.
+    The mean velocity over a step is that of half a step before its end.
     """
     t = structs(real)
     Model, State = t.Model, t.State
@@ -204,7 +204,7 @@ def change_step(motion: type[Motion], real: type) -> wp.Kernel:
     def change_motion(
         launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
-        change: wp.array2d(dtype=real),  # [env, 0] length of the next step less that of the last [s]
+        change: wp.array2d(dtype=real),  # [env, 0] next time step minus last [s]
         time: wp.array(dtype=wp.float64),  # [env] [s]
         model: Model,
         members: wp.array(dtype=wp.int32),  # [item] body
@@ -230,7 +230,7 @@ def change_step(motion: type[Motion], real: type) -> wp.Kernel:
 
 @functools.cache
 def accelerate(motion: type[Motion], real: type) -> wp.Kernel:
-    """Returns the kernel that measures the accelerations of a class. Launch with dim (env, item)."""
+    """Returns the kernel that computes the accelerations of a class. Launch with dim (env, item)."""
     Model = structs(real).Model
     Coefficients = coefficients_struct(motion)
     accelerations = _functions(motion).accelerations

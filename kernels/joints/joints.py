@@ -1,4 +1,4 @@
-"""Motions that leave a body some of its six freedoms; forces and moments decide about these."""
+"""Joints: motions with zero to six degrees of freedom, in which the body moves under forces and torques."""
 
 from warpcontact.kernels.catalogue.device_model import parameter
 from warpcontact.kernels.joints.base import Motion
@@ -8,28 +8,28 @@ Vector = tuple[float, float, float]
 
 
 class Free(Motion):
-    """Moves as forces and moments make it."""
+    """Free body with six degrees of freedom."""
 
     formula = "m a = F, dL/dt = T"
     kind = FREE
 
 
 class Fixed(Motion):
-    """Stays where it is."""
+    """No degree of freedom."""
 
     formula = "v = 0, ω = 0"
     kind = FIXED
 
 
 class Translation(Motion):
-    """Moves as forces make it, and does not turn."""
+    """Three translations, no rotation."""
 
     formula = "m a = F, ω = 0"
     kind = TRANSLATION
 
 
 class Planar(Motion):
-    """Moves in the plane through its initial centre of mass, and turns about the normal of that."""
+    """Translation in the plane through the initial center of mass, and rotation about its normal."""
 
     formula = "m a = F − n (n·F), (n·I n) α = n·T"
     kind = PLANAR
@@ -38,17 +38,17 @@ class Planar(Motion):
 
 
 class Hinge(Motion):
-    """Turns about an axis fixed in the body and in the world."""
+    """Rotation about an axis fixed in the body and in the world."""
 
     formula = "(a·I a + m r²) α = a·(T + (x − x_A) × F), r: distance of the centre of mass from the axis"
     kind = HINGE
 
     axis: Vector = parameter("-", "axis, world axes", shape=(3,), direction=True)
-    anchor: Vector = parameter("m", "a point of the axis, world", shape=(3,))
+    anchor: Vector = parameter("m", "point of the axis, world", shape=(3,))
 
 
 class Slider(Motion):
-    """Moves along an axis, and does not turn."""
+    """Translation along an axis, no rotation."""
 
     formula = "m a = a·F"
     kind = SLIDER
@@ -57,9 +57,9 @@ class Slider(Motion):
 
 
 class Ball(Motion):
-    """Turns about a point fixed in the body and in the world."""
+    """Rotation about a point fixed in the body and in the world."""
 
     formula = "dL_A/dt = T + (x − x_A) × F"
     kind = BALL
 
-    anchor: Vector = parameter("m", "the point, world", shape=(3,))
+    anchor: Vector = parameter("m", "fixed point, world", shape=(3,))

@@ -1,4 +1,4 @@
-"""What is measured of bodies that are not free: reactions of their joints, and how far they moved on them."""
+"""Reaction forces of joints, and joint coordinates."""
 
 import functools
 
@@ -23,19 +23,21 @@ from warpcontact.kernels.types import (
 
 @wp.struct
 class Reactions:
-    """What joints do to their bodies, [env, body]; zero for free ones."""
+    """Reactions of joints on their bodies, [env, body]; zero for free bodies."""
 
     force: wp.array2d(dtype=wp.vec3d)  # W [N]
-    torque: wp.array2d(dtype=wp.vec3d)  # about the anchor of a hinge or a ball, else the centre of mass; W [N·m]
-    linear: wp.array2d(dtype=wp.vec3d)  # acceleration of the centre of mass of a body with a function of time, W
-    angular: wp.array2d(dtype=wp.vec3d)  # its angular acceleration, W
+    torque: wp.array2d(
+        dtype=wp.vec3d
+    )  # about the anchor of a hinge or ball, else about the center of mass; W [N·m]
+    linear: wp.array2d(dtype=wp.vec3d)  # acceleration of the center of mass, only of a function of time; W [m/s²]
+    angular: wp.array2d(dtype=wp.vec3d)  # angular acceleration, likewise; W [rad/s²]
 
 
 @wp.struct
 class Coordinates:
-    """How far bodies moved on their joints, [env, body]."""
+    """Joint coordinates and their rates, [env, body]."""
 
-    angle: wp.array2d(dtype=wp.float64)  # of a hinge or in a plane, −π to π [rad]
+    angle: wp.array2d(dtype=wp.float64)  # of a hinge or planar joint, −π to π [rad]
     angle_rate: wp.array2d(dtype=wp.float64)  # [rad/s]
     displacement: wp.array2d(dtype=wp.float64)  # of a slider [m]
     displacement_rate: wp.array2d(dtype=wp.float64)  # [m/s]
@@ -43,10 +45,10 @@ class Coordinates:
 
 @functools.cache
 def reactions(real: type) -> wp.Kernel:
-    """Returns the kernel that measures the reaction of each joint. Launch with dim (env, body).
+    """Returns the kernel that computes the reaction of each joint. Launch with dim (env, body).
 
-    What the body lacks to its acceleration under all other forces, gravity among them. A prescribed body is taken
-    to keep its velocities.
+    The reaction balances the acceleration and all other forces, including gravity. The acceleration of a body with
+    prescribed velocities is taken as zero.
     """
     t = structs(real)
     Model, State, Wrenches = t.Model, t.State, t.Wrenches
@@ -80,7 +82,7 @@ def reactions(real: type) -> wp.Kernel:
 
 @functools.cache
 def coordinates(real: type) -> wp.Kernel:
-    """Returns the kernel that measures how far each body of the active environments moved; items: bodies."""
+    """Returns the kernel that computes joint coordinates in active environments; items: bodies."""
     t = structs(real)
     Model, State = t.Model, t.State
     f = bodies.functions(real)

@@ -1,4 +1,4 @@
-"""Motions that no force changes: functions of time, and velocities that a user sets."""
+"""Prescribed motions: functions of time, and velocities set by the user."""
 
 import math
 from typing import Any
@@ -12,19 +12,19 @@ from warpcontact.kernels.types import PRESCRIBED
 Vector = tuple[float, float, float]
 
 TWO_PI = wp.constant(wp.float64(2.0 * math.pi))
-# Of a row of a table: where its interval begins, and four coefficients for each of six components.
+# Columns of a sample: start of its interval, and four coefficients for each of six components.
 COLUMNS = 1 + 4 * 6
 
 
 class Prescribed(Motion):
-    """Moves with the velocities in its state, which only the user changes."""
+    """Prescribed velocities: those in the state, which only the user changes."""
 
     formula = "x = x + v dt, R = exp(ω dt) R"
     kind = PRESCRIBED
 
 
 class Harmonic(Motion):
-    """Swings to and fro along a direction, or turns to and fro about an axis."""
+    """Harmonic translation along a direction, or harmonic rotation about an axis."""
 
     formula = "d (or rotation vector) = e a sin(2π f t + φ), e: unit vector"
     reference = "elementary"
@@ -33,12 +33,12 @@ class Harmonic(Motion):
     device = ("length", "turn", "direction", "frequency", "phase")
 
     direction: Vector = parameter("-", "direction or axis, world axes", shape=(3,), direction=True)
-    amplitude: float | None = parameter("m", "greatest displacement", default=None)
-    angle: float | None = parameter("rad", "greatest rotation", default=None)
+    amplitude: float | None = parameter("m", "amplitude of the displacement a", default=None)
+    angle: float | None = parameter("rad", "amplitude of the rotation a", default=None)
     frequency: float = parameter("Hz", "frequency f", at_least=0.0)
     phase: float = parameter("rad", "phase φ at time 0", default=0.0)
     anchor: Vector | None = parameter(
-        "m", "what it turns about, world; the centre of mass if not given", shape=(3,), default=None
+        "m", "center of rotation, world; default: center of mass", shape=(3,), default=None
     )
 
     @classmethod
@@ -50,7 +50,7 @@ class Harmonic(Motion):
     @wp.func
     def displacement(p: Any, t: Any):
         cycles = p.frequency * t
-        # Whole cycles first: the sine of a large number is less exact.
+        # Remove whole cycles, because the sine of a large argument is less accurate.
         phase = TWO_PI * (cycles - wp.floor(cycles)) + p.phase
         return p.length * wp.sin(phase) * p.direction
 
@@ -63,7 +63,7 @@ class Harmonic(Motion):
 
 @wp.func
 def row_at(samples: wp.array2d(dtype=wp.float64), first: wp.int32, count: wp.int32, t: wp.float64):
-    """The row of the interval that ``t`` is in, the first or the last if it is outside."""
+    """Returns the row of the interval of ``t``; outside the table the first or last row."""
     low = first
     high = first + count
     while high - low > 1:
@@ -79,8 +79,8 @@ def row_at(samples: wp.array2d(dtype=wp.float64), first: wp.int32, count: wp.int
 def spline(
     samples: wp.array2d(dtype=wp.float64), first: wp.int32, count: wp.int32, t: wp.float64, column: wp.int32
 ):
-    """Three components of the splines at ``t``; that of their ends outside."""
-    # The last row is the end alone: its polynomial is constant.
+    """Returns three components of the splines at ``t``, constant outside the table."""
+    # The last row contains the end value only: a constant polynomial.
     within = wp.max(t, samples[first, 0])
     row = row_at(samples, first, count, within)
     x = within - samples[row, 0]
@@ -96,10 +96,10 @@ def spline(
 
 
 class Table(Motion):
-    """Follows a table: modified Akima splines through displacements and rotation vectors.
+    """Tabulated motion: modified Akima splines through displacements and rotation vectors.
 
-    They are cubics that have a velocity everywhere, follow straight lines and rests as they are, and overshoot
-    little. Before its first and after its last time the body is held.
+    The cubics have continuous velocity, reproduce straight lines and constant values exactly, and overshoot little. Before
+    the first and after the last time the pose is constant.
     """
 
     formula = "d = s D(r t), rotation vector = s Θ(r t): modified Akima splines, held before and after"
@@ -116,9 +116,9 @@ class Table(Motion):
         "rad", "rotation vector at each time, world axes", shape=(ROWS, 3), default=None
     )
     scale: float = parameter("-", "factor s on displacements and rotations", default=1.0)
-    rate: float = parameter("-", "how much faster than the table r", default=1.0, above=0.0)
+    rate: float = parameter("-", "time factor r", default=1.0, above=0.0)
     anchor: Vector | None = parameter(
-        "m", "what it turns about, world; the centre of mass if not given", shape=(3,), default=None
+        "m", "center of rotation, world; default: center of mass", shape=(3,), default=None
     )
 
     def __post_init__(self) -> None:
@@ -134,7 +134,7 @@ class Table(Motion):
                 raise ValueError(f"Table.{name} must have one row for each of {len(times)} times, got {len(rows)}")
 
     def samples(self) -> np.ndarray:
-        """Returns a row for each time: the time, and the polynomials that begin there."""
+        """Returns a row for each time: the time and the coefficients of the polynomials of its interval."""
         from scipy.interpolate import Akima1DInterpolator  # slow to import
 
         times = np.asarray(self.times, dtype=np.float64)
@@ -144,12 +144,12 @@ class Table(Motion):
             if values is None:
                 continue
             points = np.asarray(values, dtype=np.float64)
-            # (4, interval, component), the highest power first.
+            # (4, interval, component), highest power first.
             pieces = Akima1DInterpolator(times, points, method="makima").c
-            own = rows[:, 1 + 12 * block : 13 + 12 * block].reshape(len(times), 3, 4)
-            own[:-1] = pieces.transpose(1, 2, 0)
-            own[-1, :, 3] = points[-1]
-            rows[:, 1 + 12 * block : 13 + 12 * block] = own.reshape(len(times), 12)
+            coefficients = rows[:, 1 + 12 * block : 13 + 12 * block].reshape(len(times), 3, 4)
+            coefficients[:-1] = pieces.transpose(1, 2, 0)
+            coefficients[-1, :, 3] = points[-1]
+            rows[:, 1 + 12 * block : 13 + 12 * block] = coefficients.reshape(len(times), 12)
         return rows
 
     @wp.func

@@ -1,7 +1,7 @@
-"""Steps of bodies that are not free: their equations of motion in the freedoms that they have.
+"""Steps of bodies with joints: equations of motion in their degrees of freedom.
 
-The kernels of ``integrate`` leave these bodies out. Velocities advance first, then the pose, which is built anew
-from the joint: nothing drifts. Bodies that follow a function of time are moved by ``driven``.
+The kernels of ``integrators/semi_implicit.py`` skip these bodies. Velocities advance first, then the pose, which is
+recomputed from the joint coordinates, so it does not drift. ``driven.py`` moves bodies with functions of time.
 """
 
 import functools
@@ -28,10 +28,10 @@ from warpcontact.kernels.types import (
 
 @functools.cache
 def semi_implicit_euler(real: type) -> wp.Kernel:
-    """Returns the semi-implicit Euler kernel of constrained bodies; items: ``members``.
+    """Returns the semi-implicit Euler kernel of bodies with joints; items: ``members``.
 
-    A body on a ball joint advances its angular momentum about the anchor as a free body does about its centre of
-    mass. A pose that a user wrote off the joint is put onto it.
+    A body on a ball joint advances its angular momentum about the anchor, as a free body does about its center of mass. A
+    pose set by the user that violates the joint is projected onto it.
     """
     t = structs(real)
     Model, State, Wrenches = t.Model, t.State, t.Wrenches
@@ -114,9 +114,9 @@ def semi_implicit_euler(real: type) -> wp.Kernel:
 
 @functools.cache
 def change_step(real: type) -> wp.Kernel:
-    """Returns the kernel that readies constrained bodies for steps of another length; items: ``members``.
+    """Returns the kernel that adapts velocities of constrained bodies to a change of the time step.
 
-    As ``integrate.change_step`` does, in the freedoms that they have.
+    Like ``semi_implicit.change_step``, in the degrees of freedom of the joints; items: ``members``.
     """
     t = structs(real)
     Model, State, Wrenches = t.Model, t.State, t.Wrenches
@@ -128,10 +128,10 @@ def change_step(real: type) -> wp.Kernel:
     def change_constrained(
         launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
-        change: wp.array2d(dtype=real),  # [env, 0] length of the next step less that of the last [s]
+        change: wp.array2d(dtype=real),  # [env, 0] next time step minus last [s]
         model: Model,
         members: wp.array(dtype=wp.int32),  # [item] body
-        wrenches: Wrenches,  # of this instant
+        wrenches: Wrenches,  # at this instant
         state: State,
     ):
         for task in range(wp.tid(), task_count(launch), launch.threads):
@@ -155,7 +155,7 @@ def change_step(real: type) -> wp.Kernel:
 
 @functools.cache
 def accelerations(real: type) -> wp.Function:
-    """Returns the device function of the accelerations of constrained bodies."""
+    """Returns the device function of the accelerations of bodies with joints."""
     t = structs(real)
     vec3, Model, State = t.vec3, t.Model, t.State
     f = bodies.functions(real)
@@ -163,9 +163,9 @@ def accelerations(real: type) -> wp.Function:
 
     @wp.func
     def accelerations_of(model: Model, state: State, env: int, body: int, force_W: vec3, torque_W: vec3):
-        """Of the centre of mass and angular, and the arm to it from the anchor of a hinge or a ball; W.
+        """Returns linear and angular acceleration under gravity and a wrench about the center of mass, and the arm; W.
 
-        Under a wrench about the centre of mass, and gravity.
+        The linear acceleration is that of the center of mass. The arm points to it from the anchor of a hinge or ball.
         """
         motion = model.body_motion[env, body]
         kind = motion.kind

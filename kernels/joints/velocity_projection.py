@@ -1,4 +1,4 @@
-"""Velocities that a joint does not allow are taken off where a run starts."""
+"""Projects initial velocities onto the degrees of freedom of the joints."""
 
 import functools
 
@@ -11,9 +11,9 @@ from warpcontact.kernels.types import BALL, FIXED, FREE, HINGE, PLANAR, PRESCRIB
 
 @functools.cache
 def kernel(real: type) -> wp.Kernel:
-    """Returns the kernel that leaves bodies the velocities that their joints allow. Launch with dim (env, body).
+    """Returns the kernel that projects velocities onto the joints. Launch with dim (env, body).
 
-    A hinge and a ball keep the angular velocity, and the linear one follows.
+    On a hinge or ball the angular velocity is kept, and the linear velocity follows from it.
     """
     t = structs(real)
     Model, State = t.Model, t.State

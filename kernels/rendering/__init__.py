@@ -1,1 +1,1 @@
-"""Pictures: what a ray meets, and the colour that it brings back. In float32, lengths in units of the view."""
+"""Ray tracing of pictures, in float32; lengths in units of the view."""

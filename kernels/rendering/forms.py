@@ -1,16 +1,16 @@
-"""Where rays meet spheres, cylinders and cones of unit size, and the normals there."""
+"""Intersections of rays with unit spheres, cylinders and cones, and the normals there."""
 
 import warp as wp
 from warpcontact.kernels.rendering.world import CONE, CYLINDER, SPHERE
 
-# In place of a distance along a ray: it meets nothing.
+# Distance along a ray that hits nothing.
 NO_HIT = wp.constant(-1.0)
 _FAR = wp.constant(1.0e30)
 
 
 @wp.func
 def first_positive(enter: float, leave: float):
-    """Where a ray comes into a convex body, or out of it when it starts inside."""
+    """Returns the distance at which a ray enters a convex body, or leaves it if the ray starts inside."""
     if enter > leave:
         return NO_HIT
     if enter > 0.0:
@@ -20,8 +20,8 @@ def first_positive(enter: float, leave: float):
 
 @wp.func
 def intersect_sphere(o: wp.vec3, d: wp.vec3):
-    """Distance along the ray from ``o`` along ``d`` to the unit sphere; not positive: none."""
-    # From the point nearest to the centre: far away nothing is lost in the difference of squares.
+    """Returns the distance along the ray from ``o`` along ``d`` to the unit sphere; not positive: none."""
+    # Relative to the point nearest to the center, so that a distant origin does not cancel digits.
     squared = wp.dot(d, d)
     nearest = -wp.dot(o, d) / squared
     p = o + nearest * d
@@ -34,7 +34,7 @@ def intersect_sphere(o: wp.vec3, d: wp.vec3):
 
 @wp.func
 def intersect_cylinder(o: wp.vec3, d: wp.vec3):
-    """The same for the unit cylinder."""
+    """Returns the distance to the unit cylinder; see ``intersect_sphere``."""
     nearest = -wp.dot(o - wp.vec3(0.0, 0.0, 0.5), d) / wp.dot(d, d)
     p = o + nearest * d
     enter = -_FAR
@@ -62,7 +62,7 @@ def intersect_cylinder(o: wp.vec3, d: wp.vec3):
 
 @wp.func
 def nearer_cone_hit(t: float, p: wp.vec3, d: wp.vec3, start: float, best: float):
-    """``start + t`` if the ray is then between base and tip, and that comes first."""
+    """Returns ``start + t`` if that point is between base and tip and nearer than ``best``, else ``best``."""
     z = p[2] + t * d[2]
     if z >= 0.0 and z <= 1.0 and start + t > 0.0 and start + t < best:
         return start + t
@@ -71,7 +71,7 @@ def nearer_cone_hit(t: float, p: wp.vec3, d: wp.vec3, start: float, best: float)
 
 @wp.func
 def intersect_cone(o: wp.vec3, d: wp.vec3):
-    """The same for the unit cone."""
+    """Returns the distance to the unit cone; see ``intersect_sphere``."""
     nearest = -wp.dot(o - wp.vec3(0.0, 0.0, 0.5), d) / wp.dot(d, d)
     p = o + nearest * d
     best = _FAR
@@ -96,7 +96,7 @@ def intersect_cone(o: wp.vec3, d: wp.vec3):
 
 @wp.func
 def intersect_shape(kind: int, o: wp.vec3, d: wp.vec3):
-    """Distance along a ray to an item of analytic form, in its own frame; not positive: none."""
+    """Returns the distance along a ray to a shape of this kind, in its frame; not positive: none."""
     if kind == SPHERE:
         return intersect_sphere(o, d)
     if kind == CYLINDER:
@@ -106,7 +106,7 @@ def intersect_shape(kind: int, o: wp.vec3, d: wp.vec3):
 
 @wp.func
 def shape_normal(kind: int, p: wp.vec3, scale: wp.vec3):
-    """The outer normal at a point of an item of analytic form, in its own frame."""
+    """Returns the outer normal at a point of a shape of this kind, in its frame."""
     if kind == SPHERE:
         return p
     radius = wp.sqrt(p[0] * p[0] + p[1] * p[1])
@@ -114,7 +114,7 @@ def shape_normal(kind: int, p: wp.vec3, scale: wp.vec3):
         if p[2] * scale[2] < wp.abs(1.0 - p[2] - radius) * scale[0]:
             return wp.vec3(0.0, 0.0, -1.0)
         return wp.vec3(p[0], p[1], radius)
-    # A cylinder: the nearest of its side and its ends.
+    # Cylinder: the nearest of side and ends.
     side = wp.abs(1.0 - radius) * scale[0]
     if wp.abs(p[2]) * scale[2] < side:
         return wp.vec3(0.0, 0.0, -1.0)

@@ -1,4 +1,4 @@
-"""The pixels of a picture: rays from the eye, more where what they see differs, their mean as sRGB."""
+"""Pixels of a picture: adaptive supersampling with rays from the eye, averaged and encoded as sRGB."""
 
 import functools
 
@@ -7,44 +7,44 @@ from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.rendering.shade import Backdrop, Grid, Light, trace_color
 from warpcontact.kernels.rendering.world import World
 
-# Samples of a pixel that decide whether it takes more of them.
+# Samples per pixel before the contrast is tested.
 INITIAL_SAMPLES = wp.constant(4)
-# Difference of two of them, in square roots of linear colour, from which it does.
+# Contrast above which a pixel gets all samples: difference in square roots of linear color.
 CONTRAST_THRESHOLD = wp.constant(0.04)
-# Fractions of two irrational numbers, the multiples of which fill the unit square evenly (the R₂ sequence).
+# Steps of the R₂ sequence, a low-discrepancy sequence in the unit square.
 _STEP_X = wp.constant(0.7548776662466927)
 _STEP_Y = wp.constant(0.5698402909980532)
 
 
 @wp.struct
 class View:
-    """The eye and the picture plane; its origin is the middle of what is looked at."""
+    """Camera. The origin is the look-at point."""
 
     eye: wp.vec3
     forward: wp.vec3  # unit vectors, W
     right: wp.vec3
     up: wp.vec3
-    tangent: wp.float32  # of half the angle of view, from top to bottom
+    tangent: wp.float32  # of half the vertical field of view
     width: wp.int32  # pixels
     height: wp.int32
-    samples: wp.int32  # rays of a pixel at most
+    samples: wp.int32  # largest number of rays per pixel
 
 
 @wp.func
 def fraction(x: float):
-    """What is behind the point of a number that is not negative."""
+    """Returns the fractional part of a nonnegative number."""
     return x - wp.floor(x)
 
 
 @wp.func
 def gradient_noise(column: int, row: int):
-    """A number 0…1 that is different in pixels near each other."""
+    """Returns a number in 0…1 that differs between neighboring pixels."""
     return fraction(52.9829189 * fraction(0.06711056 * float(column) + 0.00583715 * float(row)))
 
 
 @wp.func
 def srgb(x: float):
-    """Linear light 0…1 as a byte of sRGB."""
+    """Converts linear light 0…1 to an sRGB byte."""
     encoded = 1.055 * wp.pow(x, wp.static(1.0 / 2.4)) - 0.055
     if x <= 0.0031308:
         encoded = 12.92 * x
@@ -53,13 +53,13 @@ def srgb(x: float):
 
 @wp.func
 def perceptual(color: wp.vec3):
-    """About as bright as it looks."""
+    """Returns approximate perceived brightness."""
     return wp.vec3(wp.sqrt(color[0]), wp.sqrt(color[1]), wp.sqrt(color[2]))
 
 
 @functools.cache
 def kernel() -> wp.Kernel:
-    """Returns the kernel that paints, one pixel per thread. What that depends on is the pixel alone."""
+    """Returns the kernel that renders one pixel per thread; the result does not depend on other pixels."""
 
     @unique_kernel()
     def paint(
@@ -75,8 +75,7 @@ def kernel() -> wp.Kernel:
         pixel = first + wp.tid()
         column = pixel % view.width
         row = pixel // view.width
-        # Neighbours differ as much as they can, and their mean is smooth (Jimenez, interleaved gradient noise,
-        # 2014).
+        # Neighboring pixels get different offsets whose mean is smooth (Jimenez, interleaved gradient noise, 2014).
         sun_x = gradient_noise(column, row)
         sun_y = gradient_noise(column + 31, row + 17)
         sky_x = gradient_noise(column + 59, row + 83)
@@ -87,7 +86,7 @@ def kernel() -> wp.Kernel:
         count = wp.int32(0)
         target_count = wp.min(view.samples, INITIAL_SAMPLES)
         while count < target_count:
-            # The first is at the middle of the pixel.
+            # The first sample is at the center of the pixel.
             step_x = float(count) * _STEP_X
             step_y = float(count) * _STEP_Y
             x = float(column) + fraction(0.5 + step_x)

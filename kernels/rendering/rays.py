@@ -1,4 +1,4 @@
-"""Rays through a world: what they meet first, whether anything is in their way, and the normal where they end."""
+"""Rays through a world: first hit, occlusion test, and normal and color of a hit."""
 
 import warp as wp
 from warpcontact.kernels.rendering.forms import intersect_shape, shape_normal
@@ -7,7 +7,7 @@ from warpcontact.kernels.rendering.world import MESH, Hit, World, into_shape, no
 
 @wp.func
 def trace(world: World, origin: wp.vec3, direction: wp.vec3, limit: float):
-    """What a ray meets first, before ``limit`` lengths of ``direction``."""
+    """Returns the first hit of a ray before ``limit`` lengths of ``direction``."""
     best = Hit()
     best.item = wp.int32(-1)
     best.t = limit
@@ -36,7 +36,7 @@ def trace(world: World, origin: wp.vec3, direction: wp.vec3, limit: float):
 
 @wp.func
 def is_unoccluded(world: World, origin: wp.vec3, direction: wp.vec3, limit: float):
-    """Whether a ray meets nothing before ``limit`` lengths of ``direction``."""
+    """Returns whether a ray hits nothing before ``limit`` lengths of ``direction``."""
     if world.count > 0:
         query = wp.bvh_query_ray(world.bvh, origin, direction)
         item = wp.int32(0)
@@ -56,7 +56,7 @@ def is_unoccluded(world: World, origin: wp.vec3, direction: wp.vec3, limit: floa
 
 @wp.func
 def flat_normal(world: World, hit: Hit, p_L: wp.vec3):
-    """The outer normal of what was hit, W; of a mesh that of the face."""
+    """Returns the outer normal of a hit, W; for a mesh the face normal."""
     item = hit.item
     kind = world.kind[item]
     n_L = wp.vec3()
@@ -69,7 +69,7 @@ def flat_normal(world: World, hit: Hit, p_L: wp.vec3):
 
 @wp.func
 def smooth_normal(world: World, hit: Hit, flat_W: wp.vec3):
-    """The normal to shade what was hit by, W: of a smooth mesh between those of the corners."""
+    """Returns the shading normal of a hit, W; for a smooth mesh interpolated between its vertex normals."""
     item = hit.item
     if world.kind[item] != MESH:
         return flat_W
@@ -84,10 +84,10 @@ def smooth_normal(world: World, hit: Hit, flat_W: wp.vec3):
 
 @wp.func
 def shadow_ray_origin(world: World, hit: Hit, p_W: wp.vec3, side: float):
-    """The point of a smooth mesh, rather than of its face, to begin rays to the light from.
+    """Returns the origin of shadow rays: a point of the smooth surface instead of the face.
 
-    From the face itself, edges between faces would show in the shadow that a body throws on itself. The point is
-    moved to the mean of the planes of the normals at the corners (Hanika, Hacking the Shadow Terminator, 2021).
+    With the point of the face, edges between faces would be visible in self-shadows. The point is moved to the weighted
+    mean of the planes of the vertex normals (Hanika, Hacking the Shadow Terminator, 2021).
     """
     item = hit.item
     if world.kind[item] != MESH:
@@ -108,7 +108,7 @@ def shadow_ray_origin(world: World, hit: Hit, p_W: wp.vec3, side: float):
 
 @wp.func
 def surface_color(world: World, hit: Hit):
-    """The colour of what was hit, linear RGB."""
+    """Returns the color of a hit, linear RGB."""
     item = hit.item
     color = world.color[item]
     if world.kind[item] == MESH:

@@ -1,4 +1,4 @@
-"""The colour of what a ray meets: a sun with a soft shadow, a sky that corners are darker under, a dim lamp."""
+"""Color of a hit: sun with soft shadow, sky with ambient occlusion, and a dim light at the eye."""
 
 import warp as wp
 from warpcontact.kernels.rendering.rays import (
@@ -11,52 +11,52 @@ from warpcontact.kernels.rendering.rays import (
 )
 from warpcontact.kernels.rendering.world import Hit, World, into_shape
 
-# Beyond everything, in units of the view.
+# Larger than all distances, in units of the view.
 MAX_DISTANCE = wp.constant(1.0e6)
-# How far from a surface rays to the light begin, in units of the view, and what more for the distance to the eye.
+# Distance of the origins of secondary rays from the surface, in units of the view, and per distance to the eye.
 RAY_OFFSET = wp.constant(1.0e-4)
 ROUNDING = wp.constant(4.0e-6)
 
 
 @wp.struct
 class Light:
-    """Where light comes from; colours are linear RGB, the sum of all on a white face towards the sun about 1."""
+    """Light sources. Colors are linear RGB; a white face towards the sun gets about 1 in total."""
 
-    sun: wp.vec3  # unit vector to its middle, W
-    across: wp.vec3  # unit vectors at right angles to it
+    sun: wp.vec3  # unit vector to its center, W
+    across: wp.vec3  # unit vectors normal to it
     along: wp.vec3
-    spread: wp.float32  # radius of its disc, at distance 1
+    spread: wp.float32  # radius of its disk at distance 1
     sun_color: wp.vec3
     sky_color: wp.vec3  # from above
     ground_color: wp.vec3  # from below
     lamp: wp.float32  # at the eye
-    gloss: wp.float32  # share of the sun that is mirrored
-    occlusion_range: wp.float32  # how near things take the sky away from each other, in units of the view
+    gloss: wp.float32  # fraction of sunlight in the highlight
+    occlusion_range: wp.float32  # largest distance of occluding surfaces, in units of the view
 
 
 @wp.struct
 class Grid:
-    """Lines along x and y on the ground, to see how large things are, and that they move."""
+    """Grid lines along x and y on the ground, as a scale and to make motion visible."""
 
-    step: wp.float32  # from one to the next
-    origin: wp.vec2  # where two of them cross, W
+    step: wp.float32  # distance of lines
+    origin: wp.vec2  # an intersection of lines, W
     shade: wp.float32  # brightness of a line
-    pixel: wp.float32  # what a pixel sees at distance 1
+    pixel: wp.float32  # size of a pixel at distance 1
 
 
 @wp.struct
 class Backdrop:
-    """What is behind everything, and where planes without end fade into it; colours are linear RGB."""
+    """Background, into which unbounded planes fade; colors are linear RGB."""
 
     top: wp.vec3
     bottom: wp.vec3
-    fade_from: wp.float32  # distance from the middle of the view where fading begins, and where it is complete
+    fade_from: wp.float32  # distances from the center of the view at which fading starts and ends
     fade_to: wp.float32
 
 
 @wp.func
 def sample_disk(x: float, y: float):
-    """A point of the unit disc, evenly for points of the unit square."""
+    """Maps a point of the unit square to the unit disk, uniformly."""
     radius = wp.sqrt(x)
     angle = 6.2831853 * y
     return wp.vec2(radius * wp.cos(angle), radius * wp.sin(angle))
@@ -64,7 +64,7 @@ def sample_disk(x: float, y: float):
 
 @wp.func
 def sample_hemisphere(n: wp.vec3, x: float, y: float):
-    """A direction about the normal ``n`` by the law of the cosine, for points of the unit square."""
+    """Maps a point of the unit square to a direction about the normal ``n``, cosine-weighted."""
     z = 1.0 - 2.0 * x
     radius = wp.sqrt(wp.max(1.0 - z * z, 0.0))
     angle = 6.2831853 * y
@@ -76,17 +76,17 @@ def sample_hemisphere(n: wp.vec3, x: float, y: float):
 
 @wp.func
 def line_coverage(x: float, step: float, blur: float):
-    """How much of a stretch of length ``blur`` about ``x`` lies on lines at the multiples of ``step``."""
+    """Returns the fraction of an interval of length ``blur`` about ``x`` on lines at the multiples of ``step``."""
     half = 0.008 * step
     away = wp.abs(x / step - wp.floor(x / step + 0.5)) * step
-    # The part of the stretch that is within the line, or of what it sees of many lines.
+    # Part of the interval within the nearest line.
     covered = wp.min(away + 0.5 * blur, half) - wp.max(away - 0.5 * blur, -half)
     return wp.clamp(covered / blur, 0.0, 1.0)
 
 
 @wp.func
 def grid_brightness(grid: Grid, p_W: wp.vec3, n: wp.vec3, ray: wp.vec3, t: float):
-    """The brightness of a point of the ground by the lines on it, between that of a line and 1."""
+    """Returns the brightness factor of a ground point due to grid lines, from that of a line to 1."""
     level = wp.smoothstep(0.6, 0.9, wp.abs(n[2]))
     blur = grid.pixel * t / wp.max(wp.abs(wp.dot(n, ray)), 0.05)
     x = line_coverage(p_W[0] - grid.origin[0], grid.step, blur)
@@ -106,16 +106,16 @@ def shade_hit(
     at_sky: wp.vec2,
     shadows: bool,
 ):
-    """The colour of the point ``p_W`` that a ray met, seen along the unit vector ``ray``, linear RGB."""
+    """Returns the color of the hit point ``p_W``, seen along the unit vector ``ray``, linear RGB."""
     p_L = into_shape(world, hit.item, p_W - world.position[hit.item])
     flat = flat_normal(world, hit, p_L)
     n = smooth_normal(world, hit, flat)
-    # Both sides of a face are seen and lit alike.
+    # Both sides of a face are visible and lit in the same way.
     side = wp.where(wp.dot(flat, ray) > 0.0, -1.0, 1.0)
     flat = side * flat
     n = side * n
     back_facing = wp.dot(n, ray)
-    if back_facing > 0.0:  # a normal between corners that looks away, at the rim of a smooth shape
+    if back_facing > 0.0:  # interpolated normal faces away, at the silhouette of a smooth shape
         n = wp.normalize(n - 1.01 * back_facing * ray)
     sunlight = wp.float32(0.0)
     mirrored = wp.float32(0.0)
@@ -128,13 +128,13 @@ def shade_hit(
         sunlight = cosine
         mirrored = light.gloss * wp.pow(wp.max(wp.dot(n, wp.normalize(to_sun - ray)), 0.0), 40.0)
     if shadows:
-        if cosine > 0.0:  # a ray for those alone that the sun could reach
+        if cosine > 0.0:  # shadow rays only where the sun can reach
             free = is_unoccluded(world, shadow_ray_origin(world, hit, p_W, side) + offset, to_sun, MAX_DISTANCE)
             sunlight = wp.where(free, sunlight, 0.0)
             mirrored = wp.where(free, mirrored, 0.0)
         to_sky = sample_hemisphere(n, at_sky[0], at_sky[1])
         if wp.dot(to_sky, flat) > 0.0:
-            # What is farther away takes less of it.
+            # More distant surfaces occlude less.
             open_sky = trace(world, p_W + offset, to_sky, light.occlusion_range).t / light.occlusion_range
     above = 0.5 + 0.5 * n[2]
     ambient = above * light.sky_color + (1.0 - above) * light.ground_color
@@ -160,9 +160,9 @@ def trace_color(
     at_sun: wp.vec2,
     at_sky: wp.vec2,
 ):
-    """What is seen along a unit vector, linear RGB in 0…1; ``height`` in the picture is 0 at the bottom, 1 on top.
+    """Returns the color along a unit vector, linear RGB in 0…1; ``height``: 0 at the bottom of the picture, 1 at the top.
 
-    Marks, such as arrows, neither cast nor catch shadows, and shine through what is before them.
+    Marks, such as arrows, have no shadows and are partly visible through surfaces in front of them.
     """
     background = height * backdrop.top + (1.0 - height) * backdrop.bottom
     color = background
@@ -171,7 +171,7 @@ def trace_color(
         p_W = eye + hit.t * ray
         fog = wp.float32(0.0)
         if world.infinite[hit.item] != wp.uint8(0):
-            # The middle of the view is the origin.
+            # The origin is the center of the view.
             fog = wp.smoothstep(backdrop.fade_from, backdrop.fade_to, wp.length(p_W))
         if fog < 1.0:
             surface = shade_hit(world, light, grid, hit, p_W, ray, at_sun, at_sky, True)

@@ -1,4 +1,4 @@
-"""What is seen from a place: whether anything is between an eye and some points."""
+"""Visibility of points from an eye."""
 
 import functools
 
@@ -10,15 +10,15 @@ from warpcontact.kernels.rendering.world import World
 
 @functools.cache
 def kernel() -> wp.Kernel:
-    """Returns the kernel that looks at points, one per thread."""
+    """Returns the kernel that tests the visibility of points, one per thread."""
 
     @unique_kernel()
     def test_points(
         world: World,
         eye: wp.vec3,
         points: wp.array(dtype=wp.vec3),  # W
-        radii: wp.array(dtype=wp.float32),  # of what is about them: so near to a point nothing hides it
-        visible: wp.array(dtype=wp.uint8),  # 1: nothing hides it
+        radii: wp.array(dtype=wp.float32),  # surfaces nearer to a point than this do not hide it
+        visible: wp.array(dtype=wp.uint8),  # 1: visible
     ):
         i = wp.tid()
         offset = points[i] - eye
