@@ -1,10 +1,10 @@
-"""What laws, friction models, motions and shapes have in common: named parameters, and device functions of few scalars.
+"""Base of laws, friction models, motions and shapes: named parameters and device functions of scalars.
 
-A formula is a class with annotated parameters and device functions, written as ``wp.func``: the ``force`` of a
-law. Its instances are frozen and hold values for the host; the device sees one struct of coefficients per contact,
-or body, and environment. Most formulas use their parameters as they are; one that needs something derived from
-them (a damping factor from a restitution) names its ``device`` coefficients and computes them, vectorised, in
-``coefficients``. One that remembers declares its ``memory`` and how it advances; ``memory.py`` keeps it.
+A model is a class with annotated parameters and device functions, written as ``wp.func``, such as the ``force`` of a
+law. Its instances are frozen and hold the values on the host. The device gets one struct of coefficients per contact
+or body and environment. By default the coefficients are the parameters. A model with derived coefficients, such as a
+damping factor from a restitution, lists them in ``device`` and computes them, vectorized, in ``coefficients``. A model
+with history declares its variables by ``history`` and advances them in ``advance``; see ``history_variables.py``.
 """
 
 import ast
@@ -33,15 +33,15 @@ def parameter(
     shape: tuple[int, ...] = (),
     direction: bool = False,
 ) -> Any:
-    """Declares a parameter of a formula.
+    """Declares a parameter of a model.
 
     Args:
-        unit: SI unit, ``"-"`` for a pure number.
-        meaning: What it is, in a few words.
-        default: Value if none is given; ``None`` for one that may be left out.
-        above: Every value must be greater than this.
-        at_least: Every value must be at least this.
-        at_most: Every value must be at most this.
+        unit: SI unit, ``"-"`` for a dimensionless number.
+        meaning: Short description.
+        default: Default value; ``None`` for an optional parameter.
+        above: Exclusive lower bound.
+        at_least: Lower bound.
+        at_most: Upper bound.
         shape: Shape of a value, () for a number and (3,) for a vector. ``ROWS`` stands for any number of rows:
             such a table is the same in all environments.
         direction: Whether it is a vector of which only the direction counts, and which must not be zero.
@@ -51,30 +51,29 @@ def parameter(
     return dataclasses.field(default=default, metadata=metadata)
 
 
-#: In the shape of a parameter: any number of rows.
+#: Any number of rows, in the shape of a parameter.
 ROWS = -1
 
 
 @explain_keywords
 def table(unit: str, meaning: str, *, at_least: float = -math.inf) -> Any:
-    """Declares a table of a spring or damper: values over the distance, linear in between and held outside.
+    """Declares a table of a spring or damper: values over the distance, piecewise linear, constant outside.
 
-    Instances take it as pairs (distance [m], value), at least two, with increasing distances from 0 on. The
-    device function gets the row that the distance is in as its last argument, with ``start`` [m], ``value``
-    there, ``slope`` and ``integral``, the area below the table from its first distance to ``start``. A formula
-    has one at most.
+    Instances take pairs (distance [m], value), at least two, with increasing nonnegative distances. The device function
+    gets the row for the distance as its last argument, with ``start`` [m], the ``value`` there, ``slope`` and
+    ``integral``, the integral of the table from its first distance to ``start``. A model has at most one table.
 
     Args:
         unit: SI unit of the values.
-        meaning: What they are, in a few words.
-        at_least: Every value must be at least this.
+        meaning: Short description of the values.
+        at_least: Lower bound of the values.
     """
     field = parameter(unit, meaning, shape=(ROWS, 2))
     return dataclasses.field(metadata={**field.metadata, "table": {"unit": unit, "at_least": at_least}})
 
 
 def check_table(name: str, values: np.ndarray, allowed: Mapping[str, Any]) -> None:
-    """Raises ``ValueError`` unless the distances of a table (n, 2) increase from 0 or more, and values fit."""
+    """Raises ``ValueError`` unless the distances of a table (n, 2) increase from 0 or more, and values are allowed."""
     if len(values) < 2:
         raise ValueError(f"{name} must have two rows at least, got {len(values)}")
     down = np.flatnonzero(np.diff(values[:, 0]) <= 0.0)
@@ -95,7 +94,7 @@ def check_table(name: str, values: np.ndarray, allowed: Mapping[str, Any]) -> No
 
 @dataclasses.dataclass(frozen=True)
 class Memory:
-    """A quantity that a formula remembers for every contact; zero when the contact begins."""
+    """History variable of a model, per contact; zero at the start of a contact."""
 
     unit: str
     meaning: str
@@ -104,13 +103,13 @@ class Memory:
 
 @explain_keywords
 def history(unit: str, meaning: str, *, tangent: bool = False) -> Any:
-    """Declares, as an attribute of a formula's class, something that it remembers.
+    """Declares a history variable, as an attribute of the class of a model.
 
     Args:
-        unit: SI unit, ``"-"`` for a pure number.
-        meaning: What it is, in a few words.
-        tangent: Whether it is a vector in the tangent plane, which turns with the surface and its normal; if
-            not, it is a number.
+        unit: SI unit, ``"-"`` for a dimensionless number.
+        meaning: Short description.
+        tangent: Whether it is a tangent vector, which rotates with the surface and is transported with the normal;
+            otherwise it is a number.
     """
     return Memory(unit, meaning, tangent)
 
@@ -118,7 +117,7 @@ def history(unit: str, meaning: str, *, tangent: bool = False) -> Any:
 def as_numbers(value: Any) -> np.ndarray | None:
     """Returns ``value`` as an array of real numbers, or ``None`` if it contains anything else.
 
-    Text that reads like a number, booleans, objects and rows of different length are no numbers.
+    Numbers as text, booleans, objects and rows of different length are not accepted.
     """
     try:
         array = np.asarray(value)
@@ -128,7 +127,7 @@ def as_numbers(value: Any) -> np.ndarray | None:
 
 
 def _has_boolean(value: Any) -> bool:
-    """Whether a list has booleans, which NumPy converts to numbers if there are numbers in the list."""
+    """Returns whether a list contains booleans, which NumPy would convert to numbers."""
     if isinstance(value, list | tuple):
         return any(map(_has_boolean, value))
     return isinstance(value, bool | np.bool_) or (isinstance(value, np.ndarray) and value.dtype == bool)
@@ -157,10 +156,10 @@ def number(
 
 
 def check_values(name: str, values: np.ndarray, limits: Mapping[str, Any]) -> None:
-    """Raises ``ValueError`` naming the first of ``values`` that is not finite or outside ``limits``.
+    """Raises ``ValueError`` with the first of ``values`` that is not finite or outside ``limits``.
 
     Args:
-        name: What to call it in the message.
+        name: Name of the entry in the message.
         values: Any shape; the first axis is the environment if there is one.
         limits: ``unit``, ``above``, ``at_least``, ``at_most`` as given to ``parameter``.
     """
@@ -190,7 +189,7 @@ def unit_vectors(name: str, values: np.ndarray) -> np.ndarray:
     Raises:
         ValueError: If one of them is zero.
     """
-    # By the largest component first: the square of a long one would be infinite, of a short one zero.
+    # Divide by the largest component first, so that squares neither overflow nor vanish.
     largest = np.abs(values).max(axis=-1, keepdims=True)
     bad = np.argwhere(largest[..., 0] == 0.0)
     if len(bad):
@@ -201,7 +200,7 @@ def unit_vectors(name: str, values: np.ndarray) -> np.ndarray:
 
 
 def describe_shape(shape: tuple[int, ...]) -> str:
-    """Returns what a value of a parameter of ``shape`` is, in words."""
+    """Returns a description of a parameter value of ``shape``."""
     if shape == ():
         return "one number"
     words = f"{shape[-1]} numbers" if shape[-1] != ROWS else "numbers"
@@ -209,7 +208,7 @@ def describe_shape(shape: tuple[int, ...]) -> str:
 
 
 def has_shape(values: np.ndarray, shape: tuple[int, ...]) -> bool:
-    """Whether ``values`` have the ``shape`` of a parameter."""
+    """Returns whether ``values`` have the ``shape`` of a parameter."""
     return values.ndim == len(shape) and all(
         size == own or (size == ROWS and own > 0) for size, own in zip(shape, values.shape, strict=True)
     )
@@ -219,48 +218,48 @@ def has_shape(values: np.ndarray, shape: tuple[int, ...]) -> bool:
 class Formula:
     """Base of laws, friction models, motions and shapes. Subclasses become frozen dataclasses.
 
-    Their parameters are keyword-only but where ``positional`` says otherwise.
+    Parameters are keyword-only unless ``positional`` is true.
     """
 
-    #: The formula as text, with the letters of the field.
+    #: Formula as text, in the usual symbols.
     formula: ClassVar[str] = ""
-    #: Where it comes from.
+    #: Literature.
     reference: ClassVar[str] = ""
-    #: Where it holds.
+    #: Range of validity.
     validity: ClassVar[str] = ""
-    #: "S": read in a public source, "D": derived and confirmed by integration, "R": recalled; "": not said.
+    #: "S": read in a public source, "D": derived and confirmed by integration, "R": recalled; "": unspecified.
     provenance: ClassVar[str] = ""
-    #: Whether it has no force, and is for integrators that solve for impulses.
+    #: Whether it is for nonsmooth contact, whose solver computes impulses, and has no force function.
     rigid: ClassVar[bool] = False
-    #: Groups of parameters of which exactly one is given.
+    #: Group of parameters of which exactly one is given.
     exactly_one_of: ClassVar[tuple[str, ...]] = ()
     #: Names of the device coefficients; the parameters themselves if empty.
     device: ClassVar[tuple[str, ...]] = ()
-    #: What it is part of, and as what, as in the names of its parameters; a friction may be others, too.
+    #: Element and part of the element in parameter paths. A friction model may be several parts.
     whole: ClassVar[str] = "contact"
     part: ClassVar[str] = "law"
     #: Whether parameters may be given by position.
     positional: ClassVar[bool] = False
     #: Whether it may have a ``table``.
     may_have_table: ClassVar[bool] = False
-    #: Whether it may have parameters that are vectors, or tables of its own, with ``ROWS``.
+    #: Whether parameters may be vectors, or tables with ``ROWS``.
     may_have_vectors: ClassVar[bool] = False
     may_have_rows: ClassVar[bool] = False
-    #: The shapes that such vectors may have.
+    #: Allowed shapes of vectors.
     vector_shapes: ClassVar[tuple[tuple[int, ...], ...]] = ((3,),)
-    #: Names of its device functions, and what each of them returns, in words.
+    #: Names of the device functions, and a description of what each returns.
     functions: ClassVar[Mapping[str, str]] = {"force": "the force"}
-    #: The device function of laws and friction models.
+    #: Device function of laws and friction models.
     force: ClassVar[wp.Function]
-    #: What it remembers, by name.
+    #: History variables by name.
     memories: ClassVar[Mapping[str, Memory]] = {}
-    #: With a memory, the device function that takes it to the present instant.
+    #: Device function that advances the history variables to the present instant.
     advance: ClassVar[wp.Function]
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
         annotated = {name for kind in cls.__mro__ for name in inspect.get_annotations(kind)}
-        # From any base, a mixin too, as Python finds attributes.
+        # From any base, including mixins, in the order of attribute lookup.
         every = [name for kind in reversed(cls.__mro__) for name, v in vars(kind).items() if isinstance(v, Memory)]
         cls.memories = {name: getattr(cls, name) for name in dict.fromkeys(every)}
         for name in cls.memories:
@@ -273,7 +272,7 @@ class Formula:
                 raise TypeError(
                     f"{cls.__name__}.elapsed: every memory has this already, the time since it advanced"
                 )
-        # A subclass without a docstring would get the signature for one; keep what the author wrote.
+        # A dataclass without a docstring would get its signature as one.
         dataclasses.dataclass(frozen=True, kw_only=not cls.positional)(cls)
         cls.__init__ = explain_keywords(cls.__init__)  # type: ignore[method-assign]
         for field in dataclasses.fields(cls):
@@ -304,28 +303,28 @@ class Formula:
 
     @classmethod
     def table_field(cls) -> dataclasses.Field | None:
-        """Returns the field that is a ``table``, if there is one."""
+        """Returns the field that is a ``table``, or ``None``."""
         return next((field for field in dataclasses.fields(cls) if "table" in field.metadata), None)
 
     @classmethod
     def arguments(cls) -> tuple[str, ...]:
-        """Returns what its device functions take, in words."""
+        """Returns the names of the arguments of its device functions."""
         more = ["memory"] * bool(cls.memories) + ["row"] * (cls.table_field() is not None)
         return ("coefficients", "state", *more)
 
     @classmethod
     def missing_function(cls) -> str:
-        """Returns the name of a device function that it lacks; an empty text: none."""
+        """Returns the name of a missing device function, or an empty string."""
         needed = [*cls.functions, *(["advance"] if cls.memories else [])]
         return next((name for name in needed if not isinstance(getattr(cls, name, None), wp.Function)), "")
 
     @classmethod
     def _check_function(cls, name: str, wanted: tuple[str, ...] | None = None) -> None:
-        """Raises ``TypeError`` for what Warp would only say in its own words, much later.
+        """Raises ``TypeError`` for errors in a device function that Warp would report later and less clearly.
 
         Args:
             name: Name of the device function.
-            wanted: Its arguments, as text; ``None``: those of ``arguments``.
+            wanted: Names of its arguments; ``None``: those of ``arguments``.
         """
         function = getattr(cls, name)
         if name == "advance" and not cls.memories:
@@ -339,7 +338,7 @@ class Formula:
             what = "the memory: end it with return m" if name == "advance" else cls.functions.get(name, "a number")
             raise TypeError(f"{cls.__name__}.{name} returns nothing; it must return {what}")
         if not _always_returns(function.adj.tree.body[0].body):
-            # Warp would return zeros there.
+            # Otherwise Warp would return zeros there.
             raise TypeError(f"{cls.__name__}.{name} must return on every path; it can end without a return")
 
     def __post_init__(self) -> None:
@@ -393,9 +392,9 @@ class Formula:
                 check_table(f"{cls.__name__}.{name}", values, limits["table"])
 
     def parameters(self, area: Any = None) -> dict[str, Any]:
-        """Returns the parameters of a model that have a value; an area that was left to the points is ``area``.
+        """Returns the parameters that have a value, without tables, which are the same in all environments.
 
-        Tables are the same in all environments, and not among them.
+        ``area``: Value of an omitted area, which is given by the points.
         """
         values = {name: getattr(self, name) for name in self.varying()}
         if self.takes_area:
@@ -409,7 +408,7 @@ class Formula:
 
     @property
     def takes_area(self) -> bool:
-        """Whether the points say what ``area`` is: a parameter in m² that may be left out, and was."""
+        """Whether the points define ``area``: an optional parameter in m² that was omitted."""
         if self.exactly_one_of and "area" in self.exactly_one_of:
             return False  # another parameter stands in its place
         for field in dataclasses.fields(self):
@@ -424,22 +423,22 @@ class Formula:
 
     @classmethod
     def device_names(cls) -> tuple[str, ...]:
-        """Returns the names of the coefficients that ``force`` sees."""
+        """Returns the names of the device coefficients."""
         return cls.device or cls.varying()
 
     @classmethod
     def derives(cls) -> bool:
-        """Whether its device coefficients are computed, and not its parameters as they are."""
+        """Returns whether device coefficients are derived from the parameters."""
         return inspect.getattr_static(cls, "coefficients") is not vars(Formula)["coefficients"]
 
     @classmethod
     def coefficients(cls, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Computes the device coefficients from the parameters, each of one broadcastable shape."""
+        """Returns the device coefficients computed from the parameters, each of one broadcastable shape."""
         return values
 
 
 def _always_returns(body: Sequence[ast.stmt]) -> bool:
-    """Whether a function, or a branch of it, ends with a return on every path."""
+    """Returns whether a function body returns on every path."""
     last = body[-1]
     if isinstance(last, ast.If):
         return bool(last.orelse) and _always_returns(last.body) and _always_returns(last.orelse)
@@ -447,7 +446,7 @@ def _always_returns(body: Sequence[ast.stmt]) -> bool:
 
 
 def coefficient_struct(formula: type[Formula], real: type) -> Any:
-    """Returns the struct of ``formula``'s device coefficients in precision ``real``."""
+    """Returns the struct of the device coefficients of ``formula`` in precision ``real``."""
     # Warp has no empty structs.
     names = formula.device_names() or ("unused",)
     shapes = {field.name: field.metadata["shape"] for field in dataclasses.fields(formula)}
@@ -458,9 +457,9 @@ def coefficient_struct(formula: type[Formula], real: type) -> Any:
 
 @functools.cache
 def named_struct(name: str, fields: tuple[tuple[str, Any], ...]) -> Any:
-    """Returns the struct of these fields (name, Warp type): one, whichever class asks for it.
+    """Returns the struct of these fields (name, Warp type), the same object for equal arguments.
 
-    Warp compiles equal code once. Two classes of one name and equal code, the old and the new one of a file that
-    was loaded again, then share a kernel, and must share the types of its arguments.
+    Warp compiles equal code once. Two classes with equal names and code, such as those of a reloaded file, share a
+    kernel and therefore must share the types of its arguments.
     """
     return wp.struct(type(name, (), {"__annotations__": dict(fields), "__module__": __name__}))

@@ -1,8 +1,8 @@
 """Errors for unknown keyword arguments: the called function, the closest argument, and all arguments.
 
 ``explain_keywords`` decorates a function, ``explain_keywords_of`` a class with its constructor and public methods.
-Signatures are unchanged for editors, type checkers and documentation. Laws, friction models, motions and other
-formulas are decorated where their class is made.
+Signatures are unchanged for editors, type checkers and documentation. Subclasses of ``Formula`` are decorated when they
+are defined.
 """
 
 import functools
@@ -22,7 +22,7 @@ C = TypeVar("C")
 def explain_keywords(function: Callable[P, R]) -> Callable[P, R]:
     """Decorates a function, method or ``__init__`` so that a ``TypeError`` for an unknown keyword is explained.
 
-    Errors for missing arguments name the class of the object, not that which defines the method.
+    Errors for missing arguments name the class of the object, not the class that defines the method.
 
     ``**options`` are known if they are annotated with ``Unpack`` of a ``TypedDict``.
     """
@@ -82,9 +82,9 @@ def unexpected(called: str, given: Iterable[str], known: Collection[str]) -> str
     """Returns the message about unknown keywords.
 
     Args:
-        called: The function or class that the user called.
+        called: Function or class that the user called.
         given: Keywords in the call, known or not.
-        known: All that there are.
+        known: All known keywords.
     """
     words = list(given)
     unknown = [name for name in words if name not in known]

@@ -1,7 +1,7 @@
-"""Names of packages that are loaded on first use.
+"""Package attributes that are loaded on first use.
 
-Of a catalogue few classes are used, and Warp parses the functions of each as they are made. What reads files,
-draws or runs is not needed to take a step.
+Few classes of a catalogue are used, and Warp parses the functions of each when it is defined. Modules for files,
+plots and runs are not needed for a step.
 """
 
 import importlib
@@ -15,12 +15,12 @@ from warpcontact.kernels.catalogue.names import suggestion
 def lazy_names(
     module: str, homes: Mapping[str, str], catalogues: Mapping[str, Sequence[str]]
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """Returns the ``__getattr__`` of a module, and its ``__dir__``.
+    """Returns the ``__getattr__`` and ``__dir__`` of a module.
 
     Args:
-        module: Its name.
-        homes: Where each name lives: a module of the package, or with a dot before it of that about it.
-        catalogues: Names of tuples, and of the classes that these have.
+        module: Name of the module.
+        homes: Module of each name, relative to the package; with a leading dot, relative to its parent package.
+        catalogues: Names of tuples, and the names of the classes in each.
     """
 
     def find(name: str) -> Any:

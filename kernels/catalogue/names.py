@@ -1,7 +1,7 @@
 """Names of quantities and arguments: accepted aliases, and suggestions for unknown names.
 
-A suggestion is a known name that is spelled alike, or that this library uses for the given word: ``k`` in a paper
-or ``ke`` in Newton is ``stiffness`` here. Every "did you mean" comes from this module.
+A suggestion is a known name with similar spelling, or the name in this library for a word of other codes and papers:
+``k`` in a paper or ``ke`` in Newton is ``stiffness`` here. Every "did you mean" comes from this module.
 """
 
 import difflib
@@ -9,11 +9,11 @@ from collections.abc import Iterable, Iterator
 
 from warpcontact.kernels.catalogue.renamed import present_name
 
-#: Words that are accepted for a sensor on input. Data, files and lists of names have the name on the right.
+#: Accepted aliases of sensor quantities on input. Data, files and lists of names use the name on the right.
 ALIASES = {"delta": "penetration"}
 
-# Names of this library, the preferred ones first; words of papers, of MuJoCo, Drake, Newton, Chrono and Bullet.
-# A word may stand in several rows: the first name that is known counts.
+# Names of this library, preferred ones first: words of papers, of MuJoCo, Drake, Newton, Chrono and Bullet.
+# A word may appear in several rows; the first known name is suggested.
 _WORDS = """
 penetration delta max_depth: depth delta overlap indentation interpenetration deformation
 gap: distance dist phi separation signed_distance clearance
@@ -123,7 +123,7 @@ def closest(name: str, known: Iterable[str]) -> str | None:
         if name.count(".") == 1 and name.endswith(f".{stored}")
     ]
     lower = {one.lower(): one for one in reversed(names)}
-    # A single letter may be a symbol, in which capitals matter.
+    # A single letter may be a symbol, for which case matters.
     if name.lower() in lower and len(name) > 1:
         return lower[name.lower()]
     element, dot, rest = name.partition(".")
@@ -154,7 +154,7 @@ def suggestion(name: object, known: Iterable[str]) -> str:
 
 
 def _other_words(word: str) -> Iterator[str]:
-    """Iterates over the names of this library that a word may stand for, first for its capitals as they are."""
+    """Iterates over the names of this library that a word may stand for, first with its given case."""
     for spelled in dict.fromkeys((word, word.lower())):
         for names, words in _GROUPS:
             if spelled in words or spelled in names:
@@ -162,6 +162,6 @@ def _other_words(word: str) -> Iterator[str]:
 
 
 def _alike(name: str, lower: dict[str, str]) -> str | None:
-    """Returns the name that is spelled most alike, by its lower-case spelling."""
+    """Returns the name with the most similar spelling, compared in lower case."""
     found = difflib.get_close_matches(name.lower(), lower, n=1)
     return lower[found[0]] if found else None

@@ -58,7 +58,7 @@ RENAMED = {
 def present_name(name: object, known: Iterable[str]) -> str | None:
     """Returns the present name of ``name`` if it was renamed and the present name is among ``known``.
 
-    Of a name with dots, such as a sensor, the last part is the one that was renamed.
+    In a name with dots, such as a sensor, the last part is the renamed one.
     """
     owner, dot, last = str(name).rpartition(".")
     new = f"{owner}{dot}{RENAMED[last]}" if last in RENAMED else None
@@ -66,7 +66,7 @@ def present_name(name: object, known: Iterable[str]) -> str | None:
 
 
 def explain_renamed(kind: type[C]) -> type[C]:
-    """Decorates a class: an attribute that was renamed raises an ``AttributeError`` that names the present one."""
+    """Decorates a class: access to a renamed attribute raises an ``AttributeError`` with the present name."""
 
     def missing(self: Any, name: str) -> Any:
         owner = type(self).__name__
@@ -80,7 +80,7 @@ def explain_renamed(kind: type[C]) -> type[C]:
 
 
 def explain_renamed_in(module: str, names: Iterable[str]) -> Callable[[str], Any]:
-    """Returns the ``__getattr__`` of a module whose public ``names`` include names that were renamed."""
+    """Returns the ``__getattr__`` of a module for access to renamed public ``names``."""
     known = frozenset(names)
 
     def missing(name: str) -> Any:

@@ -1,4 +1,4 @@
-"""Roots of functions of one variable, of many at once."""
+"""Roots of elementwise functions of one variable, vectorized."""
 
 from collections.abc import Callable
 
@@ -7,28 +7,27 @@ from numpy.typing import ArrayLike, NDArray
 
 Values = NDArray[np.float64]
 
-# As many halvings leave nothing of any interval.
+# Sufficient for bisection of any float64 interval.
 MAX_ITERATIONS = 2100
-# Of float64: how well a root is found, as a part of it, and what counts as zero.
+# Relative tolerance of a root, and the magnitude that counts as zero.
 PRECISION = 4.0 * float(np.finfo(np.float64).eps)
 SMALLEST = float(np.finfo(np.float64).smallest_normal)
 
 
 def root_between(what: str, function: Callable[[Values], Values], lower: ArrayLike, upper: ArrayLike) -> Values:
-    """Returns where a continuous elementwise function is zero, to rounding, by Chandrupatla's method.
+    """Returns the roots of a continuous elementwise function, to rounding, by Chandrupatla's method.
 
-    A step follows the inverse parabola through three points where that is safe, and halves the interval where it
-    is not (Adv. Eng. Softw. 28 (1997) 145). ``scipy.optimize.elementwise`` does the same, and takes as long to
-    import as a model to build.
+    A step uses inverse quadratic interpolation where it is safe, otherwise bisection (Adv. Eng. Softw. 28 (1997) 145).
+    ``scipy.optimize.elementwise`` does the same, but its import takes as long as building a model.
 
     Args:
-        what: Name of the root.
-        function: Of an array of the shape that all ends have together.
+        what: Name of the root, for the message.
+        function: Function of an array of the broadcast shape of the ends.
         lower: Ends of the intervals.
-        upper: Their other ends, where the function has not the sign that it has at the lower ones.
+        upper: Other ends, where the function has the opposite sign or is zero.
 
     Raises:
-        RuntimeError: If it has, or is no number.
+        RuntimeError: If the signs are equal, or the function is not finite.
     """
     x1, x2 = (np.array(ends, dtype=np.float64) for ends in np.broadcast_arrays(lower, upper))
     f1, f2 = function(x1), function(x2)
@@ -41,7 +40,7 @@ def root_between(what: str, function: Callable[[Values], Values], lower: ArrayLi
         )
     x3, f3 = x2, f2
     roots = np.full(x1.shape, np.nan)
-    # Those that are found are carried along until all are, whatever comes of them.
+    # Converged entries are iterated further; their results are ignored.
     with np.errstate(all="ignore"):
         for _ in range(MAX_ITERATIONS):
             closer = np.abs(f1) < np.abs(f2)

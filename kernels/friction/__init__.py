@@ -1,4 +1,4 @@
-"""Friction models. A model is one file; `_CATALOGUE` puts it under every friction test."""
+"""Friction models, one file each. `_CATALOGUE` adds a model to the catalogue and to all friction tests."""
 
 from typing import TYPE_CHECKING
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     CATALOGUE: tuple[type[Friction], ...]
     RIGID: tuple[type[Friction], ...]
 
-# Modules of all models that come with the library: one coefficient, static and dynamic ones, those that remember.
+# Modules of the models of the library: one coefficient, static and dynamic coefficients, models with history.
 _CATALOGUE = {
     "Frictionless": "frictionless",
     "Viscous": "viscous",
@@ -51,10 +51,10 @@ _CATALOGUE = {
     "LuGre": "lugre",
 }
 
-# Those of nonsmooth contact, which have no force of their own.
+# Models of nonsmooth contact, which have no force function.
 _RIGID = {"Coulomb": "coulomb"}
 
-#: The names of all models.
+#: Names of all models.
 NAMES = (*_CATALOGUE, *_RIGID)
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""Stick and slip in one curve, by Bengisu and Akay."""
+"""Static and dynamic friction in one curve, by Bengisu and Akay."""
 
 from typing import Any
 
@@ -8,9 +8,9 @@ from warpcontact.kernels.friction.base import Friction
 
 
 class BengisuAkay(Friction):
-    """Friction that rises along a parabola to the static coefficient and decays to the dynamic one.
+    """Friction that increases along a parabola to the static coefficient and decays to the dynamic one.
 
-    A μ_d above μ_s is allowed: friction then grows with speed.
+    μ_d above μ_s is allowed: friction then increases with speed.
     """
 
     formula = "F = −μ(s) N v/s;  μ = μ_s [1 − (s − s₀)²/s₀²] below s₀, then μ_d + (μ_s − μ_d) exp[−η (s − s₀)]"

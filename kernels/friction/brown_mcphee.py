@@ -11,7 +11,7 @@ from warpcontact.kernels.friction.saturation import fast_tanh
 class BrownMcPhee(Friction):
     """Static peak, dynamic level and viscous part in one smooth curve with one transition speed.
 
-    A μ_d above μ_s is allowed: friction then grows with speed.
+    μ_d above μ_s is allowed: friction then increases with speed.
     """
 
     formula = "F = −{N [μ_d tanh(4r) + (μ_s − μ_d) r/(r²/4 + 3/4)²] + μ_v s tanh(4N/N_t)} v/s,  r = s/v_t"

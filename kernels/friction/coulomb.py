@@ -1,4 +1,4 @@
-"""Coulomb's law itself."""
+"""Coulomb friction as a set-valued law."""
 
 from typing import Any
 
@@ -8,9 +8,9 @@ from warpcontact.kernels.friction.base import Friction
 
 
 class Coulomb(Friction):
-    """Friction of the cone without a velocity scale: what sticks does not creep. For integrators of impulses.
+    """Friction cone without regularization: a sticking contact does not creep. For nonsmooth contact.
 
-    As rolling or torsion of a material it bounds the couple likewise.
+    As rolling or torsion of a material it bounds the torque in the same way.
     """
 
     formula = "|F| ≤ μ N; where it slips, F = −μ N v/s"

@@ -9,7 +9,7 @@ from warpcontact.kernels.friction.lugre import advance_deflection
 
 
 class Dahl(Friction):
-    """Bristles whose stiffness falls to zero as the force approaches Coulomb's, by Dahl's law with exponent 1."""
+    """Bristles whose stiffness decreases to zero as the force approaches μ N: Dahl's law with exponent 1."""
 
     formula = "F = −N σ₀ z, dz/dt = v − σ₀ s z/μ; one way dF/dx = σ₀ N (1 − F/(μ N))"
     reference = "Dahl, Aerospace Corp. TOR-0158 (1968); MotionSolve manual"

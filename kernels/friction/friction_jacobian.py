@@ -1,4 +1,4 @@
-"""How steeply a friction rises with slip and with displacement: what a step of an explicit scheme must resolve."""
+"""Derivatives of friction by slip velocity and displacement, for the step limit of explicit schemes."""
 
 import functools
 
@@ -8,14 +8,14 @@ from warpcontact.kernels.catalogue.device_model import Formula, coefficient_stru
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.types import structs
 
-# Displacement in which a spring shows its stiffness [m], and slip speeds between which a dashpot does [m/s].
+# Displacement for the stiffness of a spring [m], and range of slip speeds for the slope of a dashpot [m/s].
 DISPLACEMENT = 1.0e-9
 SLOWEST, GROWTH, SPEEDS = 1.0e-9, 1.5, 64
 
 
 @functools.cache
 def kernel(formula: type[Formula], real: type) -> wp.Kernel:
-    """Returns the kernel that measures the friction ``formula``. Launch with dim (env, contact of the group)."""
+    """Returns the kernel of the derivatives of ``formula``. Launch with dim (env, contact of the group)."""
     t = structs(real)
     vec3, TangentialState = t.vec3, t.TangentialState
     Coefficients = coefficient_struct(formula, real)
@@ -26,7 +26,7 @@ def kernel(formula: type[Formula], real: type) -> wp.Kernel:
 
         @wp.func
         def force_at_speed(p: Coefficients, tangential_state: TangentialState, speed: real, elapsed: real):
-            """Size of the force at ``speed``, after ``elapsed`` of it from rest."""
+            """Returns the magnitude of the force at ``speed``, after ``elapsed`` from rest [N]."""
             tangential_state.velocity = speed * tangential_state.axis
             tangential_state.speed = speed
             m = Memory()
@@ -45,7 +45,7 @@ def kernel(formula: type[Formula], real: type) -> wp.Kernel:
         coefficients: wp.array2d(dtype=Coefficients),
         load: wp.array2d(dtype=real),  # [env, contact] N [N]
         patch_radius: wp.array2d(dtype=real),  # [env, contact] [m]
-        dashpot: wp.array2d(dtype=real),  # [env, contact] greatest |dF/dv| [N·s/m]
+        dashpot: wp.array2d(dtype=real),  # [env, contact] largest |dF/dv| [N·s/m]
         spring: wp.array2d(dtype=real),  # [env, contact] dF/dx at rest [N/m]
     ):
         env, member = wp.tid()
@@ -56,7 +56,7 @@ def kernel(formula: type[Formula], real: type) -> wp.Kernel:
         tangential_state.normal_force = load[env, member]
         tangential_state.patch_radius = patch_radius[env, member]
         zero = real(0.0)
-        # Over one second at that many metres per second, less what the speed alone does.
+        # Displacement within one second at that speed, minus the force due to the speed alone.
         speed_part = force_at_speed(p, tangential_state, real(DISPLACEMENT), zero)
         spring[env, member] = (
             force_at_speed(p, tangential_state, real(DISPLACEMENT), real(1.0)) - speed_part

@@ -7,7 +7,7 @@ from warpcontact.kernels.friction.base import Friction
 
 
 class Frictionless(Friction):
-    """A perfectly shape contact."""
+    """No tangential force."""
 
     formula = "F = 0"
     reference = "elementary"

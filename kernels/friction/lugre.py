@@ -1,4 +1,4 @@
-"""LuGre friction: bristles that bend, with a force that falls from static to dynamic."""
+"""LuGre friction: elastic bristles, with a force that decreases from static to dynamic."""
 
 from typing import Any
 
@@ -10,11 +10,11 @@ from warpcontact.kernels.friction.base import Friction
 
 @wp.func
 def advance_deflection(deflection: Any, s: Any, elapsed: Any, rate: Any):
-    """Deflection z after dz/dt = v − rate·z at constant v: exact, so that no bristle is too stiff for a step."""
+    """Returns z after integrating dz/dt = v − rate·z at constant v, exactly, for any stiffness of the bristles."""
     one = type(s.speed)(1.0)
     x = rate * elapsed
     decay = wp.exp(-x)
-    # (1 − e⁻ˣ)/x, by its series where the difference would lose digits.
+    # (1 − e⁻ˣ)/x; by its series where the difference would lose digits.
     mean = one - x * (one / type(s.speed)(2.0) - x / type(s.speed)(6.0))
     if x > type(s.speed)(1.0e-2):
         mean = (one - decay) / x
@@ -23,18 +23,18 @@ def advance_deflection(deflection: Any, s: Any, elapsed: Any, rate: Any):
 
 @wp.func
 def relaxation(p: Any, s: Any):
-    """σ₀ s/g, the rate at which the bristles yield [1/s]."""
+    """Returns σ₀ s/g, the relaxation rate of the bristles [1/s]."""
     x = s.speed / p.stribeck_speed
     return p.stiffness * s.speed / (p.mu_dynamic + (p.mu_static - p.mu_dynamic) * wp.exp(-x * x))
 
 
 class LuGre(Friction):
-    """Bristles of deflection z: presliding like a spring, hysteresis, stick–slip, the Stribeck effect.
+    """Bristles of deflection z: presliding like a spring, hysteresis, stick–slip, Stribeck effect.
 
-    σ₀ and σ₁ refer to a coefficient of friction, so that z keeps its meaning when N varies. σ₁ falls with speed
-    if ``damping_speed`` is given, which keeps the model passive. The part of the bristles is cut at the larger of
-    μ_s N and μ_d N: at the first touch of a fast contact σ₁ would jump far above. A μ_d above μ_s is allowed:
-    friction then grows with speed.
+    σ₀ and σ₁ refer to a coefficient of friction, so that z is independent of N. σ₁ decreases with speed if
+    ``damping_speed`` is given, which keeps the model passive. The bristle force is clipped at the larger of μ_s N and
+    μ_d N, because at the first touch of a fast contact the term with σ₁ would far exceed it. μ_d above μ_s is allowed:
+    friction then increases with speed.
     """
 
     formula = (

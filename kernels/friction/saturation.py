@@ -1,7 +1,7 @@
-"""The hyperbolic tangent of friction models, in float32 in a third of the time of a library's.
+"""Hyperbolic tangent of friction models, in float32 in a third of the time of the math library.
 
-Below 5/8 a polynomial and above that an exponential, as in Cephes (S. L. Moshier), tanhf.c; the result is within
-three units in the last place.
+Below 5/8 a polynomial, above an exponential, as in Cephes (S. L. Moshier), tanhf.c. The error is at most three units in
+the last place.
 """
 
 import warp as wp
@@ -9,7 +9,7 @@ import warp as wp
 
 @wp.func
 def fast_tanh(x: wp.float32):
-    """tanh(x)."""
+    """Returns tanh(x)."""
     if wp.abs(x) < 0.625:
         z = x * x
         p = (((-5.70498872745e-3 * z + 2.06390887954e-2) * z - 5.37397155531e-2) * z + 1.33314422036e-1) * z
@@ -19,5 +19,5 @@ def fast_tanh(x: wp.float32):
 
 @wp.func
 def fast_tanh(x: wp.float64):  # noqa: F811 - of the other precision
-    """tanh(x)."""
+    """Returns tanh(x)."""
     return wp.tanh(x)

@@ -1,4 +1,4 @@
-"""Stribeck friction smooth to every order, as in Simscape."""
+"""Infinitely differentiable Stribeck friction, as in Simscape."""
 
 from typing import Any
 
@@ -9,9 +9,9 @@ from warpcontact.kernels.friction.saturation import fast_tanh
 
 
 class SmoothStribeck(Friction):
-    """Breakaway and Coulomb friction in an infinitely smooth curve: a bell over a hyperbolic tangent.
+    """Breakaway and Coulomb friction in one smooth curve: a bell plus a hyperbolic tangent.
 
-    A μ_d above μ_s is allowed: friction then grows with speed.
+    μ_d above μ_s is allowed: friction then increases with speed.
     """
 
     formula = (

@@ -8,9 +8,9 @@ from warpcontact.kernels.friction.base import Friction
 
 
 class StepFriction(Friction):
-    """Friction that rises to the static coefficient along a cubic and falls to the dynamic one along a step.
+    """Friction that increases to the static coefficient along a cubic and decreases to the dynamic one along a step.
 
-    A μ_d above μ_s is allowed: friction then grows with speed.
+    μ_d above μ_s is allowed: friction then increases with speed.
     """
 
     formula = (

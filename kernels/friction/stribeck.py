@@ -9,9 +9,9 @@ from warpcontact.kernels.friction.saturation import fast_tanh
 
 
 class Stribeck(Friction):
-    """Static friction that decays with slip speed to the dynamic one, smooth through zero; viscous friction.
+    """Static friction that decays with slip speed to the dynamic one, smooth through zero; plus viscous friction.
 
-    A μ_d above μ_s is allowed: friction then grows with speed.
+    μ_d above μ_s is allowed: friction then increases with speed.
     """
 
     formula = "F = −{N [μ_d + (μ_s − μ_d) exp(−(s/v_S)^p)] tanh(s/v_s) + b s} v/s"

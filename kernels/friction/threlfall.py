@@ -1,4 +1,4 @@
-"""Coulomb friction behind an exponential, by Threlfall."""
+"""Coulomb friction with an exponential rise, by Threlfall."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ from warpcontact.kernels.friction.base import Friction
 
 
 class Threlfall(Friction):
-    """Coulomb friction that rises exponentially to 95 % at a slip speed and stays there."""
+    """Coulomb friction that increases exponentially to 95 % at a slip speed and is constant beyond."""
 
     formula = "F = −μ N min(1 − exp(−3 s/s_r), 0.95) v/s"
     reference = "Threlfall, Mech. Mach. Theory 13 (1978) 475; recalled"

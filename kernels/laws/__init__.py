@@ -1,4 +1,4 @@
-"""Normal-force laws. A law is one file; `_CATALOGUE` puts it into the catalogue and under every law test."""
+"""Normal-force laws, one file each. `_CATALOGUE` adds a law to the catalogue and to all law tests."""
 
 from typing import TYPE_CHECKING
 
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     CATALOGUE: tuple[type[Law], ...]
     RIGID: tuple[type[Law], ...]
 
-# Modules of all laws that come with the library, in the order of the catalogue: elastic, exact, others.
+# Modules of the laws of the library, in the order of the catalogue: elastic, exact restitution, others.
 _CATALOGUE = {
     "Hooke": "hooke",
     "Hertz": "hertz",
@@ -76,10 +76,10 @@ _CATALOGUE = {
     "Impact": "impact",
 }
 
-# Those of nonsmooth contact, which have no force of their own.
+# Laws of nonsmooth contact, which have no force function.
 _RIGID = {"Rigid": "rigid"}
 
-#: The names of all laws.
+#: Names of all laws.
 NAMES = (*_CATALOGUE, *_RIGID)
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""Linear spring and dashpot that may pull."""
+"""Linear spring and dashpot with tension before release."""
 
 from typing import Any
 
@@ -9,15 +9,15 @@ from warpcontact.kernels.laws.base import Law, stepped_dashpot
 
 
 def damping_ratio_of_oscillator(restitution: np.ndarray) -> np.ndarray:
-    """Damping ratio ξ = −ln e/√(π² + ln² e) of an oscillator that keeps e of its speed in half a period."""
+    """Returns the damping ratio ξ = −ln e/√(π² + ln² e) of an oscillator that keeps e of its speed per half period."""
     log = np.log(restitution)
     return -log / np.sqrt(np.pi**2 + log**2)
 
 
 class Anagnostopoulos(Law):
-    """Linear spring and dashpot in parallel whose contact lasts until the depth is zero: it pulls at the end.
+    """Linear spring and dashpot in parallel; the contact ends at zero penetration, with tension before.
 
-    KelvinVoigt is the one that does not pull.
+    ``KelvinVoigt`` has no tension.
     """
 
     formula = "N = K δ + 2 ξ √(K m) δ̇,  ξ = −ln e/√(π² + ln² e)"

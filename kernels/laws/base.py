@@ -1,4 +1,4 @@
-"""The contract of a normal-force law."""
+"""Base class of normal force laws."""
 
 from typing import Any, ClassVar
 
@@ -8,7 +8,7 @@ from warpcontact.kernels.catalogue.device_model import Formula
 
 
 class Law(Formula):
-    """A normal force N(δ, δ̇, …) ≥ 0 in a contact.
+    """Normal force N(δ, δ̇, …) of a contact.
 
     A subclass declares its parameters and a device function::
 
@@ -24,30 +24,30 @@ class Law(Formula):
     ``p`` holds the coefficients of this contact in this environment; ``c`` has ``delta`` > 0 [m], ``delta_dot`` (>
     0 on approach) [m/s], ``entry_speed`` (δ̇ at entry, or the largest since) [m/s] and, with ``needs_mass``, the
     effective ``mass`` along the normal [kg] and its inverse ``inverse_mass``, and with ``needs_curvature`` the
-    principal relative curvatures ``curvature_1`` ≤ ``curvature_2`` [1/m]; ``dt`` is the step that the force acts
-    over [s], 0 for the force of an instant (a sensor). Constants take the precision of the simulation when
-    written as ``type(c.delta)(1.5)``. The force must depend on nothing else. A parameter ``area`` in m² with the
-    default ``None`` is the area that each point stands for, where it is left out.
+    principal relative curvatures ``curvature_1`` ≤ ``curvature_2`` [1/m]; ``dt`` is the step over which the force acts
+    [s], 0 for the force at an instant (a sensor). Constants take the precision of the simulation when written as
+    ``type(c.delta)(1.5)``. The force must depend on these values only. An optional parameter ``area`` in m² with the
+    default ``None`` is set to the area of each point if it is omitted.
 
-    A law that pulls (``pulls = True``: suction, adhesion) has friction under the load N + F_p, with the pull-off
-    force F_p: Coulomb's friction with the adhesive force added. By default F_p is the tension at first touch and
-    at rest, max(0, −N(δ → 0, δ̇ = 0)). A law with a larger tension elsewhere defines ``pull_off(p, c)``, a
-    ``wp.func`` with the arguments of ``force``, which returns F_p [N].
+    A law with adhesion or suction (``pulls = True``) has friction under the load N + F_p, with the pull-off force F_p:
+    Coulomb friction including the adhesive force. By default F_p is the tension at first touch and at rest,
+    max(0, −N(δ → 0, δ̇ = 0)). A law with a larger tension elsewhere defines ``pull_off(p, c)``, a ``wp.func`` with the
+    arguments of ``force``, which returns F_p [N].
 
-    A law that remembers (the deepest penetration so far, a creep) declares what, with ``wc.history``, and has two
-    functions of ``(p, c, m)``: ``advance`` returns the memory ``m`` after the time ``m.elapsed`` [s] since it last
-    did, and ``force`` the force from that.
+    A law with history variables, such as the largest penetration or creep, declares them by ``wc.history`` and has two
+    functions of ``(p, c, m)``: ``advance`` returns the variables ``m`` after the time ``m.elapsed`` [s] since the last
+    advance, and ``force`` the force for these variables.
     """
 
-    #: Whether ``c.mass`` is to be computed.
+    #: Whether ``c.mass`` is computed.
     needs_mass: ClassVar[bool] = False
-    #: Whether ``c.curvature_1`` and ``c.curvature_2`` are to be known; a point without a radius has none.
+    #: Whether ``c.curvature_1`` and ``c.curvature_2`` are computed; a point without a radius has none.
     needs_curvature: ClassVar[bool] = False
-    #: Whether the law may pull; the force of all others is cut at zero.
+    #: Whether the force may be tensile; otherwise it is clipped at zero.
     pulls: ClassVar[bool] = False
-    #: Device function of the pull-off force of a law that pulls; ``None``: its tension at first touch.
+    #: Device function of the pull-off force; ``None``: the tension at first touch. Only with ``pulls``.
     pull_off: ClassVar[wp.Function | None] = None
-    #: Exponent of the elastic part if it is fixed; laws with a parameter ``exponent`` leave it out.
+    #: Exponent of the elastic part if it is fixed. Laws with a parameter ``exponent`` do not set it.
     power: ClassVar[float | None] = None
 
     def __init_subclass__(cls, **keywords: Any) -> None:
@@ -64,7 +64,7 @@ class Law(Formula):
 
     @classmethod
     def elastic(cls, values: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray] | None:
-        """Returns K [N/mⁿ] and n of the elastic part K δⁿ, for estimates of time and depth; ``None``: unknown."""
+        """Returns K [N/mⁿ] and n of the elastic part K δⁿ, for estimates of time and penetration; ``None``: unknown."""
         exponent = values.get("exponent", cls.power)
         if "stiffness" not in values or exponent is None:
             return None
@@ -73,7 +73,7 @@ class Law(Formula):
 
 @wp.func
 def power(x: float, exponent: float):
-    """x^exponent for x ≥ 0, with the two exponents that matter most done without a logarithm."""
+    """Returns x^exponent for x ≥ 0; exponents 1 and 1.5 are computed without ``pow``."""
     if exponent == 1.0:
         return x
     if exponent == 1.5:
@@ -83,7 +83,7 @@ def power(x: float, exponent: float):
 
 @wp.func
 def power(x: wp.float64, exponent: wp.float64):  # noqa: F811  an overload
-    """The same in float64."""
+    """Returns x^exponent in float64."""
     if exponent == wp.float64(1.0):
         return x
     if exponent == wp.float64(1.5):
@@ -93,9 +93,9 @@ def power(x: wp.float64, exponent: wp.float64):  # noqa: F811  an overload
 
 @wp.func
 def stepped_dashpot(damping: Any, inverse_mass: Any, dt: Any):
-    """Dashpot constant that acts in steps of ``dt`` like ``damping`` does in continuous time; see KelvinVoigt."""
-    # A step's velocity lags its position by half a step, v = v(t) + ½ dt N/m. Solved for N, the step acts
-    # with K and c both divided by 1 − c dt/(2m), and so with the damping ratio ξ/√(1 − c dt/(2m)). The
-    # dashpot c' = c (√(1 + y²) − y), y = c dt/(4m), has ξ again, and with it the restitution.
+    """Returns the dashpot constant that in steps of ``dt`` damps like ``damping`` in continuous time."""
+    # The velocity of a step lags its position by half a step, v = v(t) + ½ dt N/m. Solved for N, the step acts
+    # with K and c both divided by 1 − c dt/(2m), that is, with the damping ratio ξ/√(1 − c dt/(2m)). The dashpot
+    # c' = c (√(1 + y²) − y), y = c dt/(4m), has the damping ratio ξ and thus the restitution. See ``KelvinVoigt``.
     y = type(dt)(0.25) * damping * dt * inverse_mass
     return damping * (wp.sqrt(type(dt)(1.0) + y * y) - y)

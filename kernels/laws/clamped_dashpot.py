@@ -1,14 +1,14 @@
-"""Restitution of a linear spring and dashpot that cannot pull, from its damping ratio, and the inverse."""
+"""Restitution of a linear spring and dashpot without tension from its damping ratio, and the inverse."""
 
 import numpy as np
 from warpcontact.kernels.catalogue.roots import root_between
 
 
 def restitution_of_damping_ratio(ratio: np.ndarray) -> np.ndarray:
-    """Restitution of a spring and dashpot that cannot pull, from its damping ratio ξ ≥ 0.
+    """Returns the restitution of a spring and dashpot without tension, from its damping ratio ξ ≥ 0.
 
-    e = exp[−2ξ arccos ξ/√(1−ξ²)] for ξ < 1, e⁻² at 1, exp[−2ξ arccosh ξ/√(ξ²−1)] above: contact ends when the
-    force is zero, not when the penetration is (Schwager & Pöschel, Granular Matter 9 (2007) 465).
+    e = exp[−2ξ arccos ξ/√(1−ξ²)] for ξ < 1, e⁻² at 1, exp[−2ξ arccosh ξ/√(ξ²−1)] above. The contact ends at zero
+    force, not at zero penetration (Schwager & Pöschel, Granular Matter 9 (2007) 465).
     """
     ratio = np.asarray(ratio, dtype=np.float64)
     root = np.sqrt(np.abs(1.0 - ratio**2))
@@ -19,7 +19,7 @@ def restitution_of_damping_ratio(ratio: np.ndarray) -> np.ndarray:
 
 
 def damping_ratio_of_restitution(restitution: np.ndarray) -> np.ndarray:
-    """Damping ratio ξ of a clamped spring and dashpot with restitution 0 < e ≤ 1, to rounding."""
+    """Returns the damping ratio ξ of a clamped spring and dashpot with restitution 0 < e ≤ 1, to rounding."""
     restitution = np.asarray(restitution, dtype=np.float64)
     # For large ξ, e → 1/(4 ξ²); twice that root encloses the solution for every e.
     upper = 1.0 + 1.0 / np.sqrt(restitution)

@@ -9,11 +9,11 @@ from warpcontact.kernels.laws.base import Law, stepped_dashpot
 
 
 class ContactRange(Law):
-    """Spring and dashpot per area on the surface offset by a range: keeps bodies apart before they touch.
+    """Spring and dashpot per area on the surface offset by a range, so that bodies repel before they touch.
 
     The range d₀ is the ``radius`` of the contact, so δ = d₀ − d for a point at the distance d. A body of weight W
-    hovers at d₀ − W/(Σ a k₁). An area that is left out is that of each point, from ``wc.sample_surface`` or
-    ``areas`` of ``add_points``.
+    hovers at d₀ − W/(Σ a k₁). An omitted area is that of each point, from ``wc.sample_surface`` or ``areas`` of
+    ``add_points``.
     """
 
     formula = "N = a max(0, k₁ (d₀ − d) − k₂ ḋ min(1, (d₀ − d)/r)),  d₀ = radius of the contact"

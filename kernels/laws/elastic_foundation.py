@@ -10,10 +10,10 @@ from warpcontact.kernels.laws.base import Law
 
 
 class ElasticFoundation(Law):
-    """Bed of independent springs, one behind each point of a set, with the area that the point stands for.
+    """Bed of independent springs, one per point, each with the area of its point.
 
-    An area that is left out is that of each point, from ``wc.sample_surface`` or ``areas`` of ``add_points``. The
-    pressure does not depend on how fine the set is. For an elastic layer of thickness h on a rigid base
+    An omitted area is that of each point, from ``wc.sample_surface`` or ``areas`` of ``add_points``. The pressure does
+    not depend on the density of the points. For an elastic layer of thickness h on a rigid base
     k = (1−ν)E/((1+ν)(1−2ν)h).
     """
 

@@ -2,22 +2,22 @@
 
 An ellipse of axis ratio k ≥ 1, m = 1 − 1/k², has the integrals K and E of parameter m, and
 
-    D = (K − E)/m,  B = K − D,  S = (D − B)/(m K),
+    D = (K − E)/m,  B = K − D,  S = (D − B)/(m K).
 
-all of which the arithmetic-geometric mean gives without a difference of near numbers.
+The arithmetic-geometric mean gives all of them without differences of nearly equal numbers.
 """
 
 from typing import Any
 
 import warp as wp
 
-#: Greatest quotient of the principal curvatures; longer ellipses count as having this one.
+#: Largest ratio of the principal curvatures; larger ratios are replaced by this one.
 LONGEST = 1.0e6
 
 
 @wp.func
 def integrals(axis_ratio: Any):
-    """Returns K, E, B, D and S of an ellipse, see above."""
+    """Returns K, E, B, D and S of an ellipse; see the module docstring."""
     one = type(axis_ratio)(1.0)
     half = type(axis_ratio)(0.5)
     b = one / axis_ratio
@@ -28,7 +28,7 @@ def integrals(axis_ratio: Any):
     weight = one + one
     term = one / (type(axis_ratio)(16.0) * a * a)
     S = weight * term
-    for _i in range(6):  # of pairs as unequal as 1 and 1e-5 the next is equal in float64
+    for _i in range(6):  # sufficient in float64 for start values as different as 1 and 1e-5
         mean = half * (a + b)
         b = wp.sqrt(a * b)
         a = mean
@@ -43,9 +43,10 @@ def integrals(axis_ratio: Any):
 
 @wp.func
 def axis_ratio_of(quotient: Any):
-    """Axis ratio k of the ellipse whose principal curvatures have a ``quotient`` ≥ 1: B k²/D is that.
+    """Returns the axis ratio k of the contact ellipse for a ratio ``quotient`` ≥ 1 of principal curvatures.
 
-    Newton's method in ln k, in which the equation is nearly straight: its slope lies between 3/2 and 2.
+    Solves B k²/D = quotient by Newton's method in ln k, in which the equation is nearly linear: its slope lies between
+    3/2 and 2.
     """
     one = type(quotient)(1.0)
     target = wp.log(quotient)
@@ -61,10 +62,10 @@ def axis_ratio_of(quotient: Any):
 
 @wp.func
 def stiffness_per_modulus(curvature_1: Any, curvature_2: Any):
-    """K/E* of N = K δ^1.5 [√m] from the relative principal curvatures, curvature_1 ≤ curvature_2 [1/m].
+    """Returns K/E* of N = K δ^1.5 [√m] from the relative principal curvatures, curvature_1 ≤ curvature_2 [1/m].
 
-    NaN unless curvature_2 is positive and finite. A curvature_1 below curvature_2/LONGEST, as of a line contact
-    or of a saddle, counts as that.
+    NaN unless curvature_2 is positive and finite. curvature_1 is limited to curvature_2/LONGEST, as for a line contact or
+    a saddle.
     """
     zero = type(curvature_1)(0.0)
     one = type(curvature_1)(1.0)
@@ -75,7 +76,7 @@ def stiffness_per_modulus(curvature_1: Any, curvature_2: Any):
     # δ = K(m) [9/(2 E(m) R) (F/(2 π k E*))²]^(1/3), 1/R the sum of the curvatures.
     size = type(curvature_1)(2.0) * E / (type(curvature_1)(9.0) * (low + curvature_2))
     stiffness = type(curvature_1)(2.0) * type(curvature_1)(wp.pi) * k * wp.sqrt(size) / (K * wp.sqrt(K))
-    # A comparison with NaN is false, too.
+    # A comparison with NaN is false.
     if curvature_2 > zero and one / curvature_2 > zero:
         return stiffness
     return type(curvature_1)(wp.NAN)

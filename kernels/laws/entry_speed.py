@@ -1,8 +1,7 @@
-"""The family of laws whose damping refers to the entry speed: N = K δⁿ (1 + d(e) δ̇/v₀).
+"""Family of laws whose damping refers to the entry speed: N = K δⁿ (1 + d(e) δ̇/v₀).
 
-They differ in the published relation between the damping factor d and the restitution e alone. The one that
-returns e exactly is ``HuntCrossley``; the restitution that each of the others returns is that of its factor, by
-``restitution_of_damping_factor``.
+They differ only in the published relation between the damping factor d and the restitution e. ``HuntCrossley`` returns
+e exactly; for the others ``restitution_of_damping_factor`` gives the actual restitution.
 """
 
 from collections.abc import Callable
@@ -15,7 +14,7 @@ from warpcontact.kernels.laws.base import Law, power
 
 
 class EntrySpeedLaw(Law):
-    """Base of the family: a subclass gives ``damping_factor``."""
+    """Base of the family. A subclass defines ``damping_factor``."""
 
     device = ("stiffness", "exponent", "factor", "speed_floor")
 
@@ -24,7 +23,7 @@ class EntrySpeedLaw(Law):
     restitution: float = parameter("-", "coefficient of restitution e", at_least=0.01, at_most=1.0)
     speed_floor: float = parameter("m/s", "least entry speed v₀", default=0.01, above=0.0)
 
-    #: Returns d of e; every law of the family has its own.
+    #: Returns d of e.
     damping_factor: ClassVar[Callable[[np.ndarray], np.ndarray]]
 
     @classmethod

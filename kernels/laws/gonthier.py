@@ -1,11 +1,11 @@
-"""The approximate factor of Gonthier, McPhee, Lange and Piedboeuf."""
+"""Approximate damping factor of Gonthier, McPhee, Lange and Piedboeuf."""
 
 import numpy as np
 from warpcontact.kernels.laws.entry_speed import EntrySpeedLaw
 
 
 class Gonthier(EntrySpeedLaw):
-    """Hunt–Crossley damping with an approximation for all e; the exact root is HuntCrossley."""
+    """Hunt–Crossley damping with an approximation for all e. ``HuntCrossley`` has the exact root."""
 
     formula = "N = K δⁿ (1 + d δ̇/v₀),  d = (1−e²)/e"
     reference = "Gonthier et al., Multibody Syst. Dyn. 11 (2004) 209"

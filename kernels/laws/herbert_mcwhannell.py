@@ -1,4 +1,4 @@
-"""The factor of Herbert and McWhannell."""
+"""Damping factor of Herbert and McWhannell."""
 
 import numpy as np
 from warpcontact.kernels.laws.entry_speed import EntrySpeedLaw

@@ -14,15 +14,15 @@ from warpcontact.kernels.laws.base import Law
 def hertz_stiffness(
     E: float, nu: float, R: float, E2: float | None = None, nu2: float = 0.0, R2: float = math.inf
 ) -> float:
-    """Stiffness K = (4/3) E* √R* of two spheres in Hertz contact.
+    """Returns the stiffness K = (4/3) E* √R* of two spheres in Hertz contact.
 
     Args:
         E: Young's modulus of the first body [Pa].
-        nu: Its Poisson's ratio [-].
-        R: Its radius [m].
+        nu: Poisson's ratio of the first body [-].
+        R: Radius of the first body [m].
         E2: Young's modulus of the second body [Pa]; ``None``: rigid.
-        nu2: Its Poisson's ratio [-].
-        R2: Its radius [m]; infinite for a plane, negative for a hollow that the first fits in.
+        nu2: Poisson's ratio of the second body [-].
+        R2: Radius of the second body [m]; infinite for a plane, negative for a hollow around the first.
 
     Returns:
         K [N/m^1.5].
@@ -46,15 +46,15 @@ def hertz_stiffness(
 def elliptic_stiffness(
     E: float, nu: float, Rx: float, Ry: float, E2: float | None = None, nu2: float = 0.0
 ) -> float:
-    """Stiffness K of F = K δ^1.5 for an elliptic contact, from complete elliptic integrals.
+    """Returns the stiffness K of F = K δ^1.5 for an elliptic contact, from complete elliptic integrals.
 
     Args:
         E: Young's modulus of the first body [Pa].
-        nu: Its Poisson's ratio [-].
+        nu: Poisson's ratio of the first body [-].
         Rx: Combined principal radius of both bodies in one direction, 1/Rx = 1/Rx1 + 1/Rx2 [m].
-        Ry: The same in the other direction [m].
+        Ry: Combined principal radius in the other direction [m].
         E2: Young's modulus of the second body [Pa]; ``None``: rigid.
-        nu2: Its Poisson's ratio [-].
+        nu2: Poisson's ratio of the second body [-].
 
     Returns:
         K [N/m^1.5].
@@ -63,23 +63,23 @@ def elliptic_stiffness(
         ValueError: If a value is out of range, or one radius is more than 1e6 times the other.
     """
     short, long = sorted((number("Rx", Rx, above=0.0), number("Ry", Ry, above=0.0)))
-    # Of a sphere on a plane, for the material and its checks: K = (4/3) E* √R.
+    # Checks the material: K = (4/3) E* √R of a sphere on a plane.
     effective = 0.75 * hertz_stiffness(E, nu, short, E2, nu2) / math.sqrt(short)
     ratio = long / short
     if not ratio <= 1.0e6:
         raise ValueError(f"Rx and Ry must be positive and within a factor of 1e6, got {Rx:g} m and {Ry:g} m")
     if ratio < 1.0 + 1.0e-6:
-        # Nearly a circle: of the mean curvature, to the square of what they differ by. The integrals cancel here.
+        # Nearly circular: use the mean curvature, accurate to second order. The integrals would lose digits.
         return 4.0 / 3.0 * effective * math.sqrt(2.0 / (1.0 / short + 1.0 / long))
 
-    from scipy.special import ellipe, ellipkm1  # slow to import, and few ask
+    from scipy.special import ellipe, ellipkm1  # slow to import, rarely needed
 
     def excess(axis_ratio: np.ndarray) -> np.ndarray:
-        # K of 1 − m: of a long ellipse m is 1 to almost all digits.
+        # ellipkm1 computes K from 1 − m, because m is 1 to almost all digits for a long ellipse.
         first, second = ellipkm1(axis_ratio**-2), ellipe(1.0 - axis_ratio**-2)
         return (axis_ratio**2 * second - first) / (first - second) - ratio
 
-    # The ratio of the axes lies between the root and the first power of that of the radii.
+    # The axis ratio lies between the square root of the ratio of the radii and that ratio.
     axes = float(root_between("ratio of half axes", excess, 1.0 + 1.0e-9, 2.0 * ratio))
     complement = axes**-2
     combined = 1.0 / (1.0 / short + 1.0 / long)
@@ -91,7 +91,7 @@ def elliptic_stiffness(
 class Hertz(Law):
     """Elastic contact of smooth bodies: a sphere on a plane, or two spheres.
 
-    The facets of the mesh are flat, so the radius is that of the sphere or one given by hand, never a facet's.
+    The facets of a mesh are flat, so the radius is that of the sphere or a given one, not that of a facet.
     """
 
     formula = "N = K δ^1.5,  K = (4/3) E* √R"
@@ -113,7 +113,7 @@ class Hertz(Law):
         nu2: float = 0.0,
         R2: float = math.inf,
     ) -> "Hertz":
-        """Returns the law for materials and radii; see ``hertz_stiffness``. Without ``E2`` the second is rigid."""
+        """Returns the law for materials and radii; see ``hertz_stiffness``. Without ``E2`` the second body is rigid."""
         return cls(stiffness=hertz_stiffness(E, nu, R, E2, nu2, R2))
 
     @classmethod

@@ -8,7 +8,7 @@ from warpcontact.kernels.laws.base import Law, stepped_dashpot
 
 
 class HertzDashpot(Law):
-    """Hertz spring with a linear dashpot: restitution rises with speed, the opposite of experiments."""
+    """Hertz spring with a linear dashpot. Restitution increases with speed, contrary to experiments."""
 
     formula = "N = max(0, K δ^1.5 + c δ̇)"
     reference = "attributed to Ristow, J. Phys. I France 2 (1992) 649; form of Modelica's ElastoGap"

@@ -1,4 +1,4 @@
-"""Hertz contact whose radii and ellipse follow from the curvature of what touches."""
+"""Hertz contact with radii and ellipse from the local curvatures."""
 
 import dataclasses
 from typing import Any
@@ -14,17 +14,16 @@ from warpcontact.kernels.laws.hunt_crossley import damping_factor_of_restitution
 
 
 class HertzElastic(Law):
-    """Elastic contact with the stiffness of the place where it is: of curvatures, not of a radius given by hand.
+    """Elastic contact with a stiffness from the local curvatures instead of a given radius.
 
-    Between smooth shapes, those of piles too, the curvatures are the principal relative ones at the contact, and
-    the patch is an ellipse.
-    A sphere on a mesh has its own, as the facets are flat; a point has none, and is refused. Of the long ellipse
-    of a line contact, and where a hollow fits closely, no more than a quotient of 1e6 is counted. Edges and tips
-    are rounded by ``edge_radius``; where that is zero, and on a flat face on a flat face, there is no such
-    contact: the force is not a number, and the environment is stopped.
+    Between shapes and between particles, the curvatures are the principal relative ones at the contact, and the contact
+    patch is an ellipse. For a sphere on a mesh it is that of the sphere, because the facets are flat; a contact of points
+    without radius raises an error. The ratio of the curvatures is limited to 1e6, which affects line contacts and close
+    conformity. Edges and tips are rounded by ``edge_radius``. If that is zero, and for a flat face on a flat face, there is
+    no Hertz contact: the force is NaN, and the environment is frozen.
 
-    Losses are those of HuntCrossley: restitution e at the entry speed v₀, never below ``speed_floor``, and a
-    constant damping χ. Without either the contact is elastic.
+    Damping is that of ``HuntCrossley``: restitution e at the entry speed v₀, at least ``speed_floor``, and a constant
+    damping χ. Without either the contact is elastic.
     """
 
     formula = "N = K(κ₁, κ₂) δ^1.5 (1 + d δ̇/v₀ + χ δ̇),  K of complete elliptic integrals"
@@ -59,7 +58,7 @@ class HertzElastic(Law):
         """
         losses = [field.name for field in dataclasses.fields(cls) if field.name != "modulus"]
         refuse_unknown(f"{cls.__name__}.from_materials", others, [*keywords_of(cls.from_materials), *losses])
-        # Of a sphere of 1 m: K = (4/3) E*.
+        # For a sphere of radius 1 m: K = (4/3) E*.
         return cls(modulus=0.75 * hertz_stiffness(E, nu, 1.0, E2, nu2), **others)
 
     @staticmethod
@@ -75,7 +74,7 @@ class HertzElastic(Law):
     @wp.func
     def force(p: Any, c: Any):
         one = type(c.delta)(1.0)
-        sharpest = one / p.edge_radius  # infinite for edges that are not rounded
+        sharpest = one / p.edge_radius  # infinite for sharp edges
         stiffness = p.modulus * stiffness_per_modulus(
             wp.min(c.curvature_1, sharpest), wp.min(c.curvature_2, sharpest)
         )

@@ -8,7 +8,7 @@ from warpcontact.kernels.laws.base import Law
 
 
 class Hooke(Law):
-    """Linear elastic contact, without loss; also a penalty stiffness."""
+    """Linear elastic contact without damping; also a penalty stiffness."""
 
     formula = "N = K δ"
     reference = "elementary"

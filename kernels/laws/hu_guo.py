@@ -1,11 +1,11 @@
-"""The factor of Hu and Guo."""
+"""Damping factor of Hu and Guo."""
 
 import numpy as np
 from warpcontact.kernels.laws.entry_speed import EntrySpeedLaw
 
 
 class HuGuo(EntrySpeedLaw):
-    """Hunt–Crossley damping, right at both ends of e."""
+    """Hunt–Crossley damping with the correct limits for e → 0 and e → 1."""
 
     formula = "N = K δⁿ (1 + d δ̇/v₀),  d = 3(1−e)/(2e)"
     reference = "Hu & Guo, Multibody Syst. Dyn. 35 (2015) 131"

@@ -1,4 +1,4 @@
-"""Hunt–Crossley damping with the restitution that is asked for."""
+"""Hunt–Crossley damping with exact prescribed restitution."""
 
 from typing import Any
 
@@ -8,35 +8,35 @@ from warpcontact.kernels.catalogue.device_model import parameter
 from warpcontact.kernels.catalogue.roots import root_between
 from warpcontact.kernels.laws.base import Law, power
 
-# Below this distance of e from 1 the series of d is better than the root of its equation.
+# For 1 − e below this the series of d is more accurate than the root of its equation.
 SERIES_RANGE = 2.0e-3
 
 
 def restitution_of_damping_factor(factor: np.ndarray) -> np.ndarray:
-    """Restitution e of N = f(δ)(1 + d δ̇/v₀) in a free impact, from d ≥ 0, for any elastic function f.
+    """Returns the restitution e of N = f(δ)(1 + d δ̇/v₀) in a free impact, from d ≥ 0, for any elastic function f.
 
     e = [1 + W₀(−(1+d) exp(−(1+d)))]/d.
     """
-    from scipy.special import lambertw  # takes longer than most of this package, and few ask
+    from scipy.special import lambertw  # slow to import, rarely needed
 
     factor = np.asarray(factor, dtype=np.float64)
-    safe = np.maximum(factor, 1.0e-8)  # below, e = 1 − 2d/3 is 1 to the last digit that W leaves
+    safe = np.maximum(factor, 1.0e-8)  # below, e = 1 − 2d/3 is exact to the digits that W provides
     with np.errstate(divide="ignore"):
         exact = (1.0 + np.real(lambertw(-(1.0 + safe) * np.exp(-(1.0 + safe))))) / safe
     return np.where(factor < 1.0e-4, 1.0 - 2.0 * factor / 3.0 + factor**2 * 4.0 / 9.0, exact)
 
 
 def damping_factor_of_restitution(restitution: np.ndarray) -> np.ndarray:
-    """Damping factor d whose free impact has restitution 0 < e ≤ 1: d (1 + e) = ln[(1 + d)/(1 − d e)].
+    """Returns the damping factor d for restitution 0 < e ≤ 1 in a free impact: d (1 + e) = ln[(1 + d)/(1 − d e)].
 
-    Solved for u = ln(1 − d e), in which nothing cancels for small e. Near e = 1 the equation
-    degenerates to 0 = 0 and its series in q = 1 − e takes over; they agree to 1e-9 at the seam.
+    Solved for u = ln(1 − d e), which is free of cancellation for small e. Near e = 1 the equation degenerates to 0 = 0,
+    and a series in q = 1 − e is used; the two agree to 1e-9 at the transition.
     """
     e = np.asarray(restitution, dtype=np.float64)
     q = 1.0 - e
     series = q * (1.5 + q * (1.5 + q * (1.35 + q * 1.2)))
 
-    # The other root is u = 0. Between, excess > 0: already half the series lies there; far below, excess → u.
+    # The other root is u = 0. Half the series is a start value with excess > 0; far below, excess → u.
     far_from_one = np.minimum(e, 1.0 - SERIES_RANGE)
     upper = np.log1p(-0.75 * (1.0 - far_from_one) * far_from_one)
     lower = -2.0 - 1.0 / far_from_one
@@ -49,12 +49,12 @@ def damping_factor_of_restitution(restitution: np.ndarray) -> np.ndarray:
 
 
 class HuntCrossley(Law):
-    """Power-law spring with a damping that vanishes at touch and release: smooth, and no pull in free impact.
+    """Power-law spring with damping that vanishes at the start and end of contact; no tension in a free impact.
 
-    With ``restitution`` the factor d is the exact root of d(1+e) = ln[(1+d)/(1−de)] and v₀ the entry speed of
-    this contact, never below ``speed_floor``: below that speed an impact loses less than asked, and a body laid
-    down at rest is not overdamped without bound. With ``damping`` the factor 1 + χ δ̇ has the constant χ [s/m],
-    as in Simbody (1.5 c) and Drake (d): restitution then falls with speed.
+    With ``restitution`` the factor d is the exact root of d(1+e) = ln[(1+d)/(1−de)], and v₀ is the entry speed of
+    this contact, at least ``speed_floor``. Below that speed an impact dissipates less than prescribed, and the damping
+    of a body placed at rest stays bounded. With ``damping`` the factor 1 + χ δ̇ has the constant χ [s/m], as in Simbody
+    (1.5 c) and Drake (d); restitution then decreases with speed.
 
     Example:
         >>> wc.laws.HuntCrossley(stiffness=1e5, restitution=0.7).exponent

@@ -1,4 +1,4 @@
-"""The factor that Hunt and Crossley published."""
+"""Damping factor published by Hunt and Crossley."""
 
 import numpy as np
 from warpcontact.kernels.laws.entry_speed import EntrySpeedLaw

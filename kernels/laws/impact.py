@@ -1,4 +1,4 @@
-"""Power-law spring with a damping that is switched on over a depth."""
+"""Power-law spring with damping that is switched on over a depth."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ from warpcontact.kernels.laws.base import Law, power
 
 
 class Impact(Law):
-    """The IMPACT function of multibody codes: damping rises from zero at touch to its full value at a depth."""
+    """IMPACT function of multibody codes: damping increases from zero at touch to its full value at a depth."""
 
     formula = "N = max(0, K δⁿ + c S(δ/δ_c) δ̇),  S(x) = x²(3 − 2x), 1 for x ≥ 1"
     reference = "IMPACT of MSC Adams and Altair MotionSolve (manuals)"

@@ -8,10 +8,10 @@ from warpcontact.kernels.laws.base import Law
 
 
 class JohnsonCylinder(Law):
-    """Elastic contact of parallel cylinders, a pin in a hole or one beside the other, along a length.
+    """Elastic contact of parallel cylinders along a length: a pin in a hole, or two cylinders side by side.
 
-    The printed formula gives δ of F; it is inverted by the real Lambert branch W₋₁, by Newton's method. Beyond
-    δ = 4 e⁻² ΔR the formula turns back, and the force goes on in proportion to δ.
+    The published formula gives δ of F. It is inverted with the real Lambert branch W₋₁, by Newton's method. Beyond
+    δ = 4 e⁻² ΔR the formula has no solution, and the force is continued in proportion to δ.
     """
 
     formula = "δ = F/(π E* L) [ln(4 π E* L ΔR/F) − 1],  i.e. F = −π E* L δ/W₋₁(−e δ/(4 ΔR))"
@@ -30,7 +30,7 @@ class JohnsonCylinder(Law):
         log = one + wp.log(c.delta / (type(c.delta)(4.0) * p.clearance))
         w = -one
         if log < -one:
-            # Near the turning point −1 − √(2(−1 − ln x)); far from it ln x − ln(−ln x). The lower start is safe.
+            # Near the turning point w ≈ −1 − √(2(−1 − ln x)), far from it w ≈ ln x − ln(−ln x). The smaller start value is safe.
             w = wp.min(-one - wp.sqrt(type(c.delta)(2.0) * (-one - log)), log - wp.log(-log))
             for _i in range(6):
                 w = w - (w + wp.log(-w) - log) / (one + one / w)

@@ -1,11 +1,11 @@
-"""The factor of Lankarani and Nikravesh."""
+"""Damping factor of Lankarani and Nikravesh."""
 
 import numpy as np
 from warpcontact.kernels.laws.entry_speed import EntrySpeedLaw
 
 
 class LankaraniNikravesh(EntrySpeedLaw):
-    """Hertz contact with damping, the law most cited in multibody dynamics."""
+    """Hertz contact with damping, the most cited law of multibody dynamics."""
 
     formula = "N = K δⁿ (1 + d δ̇/v₀),  d = 3(1−e²)/4"
     reference = "Lankarani & Nikravesh, J. Mech. Des. 112 (1990) 369"

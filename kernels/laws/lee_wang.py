@@ -1,11 +1,11 @@
-"""The factor of Lee and Wang."""
+"""Damping factor of Lee and Wang."""
 
 import numpy as np
 from warpcontact.kernels.laws.entry_speed import EntrySpeedLaw
 
 
 class LeeWang(EntrySpeedLaw):
-    """Hunt–Crossley damping with half of the factor that e needs near 1."""
+    """Hunt–Crossley damping with half of the exact factor near e = 1."""
 
     formula = "N = K δⁿ (1 + d δ̇/v₀),  d = 3(1−e)/4"
     reference = "Lee & Wang, J. Mech. Transm. Autom. Des. 105 (1983) 534"

@@ -9,9 +9,9 @@ from warpcontact.kernels.laws.base import Law, power
 
 
 class PereiraCylinder(Law):
-    """Elastic contact of a pin in a hole, fitted to Johnson's; explicit in the depth.
+    """Elastic contact of a pin in a hole, fitted to Johnson's law; explicit in the penetration.
 
-    PereiraCylinderExternal is for cylinders beside each other. The fit is in mm and N; units here are SI.
+    ``PereiraCylinderExternal`` is for cylinders side by side. The fit is in mm and N; units here are SI.
     """
 
     formula = "F = (a ΔR + b) L E*/ΔR δⁿ in mm, N, MPa;  a = 0.965, b = 0.0965, n = Y ΔR^−0.005"
@@ -44,7 +44,7 @@ class PereiraCylinder(Law):
 
 
 class PereiraCylinderExternal(PereiraCylinder):
-    """Elastic contact of parallel cylinders beside each other, fitted to Johnson's; explicit in the depth."""
+    """Elastic contact of parallel cylinders side by side, fitted to Johnson's law; explicit in the penetration."""
 
     formula = "F = (a ΔR + b) L E*/ΔR δⁿ in mm, N, MPa;  a = 0.39, b = 0.85, n = 1.094"
     provenance = "S"

@@ -8,7 +8,7 @@ from warpcontact.kernels.laws.base import Law, power
 
 
 class PowerLaw(Law):
-    """Elastic contact whose force is a power of the depth, without loss."""
+    """Elastic contact with a force proportional to a power of the penetration, without damping."""
 
     formula = "N = K δⁿ"
     reference = "elementary"

@@ -1,4 +1,4 @@
-"""The pull-off force of a law that pulls: what the law states, or its tension at first touch and at rest."""
+"""Pull-off force of a law with tension: that of the law, or its tension at first touch and at rest."""
 
 import functools
 from typing import Any
@@ -9,13 +9,13 @@ from warpcontact.kernels.catalogue.device_model import Formula, coefficient_stru
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
 from warpcontact.kernels.types import structs
 
-# Penetration at which it is measured [m].
+# Penetration at which the tension is evaluated [m].
 DEPTH = 1.0e-9
 
 
 @functools.cache
 def function(law: type[Formula], real: type) -> Any:
-    """Returns the device function ``(p, c)`` of the pull-off force of ``law`` [N], which may be below 0."""
+    """Returns the device function ``(p, c)`` of the pull-off force of ``law`` [N], which may be negative."""
     if law.pull_off is not None:
         return law.pull_off
     NormalState = structs(real).NormalState
@@ -23,7 +23,7 @@ def function(law: type[Formula], real: type) -> Any:
 
     @wp.func
     def pull_off(p: Any, c: NormalState):
-        """Tension at first touch and at rest."""
+        """Returns the tension at first touch and at rest [N]."""
         c.delta = c.delta * real(1.0e-6)
         c.delta_dot = real(0.0)
         return -law_start_force(p, c)
@@ -33,7 +33,7 @@ def function(law: type[Formula], real: type) -> Any:
 
 @functools.cache
 def kernel(law: type[Formula], real: type) -> wp.Kernel:
-    """Returns the kernel that measures it at first touch. Launch with dim (env, contact of the group)."""
+    """Returns the kernel that computes it at first touch. Launch with dim (env, contact of the group)."""
     NormalState = structs(real).NormalState
     Coefficients = coefficient_struct(law, real)
     pull_off = function(law, real)
@@ -42,7 +42,7 @@ def kernel(law: type[Formula], real: type) -> wp.Kernel:
     def pull_off_force(
         coefficients: wp.array2d(dtype=Coefficients),
         mass: wp.array2d(dtype=real),  # [env, contact] effective, along the normal [kg]
-        radius: wp.array2d(dtype=real),  # [env, contact] of a sphere on a flat surface, or 0 [m]
+        radius: wp.array2d(dtype=real),  # [env, contact] of a sphere on a flat surface; 0: a point [m]
         tension: wp.array2d(dtype=real),  # [env, contact] at least 0 [N]
     ):
         env, member = wp.tid()

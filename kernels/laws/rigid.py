@@ -1,4 +1,4 @@
-"""No compliance at all."""
+"""Rigid contact."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ from warpcontact.kernels.laws.base import Law
 
 
 class Rigid(Law):
-    """Contact without compliance, for integrators that solve for impulses; it has no force of its own."""
+    """Contact without compliance, for nonsmooth contact; it has no force function."""
 
     formula = "g ≥ 0, N ≥ 0, g N = 0; u_n⁺ = −e u_n⁻"
     reference = "Signorini's condition and Newton's impact law"

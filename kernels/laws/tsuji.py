@@ -10,10 +10,10 @@ from warpcontact.kernels.laws.clamped_dashpot import damping_ratio_of_restitutio
 
 
 class Tsuji(Law):
-    """Power-law spring and a dashpot of the power (n−1)/2: restitution without a memory of the entry speed.
+    """Power-law spring and a dashpot of power (n−1)/2: restitution without a history of the entry speed.
 
-    In the variable δ^((n+1)/2) the impact is that of a linear oscillator of damping ratio ξ, so the clamped
-    impact returns e exactly with the ξ of KelvinVoigt. Tsuji's α is √5 ξ for n = 3/2.
+    In the variable δ^((n+1)/2) the impact is that of a linear oscillator of damping ratio ξ, so the clamped impact
+    returns e exactly with the ξ of ``KelvinVoigt``. Tsuji's α is √5 ξ for n = 3/2.
     """
 
     formula = "N = max(0, K δⁿ + ξ √(2(n+1) m K) δ^((n−1)/2) δ̇)"

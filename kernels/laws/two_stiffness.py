@@ -1,4 +1,4 @@
-"""Spring that unloads softer than it loads."""
+"""Spring that is softer in unloading than in loading."""
 
 from typing import Any
 
@@ -9,10 +9,10 @@ from warpcontact.kernels.laws.base import Law, power
 
 
 class TwoStiffness(Law):
-    """Spring with a lower stiffness on the way out; no damping force, no dependence on speed.
+    """Spring with a lower stiffness in unloading; no damping force, independent of speed.
 
-    The loop of a full impact returns e for any exponent: the energies of loading and unloading are as 1 to e².
-    Some texts unload with e K, which returns √e.
+    The hysteresis loop of a full impact returns e for any exponent, because the energies of loading and unloading have the
+    ratio 1 to e². Some texts unload with e K, which returns √e.
     """
 
     formula = "N = K δⁿ for δ̇ ≥ 0,  e² K δⁿ for δ̇ < 0"

@@ -1,4 +1,4 @@
-"""Undamped impact on N = K δⁿ: depth, duration and force; what a time step and a stiffness are chosen by."""
+"""Undamped impact on N = K δⁿ: penetration, duration and force, for the choice of time step and stiffness."""
 
 import math
 
@@ -12,7 +12,7 @@ from warpcontact.kernels.catalogue.keywords import explain_keywords
 def greatest_penetration(
     stiffness: ArrayLike, exponent: ArrayLike, mass: ArrayLike, speed: ArrayLike
 ) -> NDArray[np.float64]:
-    """Greatest depth [m] of an impact: ½ m v² = K δⁿ⁺¹/(n+1). Damping makes it smaller.
+    """Returns the largest penetration [m] of an impact: ½ m v² = K δⁿ⁺¹/(n+1). Damping reduces it.
 
     Args:
         stiffness: K [N/mⁿ].
@@ -21,7 +21,7 @@ def greatest_penetration(
         speed: Approach speed v [m/s].
 
     Raises:
-        ValueError: If one of them is no number.
+        ValueError: If an argument is not a number.
     """
     given = {"stiffness": stiffness, "exponent": exponent, "mass": mass, "speed": speed}
     for name, value in given.items():
@@ -37,9 +37,9 @@ def greatest_penetration(
 def contact_time(
     stiffness: ArrayLike, exponent: ArrayLike, mass: ArrayLike, speed: ArrayLike
 ) -> NDArray[np.float64]:
-    """Duration [s] of an impact, arguments as for ``greatest_penetration``: π √(m/K) for n = 1."""
+    """Returns the duration [s] of an impact: π √(m/K) for n = 1. For the arguments see ``greatest_penetration``."""
     depth = greatest_penetration(stiffness, exponent, mass, speed)
-    # Each different one once: what has Γ of arrays takes longer to import than a model to build.
+    # Γ of each distinct exponent with math.gamma: importing SciPy takes longer than building a model.
     exponents, which = np.unique(np.asarray(exponent, dtype=np.float64), return_inverse=True)
     parts = [1.0 / (n + 1.0) if n > -1.0 else math.nan for n in exponents.tolist()]
     factors = [2.0 * math.sqrt(math.pi) * math.gamma(1.0 + part) / math.gamma(0.5 + part) for part in parts]
@@ -51,7 +51,7 @@ def contact_time(
 def greatest_force(
     stiffness: ArrayLike, exponent: ArrayLike, mass: ArrayLike, speed: ArrayLike
 ) -> NDArray[np.float64]:
-    """Greatest force [N] of an impact, arguments as for ``greatest_penetration``."""
+    """Returns the largest force [N] of an impact. For the arguments see ``greatest_penetration``."""
     depth = greatest_penetration(stiffness, exponent, mass, speed)
     return np.asarray(np.asarray(stiffness) * depth ** np.asarray(exponent))
 
@@ -60,9 +60,10 @@ def greatest_force(
 def recommended_dt(
     stiffness: ArrayLike, exponent: ArrayLike, mass: ArrayLike, speed: ArrayLike, steps: float = 20.0
 ) -> NDArray[np.float64]:
-    """Time step [s] with ``steps`` per contact time; 20 keep a restitution to 1e-3, arguments as before.
+    """Returns a time step [s] with ``steps`` per contact time; 20 steps keep the restitution to 1e-3.
 
-    Take the smallest mass, the largest stiffness and the highest speed that will occur.
+    Use the smallest mass, the largest stiffness and the highest speed that will occur. For the other arguments see
+    ``greatest_penetration``.
 
     Example:
         >>> float(wc.laws.recommended_dt(stiffness=1e5, exponent=1.0, mass=0.1, speed=1.0).round(6))

@@ -1,11 +1,11 @@
-"""The factor of Zhiying and Qishao."""
+"""Damping factor of Zhiying and Qishao."""
 
 import numpy as np
 from warpcontact.kernels.laws.entry_speed import EntrySpeedLaw
 
 
 class ZhiyingQishao(EntrySpeedLaw):
-    """Lankarani–Nikravesh damping, raised for low e."""
+    """Lankarani–Nikravesh damping, increased for low e."""
 
     formula = "N = K δⁿ (1 + d δ̇/v₀),  d = (3/4)(1−e²) exp[2(1−e)]"
     reference = "Zhiying & Qishao, J. Dyn. Control 4 (2006) 294"
