@@ -265,12 +265,12 @@ class Formula:
         for name in cls.memories:
             if name in annotated:
                 raise TypeError(
-                    f"{cls.__name__}.{name} is a parameter and a memory: a memory has a name of its own and no "
+                    f"{cls.__name__}.{name} must not be a parameter and a history variable: declare it without "
                     f"annotation, {name} = wc.history(unit, meaning)"
                 )
             if name == "elapsed":
                 raise TypeError(
-                    f"{cls.__name__}.elapsed: every memory has this already, the time since it advanced"
+                    f"{cls.__name__}.elapsed must have another name: it is the time since the last advance"
                 )
         # A dataclass without a docstring would get its signature as one.
         dataclasses.dataclass(frozen=True, kw_only=not cls.positional)(cls)
@@ -309,7 +309,7 @@ class Formula:
     @classmethod
     def arguments(cls) -> tuple[str, ...]:
         """Returns the names of the arguments of its device functions."""
-        more = ["memory"] * bool(cls.memories) + ["row"] * (cls.table_field() is not None)
+        more = ["history"] * bool(cls.memories) + ["row"] * (cls.table_field() is not None)
         return ("coefficients", "state", *more)
 
     @classmethod
@@ -329,13 +329,17 @@ class Formula:
         function = getattr(cls, name)
         if name == "advance" and not cls.memories:
             raise TypeError(
-                f"{cls.__name__}.advance has nothing to advance; declare what it remembers: wc.history"
+                f"{cls.__name__}.advance has nothing to advance; declare history variables by wc.history"
             )
         wanted = cls.arguments() if wanted is None else wanted
         if len(inspect.signature(function.func).parameters) != len(wanted):
             raise TypeError(f"{cls.__name__}.{name} must take {len(wanted)} arguments, ({', '.join(wanted)})")
         if not any(isinstance(node, ast.Return) and node.value for node in ast.walk(function.adj.tree)):
-            what = "the memory: end it with return m" if name == "advance" else cls.functions.get(name, "a number")
+            what = (
+                "the history variables: end it with return m"
+                if name == "advance"
+                else cls.functions.get(name, "a number")
+            )
             raise TypeError(f"{cls.__name__}.{name} returns nothing; it must return {what}")
         if not _always_returns(function.adj.tree.body[0].body):
             # Otherwise Warp would return zeros there.

@@ -40,7 +40,7 @@ class Planar(Motion):
 class Hinge(Motion):
     """Rotation about an axis fixed in the body and in the world."""
 
-    formula = "(a·I a + m r²) α = a·(T + (x − x_A) × F), r: distance of the centre of mass from the axis"
+    formula = "(a·I a + m r²) α = a·(T + (x − x_A) × F), r: distance of the center of mass from the axis"
     kind = HINGE
 
     axis: Vector = parameter("-", "axis, world axes", shape=(3,), direction=True)

@@ -1,4 +1,4 @@
-"""Hertz contact of two smooth elastic bodies."""
+"""Hertz contact of two elastic bodies with smooth surfaces."""
 
 import math
 from typing import Any
@@ -89,7 +89,7 @@ def elliptic_stiffness(
 
 
 class Hertz(Law):
-    """Elastic contact of smooth bodies: a sphere on a plane, or two spheres.
+    """Elastic contact of bodies with smooth surfaces: a sphere on a plane, or two spheres.
 
     The facets of a mesh are flat, so the radius is that of the sphere or a given one, not that of a facet.
     """

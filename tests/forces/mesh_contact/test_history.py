@@ -414,15 +414,18 @@ MISTAKES = [
     ({"advance": ADVANCE, "force": FORCE}, r"Wrong\.advance has nothing to advance"),
     (
         {"spring": wc.history("m", ""), "force": FORCE},
-        r"Wrong\.force must take 3 arguments, \(coefficients, state, mem",
+        r"Wrong\.force must take 3 arguments, \(coefficients, state, his",
     ),
     (
         {"spring": wc.history("m", ""), "advance": forgets, "force": pulls},
         r"Wrong\.advance returns nothing; .*return m",
     ),
-    ({"elapsed": wc.history("s", "")}, r"Wrong\.elapsed: every memory has this already"),
-    ({"a": wc.history("m", ""), "__annotations__": {"a": float}}, r"Wrong\.a is a parameter and a memory"),
-    ({"drag": wc.history("m", "")}, r"Wrong\.drag is a parameter and a memory"),
+    ({"elapsed": wc.history("s", "")}, r"Wrong\.elapsed must have another name"),
+    (
+        {"a": wc.history("m", ""), "__annotations__": {"a": float}},
+        r"Wrong\.a must not be a parameter and a history variable",
+    ),
+    ({"drag": wc.history("m", "")}, r"Wrong\.drag must not be a parameter and a history variable"),
 ]
 
 
