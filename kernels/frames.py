@@ -19,9 +19,9 @@ def functions(real: type) -> SimpleNamespace:
     def offset_between(model: Model, state: State, env: int, point: int, surface: int):
         """Returns the vector from the origin of the carrier of ``surface`` to that of ``point``, W [m].
 
-        The origin of a body is its center of mass; the origin of an element of the world is its anchor. Rounding is
-        relative to the difference, not to the positions, so precision does not depend on the distance from the world
-        origin.
+        The origin of a body is its center of mass; the origin of an element of the world is its anchor. Rounding
+        is relative to the difference, not to the positions, so precision does not depend on the distance from the
+        world origin.
         """
         body = model.point_body[point]
         remainder = vec3()
@@ -65,7 +65,7 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def velocity_at(state: State, env: int, body: int, arm_W: vec3):
-        """Returns the velocity of the point of ``body`` at ``arm_W`` from its center of mass, W; 0 for the world."""
+        """Returns the velocity of ``body`` at ``arm_W`` from its center of mass, W [m/s]; 0 for the world."""
         if body < 0:
             return vec3()
         return state.body_linear_velocity[env, body] + wp.cross(state.body_angular_velocity[env, body], arm_W)

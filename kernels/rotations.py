@@ -55,7 +55,7 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def rotated(q: quat, angle_W: vec3):
-        """Returns orientation ``q`` rotated by the rotation vector ``angle_W`` in W: exp(angle/2) q, normalized."""
+        """Returns ``q`` rotated by the rotation vector ``angle_W`` in W: exp(angle/2) q, normalized."""
         squared = real(0.25) * wp.dot(angle_W, angle_W)
         sinc = one
         cosine = one

@@ -1,9 +1,9 @@
 """Structs of the kernels: every device array with its unit, frame and shape.
 
-``structs(real)`` returns them for one precision. Arrays are indexed ``[env, item]``. An array that all environments
-share has stride 0 along ``env``, so kernels need no distinction. Frames: W world, B body (origin at its center of
-mass), S surface (axes of the mesh, origin at the center of the surface). Velocities and wrenches are in world axes,
-at the center of mass. Quaternions are (x, y, z, w).
+``structs(real)`` returns them for one precision. Arrays are indexed ``[env, item]``. An array that all
+environments share has stride 0 along ``env``, so kernels need no distinction. Frames: W world, B body (origin at
+its center of mass), S surface (axes of the mesh, origin at the center of the surface). Velocities and wrenches are
+in world axes, at the center of mass. Quaternions are (x, y, z, w).
 """
 
 import functools
@@ -183,7 +183,7 @@ class BodyMotion:
 
 @functools.cache
 def numbers(real: type) -> SimpleNamespace:
-    """Returns the vector, quaternion and matrix types of ``real`` (``wp.float32`` or ``wp.float64``) and epsilon."""
+    """Returns the vector, quaternion and matrix types of ``real`` (float32 or float64), and epsilon."""
     vec3, quat, mat33 = {
         wp.float32: (wp.vec3f, wp.quatf, wp.mat33f),
         wp.float64: (wp.vec3d, wp.quatd, wp.mat33d),
@@ -267,8 +267,9 @@ def structs(real: type) -> SimpleNamespace:
         face_corner: wp.array2d(dtype=vec3)  # [face, 0 to 2] vertices, [face, 3] unit normal; S
         face_frame: wp.array2d(
             dtype=vec3
-        )  # [face, 0 and 1] unit vectors along the first edge and across it; [face, 2] length of that edge and the third
-        # vertex in these axes; [face, 3] inverse squared lengths of edges 0-1, 1-2, 2-0; only with a face grid
+        )  # [face, 0 and 1] unit vectors along the first edge and across it; [face, 2] length of that edge and
+        # the third vertex in these axes; [face, 3] inverse squared lengths of edges 0-1, 1-2, 2-0; only with a
+        # face grid
         face_normal: wp.array2d(dtype=vec3)  # [face, feature] unit pseudonormal, S
         face_flags: wp.array2d(dtype=wp.uint8)  # [face, feature] FEATURE_* bits
         face_neighbor: wp.array2d(dtype=wp.int32)  # [face, edge] 3 × row + edge of the neighbor; −1: none

@@ -22,8 +22,8 @@ from warpcontact.kernels.types import (
 def accept_step(real: type) -> wp.Function:
     """Returns the device function that ends a step of an environment, given its status after integration.
 
-    Clocks of active environments advance. For failed and halted environments it copies the last accepted state, so that
-    both state buffers hold it and frozen or stopped environments need no further work.
+    Clocks of active environments advance. For failed and halted environments it copies the last accepted state, so
+    that both state buffers hold it and frozen or stopped environments need no further work.
     """
     State = structs(real).State
     copy_body = frames.functions(real).copy_body

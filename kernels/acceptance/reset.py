@@ -74,7 +74,7 @@ def environments(real: type) -> wp.Kernel:
 
 @functools.cache
 def memory(formula: type[Formula], real: type) -> wp.Kernel:
-    """Returns the kernel that clears the history variables of ``formula``. Launch with dim (env, contact of group)."""
+    """Returns the kernel that clears the history of ``formula``. Launch with dim (env, contact of the group)."""
     Struct = memory_struct(formula, real)
 
     @unique_kernel()

@@ -1,10 +1,10 @@
 """Contact detection on triangle meshes, one thread per cluster of contacts.
 
 Broad phase: a contact is skipped while the accumulated motion bound of its set (``motion_bound.py``) is below its
-safe travel, that is, while its point cannot have moved farther than its last clearance. The test is applied to sets,
-clusters and single contacts, in this order. Narrow phase: ``closest_point.py`` evaluates the remaining contacts. The
-kernel writes ``Contacts``, ``ActiveContacts`` and ``Cache``. On a GPU, ``contact_detection_queues.py`` and
-``contact_detection_grid.py`` do the same with one thread per contact.
+safe travel, that is, while its point cannot have moved farther than its last clearance. The test is applied to
+sets, clusters and single contacts, in this order. Narrow phase: ``closest_point.py`` evaluates the remaining
+contacts. The kernel writes ``Contacts``, ``ActiveContacts`` and ``Cache``. On a GPU,
+``contact_detection_queues.py`` and ``contact_detection_grid.py`` do the same with one thread per contact.
 """
 
 import functools
@@ -89,7 +89,8 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
             closest = closest_on_face(model, set_frames.start + query.face, c_S)
             error = query_error(model, query_mesh, extent, closest.distance)
             if wp.static(real is wp.float64) or model.query_mesh_thin_length[query_mesh] > real(0.0):
-                # Among faces within the error of the query another may be nearest, with the point on its inner side.
+                # Among faces within the error of the query another may be nearest, with the point on its inner
+                # side.
                 closest = refine_closest(model, query_mesh, c_S, closest, error)
         if is_inside(model, closest):
             return real(-1.0)
@@ -130,8 +131,8 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
     def can_cull(model: Model, history: History, env: int, contact: int):
         """Returns whether a contact may be culled if its surroundings are far away on the outer side.
 
-        A tracked contact may not, because the face that it tracks determines its side. A latched contact that is not
-        armed may not, because only the narrow phase can arm it.
+        A tracked contact may not, because the face that it tracks determines its side. A latched contact that is
+        not armed may not, because only the narrow phase can arm it.
         """
         if wp.static(tracks):
             if (model.contact_options[contact] & TRACKED) != 0 and history.face[env, contact] >= 0:
@@ -183,7 +184,7 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
         travel: real,
         center_clearance: real,
     ):
-        """Returns the safe travel of a culled contact, extended if the clearance at the cluster center allows [m]."""
+        """Returns the safe travel of a culled contact, extended by the clearance at the cluster center [m]."""
         safe_travel = cache.safe_travel[env, contact]
         if needs_arming(model, history, env, contact):
             return safe_travel
@@ -207,8 +208,8 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
     def needs_history(contacts: Contacts, history: History, env: int, contact: int, previous_status: int):
         """Returns 1 if the later stages must process a contact, otherwise 0.
 
-        They must if it is in contact, was in contact, or its latch changed. ``previous_status`` is the status of the last
-        evaluation, which need not belong to an accepted step.
+        They must if it is in contact, was in contact, or its latch changed. ``previous_status`` is the status of
+        the last evaluation, which need not belong to an accepted step.
         """
         latch_changed = contacts.armed[env, contact] != history.armed[env, contact]
         was_touching = previous_status == CONTACT or history.entry_speed[env, contact] >= real(0.0)
@@ -226,7 +227,7 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
         travel: real,
         max_travel: real,
     ):
-        """Returns the clearance at the center of a cluster if that can cull any of its contacts; negative: unknown.
+        """Returns the clearance at the center of a cluster if it can cull any contact; negative: unknown.
 
         One search at the center can cull all contacts that are far from the surface.
         """
@@ -305,10 +306,10 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
 def kernel(real: type, tracks: bool) -> wp.Kernel:
     """Returns the kernel that fills ``contacts`` and ``active_contacts`` from ``state``; items: clusters.
 
-    With ``cached``, only contacts that cannot be culled are evaluated, and their clearances are stored. Culled contacts
-    are open and were open in the last step; ``active_contacts`` lists the others. Without ``cached``, all contacts are
-    evaluated and listed, and gap, normal and contact point are written for distant ones too. Results for the other
-    contacts are identical.
+    With ``cached``, only contacts that cannot be culled are evaluated, and their clearances are stored. Culled
+    contacts are open and were open in the last step; ``active_contacts`` lists the others. Without ``cached``, all
+    contacts are evaluated and listed, and gap, normal and contact point are written for distant ones too. Results
+    for the other contacts are identical.
 
     Args:
         real: Scalar type, ``wp.float32`` or ``wp.float64``.

@@ -1,8 +1,8 @@
 """Contact detection if all query meshes have face grids.
 
-The cell of a point (``face_grid.py``) gives its clearance, or the few faces that may be nearest. Contacts that no cell
-decides, deep inside or outside the boundary of an open surface, are searched with the BVH, on a GPU in a second launch
-(``remaining``). No face lists or safe travels are cached; only inactive clusters are marked.
+The cell of a point (``face_grid.py``) gives its clearance, or the few faces that may be nearest. Contacts that no
+cell decides, deep inside or outside the boundary of an open surface, are searched with the BVH, on a GPU in a
+second launch (``remaining``). No face lists or safe travels are cached; only inactive clusters are marked.
 """
 
 import functools

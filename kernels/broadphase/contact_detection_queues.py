@@ -1,10 +1,10 @@
 """Contact detection on a GPU with work queues, so that neighboring threads do the same kind of work.
 
-``enqueue`` puts contacts that cannot be culled into the first queue and clusters without cached faces into a queue of
-their own. ``probe_clusters`` culls contacts of these clusters by the clearance at the center. ``process`` evaluates
-one queue and passes contacts that it cannot decide to the next: cached nearest face, cached candidates, BVH search; or,
-with a face grid, the cell of the point, then a BVH search. ``compact`` lists the active contacts of each cluster.
-Results equal those of ``contact_detection.py``.
+``enqueue`` puts contacts that cannot be culled into the first queue and clusters without cached faces into a queue
+of their own. ``probe_clusters`` culls contacts of these clusters by the clearance at the center. ``process``
+evaluates one queue and passes contacts that it cannot decide to the next: cached nearest face, cached candidates,
+BVH search; or, with a face grid, the cell of the point, then a BVH search. ``compact`` lists the active contacts
+of each cluster. Results equal those of ``contact_detection.py``.
 """
 
 import functools

@@ -131,7 +131,8 @@ def functions(real: type) -> SimpleNamespace:
 def kernel(real: type) -> wp.Kernel:
     """Returns the kernel that accumulates the travel of every set; items: sets.
 
-    Motion is measured relative to the surface, which may move as well. Setting the pose of a body counts as motion.
+    Motion is measured relative to the surface, which may move as well. Setting the pose of a body counts as
+    motion.
     """
     t = structs(real)
     Model, State, Cache = t.Model, t.State, t.Cache

@@ -37,8 +37,8 @@ def kernel(real: type) -> wp.Kernel:
     """Returns the kernel that tracks swept contacts through their surface; items: clusters.
 
     Relative to the surface, a point moves on a straight line from ``state_in`` to ``state_out``. The first inward
-    crossing is recorded; ``face`` and ``crossed_face`` are the face below the point at the end of the step. Contacts
-    that crossed are appended to ``active_contacts``, unless they are listed already.
+    crossing is recorded; ``face`` and ``crossed_face`` are the face below the point at the end of the step.
+    Contacts that crossed are appended to ``active_contacts``, unless they are listed already.
     """
     t = structs(real)
     vec3, Model, State, Contacts, ActiveContacts, Cache = (

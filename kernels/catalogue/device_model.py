@@ -1,10 +1,11 @@
 """Base of laws, friction models, motions and shapes: named parameters and device functions of scalars.
 
-A model is a class with annotated parameters and device functions, written as ``wp.func``, such as the ``force`` of a
-law. Its instances are frozen and hold the values on the host. The device gets one struct of coefficients per contact
-or body and environment. By default the coefficients are the parameters. A model with derived coefficients, such as a
-damping factor from a restitution, lists them in ``device`` and computes them, vectorized, in ``coefficients``. A model
-with history declares its variables by ``history`` and advances them in ``advance``; see ``history_variables.py``.
+A model is a class with annotated parameters and device functions, written as ``wp.func``, such as the ``force`` of
+a law. Its instances are frozen and hold the values on the host. The device gets one struct of coefficients per
+contact or body and environment. By default the coefficients are the parameters. A model with derived coefficients,
+such as a damping factor from a restitution, lists them in ``device`` and computes them, vectorized, in
+``coefficients``. A model with history declares its variables by ``history`` and advances them in ``advance``; see
+``history_variables.py``.
 """
 
 import ast
@@ -59,9 +60,10 @@ ROWS = -1
 def table(unit: str, meaning: str, *, at_least: float = -math.inf) -> Any:
     """Declares a table of a spring or damper: values over the distance, piecewise linear, constant outside.
 
-    Instances take pairs (distance [m], value), at least two, with increasing nonnegative distances. The device function
-    gets the row for the distance as its last argument, with ``start`` [m], the ``value`` there, ``slope`` and
-    ``integral``, the integral of the table from its first distance to ``start``. A model has at most one table.
+    Instances take pairs (distance [m], value), at least two, with increasing nonnegative distances. The device
+    function gets the row for the distance as its last argument, with ``start`` [m], the ``value`` there, ``slope``
+    and ``integral``, the integral of the table from its first distance to ``start``. A model has at most one
+    table.
 
     Args:
         unit: SI unit of the values.
@@ -73,7 +75,7 @@ def table(unit: str, meaning: str, *, at_least: float = -math.inf) -> Any:
 
 
 def check_table(name: str, values: np.ndarray, allowed: Mapping[str, Any]) -> None:
-    """Raises ``ValueError`` unless the distances of a table (n, 2) increase from 0 or more, and values are allowed."""
+    """Raises ``ValueError`` unless distances of a table (n, 2) increase from 0 or more and values are allowed."""
     if len(values) < 2:
         raise ValueError(f"{name} must have two rows at least, got {len(values)}")
     down = np.flatnonzero(np.diff(values[:, 0]) <= 0.0)
@@ -414,7 +416,7 @@ class Formula:
     def takes_area(self) -> bool:
         """Whether the points define ``area``: an optional parameter in m² that was omitted."""
         if self.exactly_one_of and "area" in self.exactly_one_of:
-            return False  # another parameter stands in its place
+            return False  # the alternative parameter is given
         for field in dataclasses.fields(self):
             if field.name == "area" and field.metadata["unit"] == "m²" and field.default is None:
                 return self.area is None

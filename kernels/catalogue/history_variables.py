@@ -1,12 +1,12 @@
 """History variables of laws and friction models: one struct per contact and environment.
 
-A model declares them by ``history_in``. The force stage reads the variables of the last accepted step, lets the model
-advance them to the present instant, evaluates the force and writes the advanced variables to a second array.
-``history.py`` copies them once the step is accepted. So a force can be evaluated any number of times. The time since
-the last advance is one of the variables.
+A model declares them by ``history_in``. The force stage reads the variables of the last accepted step, lets the
+model advance them to the present instant, evaluates the force and writes the advanced variables to a second array.
+``history.py`` copies them once the step is accepted. So a force can be evaluated any number of times. The time
+since the last advance is one of the variables.
 
-A tangent vector is stored in the axes of the surface, so that it rotates with it, and is transported by the smallest
-rotation from the last normal to the present one.
+A tangent vector is stored in the axes of the surface, so that it rotates with it, and is transported by the
+smallest rotation from the last normal to the present one.
 """
 
 import functools
@@ -57,7 +57,7 @@ def functions(formula: type[Formula], real: type, along_normal: bool = False) ->
 
     @wp.func
     def with_length(v: vec3, size: real):
-        """Returns ``v`` scaled to length ``size``, because a rounded quaternion changes lengths a little in each step."""
+        """Returns ``v`` scaled to length ``size``; a rounded quaternion changes lengths in each step."""
         length = wp.length(v)
         if length == real(0.0):
             return v

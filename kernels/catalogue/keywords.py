@@ -1,8 +1,8 @@
 """Errors for unknown keyword arguments: the called function, the closest argument, and all arguments.
 
 ``explain_keywords`` decorates a function, ``explain_keywords_of`` a class with its constructor and public methods.
-Signatures are unchanged for editors, type checkers and documentation. Subclasses of ``Formula`` are decorated when they
-are defined.
+Signatures are unchanged for editors, type checkers and documentation. Subclasses of ``Formula`` are decorated when
+they are defined.
 """
 
 import functools

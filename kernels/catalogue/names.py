@@ -1,7 +1,7 @@
 """Names of quantities and arguments: accepted aliases, and suggestions for unknown names.
 
-A suggestion is a known name with similar spelling, or the name in this library for a word of other codes and papers:
-``k`` in a paper or ``ke`` in Newton is ``stiffness`` here. Every "did you mean" comes from this module.
+A suggestion is a known name with similar spelling, or the name in this library for a word of other codes and
+papers: ``k`` in a paper or ``ke`` in Newton is ``stiffness`` here. Every "did you mean" comes from this module.
 """
 
 import difflib

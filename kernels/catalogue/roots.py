@@ -17,8 +17,8 @@ SMALLEST = float(np.finfo(np.float64).smallest_normal)
 def root_between(what: str, function: Callable[[Values], Values], lower: ArrayLike, upper: ArrayLike) -> Values:
     """Returns the roots of a continuous elementwise function, to rounding, by Chandrupatla's method.
 
-    A step uses inverse quadratic interpolation where it is safe, otherwise bisection (Adv. Eng. Softw. 28 (1997) 145).
-    ``scipy.optimize.elementwise`` does the same, but its import takes as long as building a model.
+    A step uses inverse quadratic interpolation where it is safe, otherwise bisection (Adv. Eng. Softw. 28 (1997)
+    145). ``scipy.optimize.elementwise`` does the same, but its import takes as long as building a model.
 
     Args:
         what: Name of the root, for the message.

@@ -49,7 +49,7 @@ class ContactModel(NamedTuple):
 
 
 def group_structs(contact_model: ContactModel, real: type) -> tuple[Any, Any]:
-    """Returns the structs of arrays [env, contact of the group]: coefficients and history variables of all models."""
+    """Returns the structs of arrays [env, contact of the group]: coefficients and history variables."""
 
     def struct(name: str, dtype_of: Callable[[type[Formula], type], Any]) -> Any:
         elements = [(part, dtype_of(formula, real)) for part, formula in contact_model._asdict().items()]
@@ -102,11 +102,11 @@ class Functions(NamedTuple):
 
     #: ``(model, state, env, kinematics, entry_speed, dt, coefficients, history_in, history_out, member,
     #: torsion_radius, q_WS)``: returns the contact force. ``entry_speed`` < 0: the contact begins [m/s];
-    #: ``torsion_radius`` < 0: mean arm of a Hertz pressure, from the overlap [m]; ``q_WS``: axes of the surface → W,
-    #: read only if ``needs_surface_axes``.
+    #: ``torsion_radius`` < 0: mean arm of a Hertz pressure, from the overlap [m]; ``q_WS``: axes of the surface →
+    #: W, read only if ``needs_surface_axes``.
     evaluate_contact: wp.Function
-    #: ``(history_out, env, member, armed, dt)``: clears the history variables of an open contact. A contact that was
-    #: never on the outer side (``armed`` 0) starts without slip when it is enabled or placed in overlap.
+    #: ``(history_out, env, member, armed, dt)``: clears the history variables of an open contact. A contact that
+    #: was never on the outer side (``armed`` 0) starts without slip when it is enabled or placed in overlap.
     clear_history: wp.Function
 
 
@@ -152,7 +152,7 @@ def functions(contact_model: ContactModel, real: type, has_joints: bool = False)
 
     @wp.func
     def mobility(model: Model, state: State, env: int, body: int, arm_W: vec3, n_W: vec3):
-        """Returns the inverse effective mass of ``body`` for a force along ``n_W`` at ``arm_W`` [1/kg]; world: 0."""
+        """Returns the inverse effective mass of ``body`` along ``n_W`` at ``arm_W`` [1/kg]; world: 0."""
         if body < 0:
             return real(0.0)
         if wp.static(has_joints):
@@ -182,7 +182,7 @@ def functions(contact_model: ContactModel, real: type, has_joints: bool = False)
 
     @wp.func
     def surface_axis(q_WS: quat, n_W: vec3):
-        """Returns the x axis of the surface projected into the tangent plane, or the y axis if x is normal to it."""
+        """Returns the x axis of the surface in the tangent plane, or the y axis if x is normal to it."""
         x_W = wp.quat_rotate(q_WS, vec3(real(1.0), real(0.0), real(0.0)))
         tangent = x_W - wp.dot(x_W, n_W) * n_W
         if wp.length_sq(tangent) < real(1.0e-6):
@@ -222,8 +222,8 @@ def functions(contact_model: ContactModel, real: type, has_joints: bool = False)
         normal_state = NormalState()
         normal_state.delta = kinematics.penetration
         normal_state.delta_dot = approach
-        # A new contact has no entry speed yet; a contact that reloads faster than it began takes the higher speed. The
-        # same rule advances the history, so trial states get the same force.
+        # A new contact has no entry speed yet; a contact that reloads faster than it began takes the higher speed.
+        # The same rule advances the history, so trial states get the same force.
         normal_state.entry_speed = wp.max(wp.max(entry_speed, approach), real(0.0))
         if wp.static(needs_mass):
             normal_state.inverse_mass = mobility(
@@ -250,9 +250,9 @@ def functions(contact_model: ContactModel, real: type, has_joints: bool = False)
             if tension < real(0.0):
                 tension = real(0.0)
 
-        # The force of a step acts from half a step before this state to half a step after. If the contact began since
-        # the last state, its part of that interval is δ/(δ̇ dt) + 1/2 steps. For a law that is continuous at δ = 0 the
-        # correction is of higher order; a law with a jump (dashpot) gets its missing impulse.
+        # The force of a step acts from half a step before this state to half a step after. If the contact began
+        # since the last state, its part of that interval is δ/(δ̇ dt) + 1/2 steps. For a law that is continuous at
+        # δ = 0 the correction is of higher order; a law with a jump (dashpot) gets its missing impulse.
         approach_distance = approach * dt
         if is_new and normal_state.delta <= approach_distance * real(1.001):
             step_fraction = wp.min(normal_state.delta / approach_distance, real(1.0))

@@ -1,7 +1,7 @@
 """Contact forces of one group of point contacts on meshes, summed per cluster.
 
-Law, friction, rolling and torsion are compiled into the kernel, once per combination of classes and precision; their
-coefficients are arrays. Model, state and history are inputs and are not changed.
+Law, friction, rolling and torsion are compiled into the kernel, once per combination of classes and precision;
+their coefficients are arrays. Model, state and history are inputs and are not changed.
 """
 
 import functools
@@ -71,7 +71,7 @@ def functions(contact_model: ContactModel, real: type, has_joints: bool, project
         penetration: real,
         entry_speed: real,
     ):
-        """Returns the wrench of a closed contact; ``arm``: from the point's body to K; ``normal``: out of the surface."""
+        """Returns the wrench of a closed contact; ``arm``: from the point's body to K."""
         geometry = model.contact_geometry[env, contact]
         kinematics = ContactKinematics()
         kinematics.body_1 = body_1
@@ -105,7 +105,8 @@ def functions(contact_model: ContactModel, real: type, has_joints: bool, project
             q_WS,
         )
 
-        # Scale the results, not the load, so that elastic and viscous terms are scaled like terms proportional to N.
+        # Scale the results, not the load, so that elastic and viscous terms are scaled like terms proportional to
+        # N.
         force_scale = geometry.force_scale
         if wp.static(projected):
             force_scale *= facing_fraction(model, env, model.contact_point[contact], R_W1, normal)
@@ -156,8 +157,8 @@ def kernel(
     With ``has_joints``, the mobility of bodies with joints is that of their joint. With ``projected``, forces are
     multiplied by the fraction of the area that faces the surface, from the normal of the point.
 
-    The wrenches of a cluster are stored per cluster if ``ordered``, to be summed in a fixed order; otherwise they are
-    added to the bodies atomically. ``write_outputs``: Whether to write the forces of each contact for sensors.
+    The wrenches of a cluster are stored per cluster if ``ordered``, to be summed in a fixed order; otherwise they
+    are added to the bodies atomically. ``write_outputs``: Whether to write the forces of each contact for sensors.
     """
     t = structs(real)
     vec3, quat, mat33, Model, State, History = t.vec3, t.quat, t.mat33, t.Model, t.State, t.History

@@ -130,8 +130,8 @@ def material_history_function(contact_model: ContactModel, real: type) -> wp.Fun
 def kernel(real: type, tracks: bool, accepts_step: bool = False) -> wp.Kernel:
     """Returns the kernel that advances the history of active contacts; items: clusters.
 
-    With ``accepts_step``, the first cluster of an environment accepts the step, as ``accept_step.kernel`` does. This
-    excludes ``tracks``, which needs the time after the step.
+    With ``accepts_step``, the first cluster of an environment accepts the step, as ``accept_step.kernel`` does.
+    This excludes ``tracks``, which needs the time after the step.
     """
     assert not (tracks and accepts_step)
     t = structs(real)
@@ -166,7 +166,8 @@ def kernel(real: type, tracks: bool, accepts_step: bool = False) -> wp.Kernel:
             cluster = task_item(launch, task)
             previous = status[env]
             if wp.static(accepts_step):
-                # Accepting never makes an environment active, so other clusters may read the status before or after it.
+                # Accepting never makes an environment active, so other clusters may read the status before or
+                # after it.
                 if cluster == 0:
                     accept(status, clock_step, time, bodies, state_in, state_out, env, previous)
             if previous == ENV_ACTIVE:

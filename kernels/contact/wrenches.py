@@ -56,7 +56,7 @@ def functions(real: type, has_couplings: bool, has_external_forces: bool) -> Sim
 
     @wp.func
     def body_wrench(model: Model, active_contacts: ActiveContacts, ends: CouplingWrenches, env: int, body: int):
-        """Returns the wrench on a body, with clusters summed in their order, so that runs are bitwise reproducible."""
+        """Returns the wrench on a body; the fixed order of clusters makes runs bitwise reproducible."""
         wrench = external_wrench(model, ends, env, body)
         index = assume_nonnegative(model.body_cluster_start[body])
         stop = model.body_cluster_start[body + 1]

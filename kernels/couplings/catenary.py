@@ -1,8 +1,8 @@
 """Catenaries: elastic cables under their own weight between two points, in static equilibrium.
 
-A cable lies in the vertical plane through its ends. Computed in float64 for any precision of the model, because the
-tension of a taut cable depends on a small difference of two lengths. Equations: ``elastic_line.py``; with a floor:
-``grounded_line.py``.
+A cable lies in the vertical plane through its ends. Computed in float64 for any precision of the model, because
+the tension of a taut cable depends on a small difference of two lengths. Equations: ``elastic_line.py``; with a
+floor: ``grounded_line.py``.
 """
 
 import functools
@@ -148,8 +148,8 @@ def placement(real: type, floored: bool) -> SimpleNamespace:
 def kernel(real: type, floored: bool) -> wp.Kernel:
     """Returns the kernel of the forces of catenaries; items: those of the set.
 
-    The initial guess is ``last_solution``, the solution of the last accepted step, which is not changed. The result is
-    written to ``new_solution``.
+    The initial guess is ``last_solution``, the solution of the last accepted step, which is not changed. The
+    result is written to ``new_solution``.
     """
     t = structs(real)
     vec2, Model, State, CouplingWrenches = wp.vec2d, t.Model, t.State, t.CouplingWrenches
@@ -242,7 +242,8 @@ def kernel(real: type, floored: bool) -> wp.Kernel:
             mean = zero
             if grounded:
                 lowest = height
-                # Integral of the tension: the part on the floor, then the suspended parts from their lowest points upwards.
+                # Integral of the tension: the part on the floor, then the suspended parts from their lowest points
+                # upwards.
                 hanging = wp.min((high - low) / weight, one)
                 mean = (one - hanging) * h
                 if low < zero:

@@ -1,11 +1,12 @@
 """An elastic cable under its own weight between two points in a vertical plane, solved for its end forces.
 
 All quantities are dimensionless: lengths by the unstretched length, forces by ``scale``. The lower end is at the
-origin, the upper at (x, y) with x, y ≥ 0. ``weight`` ω: of the whole cable, 0 to 1. ``give`` e: strain per tension.
-``h`` ≥ 0: horizontal tension. ``v``: upward force of the cable on the lower end; on the upper end it is −(v + ω). At
-unstretched length s from the lower end the tension vector is t = (h, v + ω s). The span is the gradient of a strictly
-convex function of (h, v), so the solution is unique, and Newton's method with a line search finds it. No formula
-subtracts nearly equal numbers, for any taut, slack, vertical or light cable; from the lower end this includes v + ω.
+origin, the upper at (x, y) with x, y ≥ 0. ``weight`` ω: of the whole cable, 0 to 1. ``give`` e: strain per
+tension. ``h`` ≥ 0: horizontal tension. ``v``: upward force of the cable on the lower end; on the upper end it is
+−(v + ω). At unstretched length s from the lower end the tension vector is t = (h, v + ω s). The span is the
+gradient of a strictly convex function of (h, v), so the solution is unique, and Newton's method with a line search
+finds it. No formula subtracts nearly equal numbers, for any taut, slack, vertical or light cable; from the lower
+end this includes v + ω.
 """
 
 import numpy as np
@@ -97,7 +98,7 @@ def mean_tension(h: real, v: real, weight: real):
 
 @wp.func
 def span(h: real, v: real, weight: real, give: real):
-    """Returns the position of the upper end, or of the end of a part with ``v`` at its start and its own weight."""
+    """Returns the position of the upper end; also for a part, with ``v`` at its start and its weight."""
     total = size(h, v) + size(h, v + weight)
     if total == zero:
         return vec2()
@@ -262,8 +263,8 @@ def newton(guess: vec2, x: real, y: real, chord: real, weight: real, give: real,
 def solve(warm: vec2, x: real, y: real, weight: real, give: real):
     """Solves for (h, v) from ``warm``, or without warm start if its h is 0.
 
-    Returns (h, v), the number of evaluations and whether it converged. A cable without weight that is not stretched has no
-    force.
+    Returns (h, v), the number of evaluations and whether it converged. A cable without weight that is not
+    stretched has no force.
     """
     chord = size(x, y)
     if weight == zero and chord <= one:

@@ -12,7 +12,8 @@ from warpcontact.kernels.types import structs
 def functions(real: type) -> SimpleNamespace:
     """Returns the device functions for ``real``.
 
-    The arm of a point is its position relative to the center of mass of its body or to its anchor in the world, W [m].
+    The arm of a point is its position relative to the center of mass of its body or to its anchor in the world, W
+    [m].
     """
     t = structs(real)
     vec3, Model, State, CouplingWrenches = t.vec3, t.Model, t.State, t.CouplingWrenches

@@ -1,9 +1,9 @@
 """An elastic cable with a part on a level, frictionless floor, between two suspended parts.
 
-Quantities and arguments are those of ``elastic_line.py``; a height is that of an end above the floor. The part on the
-floor is straight and has the tension h. A part that rises from there is part of a catenary from its lowest point, so
-the tension T at its end follows from its height, and the span increases with h: one equation for one unknown. With
-h = 0 the part on the floor is longer than the span requires.
+Quantities and arguments are those of ``elastic_line.py``; a height is that of an end above the floor. The part on
+the floor is straight and has the tension h. A part that rises from there is part of a catenary from its lowest
+point, so the tension T at its end follows from its height, and the span increases with h: one equation for one
+unknown. With h = 0 the part on the floor is longer than the span requires.
 """
 
 import warp as wp
@@ -24,7 +24,7 @@ def suspended_weight(h: real, height: real, weight: real, give: real):
 
 @wp.func
 def slack(h: real, v: real):
-    """Returns V − h asinh(V/h): ``weight`` times the excess of the length of a rising part over its horizontal span."""
+    """Returns V − h asinh(V/h): ``weight`` times the length minus the horizontal span of a rising part."""
     if v == zero:
         return zero
     if v < SHALLOW * h:
@@ -63,8 +63,8 @@ def slack_slope(h: real, hanging: vec2, give: real):
 def solve_grounded(warm: real, x: real, height_1: real, height_2: real, weight: real, give: real):
     """Solves for h from ``warm``, or without warm start if it is 0; ``weight`` must be positive.
 
-    Returns h, the number of evaluations and whether it converged. If more weight is suspended than there is, the solution
-    does not touch the floor.
+    Returns h, the number of evaluations and whether it converged. If more weight is suspended than there is, the
+    solution does not touch the floor.
     """
     hanging = suspended_weight(zero, height_1, weight, give)[0] + suspended_weight(zero, height_2, weight, give)[0]
     if x <= one - hanging / weight:

@@ -47,7 +47,8 @@ def free_stiffness(h: wp.float64, low: wp.float64, weight: wp.float64, give: wp.
     across = zero
     if rate[2] != zero:
         across = rate[2] / (rate[0] * rate[1] - rate[2] * rate[2])
-    # A cable that hangs straight down from both ends has infinite mean slackness and no stiffness out of the plane.
+    # A cable that hangs straight down from both ends has infinite mean slackness and no stiffness out of the
+    # plane.
     return wp.vec4d(
         one / (rate[0] - rate[2] * rate[2] / rate[1]),
         one / (rate[1] - rate[2] * rate[2] / rate[0]),
@@ -85,7 +86,7 @@ def grounded_stiffness(
 
 @functools.cache
 def shapes(real: type, floored: bool) -> wp.Kernel:
-    """Returns the kernel that computes points of one catenary, equidistant in unstretched length from its first end.
+    """Returns the kernel of points on one catenary, equidistant in unstretched length from its first end.
 
     Launch with dim (env, point).
     """

@@ -83,7 +83,7 @@ def spring_structs(real: type) -> SimpleNamespace:
 
     @wp.struct
     class Tables:
-        """Rows of all tables of a model, one table after another: one row before it, one per interval, one after it."""
+        """Rows of all tables of a model, table by table: one before it, one per interval, one after it."""
 
         rows: wp.array(dtype=vec4)  # start, value, slope, integral
         first: wp.array(dtype=wp.int32)  # [spring + 1] first row
@@ -101,7 +101,7 @@ def coefficient_structs(parts: SpringModel, real: type) -> Any:
 
 @functools.cache
 def _device_functions(formula: type[Formula], real: type) -> tuple[wp.Function, wp.Function]:
-    """Returns the force of a model, with table lookup if it has a table, and the test whether it is out of range."""
+    """Returns the force of a model, with table lookup if it has one, and the test for out of range."""
     t = spring_structs(real)
     Row, Tables, Stretch = t.Row, t.Tables, t.Stretch
     Coefficients = coefficient_struct(formula, real)

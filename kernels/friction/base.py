@@ -14,9 +14,9 @@ class Friction(Formula):
     ``directional`` model, the ``axis``: the x axis of the surface projected into the tangent plane, a unit vector.
     Divide by ``speed`` only where it cannot be zero.
 
-    A model with history declares its variables by ``wc.history`` and has two functions of ``(p, s, m)``: ``advance``
-    returns the variables ``m`` after the time ``m.elapsed`` [s] with the constant state ``s``, and ``force`` the force
-    for these variables.
+    A model with history declares its variables by ``wc.history`` and has two functions of ``(p, s, m)``:
+    ``advance`` returns the variables ``m`` after the time ``m.elapsed`` [s] with the constant state ``s``, and
+    ``force`` the force for these variables.
 
     The same model can be used for sliding, rolling and torsion; see ``ContactMaterial``.
     """

@@ -13,8 +13,8 @@ from warpcontact.kernels.laws.clamped_dashpot import damping_ratio_of_restitutio
 def stick_damping(stiffness: float, mass: float, overshoot: float) -> float:
     """Returns the tangential damping c_t [N·s/m] at which a step load overshoots by a given fraction.
 
-    A load F applied suddenly to a sticking mass m is balanced by the force k_t ξ + c_t dξ/dt, which reaches F (1 + o)
-    before it settles at F. With the damping ratio ζ = c_t/(2 √(k_t m)) and φ = arccos ζ,
+    A load F applied suddenly to a sticking mass m is balanced by the force k_t ξ + c_t dξ/dt, which reaches F (1 +
+    o) before it settles at F. With the damping ratio ζ = c_t/(2 √(k_t m)) and φ = arccos ζ,
 
         o = exp(−2 φ cot φ):   1 for ζ = 0, e⁻² for ζ = 1, about 1/(4 ζ²) for large ζ.
 
@@ -37,10 +37,11 @@ def stick_damping(stiffness: float, mass: float, overshoot: float) -> float:
 def spring_and_slider(m: Any, s: Any, stiffness: Any, damping: Any, mu_static: Any, mu_dynamic: Any):
     """Advances ``m.spring`` by the slip and returns it to the friction cone when it slides.
 
-    Sliding starts at μ_s N and lasts while the spring force would exceed μ_d N. With μ_s alone as criterion, as often
-    published, a steady slide would stick again after every step, with any force between the two limits. The spring alone
-    is returned to its cone. If it also compensated the dashpot, as often published, it would be stretched backwards in
-    fast sliding and release energy that was never stored. If μ_d is above μ_s, μ_d is the limit for both.
+    Sliding starts at μ_s N and lasts while the spring force would exceed μ_d N. With μ_s alone as criterion, as
+    often published, a steady slide would stick again after every step, with any force between the two limits. The
+    spring alone is returned to its cone. If it also compensated the dashpot, as often published, it would be
+    stretched backwards in fast sliding and release energy that was never stored. If μ_d is above μ_s, μ_d is the
+    limit for both.
     """
     zero = type(s.speed)(0.0)
     m.spring = m.spring + m.elapsed * s.velocity
@@ -74,14 +75,14 @@ def spring_and_dashpot(m: Any, s: Any, stiffness: Any, damping: Any, mu_dynamic:
 class CundallStrack(Friction):
     """Spring and dashpot in series with a slider: sticks below μ_s N and holds a body on a slope.
 
-    The stretch ξ of the spring is zero at the start of contact, follows the slip, and rotates with the surface and its
-    normal. Half a period of a solid sphere in the tangent plane equals that along the normal if k_t = (2/7) k_n. μ_d
-    above μ_s is allowed: the contact then sticks below μ_d N, as with μ_s = μ_d.
+    The stretch ξ of the spring is zero at the start of contact, follows the slip, and rotates with the surface and
+    its normal. Half a period of a solid sphere in the tangent plane equals that along the normal if k_t = (2/7)
+    k_n. μ_d above μ_s is allowed: the contact then sticks below μ_d N, as with μ_s = μ_d.
 
-    The spring oscillates under a load F that is applied suddenly, such as the weight of a block placed on a slope. Its
-    force reaches F (1 + o) and must stay below μ_s N, or the block slides; with μ_d N < F it then never sticks again.
-    Without damping o is 1, with critical damping c_t = 2 √(k_t m) it is e⁻² = 0.135. ``from_overshoot`` chooses the
-    damping: a load up to μ_s N/(1 + o) is held.
+    The spring oscillates under a load F that is applied suddenly, such as the weight of a block placed on a slope.
+    Its force reaches F (1 + o) and must stay below μ_s N, or the block slides; with μ_d N < F it then never sticks
+    again. Without damping o is 1, with critical damping c_t = 2 √(k_t m) it is e⁻² = 0.135. ``from_overshoot``
+    chooses the damping: a load up to μ_s N/(1 + o) is held.
     """
 
     formula = (

@@ -11,7 +11,7 @@ from warpcontact.kernels.friction.lugre import advance_deflection
 class Dahl(Friction):
     """Bristles whose stiffness decreases to zero as the force approaches μ N: Dahl's law with exponent 1."""
 
-    formula = "F = −N σ₀ z, dz/dt = v − σ₀ s z/μ; one way dF/dx = σ₀ N (1 − F/(μ N))"
+    formula = "F = −N σ₀ z, dz/dt = v − σ₀ s z/μ; in one direction dF/dx = σ₀ N (1 − F/(μ N))"
     reference = "Dahl, Aerospace Corp. TOR-0158 (1968); MotionSolve manual"
     validity = (
         "hysteresis about rest; drifts under a swinging force; its springs take in energy with a growing load; "

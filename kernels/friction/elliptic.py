@@ -11,9 +11,9 @@ from warpcontact.kernels.friction.saturation import fast_tanh
 class Elliptic(Friction):
     """Anisotropic friction of maximum dissipation, for example of wood grain, treads, scales or skate blades.
 
-    Axis 1 is the x axis of the surface frame, projected into the tangent plane and rotated by ``angle`` about the normal
-    (the y axis if x is parallel to the normal). The force lies on the ellipse (F₁/μ₁)² + (F₂/μ₂)² = N². It is not opposite
-    to the slip but inclined towards the axis of higher friction.
+    Axis 1 is the x axis of the surface frame, projected into the tangent plane and rotated by ``angle`` about the
+    normal (the y axis if x is parallel to the normal). The force lies on the ellipse (F₁/μ₁)² + (F₂/μ₂)² = N². It
+    is not opposite to the slip but inclined towards the axis of higher friction.
     """
 
     formula = "F_i = −N μ_i² v_i tanh(r/r₀)/r, r = √(μ₁² v₁² + μ₂² v₂²), r₀ = max(μ₁, μ₂) v_s"

@@ -10,8 +10,8 @@ from warpcontact.kernels.friction.base import Friction
 class Hollars(Friction):
     """Friction that reaches exactly the static coefficient at a transition speed and decreases to the dynamic one.
 
-    μ_d above μ_s is allowed, up to 2 μ_s: friction then increases with speed. Beyond, the force at slow slip would have
-    the direction of the slip.
+    μ_d above μ_s is allowed, up to 2 μ_s: friction then increases with speed. Beyond, the force at slow slip would
+    have the direction of the slip.
     """
 
     formula = "F = −{N min(r, 1) [μ_d + 2 (μ_s − μ_d)/(1 + r²)] + b s} v/s,  r = s/v_t"

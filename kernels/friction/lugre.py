@@ -32,9 +32,9 @@ class LuGre(Friction):
     """Bristles of deflection z: presliding like a spring, hysteresis, stick–slip, Stribeck effect.
 
     σ₀ and σ₁ refer to a coefficient of friction, so that z is independent of N. σ₁ decreases with speed if
-    ``damping_speed`` is given, which keeps the model passive. The bristle force is clipped at the larger of μ_s N and
-    μ_d N, because at the first touch of a fast contact the term with σ₁ would far exceed it. μ_d above μ_s is allowed:
-    friction then increases with speed.
+    ``damping_speed`` is given, which keeps the model passive. The bristle force is clipped at the larger of μ_s N
+    and μ_d N, because at the first touch of a fast contact the term with σ₁ would far exceed it. μ_d above μ_s is
+    allowed: friction then increases with speed.
     """
 
     formula = (

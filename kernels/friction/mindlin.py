@@ -1,4 +1,4 @@
-"""Coulomb friction with the tangential spring of two elastic spheres, whose stiffness grows with the contact patch."""
+"""Coulomb friction with the tangential spring of two elastic spheres, by Mindlin."""
 
 from typing import Any, Self
 
@@ -12,10 +12,10 @@ from warpcontact.kernels.friction.cundall_strack import spring_and_dashpot, spri
 class Mindlin(Friction):
     """Tangential spring of ``CundallStrack`` with the stiffness 8 G* a of a contact patch of radius a = √(R δ).
 
-    While the patch grows the force is constant, because new area is unstretched: dF = 8 G* a dξ. While it shrinks the
-    stretch is constant, and the force decreases with a. In both cases a change of load alone adds no energy. For contacts
-    with a radius. μ_d above μ_s is allowed, and a sudden load overshoots, as in ``CundallStrack``; ``from_overshoot``
-    chooses the damping.
+    While the patch grows the force is constant, because new area is unstretched: dF = 8 G* a dξ. While it shrinks
+    the stretch is constant, and the force decreases with a. In both cases a change of load alone adds no energy.
+    For contacts with a radius. μ_d above μ_s is allowed, and a sudden load overshoots, as in ``CundallStrack``;
+    ``from_overshoot`` chooses the damping.
     """
 
     formula = "F = −8 G* a ξ − c_t v, a = √(R δ), 1/G* = (2 − ν₁)/G₁ + (2 − ν₂)/G₂; slides like CundallStrack"

@@ -1,7 +1,7 @@
 """Hyperbolic tangent of friction models, in float32 in a third of the time of the math library.
 
-Below 5/8 a polynomial, above an exponential, as in Cephes (S. L. Moshier), tanhf.c. The error is at most three units in
-the last place.
+Below 5/8 a polynomial, above an exponential, as in Cephes (S. L. Moshier), tanhf.c. The error is at most three
+units in the last place.
 """
 
 import warp as wp

@@ -8,7 +8,7 @@ from warpcontact.kernels.friction.base import Friction
 
 
 class StepFriction(Friction):
-    """Friction that increases to the static coefficient along a cubic and decreases to the dynamic one along a step.
+    """Friction that increases to the static coefficient and decreases to the dynamic one along cubics.
 
     μ_d above μ_s is allowed: friction then increases with speed.
     """

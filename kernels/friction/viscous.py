@@ -8,7 +8,7 @@ from warpcontact.kernels.friction.base import Friction
 
 
 class Viscous(Friction):
-    """Dashpot proportional to the load: a lubricating film, or as ``rolling`` the hysteresis of a rolling wheel."""
+    """Dashpot proportional to the load: a lubricating film, or as ``rolling`` the hysteresis of a wheel."""
 
     formula = "F = −β N v"
     reference = "type B of rolling resistance: Ai, Chen, Rotter & Ooi, Powder Technol. 206 (2011) 269"

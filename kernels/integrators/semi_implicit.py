@@ -25,7 +25,8 @@ from warpcontact.kernels.types import (
     task_item,
 )
 
-# Register limit per GPU thread in float32 with particle sums (measured): more resident threads hide memory latency.
+# Register limit per GPU thread in float32 with particle sums (measured): more resident threads hide memory
+# latency.
 REGISTERS = 72
 
 
@@ -46,10 +47,10 @@ def _spin(real: type) -> wp.Function:
 def euler(real: type) -> SimpleNamespace:
     """Returns the device functions of a semi-implicit Euler step of a free body.
 
-    Velocities are advanced first, from the wrenches at ``state_in``; positions follow with the new velocities. Rotation
-    advances the angular momentum L, which includes the gyroscopic term exactly, and rotates the body by the exponential
-    of the mid-step angular velocity. A free body conserves L to rounding and its energy to second order. A body with
-    isotropic inertia needs its angular velocity only.
+    Velocities are advanced first, from the wrenches at ``state_in``; positions follow with the new velocities.
+    Rotation advances the angular momentum L, which includes the gyroscopic term exactly, and rotates the body by
+    the exponential of the mid-step angular velocity. A free body conserves L to rounding and its energy to second
+    order. A body with isotropic inertia needs its angular velocity only.
     """
     t = structs(real)
     vec3, quat, Model, State = t.vec3, t.quat, t.Model, t.State
@@ -93,8 +94,9 @@ def euler(real: type) -> SimpleNamespace:
             start = spin(inverse_B, q_WB, momentum)
             q_middle = rotated(q_WB, real(0.5) * dt * start)
             orientation = rotated(q_WB, dt * spin(inverse_B, q_middle, momentum))
-            # Add the change of the angular velocity instead of replacing it: a quaternion is not exactly of unit length and
-            # scales the vectors that it rotates. In a difference this error cancels instead of accumulating.
+            # Add the change of the angular velocity instead of replacing it: a quaternion is not exactly of unit
+            # length and scales the vectors that it rotates. In a difference this error cancels instead of
+            # accumulating.
             new_spin = w_W + (spin(inverse_B, orientation, momentum) - spin(inverse_B, q_WB, last_momentum))
         body_step = BodyStep()
         body_step.position = position
@@ -281,8 +283,8 @@ def change_step(real: type, has_joints: bool = False) -> wp.Kernel:
     With ``has_joints``, bodies with joints are skipped; ``joints`` handles them.
 
     The velocities of semi-implicit Euler belong to half a step before the positions. A step that is longer by
-    ``change`` therefore starts from the velocities of change/2 earlier. Without the correction the energy of a contact
-    would jump.
+    ``change`` therefore starts from the velocities of change/2 earlier. Without the correction the energy of a
+    contact would jump.
     """
     t = structs(real)
     Model, State, Wrenches = t.Model, t.State, t.Wrenches

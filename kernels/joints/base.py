@@ -15,7 +15,7 @@ def still(p: Any, t: Any):
 
 
 class Motion(Formula):
-    """Motion of a body relative to the world. A class derived from this one prescribes the pose as a function of time.
+    """Motion of a body relative to the world; a derived class prescribes the pose as a function of time.
 
     A subclass declares its parameters and one or two device functions::
 

@@ -163,8 +163,8 @@ def functions(real: type) -> SimpleNamespace:
     ):
         """Returns the pose on the joint after a step with these mean velocities, as base, offset and orientation.
 
-        The center of mass is at base + offset; for a hinge or ball the base is the anchor. A pose that violates the joint
-        is projected onto it. Coordinates that do not move remain bitwise identical.
+        The center of mass is at base + offset; for a hinge or ball the base is the anchor. A pose that violates
+        the joint is projected onto it. Coordinates that do not move remain bitwise identical.
         """
         kind = motion.kind
         axis = motion.axis

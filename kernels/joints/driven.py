@@ -1,7 +1,7 @@
 """Prescribed motion as a function of time: kernels for one class of motions.
 
-The pose of a state is that of the function at the time of its environment. The velocities are those that a free body
-at rest on it would have in the scheme: with semi-implicit Euler the mean over the last step, with Moreau–Jean
+The pose of a state is that of the function at the time of its environment. The velocities are those that a free
+body at rest on it would have in the scheme: with semi-implicit Euler the mean over the last step, with Moreau–Jean
 (θ = ½) the velocities at that instant.
 """
 
@@ -47,7 +47,7 @@ def _functions(motion: type[Motion]) -> SimpleNamespace:
     def offset_at(
         p: Coefficients, samples: wp.array2d(dtype=wp.float64), t: wp.float64, body: BodyMotion, turn: wp.quatd
     ):
-        """Returns the displacement of the center of mass from its initial position at ``t``, with rotation ``turn``."""
+        """Returns the displacement of the center of mass at ``t``, with rotation ``turn``."""
         arm = body.position - body.anchor
         return (wp.quat_rotate(turn, arm) - arm) + displacement(p, t, samples)
 

@@ -98,8 +98,8 @@ def spline(
 class Table(Motion):
     """Tabulated motion: modified Akima splines through displacements and rotation vectors.
 
-    The cubics have continuous velocity, reproduce straight lines and constant values exactly, and overshoot little. Before
-    the first and after the last time the pose is constant.
+    The cubics have continuous velocity, reproduce straight lines and constant values exactly, and overshoot
+    little. Before the first and after the last time the pose is constant.
     """
 
     formula = "d = s D(r t), rotation vector = s Θ(r t): modified Akima splines, held before and after"

@@ -1,7 +1,7 @@
 """Steps of bodies with joints: equations of motion in their degrees of freedom.
 
-The kernels of ``integrators/semi_implicit.py`` skip these bodies. Velocities advance first, then the pose, which is
-recomputed from the joint coordinates, so it does not drift. ``driven.py`` moves bodies with functions of time.
+The kernels of ``integrators/semi_implicit.py`` skip these bodies. Velocities advance first, then the pose, which
+is recomputed from the joint coordinates, so it does not drift. ``driven.py`` moves bodies with functions of time.
 """
 
 import functools
@@ -30,8 +30,8 @@ from warpcontact.kernels.types import (
 def semi_implicit_euler(real: type) -> wp.Kernel:
     """Returns the semi-implicit Euler kernel of bodies with joints; items: ``members``.
 
-    A body on a ball joint advances its angular momentum about the anchor, as a free body does about its center of mass. A
-    pose set by the user that violates the joint is projected onto it.
+    A body on a ball joint advances its angular momentum about the anchor, as a free body does about its center of
+    mass. A pose set by the user that violates the joint is projected onto it.
     """
     t = structs(real)
     Model, State, Wrenches = t.Model, t.State, t.Wrenches
@@ -163,9 +163,10 @@ def accelerations(real: type) -> wp.Function:
 
     @wp.func
     def accelerations_of(model: Model, state: State, env: int, body: int, force_W: vec3, torque_W: vec3):
-        """Returns linear and angular acceleration under gravity and a wrench about the center of mass, and the arm; W.
+        """Returns the accelerations under gravity and a wrench about the center of mass, and the arm; W.
 
-        The linear acceleration is that of the center of mass. The arm points to it from the anchor of a hinge or ball.
+        The linear acceleration is that of the center of mass. The arm points to it from the anchor of a hinge or
+        ball.
         """
         motion = model.body_motion[env, body]
         kind = motion.kind

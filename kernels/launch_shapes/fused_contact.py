@@ -1,7 +1,7 @@
 """Contact detection and contact force in one kernel, one thread per set of contacts, on a CPU.
 
-Uses the functions of ``contact_detection`` and ``contact_force``, without intermediate arrays. Contact sensors are not
-written; their evaluation runs contact detection again.
+Uses the functions of ``contact_detection`` and ``contact_force``, without intermediate arrays. Contact sensors are
+not written; their evaluation runs contact detection again.
 """
 
 import functools
@@ -150,9 +150,9 @@ def set_function(contact_model: ContactModel, real: type, has_joints: bool, proj
     """Returns the device function that evaluates a set of contacts on a CPU.
 
     It accumulates the motion bound of the set, evaluates contacts that cannot be culled, like
-    ``contact_detection.kernel`` with ``cached``, and stores wrenches per cluster, like ``contact_force.kernel`` with
-    ``ordered``. It writes only what the rest of a step reads. Contacts that end get zero forces, because later
-    evaluations skip them. For the arguments see ``contact_force.kernel``.
+    ``contact_detection.kernel`` with ``cached``, and stores wrenches per cluster, like ``contact_force.kernel``
+    with ``ordered``. It writes only what the rest of a step reads. Contacts that end get zero forces, because
+    later evaluations skip them. For the arguments see ``contact_force.kernel``.
     """
     t = structs(real)
     vec3, Model, State, History = t.vec3, t.Model, t.State, t.History

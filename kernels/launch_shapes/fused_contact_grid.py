@@ -1,7 +1,7 @@
 """Contact detection with a face grid and contact force in one kernel, for sets of one contact, on a GPU.
 
-Uses the functions of ``contact_detection_grid`` and ``contact_force``, without intermediate arrays. Contact sensors are
-not written. Inactive contacts write only their count.
+Uses the functions of ``contact_detection_grid`` and ``contact_force``, without intermediate arrays. Contact
+sensors are not written. Inactive contacts write only their count.
 """
 
 import functools
@@ -87,7 +87,8 @@ def _evaluate_cluster(
         if wp.static(part == DETECT_GRID_FAR):
             if update.clearance == real(DEFERRED):
                 return False
-        # A contact that was inactive and still is needs no other write. An evaluation for sensors may have listed it.
+        # A contact that was inactive and still is needs no other write. An evaluation for sensors may have listed
+        # it.
         if update.status != CONTACT and cache.cluster_inactive[env, cluster] != 0:
             if update.armed == history.armed[env, contact]:
                 active_contacts.count[env, cluster] = 0

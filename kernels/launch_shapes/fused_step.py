@@ -370,7 +370,8 @@ def kernel(
                             active_masks[mask_index(cluster)] = mask
                             count += warps.popcount(mask)
                             evaluated_clusters = evaluated_clusters | (1 << cluster)
-                # Prefix sums over the environments of the warp: position of the next own contact, its cluster and remaining bits.
+                # Prefix sums over the environments of the warp: position of the next own contact, its cluster and
+                # remaining bits.
                 inclusive_sum = warps.inclusive_scan(count)
                 position = inclusive_sum - count
                 start = position

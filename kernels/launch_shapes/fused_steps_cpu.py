@@ -1,8 +1,8 @@
 """Multi-step kernel for single-body environments on a CPU.
 
-One launch takes n accepted semi-implicit Euler steps of each environment of a slice, one environment after the other,
-and updates the state in place. Environment data and nearby faces stay in the core's cache, and branches are predicted
-better. It calls the device functions of the stages, so results are bitwise identical. Conditions:
+One launch takes n accepted semi-implicit Euler steps of each environment of a slice, one environment after the
+other, and updates the state in place. Environment data and nearby faces stay in the core's cache, and branches are
+predicted better. It calls the device functions of the stages, so results are bitwise identical. Conditions:
 ``ExecutionPlan.fuses_steps``.
 """
 

@@ -9,7 +9,7 @@ from warpcontact.kernels.laws.base import Law, stepped_dashpot
 
 
 def damping_ratio_of_oscillator(restitution: np.ndarray) -> np.ndarray:
-    """Returns the damping ratio ξ = −ln e/√(π² + ln² e) of an oscillator that keeps e of its speed per half period."""
+    """Returns ξ = −ln e/√(π² + ln² e), for which an oscillator keeps e of its speed per half period."""
     log = np.log(restitution)
     return -log / np.sqrt(np.pi**2 + log**2)
 

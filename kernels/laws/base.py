@@ -24,19 +24,19 @@ class Law(Formula):
     ``p`` holds the coefficients of this contact in this environment; ``c`` has ``delta`` > 0 [m], ``delta_dot`` (>
     0 on approach) [m/s], ``entry_speed`` (δ̇ at entry, or the largest since) [m/s] and, with ``needs_mass``, the
     effective ``mass`` along the normal [kg] and its inverse ``inverse_mass``, and with ``needs_curvature`` the
-    principal relative curvatures ``curvature_1`` ≤ ``curvature_2`` [1/m]; ``dt`` is the step over which the force acts
-    [s], 0 for the force at an instant (a sensor). Constants take the precision of the simulation when written as
-    ``type(c.delta)(1.5)``. The force must depend on these values only. An optional parameter ``area`` in m² with the
-    default ``None`` is set to the area of each point if it is omitted.
+    principal relative curvatures ``curvature_1`` ≤ ``curvature_2`` [1/m]; ``dt`` is the step over which the force
+    acts [s], 0 for the force at an instant (a sensor). Constants take the precision of the simulation when written
+    as ``type(c.delta)(1.5)``. The force must depend on these values only. An optional parameter ``area`` in m²
+    with the default ``None`` is set to the area of each point if it is omitted.
 
-    A law with adhesion or suction (``pulls = True``) has friction under the load N + F_p, with the pull-off force F_p:
-    Coulomb friction including the adhesive force. By default F_p is the tension at first touch and at rest,
-    max(0, −N(δ → 0, δ̇ = 0)). A law with a larger tension elsewhere defines ``pull_off(p, c)``, a ``wp.func`` with the
-    arguments of ``force``, which returns F_p [N].
+    A law with adhesion or suction (``pulls = True``) has friction under the load N + F_p, with the pull-off force
+    F_p: Coulomb friction including the adhesive force. By default F_p is the tension at first touch and at rest,
+    max(0, −N(δ → 0, δ̇ = 0)). A law with a larger tension elsewhere defines ``pull_off(p, c)``, a ``wp.func`` with
+    the arguments of ``force``, which returns F_p [N].
 
-    A law with history variables, such as the largest penetration or creep, declares them by ``wc.history`` and has two
-    functions of ``(p, c, m)``: ``advance`` returns the variables ``m`` after the time ``m.elapsed`` [s] since the last
-    advance, and ``force`` the force for these variables.
+    A law with history variables, such as the largest penetration or creep, declares them by ``wc.history`` and has
+    two functions of ``(p, c, m)``: ``advance`` returns the variables ``m`` after the time ``m.elapsed`` [s] since
+    the last advance, and ``force`` the force for these variables.
     """
 
     #: Whether ``c.mass`` is computed.
@@ -64,7 +64,7 @@ class Law(Formula):
 
     @classmethod
     def elastic(cls, values: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray] | None:
-        """Returns K [N/mⁿ] and n of the elastic part K δⁿ, for estimates of time and penetration; ``None``: unknown."""
+        """Returns K [N/mⁿ] and n of the elastic part K δⁿ, for estimates; ``None``: unknown."""
         exponent = values.get("exponent", cls.power)
         if "stiffness" not in values or exponent is None:
             return None

@@ -5,7 +5,7 @@ from warpcontact.kernels.laws.entry_speed import EntrySpeedLaw
 
 
 class CarvalhoMartins(EntrySpeedLaw):
-    """Hunt–Crossley damping close to exact; below e = 1/3, where its error is large, with the factor of Gonthier."""
+    """Hunt–Crossley damping close to exact; for e ≤ 1/3 with the factor of Gonthier."""
 
     formula = "N = K δⁿ (1 + d δ̇/v₀),  d = 3(1−e)(11−e)/[2(1+9e)];  (1−e²)/e for e ≤ 1/3"
     reference = "Carvalho & Martins, Mech. Mach. Theory 139 (2019) 174; switch as in Exudyn"

@@ -12,8 +12,8 @@ from warpcontact.kernels.laws.base import Law
 class ElasticFoundation(Law):
     """Bed of independent springs, one per point, each with the area of its point.
 
-    An omitted area is that of each point, from ``wc.sample_surface`` or ``areas`` of ``add_points``. The pressure does
-    not depend on the density of the points. For an elastic layer of thickness h on a rigid base
+    An omitted area is that of each point, from ``wc.sample_surface`` or ``areas`` of ``add_points``. The pressure
+    does not depend on the density of the points. For an elastic layer of thickness h on a rigid base
     k = (1−ν)E/((1+ν)(1−2ν)h).
     """
 

@@ -45,8 +45,8 @@ def integrals(axis_ratio: Any):
 def axis_ratio_of(quotient: Any):
     """Returns the axis ratio k of the contact ellipse for a ratio ``quotient`` ≥ 1 of principal curvatures.
 
-    Solves B k²/D = quotient by Newton's method in ln k, in which the equation is nearly linear: its slope lies between
-    3/2 and 2.
+    Solves B k²/D = quotient by Newton's method in ln k, in which the equation is nearly linear: its slope lies
+    between 3/2 and 2.
     """
     one = type(quotient)(1.0)
     target = wp.log(quotient)
@@ -64,8 +64,8 @@ def axis_ratio_of(quotient: Any):
 def stiffness_per_modulus(curvature_1: Any, curvature_2: Any):
     """Returns K/E* of N = K δ^1.5 [√m] from the relative principal curvatures, curvature_1 ≤ curvature_2 [1/m].
 
-    NaN unless curvature_2 is positive and finite. curvature_1 is limited to curvature_2/LONGEST, as for a line contact or
-    a saddle.
+    NaN unless curvature_2 is positive and finite. curvature_1 is limited to curvature_2/LONGEST, as for a line
+    contact or a saddle.
     """
     zero = type(curvature_1)(0.0)
     one = type(curvature_1)(1.0)

@@ -1,7 +1,7 @@
 """Family of laws whose damping refers to the entry speed: N = K δⁿ (1 + d(e) δ̇/v₀).
 
-They differ only in the published relation between the damping factor d and the restitution e. ``HuntCrossley`` returns
-e exactly; for the others ``restitution_of_damping_factor`` gives the actual restitution.
+They differ only in the published relation between the damping factor d and the restitution e. ``HuntCrossley``
+returns e exactly; for the others ``restitution_of_damping_factor`` gives the actual restitution.
 """
 
 from collections.abc import Callable

@@ -113,7 +113,7 @@ class Hertz(Law):
         nu2: float = 0.0,
         R2: float = math.inf,
     ) -> "Hertz":
-        """Returns the law for materials and radii; see ``hertz_stiffness``. Without ``E2`` the second body is rigid."""
+        """Returns the law for materials and radii, as for ``hertz_stiffness``."""
         return cls(stiffness=hertz_stiffness(E, nu, R, E2, nu2, R2))
 
     @classmethod

@@ -16,14 +16,14 @@ from warpcontact.kernels.laws.hunt_crossley import damping_factor_of_restitution
 class HertzElastic(Law):
     """Elastic contact with a stiffness from the local curvatures instead of a given radius.
 
-    Between shapes and between particles, the curvatures are the principal relative ones at the contact, and the contact
-    patch is an ellipse. For a sphere on a mesh it is that of the sphere, because the facets are flat; a contact of points
-    without radius raises an error. The ratio of the curvatures is limited to 1e6, which affects line contacts and close
-    conformity. Edges and tips are rounded by ``edge_radius``. If that is zero, and for a flat face on a flat face, there is
-    no Hertz contact: the force is NaN, and the environment is frozen.
+    Between shapes and between particles, the curvatures are the principal relative ones at the contact, and the
+    contact patch is an ellipse. For a sphere on a mesh it is that of the sphere, because the facets are flat; a
+    contact of points without radius raises an error. The ratio of the curvatures is limited to 1e6, which affects
+    line contacts and close conformity. Edges and tips are rounded by ``edge_radius``. If that is zero, and for a
+    flat face on a flat face, there is no Hertz contact: the force is NaN, and the environment is frozen.
 
-    Damping is that of ``HuntCrossley``: restitution e at the entry speed v₀, at least ``speed_floor``, and a constant
-    damping χ. Without either the contact is elastic.
+    Damping is that of ``HuntCrossley``: restitution e at the entry speed v₀, at least ``speed_floor``, and a
+    constant damping χ. Without either the contact is elastic.
     """
 
     formula = "N = K(κ₁, κ₂) δ^1.5 (1 + d δ̇/v₀ + χ δ̇),  K of complete elliptic integrals"

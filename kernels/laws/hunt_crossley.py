@@ -29,8 +29,8 @@ def restitution_of_damping_factor(factor: np.ndarray) -> np.ndarray:
 def damping_factor_of_restitution(restitution: np.ndarray) -> np.ndarray:
     """Returns the damping factor d for restitution 0 < e ≤ 1 in a free impact: d (1 + e) = ln[(1 + d)/(1 − d e)].
 
-    Solved for u = ln(1 − d e), which is free of cancellation for small e. Near e = 1 the equation degenerates to 0 = 0,
-    and a series in q = 1 − e is used; the two agree to 1e-9 at the transition.
+    Solved for u = ln(1 − d e), which is free of cancellation for small e. Near e = 1 the equation degenerates to 0
+    = 0, and a series in q = 1 − e is used; the two agree to 1e-9 at the transition.
     """
     e = np.asarray(restitution, dtype=np.float64)
     q = 1.0 - e
@@ -52,9 +52,9 @@ class HuntCrossley(Law):
     """Power-law spring with damping that vanishes at the start and end of contact; no tension in a free impact.
 
     With ``restitution`` the factor d is the exact root of d(1+e) = ln[(1+d)/(1−de)], and v₀ is the entry speed of
-    this contact, at least ``speed_floor``. Below that speed an impact dissipates less than prescribed, and the damping
-    of a body placed at rest stays bounded. With ``damping`` the factor 1 + χ δ̇ has the constant χ [s/m], as in Simbody
-    (1.5 c) and Drake (d); restitution then decreases with speed.
+    this contact, at least ``speed_floor``. Below that speed an impact dissipates less than prescribed, and the
+    damping of a body placed at rest stays bounded. With ``damping`` the factor 1 + χ δ̇ has the constant χ [s/m],
+    as in Simbody (1.5 c) and Drake (d); restitution then decreases with speed.
 
     Example:
         >>> wc.laws.HuntCrossley(stiffness=1e5, restitution=0.7).exponent

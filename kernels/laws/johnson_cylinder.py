@@ -30,7 +30,8 @@ class JohnsonCylinder(Law):
         log = one + wp.log(c.delta / (type(c.delta)(4.0) * p.clearance))
         w = -one
         if log < -one:
-            # Near the turning point w ≈ −1 − √(2(−1 − ln x)), far from it w ≈ ln x − ln(−ln x). The smaller start value is safe.
+            # Near the turning point w ≈ −1 − √(2(−1 − ln x)), far from it w ≈ ln x − ln(−ln x). The smaller start
+            # value is safe.
             w = wp.min(-one - wp.sqrt(type(c.delta)(2.0) * (-one - log)), log - wp.log(-log))
             for _i in range(6):
                 w = w - (w + wp.log(-w) - log) / (one + one / w)

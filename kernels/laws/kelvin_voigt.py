@@ -12,10 +12,10 @@ from warpcontact.kernels.laws.clamped_dashpot import damping_ratio_of_restitutio
 class KelvinVoigt(Law):
     """Linear spring and dashpot in parallel; the force is clipped at zero, so there is no tension.
 
-    With ``restitution`` the dashpot is c = 2ξ√(K m), where m is the effective mass of the contact and ξ the damping ratio
-    whose clamped impact has exactly that restitution. With ``damping`` it is the constant c. The force jumps to c δ̇ at
-    first touch. For a step the dashpot is slightly reduced, so that the damping ratio of the discrete motion is ξ to
-    second order in dt.
+    With ``restitution`` the dashpot is c = 2ξ√(K m), where m is the effective mass of the contact and ξ the
+    damping ratio whose clamped impact has exactly that restitution. With ``damping`` it is the constant c. The
+    force jumps to c δ̇ at first touch. For a step the dashpot is slightly reduced, so that the damping ratio of
+    the discrete motion is ξ to second order in dt.
     """
 
     formula = "N = max(0, K δ + c δ̇),  c = 2 ξ(e) √(K m)"

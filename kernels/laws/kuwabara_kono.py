@@ -9,13 +9,14 @@ from warpcontact.kernels.catalogue.keywords import explain_keywords
 from warpcontact.kernels.catalogue.roots import root_between
 from warpcontact.kernels.laws.base import Law
 
-# Padé approximant of Müller & Pöschel: e as a quotient of polynomials of v* = β^(1/2) v₀^(1/10), lowest order first.
+# Padé approximant of Müller & Pöschel: e as a quotient of polynomials of v* = β^(1/2) v₀^(1/10), lowest order
+# first.
 NUMERATOR = (1.0, 1.07232, 0.574198, 0.141552)
 DENOMINATOR = (1.0, 1.07232, 1.72765, 1.37842, 1.19449, 0.467273, 0.235585)
 
 
 def restitution_of_viscosity(reduced: np.ndarray) -> np.ndarray:
-    """Returns the restitution of a free clamped impact from A* = A (K/m)^(2/5) v₀^(1/5); error < 7e-4 for e ≥ 0.05."""
+    """Returns the restitution of a clamped impact from A* = A (K/m)^(2/5) v₀^(1/5) to 7e-4, for e ≥ 0.05."""
     # β v₀^(1/5) = (3/2) A (K/m)^(2/5) v₀^(1/5)
     v = np.sqrt(1.5 * np.asarray(reduced, dtype=np.float64))
     return np.polynomial.polynomial.polyval(v, NUMERATOR) / np.polynomial.polynomial.polyval(v, DENOMINATOR)
@@ -24,8 +25,8 @@ def restitution_of_viscosity(reduced: np.ndarray) -> np.ndarray:
 class KuwabaraKono(Law):
     """Hertz contact of viscoelastic bodies: restitution decreases with speed as measured, 1 − e ∝ v₀^(1/5).
 
-    A is a material property; ``from_restitution`` determines it from one measured impact. In some texts the factor 3/2 is
-    part of A.
+    A is a material property; ``from_restitution`` determines it from one measured impact. In some texts the factor
+    3/2 is part of A.
     """
 
     formula = "N = max(0, K (δ^1.5 + (3/2) A √δ δ̇))"

@@ -37,7 +37,7 @@ def greatest_penetration(
 def contact_time(
     stiffness: ArrayLike, exponent: ArrayLike, mass: ArrayLike, speed: ArrayLike
 ) -> NDArray[np.float64]:
-    """Returns the duration [s] of an impact: π √(m/K) for n = 1. For the arguments see ``greatest_penetration``."""
+    """Returns the duration [s] of an impact: π √(m/K) for n = 1. Arguments: ``greatest_penetration``."""
     depth = greatest_penetration(stiffness, exponent, mass, speed)
     # Γ of each distinct exponent with math.gamma: importing SciPy takes longer than building a model.
     exponents, which = np.unique(np.asarray(exponent, dtype=np.float64), return_inverse=True)

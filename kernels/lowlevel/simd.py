@@ -13,15 +13,17 @@ WIDTH = 8
 def candidates_within(real: type) -> wp.Function:
     """Returns the device function that tests which of the next cached faces may be as near as ``distance``.
 
-    It tests at most ``WIDTH`` of ``count`` faces from index ``start`` on and returns them as bits, without the face
-    ``first``. ``gone`` is the displacement of the point from the center of the list, ``slack`` the rounding error of the
-    bounds. For the bound see ``face_cache.candidate_lower_bound``. A GPU tests one face after the other.
+    It tests at most ``WIDTH`` of ``count`` faces from index ``start`` on and returns them as bits, without the
+    face ``first``. ``gone`` is the displacement of the point from the center of the list, ``slack`` the rounding
+    error of the bounds. For the bound see ``face_cache.candidate_lower_bound``. A GPU tests one face after the
+    other.
     """
     vec3 = structs(real).vec3
     Rows, Distances, Slopes = wp.array2d(dtype=wp.int32), wp.array2d(dtype=real), wp.array2d(dtype=vec3)
     scalar = {wp.float32: "float", wp.float64: "double"}[real]
 
-    # Vector extensions of Clang, which splits vectors wider than a register. The components of a gradient are adjacent.
+    # Vector extensions of Clang, which splits vectors wider than a register. The components of a gradient are
+    # adjacent.
     @wp.func_native(
         f"""
         const {scalar}* distance_of = wp::address(distances, env, start);

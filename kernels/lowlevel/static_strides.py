@@ -1,9 +1,9 @@
 """Array layout of structs as compile-time information for CPU kernels.
 
-Warp reads the address and strides of an array at run time; computing addresses took a third of the instructions. On
-a CPU, arrays of one item kind are interleaved in records of known size, and other arrays have equal widths, so one
-address serves several arrays and most offsets are constants. ``warpcontact/model/allocation_plan.py`` allocates this
-layout; ``tests/test_strides.py`` checks it.
+Warp reads the address and strides of an array at run time; computing addresses took a third of the instructions.
+On a CPU, arrays of one item kind are interleaved in records of known size, and other arrays have equal widths, so
+one address serves several arrays and most offsets are constants. ``warpcontact/model/allocation_plan.py``
+allocates this layout; ``tests/test_strides.py`` checks it.
 """
 
 import functools
@@ -98,7 +98,8 @@ def _array_types(struct: Any) -> dict[str, Any]:
 def assume_strides(struct: Any) -> wp.Function:
     """Returns the device function that sets the strides and addresses of a struct to compile-time expressions.
 
-    The values are equal to those in memory; they are written to the struct copy of the thread. Does nothing on a GPU.
+    The values are equal to those in memory; they are written to the struct copy of the thread. Does nothing on a
+    GPU.
     """
     kind, types = struct.cls.__name__, _array_types(struct)
     lines = ["#if !defined(__CUDA_ARCH__)"]
@@ -145,7 +146,7 @@ def assume_strides(struct: Any) -> wp.Function:
 def hide_from_optimizer(number: int) -> int:
     """Returns ``number``, which is not negative, and hides its value from the optimizer, for loops of few passes.
 
-    Otherwise the compiler computes the addresses of all arrays in the loop before the loop, even those that it does not
-    use.
+    Otherwise the compiler computes the addresses of all arrays in the loop before the loop, even those that it
+    does not use.
     """
     ...

@@ -42,6 +42,7 @@ def unique_kernel(
     if unrolled is not None:
         options["max_unroll"] = unrolled
     if not wp.is_cuda_available():
-        # Warp hashes a kernel for the block size of its module, and again if a launch has another. On a CPU it is 1.
+        # Warp hashes a kernel for the block size of its module, and again if a launch has another. On a CPU it is
+        # 1.
         options["block_dim"] = 1
     return wp.kernel(module="unique", enable_backward=False, module_options=options, cuda_max_registers=registers)

@@ -54,7 +54,8 @@ def functions(real: type) -> SimpleNamespace:
         traversal.count = 1
         return traversal
 
-    # Vector extensions of Clang, which splits vectors that are wider than a register. GPUs use no BVH of this kind.
+    # Vector extensions of Clang, which splits vectors that are wider than a register. GPUs use no BVH of this
+    # kind.
     @wp.func_native(
         f"""
         #if defined(__CUDA_ARCH__)
@@ -90,7 +91,7 @@ def functions(real: type) -> SimpleNamespace:
             const Reals least = distance - slack;
             Flags those = __builtin_convertvector(least <= within, Flags);
             if (reference.far > 0) {{
-                // Sufficient condition of ``lead_distance`` without a root, with the gradient of the distance to the disk.
+                // Condition of ``lead_distance`` without a root, with the gradient of the disk distance.
                 const {scalar} far = reference.far, d = reference.distance;
                 const Reals ahead = least - d;
                 const Reals turning = ahead / far - (far / d + reference.rounding)

@@ -1,9 +1,10 @@
 """Nearest face, and face lists for ``face_cache.py``, by the BVH of a query mesh; CPU only.
 
-The bounds of a node are convex, as triangles are, so their distance is at least its linear extrapolation. A node is
-omitted from a list if it is farther than the reach of the list, or if it stays farther than a listed face for every
-displacement within the skin. On a fine mesh below a sphere the second criterion is decisive: faces at about the same
-distance lie in about the same direction, so their order rarely changes. ``warpcontact/geometry/bvh.py`` builds the BVH.
+The bounds of a node are convex, as triangles are, so their distance is at least its linear extrapolation. A node
+is omitted from a list if it is farther than the reach of the list, or if it stays farther than a listed face for
+every displacement within the skin. On a fine mesh below a sphere the second criterion is decisive: faces at about
+the same distance lie in about the same direction, so their order rarely changes. ``warpcontact/geometry/bvh.py``
+builds the BVH.
 """
 
 import functools
@@ -14,8 +15,8 @@ from warpcontact.kernels.narrowphase import bvh8_traversal, face_cache, search
 from warpcontact.kernels.narrowphase import face_closest_point as closest_points
 from warpcontact.kernels.types import assume_nonnegative, structs
 
-# Offset of a list ahead of the moving point, as a fraction of the skin. A list ahead is valid longer. Less than one,
-# to leave a margin for ties.
+# Offset of a list ahead of the moving point, as a fraction of the skin. A list ahead is valid longer. Less than
+# one, to leave a margin for ties.
 AHEAD_FRACTION = 0.8
 
 
@@ -108,8 +109,8 @@ def functions(real: type) -> SimpleNamespace:
     ):
         """Caches the faces that may be nearest around a center ahead of ``p``; ``closest`` is nearest to ``p``.
 
-        All other faces are farther from the center than the stored ``uncached_bound``, or stay farther than a listed face
-        for every displacement within the skin.
+        All other faces are farther from the center than the stored ``uncached_bound``, or stay farther than a
+        listed face for every displacement within the skin.
         """
         center = p + offset_ahead(model, query_mesh, cache, env, contact, p, closest.distance)
         skin = model.query_mesh_skin[query_mesh]

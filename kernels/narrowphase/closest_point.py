@@ -1,9 +1,9 @@
 """Narrow phase of a point or sphere against an oriented triangle mesh: gap, normal and contact point.
 
-Algorithm of the element ``contactPS2`` of EULER: the closest point S on the whole query mesh, then whether S is on an
-active face, then the side by the pseudonormal. Warp's query runs in float32 in the mesh frame and only selects a face;
-distance, feature and pseudonormal are computed here in the precision of the simulation. With a cache, a CPU searches
-in that precision, with the BVH of ``bvh_search.py``.
+Algorithm of the element ``contactPS2`` of EULER: the closest point S on the whole query mesh, then whether S is on
+an active face, then the side by the pseudonormal. Warp's query runs in float32 in the mesh frame and only selects
+a face; distance, feature and pseudonormal are computed here in the precision of the simulation. With a cache, a
+CPU searches in that precision, with the BVH of ``bvh_search.py``.
 """
 
 import functools
@@ -37,12 +37,14 @@ from warpcontact.kernels.types import (
     structs,
 )
 
-# A point is outside an open boundary if its lateral distance exceeds this fraction of the length of the boundary edge.
+# A point is outside an open boundary if its lateral distance exceeds this fraction of the length of the boundary
+# edge.
 BOUNDARY_TOLERANCE = 1.0e-4
 # Rounding error in units of epsilon times the size of the differences. A direction between points that are closer
 # than this is undefined.
 ROUNDING = 16.0
-# Rounding error of the point itself, in units of epsilon times its coordinates. Larger than ROUNDING on fine meshes.
+# Rounding error of the point itself, in units of epsilon times its coordinates. Larger than ROUNDING on fine
+# meshes.
 POINT_ROUNDING = 4.0
 # Parts of the narrow phase that a kernel is compiled for.
 DETECT_ALL, DETECT_CACHED, DETECT_CANDIDATES, DETECT_FACE_CACHE, DETECT_BVH = (
@@ -65,14 +67,14 @@ TRACKED = LATCHED | SWEPT
 def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
     """Returns the struct ``SetFrames`` and the device functions for ``real``.
 
-    With ``tracks``, latched and swept contacts track the surface: on the inner side, their closest point is found by
-    descent from the last face, so that the force does not flip in the middle or on the far side of a plate.
+    With ``tracks``, latched and swept contacts track the surface: on the inner side, their closest point is found
+    by descent from the last face, so that the force does not flip in the middle or on the far side of a plate.
 
-    ``part`` selects the code that is compiled. ``DETECT_ALL`` does everything. The others are successive parts, each of
-    which defers what it cannot decide. With a face cache: ``DETECT_CACHED`` uses the nearest face, ``DETECT_CANDIDATES``
-    the cached candidates, ``DETECT_FACE_CACHE`` both, ``DETECT_BVH`` queries the BVH. With a face grid: ``DETECT_GRID``
-    uses the faces of a cell, ``DETECT_GRID_FAR`` first the stored clearance, ``DETECT_QUERY`` queries the BVH,
-    ``DETECT_GRID_ANY`` uses the cell and, if necessary, the BVH.
+    ``part`` selects the code that is compiled. ``DETECT_ALL`` does everything. The others are successive parts,
+    each of which defers what it cannot decide. With a face cache: ``DETECT_CACHED`` uses the nearest face,
+    ``DETECT_CANDIDATES`` the cached candidates, ``DETECT_FACE_CACHE`` both, ``DETECT_BVH`` queries the BVH. With a
+    face grid: ``DETECT_GRID`` uses the faces of a cell, ``DETECT_GRID_FAR`` first the stored clearance,
+    ``DETECT_QUERY`` queries the BVH, ``DETECT_GRID_ANY`` uses the cell and, if necessary, the BVH.
     """
     t = structs(real)
     vec3, mat33, Model, State, History = t.vec3, t.mat33, t.Model, t.State, t.History
@@ -297,7 +299,8 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
                     if cached:
                         cache.nearest[env, contact] = cached_point.closest.row
                     else:
-                        # An uncached search breaks no ties between distant faces, but the cache does. Use the cache only nearby.
+                        # An uncached search breaks no ties between distant faces, but the cache does. Use the
+                        # cache only nearby.
                         farthest = cached_point.closest.distance
                         farthest += query_error(model, query_mesh, extent, farthest)
                         cached_point.valid = farthest < contact_distance + model.query_mesh_skin[query_mesh]
@@ -331,8 +334,8 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
                     error = rounding_error(extent, closest)
                     valid = True
             if not valid:
-                # With a cache, search farther, to obtain a clearance. The limit is the distance of the last nearest face,
-                # which does not affect the result.
+                # With a cache, search farther, to obtain a clearance. The limit is the distance of the last
+                # nearest face, which does not affect the result.
                 lookahead = wp.where(cached, real(2.0) * search_distance, search_distance)
                 limit = lookahead
                 hinted = wp.bool(False)

@@ -1,11 +1,12 @@
 """Cache of candidate faces for closest-point queries.
 
-Like a neighbor list in molecular dynamics: a search at point p₀ stores all faces within distance d_min + skin, each with
-its distance and gradient. Because a triangle is convex, its distance at p is at least d₀ + ∇d₀·(p − p₀). A face that is
-not stored is at distance ≥ bound − |p − p₀|. If the smallest stored distance is below that bound, the result is exact;
-otherwise the cache is rebuilt (``search.py``; on a CPU ``bvh_search.py``, whose lists also omit dominated faces and are
-valid only within the skin). CPU kernels test the bounds of all listed faces with vector instructions. GPU kernels
-store the radius within which the nearest face, or one of at most three others, remains nearest.
+Like a neighbor list in molecular dynamics: a search at point p₀ stores all faces within distance d_min + skin,
+each with its distance and gradient. Because a triangle is convex, its distance at p is at least d₀ + ∇d₀·(p − p₀).
+A face that is not stored is at distance ≥ bound − |p − p₀|. If the smallest stored distance is below that bound,
+the result is exact; otherwise the cache is rebuilt (``search.py``; on a CPU ``bvh_search.py``, whose lists also
+omit dominated faces and are valid only within the skin). CPU kernels test the bounds of all listed faces with
+vector instructions. GPU kernels store the radius within which the nearest face, or one of at most three others,
+remains nearest.
 """
 
 import functools
@@ -20,7 +21,8 @@ from warpcontact.kernels.types import assume_nonnegative, structs
 
 # Rounding error of a distance, in units of epsilon times the size of the differences. Wider than a tie.
 ROUNDING = 32.0
-# Smallest distance, in units of the size of the differences, at which rounding errors of a direction are negligible.
+# Smallest distance, in units of the size of the differences, at which rounding errors of a direction are
+# negligible.
 MIN_RELATIVE_DISTANCE = 0.002
 # Number of steps for which the valid radius should suffice; otherwise up to three more candidates are tested.
 LOOKAHEAD_STEPS = 20.0
@@ -85,11 +87,11 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def lead_distance(best: ClosestPoint, direction: vec3, distance: real, limit: real, inverse_limit: real):
-        """Returns a displacement up to which ``best`` stays nearer than a face ``distance`` away, at most ``limit``.
+        """Returns a displacement up to which ``best`` stays nearer than another face, at most ``limit``.
 
-        ``inverse_limit`` is 1/``limit``. A distance d changes by at most the displacement |v|. A better bound holds if both
-        faces lie in about the same direction. With the gradient u' = ``direction`` of the other face's distance d', and u
-        the unit vector from the closest point of ``best``,
+        ``inverse_limit`` is 1/``limit``. A distance d changes by at most the displacement |v|. A better bound
+        holds if both faces lie in about the same direction. With the gradient u' = ``direction`` of the other
+        face's distance d', and u the unit vector from the closest point of ``best``,
 
             d'(p + v) ≥ d' + u'·v,   d(p + v) ≤ |d u + v| ≤ d + u·v + |v|²/d for |v| ≤ d/2
 
@@ -119,7 +121,7 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def bound_rounding(model: Model, query_mesh: int, best: ClosestPoint, distance_moved: real):
-        """Returns the rounding error of a cached distance bound ``distance_moved`` from the center of the list."""
+        """Returns the rounding error of a cached distance bound, ``distance_moved`` from the list center."""
         # Gradients were computed at points within the reach of the list.
         return rounding * (
             best.span + best.distance + real(16.0) * (distance_moved + model.query_mesh_skin[query_mesh])
@@ -127,7 +129,7 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def candidate_lower_bound(cache: Cache, env: int, i: int, displacement: vec3, slack: real):
-        """Returns a lower bound on the distance of a cached face, ``displacement`` from the center of the list."""
+        """Returns a lower bound on the distance of a cached face, ``displacement`` from the list center."""
         return cache.distance[env, i] + wp.dot(cache.gradient[env, i], displacement) - slack
 
     @wp.func
@@ -220,7 +222,7 @@ def functions(real: type) -> SimpleNamespace:
         best: ClosestPoint,
         step: real,
     ):
-        """Stores the radius around ``p`` within which ``best`` or one of the first ``tied_count`` faces is nearest."""
+        """Stores the radius around ``p`` in which ``best`` or one of ``tied_count`` other faces is nearest."""
         slot = assume_nonnegative(contact * face_capacity(cache))
         # Displacements up to which the nearest face leads all others, all but one, all but two and all but three.
         lead_0 = real(wp.inf)
@@ -287,8 +289,8 @@ def functions(real: type) -> SimpleNamespace:
         ):
             """Returns the closest point on the cached faces, if the list suffices.
 
-            Replaces the bounds of evaluated faces by tighter ones. ``step``: Displacement of the point in the last step,
-            approximate [mesh unit].
+            Replaces the bounds of evaluated faces by tighter ones. ``step``: Displacement of the point in the last
+            step, approximate [mesh unit].
             """
             result = CachedClosestPoint()
             result.valid = False

@@ -8,9 +8,9 @@ from warpcontact.kernels.lowlevel import vector_loads
 from warpcontact.kernels.narrowphase import triangle
 from warpcontact.kernels.types import FEATURE_ACTIVE, assume_nonnegative, structs
 
-# Rounding error in units of epsilon times the size of the differences: two distances this close are tied. Not wider,
-# because the distances to a face and to the edge of its neighbor differ in second order only, and the pseudonormal
-# of an edge gives the side of a point only if the edge is nearest.
+# Rounding error in units of epsilon times the size of the differences: two distances this close are tied. Not
+# wider, because the distances to a face and to the edge of its neighbor differ in second order only, and the
+# pseudonormal of an edge gives the side of a point only if the edge is nearest.
 TIE = 3.0
 # Limits on the faces of a vertex fan and on the steps of a descent; they only guarantee termination. A swept point
 # may pass hundreds of faces in one step.
@@ -103,8 +103,8 @@ def functions(real: type) -> SimpleNamespace:
     def wins_tie(model: Model, a: ClosestPoint, b: ClosestPoint, tie: real):
         """Returns whether ``a`` wins a tie of two closest points.
 
-        If they coincide, the one on an active face wins. Otherwise, in this order: a face before an edge before a vertex,
-        the outer side before the inner, the lower row.
+        If they coincide, the one on an active face wins. Otherwise, in this order: a face before an edge before a
+        vertex, the outer side before the inner, the lower row.
         """
         inactive_a = is_inactive(model, a)
         if inactive_a != is_inactive(model, b) and wp.length(a.to_point - b.to_point) <= tie:
@@ -137,7 +137,8 @@ def functions(real: type) -> SimpleNamespace:
     def lost_tie(best: ClosestPoint):
         """Returns whether the selected closest point is not tied with the smallest distance seen.
 
-        It was tied with an earlier minimum. Candidates that are tied with the final minimum may have been rejected.
+        It was tied with an earlier minimum. Candidates that are tied with the final minimum may have been
+        rejected.
         """
         return wp.length(best.to_point) > best.distance + tie_epsilon * best.span
 
@@ -205,8 +206,8 @@ def functions(real: type) -> SimpleNamespace:
     def track(model: Model, row: int, p: vec3, q: vec3):
         """Returns the closest point to ``q`` on the sheet whose face ``row`` is nearest to ``p``, by tracking.
 
-        Steps are as long as the distance of the sheet, unless one face remains nearest. A longer step could pass an edge,
-        behind which the face that was left would appear nearest.
+        Steps are as long as the distance of the sheet, unless one face remains nearest. A longer step could pass
+        an edge, behind which the face that was left would appear nearest.
         """
         closest = closest_on_face(model, row, p)
         length = wp.length(q - p)

@@ -1,7 +1,7 @@
 """Uniform grid around a mesh: each cell stores its clearance and the faces that may be nearest.
 
-One read replaces a BVH traversal, in which each step depends on the last. The clearance of a distant point needs no
-cached data of earlier steps. ``fill_face_grid.py`` fills the cells.
+One read replaces a BVH traversal, in which each step depends on the last. The clearance of a distant point needs
+no cached data of earlier steps. ``fill_face_grid.py`` fills the cells.
 """
 
 import functools

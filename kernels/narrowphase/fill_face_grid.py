@@ -14,7 +14,8 @@ from warpcontact.kernels.types import structs
 MAX_CANDIDATES = 192
 # Number of faces nearest to the cell center that others are compared with.
 COMPARED_FACES = 4
-# Smallest distance, in units of the size of the differences, at which rounding errors of a direction are negligible.
+# Smallest distance, in units of the size of the differences, at which rounding errors of a direction are
+# negligible.
 MIN_RELATIVE_DISTANCE = 0.05
 
 
@@ -23,14 +24,14 @@ def kernel(real: type) -> wp.Kernel:
     """Returns the kernel that fills the cells of a query mesh, one per thread.
 
     A face can be nearest to a point of the cell only if its smallest distance to the cell is not above the largest
-    distance of the face nearest to the center. The latter occurs at a corner of the cell, because the distance to a
-    triangle is convex. A remaining face is removed if another is nearer everywhere in the cell. Its distance has the
-    linear lower bound
+    distance of the face nearest to the center. The latter occurs at a corner of the cell, because the distance to
+    a triangle is convex. A remaining face is removed if another is nearer everywhere in the cell. Its distance has
+    the linear lower bound
 
         d(p) ≥ d(q) + u·(p − q)
 
-    with its gradient u at any point q, and the distance of the other face is convex. So the smallest difference of the
-    two occurs at a corner of the cell.
+    with its gradient u at any point q, and the distance of the other face is convex. So the smallest difference of
+    the two occurs at a corner of the cell.
     """
     t = structs(real)
     vec3, Model = t.vec3, t.Model

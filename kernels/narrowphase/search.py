@@ -57,8 +57,8 @@ def functions(real: type) -> SimpleNamespace:
     def refine_closest(model: Model, query_mesh: int, p: vec3, first: ClosestPoint, margin: real):
         """Searches again among all faces about as near as ``first``, in the precision of the simulation.
 
-        Makes the result on edges and medial axes independent of the traversal order, and exact in float64. ``margin`` must
-        be large enough to include ``first``.
+        Makes the result on edges and medial axes independent of the traversal order, and exact in float64.
+        ``margin`` must be large enough to include ``first``.
         """
         start = model.query_mesh_face_start[query_mesh]
         best = first
@@ -125,7 +125,7 @@ def closest_and_cache(real: type, capacity: int) -> wp.Function:
         env: int,
         contact: int,
     ):
-        """Like ``refine_closest``, but with a larger reach, and caches the faces (in registers until the end).
+        """Returns the result of ``refine_closest`` with a larger reach, and caches the faces found.
 
         ``distance`` of the result is the smallest found. If ``lost_tie`` holds, the caller must refine the result.
         """

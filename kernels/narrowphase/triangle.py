@@ -31,8 +31,8 @@ def functions(real: type) -> SimpleNamespace:
     def closest_to_origin(a: vec3, b: vec3, c: vec3, n: vec3):
         """Returns the point of triangle ``abc`` with unit normal ``n`` closest to the origin, and its feature.
 
-        The usual test by barycentric areas subtracts products of lengths and loses all digits in thin triangles. Here only
-        lengths are compared, so errors are of the order of rounding.
+        The usual test by barycentric areas subtracts products of lengths and loses all digits in thin triangles.
+        Here only lengths are compared, so errors are of the order of rounding.
         """
         hit = Hit()
         ab = b - a

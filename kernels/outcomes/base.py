@@ -91,14 +91,16 @@ class Outcome:
             def result(m: Any, time: Any):
                 return m[0] / m[1]
 
-    ``update`` returns the memory ``m`` after the value ``x`` at ``time`` [s], for the step of ``dt`` [s] that begins
-    there. For a result, the current state is added with ``dt`` = 0 to a copy of the memory, because steps may follow.
-    ``result`` returns the outcome.
+    ``update`` returns the memory ``m`` after the value ``x`` at ``time`` [s], for the step of ``dt`` [s] that
+    begins there. For a result, the current state is added with ``dt`` = 0 to a copy of the memory, because steps
+    may follow. ``result`` returns the outcome.
 
     Args:
         of: Name of the sensor.
-        component: Component of a vector: ``"x"``, ``"y"``, ``"z"``, ``"w"`` or ``"norm"``; ``None``: one result each.
-        items: Items of a set: ``"each"``: one result each; ``"sum"``, ``"max"`` or ``"min"``: reduced at every instant.
+        component: Component of a vector: ``"x"``, ``"y"``, ``"z"``, ``"w"`` or ``"norm"``; ``None``: one result
+            each.
+        items: Items of a set: ``"each"``: one result each; ``"sum"``, ``"max"`` or ``"min"``: reduced at every
+            instant.
         above: Limit of a ``conditional`` outcome: the condition holds above it. Exclusive with ``below``.
         below: Limit of a ``conditional`` outcome: the condition holds below it.
 

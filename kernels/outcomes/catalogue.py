@@ -300,8 +300,8 @@ class Restitution(OfContact):
         """Raises ``ValueError`` for a nonsmooth contact, whose impacts have no duration."""
         if self.contact in nonsmooth:
             raise ValueError(
-                f"Restitution must be of a compliant contact, got the nonsmooth contact {self.contact!r}, whose impacts have "
-                f"no duration. Its coefficient of restitution is {self.contact}.law.restitution"
+                f"Restitution must be of a compliant contact, got the nonsmooth contact {self.contact!r}, whose "
+                f"impacts have no duration. Its coefficient of restitution is {self.contact}.law.restitution"
             )
 
     def unit(self, of: str) -> str:
@@ -312,8 +312,8 @@ class Restitution(OfContact):
 class Work(OfContact):
     """Work of a contact, ∫ (N δ̇ + |F_t| v_slip) dt; over complete contacts, the dissipated energy.
 
-    Without rolling and torsional friction. Velocities are averages over a step, forces the mean of both states, so the
-    error is of second order in the step.
+    Without rolling and torsional friction. Velocities are averages over a step, forces the mean of both states, so
+    the error is of second order in the step.
     """
 
     quantities = (
@@ -342,8 +342,8 @@ class Work(OfContact):
         """Raises ``ValueError`` for a nonsmooth contact, which has sensors of its dissipation."""
         if self.contact in nonsmooth:
             raise ValueError(
-                f"Work must be of a compliant contact, got the nonsmooth contact {self.contact!r}. The energy that nonsmooth "
-                "contacts dissipate is Final('scene.impact_dissipation') and Final('scene.friction_dissipation')"
+                f"Work must be of a compliant contact, got the nonsmooth contact {self.contact!r}. The energy that "
+                "nonsmooth contacts dissipate is Final('scene.impact_dissipation') and Final('scene.friction_dissipation')"
             )
 
     def unit(self, of: str) -> str:

@@ -18,7 +18,7 @@ from warpcontact.kernels.types import (
 
 @wp.struct
 class SourceView:
-    """Evaluation of the first source of an outcome: ``sign`` (x − ``limit``), positive where the condition holds."""
+    """Evaluation of the first source of an outcome: ``sign`` (x − ``limit``), positive if it holds."""
 
     limit: wp.float64
     sign: wp.float64
@@ -100,8 +100,8 @@ def accumulate(update: wp.Function, length: int, forms: tuple[SourceForm, ...], 
 def report(update: wp.Function, result: wp.Function, length: int, forms: tuple[SourceForm, ...]) -> wp.Kernel:
     """Returns the kernel that evaluates results at the current state; items: results.
 
-    It adds the current state with ``dt`` = 0 to a copy of the memory. For a frozen environment, whose next step failed,
-    the state is added only if it is finite.
+    It adds the current state with ``dt`` = 0 to a copy of the memory. For a frozen environment, whose next step
+    failed, the state is added only if it is finite.
     """
     Memory = wp.types.vector(length=length, dtype=wp.float64)
     source_value = _source_value(forms, False)

@@ -75,7 +75,8 @@ def kernel() -> wp.Kernel:
         pixel = first + wp.tid()
         column = pixel % view.width
         row = pixel // view.width
-        # Neighboring pixels get different offsets whose mean is smooth (Jimenez, interleaved gradient noise, 2014).
+        # Neighboring pixels get different offsets whose mean is smooth (Jimenez, interleaved gradient noise,
+        # 2014).
         sun_x = gradient_noise(column, row)
         sun_y = gradient_noise(column + 31, row + 17)
         sky_x = gradient_noise(column + 59, row + 83)

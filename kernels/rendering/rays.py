@@ -86,8 +86,8 @@ def smooth_normal(world: World, hit: Hit, flat_W: wp.vec3):
 def shadow_ray_origin(world: World, hit: Hit, p_W: wp.vec3, side: float):
     """Returns the origin of shadow rays: a point of the smooth surface instead of the face.
 
-    With the point of the face, edges between faces would be visible in self-shadows. The point is moved to the weighted
-    mean of the planes of the vertex normals (Hanika, Hacking the Shadow Terminator, 2021).
+    With the point of the face, edges between faces would be visible in self-shadows. The point is moved to the
+    weighted mean of the planes of the vertex normals (Hanika, Hacking the Shadow Terminator, 2021).
     """
     item = hit.item
     if world.kind[item] != MESH:

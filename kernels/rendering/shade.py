@@ -160,9 +160,10 @@ def trace_color(
     at_sun: wp.vec2,
     at_sky: wp.vec2,
 ):
-    """Returns the color along a unit vector, linear RGB in 0…1; ``height``: 0 at the bottom of the picture, 1 at the top.
+    """Returns the color along the unit vector ``ray``, linear RGB in 0…1.
 
-    Marks, such as arrows, have no shadows and are partly visible through surfaces in front of them.
+    ``height``: Position in the picture, 0 at the bottom, 1 at the top. Marks, such as arrows, have no shadows and
+    are partly visible through surfaces in front of them.
     """
     background = height * backdrop.top + (1.0 - height) * backdrop.bottom
     color = background

@@ -70,8 +70,8 @@ class Polynomial(Spring):
 class StiffnessTable(Spring):
     """Stiffness over the distance, piecewise linear, integrated exactly; constant outside the table.
 
-    The force is zero at rest length, or ``reference_force`` at ``reference_length``. ``StiffnessTable.of`` samples a
-    function.
+    The force is zero at rest length, or ``reference_force`` at ``reference_length``. ``StiffnessTable.of`` samples
+    a function.
     """
 
     formula = "f = f_r + ∫ k(ξ) dξ from x_r to x"
