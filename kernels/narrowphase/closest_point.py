@@ -350,7 +350,8 @@ def functions(real: type, tracks: bool, part: str) -> SimpleNamespace:
                     hinted = closest.distance < lookahead
                     limit = wp.min(limit, closest.distance)
                 margin = query_error(model, query_mesh, extent, limit)
-                # Ties are broken within the skin only; a face list built earlier must contain the same candidates.
+                # Within the skin, all faces as near as the hint are searched below. Farther away, skipping the query
+                # would keep the choice of an earlier search.
                 hint_suffices = (
                     cached
                     and hinted

@@ -121,7 +121,7 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def bound_rounding(model: Model, query_mesh: int, best: ClosestPoint, distance_moved: real):
-        """Returns the rounding error of a cached distance bound, ``distance_moved`` from the list center."""
+        """Returns the rounding error of a cached bound, ``distance_moved`` from the list center."""
         # Gradients were computed at points within the reach of the list.
         return rounding * (
             best.span + best.distance + real(16.0) * (distance_moved + model.query_mesh_skin[query_mesh])
