@@ -2,7 +2,7 @@
 
 Warp reads the address and strides of an array at run time; computing addresses took a third of the instructions.
 On a CPU, arrays of one item kind are interleaved in records of known size, and other arrays have equal widths, so
-one address serves several arrays and most offsets are constants. ``warpcontact/model/allocation_plan.py``
+one address serves several arrays and most offsets are constants. ``warpcontact/storage/allocation_plan.py``
 allocates this layout; ``tests/test_strides.py`` checks it.
 """
 
