@@ -187,6 +187,6 @@ def fused_kernels(request, monkeypatch):
 def write_step_outputs(monkeypatch):
     """Has steps tell of contacts what they computed, over the step, as if somebody watched."""
     monkeypatch.setattr(
-        "warpcontact.forces.execution_plan.Span.watched", property(lambda _: True, lambda *_: None)
+        "warpcontact.forces.execution_plan.ExecutionPlan.write_outputs", property(lambda _: True, lambda *_: None)
     )
-    monkeypatch.setattr("warpcontact.forces.execution_plan.Span.alone", False)
+    monkeypatch.setattr("warpcontact.forces.execution_plan.ExecutionPlan.fuses_step", False)

@@ -1,7 +1,7 @@
 """Launch shapes of a CUDA device give bitwise the results of one kernel per stage on the same device.
 
 The staged step queries the closest point of every contact and launches one kernel per stage. Each case runs once
-with the staged step and once with the launch shape that ``schedule.Span`` selects, and checks the names of their
+with the staged step and once with the launch shape that ``ExecutionPlan`` selects, and checks the names of their
 kernels.
 ``.ci/gpu`` runs these tests, with ``--device cuda:0 --kernels=release``.
 """
