@@ -1,1 +1,1 @@
-"""Contact between surfaces of analytic form: shapes, and where two of them meet."""
+"""Contact between analytic shapes: shape classes, pair algorithms and kernels."""

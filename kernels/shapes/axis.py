@@ -1,4 +1,4 @@
-"""What shapes about the z axis have in common."""
+"""Device functions shared by shapes of revolution about the z axis."""
 
 import warp as wp
 from warpcontact.kernels.shapes.base import AXIS_TOLERANCE, SupportExpansion, one, real, vec3d, zero
@@ -6,7 +6,7 @@ from warpcontact.kernels.shapes.base import AXIS_TOLERANCE, SupportExpansion, on
 
 @wp.func
 def radial(x: vec3d):
-    """The distance of a place from the axis, and the unit vector across that leads to it; on the axis, x."""
+    """Returns the distance of a point from the z axis and the radial unit vector; on the axis, the x axis."""
     radial_distance = wp.sqrt(x[0] * x[0] + x[1] * x[1])
     out = vec3d(one, zero, zero)
     if radial_distance > zero:
@@ -16,7 +16,7 @@ def radial(x: vec3d):
 
 @wp.func
 def disc_expansion(radius: real, n: vec3d):
-    """The ``SupportExpansion`` of a flat disc in the plane z = 0, its middle at the origin."""
+    """Returns the ``SupportExpansion`` of a flat disc in the plane z = 0, centered at the origin."""
     found = SupportExpansion()
     radial_distance = wp.sqrt(n[0] * n[0] + n[1] * n[1])
     found.disc_radius = radius

@@ -1,4 +1,4 @@
-"""Capsules: cylinders with half a sphere at each end."""
+"""Capsules: cylinders with hemispherical ends."""
 
 from typing import Any, ClassVar
 
@@ -8,7 +8,7 @@ from warpcontact.kernels.shapes.base import AXIS_TOLERANCE, Shape, SignedDistanc
 
 
 class Capsule(Shape):
-    """All within r of a segment of the z axis, its middle at the origin."""
+    """All points within r of a segment of the z axis, centered at the origin."""
 
     formula = "distance from the segment |z| ≤ l of the z axis = r"
     kinks: ClassVar[int] = 1
@@ -56,7 +56,7 @@ class Capsule(Shape):
         axis_point = wp.vec3d(zero, zero, wp.clamp(x[2], -p.half_length, p.half_length))
         offset = x - axis_point
         distance = wp.length(offset)
-        # On the segment every direction across is the nearest way out.
+        # On the segment all normal directions are equally near; x is used.
         found.normal = wp.vec3d(one, zero, zero)
         if distance > zero:
             found.normal = offset / distance

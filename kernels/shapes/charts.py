@@ -1,7 +1,7 @@
-"""Charts: surfaces by two parameters, with first and second derivatives.
+"""Charts: parametrizations of surfaces by two parameters, with first and second derivatives.
 
-A chart has an axis for a pole, 0, 1 or 2 (x, y or z), as far as the surface needs one: where it is singular,
-another pole is not. Its tangents are right-handed, u × v points out of the surface.
+A chart of a sphere or ellipsoid has a pole axis, 0, 1 or 2 (x, y or z): where one is singular, another is not.
+Tangents are right-handed, u × v points out of the surface.
 """
 
 import functools
@@ -15,13 +15,13 @@ from warpcontact.kernels.shapes.sphere import Sphere
 from warpcontact.kernels.shapes.superellipsoid import Superellipsoid
 from warpcontact.kernels.shapes.torus import Torus
 
-# Cosine of the latitude from which on another pole is better; of three axes, one is always farther away than that.
+# Cosine of the latitude below which the pole is changed. With the best of three poles it is at least √(2/3).
 POLE_COSINE = wp.constant(real(0.5))
 
 
 @wp.func
 def rotate_axes(x: vec3d, pole: wp.int32):
-    """Moves the components x, y, z so that the third becomes that of ``pole``; keeps the handedness."""
+    """Permutes the components x, y, z cyclically so that that of ``pole`` is the third."""
     if pole == 0:
         return vec3d(x[2], x[0], x[1])
     if pole == 1:
@@ -31,7 +31,7 @@ def rotate_axes(x: vec3d, pole: wp.int32):
 
 @wp.func
 def rotate_axes_back(x: vec3d, pole: wp.int32):
-    """The reverse of ``rotate_axes``."""
+    """Inverts ``rotate_axes``."""
     if pole == 0:
         return vec3d(x[1], x[2], x[0])
     if pole == 1:
@@ -41,7 +41,7 @@ def rotate_axes_back(x: vec3d, pole: wp.int32):
 
 @wp.func
 def best_pole(direction: vec3d):
-    """The axis that a direction is farthest from."""
+    """Returns the axis with the largest angle to a direction."""
     pole = wp.int32(2)
     for i in range(2):
         if wp.abs(direction[i]) < wp.abs(direction[pole]):
@@ -51,7 +51,7 @@ def best_pole(direction: vec3d):
 
 @wp.func
 def signed_power(cosine: real, sine: real, exponent: real):
-    """sgn(cos w) |cos w|^e and its first and second derivative with respect to w."""
+    """Returns sgn(cos w) |cos w|^e and its first and second derivative with respect to w."""
     if exponent == one:
         return cosine, -sine, -cosine
     size = wp.abs(cosine)
@@ -65,7 +65,7 @@ def signed_power(cosine: real, sine: real, exponent: real):
 def latitude_longitude_jet(
     axes: vec3d, latitude_exponent: real, longitude_exponent: real, pole: wp.int32, u: real, v: real
 ):
-    """Longitude u and latitude v about ``pole``, with the exponents of a superellipsoid."""
+    """Returns the jet for longitude u and latitude v about ``pole``, with the exponents of a superellipsoid."""
     c, c_u, c_uu = signed_power(wp.cos(u), wp.sin(u), longitude_exponent)
     quarter = real(wp.half_pi)
     s, s_u, s_uu = signed_power(wp.cos(u - quarter), wp.sin(u - quarter), longitude_exponent)
@@ -83,20 +83,20 @@ def latitude_longitude_jet(
 
 @wp.func
 def longitude_and_latitude(direction: vec3d, pole: wp.int32):
-    """Of a direction that need not be of unit length."""
+    """Returns longitude and latitude of a direction of any length."""
     d = rotate_axes(direction, pole)
     return wp.atan2(d[1], d[0]), wp.atan2(d[2], wp.sqrt(d[0] * d[0] + d[1] * d[1]))
 
 
 @wp.func
 def ellipsoid_jet(p: Any, pole: wp.int32, u: real, v: real):
-    """Of an ellipsoid."""
+    """Returns the jet of an ellipsoid."""
     return latitude_longitude_jet(p.semi_axes, one, one, pole, u, v)
 
 
 @wp.func
 def ellipsoid_parameters(p: Any, x: vec3d):
-    """Where a point of an ellipsoid is on its chart, and the best pole."""
+    """Returns the parameters of a point of an ellipsoid, and the best pole."""
     direction = wp.cw_div(x, p.semi_axes)
     pole = best_pole(direction)
     u, v = longitude_and_latitude(direction, pole)
@@ -105,13 +105,13 @@ def ellipsoid_parameters(p: Any, x: vec3d):
 
 @wp.func
 def sphere_jet(p: Any, pole: wp.int32, u: real, v: real):
-    """Of a sphere."""
+    """Returns the jet of a sphere."""
     return latitude_longitude_jet(vec3d(p.radius, p.radius, p.radius), one, one, pole, u, v)
 
 
 @wp.func
 def sphere_parameters(p: Any, x: vec3d):
-    """Where a point of a sphere is on its chart, and the best pole."""
+    """Returns the parameters of a point of a sphere, and the best pole."""
     pole = best_pole(x)
     u, v = longitude_and_latitude(x, pole)
     return u, v, pole
@@ -119,13 +119,13 @@ def sphere_parameters(p: Any, x: vec3d):
 
 @wp.func
 def superellipsoid_jet(p: Any, pole: wp.int32, u: real, v: real):
-    """Of a superellipsoid: regular within each octant."""
+    """Returns the jet of a superellipsoid, regular within each octant."""
     return latitude_longitude_jet(p.semi_axes, p.exponents[0], p.exponents[1], 2, u, v)
 
 
 @wp.func
 def superellipsoid_parameters(p: Any, x: vec3d):
-    """Where a point of a superellipsoid is on its chart."""
+    """Returns the parameters of a point of a superellipsoid."""
     d = wp.cw_div(x, p.semi_axes)
     cosine = wp.pow(wp.abs(d[0]), one / p.exponents[1])
     sine = wp.pow(wp.abs(d[1]), one / p.exponents[1])
@@ -139,7 +139,7 @@ def superellipsoid_parameters(p: Any, x: vec3d):
 
 @wp.func
 def torus_jet(p: Any, pole: wp.int32, u: real, v: real):
-    """Of a torus: u around the axis, v around the tube."""
+    """Returns the jet of a torus: u around the axis, v around the tube."""
     c = wp.cos(u)
     s = wp.sin(u)
     out = p.minor_radius * wp.cos(v)
@@ -157,13 +157,13 @@ def torus_jet(p: Any, pole: wp.int32, u: real, v: real):
 
 @wp.func
 def torus_parameters(p: Any, x: vec3d):
-    """Where a point of a torus is on its chart."""
+    """Returns the parameters of a point of a torus."""
     across = wp.sqrt(x[0] * x[0] + x[1] * x[1])
     return wp.atan2(x[1], x[0]), wp.atan2(x[2], across - p.major_radius), 2
 
 
 class NoChartError(TypeError):
-    """A shape that is no surface of two parameters."""
+    """Raised for a shape without a chart."""
 
 
 class Chart(NamedTuple):
@@ -171,9 +171,9 @@ class Chart(NamedTuple):
 
     #: ``(p, pole, u, v)``: the ``Jet``.
     jet: wp.Function
-    #: ``(p, x)``: u, v and the best pole of a point x on the surface; a patch has no such function.
+    #: ``(p, x)``: u, v and the best pole of a point x on the surface; ``None`` for parametric surfaces.
     parameters: wp.Function | None
-    #: Whether it has poles that it can do without.
+    #: Whether the pole can be changed.
     poles: bool
     #: Whether v is a latitude: beyond ±90° the tangents are left-handed.
     latitude: bool
@@ -184,7 +184,7 @@ def chart(A: type[Shape]) -> Chart:
     """Returns the chart of ``A``.
 
     Raises:
-        NoChartError: If it is not one surface with a chart.
+        NoChartError: If ``A`` has no chart.
     """
     if issubclass(A, ParametricSurface):
         return Chart(parametric_jet(A), None, poles=False, latitude=False)
@@ -196,6 +196,6 @@ def chart(A: type[Shape]) -> Chart:
     }
     if A not in charts:
         raise NoChartError(
-            f"{A.__name__} has no chart; {', '.join(kind.__name__ for kind in charts)} and patches have"
+            f"{A.__name__} has no chart; available: {', '.join(kind.__name__ for kind in charts)}, ParametricSurface"
         )
     return charts[A]

@@ -1,4 +1,4 @@
-"""Pairs of convex shapes that are solved at once: with a plane, with a sphere, and two capsules."""
+"""Closed-form contacts of convex shapes: with a plane, with a sphere, and between two capsules."""
 
 import functools
 
@@ -22,7 +22,7 @@ quatd = wp.quatd
 
 @wp.func
 def direct_result(gap: real, normal: vec3d, point_a: vec3d, point_b: vec3d):
-    """A result without an iteration."""
+    """Returns a contact point that needed no iteration."""
     found = ShapeContactPoint()
     found.gap = gap
     found.normal = normal
@@ -35,7 +35,7 @@ def direct_result(gap: real, normal: vec3d, point_a: vec3d, point_b: vec3d):
 
 @functools.cache
 def with_plane(A: type[Shape], B: type[Shape]) -> wp.Function:
-    """Returns the device function of a convex shape and a plane."""
+    """Returns the device function for a convex shape and a plane."""
     CoefficientsA, CoefficientsB = coefficient_struct(A, real), coefficient_struct(B, real)
 
     @wp.func
@@ -50,7 +50,7 @@ def with_plane(A: type[Shape], B: type[Shape]) -> wp.Function:
 
 @functools.cache
 def with_sphere(A: type[Shape], B: type[Shape]) -> wp.Function:
-    """Returns the device function of a sphere and a shape that knows the point nearest to a place."""
+    """Returns the device function for a sphere and a shape with ``signed_distance``."""
     CoefficientsA, CoefficientsB = coefficient_struct(A, real), coefficient_struct(B, real)
 
     @wp.func
@@ -64,7 +64,7 @@ def with_sphere(A: type[Shape], B: type[Shape]) -> wp.Function:
 
 @functools.cache
 def swapped_pair(function: wp.Function, A: type[Shape], B: type[Shape]) -> wp.Function:
-    """Returns the device function of (B, A) from that of (A, B)."""
+    """Returns the device function for (B, A) from that for (A, B)."""
     CoefficientsA, CoefficientsB = coefficient_struct(A, real), coefficient_struct(B, real)
 
     @wp.func
@@ -83,21 +83,21 @@ def swapped_pair(function: wp.Function, A: type[Shape], B: type[Shape]) -> wp.Fu
 
 @functools.cache
 def capsule_pair(A: type[Shape], B: type[Shape]) -> wp.Function:
-    """Returns the device function of two capsules: the nearest points of two segments."""
+    """Returns the device function for two capsules: closest points of two segments."""
     CoefficientsA, CoefficientsB = coefficient_struct(A, real), coefficient_struct(B, real)
 
     @wp.func
     def capsule_contact(p_a: CoefficientsA, p_b: CoefficientsB, x: vec3d, q: quatd, warm_start: WarmStart):
         up = vec3d(zero, zero, one)
         axis = wp.quat_rotate(wp.normalize(q), up)
-        # Points x + s axis and t up; cosine and square of the sine of the angle between them.
+        # Points x + s axis and t up; cosine and squared sine of the angle between the axes.
         cosine = axis[2]
         sine_2 = axis[0] * axis[0] + axis[1] * axis[1]
         s = zero
         if sine_2 > AXIS_TOLERANCE:
             s = wp.clamp((x[2] * cosine - wp.dot(x, axis)) / sine_2, -p_a.half_length, p_a.half_length)
         else:
-            # Side by side: the middle of what they have in common, in s.
+            # Parallel axes: the middle of the common interval, in s.
             along = wp.dot(x, axis)
             low = wp.max(-along - p_b.half_length, -p_a.half_length)
             high = wp.min(-along + p_b.half_length, p_a.half_length)
@@ -112,7 +112,7 @@ def capsule_pair(A: type[Shape], B: type[Shape]) -> wp.Function:
         if distance > AXIS_TOLERANCE * (p_a.half_length + p_b.half_length):
             n = off / distance
         elif sine_2 > AXIS_TOLERANCE:
-            # Where the axes cross, the way apart is across both.
+            # The axes cross: separate along the normal of both.
             n = wp.normalize(n)
         else:
             n = perpendicular(axis)

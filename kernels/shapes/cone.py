@@ -17,7 +17,7 @@ from warpcontact.kernels.shapes.base import (
 
 
 class Cone(Shape):
-    """A cone about the z axis: the middle of its base at the origin, its tip at z = h."""
+    """A cone about the z axis: center of the base at the origin, tip at z = h."""
 
     formula = "√(x² + y²) = r (1 − z/h), 0 ≤ z ≤ h"
     kinks: ClassVar[int] = 1
@@ -43,7 +43,8 @@ class Cone(Shape):
 
     @wp.func
     def expand(p: Any, n: wp.vec3d):
-        # The larger of that of the rim and that of the tip: half their sum and half the size of their difference.
+        # Maximum of the support functions of base edge and tip: half their sum plus half the size of their
+        # difference.
         found = SupportExpansion()
         radial_distance = wp.sqrt(n[0] * n[0] + n[1] * n[1])
         edge_point = wp.vec3d()
@@ -87,7 +88,7 @@ class Cone(Shape):
         found = SignedDistance()
         radial_distance, out = radial(x)
         up = wp.vec3d(zero, zero, one)
-        # In the half-plane through the axis, along the generator from the rim: t = 0, to the tip: t = 1.
+        # In the half-plane through the axis, along the generator: t = 0 at the base edge, t = 1 at the tip.
         slant = wp.sqrt(p.radius * p.radius + p.height * p.height)
         sine = p.radius / slant
         cosine = p.height / slant

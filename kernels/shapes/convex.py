@@ -1,15 +1,12 @@
-"""Where two convex shapes meet: the largest value of g(n) over all directions.
+"""Contact of two convex shapes: the maximum of the separation g(n) over all directions.
 
-A direction where g is stationary is the answer if g is not negative there: the vector between the contact
-points is as long as g, and no two points of the bodies can be nearer than the planes g apart. So it is in
-overlap no deeper than the sum of the radii of spheres that roll inside both surfaces (Blaschke): a sphere of
-that size fits into the set of all differences of points of the two bodies where it touches its boundary, and no
-other part of the boundary is nearer. In deeper overlap there may be several, however good the start. Of two
-bodies with straight edges, the normals of faces and of pairs of edges are all there are. Of others, bounds on
-cells of directions rule out all where the bodies come apart by less, and the climb starts again from any direction
-that is better than its end, until there is none. So the answer does not depend on where climbs happen to end, but
-for a body that can leave another by ways of one length all along a curve: there the search stops at a number of
-cells. An end that is lower than a direction met on the way, from where no climb arrived, is no answer.
+A stationary value g ≥ 0 is the gap, because no two points are closer than the supporting planes. A stationary
+overlap up to the sum of the rolling-ball radii is the answer, too (Blaschke's rolling theorem). In deeper overlap
+there can be several maxima. For two polyhedral shapes all face normals and edge cross products are tested.
+Otherwise ``direction_branch_and_bound.py`` excludes cells of directions, and the ascent (``separation_newton.py``)
+restarts from every better direction. The result does not depend on the start, unless overlaps are equal along a
+curve: then the search stops after ``MAX_FINE_CELLS``. If any evaluated direction is higher than the best converged
+ascent, the status is NOT_CONVERGED.
 """
 
 import functools
@@ -19,28 +16,28 @@ from warpcontact.kernels.shapes import direction_branch_and_bound, separation_ne
 from warpcontact.kernels.shapes.base import Shape, ShapeContactPoint, WarmStart, mat33d, one, real, vec3d, zero
 from warpcontact.kernels.types import MET, NOT_CONVERGED
 
-#: Most climbs from directions that are not known to be better, and of all.
+#: Maximum number of ascents including those from unproven directions, and of all ascents.
 MAX_ASCENTS = 40
 MAX_ASCENTS_TOTAL = 80
-#: How often a climb that is higher than all others goes on where its steps are used up.
+#: Number of times an ascent with the highest value is continued after its step limit.
 MAX_RETRIES = 5
 
-# A residual above this is no solution; of steep shapes, whose points the rounding of n moves far.
+# Largest accepted residual; the second for ill-conditioned shapes, where rounding of n moves points far.
 MAX_RESIDUAL = wp.constant(real(1.0e-9))
 MAX_RESIDUAL_ILL_CONDITIONED = wp.constant(real(1.0e-6))
-# Rounding of g, of the size of the pair.
+# Rounding of g, relative to the size of the pair.
 ROUNDING = wp.constant(real(1.0e-14))
-# Ways apart that differ by no more, of the size of the pair, are as short as each other.
+# Overlaps that differ by less, relative to the size of the pair, are equal.
 TIE = wp.constant(real(1.0e-11))
 BIT = wp.constant(wp.int64(1))
-# Cells of the finest in one of those that climbs start from as long as none has arrived.
+# Finest cells per cell of level 1. Until an ascent converges, one start is taken from each of these cells.
 COARSE_CELL = wp.constant(wp.int64(direction_branch_and_bound.EDGE * direction_branch_and_bound.EDGE // 4))
 NEGATIVE_INFINITY = wp.constant(real(-wp.inf))
 
 
 @functools.cache
 def pair_function(A: type[Shape], B: type[Shape]) -> wp.Function:
-    """Returns the device function of two convex shapes, see ``meet.py``."""
+    """Returns the device function for two convex shapes; arguments as in ``pair_dispatch.py``."""
     pair_ascent = separation_newton.functions(A, B)
     CoefficientsA, CoefficientsB, AscentResult, ascend = (
         pair_ascent.CoefficientsA,
@@ -50,12 +47,12 @@ def pair_function(A: type[Shape], B: type[Shape]) -> wp.Function:
     )
     next_direction = direction_branch_and_bound.direction_search(A, B)
     max_residual = MAX_RESIDUAL_ILL_CONDITIONED if A.ill_conditioned or B.ill_conditioned else MAX_RESIDUAL
-    # The overlap of bodies with straight edges is least along one of the normals that ``best_edge_normal`` knows.
+    # The overlap of polyhedral shapes is least along one of the normals tested by ``best_edge_normal``.
     polyhedral = A.polyhedral and B.polyhedral
 
     @wp.func
     def best_edge_normal(p_a: CoefficientsA, p_b: CoefficientsB, x: vec3d, R: mat33d, best: real):
-        """Of the normals of faces, and of two straight edges, the one with the largest g above ``best``."""
+        """Returns the face normal or edge cross product with the largest g above ``best``; 0 if there is none."""
         normal = vec3d()
         largest = real(best)
         count = wp.int32(wp.static(12 + 2 * A.kinks * B.kinks))
@@ -67,7 +64,7 @@ def pair_function(A: type[Shape], B: type[Shape]) -> wp.Function:
             elif k < 6:
                 n = vec3d(R[0, k - 3], R[1, k - 3], R[2, k - 3])
             else:
-                # Straight edges lie along the axes; one of a single edge is along z.
+                # Straight edges are parallel to the axes; a single edge is parallel to z.
                 if wp.static(A.kinks > 0 and B.kinks > 0):
                     j = (k - 6) % wp.static(max(A.kinks, 1)) + wp.static(2 if A.kinks == 1 else 0)
                     m = (k - 6) // wp.static(max(A.kinks, 1)) + wp.static(2 if B.kinks == 1 else 0)
@@ -128,7 +125,7 @@ def pair_function(A: type[Shape], B: type[Shape]) -> wp.Function:
                 and ascent_result.steps == separation_newton.MAX_STEPS
                 and retries < MAX_RETRIES
             ):
-                # Higher than all, and still on its way.
+                # The highest value so far, at the step limit: continue.
                 retries += 1
                 n = ascent_result.normal
                 continue
@@ -154,7 +151,7 @@ def pair_function(A: type[Shape], B: type[Shape]) -> wp.Function:
                 )
                 searching = wp.length_sq(n) > zero
                 if not converged:
-                    # No bound yet, and so a start all around.
+                    # Without a bound, continue with the next coarse cell.
                     search_state.cell = (search_state.cell // COARSE_CELL + BIT) * COARSE_CELL
                     search_state.level = -1
         found.gap = best.value - margin
@@ -164,7 +161,7 @@ def pair_function(A: type[Shape], B: type[Shape]) -> wp.Function:
         found.residual = best.residual
         found.status = NOT_CONVERGED
         if converged and highest_value <= best.value + TIE * size:
-            # Nothing higher is known, not even where a climb did not arrive.
+            # No evaluated direction is higher, including ascents that did not converge.
             found.status = MET
             found.warm_start.normal = best.normal
             found.warm_start.valid = 1

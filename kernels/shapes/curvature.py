@@ -1,12 +1,12 @@
-"""Principal curvatures of shapes where they touch, and those of a pair relative to each other.
+"""Principal curvatures of shapes at a contact point, and relative curvatures of a pair.
 
-Curvatures are those of normal sections, positive where the material is convex: 1/r of a sphere, −1/r of its mould.
-Across a sharp edge the curvature is infinite, along it that of the edge in the plane of the normal; at a tip and a
-sharp corner both are. Flat faces have none. What lies between two of these, as the seam of a capsule, has that of
-one side.
+Curvatures are those of normal sections, positive for convex material: 1/r of a sphere, −1/r of its mold. Across a
+sharp edge the curvature is infinite; along it, that of the edge in the plane of the normal. At a tip or a sharp
+corner both are infinite. Flat faces have zero curvature. A boundary between two regions, such as the seam of a
+capsule, has the curvature of one of them.
 
-The gap of a pair along a displacement t in the tangent plane opens by ½ t·(S_a + S_b) t: the principal values of
-the sum are the relative curvatures, A + B = ½ (κ₁ + κ₂) in Hertz's words.
+Along a displacement t in the tangent plane the gap opens by ½ t·(S_a + S_b) t with the shape operators S. The
+principal values of S_a + S_b are the relative curvatures; in Hertz theory A + B = ½ (κ₁ + κ₂).
 """
 
 import functools
@@ -38,13 +38,13 @@ from warpcontact.kernels.shapes.superellipsoid import Superellipsoid
 from warpcontact.kernels.shapes.torus import Torus
 
 infinite = wp.constant(real(wp.inf))
-# A place is on an edge, and a normal along an axis, within this: of the size, and of a unit vector.
+# Tolerance for points on an edge (relative to the size) and for normals along an axis.
 TOLERANCE = wp.constant(real(1.0e-9))
 
 
 @wp.func
 def perpendicular(n: vec3d):
-    """A unit vector across the unit vector n."""
+    """Returns a unit vector normal to the unit vector n."""
     if wp.abs(n[0]) < wp.abs(n[2]):
         return wp.normalize(vec3d(zero, n[2], -n[1]))
     return wp.normalize(vec3d(-n[1], n[0], zero))
@@ -52,7 +52,7 @@ def perpendicular(n: vec3d):
 
 @wp.func
 def isotropic(k: real, n: vec3d):
-    """The same curvature in all directions."""
+    """Returns the same curvature in all directions."""
     found = Curvature()
     found.k_1 = k
     found.k_2 = k
@@ -62,7 +62,7 @@ def isotropic(k: real, n: vec3d):
 
 @wp.func
 def ordered(k: real, along: vec3d, other: real, beside: vec3d):
-    """Curvature k along a unit vector, and another one beside it, in order."""
+    """Returns curvature k along a unit vector and another one normal to it, in ascending order."""
     found = Curvature()
     found.k_1 = k
     found.k_2 = other
@@ -76,7 +76,7 @@ def ordered(k: real, along: vec3d, other: real, beside: vec3d):
 
 @wp.func
 def principal(xx: real, xy: real, yy: real, x: vec3d, y: vec3d):
-    """Principal values of the symmetric form of xx, xy, yy on the unit vectors x and y."""
+    """Returns the principal values of the symmetric form with entries xx, xy, yy on the unit vectors x and y."""
     found = Curvature()
     mean = half * (xx + yy)
     half_difference = half * (xx - yy)
@@ -85,7 +85,7 @@ def principal(xx: real, xy: real, yy: real, x: vec3d, y: vec3d):
     found.k_2 = mean + size
     found.direction = x
     if size > zero:
-        # Half the angle of (−apart, −xy): where the form is least.
+        # Direction of the smaller value: half the angle of (−half_difference, −xy).
         angle = half * wp.atan2(-xy, -half_difference)
         found.direction = wp.cos(angle) * x + wp.sin(angle) * y
     return found
@@ -93,19 +93,19 @@ def principal(xx: real, xy: real, yy: real, x: vec3d, y: vec3d):
 
 @wp.func
 def sphere_curvature(p: Any, point: vec3d, n: vec3d, u: real, v: real):
-    """Of a sphere."""
+    """Returns the curvature of a sphere."""
     return isotropic(one / p.radius, n)
 
 
 @wp.func
 def plane_curvature(p: Any, point: vec3d, n: vec3d, u: real, v: real):
-    """Of a half-space."""
+    """Returns the curvature of a half-space."""
     return isotropic(zero, n)
 
 
 @wp.func
 def curvature_from_radii(radii: wp.mat33d, n: vec3d):
-    """Of what has the Hessian ``radii`` of its support function, which are the radii of curvature."""
+    """Returns the curvature from the Hessian of the support function, whose principal values are the radii."""
     x = perpendicular(n)
     y = wp.cross(n, x)
     radii_of_curvature = principal(wp.dot(x, radii * x), wp.dot(x, radii * y), wp.dot(y, radii * y), x, y)
@@ -119,7 +119,7 @@ def curvature_from_radii(radii: wp.mat33d, n: vec3d):
 
 @wp.func
 def ellipsoid_curvature(p: Any, point: vec3d, n: vec3d, u: real, v: real):
-    """Of an ellipsoid: second derivatives of its equation over the length of the first."""
+    """Returns the curvature of an ellipsoid: second derivatives of its equation over the size of its gradient."""
     slope = wp.cw_div(wp.cw_div(point, p.semi_axes), p.semi_axes)
     size = wp.length(slope)
     x = perpendicular(n)
@@ -133,10 +133,10 @@ def ellipsoid_curvature(p: Any, point: vec3d, n: vec3d, u: real, v: real):
 
 @wp.func
 def superellipsoid_curvature(p: Any, point: vec3d, n: vec3d, u: real, v: real):
-    """Of a superellipsoid: infinite, or nearly so, on its edges, and nothing where it is flat."""
+    """Returns the curvature of a superellipsoid: infinite or very large on edges, zero on flat points."""
     axes = p.semi_axes
     if wp.abs(n[0]) <= LOOSE_AXIS_TOLERANCE and wp.abs(n[1]) <= LOOSE_AXIS_TOLERANCE:
-        # At a pole the surface goes by the power 2/e₁ of the distance from the axis, whatever e₂ is.
+        # At a pole the height depends on the power 2/e₁ of the distance from the axis, independent of e₂.
         if p.exponents[0] < one:
             return isotropic(zero, n)
         if p.exponents[0] > one:
@@ -154,7 +154,7 @@ def superellipsoid_curvature(p: Any, point: vec3d, n: vec3d, u: real, v: real):
         if i == 2:
             exponent = p.exponents[0]
         if wp.abs(n[i]) <= LOOSE_AXIS_TOLERANCE and exponent < one:
-            # The support function has a kink here, of no use for a radius.
+            # The support function has a kink here, so it gives no radius in this direction.
             flat += 1
             along = vec3d()
             along[i] = one
@@ -170,7 +170,7 @@ def superellipsoid_curvature(p: Any, point: vec3d, n: vec3d, u: real, v: real):
 
 @wp.func
 def revolution_curvature(point: vec3d, n: vec3d, meridian: real):
-    """Of a surface about the z axis with the given curvature of its meridian."""
+    """Returns the curvature of a surface of revolution about z with the given curvature of its meridian."""
     out = vec3d(point[0], point[1], zero)
     radius = wp.length(out)
     around = wp.cross(vec3d(zero, zero, one), out / radius)
@@ -179,7 +179,7 @@ def revolution_curvature(point: vec3d, n: vec3d, meridian: real):
 
 @wp.func
 def capsule_curvature(p: Any, point: vec3d, n: vec3d, u: real, v: real):
-    """Of a capsule."""
+    """Returns the curvature of a capsule."""
     if wp.abs(n[2]) <= TOLERANCE and wp.abs(point[2]) < p.half_length:
         return revolution_curvature(point, n, zero)
     return isotropic(one / p.radius, n)
@@ -187,7 +187,7 @@ def capsule_curvature(p: Any, point: vec3d, n: vec3d, u: real, v: real):
 
 @wp.func
 def cylinder_curvature(p: Any, point: vec3d, n: vec3d, u: real, v: real):
-    """Of a cylinder: its mantle, its ends, and the rim between them."""
+    """Returns the curvature of a cylinder: mantle, ends and the edges between them."""
     if wp.sqrt(n[0] * n[0] + n[1] * n[1]) <= TOLERANCE:
         return isotropic(zero, n)
     if wp.abs(n[2]) <= TOLERANCE:
@@ -197,7 +197,7 @@ def cylinder_curvature(p: Any, point: vec3d, n: vec3d, u: real, v: real):
 
 @wp.func
 def cone_curvature(p: Any, point: vec3d, n: vec3d, u: real, v: real):
-    """Of a cone: its mantle, its base, the rim between them, and the tip."""
+    """Returns the curvature of a cone: mantle, base, the edge between them, and the tip."""
     if n[2] < zero and wp.sqrt(n[0] * n[0] + n[1] * n[1]) <= TOLERANCE:
         return isotropic(zero, n)
     if point[2] >= (one - TOLERANCE) * p.height:
@@ -210,7 +210,7 @@ def cone_curvature(p: Any, point: vec3d, n: vec3d, u: real, v: real):
 
 @wp.func
 def rounded_box_curvature(p: Any, point: vec3d, n: vec3d, u: real, v: real):
-    """Of a box: its faces, edges and corners, by how many axes the normal leans on."""
+    """Returns the curvature of a box: face, edge or corner, by the number of nonzero components of the normal."""
     axis_count = wp.int32(0)
     free_axis = wp.int32(0)
     for i in range(3):
@@ -230,19 +230,19 @@ def rounded_box_curvature(p: Any, point: vec3d, n: vec3d, u: real, v: real):
 
 @wp.func
 def torus_curvature(p: Any, point: vec3d, n: vec3d, u: real, v: real):
-    """Of a torus: a saddle at the inner side."""
+    """Returns the curvature of a torus: a saddle on the inner side."""
     return revolution_curvature(point, n, one / p.minor_radius)
 
 
 @functools.cache
 def curvature(A: type[Shape]) -> wp.Function:
-    """Returns ``(p, point, n, u, v)``: the ``Curvature`` at a point of the surface, all in the frame of the shape.
+    """Returns ``(p, point, n, u, v)``: the ``Curvature`` at a point of the surface, in the frame of the shape.
 
-    n is the unit normal of the contact: on an edge there are many. u and v are the parameters of a patch, and
-    unused otherwise.
+    n is the unit normal of the contact; on an edge it is not determined by the point. u and v are the parameters
+    of a parametric surface, and unused otherwise.
 
     Raises:
-        TypeError: If it is a shape of which no curvature is known.
+        TypeError: If the shape has no curvature function.
     """
     if issubclass(A, ParametricSurface):
         jet_of = chart(A).jet
@@ -250,7 +250,7 @@ def curvature(A: type[Shape]) -> wp.Function:
         @wp.func
         def parametric_curvature(p: Any, point: vec3d, n: vec3d, u: real, v: real):
             jet = jet_of(p, 0, u, v)
-            # The second fundamental form on unit vectors along x_u and across; convex is positive.
+            # Second fundamental form on unit vectors along x_u and normal to it; convex is positive.
             length = wp.length(jet.u)
             x = jet.u / length
             normal = wp.normalize(wp.cross(jet.u, jet.v))
@@ -278,13 +278,13 @@ def curvature(A: type[Shape]) -> wp.Function:
         Torus: torus_curvature,
     }
     if A not in curvatures:
-        raise TypeError(f"the curvature of {A.__name__} is not known")
+        raise TypeError(f"{A.__name__} has no curvature function")
     return curvatures[A]
 
 
 @wp.func
 def normal_curvature(c: Curvature, n: vec3d, t: vec3d):
-    """Curvature of the section along the unit vector t."""
+    """Returns the normal curvature along the unit vector t."""
     beside = wp.cross(n, c.direction)
     first = wp.dot(t, c.direction)
     second = wp.dot(t, beside)
@@ -295,7 +295,7 @@ def normal_curvature(c: Curvature, n: vec3d, t: vec3d):
 
 @wp.func
 def relative_curvature(a: Curvature, b: Curvature, n: vec3d):
-    """Relative principal curvatures of two surfaces in one frame, with the normal n of either."""
+    """Returns the relative principal curvatures of two surfaces in one frame, with a common normal line n."""
     infinite_a = a.k_2 == infinite
     infinite_b = b.k_2 == infinite
     if infinite_a or infinite_b:
@@ -304,7 +304,7 @@ def relative_curvature(a: Curvature, b: Curvature, n: vec3d):
         found.direction = b.direction
         if infinite_a:
             found.direction = a.direction
-        # Two edges leave a direction only if they are parallel; k_1 at a tip is infinite, too.
+        # For two edges, k_1 is finite only if they are parallel; at a tip it is infinite.
         found.k_1 = normal_curvature(a, n, found.direction) + normal_curvature(b, n, found.direction)
         return found
     x = a.direction
@@ -318,19 +318,19 @@ def relative_curvature(a: Curvature, b: Curvature, n: vec3d):
 
 @wp.struct
 class PairCurvature:
-    """Curvatures of a pair where it meets, frame of b."""
+    """Curvatures of both surfaces of a pair at the contact, frame of b."""
 
     a: Curvature
     b: Curvature
-    relative: Curvature  # what Hertz contact takes
+    relative: Curvature  # relative curvatures, as used by Hertz theory
 
 
 @functools.cache
 def pair_curvature(A: type[Shape], B: type[Shape]) -> wp.Function:
-    """Returns ``(p_a, p_b, x, rotation, meeting)``: the curvatures of a pair, ``PairCurvature``.
+    """Returns ``(p_a, p_b, x, rotation, contact)``: the ``PairCurvature`` of a contact point.
 
-    The relative ones are positive where the surfaces part from the contact, negative where a hollow is narrower
-    than what lies in it, infinite on edges.
+    Relative curvatures are positive where the surfaces diverge from the contact, negative where a concave surface
+    is more curved than the other one, and infinite on edges.
     """
     curvature_a, curvature_b = curvature(A), curvature(B)
 

@@ -9,7 +9,7 @@ from warpcontact.kernels.shapes.base import AXIS_TOLERANCE, Shape, SignedDistanc
 
 
 class Cylinder(Shape):
-    """A cylinder about the z axis, its middle at the origin."""
+    """A cylinder about the z axis, centered at the origin."""
 
     formula = "x² + y² = r², |z| ≤ l"
     kinks: ClassVar[int] = 1

@@ -1,16 +1,14 @@
-"""Derivatives of a contact by the poses and sizes of its shapes, exact, by the implicit-function theorem.
+"""Exact derivatives of a contact with respect to poses and sizes of its shapes (implicit-function theorem).
 
-Both points slide over their surfaces while the shapes move, so that the normals go on facing each other. With the
-shape operators S of the surfaces, turn ω and velocity v of a at its point, both relative to b, and what the points
-slide, p_a and p_b, in the tangent plane,
+Both points slide on their surfaces so that the normals keep facing each other. With shape operators S, rotation ω
+and velocity v of a at its point relative to b, and the displacements p_a and p_b of the points in the tangent
+plane,
 
     S_b p_b = dn,  S_a p_a = ω × n − dn,  p_a = p_b + gap dn − v.
 
-Only curvatures are needed. Where one is infinite, on an edge, the equation is that of the radius. The gap changes
-by n·v alone. Where the point is not determined, as of a flat face on a flat face, there are no derivatives of
-points.
-
-A size changes the gap by how far the surface comes out along the normal; what the points do has no part in it.
+If a curvature is infinite (edge), the equation is written with the radius. The gap changes by n·v only. Where
+points are not unique, as for a flat face on a flat face, point derivatives do not exist. A size changes the gap by
+the displacement of the surface along the normal; the motion of the points has no effect on it.
 """
 
 import functools
@@ -34,28 +32,28 @@ Row12 = wp.types.vector(12, real)
 Rows12 = wp.types.matrix((3, 12), real)
 infinite = wp.constant(real(wp.inf))
 not_a_number = wp.constant(real(wp.nan))
-# A determinant this small, of equations scaled to 1, is that of points which are not determined.
+# Determinant of the scaled equations below which the points are not unique.
 SINGULAR = wp.constant(real(1.0e-12))
 
 
 @wp.struct
 class Gradients:
-    """Derivatives by translation and rotation of a, then of b, in the axes of the arguments."""
+    """Derivatives with respect to translation and rotation of a, then of b, in the axes of the arguments."""
 
     gap: Row12  # [-], [m]
     normal: Rows12  # [1/m], [-]
     point_a: Rows12  # [-], [m]
     point_b: Rows12
-    determined: wp.int32  # 0: those of normal and points are not a number
+    determined: wp.int32  # 0: derivatives of normal and points are NaN
 
 
 @wp.func
 def scaled_shape_operator(c: Curvature, n: vec3d, x: vec3d, y: vec3d, size: real):
-    """Two matrices C and K on x and y with C dn = K p; K is times ``size`` [m]."""
+    """Returns two matrices C and K on x and y with C dn = K p; K is times ``size`` [m]."""
     beside = wp.cross(n, c.direction)
     first = vec2d(wp.dot(c.direction, x), wp.dot(c.direction, y))
     second = vec2d(wp.dot(beside, x), wp.dot(beside, y))
-    # Rows of size 1, whatever the curvature.
+    # Rows scaled to size 1, also for infinite curvature.
     c_1 = zero
     k_1 = one
     if wp.abs(c.k_1) < infinite:
@@ -82,13 +80,13 @@ def gradients(
     origin_a: vec3d,
     origin_b: vec3d,
 ):
-    """The derivatives of a contact; all vectors are in the same axes, rotations about the two origins."""
+    """Returns the derivatives of a contact; all vectors are in the same axes, rotations about the two origins."""
     found = Gradients()
     x = wp.normalize(wp.cross(normal, vec3d(normal[1], normal[2], -normal[0])))
     if wp.abs(wp.dot(normal, vec3d(normal[1], normal[2], -normal[0]))) > real(0.9):
         x = wp.normalize(wp.cross(normal, vec3d(-normal[1], normal[2], normal[0])))
     y = wp.cross(normal, x)
-    # Lengths in terms of one that is like them.
+    # Scale lengths by a length of the pair.
     size = wp.length(point_a - origin_a) + wp.length(point_b - origin_b) + wp.abs(gap)
     if size == zero:
         size = one
@@ -140,7 +138,7 @@ def gradients(
 
 @wp.func
 def radial_normal(point: vec3d, n: vec3d):
-    """Part of the normal that points away from the z axis."""
+    """Returns the radial component of the normal, away from the z axis."""
     radius = wp.sqrt(point[0] * point[0] + point[1] * point[1])
     if radius == zero:
         return zero
@@ -149,7 +147,7 @@ def radial_normal(point: vec3d, n: vec3d):
 
 @wp.func
 def sphere_size_gradient(p: Any, point: vec3d, n: vec3d):
-    """By the radius."""
+    """Returns the derivative with respect to the radius."""
     gradient = Row1()
     gradient[0] = one
     return gradient
@@ -157,7 +155,7 @@ def sphere_size_gradient(p: Any, point: vec3d, n: vec3d):
 
 @wp.func
 def ellipsoid_size_gradient(p: Any, point: vec3d, n: vec3d):
-    """By the semi-axes; of a superellipsoid, too."""
+    """Returns the derivatives with respect to the semi-axes, for superellipsoids as well."""
     return vec3d(
         n[0] * point[0] / p.semi_axes[0], n[1] * point[1] / p.semi_axes[1], n[2] * point[2] / p.semi_axes[2]
     )
@@ -165,32 +163,32 @@ def ellipsoid_size_gradient(p: Any, point: vec3d, n: vec3d):
 
 @wp.func
 def capsule_size_gradient(p: Any, point: vec3d, n: vec3d):
-    """By the radius and half the length."""
+    """Returns the derivatives with respect to the radius and the half length."""
     along = wp.clamp((point[2] - p.radius * n[2]) / p.half_length, -one, one)
     return vec2d(one, n[2] * along)
 
 
 @wp.func
 def cylinder_size_gradient(p: Any, point: vec3d, n: vec3d):
-    """By the radius and half the length."""
+    """Returns the derivatives with respect to the radius and the half length."""
     across = wp.sqrt(point[0] * point[0] + point[1] * point[1])
     return vec2d(radial_normal(point, n) * across / p.radius, n[2] * point[2] / p.half_length)
 
 
 @wp.func
 def cone_size_gradient(p: Any, point: vec3d, n: vec3d):
-    """By the radius and the height."""
+    """Returns the derivatives with respect to the radius and the height."""
     across = wp.sqrt(point[0] * point[0] + point[1] * point[1])
     return vec2d(radial_normal(point, n) * across / p.radius, n[2] * point[2] / p.height)
 
 
 @wp.func
 def rounded_box_size_gradient(p: Any, point: vec3d, n: vec3d):
-    """By the half extents and the radius."""
+    """Returns the derivatives with respect to the half extents and the radius."""
     total = zero
     gradient = wp.vec4d()
     for i in range(3):
-        # How far the middle of the rounding is towards its place on the box inside.
+        # Position of the center of the rounding relative to the core box, −1 to 1.
         on = wp.clamp((point[i] - p.radius * n[i]) / (p.half_extents[i] - p.radius), -one, one)
         gradient[i] = n[i] * on
         total += gradient[i]
@@ -200,16 +198,17 @@ def rounded_box_size_gradient(p: Any, point: vec3d, n: vec3d):
 
 @wp.func
 def torus_size_gradient(p: Any, point: vec3d, n: vec3d):
-    """By the radius of the core circle and that of the tube."""
+    """Returns the derivatives with respect to the radii of the core circle and of the tube."""
     return vec2d(radial_normal(point, n), one)
 
 
 @functools.cache
 def size_gradient(A: type[Shape]) -> tuple[tuple[str, ...], wp.Function] | None:
-    """Returns how far a surface comes out by its sizes: their names, and ``(p, point, n)``, their derivatives.
+    """Returns the size names of a shape and ``(p, point, n)``: outward displacement of the surface per size.
 
-    The derivative of the gap is this times −1, at the contact point of the shape and its own outward normal, in
-    its frame. Sizes with three values have three entries. ``None``: it has no sizes; exponents are not among them.
+    The derivative of the gap is this times −1, at the contact point of the shape and its outward normal, in its
+    frame. Sizes with three values have three entries. Returns ``None`` if the shape has no sizes. Exponents are
+    not included.
     """
     gradients_by_shape = {
         Sphere: (("radius",), sphere_size_gradient),

@@ -1,10 +1,10 @@
-"""All directions, searched for one along which two bodies in overlap come apart by less than a given way.
+"""Branch and bound over directions: finds a direction with an overlap below a given depth.
 
-The set of all differences of points of the two bodies contains every difference c of two points that planes with
-one normal touch, and all between two of them. So the overlap along any other direction n is at least −n·c, and
-over a cell of directions at least the least of its corners. Cells that this does not rule out are divided, until
-the overlap along the middle of one is less or none is left: bounds err by the square of the size of a cell, those
-of the finest by no more than rounding. Six faces of a cube are the cells to begin with.
+The difference c of two points on supporting planes with a common normal belongs to the Minkowski difference of the
+bodies, and so does every segment between two such differences. Hence the overlap along any direction n is at least
+−n·c, and over a cell of directions at least the minimum over its corners. Cells that are not excluded are divided
+until the overlap at a cell center is below the depth, or no cell is left. The error of the bound is quadratic in
+the cell size and within rounding for the finest cells. The initial cells are the faces of a cube.
 """
 
 import functools
@@ -15,22 +15,23 @@ from warpcontact.kernels.shapes.base import Shape, mat33d, one, real, vec3d, zer
 from warpcontact.kernels.shapes.sphere import Sphere
 from warpcontact.kernels.shapes.superellipsoid import Superellipsoid
 
-#: How often a cell is divided into four at most, and for cells to start from where there is no bound.
+#: Maximum number of divisions of a cell by four; level of starting cells if there is no bound.
 LEVELS = 20
 START_LEVEL = 6
-#: Most cells finer than those that are looked at. Where ways apart are equal all along a curve, there is no end.
+#: Maximum number of evaluated cells finer than ``START_LEVEL``: overlaps that are equal along a curve exclude
+#: none.
 MAX_FINE_CELLS = 4000
 
 EDGE = 1 << LEVELS
-# Index of the first cell that is not one, and of the finest cells.
+# Number of finest cells; mask and number of bits of the index within a cube face.
 CELL_COUNT = wp.constant(wp.int64(6 * EDGE * EDGE))
 FACE_MASK = wp.constant(wp.int64(EDGE * EDGE - 1))
 FACE_BITS = wp.constant(wp.int64(2 * LEVELS))
-# Side of the finest cell, and the depth of nothing that is known.
+# Side of the finest cells; depth if there is no bound.
 CELL_SIZE = wp.constant(real(2.0 / EDGE))
 INFINITY = wp.constant(real(wp.inf))
 BIT = wp.constant(wp.int64(1))
-# Every other bit of two, two of four, and so on.
+# Masks of every other bit, pair of bits, and so on.
 MASKS = tuple(
     wp.constant(wp.int64(sum(((1 << width) - 1) << (2 * width * i) for i in range(32 // width)) & (2**63 - 1)))
     for width in (1, 2, 4, 8, 16, 32)
@@ -40,16 +41,16 @@ MASK_1, MASK_2, MASK_4, MASK_8, MASK_16, MASK_32 = MASKS
 
 @wp.struct
 class SearchState:
-    """Where a search has come to."""
+    """Progress of a search."""
 
-    cell: wp.int64  # index of the first of the finest cells that are left to look at
-    level: wp.int32  # that of the cell to go on with; −1: of the largest that begins there
-    fine_count: wp.int32  # number of fine cells that were looked at
+    cell: wp.int64  # index of the first finest cell not yet covered
+    level: wp.int32  # level of the current cell; −1: the largest that begins at ``cell``
+    fine_count: wp.int32  # number of evaluated fine cells
 
 
 @wp.func
 def deinterleave(code: wp.int64):
-    """The number of the even bits of ``code``."""
+    """Returns the number in the even bits of ``code``."""
     number = code & MASK_1
     number = (number | (number >> wp.int64(1))) & MASK_2
     number = (number | (number >> wp.int64(2))) & MASK_4
@@ -60,13 +61,13 @@ def deinterleave(code: wp.int64):
 
 @wp.func
 def cell_length(level: int):
-    """How many of the finest cells a cell of a level has, one after the other."""
+    """Returns the number of finest cells in a cell of a level; their indices are consecutive."""
     return BIT << wp.int64(2 * (LEVELS - level))
 
 
 @wp.func
 def cube_point(face: int, u: real, v: real):
-    """A point of the cube with half sides of 1."""
+    """Returns a point of the cube with half sides of 1."""
     if face == 0:
         return vec3d(one, u, v)
     if face == 1:
@@ -82,7 +83,7 @@ def cube_point(face: int, u: real, v: real):
 
 @wp.func
 def excludes_segment(at: wp.vec4d, to: wp.vec4d, limit: real):
-    """Whether there is no number t from 0 to 1 with at + t to ≤ most."""
+    """Returns whether no t in [0, 1] satisfies at + t to ≤ limit in all components."""
     first = real(0.0)
     last = real(1.0)
     for i in range(4):
@@ -97,7 +98,7 @@ def excludes_segment(at: wp.vec4d, to: wp.vec4d, limit: real):
 
 
 def shares_symmetry(A: type[Shape], B: type[Shape]) -> bool:
-    """Whether bodies come apart soonest on the sides of the planes of symmetry of B where the middle of A is."""
+    """Returns whether the overlap is smallest in the octant of B, by its symmetry planes, with the center of A."""
     return A is Sphere and B is Superellipsoid
 
 
@@ -120,12 +121,12 @@ def direction_search(A: type[Shape], B: type[Shape]) -> wp.Function:
         explore: wp.bool,
         search_state: SearchState,
     ):
-        """Goes on from a place to the next direction along which the overlap is less than ``depth``.
+        """Continues the search to the next direction along which the overlap is less than ``depth``.
 
-        Where this is infinite, or all fine cells are used up and ``explore`` says so, to the next about which it
-        may be less. ``inscribed_radius`` is the sum of the radii of two spheres inside, ``center_offset`` that
-        of their centers; ``end`` is the difference of two points where the best climb ended. Returns the
-        direction, 0 if there is none, and where to go on.
+        If ``depth`` is infinite, or the fine cells are used up and ``explore`` is true, returns the next direction
+        along which it may be less. ``inscribed_radius`` is the sum of the radii of two inscribed spheres,
+        ``center_offset`` the difference of their centers, ``end`` the difference of the points at the end of the
+        best ascent. Returns the direction, 0 if there is none, and the state of the search.
         """
         n = vec3d()
         cell = search_state.cell
@@ -148,7 +149,7 @@ def direction_search(A: type[Shape], B: type[Shape]) -> wp.Function:
             corner_2 = wp.normalize(cube_point(face, u + half, v - half))
             corner_3 = wp.normalize(cube_point(face, u - half, v + half))
             corner_4 = wp.normalize(cube_point(face, u + half, v + half))
-            # All within the cell are sums of the corners, times no more than 1/cos in all.
+            # Directions of the cell are nonnegative combinations of its corners; the weights sum to at most 1/cos.
             cosine = wp.min(
                 wp.min(wp.dot(n, corner_1), wp.dot(n, corner_2)), wp.min(wp.dot(n, corner_3), wp.dot(n, corner_4))
             )
@@ -168,21 +169,21 @@ def direction_search(A: type[Shape], B: type[Shape]) -> wp.Function:
                 possible = wp.max(at) > -depth
                 has_depth = depth < INFINITY
                 found = possible and has_depth and wp.dot(n, c) > -depth
-                # No bound to compare with, or no end of cells that are as good.
+                # No bound, or too many equal cells: return a direction to start from.
                 found = found or (
                     possible
                     and level == START_LEVEL
                     and (not has_depth or (explore and fine_count >= MAX_FINE_CELLS))
                 )
                 if possible and not found:
-                    # Of all between this and that of the end, one that rules out the cell is enough.
+                    # One difference on the segment from c to ``end`` that excludes the cell is enough.
                     e = end - c
                     to = wp.vec4d(
                         wp.dot(corner_1, e), wp.dot(corner_2, e), wp.dot(corner_3, e), wp.dot(corner_4, e)
                     )
                     possible = excludes_segment(at, to, -depth)
                 if possible and not found:
-                    # Across an edge c jumps: the same with that of the corner where the bound is worst.
+                    # c jumps across an edge: the same with the difference at the corner with the worst bound.
                     worst = corner_1
                     if at[1] == wp.max(at):
                         worst = corner_2

@@ -8,7 +8,7 @@ from warpcontact.kernels.shapes.base import Shape, SupportExpansion, zero
 
 
 class Ellipsoid(Shape):
-    """An ellipsoid about the origin, its axes along x, y, z."""
+    """An ellipsoid centered at the origin, with axes along x, y, z."""
 
     formula = "(x/a)² + (y/b)² + (z/c)² = 1"
 

@@ -1,6 +1,6 @@
-"""Forces of one group of shape contacts: what each touch does, at the ends of its contact.
+"""Forces of one group of shape contacts: evaluates the contact and writes the wrenches at both ends.
 
-A pure function of state and history: nothing here changes them.
+A pure function of state and history: it changes neither.
 """
 
 import functools
@@ -14,15 +14,15 @@ from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, LaunchRange, structs,
 
 
 def uses_curvature(parts: ContactModel) -> bool:
-    """Whether law or friction models of these classes look at the curvatures of what touches."""
+    """Returns whether law or friction models of these classes read curvatures at the contact."""
     return parts.law.needs_curvature or parts.friction.needs_radius or parts.has_rolling or parts.has_torsion
 
 
 @functools.cache
 def kernel(parts: ContactModel, real: type, moves: bool = False) -> wp.Kernel:
-    """Returns the kernel for the classes of ``parts``; items: contacts side by side of the group.
+    """Returns the force kernel for the classes of ``parts``; items: contacts of the group, consecutive.
 
-    With ``moves``, bodies that are not free oppose to a force what their motions let them.
+    With ``moves``, the effective mass accounts for the joints of bodies.
     """
     t = structs(real)
     vec3, quat, Model, State, CouplingWrenches = t.vec3, t.quat, t.Model, t.State, t.CouplingWrenches

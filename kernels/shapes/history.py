@@ -1,4 +1,4 @@
-"""Advances what shape contacts remember, once per accepted step and nowhere else."""
+"""Advances the history of shape contacts, once per accepted step."""
 
 import functools
 
@@ -22,7 +22,7 @@ from warpcontact.kernels.types import (
 
 @functools.cache
 def accept(real: type) -> wp.Kernel:
-    """Returns the kernel that takes over what an accepted step led to; items: contacts."""
+    """Returns the kernel that stores warm starts, entry speeds and failures of accepted steps; items: contacts."""
     ShapeContacts = shape_contact_structs(real).ShapeContacts
 
     @unique_kernel()
@@ -40,7 +40,7 @@ def accept(real: type) -> wp.Kernel:
                 continue
             contact_status = shape_contacts.status[env, contact]
             if contact_status == CONTACT:
-                # Not below 0, which says "not touching".
+                # At least 0: negative values mean "not in contact".
                 speed = wp.max(shape_contacts.approach_speed[env, contact], real(0.0))
                 shape_contacts.entry_speed[env, contact] = wp.max(shape_contacts.entry_speed[env, contact], speed)
             else:
@@ -57,7 +57,7 @@ def accept(real: type) -> wp.Kernel:
 
 @functools.cache
 def advance(formula: type[Formula], real: type) -> wp.Kernel:
-    """Returns the kernel that takes what the force stage kept into the memory of ``formula``; items: contacts."""
+    """Returns the kernel that copies the history written by the force stage of ``formula``; items: contacts."""
     Array = wp.array2d(dtype=memory_struct(formula, real))
 
     @unique_kernel()
@@ -73,7 +73,7 @@ def advance(formula: type[Formula], real: type) -> wp.Kernel:
 
 @functools.cache
 def reset(real: type) -> wp.Kernel:
-    """Returns the kernel that starts contacts anew. Launch with dim (env, contact)."""
+    """Returns the kernel that resets the history of contacts. Launch with dim (env, contact)."""
     ShapeContacts = shape_contact_structs(real).ShapeContacts
 
     @unique_kernel()

@@ -1,4 +1,4 @@
-"""The convex hull of a torus: a flat disc, rounded all around."""
+"""Convex hull of a torus: a flat disc with a rounded edge."""
 
 from typing import Any, ClassVar
 
@@ -10,7 +10,7 @@ from warpcontact.kernels.shapes.torus import Torus
 
 
 class Hull(Shape):
-    """All within r of a disc of radius R in the plane z = 0."""
+    """All points within r of a disc of radius R in the plane z = 0."""
 
     discs: ClassVar[int] = 2
 

@@ -1,4 +1,7 @@
-"""Places, curvatures and derivatives of shape contacts, in float64 in any case: of what was found last."""
+"""Kernels that evaluate contact points, curvatures and derivatives of shape contacts, in float64.
+
+They use the results of the last narrow phase: stored gaps, normals and arms, or its warm starts.
+"""
 
 import functools
 from typing import Any
@@ -24,16 +27,16 @@ from warpcontact.kernels.types import DISABLED, MET, structs
 
 @wp.struct
 class Points:
-    """Where surfaces meet; NaN of a contact that is not enabled."""
+    """Contact points; NaN for disabled contacts."""
 
-    point: wp.array2d(dtype=wp.vec3d)  # [env, contact] K, where the force acts, W [m]
+    point: wp.array2d(dtype=wp.vec3d)  # [env, contact] K, the point where the force acts, W [m]
     point_a: wp.array2d(dtype=wp.vec3d)  # [env, contact] on the first shape, W [m]
     point_b: wp.array2d(dtype=wp.vec3d)  # [env, contact] on the second, W [m]
 
 
 @wp.struct
 class Curvatures:
-    """Principal curvatures of the gap between two surfaces where they meet; NaN where that was not found."""
+    """Principal curvatures of the gap at the contact point; NaN if the solver did not converge."""
 
     curvature_1: wp.array2d(dtype=wp.float64)  # [env, contact] the smaller [1/m]
     curvature_2: wp.array2d(dtype=wp.float64)  # [env, contact] the larger [1/m]
@@ -41,16 +44,17 @@ class Curvatures:
 
 @wp.struct
 class Gradients:
-    """Derivatives by positions and rotations of what carries the shapes, about centres of mass; W.
+    """Derivatives with respect to translations and rotations of the bodies about their centers of mass; W.
 
-    Of a shape of the world about its origin. Not a number where the points are not determined.
+    For a shape fixed to the world, rotations are about the origin of the shape. NaN if contact points are not
+    unique.
     """
 
     gap_by_position_a: wp.array2d(dtype=wp.vec3d)  # [env, contact] [-]
     gap_by_rotation_a: wp.array2d(dtype=wp.vec3d)  # [env, contact] [m]
     gap_by_position_b: wp.array2d(dtype=wp.vec3d)
     gap_by_rotation_b: wp.array2d(dtype=wp.vec3d)
-    normal_by_position_a: wp.array2d(dtype=wp.mat33d)  # [env, contact] a column for each axis [1/m]
+    normal_by_position_a: wp.array2d(dtype=wp.mat33d)  # [env, contact] one column per axis [1/m]
     normal_by_rotation_a: wp.array2d(dtype=wp.mat33d)  # [env, contact] [-]
     normal_by_position_b: wp.array2d(dtype=wp.mat33d)
     normal_by_rotation_b: wp.array2d(dtype=wp.mat33d)
@@ -62,13 +66,13 @@ class Gradients:
     point_b_by_rotation_a: wp.array2d(dtype=wp.mat33d)
     point_b_by_position_b: wp.array2d(dtype=wp.mat33d)
     point_b_by_rotation_b: wp.array2d(dtype=wp.mat33d)
-    gap_by_sizes_a: wp.array2d(dtype=wp.vec4d)  # [env, contact] one after the other [-]
+    gap_by_sizes_a: wp.array2d(dtype=wp.vec4d)  # [env, contact] up to four sizes, in order [-]
     gap_by_sizes_b: wp.array2d(dtype=wp.vec4d)
 
 
 @functools.cache
 def points(real: type) -> wp.Kernel:
-    """Returns the kernel that places contacts. Launch with dim (env, contact of the range)."""
+    """Returns the kernel that computes contact points. Launch with dim (env, contact of the range)."""
     t = structs(real)
     State, ShapeContacts = t.State, shape_contact_structs(real).ShapeContacts
     wide = frames.functions(real).wide
@@ -77,7 +81,7 @@ def points(real: type) -> wp.Kernel:
     def compute_contact_points(
         state: State,
         first: wp.int32,  # contact of the set
-        offset: wp.int32,  # of the set among all
+        offset: wp.int32,  # index offset of the set
         contact_shapes: ContactShapes,
         shape_poses_b: wp.array2d(dtype=ShapePose),
         settings: wp.array2d(dtype=ShapeContactSettings),
@@ -104,9 +108,9 @@ def points(real: type) -> wp.Kernel:
 
 @functools.cache
 def curvatures(kind_a: type[Shape], kind_b: type[Shape], real: type) -> wp.Kernel:
-    """Returns the kernel that tells the curvatures of the gap. Launch with dim (env, contact of the range).
+    """Returns the kernel that computes the curvatures of the gap. Launch with dim (env, contact of the range).
 
-    It looks for where the shapes meet again: in float64, as small angles decide on which side of an edge that is.
+    It solves the contact again in float64, because small angles decide on which side of an edge the contact is.
     """
     State = structs(real).State
     ShapesA, ShapesB = shapes_struct(kind_a), shapes_struct(kind_b)
@@ -120,7 +124,7 @@ def curvatures(kind_a: type[Shape], kind_b: type[Shape], real: type) -> wp.Kerne
     def measure_curvatures(
         state: State,
         first: wp.int32,  # contact of the set
-        offset: wp.int32,  # of the set among all
+        offset: wp.int32,  # index offset of the set
         contact_shapes: ContactShapes,
         shapes_a: ShapesA,
         shapes_b: ShapesB,
@@ -145,13 +149,13 @@ def curvatures(kind_a: type[Shape], kind_b: type[Shape], real: type) -> wp.Kerne
 
 @wp.func
 def vector_of(row: Row12, first: int):
-    """Three of twelve numbers."""
+    """Returns three of twelve entries."""
     return wp.vec3d(row[first], row[first + 1], row[first + 2])
 
 
 @wp.func
 def matrix_of(rows: Rows12, first: int):
-    """Three columns of twelve."""
+    """Returns three of twelve columns."""
     found = wp.mat33d()
     for i in range(3):
         for j in range(3):
@@ -161,7 +165,7 @@ def matrix_of(rows: Rows12, first: int):
 
 @functools.cache
 def size_gradients(kind: type[Shape]) -> wp.Function:
-    """Returns ``(p, point, n)``: the derivatives of the gap by up to four sizes; see ``size_gradient``."""
+    """Returns ``(p, point, n)``: derivatives of the gap by up to four sizes; see ``size_gradient``."""
     gradient = size_gradient(kind)
     if gradient is None:
 
@@ -185,13 +189,13 @@ def size_gradients(kind: type[Shape]) -> wp.Function:
 
 
 def size_count(kind: type[Shape]) -> int:
-    """Returns how many numbers the sizes are by which the gap of a shape is derived."""
+    """Returns the number of scalar sizes with a gap derivative."""
     gradient = size_gradient(kind)
     return 0 if gradient is None else sum(width for _, width in size_widths(kind))
 
 
 def size_widths(kind: type[Shape]) -> list[tuple[str, int]]:
-    """Returns the sizes by which the gap of a shape is derived, each with how many numbers it is."""
+    """Returns the sizes with a gap derivative, each with its number of components."""
     gradient = size_gradient(kind)
     return [] if gradient is None else [(name, int(np.prod(kind.limits(name)["shape"]))) for name in gradient[0]]
 
@@ -212,7 +216,7 @@ def gradients(kind_a: type[Shape], kind_b: type[Shape], real: type) -> wp.Kernel
     def measure_gradients(
         state: State,
         first: wp.int32,  # contact of the set
-        offset: wp.int32,  # of the set among all
+        offset: wp.int32,  # index offset of the set
         contact_shapes: ContactShapes,
         shapes_a: ShapesA,
         shapes_b: ShapesB,
@@ -231,7 +235,7 @@ def gradients(kind_a: type[Shape], kind_b: type[Shape], real: type) -> wp.Kernel
         curvature_b = pair_curvature.b
         curvature_a.direction = wp.quat_rotate(pose.q_W, curvature_a.direction)
         curvature_b.direction = wp.quat_rotate(pose.q_W, curvature_b.direction)
-        # In the axes of W, from the origin of the frame of b.
+        # In the axes of W; the origin is that of frame b.
         origin_b = -pose.offset
         rates = gradients_of(
             wp.quat_rotate(pose.q_W, contact_point.normal),

@@ -1,6 +1,6 @@
-"""Where two shapes of an environment meet: pose of one in the frame of the other, gap, normal and arms.
+"""Narrow phase of shape contacts: relative pose, gap, normal and arms of each pair.
 
-In float64 whatever the precision of the model.
+All computations are in float64, independent of the precision of the model.
 """
 
 import functools
@@ -36,19 +36,22 @@ from warpcontact.kernels.types import (
     task_item,
 )
 
-# Size of what has no end [m].
+# Bounding radius of unbounded shapes [m].
 UNBOUNDED_RADIUS = wp.constant(wp.float64(1.0e6))
 
 
 @wp.struct
 class RelativePose:
-    """One shape seen from another, and both from their bodies."""
+    """Pose of shape a relative to shape b.
+
+    The carrier of a shape is its body or, for a shape fixed to the world, the origin of the shape itself.
+    """
 
     x: vec3d  # origin of a in the frame of b [m]
     q: wp.quatd  # a → b
     q_W: wp.quatd  # b → W
-    body_offset: vec3d  # from what carries b to what carries a, W [m]
-    offset: vec3d  # of b from what carries it, W [m]
+    body_offset: vec3d  # from the carrier of b to the carrier of a, W [m]
+    offset: vec3d  # origin of b from its carrier, W [m]
 
 
 @functools.cache
@@ -59,7 +62,7 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def body_rotation(state: State, env: int, body: int):
-        """Rotation B → W of ``body`` (WORLD: none), of length 1 in float64."""
+        """Returns the rotation B → W of ``body`` (WORLD: identity), normalized in float64."""
         if body < 0:
             return wp.quatd(zero, zero, zero, wp.float64(1.0))
         q = state.body_orientation[env, body]
@@ -67,9 +70,10 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def pose(state: State, env: int, body_a: int, shape_pose_a: ShapePose, body_b: int, shape_pose_b: ShapePose):
-        """Pose of the shape mounted on ``body_a`` from that on ``body_b``.
+        """Returns the pose of the shape on ``body_a`` relative to the shape on ``body_b``.
 
-        What is fixed to the world is carried by its own origin, so that places that cancel are subtracted first.
+        A shape fixed to the world is its own carrier, so that large positions are subtracted before small offsets
+        are added.
         """
         found = RelativePose()
         q_Wa = body_rotation(state, env, body_a) * shape_pose_a.orientation
@@ -96,13 +100,14 @@ def functions(real: type) -> SimpleNamespace:
 
 @functools.cache
 def pair_functions(kind_a: type[Shape], kind_b: type[Shape], real: type) -> SimpleNamespace:
-    """Returns the device functions of a pair of kinds.
+    """Returns the device functions of a pair of shape classes.
 
     ``relative_pose`` takes ``(state, env, contact, contact_shapes, shapes_a, shapes_b)`` and returns the
-    ``RelativePose``; ``find_contact`` the same arguments, that pose and a seed, and returns where the shapes meet.
+    ``RelativePose``. ``find_contact`` takes ``(env, contact, contact_shapes, shapes_a, shapes_b, pose,
+    warm_start)`` and returns the ``ShapeContactPoint``.
     """
     from warpcontact.kernels.shapes.pair_dispatch import (
-        pair_function,  # with its solvers, which only shape contacts need
+        pair_function,  # imports the solvers, which only shape contacts need
     )
 
     State = structs(real).State
@@ -142,15 +147,14 @@ def pair_functions(kind_a: type[Shape], kind_b: type[Shape], real: type) -> Simp
 
 @functools.cache
 def curvature_functions(kind_a: type[Shape], kind_b: type[Shape]) -> SimpleNamespace:
-    """Returns the device functions of the curvatures of a pair of kinds.
+    """Returns the device functions for the curvatures of a pair of shape classes.
 
-    ``curvature`` takes ``(env, contact, contact_shapes, shapes_a, shapes_b, pose, contact_point)`` and returns
-    both curvatures and the relative one; ``radius`` these without pose and contact point, and the latter:
-    the radius of rolling
-    and of a patch of contact, that of the most curved section of the gap, and no more than the shapes are large.
+    ``curvature`` takes ``(env, contact, contact_shapes, shapes_a, shapes_b, pose, contact_point)`` and returns the
+    ``PairCurvature``. ``radius`` takes ``(env, contact, contact_shapes, shapes_a, shapes_b, relative)`` and
+    returns the radius of rolling and of the contact patch: 1/κ₂ of the gap, at most the smaller bounding radius.
 
     Raises:
-        TypeError: If the curvature of one is not known.
+        TypeError: If a shape has no curvature function.
     """
     from warpcontact.kernels.shapes.curvature import pair_curvature
 
@@ -193,7 +197,7 @@ def curvature_functions(kind_a: type[Shape], kind_b: type[Shape]) -> SimpleNames
 
 
 def bounding_radius(kind: type[Shape]) -> wp.Function:
-    """Returns the device function of the radius of a ball that holds a shape; very large of one without end."""
+    """Returns the device function of the bounding radius of a shape; ``UNBOUNDED_RADIUS`` for unbounded shapes."""
     if not isinstance(getattr(kind, "extents", None), wp.Function):
 
         @wp.func
@@ -214,14 +218,14 @@ def bounding_radius(kind: type[Shape]) -> wp.Function:
 def kernel(
     kind_a: type[Shape], kind_b: type[Shape], real: type, needs_curvature: bool, oriented: bool
 ) -> wp.Kernel:
-    """Returns the kernel that finds where shapes of two kinds meet; items: contacts.
+    """Returns the narrow-phase kernel for two shape classes; items: contacts.
 
     Args:
-        kind_a: Of the first shapes.
-        kind_b: Of the second, out of which normals point.
+        kind_a: Class of the first shapes.
+        kind_b: Class of the second shapes, out of which normals point.
         real: Precision.
-        needs_curvature: Whether laws or friction models look at curvatures.
-        oriented: Whether they look at directions that turn with the second shape.
+        needs_curvature: Whether laws or friction models read curvatures.
+        oriented: Whether they read the orientation of the second shape.
     """
     t = structs(real)
     State, ShapeContacts = t.State, shape_contact_structs(real).ShapeContacts

@@ -1,4 +1,4 @@
-"""Where two shapes meet if one of them is not convex: tori and patches."""
+"""Selects the contact algorithm of pairs with a nonconvex shape: tori and parametric surfaces."""
 
 import functools
 from typing import Any
@@ -13,25 +13,25 @@ from warpcontact.kernels.shapes.torus import Torus
 
 @functools.cache
 def pair_function(A: type[Shape], B: type[Shape]) -> wp.Function:
-    """Returns the device function of a pair, see ``meet.py``.
+    """Returns the device function of a pair; arguments as in ``pair_dispatch.py``.
 
-    The seed is not needed: all of the surface is looked at every time, so that no step follows a contact that is
-    no longer the deepest, and a state that is loaded again gives the same bits.
+    The warm start is not used: the whole surface is searched each time. So a step never follows a contact that is
+    no longer the deepest, and a restored state gives bitwise identical results.
 
     Raises:
-        TypeError: If both are patches.
+        TypeError: If both are parametric surfaces.
     """
     if issubclass(A, ParametricSurface) and issubclass(B, ParametricSurface):
         raise TypeError(
-            f"two patches, {A.__name__} and {B.__name__}, cannot touch: each is open, and one of a pair must be a "
-            "closed shape"
+            f"two parametric surfaces, {A.__name__} and {B.__name__}, cannot be in contact: one shape of a pair "
+            "must be closed"
         )
     if issubclass(B, ParametricSurface):
         return parametric_contact.pair_function(A, B)
     if issubclass(A, ParametricSurface):
         return _swapped(parametric_contact.pair_function(B, A))
     if A is Sphere:
-        # The torus knows the point nearest to the centre.
+        # The torus has ``signed_distance`` for the center of the sphere.
         return closed_form_pairs.with_sphere(A, B)
     if B is Sphere:
         return closed_form_pairs.swapped_pair(closed_form_pairs.with_sphere(B, A), B, A)
@@ -41,7 +41,7 @@ def pair_function(A: type[Shape], B: type[Shape]) -> wp.Function:
 
 
 def _swapped(pair_contact: wp.Function) -> wp.Function:
-    """Returns the function of a pair from that of the same two the other way round."""
+    """Returns the device function for (B, A) from that for (A, B)."""
 
     @wp.func
     def find_contact(p_a: Any, p_b: Any, x: vec3d, rotation: wp.quatd, warm_start: WarmStart):

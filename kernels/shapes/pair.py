@@ -1,6 +1,6 @@
-"""Two convex shapes seen along one direction: the function g(n) that their signed gap is the maximum of.
+"""Evaluates the separation g(n) of two convex shapes along one direction; its maximum is the signed gap.
 
-Spheres that round the edges of a shape only shift g, and are left out: all is of the bodies without their margins.
+Margins (spheres that round the edges) only shift g and are excluded: all values are of the shrunk bodies.
 """
 
 import functools
@@ -13,7 +13,7 @@ from warpcontact.kernels.shapes.base import Shape, mat33d, real, vec3d, zero
 
 @wp.func
 def perpendicular(n: vec3d):
-    """A unit vector across the unit vector n."""
+    """Returns a unit vector normal to the unit vector n."""
     if wp.abs(n[0]) < wp.abs(n[2]):
         return wp.normalize(vec3d(zero, n[2], -n[1]))
     return wp.normalize(vec3d(-n[1], n[0], zero))
@@ -21,7 +21,7 @@ def perpendicular(n: vec3d):
 
 @functools.cache
 def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
-    """Returns the struct ``Separation`` of a pair and the device functions that look at it."""
+    """Returns the struct ``Separation`` of a pair and the device functions that use it."""
     CoefficientsA, CoefficientsB = coefficient_struct(A, real), coefficient_struct(B, real)
     kink_count, kink_count_a = A.kinks + B.kinks, A.kinks
     KinkMatrix = wp.types.matrix((max(kink_count, 1), 3), real)
@@ -30,20 +30,20 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
     @wp.struct
     class Separation:
         value: real  # g [m]
-        point_a: vec3d  # of the smooth part of the support function [m]
+        point_a: vec3d  # support point of the smooth part [m]
         point_b: vec3d  # [m]
         hessian_a: mat33d  # of the smooth parts [m]
         hessian_b: mat33d  # [m]
-        kink_curvature_a: real  # of their first kinks
+        kink_curvature_a: real  # of the first kinks
         kink_curvature_b: real
-        disc_radius_a: real  # radius of the discs that n stands on [m]
+        disc_radius_a: real  # radius of the disc whose normal is −n [m]
         disc_radius_b: real
         kinks: KinkMatrix  # of a, then of b [m]
         kink_values: KinkVector  # n·kink [m]
 
     @wp.func
     def evaluate_separation(p_a: CoefficientsA, p_b: CoefficientsB, x: vec3d, R: mat33d, n: vec3d):
-        """The pair along the unit vector n."""
+        """Evaluates the pair along the unit vector n."""
         separation = Separation()
         a = A.expand(p_a, -(n * R))
         b = B.expand(p_b, n)
@@ -58,7 +58,7 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
         separation.value = wp.dot(n, separation.point_a - separation.point_b)
         if wp.static(A.kinks > 0):
             for i in range(wp.static(A.kinks)):
-                # As a function of n; the shape is asked for −n.
+                # As a function of n; the expansion of a is along −n.
                 separation.kinks[i] = -(R * a.kinks[i])
                 separation.kink_values[i] = wp.dot(n, separation.kinks[i])
         if wp.static(B.kinks > 0):

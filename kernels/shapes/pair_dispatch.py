@@ -1,4 +1,4 @@
-"""Where two shapes meet: the device function of a pair, chosen when a model is built."""
+"""Selects the contact algorithm of a pair of shapes when a model is built."""
 
 import functools
 
@@ -12,20 +12,20 @@ from warpcontact.kernels.shapes.sphere import Sphere
 
 @functools.cache
 def pair_function(A: type[Shape], B: type[Shape]) -> wp.Function:
-    """Returns the device function ``(p_a, p_b, x, q, seed)`` → ``ShapeContactPoint`` of a pair of shapes.
+    """Returns the device function ``(p_a, p_b, x, q, warm_start)`` → ``ShapeContactPoint`` of a pair of shapes.
 
     ``p_a`` and ``p_b`` are the ``coefficient_struct`` of both in float64, ``x`` [m] is the origin of a in the
-    frame of b and ``q`` the rotation a → b. Of all pairs of points with antiparallel normals along the line
-    between them, those with the largest gap are the contact points.
+    frame of b and ``q`` the rotation a → b. The contact points are the pair of points with antiparallel normals
+    along their connecting line that has the largest gap.
 
-    Of two faces or edges that lie on each other, the contact points are a pair of points common to both, displaced
-    from the middle of each in proportion to its size.
+    If two faces or edges lie on each other, the contact points are common points of both, displaced from the
+    middle of each in proportion to its size.
 
     Raises:
         TypeError: If both are planes.
     """
     if issubclass(A, Plane) and issubclass(B, Plane):
-        raise TypeError("two planes have no contact point; one of two shapes may be a plane")
+        raise TypeError("two planes have no contact point; at most one shape of a pair may be a plane")
     if not (A.convex and B.convex):
         from warpcontact.kernels.shapes import nonconvex_pairs
 

@@ -1,14 +1,13 @@
-"""Contact of two surfaces by their charts: Newton's method for four equations in four parameters.
+"""Contact of two charts: Newton's method for four equations in four parameters.
 
-With tangents s_1, s_2 of b and t_1, t_2 of a, N_a = t_1 × t_2 and d from the point of b to that of a,
+With tangents s₁, s₂ of b and t₁, t₂ of a, N_a = t₁ × t₂, and d from the point of b to that of a,
 
-    d·s_1 = d·s_2 = 0,  N_a·s_1 = N_a·s_2 = 0
+    d·s₁ = d·s₂ = 0,  N_a·s₁ = N_a·s₂ = 0
 
-say that d is normal to both. They are the square form of n_a × n_b = 0 and d × n_b = 0, which are checked in the
-end: where a chart is singular the equations have roots that are none. A pair has several roots: near and far
-sides, normals that face each other or not. Which one it is, is said; which one is wanted, is the caller's to know.
-Newton's method finds roots of either sign of the gap: in overlap the distance is not least there, and no search
-for the least distance would stop.
+state that d is normal to both surfaces. They imply n_a × n_b = 0 and d × n_b = 0 except at chart singularities, so
+these are checked at the end. A pair has several roots: near and far sides, normals facing or parallel.
+``Root.kind`` reports which one was found. Newton's method finds roots with a gap of either sign. A minimization of
+the distance would not: in overlap the distance has no minimum at the contact.
 """
 
 import functools
@@ -20,16 +19,16 @@ from warpcontact.kernels.shapes.charts import POLE_COSINE, chart
 from warpcontact.kernels.shapes.parametric_surface import Jet
 from warpcontact.kernels.types import ROOT_FACING, ROOT_FALSE, ROOT_NONE, ROOT_PARALLEL
 
-# Of the equations, in terms of the size of the tangents.
+# Tolerance of the equations, relative to the size of the tangents.
 TOLERANCE = wp.constant(real(1.0e-12))
-# Of the cross products of unit vectors: what is a root of the equations at a singular point is off by far more.
+# Tolerance of the cross products of unit vectors; false roots at chart singularities exceed it by far.
 ALIGNED = wp.constant(real(1.0e-6))
 MAX_HALVINGS = wp.constant(wp.int32(30))
 
 
 @wp.struct
 class Equations:
-    """The four equations at some parameters."""
+    """The four equations at given parameters."""
 
     values: wp.vec4d
     jacobian: wp.mat44d
@@ -39,7 +38,7 @@ class Equations:
 
 @wp.struct
 class Root:
-    """Where the iteration ended."""
+    """End of the iteration."""
 
     kind: wp.int32  # ROOT_FACING, ROOT_PARALLEL, ROOT_FALSE or ROOT_NONE
     gap: real  # n·(point_a − point_b), n out of b [m]
@@ -50,13 +49,13 @@ class Root:
     pole_b: wp.int32
     pole_a: wp.int32
     normal_cosine: real  # n_a·n_b; −1: facing
-    residual: real  # of the equations, in terms of the size of the tangents
+    residual: real  # of the equations, relative to the size of the tangents
     iterations: wp.int32
 
 
 @wp.func
 def transform_jet(jet: Jet, x: vec3d, q: wp.quatd):
-    """A jet in the frame of b."""
+    """Transforms a jet to the frame of b."""
     jet.x = x + wp.quat_rotate(q, jet.x)
     jet.u = wp.quat_rotate(q, jet.u)
     jet.v = wp.quat_rotate(q, jet.v)
@@ -68,7 +67,7 @@ def transform_jet(jet: Jet, x: vec3d, q: wp.quatd):
 
 @wp.func
 def equations_of(b: Jet, a: Jet):
-    """The equations and their derivatives by u and v of b, then of a."""
+    """Returns the equations and their derivatives with respect to u and v of b, then of a."""
     at = Equations()
     at.b = b
     at.a = a
@@ -88,7 +87,7 @@ def equations_of(b: Jet, a: Jet):
 
 @wp.func
 def equation_error(values: wp.vec4d, size_b: real, size_a: real):
-    """Length of the equations without units."""
+    """Returns the norm of the equations, made dimensionless."""
     length_scale = size_b * (size_a + size_b)
     normal = size_b * size_a * size_a
     return wp.length(
@@ -100,11 +99,11 @@ def equation_error(values: wp.vec4d, size_b: real, size_a: real):
 def solver(A: type[Shape], B: type[Shape]) -> wp.Function:
     """Returns ``(p_a, p_b, x, q, u, pole_a, pole_b, max_iterations)``: the ``Root`` of Newton's method from u.
 
-    ``u`` are the parameters of b, then of a, where it begins; ``max_iterations`` limits the iterations. A step
-    is halved until the equations have become smaller. Where a chart comes near its pole, another one takes over.
+    ``u`` are the initial parameters of b, then of a. A step is halved until the residual decreases. Near the pole
+    of a chart, the solver changes to another pole.
 
     Raises:
-        NoChartError: If a shape has none.
+        NoChartError: If a shape has no chart.
     """
     chart_a, chart_b = chart(A), chart(B)
     jet_a, parameters_a, poles_a, jet_b, parameters_b, poles_b = *chart_a[:3], *chart_b[:3]

@@ -1,4 +1,4 @@
-"""Patches: open surfaces of a user's own, by two parameters."""
+"""Parametric surfaces: open, user-defined surfaces of two parameters."""
 
 import functools
 import inspect
@@ -9,14 +9,14 @@ import numpy as np
 import warp as wp
 from warpcontact.kernels.shapes.base import Shape, real, vec3d, zero
 
-# Step of the differences for derivatives that are left out, in terms of the range: sixth order, so that what is
-# cut off and what is rounded are both about 1e-11 of the second derivatives.
+# Step of the difference formulas, relative to the parameter range: of sixth order, with truncation and rounding
+# errors of about 1e-11 of the second derivatives each.
 STEP = 5.0e-3
 
 
 @wp.struct
 class Jet:
-    """A point of a surface and its derivatives by u and v."""
+    """A point of a surface and its derivatives with respect to u and v."""
 
     x: vec3d  # [m]
     u: vec3d
@@ -91,7 +91,7 @@ class ParametricSurface(Shape):
 
     @classmethod
     def arguments(cls) -> tuple[str, ...]:
-        """Returns what its device functions take, in words."""
+        """Returns the argument names of its device functions."""
         return ("p", "u", "v")
 
     def __post_init__(self) -> None:
@@ -114,7 +114,7 @@ def _check_range(name: str, values: Any) -> None:
 
 @functools.cache
 def parametric_jet(A: type[ParametricSurface]) -> wp.Function:
-    """Returns the chart of a patch, ``(p, pole, u, v)``; it has no pole."""
+    """Returns the chart of a parametric surface, ``(p, pole, u, v)``; ``pole`` is not used."""
     position = A.position
     given = getattr(A, "derivatives", None)
     if given is not None:
@@ -138,7 +138,7 @@ def parametric_jet(A: type[ParametricSurface]) -> wp.Function:
 
     @wp.func
     def difference_along(p: Any, x: vec3d, u: real, v: real, step_u: real, step_v: real):
-        """First and second difference of sixth order along a step."""
+        """Returns the first and second difference of sixth order along a step."""
         first = vec3d()
         second = real(wp.static(-49.0 / 18.0)) * x
         for i in range(1, 4):

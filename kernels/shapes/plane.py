@@ -7,7 +7,7 @@ from warpcontact.kernels.shapes.base import Shape, SignedDistance, one, zero
 
 
 class Plane(Shape):
-    """The half-space z ≤ 0; its normal is +z. It has no support function but along z."""
+    """The half-space z ≤ 0; its normal is +z. It has no support function except along z."""
 
     formula = "z = 0"
 

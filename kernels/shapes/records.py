@@ -1,4 +1,4 @@
-"""The structs of shape contacts: shapes on a device, settings, what is found of a contact and remembered."""
+"""Defines the structs of shape contacts: shapes on a device, settings, results and warm starts."""
 
 import functools
 from types import SimpleNamespace
@@ -12,17 +12,17 @@ from warpcontact.kernels.types import structs
 
 @wp.struct
 class ShapePose:
-    """Where a shape is on what carries it."""
+    """Pose of a shape on its body."""
 
-    position: wp.vec3d  # origin of its frame in B, or in W of one fixed to the world [m]
-    orientation: wp.quatd  # its frame → B (or W)
+    position: wp.vec3d  # origin of the shape frame in B, or in W if fixed to the world [m]
+    orientation: wp.quatd  # shape frame → B (or W)
 
 
 @wp.struct
 class ContactShapes:
-    """What shape contacts are made of: [contact]."""
+    """Index arrays of shape contacts: [contact]."""
 
-    shape_a: wp.array(dtype=wp.int32)  # among the shapes of its kind
+    shape_a: wp.array(dtype=wp.int32)  # index among the shapes of its kind
     shape_b: wp.array(dtype=wp.int32)
     body_a: wp.array(dtype=wp.int32)  # or WORLD
     body_b: wp.array(dtype=wp.int32)
@@ -34,7 +34,7 @@ class ShapeContactSettings:
 
     kappa: wp.float64  # K = P_b + kappa (P_a − P_b) [-]
     max_depth: wp.float64  # deepest penetration that still counts as contact [m]
-    torsion_radius: wp.float64  # arm at which torsion acts [m]; < 0: that of the overlap
+    torsion_radius: wp.float64  # arm at which torsion acts [m]; < 0: radius of the overlap
     force_scale: wp.float64  # factor on forces and couples [-]
     closed: wp.float64  # gap below which there is contact [m]: 0, or the tolerance of nonsmooth contact
     enabled: wp.int32  # 0 or 1
@@ -42,7 +42,7 @@ class ShapeContactSettings:
 
 @wp.struct
 class WarmStarts:
-    """Where the next search starts."""
+    """Initial guesses of the next search."""
 
     warm_start: wp.array2d(dtype=WarmStart)  # [env, contact]
 
@@ -67,29 +67,29 @@ def shape_contact_structs(real: type) -> SimpleNamespace:
         penetration: wp.array2d(dtype=real)  # [env, contact] 0 unless status is CONTACT [m]
         normal: wp.array2d(dtype=vec3)  # [env, contact] W
         arm_a: wp.array2d(dtype=vec3)  # [env, contact] to K from the origin of B of shape a, W [m]
-        arm_b: wp.array2d(dtype=vec3)  # [env, contact] likewise; of a shape of the world from its own origin
+        arm_b: wp.array2d(dtype=vec3)  # [env, contact] likewise; for a shape fixed to the world from its origin
         status: wp.array2d(dtype=wp.int32)  # [env, contact] OPEN, CONTACT, …
-        converged: wp.array2d(dtype=wp.int32)  # [env, contact] 1: the gap is that of a root
+        converged: wp.array2d(dtype=wp.int32)  # [env, contact] 1: the solver converged
         iterations: wp.array2d(dtype=wp.int32)  # [env, contact]
         residual: wp.array2d(dtype=real)  # [env, contact] [-]
         failures: wp.array2d(dtype=wp.int32)  # [env, contact] steps without a solution since reset
-        # Only looked at by some laws and friction models
-        curvature_1: wp.array2d(dtype=real)  # [env, contact] of the gap, the smaller principal one [1/m]
-        curvature_2: wp.array2d(dtype=real)  # [env, contact] the larger [1/m]
-        radius: wp.array2d(dtype=real)  # [env, contact] of rolling and of a patch of contact [m]
+        # Read only by some laws and friction models
+        curvature_1: wp.array2d(dtype=real)  # [env, contact] smaller principal curvature of the gap [1/m]
+        curvature_2: wp.array2d(dtype=real)  # [env, contact] larger principal curvature of the gap [1/m]
+        radius: wp.array2d(dtype=real)  # [env, contact] radius of rolling and of the contact patch [m]
         orientation: wp.array2d(dtype=quat)  # [env, contact] frame of b → W
-        # Of the force
+        # Written with the force
         approach_speed: wp.array2d(dtype=real)  # [env, contact] dδ/dt at K, 0 unless CONTACT [m/s]
         slip_speed: wp.array2d(dtype=real)  # [env, contact] tangential, at K, 0 unless CONTACT [m/s]
         normal_force: wp.array2d(dtype=real)  # [env, contact] [N]
         friction_force: wp.array2d(dtype=vec3)  # [env, contact] on the body of a, W [N]
         torque: wp.array2d(dtype=vec3)  # [env, contact] of rolling and torsion on the body of a, W [N·m]
         # History
-        entry_speed: wp.array2d(dtype=real)  # [env, contact] approach speed at entry [m/s]; < 0: not touching
+        entry_speed: wp.array2d(dtype=real)  # [env, contact] approach speed at entry [m/s]; < 0: not in contact
 
     return SimpleNamespace(ShapeContacts=ShapeContacts)
 
 
-#: Arrays that are only there if a law or a friction looks at them.
+#: Arrays that are allocated only if a law or a friction model reads them.
 CURVATURE_ARRAYS = ("curvature_1", "curvature_2", "radius")
 ORIENTATION_ARRAYS = ("orientation",)

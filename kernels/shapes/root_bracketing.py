@@ -1,13 +1,13 @@
-"""Where a function of one variable rises through zero: brackets, and how they are found and made narrow.
+"""Root of a function of one variable that rises through zero: bracketing, then refinement of the bracket.
 
-A search says where to look next and is told what is there, until nothing is left to look for:
+The caller evaluates the function, and the search selects the points:
 
-    while going(search):
-        at = place(search)
-        search = told(search, at, value, what was seen)
+    while is_running(search):
+        at = next_point(search)
+        search = update(search, at, value, sample)
 
-It strides to a bracket first, and narrows that by false positions, with the Illinois rule, and by halvings: where
-the function jumps or bends sharply, it is no straight line.
+Strides of doubled length find a bracket. False positions with the Illinois rule and bisection steps narrow it;
+bisection handles jumps and kinks of the function.
 """
 
 import functools
@@ -16,7 +16,7 @@ from types import SimpleNamespace
 import warp as wp
 from warpcontact.kernels.shapes.base import half, real, two, zero
 
-# The first stride to a bracket, usually, and how many there are, each twice as long as the one before.
+# Default length of the first stride, and number of strides; each is twice as long as the one before.
 FIRST_STRIDE = 1.0e-3
 MAX_STRIDES = wp.constant(wp.int32(9))
 
@@ -32,20 +32,19 @@ def functions(
 ) -> SimpleNamespace:
     """Returns the struct ``Search`` and its device functions.
 
-    - ``start(low, a, f_a, high, b, f_b)``: a search between a and b, or, if they are one, from there,
+    - ``start(low, a, f_a, high, b, f_b)``: a search between a and b or, if they are equal, from there,
     - ``is_bracketed(search)``: whether it has a bracket,
-    - ``is_running(search)``: whether there is a place to look at,
-    - ``next_point(search)``: that place,
-    - ``update(search, at, f, now)``: the search with what was seen there.
+    - ``is_running(search)``: whether there is a point to evaluate,
+    - ``next_point(search)``: that point,
+    - ``update(search, at, f, sample)``: the search with the value and sample at that point.
 
     Args:
-        Sample: Struct of what is seen at a place, kept for both ends of the bracket.
-        secant: ``(a, b, f_a, f_b)`` → where the straight line through both ends is zero. How that is written
-            decides what rounding leaves.
-        bisection_interval: The last of so many steps is a halving, the others are false positions.
-        max_steps: Number of steps that narrow the bracket.
-        min_width: Width of a bracket that is a place.
-        first: The first stride to a bracket.
+        Sample: Struct of data stored for both ends of the bracket.
+        secant: ``(a, b, f_a, f_b)`` → zero of the secant. Its form decides the rounding error.
+        bisection_interval: Every n-th step is a bisection, the others are false positions.
+        max_steps: Maximum number of steps that narrow the bracket.
+        min_width: Width at which the bracket counts as a point.
+        first: Length of the first stride.
     """
     first_stride = wp.constant(real(first))
     steps, interval, width = (
@@ -58,13 +57,13 @@ def functions(
     class Search:
         a: real  # lower end
         b: real  # upper end
-        f_a: real  # value there, halved where that end stays
+        f_a: real  # value at a, halved each time b moves twice in a row
         f_b: real
         low: Sample  # at a
         high: Sample  # at b
-        stride: real  # the next one
-        moved_end: wp.int32  # the end that moved last: −1, 1, or none yet
-        steps: wp.int32  # since there is a bracket, or before
+        stride: real  # length of the next stride, with sign
+        moved_end: wp.int32  # end that moved last: −1, 1, or 0 for none
+        steps: wp.int32  # number of steps since the bracket was found, or of strides before
 
     @wp.func
     def start(low: Sample, a: real, f_a: real, high: Sample, b: real, f_b: real):

@@ -9,9 +9,9 @@ from warpcontact.kernels.shapes.base import AXIS_TOLERANCE, Shape, SignedDistanc
 
 
 class RoundedBox(Shape):
-    """A box about the origin, its edges along x, y, z and rounded by a radius; 0 makes it sharp.
+    """A box centered at the origin, with edges along x, y, z rounded by a radius; 0: sharp edges.
 
-    The flat parts of its faces reach as far as the half extents less the radius.
+    The flat parts of its faces extend to the half extents minus the radius.
     """
 
     formula = "distance from the box |x| ≤ a − r, |y| ≤ b − r, |z| ≤ c − r = r"
@@ -88,7 +88,7 @@ class RoundedBox(Shape):
             found.gap = distance - p.radius
             found.point = foot + p.radius * found.normal
             return found
-        # In the core: the nearest face.
+        # Inside the core: the nearest face.
         side = wp.int32(0)
         for i in range(1, 3):
             if wp.abs(x[i]) - core[i] > wp.abs(x[side]) - core[side]:

@@ -1,15 +1,14 @@
-"""From a direction up to a maximum of g(n), of two convex shapes.
+"""Newton ascent to a local maximum of the separation g(n) of two convex shapes.
 
-In the plane n + τ across n, g(n) is G(n + τ)/|n + τ|, and near n
+In the plane n + τ normal to n, g is G(n + τ)/|n + τ|, and near n
 
     G = g + τ·c − ½ τ·H τ − Σ |(n + τ)·k|
 
-with the smooth parts of both support functions: c is the difference of the two points where planes with this
-normal touch, H the sum of the Hessians. The kinks k are straight edges, two or more of them a face; a cone has one
-that is curved. Where c, less what the edges that n stands across can take, is along n, g is stationary, and this c
-is the vector between the two contact points. Otherwise what is left points uphill. Steps are Newton's, with the
-Hessian H + g 1, and end where they meet an edge that turns the slope; from there on the direction stays across the
-edge, or leaves it. No step goes down by more than rounding.
+c is the difference of the support points of the smooth parts, H the sum of their Hessians. The kinks k are edges;
+two or more active ones (n·k = 0) make a face; that of a cone is curved. g is stationary if c plus a combination of
+active kinks is parallel to n; it then joins the contact points. Otherwise the remainder is the ascent direction.
+Newton steps use the Hessian H + g 1 and stop at a kink that reverses the slope. No step lowers g by more than
+rounding.
 """
 
 import functools
@@ -22,38 +21,38 @@ from warpcontact.kernels.shapes.pair import perpendicular
 
 vec2d = wp.vec2d
 
-#: Steps of one climb, and trials of one step.
+#: Maximum number of steps of one ascent, and of trials of one step.
 MAX_STEPS = 60
 MAX_TRIALS = 30
-#: Ways of the first trial where points run far: Newton's, one for each shape, and one by powers.
+#: Kinds of first trials for ill-conditioned shapes: Newton, the Gauss map of each shape, and the power law.
 TRIAL_KINDS = 4
 
 zero, one, two, half = (wp.constant(real(value)) for value in (0.0, 1.0, 2.0, 0.5))
-# A residual that rounding does not let fall much further, and those below which a climb that stands still has
-# arrived; of steep shapes, whose points the rounding of n moves far, the second.
+# Residual at which the ascent stops, and accepted residuals if it stagnates; the last one is for ill-conditioned
+# shapes, where rounding of n moves points far.
 TARGET_RESIDUAL = wp.constant(real(1.0e-15))
 ACCEPTED_RESIDUAL = wp.constant(real(1.0e-10))
 ACCEPTED_RESIDUAL_ILL_CONDITIONED = wp.constant(real(1.0e-7))
-# Rounding of g, of the size of the pair.
+# Rounding of g, relative to the size of the pair.
 ROUNDING = wp.constant(real(1.0e-15))
-# The longest step, as the tangent of an angle.
+# Longest step, as the tangent of an angle.
 MAX_STEP = wp.constant(real(1.0))
-# Of the rise at the first slope, what a step must bring; and more where there are several ways to go.
+# Required rise relative to the initial slope; for the first trial, relative to the model.
 MIN_RISE = wp.constant(real(1.0e-4))
 MIN_RISE_FIRST = wp.constant(real(0.2))
-# Of the size of the pair, a rise too small to look for; and of that of a shape, how far outside a point may be.
+# Smallest predicted rise, relative to the size of the pair; largest gauge of a point on the surface.
 MIN_SLOPE = wp.constant(real(1.0e-14))
 GAUGE_LIMIT = wp.constant(real(1.0 + 1.0e-9))
-# Of a component of n, the change from which its power is looked at.
+# Relative change of a component of n above which ``power_law_step`` corrects the step.
 MIN_CHANGE = wp.constant(real(0.2))
-# Two principal curvatures that differ by less, of their mean, are the same.
+# Relative difference below which two principal curvatures are equal.
 EQUAL_CURVATURES = wp.constant(real(1.0e-12))
 TINY = wp.constant(real(1.0e-300))
 
 
 @wp.func
 def newton(q_11: real, q_12: real, q_22: real, rho: vec2d):
-    """|Q|⁻¹ rho: Newton's step uphill, also where the function is not concave."""
+    """Returns |Q|⁻¹ rho: Newton's ascent step with absolute eigenvalues, for functions that are not concave."""
     mean = half * (q_11 + q_22)
     radius = wp.sqrt(real(0.25) * (q_11 - q_22) * (q_11 - q_22) + q_12 * q_12)
     if mean > radius:
@@ -62,7 +61,7 @@ def newton(q_11: real, q_12: real, q_22: real, rho: vec2d):
             return vec2d(q_22 * rho[0] - q_12 * rho[1], q_11 * rho[1] - q_12 * rho[0]) / determinant
     high = vec2d(one, zero)
     if radius > EQUAL_CURVATURES * wp.abs(mean):
-        # Its eigenvector, from the larger of two columns.
+        # Eigenvector, from the larger of two columns.
         if q_11 > q_22:
             high = wp.normalize(vec2d(mean + radius - q_22, q_12))
         else:
@@ -75,7 +74,7 @@ def newton(q_11: real, q_12: real, q_22: real, rho: vec2d):
 
 @functools.cache
 def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
-    """Returns the struct ``AscentResult`` of a result and the device function ``ascend``."""
+    """Returns the struct ``AscentResult`` and the device function ``ascend``."""
     pair_functions = pair.functions(A, B)
     KinkVector, CoefficientsA, CoefficientsB, evaluate_separation = (
         pair_functions.KinkVector,
@@ -99,7 +98,7 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
         normal: vec3d
         point_a: vec3d  # without the margins [m]
         point_b: vec3d  # [m]
-        residual: real  # over the size of the pair
+        residual: real  # relative to the size of the pair
         steps: wp.int32
 
     @wp.func
@@ -113,9 +112,9 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
         first: int,
         second: int,
     ):
-        """The unit vector next to n that is across one edge or two."""
+        """Returns the unit vector next to n that is normal to one edge or to two."""
         if wp.static(A.curved_kink or B.curved_kink):
-            # To a variable, so that it stays a loop: unrolled, GPUs take minutes to compile it.
+            # Loop bound in a variable, so that Warp does not unroll: unrolled, compilation for GPUs takes minutes.
             iterations = wp.int32(4)
             for _ in range(iterations):
                 separation = evaluate_separation(p_a, p_b, x, R, n)
@@ -141,7 +140,7 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
 
     @wp.func
     def disc_normal_near(n: vec3d, axis: vec3d, one_only: int, d: vec3d):
-        """The normal of a disc that a step d comes near to, or nothing."""
+        """Returns the normal of the disc that a step d approaches, or 0."""
         cosine = wp.dot(n, axis)
         pole = axis
         if cosine < zero and one_only == 0:
@@ -149,7 +148,7 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
             cosine = -cosine
         if cosine < half:
             return vec3d()
-        # A step that comes near to it, or passes it by.
+        # The step approaches the pole or passes by it.
         to_pole = pole / cosine - n
         part = wp.clamp(wp.dot(to_pole, d) / wp.dot(d, d), zero, one)
         if wp.length_sq(to_pole - part * d) > real(0.25) * wp.length_sq(to_pole):
@@ -158,7 +157,7 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
 
     @wp.func
     def power_law_step(p_a: CoefficientsA, p_b: CoefficientsB, R: mat33d, n: vec3d, d: vec3d):
-        """A step like d, but so that points that go by powers of components of n move as far as meant."""
+        """Corrects the step d for support points that follow powers of components of n."""
         worst = MIN_CHANGE
         second = MIN_CHANGE
         axis = vec3d()
@@ -210,9 +209,9 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
 
     @wp.func
     def ascend(p_a: CoefficientsA, p_b: CoefficientsB, x: vec3d, R: mat33d, start: vec3d, size: real):
-        """Climbs from the unit vector ``start``; ``size`` [m] is that of the pair.
+        """Ascends from the unit vector ``start``; ``size`` [m] is the size of the pair.
 
-        It may leap to the normal of a disc that is higher, over lower ground or past a summit.
+        It may jump to a disc normal with a higher g, across lower values or past another maximum.
         """
         n = start
         separation = evaluate_separation(p_a, p_b, x, R, n)
@@ -238,7 +237,7 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
             e_2 = wp.cross(n, e_1)
             c = separation.point_a - separation.point_b
             rho = vec2d(wp.dot(c, e_1), wp.dot(c, e_2))
-            # What the edges take: those that n is not across pull one way, the others as is needed.
+            # Inactive kinks contribute ±k, active kinks any multiple of k between −1 and 1.
             kinks_2d = KinkMatrix2()
             active_kinks = wp.int32(0)
             edge = wp.int32(-1)
@@ -292,11 +291,11 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
                 d *= MAX_STEP / length
             slope = wp.dot(rho, d)
             if wp.static(ill_conditioned):
-                # Nothing to gain, and yet the points are not across from each other: n is as good as it can be
-                # rounded, and one of them slides along a face that is flat for all that n tells.
+                # If g cannot rise although the points are not aligned with n, n is exact to rounding, and one of
+                # the points may slide along a face that is flat to rounding.
                 if slope < MIN_SLOPE * size:
-                    # g is flat for rounding. The residual tells whether Newton's step is a good one, or the normal
-                    # where the point stays.
+                    # g is flat to rounding. The residual decides between Newton's step and the direction of the
+                    # line between the points.
                     if result.residual < half * best_residual:
                         best_residual = result.residual
                         best_direction = n
@@ -308,7 +307,7 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
                     if fallback < 2 and active_kinks == 0:
                         turn = d
                         if fallback == 1:
-                            # The points are to be apart for that.
+                            # Only if the points are apart.
                             apart = steepness < half * wp.abs(separation.value)
                             turn = wp.where(apart, rho / separation.value, vec2d())
                         fallback += 1
@@ -332,7 +331,7 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
                             result.residual = zero
                     if result.residual == zero:
                         break
-            # Where the step meets an edge that turns the slope.
+            # Fraction of the step up to the kink that reverses the slope.
             part = real(1.0)
             stopping_edge = wp.int32(-1)
             predicted_rise = half * slope
@@ -366,7 +365,7 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
             pole = vec3d()
             if wp.static(discs > 0) and disc == zero:
                 if wp.static(A.discs > 0):
-                    # Along −n: a disc with the normal −z of a lies in +z.
+                    # a is evaluated along −n: its disc with normal −z corresponds to n = +z.
                     pole = disc_normal_near(n, vec3d(R[0, 2], R[1, 2], R[2, 2]), wp.static(int(A.discs == 1)), d_3)
                 if wp.static(B.discs > 0):
                     other = disc_normal_near(n, vec3d(zero, zero, -one), wp.static(int(B.discs == 1)), d_3)
@@ -385,7 +384,7 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
                 is_newton_step = not to_pole
                 if is_newton_step:
                     trial = wp.normalize(n + part * d_3)
-                # What is static stands alone: Warp leaves out nothing else.
+                # A separate ``if``: Warp removes a branch only if its whole condition is static.
                 if wp.static(ill_conditioned):
                     if (
                         is_newton_step
@@ -394,7 +393,7 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
                         and trial_count <= TRIAL_KINDS
                     ):
                         is_newton_step = False
-                        # The normals where the points would go; powers of both.
+                        # Normals at the predicted positions of the support points, then the power-law step.
                         if wp.static(A.ill_conditioned):
                             if trial_count == 2:
                                 to = separation.point_a - separation.hessian_a * d_3 - x
@@ -414,7 +413,7 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
                 done = rise > zero
                 if wp.static(ill_conditioned):
                     if not (is_newton_step or to_pole):
-                        # Newton's step if it is good, or else the best of all.
+                        # Newton's step if it rises enough, otherwise the best of all trials.
                         if rise > best_rise:
                             best_rise = rise
                             best = trial
@@ -425,7 +424,8 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
                             trial = best
                             trial_separation = best_separation
                 if is_newton_step:
-                    # The model's rise tells whether the step is a good one; a shorter one only has to rise.
+                    # The first trial must reach a fraction of the model's rise, shorter steps a fraction of the
+                    # slope.
                     required_rise = wp.where(
                         trial_count == 1, MIN_RISE_FIRST * predicted_rise, MIN_RISE * part * slope
                     )
@@ -442,7 +442,7 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
 
         absorbed = remainder
         if wp.static(discs > 0 and kink_count > 0) and disc > zero and ratio > zero:
-            # Discs and faces are displaced alike.
+            # Points on discs and on faces are displaced in the same proportion.
             share = disc / (disc + wp.length(offset) / ratio)
             absorbed = share * offset
             for i in range(wp.static(kink_count)):

@@ -1,4 +1,4 @@
-"""Surfaces of analytic form. A shape is one file; `_CATALOGUE` puts it into the catalogue."""
+"""Catalogue of analytic shapes. Each shape is one file; `_CATALOGUE` lists it."""
 
 from typing import TYPE_CHECKING
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     CATALOGUE: tuple[type[Shape], ...]
 
-# Modules of all shapes that come with the library.
+# Modules of all built-in shapes.
 _CATALOGUE = {
     "Sphere": "sphere",
     "Plane": "plane",
@@ -49,5 +49,5 @@ __all__ = [
     "Torus",
 ]
 
-if not TYPE_CHECKING:  # there it would know every name
+if not TYPE_CHECKING:  # a type checker would accept any name
     __getattr__, __dir__ = lazy_names(__name__, _CATALOGUE, {"CATALOGUE": tuple(_CATALOGUE)})

@@ -1,4 +1,4 @@
-"""The point of a closed surface that is nearest to a place: signed distance, normal and foot."""
+"""Signed distance of a point from a closed shape, with closest point and normal."""
 
 import functools
 from typing import Any
@@ -10,21 +10,22 @@ from warpcontact.kernels.shapes.base import Shape, SignedDistance, WarmStart, on
 from warpcontact.kernels.shapes.ellipsoid import Ellipsoid
 from warpcontact.kernels.shapes.sphere import Sphere
 
-# Newton's method for the distance from an ellipsoid ends when a step is rounding; 5 to 8 are usual.
+# Newton's method for the distance from an ellipsoid ends when a step is rounding, usually after 5 to 8 steps.
 MAX_STEPS = wp.constant(wp.int32(60))
 ROUNDING = wp.constant(real(1.0e-15))
-# A normal to start from where none is known.
+# Initial normal if there is no other guess.
 UP = wp.constant(vec3d(0.0, 0.0, 1.0))
 
 
 @wp.func
 def ellipsoid_distance(p: Any, x: vec3d):
-    """Of an ellipsoid: the point a² x/(t + a²) by axis, with the t that puts it onto the surface.
+    """Returns the ``SignedDistance`` of an ellipsoid: closest point a² x/(t + a²) per axis, t from its equation.
 
-    The left side of Σ (a x/(t + a²))² = 1 is convex and falls beyond −a² of the shortest axis. Its inverse root is
-    nearly straight, and Newton's method on that does not overshoot from the left. As t is counted from there, no
-    digit of it is lost. Beside the middle of a short axis, that term alone is large next to where it is infinite:
-    steps for the sum without it are longer, and do not overshoot either, as each term moves the root on.
+    The left side of Σ (a x/(t + a²))² = 1 is convex and decreases for t > −a² of the shortest axis. Its inverse
+    square root is nearly linear, and Newton's method applied to it does not overshoot from the left. t is measured
+    from that pole, so no digits are lost. Near the middle plane of a short axis, the term of that axis dominates
+    next to its pole. Steps for the sum without it are longer and do not overshoot either, because each term
+    increases the root.
     """
     squares = wp.cw_mul(p.semi_axes, p.semi_axes)
     scaled = wp.cw_mul(p.semi_axes, x)
@@ -36,8 +37,8 @@ def ellipsoid_distance(p: Any, x: vec3d):
         if squares[i] >= squares[longest]:
             longest = i
     longer = squares - vec3d(squares[shortest], squares[shortest], squares[shortest])
-    # Where each term alone is 1: the sum is at least that at the last of these. It is 0 in the middle of the
-    # shortest axis, between two nearest points.
+    # Start at the last t where one term alone is 1: the sum is at least 1 there. t is 0 in the middle plane of the
+    # shortest axis, between two closest points.
     t = zero
     for i in range(3):
         t = wp.max(t, wp.abs(scaled[i]) - longer[i])
@@ -45,7 +46,7 @@ def ellipsoid_distance(p: Any, x: vec3d):
         total = zero
         slope_sum = zero
         step = zero
-        # The longest axis alone, with the middle one, and all.
+        # Steps for the longest axis, the two longest, and all.
         for k in range(3):
             axis = longest
             if k == 1:
@@ -69,7 +70,7 @@ def ellipsoid_distance(p: Any, x: vec3d):
             closest[i] = p.semi_axes[i] * fraction
             remainder -= fraction * fraction
     if t == zero and remainder > zero:
-        # On the middle surface what is missing lies along the shortest axis: the upper one of both.
+        # In the middle plane the remainder is along the shortest axis; of the two points take the upper one.
         closest[shortest] = p.semi_axes[shortest] * wp.sqrt(remainder)
     result = SignedDistance()
     result.point = closest
@@ -80,7 +81,7 @@ def ellipsoid_distance(p: Any, x: vec3d):
 
 @wp.func
 def mirror_to(n: vec3d, x: vec3d):
-    """The direction n on the same sides of three planes of symmetry as a place, where the best is."""
+    """Mirrors n to the octant of x, which contains the maximum of the separation."""
     return vec3d(
         wp.where(x[0] < zero, -wp.abs(n[0]), wp.abs(n[0])),
         wp.where(x[1] < zero, -wp.abs(n[1]), wp.abs(n[1])),
@@ -89,19 +90,19 @@ def mirror_to(n: vec3d, x: vec3d):
 
 
 def needs_search(A: type[Shape]) -> bool:
-    """Whether the point of a shape that is nearest to a place is searched over all directions, at some cost."""
+    """Returns whether the signed distance of a shape needs a search over all directions."""
     return not hasattr(A, "signed_distance") and A is not Ellipsoid
 
 
 @functools.cache
 def signed_distance(A: type[Shape]) -> wp.Function:
-    """Returns ``(p, x)``: the ``SignedDistance`` point of a closed shape, in its frame."""
+    """Returns ``(p, x)``: the ``SignedDistance`` of a closed shape, in its frame."""
     if hasattr(A, "signed_distance"):
         return A.signed_distance
     if A is Ellipsoid:
         return ellipsoid_distance
     symmetric = direction_branch_and_bound.shares_symmetry(Sphere, A)
-    # As a sphere without radius sees it.
+    # The contact of the shape with a sphere of radius 0.
     sphere_contact = convex.pair_function(Sphere, A)
     PointCoefficients = coefficient_struct(Sphere, real)
 
@@ -113,7 +114,7 @@ def signed_distance(A: type[Shape]) -> wp.Function:
         result.normal = contact.normal
         result.point = contact.point_b
         if wp.static(symmetric):
-            # Where a component is next to nothing, the climb may end on the other side.
+            # With a component of n near zero, the ascent may end on the other side.
             n = mirror_to(contact.normal, x)
             if wp.dot(n, x) > wp.dot(contact.normal, x):
                 result.normal = n
@@ -125,10 +126,10 @@ def signed_distance(A: type[Shape]) -> wp.Function:
 
 @functools.cache
 def signed_distance_within(A: type[Shape]) -> wp.Function:
-    """Returns ``(p, x, start, threshold)``: the ``SignedDistance`` of a place nearer than ``threshold`` [m].
+    """Returns ``(p, x, start, threshold)``: the ``SignedDistance``, exact if the gap is below ``threshold`` [m].
 
-    Of others the gap may be less than that, but no less than ``threshold``; the normal is that of the plane
-    that tells so. ``start`` is a normal to try first.
+    Otherwise the gap is a lower bound that is not below ``threshold``, and the normal is that of the separating
+    plane that gives it. ``start`` is the initial normal.
     """
     if not needs_search(A):
         exact = signed_distance(A)

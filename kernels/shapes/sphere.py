@@ -8,7 +8,7 @@ from warpcontact.kernels.shapes.base import Shape, SignedDistance, SupportExpans
 
 
 class Sphere(Shape):
-    """A sphere about the origin."""
+    """A sphere centered at the origin."""
 
     formula = "|y| = r"
     polyhedral: ClassVar[bool] = True

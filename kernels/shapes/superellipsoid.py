@@ -6,13 +6,13 @@ import warp as wp
 from warpcontact.kernels.catalogue.device_model import parameter
 from warpcontact.kernels.shapes.base import LOOSE_AXIS_TOLERANCE, Shape, SupportExpansion, one, real, two, zero
 
-# The curvature of a support function that has none, or one without bound, is taken this far off an axis.
+# Offset from an axis at which a zero or infinite curvature of a support function is evaluated.
 OFF_AXIS = wp.constant(real(1.0e-60))
 
 
 @wp.func
 def positive_power(x: real, exponent: real):
-    """x^exponent for x ≥ 0."""
+    """Returns x^exponent for x ≥ 0."""
     if x == zero:
         return zero
     return wp.exp(exponent * wp.log(x))
@@ -20,7 +20,7 @@ def positive_power(x: real, exponent: real):
 
 @wp.func
 def p_norm(x: real, y: real, exponent: real):
-    """(x^q + y^q)^(1/q) for x, y ≥ 0 and q = 2/(2 − e), its two derivatives, and their common curvature.
+    """Returns (x^q + y^q)^(1/q), its two derivatives and a curvature, for x, y ≥ 0 and q = 2/(2 − e).
 
     The Hessian is the curvature times w wᵀ, w = (y, −x).
     """
@@ -46,7 +46,7 @@ def p_norm(x: real, y: real, exponent: real):
 
 @wp.func
 def support_point(p: Any, n: wp.vec3d):
-    """The point farthest along n."""
+    """Returns the support point along n."""
     axes = p.semi_axes
     x = axes[0] * wp.abs(n[0])
     y = axes[1] * wp.abs(n[1])
@@ -61,14 +61,14 @@ def support_point(p: Any, n: wp.vec3d):
 
 
 class Superellipsoid(Shape):
-    """A superellipsoid about the origin, its axes along x, y, z. Exponents (1, 1) make an ellipsoid.
+    """A superellipsoid centered at the origin, with axes along x, y, z. Exponents (1, 1) give an ellipsoid.
 
-    Exponents below 1 make it like a box, above 1 like an octahedron; e₂ is that of the section z = 0.
+    Exponents below 1 make it box-like, above 1 octahedron-like; e₂ is the exponent of the section z = 0.
     """
 
     formula = "(|x/a|^(2/e₂) + |y/b|^(2/e₂))^(e₂/e₁) + |z/c|^(2/e₁) = 1"
     reference = "A. H. Barr, Superquadrics and angle-preserving transformations, 1981"
-    # Where n is all but across an axis, and an exponent below 1, the point runs along what looks like an edge.
+    # If n is almost normal to an axis whose exponent is below 1, the support point moves as along an edge.
     kinks: ClassVar[int] = 3
     ill_conditioned: ClassVar[bool] = True
 
@@ -102,7 +102,7 @@ class Superellipsoid(Shape):
                 beside[i] = LOOSE_AXIS_TOLERANCE
                 found.kinks[i, i] = support_point(p, beside)[i]
                 found.point[i] = zero
-                # Across the edge, its curvature is that of the kink.
+                # Across the edge, the kink holds the curvature.
                 for j in range(3):
                     found.hessian[i, j] = zero
                     found.hessian[j, i] = zero
@@ -110,13 +110,13 @@ class Superellipsoid(Shape):
 
     @wp.func
     def support_powers(p: Any):
-        """Powers of the components of n that those of the point go by, near zero."""
+        """Returns the powers of the components of n that those of the support point follow near zero."""
         across = p.exponents[1] / (two - p.exponents[1])
         return wp.vec3d(across, across, p.exponents[0] / (two - p.exponents[0]))
 
     @wp.func
     def gauss_map(p: Any, y: wp.vec3d):
-        """The normal where a point, scaled, lies on the surface."""
+        """Returns the normal at a point, after scaling the point to the surface."""
         axes = p.semi_axes
         x_1 = wp.abs(y[0]) / axes[0]
         x_2 = wp.abs(y[1]) / axes[1]
@@ -146,7 +146,7 @@ class Superellipsoid(Shape):
 
     @wp.func
     def gauge(p: Any, y: wp.vec3d):
-        """By how much the surface must be scaled to hold a point."""
+        """Returns the factor by which the surface must be scaled to contain a point."""
         x_1 = wp.abs(y[0]) / p.semi_axes[0]
         x_2 = wp.abs(y[1]) / p.semi_axes[1]
         x_3 = wp.abs(y[2]) / p.semi_axes[2]
@@ -172,7 +172,7 @@ class Superellipsoid(Shape):
 
     @wp.func
     def rolling_ball_radius(p: Any):
-        # Its edges may be sharp.
+        # The edges may be sharp.
         return zero
 
     @wp.func
@@ -185,6 +185,6 @@ class Superellipsoid(Shape):
 
     @wp.func
     def inscribed_radius(p: Any):
-        # Of the octahedron inside.
+        # Inscribed sphere of the inscribed octahedron.
         axes = p.semi_axes
         return one / wp.length(wp.vec3d(one / axes[0], one / axes[1], one / axes[2]))

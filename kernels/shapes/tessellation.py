@@ -1,4 +1,4 @@
-"""Points of shapes, to draw them."""
+"""Evaluates points of shapes for drawing."""
 
 import functools
 
@@ -10,7 +10,7 @@ from warpcontact.kernels.shapes.base import Shape
 
 @functools.cache
 def support_points(kind: type[Shape]) -> wp.Kernel:
-    """Returns the kernel of the points of a convex shape farthest along unit vectors. Launch with dim vector."""
+    """Returns the kernel of the support points of a convex shape along unit vectors. Launch with dim vector."""
     Coefficients = coefficient_struct(kind, wp.float64)
     support = kind.support
 
@@ -28,7 +28,7 @@ def support_points(kind: type[Shape]) -> wp.Kernel:
 
 @functools.cache
 def patch_points(kind: type[Shape]) -> wp.Kernel:
-    """Returns the kernel of the points of a patch at given parameters. Launch with dim point."""
+    """Returns the kernel of points of a parametric surface at given parameters. Launch with dim point."""
     Coefficients = coefficient_struct(kind, wp.float64)
     position = kind.position
 

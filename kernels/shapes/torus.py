@@ -1,4 +1,4 @@
-"""Tori: real rings, with a hole."""
+"""Tori with a hole (ring tori)."""
 
 from typing import Any, ClassVar
 
@@ -10,7 +10,7 @@ from warpcontact.kernels.shapes.base import Shape, SignedDistance, one, zero
 
 
 class Torus(Shape):
-    """A ring about the z axis: all within r of the core circle of radius R in the plane z = 0."""
+    """A torus about the z axis: all points within r of the core circle of radius R in the plane z = 0."""
 
     formula = "(√(x² + y²) − R)² + z² = r²"
     convex: ClassVar[bool] = False
@@ -60,7 +60,7 @@ class Torus(Shape):
         radial_distance, out = radial(x)
         beside = radial_distance - p.major_radius
         distance = wp.sqrt(beside * beside + x[2] * x[2])
-        # On the core circle every direction across is the nearest way out.
+        # On the core circle all normal directions are equally near; z is used.
         found.normal = wp.vec3d(zero, zero, one)
         if distance > zero:
             found.normal = (beside / distance) * out + wp.vec3d(zero, zero, x[2] / distance)

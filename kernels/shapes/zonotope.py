@@ -1,6 +1,7 @@
-"""The nearest point of a zonotope in the plane: all sums of vectors, each times a number from −1 to 1.
+"""Projection onto a zonotope in the plane: the set of all sums Σ tᵢ kᵢ with −1 ≤ tᵢ ≤ 1.
 
-Edges that touch share out the offset of two bodies; what they cannot take turns the normal.
+``separation_newton.py`` uses it: active edges absorb the tangential offset of two bodies, the remainder turns the
+normal.
 """
 
 import functools
@@ -18,14 +19,14 @@ PARALLEL = wp.constant(real(1.0e-12))
 def zonotope_projection(count: int) -> wp.Function:
     """Returns the device function for ``count`` vectors.
 
-    Loops run to a variable, so that they stay loops: unrolled, GPUs take minutes to compile them.
+    Loop bounds are in variables, so that Warp does not unroll: unrolled, compilation for GPUs takes minutes.
     """
     Row = wp.types.vector(count, real)
     Flat = wp.types.matrix((count, 2), real)
 
     @wp.func
     def side(edges: Flat, mask: int, i: int, r: vec2d):
-        """Of the side of the zonotope along edge i that faces r: its middle, half of it, and the normal."""
+        """Returns middle, half length and outward normal of the side of the zonotope along edge i that faces r."""
         along = vec2d(edges[i, 0], edges[i, 1])
         length = wp.length(along)
         out = vec2d(-along[1], along[0]) / length
@@ -46,11 +47,11 @@ def zonotope_projection(count: int) -> wp.Function:
 
     @wp.func
     def distribute(edges: Flat, mask: int, signs: Row, r: vec2d):
-        """Divides r among the ``mask`` edges.
+        """Distributes r over the edges in ``mask``.
 
-        Returns the numbers of all edges, what is left of r, the edge that this is across, −1 if there is none, and
-        how much of the way to the boundary r is, 0 if it is outside or there is no inside. Within, all numbers are
-        as small as the largest of them can be.
+        Returns the factors of all edges, the remainder of r, the edge that the remainder is normal to (−1: none),
+        and r relative to the boundary in its direction. This ratio is 0 if r is outside or the zonotope has no
+        interior. If r is inside, the largest factor is as small as possible.
         """
         best = wp.int32(0)
         nearest = real(wp.inf)

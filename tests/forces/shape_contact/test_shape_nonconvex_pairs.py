@@ -415,7 +415,7 @@ def test_invalid_parametric_surface_class_is_refused():
         type("Nowhere", (ParametricSurface,), {"u_range": (0, 1), "v_range": (0, 1)})()
     with pytest.raises(TypeError, match=r"Steep\.derivatives must be a wp\.func of \(p, u, v\)"):
         type("Steep", (ParametricSurface,), {"derivatives": 1})
-    with pytest.raises(TypeError, match=r"two patches, Tube and Quadric, cannot touch"):
+    with pytest.raises(TypeError, match=r"two parametric surfaces, Tube and Quadric, cannot be in contact"):
         nonconvex_pairs.pair_function(Tube, Quadric)
     with pytest.raises(ValueError, match=r"Torus\.minor_radius must be less than the major radius, got 0\.5 m"):
         Torus(0.5, 0.5)
