@@ -1,1 +1,1 @@
-"""Contact among many spheres and capsules of an environment: who is near whom, and what touches do."""
+"""Particle contact: neighbor lists, contact forces and history of many spheres and capsules."""

@@ -1,8 +1,8 @@
-"""What kernels of a pile read and write: its shapes, who is near whom, and the touches.
+"""Structs of particle contact: particles, neighbor lists, pair records and cell lists.
 
-A pile is shapes that all touch each other. Every shape has a list of the shapes near it, its partners. A pair is
-in two lists; one of the two shapes owns it, has it among the first of its list, and keeps its record. Of a pair
-the first is the shape with the lower number.
+A particle is a rigid sphere or capsule fixed to a body. Each particle has a list of its neighbors. A pair is in
+the lists of both particles. One of them owns the pair: it has the neighbor in the first part of its list and
+stores the record of the pair. The first particle of a pair is the one with the lower index.
 """
 
 import functools
@@ -12,24 +12,24 @@ from typing import NamedTuple
 import warp as wp
 from warpcontact.kernels.types import structs
 
-# Bits of a record: touches in the state that forces were computed of; did so in the last accepted step.
+# Flags of a record: in contact in the state of the force evaluation; in contact in the last accepted step.
 IN_CONTACT = 1
 WAS_IN_CONTACT = 2
 
-#: Partner or slot that there is none of.
+#: Value for no neighbor or no record.
 NO_INDEX = -1
-#: Partners that are looked at before anything is done about them: threads of a GPU wait for all at once. The bits
-#: of a number.
+#: Number of records checked before any is processed, so that the threads of a GPU warp stay together: bits of an
+#: int32.
 BATCH_SIZE = 32
 
 
 class ParticleTraits(NamedTuple):
-    """What kernels of a pile are compiled for.
+    """Properties that particle kernels are compiled for.
 
     Attributes:
-        has_offsets: Whether any shape has its middle elsewhere than at the centre of mass of its body.
-        has_capsules: Whether any shape is a capsule.
-        all_pairs: Whether the lists are those of all pairs, the same in all environments.
+        has_offsets: Whether the center of any particle differs from the center of mass of its body.
+        has_capsules: Whether any particle is a capsule.
+        all_pairs: Whether the lists contain all pairs, the same in all environments.
     """
 
     has_offsets: bool
@@ -39,85 +39,85 @@ class ParticleTraits(NamedTuple):
 
 @wp.func
 def owns_pair(particle: int, other_particle: int):
-    """Whether shape ``particle`` owns its pair with ``other_particle``: the lower number of every second pair."""
+    """Returns whether ``particle`` owns its pair with the other one: if their sum is odd, the lower index does."""
     return (((particle + other_particle) & 1) == 1) == (particle < other_particle)
 
 
 @functools.cache
 def particle_structs(real: type) -> SimpleNamespace:
-    """Returns the structs of a pile for ``real``."""
+    """Returns the structs of particle contact for ``real``."""
     vec3 = structs(real).vec3
 
     @wp.struct
     class ParticleContactSettings:
-        kappa: real  # contact point K = S + kappa (D − S) [-]
+        kappa: real  # contact point K = S + kappa (D − S), S on the second, D on the first particle [-]
         max_depth: real  # deepest penetration that still counts as contact [m]
-        torsion_radius: real  # arm at which torsion acts [m]; < 0: that of the overlap
+        torsion_radius: real  # arm at which torsion acts [m]; < 0: radius of the overlap
         force_scale: real  # factor on forces and couples [-]
         closed: real  # gap below which there is contact [m]: 0, or the tolerance of nonsmooth contact
-        skin: real  # shapes closer than this are partners [m]
-        cell: real  # edge of a cell: no two shapes that are partners are farther apart [m]
+        skin: real  # particles with a smaller gap are neighbors [m]
+        cell: real  # edge of a cell, at least the largest center distance of neighbors [m]
         enabled: wp.int32  # 0 or 1
 
     @wp.struct
     class Particles:
-        body: wp.array(dtype=wp.int32)  # [particle] that it is fixed to
+        body: wp.array(dtype=wp.int32)  # [particle] body that carries it
         kind: wp.array(dtype=wp.int32)  # [particle] row of ``allowed``
-        allowed: wp.array2d(dtype=wp.int32)  # [kind, kind] whether they touch
-        offset: wp.array2d(dtype=vec3)  # [env, particle] its middle, B [m]
-        axis: wp.array2d(dtype=vec3)  # [env, particle] from there to the middle of an end, B [m]; 0: a sphere
+        allowed: wp.array2d(dtype=wp.int32)  # [kind, kind] whether contact is allowed
+        offset: wp.array2d(dtype=vec3)  # [env, particle] its center, B [m]
+        axis: wp.array2d(dtype=vec3)  # [env, particle] from there to the center of an end cap, B [m]; 0: a sphere
         radius: wp.array2d(dtype=real)  # [env, particle] [m]
         settings: wp.array2d(dtype=ParticleContactSettings)  # [env, 0]
-        entry_start: wp.array(dtype=wp.int32)  # [shape + 1] first entry of its list
-        slot_start: wp.array(dtype=wp.int32)  # [shape + 1] first of the records that it owns
-        particle_of_body: wp.array(dtype=wp.int32)  # [body] its shape, if no body has several; NONE: none
-        owner_body: wp.array(dtype=wp.int32)  # [carrier] bodies that have a shape
-        owner_start: wp.array(dtype=wp.int32)  # [carrier + 1] first of its shapes in the list
-        owner_particle: wp.array(dtype=wp.int32)  # shapes by body
+        entry_start: wp.array(dtype=wp.int32)  # [particle + 1] first entry of its list
+        slot_start: wp.array(dtype=wp.int32)  # [particle + 1] first record that it owns
+        particle_of_body: wp.array(dtype=wp.int32)  # [body] its particle, if none has several; NO_INDEX: none
+        owner_body: wp.array(dtype=wp.int32)  # [owner] bodies that have particles
+        owner_start: wp.array(dtype=wp.int32)  # [owner + 1] first of its particles in ``owner_particle``
+        owner_particle: wp.array(dtype=wp.int32)  # particles, sorted by body
 
     @wp.struct
     class NeighborLists:
-        """A cache: it changes no result. What a shape owns comes first, both parts in the order of partners."""
+        """Neighbors per particle, a cache that changes no result: owned pairs first, both parts sorted."""
 
-        owned: wp.array2d(dtype=wp.int32)  # [env, particle] how many partners it owns
-        count: wp.array2d(dtype=wp.int32)  # [env, particle] how many it has
+        owned: wp.array2d(dtype=wp.int32)  # [env, particle] number of owned pairs
+        count: wp.array2d(dtype=wp.int32)  # [env, particle] number of neighbors
         neighbor: wp.array2d(dtype=wp.int32)  # [env, entry]
-        slot: wp.array2d(dtype=wp.int32)  # [env, entry] record of the pair; NONE: it did not fit
+        slot: wp.array2d(dtype=wp.int32)  # [env, entry] record of the pair; NO_INDEX: none (list of the owner full)
 
     @wp.struct
     class PairRecords:
-        """Records of pairs; of those that do not touch only the bits tell anything.
+        """Records of pairs. Without contact only the flags are valid.
 
-        First what every step reads and writes: a GPU fetches and keeps 32 bytes at once.
+        Fields that every step reads and writes come first: a GPU transfers memory in sectors of 32 bytes.
         """
 
-        entry_speed: wp.array2d(dtype=real)  # [env, slot] as of the history, if TOUCHED [m/s]
+        entry_speed: wp.array2d(dtype=real)  # [env, slot] speed at entry, if WAS_IN_CONTACT [m/s]
         approach_speed: wp.array2d(dtype=real)  # [env, slot] dδ/dt at K [m/s]
-        force: wp.array2d(dtype=vec3)  # [env, slot] on the first, W [N]
-        torque: wp.array2d(dtype=vec3)  # [env, slot] on it, about its centre of mass, W [N·m]
+        force: wp.array2d(dtype=vec3)  # [env, slot] on the first particle, W [N]
+        torque: wp.array2d(dtype=vec3)  # [env, slot] on the first particle, about its center of mass, W [N·m]
         gap: wp.array2d(dtype=real)  # [env, slot] [m]
         normal_force: wp.array2d(dtype=real)  # [env, slot] [N]
         normal: wp.array2d(dtype=vec3)  # [env, slot] out of the second, towards the first, W
-        arm: wp.array2d(dtype=vec3)  # [env, slot] to K from the centre of mass of the first, W [m]
-        flags: wp.array2d(dtype=wp.int32)  # [env, slot] TOUCHES, TOUCHED
-        particle_flags: wp.array2d(dtype=wp.int32)  # [env, particle] whether any bits are set of what it owns
+        arm: wp.array2d(dtype=vec3)  # [env, slot] to K from the center of mass of the first, W [m]
+        flags: wp.array2d(dtype=wp.int32)  # [env, slot] IN_CONTACT, WAS_IN_CONTACT
+        particle_flags: wp.array2d(dtype=wp.int32)  # [env, particle] whether any record that it owns has flags
 
     @wp.struct
     class CellList:
-        """What lists are made with."""
+        """Work arrays for building the lists."""
 
-        stale: wp.array(dtype=wp.int32)  # [env] whether they are to be made anew
-        valid: wp.array(dtype=wp.int32)  # [env] whether there are any
-        build_count: wp.array(dtype=wp.int32)  # [env] how often they were made since reset
-        overflow: wp.array(dtype=wp.int32)  # [env] by how many entries a list was too short, at most
-        origin: wp.array2d(dtype=vec3)  # [env, particle] where it was when they were made, in two parts, W [m]
-        offset_from_origin: wp.array2d(dtype=vec3)  # [env, particle]
-        axis: wp.array2d(dtype=vec3)  # [env, particle] likewise, W [m]
-        cell: wp.array2d(dtype=wp.vec3i)  # [env, particle] that it was in
-        head: wp.array2d(dtype=wp.int32)  # [env, bucket] a shape in it
+        stale: wp.array(dtype=wp.int32)  # [env] whether the lists must be rebuilt
+        valid: wp.array(dtype=wp.int32)  # [env] whether lists exist
+        build_count: wp.array(dtype=wp.int32)  # [env] number of builds since reset
+        overflow: wp.array(dtype=wp.int32)  # [env] largest number of entries by which a list was too short
+        origin: wp.array2d(dtype=vec3)  # [env, particle] position at the last build, as a sum of two parts, W [m]
+        offset_from_origin: wp.array2d(dtype=vec3)  # [env, particle] second part, W [m]
+        axis: wp.array2d(dtype=vec3)  # [env, particle] axis at the last build, W [m]
+        cell: wp.array2d(dtype=wp.vec3i)  # [env, particle] cell at the last build
+        head: wp.array2d(dtype=wp.int32)  # [env, bucket] a particle in it
         link: wp.array2d(dtype=wp.int32)  # [env, particle] another in the same bucket
-        key: wp.array2d(dtype=wp.int32)  # [env, entry] partner, more by the number of shapes if not owned
-        key_count: wp.array2d(dtype=wp.int32)  # [env, particle] how many
+        key: wp.array2d(dtype=wp.int32)  # [env, entry] neighbor index, plus the number of particles if not owned
+        key_count: wp.array2d(dtype=wp.int32)  # [env, particle] number of keys
 
     return SimpleNamespace(
         ParticleContactSettings=ParticleContactSettings,
@@ -130,12 +130,12 @@ def particle_structs(real: type) -> SimpleNamespace:
 
 @functools.cache
 def records_with_flags(real: type) -> wp.Function:
-    """Returns the device function that finds the records that have any of some bits set, among a few."""
+    """Returns the device function that selects the records with any of some flags."""
     PairRecords = particle_structs(real).PairRecords
 
     @wp.func
     def records_with_flags(pair_records: PairRecords, env: int, first: int, count: int, mask: int):
-        """Those of ``count`` records from ``first`` on, at most ``BATCH_SIZE``, as bits by their places."""
+        """Returns the records with any flag of ``mask`` as bits: ``count`` ≤ ``BATCH_SIZE`` from ``first`` on."""
         selected = wp.int32(0)
         for k in range(count):
             if (pair_records.flags[env, first + k] & mask) != 0:

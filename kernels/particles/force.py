@@ -1,7 +1,7 @@
-"""What shapes of a pile do to each other: touches of the pairs that a shape owns.
+"""Contact forces of particles: evaluates the pairs that each particle owns.
 
-The distance comes first, with little traffic; what a touch does is computed by ``touch.py``. A pure function of
-model, state and history, whichever pairs beside those that touch are in the lists.
+The distance test comes first, with little memory traffic; forces are computed by ``contact_evaluation.py``. A pure
+function of model, state and history: listed pairs without contact do not change the result.
 """
 
 import functools
@@ -32,7 +32,7 @@ from warpcontact.kernels.types import (
 
 @functools.cache
 def _start_memory(parts: ContactModel, real: type) -> wp.Function:
-    """Returns the function ``(memory, env, slot, dt)`` that empties the memory of a pair that did not touch."""
+    """Returns ``(memory, env, slot, dt)``, which clears the history of a pair that was not in contact."""
     _, Memory = group_structs(parts, real)
     law, friction, rolling, torsion = (bool(part.memories) for part in parts)
     LawMemory, FrictionMemory = memory_struct(parts.law, real), memory_struct(parts.friction, real)
@@ -69,17 +69,17 @@ def kernel(
     single_thread: bool,
     nonsmooth: bool = False,
 ) -> wp.Kernel:
-    """Returns the kernel of the touches that a shape owns; items: shapes.
+    """Returns the force kernel for the pairs that a particle owns; items: particles.
 
     Args:
-        parts: The classes of law and friction models.
-        traits: What is in the pile.
+        parts: Classes of law and friction models.
+        traits: Properties of the particles.
         real: Precision.
-        moves: Whether bodies that are not free oppose to a force what their motions let them.
-        single_thread: Whether one thread has all shapes of an environment in turn. It adds what touches do to
-            the wrenches; else ``add`` does.
-        nonsmooth: Whether touches have no force, and are only located. So are those of the last step that
-            have come apart: what pressed in it is shown.
+        moves: Whether the effective mass accounts for joints of bodies.
+        single_thread: Whether one thread processes all particles of an environment in order. It then adds forces
+            to the wrenches itself; otherwise ``sums.add`` does.
+        nonsmooth: Whether contacts are only located, without forces. Contacts of the last step that have opened
+            are located, too, because their impulses are reported.
     """
     t = structs(real)
     vec3, quat, Model, State, Wrenches = t.vec3, t.quat, t.Model, t.State, t.Wrenches
@@ -126,7 +126,7 @@ def kernel(
         radius_1: real,
         radius_2: real,
     ):
-        """Where two shapes touch."""
+        """Returns the contact kinematics of two particles."""
         n_W = vec3(real(0.0), real(0.0), real(1.0))
         if distance > real(0.0):
             n_W = (real(1.0) / distance) * pair.separation
@@ -154,7 +154,7 @@ def kernel(
 
     @wp.func
     def record_geometry(kinematics: ContactKinematics, pair_records: PairRecords, env: int, slot: int):
-        """Writes where two shapes touch into the record of the pair."""
+        """Writes gap, normal and arm to the record of the pair."""
         pair_records.gap[env, slot] = -kinematics.penetration
         pair_records.normal[env, slot] = kinematics.normal
         pair_records.arm[env, slot] = kinematics.arm_1
@@ -176,13 +176,14 @@ def kernel(
         write_outputs: bool,
         wrenches: Wrenches,
     ):
-        """Computes what a touch does, into its record as far as it is to be ``write_outputs`` or added up."""
+        """Evaluates a contact; writes its record if ``write_outputs`` or needed for the sums."""
         entry_speed = real(-1.0)
         if (flags & WAS_IN_CONTACT) != 0:
             entry_speed = pair_records.entry_speed[env, slot]
         else:
             if wp.static(remembers):
-                # Not of the history: nothing is known of a pair that did not touch, whether it was listed or not.
+                # Cleared here, not read: a pair that was not in contact has no history, whether it was listed or
+                # not.
                 start_memory(history_in, env, slot, dt)
         q_WS = quat()
         if wp.static(oriented):
@@ -210,7 +211,7 @@ def kernel(
             torque_2 = wp.cross(kinematics.arm_2, force) + torque
             wrenches.torque[env, body_2] = wrenches.torque[env, body_2] - torque_2
         else:
-            # Of the other that follows from it.
+            # The torque on the second follows from it (``sums.torque_on_second``).
             pair_records.torque[env, slot] = torque_1
 
     @unique_kernel()
@@ -223,11 +224,11 @@ def kernel(
         neighbor_lists: NeighborLists,
         cell_list: CellList,
         history_in: Memory,
-        step: wp.array2d(dtype=real),  # [env, 0] what the force acts over [s]; 0: the force of this instant
+        step: wp.array2d(dtype=real),  # [env, 0] duration over which the force acts [s]; 0: instantaneous force
         coefficients: Coefficients,
         pair_records: PairRecords,
         history_out: Memory,
-        write_outputs: wp.bool,  # whether anyone may ask where pairs touch, and what each of them does
+        write_outputs: wp.bool,  # whether to write gap, normal, arm and force of each pair for sensors
         wrenches: Wrenches,
     ):
         for task in range(wp.tid(), task_count(launch), launch.threads):
@@ -251,7 +252,7 @@ def kernel(
             old_flags = pair_records.particle_flags[env, particle]
             new_flags = wp.int32(0)
             while entry < stop:
-                # The next that touches, so that threads side by side compute touches together.
+                # Find the next contact, so that the threads of a warp evaluate contacts together.
                 selected = wp.bool(False)
                 touching = wp.bool(False)
                 neighbor = wp.int32(NO_INDEX)
@@ -273,7 +274,7 @@ def kernel(
                     axis_point_2 = axis_point(particles, state, env, neighbor)
                     may_touch = wp.bool(True)
                     if wp.static(has_capsules):
-                        # By the spheres around capsules first; with room for rounding.
+                        # First by bounding spheres of capsules, with a margin for rounding.
                         origin_offset = (own_point.origin - axis_point_2.origin) + (
                             own_point.offset - axis_point_2.offset
                         )
@@ -304,11 +305,12 @@ def kernel(
                         new_flags = new_flags | IN_CONTACT
                         pair_records.flags[env, record] = flags | IN_CONTACT
                     if wp.static(nonsmooth):
-                        # One that has come apart may have been passed over.
+                        # An opened contact may have been skipped by the bounding-sphere test.
                         pair = closest_approach(axis_point_1, axis_point_2)
                         distance = wp.length(pair.separation)
                     if neighbor < particle:
-                        # The first is the lower; the same bits as if it had been taken first.
+                        # The first particle has the lower index, so the result is bitwise independent of the
+                        # owner.
                         first = neighbor
                         neighbor = particle
                         axis_point_1 = axis_point_2
@@ -323,7 +325,7 @@ def kernel(
                     )  # fmt: skip
                     if wp.static(nonsmooth):
                         record_geometry(kinematics, pair_records, env, record)
-                        # For a law that is to act later it began at rest.
+                        # A compliant law that is switched on later starts at rest.
                         pair_records.approach_speed[env, record] = real(0.0)
                         if wp.static(remembers):
                             if flags == 0:

@@ -1,4 +1,4 @@
-"""Advances what a pile remembers of its touches, once per accepted step and nowhere else."""
+"""Advances the history of particle contacts, once per accepted step."""
 
 import functools
 
@@ -13,7 +13,7 @@ from warpcontact.kernels.types import ENV_ACTIVE, LaunchRange, task_count, task_
 
 @functools.cache
 def copy_memory(parts: ContactModel, real: type) -> wp.Function:
-    """Returns ``(source, source_slot, target, target_slot, env)``, which copies what a pair remembers."""
+    """Returns ``(source, source_slot, target, target_slot, env)``, which copies the history of a pair."""
     _, Memory = group_structs(parts, real)
     law, friction, rolling, torsion = (bool(part.memories) for part in parts)
 
@@ -33,7 +33,7 @@ def copy_memory(parts: ContactModel, real: type) -> wp.Function:
 
 @functools.cache
 def accept(parts: ContactModel, real: type, nonsmooth: bool = False) -> wp.Kernel:
-    """Returns the kernel that advances the history; items: shapes. ``nonsmooth``: see ``force.kernel``."""
+    """Returns the kernel that advances the history; items: particles. ``nonsmooth``: see ``force.kernel``."""
     particle_types = particle_structs(real)
     Particles, NeighborLists, PairRecords = (
         particle_types.Particles,
@@ -87,7 +87,7 @@ def accept(parts: ContactModel, real: type, nonsmooth: bool = False) -> wp.Kerne
 
 @functools.cache
 def reset() -> wp.Kernel:
-    """Returns the kernel that empties the history of chosen environments. Launch with dim (env, slot or shape)."""
+    """Returns the kernel that clears the history of masked environments. Launch with dim (env, slot or particle)."""
 
     @unique_kernel()
     def reset_particle_contacts(

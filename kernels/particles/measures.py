@@ -1,4 +1,4 @@
-"""What is measured of a pile."""
+"""Kernels that evaluate the sensors of particle contact."""
 
 import functools
 
@@ -10,24 +10,24 @@ from warpcontact.kernels.types import structs
 
 @functools.cache
 def measured(real: type):
-    """Returns the struct of arrays that a pile is measured into."""
+    """Returns the struct of the result arrays."""
     vec3 = structs(real).vec3
 
     @wp.struct
     class Measured:
-        contacts: wp.array(dtype=wp.int32)  # [env] pairs that touch
+        contacts: wp.array(dtype=wp.int32)  # [env] pairs in contact
         normal_force: wp.array(dtype=wp.float64)  # [env] sum of their normal forces [N]
         max_penetration: wp.array(dtype=real)  # [env] [m]
         max_normal_force: wp.array(dtype=real)  # [env] [N]
-        coordination: wp.array2d(dtype=wp.int32)  # [env, shape] shapes that touch it
-        force: wp.array2d(dtype=vec3)  # [env, shape] of the pile on it, W [N]
+        coordination: wp.array2d(dtype=wp.int32)  # [env, particle] number of particles in contact with it
+        force: wp.array2d(dtype=vec3)  # [env, particle] contact force on it, W [N]
 
     return Measured
 
 
 @functools.cache
 def particles(real: type) -> wp.Kernel:
-    """Returns the kernel that measures every shape. Launch with dim (env, shape)."""
+    """Returns the kernel that evaluates each particle. Launch with dim (env, particle)."""
     vec3 = structs(real).vec3
     particle_types = particle_structs(real)
     Particles, NeighborLists, PairRecords = (
@@ -65,7 +65,7 @@ def particles(real: type) -> wp.Kernel:
 
 @functools.cache
 def totals(real: type) -> wp.Kernel:
-    """Returns the kernel that measures all touches of an environment, in their order. Launch with dim env."""
+    """Returns the kernel that evaluates totals of an environment, in the order of records. Launch with dim env."""
     particle_types = particle_structs(real)
     Particles, NeighborLists, PairRecords = (
         particle_types.Particles,

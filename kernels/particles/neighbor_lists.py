@@ -1,13 +1,11 @@
-"""Makes the lists of partners anew where any shape has moved by half the skin since they were made.
+"""Neighbor lists of particles (Verlet lists), rebuilt when a particle has moved by half the skin.
 
-Nothing is decided on the host: the kernels come with every step, and return at once for environments whose lists
-still hold. Shapes are sorted into cells, cells into buckets by a hash; partners are sorted by their number, so the
-lists are the same whatever order threads come in. What is remembered of a pair moves with it, and a pair with a
-memory stays, however far apart it is now.
+The host takes no decision: the kernels run in every step and return early for environments with valid lists.
+Particles are sorted into cells, and cells into hash buckets. Neighbors are sorted by index, so lists do not depend
+on thread order. The history of a pair moves with it, and a pair with history stays listed at any distance.
+Conditions are nested because Warp evaluates both operands of ``and`` and would read out of bounds.
 
-Conditions are nested where Warp, which looks at both sides of ``and``, would read beyond an array.
-
-    check → clear → fill → gather → [transfer_impulses] → carry → join
+    check_validity → clear → fill → build → [transfer_impulses] → transfer_history → build_reverse
 """
 
 import functools
@@ -28,16 +26,16 @@ from warpcontact.kernels.particles.base import (
 from warpcontact.kernels.particles.history import copy_memory
 from warpcontact.kernels.types import ENV_ACTIVE, LaunchRange, structs, task_count, task_env, task_item
 
-# Of half the skin, what a shape may move before lists are stale: the rest is for rounding.
+# Fraction of the skin that a particle may move before lists are stale: half, with a margin for rounding.
 SKIN_FRACTION = 0.49
-# Cells are numbered in a ring of this many.
+# Cell indices are taken modulo this number.
 CELL_RANGE = 1 << 30
 
 
 @wp.func
 def bucket_of(cell: wp.vec3i, buckets: int):
-    """Bucket of a cell; ``buckets`` is a power of two."""
-    # Without signs: products of signed numbers must not overflow, and compilers rely on it.
+    """Returns the bucket of a cell; ``buckets`` is a power of two."""
+    # Unsigned: overflow of signed products is undefined behavior.
     x = wp.uint32(cell[0]) * wp.uint32(73856093)
     y = wp.uint32(cell[1]) * wp.uint32(19349663)
     z = wp.uint32(cell[2]) * wp.uint32(83492791)
@@ -46,7 +44,7 @@ def bucket_of(cell: wp.vec3i, buckets: int):
 
 @functools.cache
 def check_validity(traits: ParticleTraits, real: type) -> wp.Kernel:
-    """Returns the kernel that finds environments whose lists do not hold; items: shapes."""
+    """Returns the kernel that marks environments with stale lists; items: particles."""
     t = structs(real)
     State = t.State
     particle_types = particle_structs(real)
@@ -76,7 +74,7 @@ def check_validity(traits: ParticleTraits, real: type) -> wp.Kernel:
             )
             limit = real(SKIN_FRACTION) * particles.settings[env, 0].skin
             if wp.static(has_capsules):
-                # No point of an axis moves farther than one of its ends.
+                # The displacement of an axis is largest at one of its ends.
                 axis_change = point.axis - cell_list.axis[env, particle]
                 if wp.length(displacement + axis_change) > limit or wp.length(displacement - axis_change) > limit:
                     cell_list.stale[env] = 1
@@ -88,7 +86,7 @@ def check_validity(traits: ParticleTraits, real: type) -> wp.Kernel:
 
 @functools.cache
 def clear(real: type) -> wp.Kernel:
-    """Returns the kernel that empties the buckets; items: buckets."""
+    """Returns the kernel that clears the buckets; items: buckets."""
     CellList = particle_structs(real).CellList
 
     @unique_kernel()
@@ -103,7 +101,7 @@ def clear(real: type) -> wp.Kernel:
 
 @functools.cache
 def fill(traits: ParticleTraits, real: type) -> wp.Kernel:
-    """Returns the kernel that puts shapes into buckets and remembers where they are; items: shapes."""
+    """Returns the kernel that sorts particles into buckets and stores their poses; items: particles."""
     t = structs(real)
     State = t.State
     particle_types = particle_structs(real)
@@ -150,9 +148,9 @@ def fill(traits: ParticleTraits, real: type) -> wp.Kernel:
 
 @functools.cache
 def build(traits: ParticleTraits, real: type) -> wp.Kernel:
-    """Returns the kernel that looks for the partners of a shape; items: shapes.
+    """Returns the kernel that collects the neighbors of a particle; items: particles.
 
-    The lists in force are not changed.
+    The current lists are not changed.
     """
     t = structs(real)
     State = t.State
@@ -168,7 +166,7 @@ def build(traits: ParticleTraits, real: type) -> wp.Kernel:
 
     @wp.func
     def insert(cell_list: CellList, env: int, start: int, capacity: int, count: int, key: int):
-        """Puts a key into its place; returns how many there are, or would be if there were room."""
+        """Inserts a key into the sorted list; returns the number of keys, including one that did not fit."""
         last = wp.min(count, capacity)
         position = start + last
         key_before = wp.int32(NO_INDEX)
@@ -237,7 +235,7 @@ def build(traits: ParticleTraits, real: type) -> wp.Kernel:
                                     key = sort_key(particle, other_particle, launch.items)
                                     count = insert(cell_list, env, start, capacity, count, key)
                     other_particle = cell_list.link[env, other_particle]
-            # Wherever it is in this state, which may be one that is only tried.
+            # Pairs with history stay at any distance: this may be a trial state that is not accepted.
             first_slot = particles.slot_start[particle]
             for k in range(neighbor_lists.count[env, particle]):
                 slot = first_slot + k
@@ -264,7 +262,7 @@ def build(traits: ParticleTraits, real: type) -> wp.Kernel:
 
 @functools.cache
 def transfer_history(parts: ContactModel, real: type) -> wp.Kernel:
-    """Returns the kernel that puts the new lists in force, and moves what is remembered; items: shapes."""
+    """Returns the kernel that activates the new lists and moves the history of pairs; items: particles."""
     particle_types = particle_structs(real)
     Particles, NeighborLists, PairRecords, CellList = (
         particle_types.Particles,
@@ -298,7 +296,8 @@ def transfer_history(parts: ContactModel, real: type) -> wp.Kernel:
             records = particles.slot_start[particle + 1] - first
             owned = wp.int32(0)
             old = wp.int32(0)
-            # What the force stage will write anew holds it meanwhile: both lists share their records.
+            # Old and new lists share their records, so arrays that the force stage overwrites hold the history
+            # meanwhile.
             for k in range(count):
                 key = cell_list.key[env, start + k]
                 if key >= launch.items or owned == records:
@@ -336,10 +335,10 @@ def transfer_history(parts: ContactModel, real: type) -> wp.Kernel:
 
 @functools.cache
 def transfer_impulses(real: type) -> wp.Kernel:
-    """Returns the kernel that moves what is remembered of hard pairs, before the new lists are in force.
+    """Returns the kernel that moves the stored impulses of nonsmooth pairs, before the new lists are active.
 
-    Items: shapes. Both lists are sorted, so that what moves down its records, and then what moves up, overwrites
-    nothing that is to move yet.
+    Items: particles. Both lists are sorted. Moving first the records whose index decreases, in ascending order,
+    and then those whose index increases, in descending order, overwrites no record that is still to be moved.
     """
     particle_types = particle_structs(real)
     Particles, NeighborLists, CellList = (
@@ -351,7 +350,7 @@ def transfer_impulses(real: type) -> wp.Kernel:
 
     @wp.func
     def clear_impulse(stored: StoredImpulses, env: int, number: int):
-        # No step has this number.
+        # No step has this stamp.
         stored[env, number].stamp = 0
 
     @wp.func
@@ -366,7 +365,7 @@ def transfer_impulses(real: type) -> wp.Kernel:
         particles: Particles,
         neighbor_lists: NeighborLists,
         cell_list: CellList,
-        first: wp.int32,  # number of the contact of the first record
+        first: wp.int32,  # contact index of the first record
         stored: StoredImpulses,
     ):
         for task in range(wp.tid(), task_count(launch), launch.threads):
@@ -425,7 +424,7 @@ def transfer_impulses(real: type) -> wp.Kernel:
 
 @functools.cache
 def build_reverse(real: type) -> wp.Kernel:
-    """Returns the kernel that finds the records of pairs that a shape does not own; items: shapes."""
+    """Returns the kernel that finds the records of pairs that a particle does not own; items: particles."""
     particle_types = particle_structs(real)
     Particles, NeighborLists, CellList = (
         particle_types.Particles,

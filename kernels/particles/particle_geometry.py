@@ -1,4 +1,4 @@
-"""Where shapes of a pile are, how far apart they are, and where they touch."""
+"""Poses of particles, closest points of two particles, and their relative curvatures."""
 
 import functools
 from types import SimpleNamespace
@@ -8,7 +8,7 @@ from warpcontact.kernels import frames
 from warpcontact.kernels.particles.base import ParticleTraits, particle_structs
 from warpcontact.kernels.types import assume_nonnegative, structs
 
-# Segments at a smaller angle than the root of this are parallel.
+# Squared sine of the angle below which two segments are parallel.
 PARALLEL = 1.0e-10
 
 
@@ -19,10 +19,11 @@ def _clamp_unit(value: wp.float64):
 
 @wp.func
 def closest_on_segments(d: wp.vec3d, g: wp.vec3d, h: wp.vec3d):
-    """Parameters (s, t) in −1…1 of the closest points of two segments.
+    """Returns the parameters (s, t) in [−1, 1] of the closest points of two segments.
 
-    ``d`` is from the middle of the second to that of the first, ``g`` and ``h`` from the middles to the ends. Of
-    parallel segments side by side it is the middle of where they overlap.
+    ``d`` is the vector from the middle of the second to that of the first, ``g`` and ``h`` are the vectors from
+    the middles to the ends [m]. For parallel segments that overlap in projection, the middle of the overlap is
+    used.
     """
     a = wp.dot(g, g)
     b = wp.dot(g, h)
@@ -41,7 +42,7 @@ def closest_on_segments(d: wp.vec3d, g: wp.vec3d, h: wp.vec3d):
     if det > wp.float64(PARALLEL) * a * c:
         s = _clamp_unit((b * f - c * e) / det)
     else:
-        # Ends of the second along the first; where both are side by side, in the middle.
+        # Ends of the second in parameters of the first; the middle of the overlap if there is one.
         first_end = (-e - b) / a
         second_end = (-e + b) / a
         low = wp.max(wp.min(first_end, second_end), wp.float64(-1.0))
@@ -58,10 +59,11 @@ def closest_on_segments(d: wp.vec3d, g: wp.vec3d, h: wp.vec3d):
 
 @functools.cache
 def functions(traits: ParticleTraits, real: type) -> SimpleNamespace:
-    """Returns the device functions of piles of one form.
+    """Returns the device functions for particles with the given traits.
 
-    ``axis_point(shapes, state, env, shape)``: where a shape is. ``closest_approach(first, second)``: of two.
-    ``curvatures(pair, first, second, radius_1, radius_2)``: the relative principal ones in order.
+    ``axis_point(particles, state, env, particle)``: pose of a particle. ``closest_approach(first, second)``:
+    closest points of two. ``curvatures(pair, first, second, radius_1, radius_2)``: relative principal curvatures,
+    smaller first [1/m].
     """
     t = structs(real)
     vec3, State = t.vec3, t.State
@@ -71,18 +73,18 @@ def functions(traits: ParticleTraits, real: type) -> SimpleNamespace:
 
     @wp.struct
     class AxisPoint:
-        """Where the middle of a shape is: at ``origin`` + ``offset``, as fine as shapes are near each other."""
+        """Center of a particle as ``origin`` + ``offset``, which keeps small distances accurate."""
 
-        origin: vec3  # centre of mass of its body, W [m]
-        offset: vec3  # what rounding left of that, and from there to the middle, W [m]
-        axis: vec3  # to the middle of an end, W [m]
+        origin: vec3  # center of mass of its body, W [m]
+        offset: vec3  # remainder of the body position, plus vector to the center of the particle, W [m]
+        axis: vec3  # from the center to the center of an end cap, W [m]; 0: a sphere
 
     @wp.struct
     class ClosestApproach:
-        """How two shapes lie to each other."""
+        """Closest points of the axes of two particles."""
 
-        separation: vec3  # from the point of the second that is nearest, on its axis, to that of the first, W [m]
-        s: real  # where these are, −1…1
+        separation: vec3  # from the closest axis point of the second to that of the first, W [m]
+        s: real  # axis parameters of these points, −1…1
         t: real
 
     @wp.func
@@ -113,14 +115,14 @@ def functions(traits: ParticleTraits, real: type) -> SimpleNamespace:
 
     @wp.func
     def is_on_cylinder(parameter: real, axis: vec3):
-        """Whether a point of an axis is between its ends: beside it the surface is a cylinder, else a sphere."""
+        """Returns whether an axis point is between the ends, where the surface is a cylinder and not a sphere."""
         return wp.abs(parameter) < real(1.0) and wp.length_sq(axis) > real(0.0)
 
     @wp.func
     def curvatures(pair: ClosestApproach, first: AxisPoint, second: AxisPoint, radius_1: real, radius_2: real):
         k_1 = real(1.0) / radius_1
         k_2 = real(1.0) / radius_2
-        # Sides are curved across their axes alone, spheres and caps in all directions.
+        # Cylinders are curved only across their axis, spheres and caps in all directions.
         side_1 = real(0.0)
         side_2 = real(0.0)
         smaller = real(0.0)
@@ -140,7 +142,7 @@ def functions(traits: ParticleTraits, real: type) -> SimpleNamespace:
                 difference = side_1 - side_2
                 spread = wp.sqrt(difference * difference + real(4.0) * product * cosine * cosine)
                 larger = real(0.5) * (side_1 + side_2 + spread)
-                # By their product: as a difference it would be lost between nearly parallel axes.
+                # From the product of the roots: a difference would cancel for nearly parallel axes.
                 smaller = product * sine * sine / larger
         round_1 = k_1 - side_1
         round_2 = k_2 - side_2

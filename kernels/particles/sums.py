@@ -1,4 +1,4 @@
-"""From the touches of a pile to the wrenches of its bodies."""
+"""Sums particle contact forces to the wrenches of bodies, in a fixed order."""
 
 import functools
 from types import SimpleNamespace
@@ -20,7 +20,7 @@ from warpcontact.kernels.types import (
 
 @functools.cache
 def functions(real: type) -> SimpleNamespace:
-    """Returns the struct ``WrenchSum`` and the device function that adds the touches of a shape in their order."""
+    """Returns the struct ``WrenchSum`` and the device function that sums contacts of a particle in list order."""
     t, p = structs(real), particle_structs(real)
     vec3, State = t.vec3, t.State
     Particles, NeighborLists, PairRecords = p.Particles, p.NeighborLists, p.PairRecords
@@ -28,14 +28,14 @@ def functions(real: type) -> SimpleNamespace:
     @wp.struct
     class WrenchSum:
         force: vec3  # W [N]
-        torque: vec3  # about the centre of mass, W [N·m]
+        torque: vec3  # about the center of mass, W [N·m]
         contact_count: wp.int32
 
     @wp.func
     def torque_on_second(
         state: State, particles: Particles, env: int, first: int, second: int, force: vec3, torque: vec3
     ):
-        """Torque on the second of a pair, about its centre of mass, from force and torque on the first."""
+        """Returns the torque on the second about its center of mass, from force and torque on the first."""
         body_1 = assume_nonnegative(particles.body[first])
         body_2 = assume_nonnegative(particles.body[second])
         separation = state.body_position[env, body_1] - state.body_position[env, body_2]
@@ -88,9 +88,10 @@ def functions(real: type) -> SimpleNamespace:
 
 @functools.cache
 def add(real: type, one_particle_per_body: bool) -> wp.Kernel:
-    """Returns the kernel that adds to the wrench of each body what touches of its shapes do, in their order.
+    """Returns the kernel that adds the contact forces of its particles to the wrench of each body, in list order.
 
-    The same bits in every run. Items: carriers. ``one_particle_per_body``: whether every body has one shape.
+    Runs are bitwise reproducible. Items: bodies with particles. ``one_particle_per_body``: whether every body has
+    exactly one.
     """
     t = structs(real)
     State, Wrenches = t.State, t.Wrenches

@@ -210,7 +210,7 @@ def cone_curvature(p: Any, point: vec3d, n: vec3d, u: real, v: real):
 
 @wp.func
 def rounded_box_curvature(p: Any, point: vec3d, n: vec3d, u: real, v: real):
-    """Returns the curvature of a box: face, edge or corner, by the number of nonzero components of the normal."""
+    """Returns the curvature of a box: face, edge or vertex, by the number of nonzero components of the normal."""
     axis_count = wp.int32(0)
     free_axis = wp.int32(0)
     for i in range(3):

@@ -183,7 +183,7 @@ def direction_search(A: type[Shape], B: type[Shape]) -> wp.Function:
                     )
                     possible = excludes_segment(at, to, -depth)
                 if possible and not found:
-                    # c jumps across an edge: the same with the difference at the corner with the worst bound.
+                    # c jumps across an edge: the same with the difference at the corner of the cell with the worst bound.
                     worst = corner_1
                     if at[1] == wp.max(at):
                         worst = corner_2

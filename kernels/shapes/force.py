@@ -39,7 +39,7 @@ def kernel(parts: ContactModel, real: type, moves: bool = False) -> wp.Kernel:
         model: Model,
         state: State,
         history_in: Memory,
-        step: wp.array2d(dtype=real),  # [env, 0] what the force acts over [s]; 0: the force of this instant
+        step: wp.array2d(dtype=real),  # [env, 0] duration over which the force acts [s]; 0: instantaneous force
         first: wp.int32,  # contact
         first_end: wp.int32,
         contact_shapes: ContactShapes,
@@ -87,7 +87,7 @@ def kernel(parts: ContactModel, real: type, moves: bool = False) -> wp.Kernel:
                 coefficients, history_in, history_out, contact, real(setting.torsion_radius), q_WS,
             )  # fmt: skip
 
-            # After the formulas: what is springy or viscous in them is shared like what is in proportion to N.
+            # Scaled after the evaluation, so that elastic and viscous parts scale like those proportional to N.
             force_scale = real(setting.force_scale)
             normal_force = force_scale * result.normal_force
             friction_W = force_scale * result.friction_force
@@ -97,7 +97,7 @@ def kernel(parts: ContactModel, real: type, moves: bool = False) -> wp.Kernel:
             shape_contacts.normal_force[env, contact] = normal_force
             shape_contacts.friction_force[env, contact] = friction_W
             shape_contacts.torque[env, contact] = torque_W
-            # The same force at the same point K, and the same couple, on both bodies: nothing is left in total.
+            # Equal and opposite force at the same point K, and couple: the total wrench is zero.
             force_W = normal_force * kinematics.normal + friction_W
             ends.force[env, end] = force_W
             ends.torque[env, end] = wp.cross(kinematics.arm_1, force_W) + torque_W

@@ -1,11 +1,10 @@
-"""The least distance of a patch from a shape, over all of the patch: no place of it is left that may be nearer.
+"""Global minimum of the signed distance of a parametric surface from a shape, by branch and bound.
 
-From the best of a grid of places Newton's method goes on to a minimum. Whether there is another one that is
-lower, is then asked of every cell of the grid. The signed distance from a convex body is a convex function, so
-the tangent plane at one place of a cell bounds it from below in all of the cell; the patch bends away from that
-by no more than its second derivatives tell. Cells that are not ruled out are divided into four, again and
-again. Of the finest ones that are left, each is a start for Newton's method, unless a minimum that is known
-lies beside it.
+Newton's method starts at the nearest cell center of a grid. Then every cell of the grid is checked for a lower
+minimum. The signed distance from a convex body is convex, so the tangent plane at one point bounds it from below
+over the cell; the second derivatives of the surface bound its deviation from that plane. Cells that are not
+excluded are divided into four. Each remaining finest cell is a start for Newton's method, unless it is in the
+basin of a minimum already found. Used by ``parametric_contact.py``.
 """
 
 import functools
@@ -20,21 +19,21 @@ from warpcontact.kernels.shapes.torus import Torus
 
 vec2d = wp.vec2d
 
-#: How often a cell of the grid is divided into four, and where two sides of the shape are as near.
+#: Maximum number of divisions of a cell, and the limit for cells where two sides of the shape are equally near.
 SMOOTH_LEVELS = 5
 LEVELS = 8
-#: Minima that are kept in mind, and how often Newton's method starts at most.
+#: Number of stored minima, and maximum number of starts of Newton's method.
 MAX_MINIMA = 8
 MAX_STARTS = wp.constant(wp.int32(32))
-#: Most cells that are looked at closely. Where distances are equal all along a curve, there is no end.
+#: Maximum number of distance evaluations at cells: distances that are equal along a curve exclude no cell.
 MAX_EVALUATIONS = wp.constant(wp.int32(3000))
-# What is taken as reach and bend of a cell, of what its middle tells.
+# Factor on reach and deviation estimated from the center of a cell.
 MARGIN = wp.constant(real(1.25))
-# By how much the bend of a cell is taken too large.
+# Added fraction of the deviation of a cell.
 CURVATURE_MARGIN = wp.constant(real(0.25))
-# How near a start is to a minimum that is known, in terms of the finest cells.
+# Initial radius of a basin around a minimum, in finest cells.
 START_RADIUS = wp.constant(real(2.0))
-# Distances that differ by no more, of the size of the pair, are equal.
+# Distances that differ by less, relative to the size of the pair, are equal.
 TIE = wp.constant(real(1.0e-12))
 CELL_COUNT = wp.constant(wp.int32(4**LEVELS))
 INFINITE = wp.constant(real(wp.inf))
@@ -42,20 +41,20 @@ INFINITE = wp.constant(real(wp.inf))
 
 @wp.struct
 class SurfaceSample:
-    """The shape from one place of the patch, frame of b."""
+    """The shape as seen from one point of the surface, frame of b."""
 
     u: vec2d
     jet: Jet
-    normal: vec3d  # of the patch
-    offset_point: vec3d  # on the lowered patch
-    closest: SignedDistance  # of the shape from there
+    normal: vec3d  # of the surface
+    offset_point: vec3d  # on the offset surface
+    closest: SignedDistance  # closest point of the shape to it
     tangent_cosines: vec2d  # of the shape's normal against unit vectors along x_u and x_v
     misalignment: real  # their length: cosine, 0 where the normals are parallel or facing
 
 
 @wp.struct
 class SurfaceElement:
-    """A place of the lowered patch and its tangents."""
+    """A point of the offset surface and its derivatives."""
 
     z: vec3d
     u: vec3d
@@ -70,28 +69,28 @@ Slots = wp.types.vector(MAX_MINIMA, real)
 
 @wp.struct
 class Search:
-    """What is known of the minima."""
+    """Minima found so far."""
 
     best: SurfaceSample
     minimum_u: Slots
     minimum_v: Slots
-    basin_u: Slots  # how far around a minimum starts lead to it
+    basin_u: Slots  # half width of the starts around a minimum that lead to it
     basin_v: Slots
-    other_basin_u: Slots  # and those where another side of the shape is nearest than at the best place
+    other_basin_u: Slots  # the same for starts where another side of the shape is nearest than at the best point
     other_basin_v: Slots
-    skipped_distance: real  # the least distance where no start is left
+    skipped_distance: real  # least distance of the starts skipped beyond ``MAX_STARTS``
     skipped_u: vec2d
-    count: wp.int32  # of the known
+    count: wp.int32  # number of minima
     starts: wp.int32
     evaluations: wp.int32  # at cells
-    steps: wp.int32  # of Newton's method
-    last_normal: vec3d  # normal of the last look, frame of the shape
-    plane_height: real  # what touches the shape across the normal of the best
+    steps: wp.int32  # number of Newton steps
+    last_normal: vec3d  # normal of the last evaluation, frame of the shape
+    plane_height: real  # height of the tangent plane of the shape with the normal of the best point
 
 
 @wp.func
 def deinterleave(code: wp.int32):
-    """The number of the even bits of ``code``."""
+    """Returns the number in the even bits of ``code``."""
     number = wp.int32(0)
     for i in range(LEVELS):
         number += ((code >> (2 * i)) & 1) << i
@@ -106,9 +105,9 @@ def global_search(
 
     Args:
         A: The closed shape.
-        B: The patch.
-        distance_at: That of ``signed_distance_within``.
-        refine: ``(p_a, p_b, x, q, start, offset)`` → the minimum that Newton's method comes to, and its steps.
+        B: The parametric surface.
+        distance_at: Device function of ``signed_distance_within``.
+        refine: ``(p_a, p_b, x, q, start, offset)`` → minimum reached by Newton's method, and its steps.
     """
     jet_of, position = parametric_jet(B), B.position
     bounded, is_torus = A is not Plane, A is Torus
@@ -150,7 +149,7 @@ def global_search(
 
     @wp.func
     def second_derivatives(p_b: Any, u: real, v: real, offset: real):
-        """Second derivatives of the lowered patch, by differences over a cell of the grid."""
+        """Returns second derivatives of the offset surface, by differences over a cell of the grid."""
         a = half * step_u
         b = half * step_v
         right = element(p_b, u + a, v, offset)
@@ -165,7 +164,7 @@ def global_search(
 
     @wp.func
     def max_descent(at: SurfaceElement, n: vec3d, a: real, b: real):
-        """How far the patch may go along −n from the tangent plane of a cell with half sides a and b."""
+        """Bounds the displacement of the surface along −n from the tangent plane of a cell of half sides a, b."""
         uu = half * a * a * wp.dot(n, at.uu)
         uv = a * b * wp.dot(n, at.uv)
         vv = half * b * b * wp.dot(n, at.vv)
@@ -176,18 +175,18 @@ def global_search(
 
     @wp.func
     def curvature_bound(at: SurfaceElement, a: real, b: real):
-        """How far the patch may be from its tangent plane."""
+        """Bounds the distance of the surface from its tangent plane."""
         return half * a * a * wp.length(at.uu) + a * b * wp.length(at.uv) + half * b * b * wp.length(at.vv)
 
     @wp.func
     def lower_bound(at: SurfaceElement, n: vec3d, gap: real, a: real, b: real, bulge: real):
-        """What no place of a cell is nearer than, if its middle is so far beyond a plane with the normal n."""
+        """Returns a lower bound of the distance in a cell with its center at ``gap`` from a plane of normal n."""
         across = wp.abs(wp.dot(n, at.u)) * a + wp.abs(wp.dot(n, at.v)) * b
         return gap - across - max_descent(at, n, a, b) - CURVATURE_MARGIN * bulge
 
     @wp.func
     def tangent_plane_height(p_a: Any, x: vec3d, q: wp.quatd, n: vec3d):
-        """The plane with the outward normal n that touches the shape: how far it is along n."""
+        """Returns the height along n of the tangent plane of the shape with the outward normal n."""
         if wp.static(bounded):
             return wp.dot(n, x + wp.quat_rotate(q, A.support(p_a, wp.quat_rotate_inv(q, n))))
         return wp.dot(n, x)
@@ -200,7 +199,7 @@ def global_search(
 
     @wp.func
     def widened(width: real, off: real, fine: real):
-        """How far around a minimum starts lead to it, as one does that is so far off."""
+        """Returns the half width of a basin, enlarged by a start at distance ``off`` that led to its minimum."""
         if off <= width:
             return width
         return wp.min(off + half * fine, two * wp.max(width, START_RADIUS * fine))
@@ -209,10 +208,10 @@ def global_search(
     def start_refinement(
         p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, u: vec2d, closest: SignedDistance, offset: real, search: Search
     ):
-        """The search after Newton's method from u, unless a minimum that is known lies beside it."""
+        """Runs Newton's method from u, unless u is in the basin of a stored minimum; returns the search."""
         is_new = wp.bool(True)
         same_side = wp.dot(closest.normal, wp.quat_rotate_inv(q, search.best.closest.normal)) > half
-        # However near, what is lower than all that is known is none of them.
+        # A lower value than all minima belongs to none of them, however near.
         lower = closest.gap < search.best.closest.gap - TIE * wp.abs(search.best.closest.gap)
         for k in range(MAX_MINIMA):
             if k < search.count and not lower:
@@ -247,7 +246,7 @@ def global_search(
                 search.minimum_v[same] = now.u[1]
                 search.basin_u[same] = START_RADIUS * fine_u
                 search.basin_v[same] = START_RADIUS * fine_v
-                # Beside what is nearest to one side there may be what is to another.
+                # Next to the point nearest to one side, there may be one nearest to another side.
                 search.other_basin_u[same] = real(-1.0)
                 search.other_basin_v[same] = real(-1.0)
                 search.count += 1
@@ -266,7 +265,7 @@ def global_search(
     def subdivide(
         p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, radius: real, i: int, j: int, offset: real, search: Search
     ):
-        """The search after a cell of the grid: it is divided as far as it is not ruled out."""
+        """Divides a cell of the grid as far as it is not excluded; returns the search."""
         second = SurfaceElement()
         has_derivatives = wp.bool(False)
         cell = wp.int32(0)
@@ -299,8 +298,8 @@ def global_search(
             bulge = curvature_bound(at, a, b)
             reach = wp.length(at.u) * a + wp.length(at.v) * b + MARGIN * bulge
             if possible:
-                # Beyond the plane that touches the shape where it is nearest to the best place, or the sphere
-                # around it.
+                # Beyond the tangent plane of the shape with the normal of the best point, or beyond its bounding
+                # sphere.
                 m = search.best.closest.normal
                 possible = lower_bound(at, m, wp.dot(m, at.z) - search.plane_height, a, b, bulge) < limit
                 if wp.static(bounded):
@@ -313,14 +312,14 @@ def global_search(
                 n = wp.quat_rotate(q, closest.normal)
                 bound = lower_bound(at, n, closest.gap, a, b, bulge)
                 if wp.static(is_torus):
-                    # The distance from a circle falls away from its tangent plane around the axis.
+                    # The distance from a circle decreases from its tangent plane around the axis.
                     inmost = wp.sqrt(point[0] * point[0] + point[1] * point[1]) - reach
                     if inmost > zero:
                         bound = wp.max(bound - half * reach * reach / inmost, closest.gap - reach)
                     else:
                         bound = closest.gap - reach
                 possible = bound < limit
-                # Where another side of the shape is nearest than at the best place, both are as near in between.
+                # If another side of the shape is nearest than at the best point, both are equally near in between.
                 crosses_side = wp.dot(n, search.best.closest.normal) < half and level < LEVELS
                 last = level >= SMOOTH_LEVELS and not crosses_side
                 if possible and (closest.gap < limit or last or search.evaluations > MAX_EVALUATIONS):
@@ -335,7 +334,7 @@ def global_search(
 
     @wp.func
     def closest_sample(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, offset: real):
-        """The least distance over the patch."""
+        """Returns the sample with the least distance over the surface, and the evaluations."""
         radius = zero
         if wp.static(bounded):
             radius = wp.length(A.extents(p_a))
@@ -351,7 +350,7 @@ def global_search(
                 u = u_0 + (real(i) + half) * step_u
                 v = v_0 + (real(j) + half) * step_v
                 point = position(p_b, u, v)
-                # No nearer than the sphere around the shape.
+                # Not nearer than the bounding sphere of the shape.
                 in_reach = wp.bool(True)
                 if wp.static(bounded):
                     in_reach = wp.length(point - x) - radius - offset < least

@@ -1,16 +1,16 @@
-"""Where a patch and a closed shape meet: the place of the patch that is deepest in the shape, or nearest to it.
+"""Contact of a closed shape and a parametric surface: the surface point that is deepest in the shape or nearest.
 
-The signed distance D(u, v) of the patch from the shape is looked at all over the patch, every time, until no other
-place can be nearer (``covering.py``). Newton's method goes on from there to where the normals face each other. The
-result depends on the pose alone, and on nothing that came before.
+The signed distance D(u, v) of the surface from the shape is minimized globally in every step
+(``parametric_branch_and_bound.py``). Newton's method then solves for facing normals. The result depends on the
+pose only.
 
-The least D is the contact as long as the shape is less deep than its own middle. Deeper, the nearest way out of
-the shape is not the one back through the patch. The patch is then lowered along its normals by about the depth:
-parallel surfaces have the same normals, so the contact is that with the lowered patch, its gap less by what it was
-lowered.
+The minimum of D is the contact while the penetration is less than about half the shape. In deeper overlap the
+shortest separation would not be back through the surface. The surface is then offset along −normal by about the
+penetration. Parallel surfaces have the same normals, so the contact equals that of the offset surface, with the
+offset subtracted from its gap.
 
-Beyond an edge of the patch there is no contact: as at the boundary of a mesh, the place nearest to the shape
-decides. Nor is there of a shape that lies wholly behind the tangent plane where it would touch.
+Beyond an edge of the surface there is no contact, as at the boundary of a mesh. Neither is there if the shape is
+entirely behind the tangent plane at the contact point.
 """
 
 import functools
@@ -28,27 +28,27 @@ from warpcontact.kernels.types import MET, NOT_CONVERGED, OUTSIDE
 vec2d = wp.vec2d
 mat22d = wp.mat22d
 
-# How often a patch is lowered.
+# Maximum number of surface offsets.
 MAX_OFFSETS = wp.constant(wp.int32(8))
-# By how much more than it is deep, in terms of the shape's size.
+# Extra offset beyond the depth, relative to the size of the shape.
 OFFSET_MARGIN = wp.constant(real(0.02))
-# 4 to 6 are usual; where a contact lies on the end of a rounded edge, it takes hundreds.
+# Usually 4 to 6; a contact at the end of a rounded edge takes hundreds.
 MAX_STEPS = wp.constant(wp.int32(1000))
-# Within a shape, of a search that ends where two ways out are as short: that is no contact.
+# Limit inside a shape, where a search can end between two equally short separations: no contact.
 STEPS_INSIDE = wp.constant(wp.int32(100))
 MAX_HALVINGS = wp.constant(wp.int32(40))
-# Cosine between the normal of the shape and the tangents of the patch, at a contact.
+# Largest cosine between the normal of the shape and the tangents of the surface at a contact.
 MAX_MISALIGNMENT = wp.constant(real(1.0e-9))
-# Part of the descent that a slope promises.
+# Required fraction of the descent predicted by the slope.
 MIN_DESCENT = wp.constant(real(0.25))
-# What is no curvature, in terms of the other principal value.
+# Smallest principal value, relative to the other one.
 MIN_CURVATURE_RATIO = wp.constant(real(1.0e-6))
 TARGET_MISALIGNMENT = wp.constant(real(1.0e-14))
 
 
 @functools.cache
 def pair_function(A: type[Shape], B: type[ParametricSurface]) -> wp.Function:
-    """Returns the device function of a closed shape and a patch; arguments as in ``meet.py``."""
+    """Returns the device function for a closed shape and a parametric surface; see ``pair_dispatch.py``."""
     distance_at, curvature_at = signed_distance_within(A), curvature(A)
     jet_of = parametric_jet(B)
     bounded = A is not Plane
@@ -76,7 +76,7 @@ def pair_function(A: type[Shape], B: type[ParametricSurface]) -> wp.Function:
 
     @wp.func
     def clamp_to_domain(u: vec2d):
-        """The nearest parameters of the domain."""
+        """Returns the nearest parameters in the domain."""
         first = u[0]
         second = u[1]
         if not wp.static(closed_u):
@@ -93,7 +93,7 @@ def pair_function(A: type[Shape], B: type[ParametricSurface]) -> wp.Function:
 
     @wp.func
     def leaves_domain(u: vec2d, step: vec2d, axis: int):
-        """Whether a step from an edge of the patch is one across it."""
+        """Returns whether a step from an edge of the surface leaves the domain."""
         if axis == 0 and wp.static(not closed_u):
             return (u[0] <= u_0 and step[0] < zero) or (u[0] >= u_1 and step[0] > zero)
         if axis == 1 and wp.static(not closed_v):
@@ -102,7 +102,7 @@ def pair_function(A: type[Shape], B: type[ParametricSurface]) -> wp.Function:
 
     @wp.func
     def normal_change(p_a: Any, x: vec3d, q: wp.quatd, at: SurfaceSample, step: vec3d):
-        """How the normal of the nearest point turns when the place moves by ``step``."""
+        """Returns the change of the shape normal at the closest point when the query point moves by ``step``."""
         n = at.closest.normal
         flat = step - wp.dot(step, n) * n
         n_A = wp.quat_rotate_inv(q, n)
@@ -117,7 +117,7 @@ def pair_function(A: type[Shape], B: type[ParametricSurface]) -> wp.Function:
 
     @wp.func
     def parallel_curvature(k: real, gap: real):
-        """Curvature of the parallel surface at a distance."""
+        """Returns the curvature of the parallel surface at a distance."""
         if k == zero:
             return zero
         radius = one / k + gap
@@ -127,8 +127,8 @@ def pair_function(A: type[Shape], B: type[ParametricSurface]) -> wp.Function:
 
     @wp.func
     def saddle_step(J: mat22d, values: vec2d, E: real, F: real, G: real):
-        """Newton's step with the principal values of the symmetric part of J taken as positive."""
-        # On unit vectors along x_u and across.
+        """Returns Newton's step with absolute principal values of the symmetric part of J."""
+        # On unit vectors along x_u and normal to it.
         length = wp.sqrt(E)
         along = F / E
         wide = wp.sqrt(G - F * along)
@@ -157,7 +157,7 @@ def pair_function(A: type[Shape], B: type[ParametricSurface]) -> wp.Function:
 
     @wp.func
     def newton_steps(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, at: SurfaceSample, offset: real):
-        """Newton's step for the tangential parts of the normal, one off a saddle, the way down, and the slope."""
+        """Returns Newton's step, the step with absolute curvatures, the descent direction and the slope of D."""
         jet = at.jet
         n = at.normal
         m = at.closest.normal
@@ -168,7 +168,7 @@ def pair_function(A: type[Shape], B: type[ParametricSurface]) -> wp.Function:
         uu = wp.dot(n, jet.uu)
         uv = wp.dot(n, jet.uv)
         vv = wp.dot(n, jet.vv)
-        # n changes by −b g⁻¹ x, the lowered patch along with it.
+        # n changes by −b g⁻¹ x; the offset surface follows.
         by_u = form * vec2d(uu, uv)
         by_v = form * vec2d(uv, vv)
         z_u = jet.u + offset * (by_u[0] * jet.u + by_u[1] * jet.v)
@@ -180,7 +180,7 @@ def pair_function(A: type[Shape], B: type[ParametricSurface]) -> wp.Function:
             wp.dot(m, jet.uu) + wp.dot(m_u, jet.u), wp.dot(m, jet.uv) + wp.dot(m_v, jet.u),
             wp.dot(m, jet.uv) + wp.dot(m_u, jet.v), wp.dot(m, jet.vv) + wp.dot(m_v, jet.v),
         )  # fmt: skip
-        # The way down, if the patch were flat and the shape far.
+        # Descent direction for a flat surface and a distant shape.
         descent = -(form * values)
         determinant = wp.determinant(J)
         step = descent
@@ -188,7 +188,7 @@ def pair_function(A: type[Shape], B: type[ParametricSurface]) -> wp.Function:
             step = -(wp.inverse(J) * values)
         slope = vec2d(wp.dot(m, z_u), wp.dot(m, z_v))
         modified_step = wp.where(determinant > zero and J[0, 0] > zero, step, saddle_step(J, values, E, F, G))
-        # Along an edge of the patch beyond which the distance falls on.
+        # Along an edge of the surface beyond which the distance decreases.
         if leaves_domain(at.u, -slope, 0):
             step = vec2d(zero, wp.where(J[1, 1] != zero, -values[1] / J[1, 1], zero))
             modified_step = step
@@ -201,7 +201,7 @@ def pair_function(A: type[Shape], B: type[ParametricSurface]) -> wp.Function:
 
     @wp.func
     def refine(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, start: vec2d, offset: real):
-        """The minimum of the distance that Newton's method comes to, within the domain."""
+        """Returns the minimum of the distance that Newton's method reaches within the domain, and the steps."""
         at = evaluate(p_a, p_b, x, q, start, offset, UP, INFINITE)
         start_normal = at.closest.normal
         steps = wp.int32(0)
@@ -214,8 +214,8 @@ def pair_function(A: type[Shape], B: type[ParametricSurface]) -> wp.Function:
             steps += 1
             step, modified_step, descent, slope = newton_steps(p_a, p_b, x, q, at, offset)
             progressing = wp.bool(False)
-            # Newton's step if it leads down and nearer to a root; else, or if that fails, that with the curvatures
-            # taken as positive: down along a valley, whichever way it is modified_step; else the way down.
+            # Newton's step if it descends and approaches a root. If it fails, the step with absolute curvatures,
+            # which descends along valleys. If both fail, the descent direction.
             for attempt in range(3):
                 trial = step
                 if attempt == 1:
@@ -229,7 +229,7 @@ def pair_function(A: type[Shape], B: type[ParametricSurface]) -> wp.Function:
                         slack = TARGET_MISALIGNMENT * (wp.abs(at.closest.gap) + wp.length(at.offset_point - x))
                         now = evaluate(p_a, p_b, x, q, to, offset, start_normal, at.closest.gap + two * slack)
                         start_normal = now.closest.normal
-                        # By a good part of what the slope promises: less is a jump across a valley.
+                        # Require a fraction of the predicted descent: less would be a jump across a valley.
                         lower = now.closest.gap < at.closest.gap + wp.min(MIN_DESCENT * rise, -slack)
                         converged = (
                             now.closest.gap <= at.closest.gap + slack and now.misalignment < half * at.misalignment
@@ -247,7 +247,7 @@ def pair_function(A: type[Shape], B: type[ParametricSurface]) -> wp.Function:
 
     @wp.func
     def wrapped(u: vec2d):
-        """Parameters of a closed surface within their range."""
+        """Returns the parameters of a closed surface within their range."""
         first = u[0]
         second = u[1]
         if wp.static(closed_u):
@@ -263,12 +263,12 @@ def pair_function(A: type[Shape], B: type[ParametricSurface]) -> wp.Function:
         at, steps = closest_sample(p_a, p_b, x, q, offset)
         for attempt in range(MAX_OFFSETS):
             normals_face = wp.dot(at.closest.normal, at.normal) < zero and at.misalignment <= MAX_MISALIGNMENT
-            # At the edge of the patch, or apart from it, it is where it is.
+            # At an edge of the surface, or apart from it, the minimum of D is final.
             if normals_face or at.closest.gap >= zero:
                 break
             if wp.static(bounded):
-                # As deep as the shape goes below the tangent plane, and a little more: outside, the distance from
-                # sharp edges is smooth.
+                # Offset by the depth of the shape below the tangent plane plus a margin: outside, the distance
+                # from sharp edges is smooth.
                 lowest = x + wp.quat_rotate(q, A.support(p_a, wp.quat_rotate_inv(q, -at.normal)))
                 depth = wp.dot(at.normal, at.jet.x - lowest)
                 extra_offset = OFFSET_MARGIN * real(attempt + 1) * wp.length(A.extents(p_a))
@@ -293,7 +293,7 @@ def pair_function(A: type[Shape], B: type[ParametricSurface]) -> wp.Function:
         normals_face = wp.dot(at.closest.normal, at.normal) < zero
         if at.misalignment > MAX_MISALIGNMENT or not normals_face:
             contact.status = NOT_CONVERGED
-            # Nearest to the edge, or apart from the patch and behind it.
+            # Nearest to the edge, or behind the surface without contact.
             if at_edge(at.u) or (at.misalignment <= MAX_MISALIGNMENT and contact.gap >= zero):
                 contact.status = OUTSIDE
         elif wp.static(bounded):

@@ -27,7 +27,7 @@ class Jet:
 
 
 class ParametricSurface(Shape):
-    """A user's surface x(u, v), with the material below it: its outward normal is x_u × x_v.
+    """A user-defined surface x(u, v) with the material below it. The outward normal is x_u × x_v.
 
     A subclass declares its parameters, the ranges of u and v, and the surface::
 
@@ -51,12 +51,12 @@ class ParametricSurface(Shape):
                 bend = wp.vec3d(zero, zero, one / p.radius)
                 return x_u, x_v, bend, wp.vec3d(), bend
 
-    Everything is in float64. ``derivatives`` returns x_u, x_v, x_uu, x_uv and x_vv. If it is left out they are
-    differences of sixth order, 1e-11 of themselves, and ``position`` must be defined 1.5 % of the range beyond its
-    ends, too. The surface must be smooth, with x_u and x_v nowhere parallel.
+    All values are float64. ``derivatives`` returns x_u, x_v, x_uu, x_uv and x_vv. If it is not defined, differences
+    of sixth order are used, with a relative error of 1e-11; ``position`` must then be defined 1.5 % of the range
+    beyond its ends. The surface must be smooth, with x_u and x_v nowhere parallel.
 
-    It is open: beyond its edges there is no contact, and none of a body wholly behind its tangent plane. Where
-    ``u_periodic`` (or ``v_periodic``) is true there is no edge: u_range is one period.
+    The surface is open: there is no contact beyond its edges, nor with a body entirely behind its tangent plane. If
+    ``u_periodic`` (or ``v_periodic``) is true, the surface closes in that direction and the range is one period.
     """
 
     convex: ClassVar[bool] = False
@@ -65,11 +65,11 @@ class ParametricSurface(Shape):
     #: Ranges of the parameters.
     u_range: ClassVar[tuple[float, float]]
     v_range: ClassVar[tuple[float, float]]
-    #: Whether the surface closes over a range.
+    #: Whether the surface is periodic in u or v.
     u_periodic: ClassVar[bool] = False
     v_periodic: ClassVar[bool] = False
-    #: Into how many steps the ranges are cut where contacts are looked for; its bulges must be wider than these.
-    #: What touches it may be smaller: steps are cut again as long as another place may be nearer.
+    #: Numbers of grid cells for the contact search. Bulges of the surface must be wider than a cell; the other
+    #: shape may be smaller, because cells are divided while they can contain a nearer point.
     scan: ClassVar[tuple[int, int]] = (48, 48)
     position: ClassVar[wp.Function]
 

@@ -1,4 +1,4 @@
-"""Boxes with rounded edges and corners."""
+"""Boxes with rounded edges."""
 
 from typing import Any, ClassVar
 

@@ -1,14 +1,13 @@
-"""Where a torus and another closed shape meet: the point of the core circle that is deepest in it, or nearest.
+"""Contact of a torus and another closed shape: the point of the core circle that is deepest in it, or nearest.
 
-A torus is all within r of its core circle, so the gap is the least signed distance of the circle from the other
-shape, less r. That distance f(θ) has several minima: all around is looked at, every time, so that the result
-depends on the pose alone and on nothing that came before. As the signed distance from a convex body is a convex
-function, f + ½ R θ² is convex: two neighbouring values and slopes bound f from below in between, and only what can
-lie lower than the least value known is looked at closely.
+A torus is all points within r of its core circle, so the gap is the least signed distance f(θ) of the circle from
+the other shape, minus r. f has several minima. The whole circle is searched in every step, so the result depends
+on the pose only. The signed distance from a convex body is convex, so f + ½ R θ² is convex: values and slopes at
+two samples bound f from below in between. Only intervals that can contain a lower value are refined.
 
-Where f has a kink at its least value, the way out of the other shape is as short to two sides, and neither is
-across the tube. Of a convex body the ring then leaves on the shorter of two ways: as a whole, like its convex
-hull, or around the body, which stays in its hole (``threaded.py``).
+At a kink of f in its minimum, two separations of the other shape are equally short and neither is normal to the
+tube. For a convex body, the torus then separates along the shorter of two displacements: as a whole, like its
+convex hull, or around the body in its hole (``torus_interlocked.py``).
 """
 
 import functools
@@ -36,28 +35,28 @@ from warpcontact.kernels.shapes.signed_distance import signed_distance
 from warpcontact.kernels.shapes.torus import Torus
 from warpcontact.kernels.types import MET, NOT_CONVERGED
 
-#: Places on the circle that are looked at, and parts that what lies between two of them is cut into.
+#: Number of samples on the circle, and of subintervals between two of them.
 SAMPLES = 48
 SUBINTERVALS = 6
 SAMPLE_ANGLE = wp.constant(real(2.0 * math.pi / SAMPLES))
 SUBINTERVAL_ANGLE = wp.constant(real(2.0 * math.pi / SAMPLES / SUBINTERVALS))
-# Of f'/R, the cosine between normal and circle.
+# Largest accepted f'/R, the cosine between normal and circle.
 MAX_SLOPE = wp.constant(real(1.0e-9))
-# A bracket this narrow is a point of the circle [rad], and a slope this small is none.
+# Width of a bracket that is a point of the circle [rad], and slope that is zero.
 ANGLE_TOLERANCE = wp.constant(real(1.0e-15))
-# How well a place of the circle is known, over R, and of what is found there the normal at worst.
+# Accuracy of a point of the circle relative to R, and largest cosine accepted if that rounding explains it.
 POINT_ROUNDING = wp.constant(real(4.0e-15))
 MAX_SLOPE_CROSSING = wp.constant(real(1.0e-6))
-# Core circles that pass each other nearer than this, over R, cross; as far as they do so at an angle, its sine.
+# Distance relative to R at which two core circles cross, and smallest sine of their angle.
 CROSSING_TOLERANCE = wp.constant(real(1.0e-9))
 MIN_CROSSING_SINE = wp.constant(real(1.0e-3))
-# By how much f is lower beyond rounding, over R.
+# Rounding of f, relative to R.
 VALUE_ROUNDING = wp.constant(real(1.0e-14))
 
 
 @wp.struct
 class CircleSample:
-    """The other shape from one point of the core circle, frame of b."""
+    """The other shape as seen from one point of the core circle, frame of b."""
 
     angle: real
     closest: SignedDistance  # frame of b
@@ -67,13 +66,13 @@ class CircleSample:
 
 @wp.func
 def secant(a: real, b: real, f_a: real, f_b: real):
-    """Where a straight line is zero. As a plus a part of the bracket, rounding would leave more of the slope."""
+    """Returns the zero of the secant. The form a + t (b − a) would leave a larger slope from rounding."""
     return (a * f_b - b * f_a) / (f_b - f_a)
 
 
 @functools.cache
 def pair_function(A: type[Torus], B: type[Shape]) -> wp.Function:
-    """Returns the device function of a torus and a closed shape; arguments as in ``meet.py``."""
+    """Returns the device function for a torus and a closed shape; arguments as in ``pair_dispatch.py``."""
     distance_at = signed_distance(B)
     convex_b = B.convex and B is not Plane
     hull_contact = interlocked_gap = loop_at_pole = HullCoefficients = None
@@ -87,7 +86,7 @@ def pair_function(A: type[Torus], B: type[Shape]) -> wp.Function:
         HullCoefficients = coefficient_struct(Hull, real)
     samples = wp.constant(wp.int32(SAMPLES))
     subintervals = wp.constant(wp.int32(SUBINTERVALS))
-    # Every fourth step is a halving: a kink is no straight line. A smooth minimum takes 8 to 10 steps.
+    # Every fourth step is a bisection because of kinks. A smooth minimum takes 8 to 10 steps.
     search_of = root_bracketing.functions(
         CircleSample, secant, bisection_interval=4, max_steps=60, min_width=float(ANGLE_TOLERANCE)
     )
@@ -112,7 +111,7 @@ def pair_function(A: type[Torus], B: type[Shape]) -> wp.Function:
 
     @wp.func
     def minimize(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, low: CircleSample, high: CircleSample):
-        """The minimum between a falling and a rising slope, by false positions and halvings."""
+        """Returns the minimum between a falling and a rising slope, and the number of steps."""
         search = start(low, low.angle, low.slope, high, high.angle, high.slope)
         best = low
         if high.closest.gap < low.closest.gap:
@@ -120,7 +119,7 @@ def pair_function(A: type[Torus], B: type[Shape]) -> wp.Function:
         while is_running(search) and wp.abs(best.slope) > ANGLE_TOLERANCE:
             now = sample_circle(p_a, p_b, x, q, next_point(search))
             search = update(search, now.angle, now.slope, now)
-            # Lower by rounding is not lower: where the slope is none is known much better than where f is least.
+            # Compare beyond rounding: the zero of the slope is more accurate than the minimum of f.
             lower = now.closest.gap < best.closest.gap - VALUE_ROUNDING * p_a.major_radius
             if lower or wp.abs(now.slope) <= wp.abs(best.slope):
                 best = now
@@ -128,8 +127,8 @@ def pair_function(A: type[Torus], B: type[Shape]) -> wp.Function:
 
     @wp.func
     def lower_bound(radius: real, low: real, low_slope: real, high: real, high_slope: real, width: real):
-        """What f is not below between two places; slopes are those over the radius."""
-        # Where the tangents cross, less what the circle can bend away from them.
+        """Returns a lower bound of f between two samples; slopes are divided by the radius."""
+        # Intersection of the tangents, minus the largest deviation of the circle from them.
         steepness = low_slope - high_slope
         lower_value = wp.min(low, high)
         if steepness < zero:
@@ -141,8 +140,9 @@ def pair_function(A: type[Torus], B: type[Shape]) -> wp.Function:
 
     @wp.func
     def separate_convex(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, deepest: real, iterations: wp.int32):
-        """Where a torus and a convex body meet that the core circle runs deep in, as ``deepest`` says."""
-        # Each loop passes the azimuth of that place, so there is none above; if it is the deepest indeed.
+        """Returns the contact of a torus and a convex body if f has a kink at its minimum ``deepest``."""
+        # Each loop contains the azimuth of the minimum, so no loop has a higher gap, up to the accuracy of the
+        # minimum.
         upper_limit = deepest + MAX_SLOPE * p_a.major_radius
         hull_coefficients = HullCoefficients()
         hull_coefficients.major_radius = p_a.major_radius
@@ -150,13 +150,13 @@ def pair_function(A: type[Torus], B: type[Shape]) -> wp.Function:
         contact = hull_contact(hull_coefficients, p_b, x, q, WarmStart())
         contact.iterations += iterations
         if contact.status == MET:
-            # The flat side of the hull is none of the ring's: within it the body comes out of the hole.
+            # The flat side of the hull does not belong to the torus: there the body leaves through the hole.
             n_A = wp.quat_rotate_inv(q, contact.normal)
             flat = wp.length(wp.vec2d(n_A[0], n_A[1])) <= AXIS_TOLERANCE
             lower_value = contact.gap + p_a.minor_radius
             loop, found = interlocked_gap(p_a, p_b, x, q, lower_value, upper_limit)
             if flat and not found:
-                # Its loop is so near around the axis that the grid does not see it.
+                # The loop is too close to the axis for the grid.
                 contact.residual = one
                 loop, found = loop_at_pole(p_a, p_b, x, q, contact.normal, lower_value, upper_limit)
             if found:
@@ -169,7 +169,7 @@ def pair_function(A: type[Torus], B: type[Shape]) -> wp.Function:
 
     @wp.func
     def separate_crossing(p_a: Any, p_b: Any, q: wp.quatd, at: CircleSample, contact: ShapeContactPoint):
-        """Where two core circles cross: rings part across both of them, to the side where they are already."""
+        """Separates crossing core circles along the normal of both, towards the current side."""
         own = wp.quat_rotate(q, vec3d(-wp.sin(at.angle), wp.cos(at.angle), zero))
         other = wp.normalize(vec3d(-at.center[1], at.center[0], zero))
         normal = wp.cross(own, other)
@@ -226,7 +226,7 @@ def pair_function(A: type[Torus], B: type[Shape]) -> wp.Function:
                 contact = separate_convex(p_a, p_b, x, q, best.closest.gap, iterations)
         max_slope = MAX_SLOPE
         if wp.static(B is Torus):
-            # Where both core circles all but cross, the normal turns around within the rounding of a place.
+            # If the core circles nearly cross, rounding of a point can turn the normal by any angle.
             core_distance = best.closest.gap + p_b.minor_radius
             if contact.residual > MAX_SLOPE_CROSSING and core_distance <= CROSSING_TOLERANCE * p_a.major_radius:
                 contact = separate_crossing(p_a, p_b, q, best, contact)

@@ -1,20 +1,13 @@
-"""How far a ring and a convex body that it is threaded on are apart, however deep its core runs in the body.
+"""Gap of a torus and a convex body through its hole, for any depth of the core circle in the body.
 
-With c(n) the point of the core circle that is farthest along n,
+With c(n) the point of the core circle farthest along n, g(n) = n·c(n) − h_b(n) is the gap across the tube. The
+azimuth of n is that of the point, so separations at all points of the torus are a loop of directions around its
+axis. The gap is the maximum over all loops of the least g. It is also the minimum over all paths between the poles
+of the largest g. Both are a saddle of g, where the normals face each other.
 
-    g(n) = n·c(n) − h_b(n)
-
-is the width of the gap across the tube there, on the side of the hole. The azimuth of n is that of the place, so
-ways out of the body for all places of the ring are a loop of directions around its axis. The gap is the least g on
-the loop where that is largest: by no shorter move does the ring come off the body around it. By that it does where
-the hole has room on the other side; a body that is too thick for it, or too much askew, then overlaps there. It is
-as well the largest g on the path from one pole to the other where that is least: both meet in a saddle of g, where
-the points have facing normals.
-
-That saddle is looked for on a grid of directions: those below a level, as bits, hold a path between the poles or
-do not. Next to the cell that joins them there may be several that are about as high: a finer grid around it, from
-side to side of the loop, tells them apart, and a finer one in that, as often as needed. Cells elsewhere that would
-join the poles at a level no higher than the grid tells are looked at likewise: the lowest of these saddles counts.
+The saddle is located on a grid of directions: cells below a level, stored as bits, connect the poles or do not.
+Around the cell that connects them, finer grids separate saddles of similar height. Other cells that would connect
+the poles at about the same level are refined likewise; the lowest saddle counts.
 """
 
 import functools
@@ -27,32 +20,32 @@ from warpcontact.kernels.shapes import torus_saddles
 from warpcontact.kernels.shapes.base import Shape, half, one, real, vec3d, zero
 from warpcontact.kernels.shapes.torus_saddles import DirectionSample
 
-#: Directions around the axis, and between the poles: bits of a word. Finer grids have as many columns as rows.
+#: Number of directions around the axis and between the poles (bits of a word). Finer grids are square.
 COLUMNS = 64
 ROWS = 32
 COLUMN = wp.constant(real(2.0 * math.pi / COLUMNS))
-# On average; at the equator 1.4 of it, so that an edge of g through a cell is within this of its middle.
+# On average. At the equator 1.4 times this, so that an edge of g through a cell is within this of its center.
 ROW = wp.constant(real(math.pi / ROWS))
-# Rows are closer to each other at the poles, where the center turns around, than at the equator.
+# Rows are denser at the poles, where the center rotates fast, than at the equator.
 POLE_DENSITY = wp.constant(real(0.4))
 QUARTER = wp.constant(real(0.5 * math.pi))
 BIT = wp.constant(wp.uint32(1))
 LAST_BIT = wp.constant(wp.uint32(1 << (ROWS - 1)))
 NO_BITS = wp.constant(wp.uint32(0))
-# How far from the cell the saddle may be [rad], and how much of that from one of a finer grid; number of grids.
+# Search radius of the saddle around a cell [rad], its reduction from grid to grid, and maximum number of grids.
 SEARCH_RADIUS = wp.constant(real(0.2))
 RADIUS_REDUCTION = wp.constant(real(0.25))
 MAX_GRIDS = wp.constant(wp.int32(8))
-# Cells of the whole grid that finer ones are about.
+# Maximum number of cells of the global grid that are refined.
 MAX_PASSES = wp.constant(wp.int32(4))
-# Of the distance to a pole: there the center turns around, and beyond it the loop passes once more.
+# Largest radius of a grid, relative to the distance to a pole: beyond the pole the loop passes again.
 POLE_FRACTION = wp.constant(real(0.7))
-# A cell of a finer grid, over its radius.
+# Width of a cell of a finer grid, relative to its radius.
 CELL_WIDTH = wp.constant(real(2.0 / ROWS))
-# A cell that is nearer to the boundary of a grid is not well inside.
+# Smallest number of cells to the boundary of a grid for a cell to be inside.
 INNER_MARGIN = wp.constant(wp.int32(3))
 LAST_ROW = wp.constant(wp.int32(ROWS - 1))
-# By how much the grid is off, over R: usually, and at most.
+# Error of the grid, relative to R: usual and maximum.
 GRID_ERROR = wp.constant(real(2.0e-3))
 GRID_ERROR_MAX = wp.constant(real(0.02))
 
@@ -61,18 +54,18 @@ BitColumns = wp.types.vector(COLUMNS, wp.uint32)
 
 @wp.struct
 class DirectionGrid:
-    """Directions: all, or those around one, in columns from side to side of the loop."""
+    """Grid of directions: global, or around one direction with columns across the loop."""
 
     is_global: wp.bool
     middle: vec3d
     e_1: vec3d  # along the loop
-    e_2: vec3d  # across
+    e_2: vec3d  # across the loop
     radius: real
 
 
 @wp.func
 def connects_rows(below: BitColumns, is_global: wp.bool):
-    """Whether the bits hold a path from the first row to the last; the whole grid is closed around the axis."""
+    """Returns whether set bits connect the first row to the last; the global grid is periodic around the axis."""
     reached = BitColumns()
     columns = wp.where(is_global, wp.int32(COLUMNS), wp.int32(ROWS))
     for i in range(columns):
@@ -101,13 +94,12 @@ def connects_rows(below: BitColumns, is_global: wp.bool):
 
 @functools.cache
 def functions(B: type[Shape]) -> SimpleNamespace:
-    """Returns the device functions of a torus and a convex body, each for a ``DirectionSample`` and if one exists.
+    """Returns the device functions of a torus and a convex body; each returns a ``DirectionSample`` and a flag.
 
-    - ``interlocked_gap(p_a, p_b, x, q, lower_limit, upper_limit)``: where the largest loop is least,
-      if that is above the first and not above the second [m]; where the grid has one that is not
-      found to the last digit, ``tangential_offset`` is infinite.
-    - ``loop_at_pole(p_a, p_b, x, q, pole, lower_limit, upper_limit)``: the same of a loop around a pole, where
-      g is ``lower_limit``, so near that the grid does not see it.
+    - ``interlocked_gap(p_a, p_b, x, q, lower_limit, upper_limit)``: the saddle, if its gap is above the lower and
+      not above the upper limit [m]. If the grid has one that does not converge, ``tangential_offset`` is infinite.
+    - ``loop_at_pole(p_a, p_b, x, q, pole, lower_limit, upper_limit)``: the same for a loop around a pole that is
+      too small for the grid; g is ``lower_limit`` at the pole.
     """
     rows = wp.constant(wp.int32(ROWS))
     saddles = torus_saddles.functions(B)
@@ -134,7 +126,7 @@ def functions(B: type[Shape]) -> SimpleNamespace:
 
     @wp.func
     def value(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, grid: DirectionGrid, cell: wp.int32):
-        """The value of g in a cell."""
+        """Returns the value of g in a cell."""
         within = wp.where(grid.is_global, real(ROW), CELL_WIDTH * grid.radius)
         return ridge_value(p_a, p_b, x, q, direction(q, grid, cell), within)
 
@@ -149,7 +141,7 @@ def functions(B: type[Shape]) -> SimpleNamespace:
         ceiling: real,
         excluded: BitColumns,
     ):
-        """The cell that joins the first row to the last at the least level between two, or −1; that."""
+        """Returns the cell that connects first and last row at the least level (−1: none), and the level."""
         columns = wp.where(grid.is_global, wp.int32(COLUMNS), wp.int32(ROWS))
         level = floor
         below = BitColumns()
@@ -173,7 +165,7 @@ def functions(B: type[Shape]) -> SimpleNamespace:
         pass_at = wp.int32(-1)
         if connects_rows(below, grid.is_global):
             count = wp.int32(0)
-        # Open cells are halved by the value of one of them.
+        # Bisect the undecided cells by the value of one of them.
         while count > 0 and pass_at < 0:
             skip = count // 2
             pivot = wp.int32(-1)
@@ -220,7 +212,7 @@ def functions(B: type[Shape]) -> SimpleNamespace:
         tangential_offset: real,
         upper_limit: real,
     ):
-        """Whether that is the saddle next to a direction that is as high as the level: others are elsewhere."""
+        """Returns whether a saddle belongs to a direction: facing normals, near n, gap equal to the level."""
         level_matches = wp.abs(at.gap - level) <= tangential_offset * p_a.major_radius and at.gap <= upper_limit
         return level_matches and normals_face(p_a, at) and wp.length(at.normal - n) <= radius
 
@@ -234,7 +226,7 @@ def functions(B: type[Shape]) -> SimpleNamespace:
 
     @wp.func
     def mark_covered(q: wp.quatd, grid: DirectionGrid, excluded: BitColumns):
-        """The cells of the whole grid that are, with those that a finer one is about."""
+        """Returns the excluded cells of the global grid, with those covered by a finer grid."""
         global_grid = DirectionGrid()
         global_grid.is_global = wp.bool(True)
         columns = wp.int32(COLUMNS)
@@ -248,7 +240,7 @@ def functions(B: type[Shape]) -> SimpleNamespace:
 
     @wp.func
     def refined_grid(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, n: vec3d, radius: real):
-        """The grid around a direction, in which a loop next to it runs from side to side."""
+        """Returns the grid around a direction, in which a neighboring loop runs from side to side."""
         n_A = wp.quat_rotate_inv(q, n)
         grid = DirectionGrid()
         grid.radius = wp.min(radius, POLE_FRACTION * wp.length(vec3d(n_A[0], n_A[1], zero)))
@@ -269,10 +261,10 @@ def functions(B: type[Shape]) -> SimpleNamespace:
         )
         if first < 0:
             return best, wp.bool(False)
-        # From there paths begin: no loop is as high, or a small one.
+        # Paths begin at a pole: there is no loop of this level, or a small one.
         at_pole = first % rows == 0 or first % rows == LAST_ROW
         found = wp.bool(False)
-        # The lowest of those looked at.
+        # The lowest level found.
         lowest = real(wp.inf)
         cell = first
         level = grid_level
@@ -288,24 +280,24 @@ def functions(B: type[Shape]) -> SimpleNamespace:
             while refining:
                 at = smooth_saddle(p_a, p_b, x, q, n)
                 accepted = is_expected_saddle(p_a, at, n, radius, level, GRID_ERROR, upper_limit)
-                # Of an edge; bisection costs more than another grid.
+                # The saddle may be on an edge of g; bisection costs more than another grid.
                 if not accepted and (at_pole or count > 0):
                     at = sharp_saddle(p_a, p_b, x, q, n, radius)
                     accepted = is_expected_saddle(p_a, at, n, radius, level, GRID_ERROR, upper_limit)
-                # Along a flat loop it may be farther off, and at a pole there is no finer grid.
+                # On a flat loop the saddle may be farther, and at a pole there is no finer grid.
                 plausible = is_expected_saddle(
                     p_a, at, n, SEARCH_RADIUS, level, wp.where(at_pole, GRID_ERROR_MAX, GRID_ERROR), upper_limit
                 )
                 if plausible and wp.abs(at.gap - level) < error:
                     error = wp.abs(at.gap - level)
                     fallback = at
-                # The lower of two that the first grid does not tell apart.
+                # The lower of two saddles that the first grid does not separate.
                 if accepted and (not found or at.gap < best.gap):
                     best = at
                     found = wp.bool(True)
                 found_here = found_here or accepted
                 count += 1
-                # Where it is no better it is not missed.
+                # No refinement if the saddle cannot exceed the limit.
                 lower = level <= lower_limit - GRID_ERROR * size and grid_level <= lower_limit
                 refining = not at_pole and not lower and count < MAX_GRIDS and (not found_here or count < 2)
                 if refining:
@@ -331,12 +323,12 @@ def functions(B: type[Shape]) -> SimpleNamespace:
             passes += 1
             cell = wp.int32(-1)
             if passes < MAX_PASSES and count > 1:
-                # Another that is elsewhere, but about as high.
+                # Another cell elsewhere, at about the same level.
                 cell, level = find_pass(
                     p_a, p_b, x, q, global_grid, grid_level, lowest + GRID_ERROR * size, excluded
                 )
         if not found:
-            # No direction of the grid is near enough to a small loop.
+            # No direction of the grid is close enough to a small loop.
             pole = wp.quat_rotate(q, vec3d(zero, zero, wp.where(2 * (first % rows) > LAST_ROW, one, -one)))
             at, exists = saddle_around_pole(p_a, p_b, x, q, pole)
             level_matches = wp.abs(at.gap - grid_level) <= GRID_ERROR_MAX * size and at.gap <= upper_limit

@@ -1,7 +1,8 @@
-"""Saddles of g(n) = n·c(n) − h_b(n), of a ring and a convex body: the ways out across the tube (``threaded.py``).
+"""Saddles of g(n) = n·c(n) − h_b(n) of a torus and a convex body; see ``torus_interlocked.py``.
 
-Where g is smooth Newton's method finds them, and bisection where it has edges, as the body has faces and edges:
-the least along the loop of the largest across it. The point on a face is between those of both sides.
+Newton's method finds saddles where g is smooth. Bisection finds those on edges of g (the body has faces and
+edges): the minimum along the loop of the maximum across it. A contact point on a face is interpolated between both
+sides.
 """
 
 import functools
@@ -13,29 +14,29 @@ import warp as wp
 from warpcontact.kernels.shapes import root_bracketing
 from warpcontact.kernels.shapes.base import Shape, half, one, real, vec3d, zero
 
-# Directions beside one, by which the way of the loop is found.
+# Directions on a circle around one, from which the direction of the loop is computed.
 CIRCLE_POINTS = wp.constant(wp.int32(16))
 CIRCLE_STEP = wp.constant(real(2.0 * math.pi / 16))
-# How often that is done.
+# Maximum number of rounds of ``sharp_saddle``.
 MAX_ROUNDS = wp.constant(wp.int32(4))
-# Two directions this near to each other are one.
+# Distance below which two directions are equal.
 SAME_DIRECTION = wp.constant(real(1.0e-12))
-# The tangential distance of the two points, over R, at which it is found.
+# Tangential distance of the two points, relative to R, of a converged saddle.
 TOLERANCE = wp.constant(real(1.0e-12))
-# Newton's method: steps, their halvings, the longest, the side of differences, and what it ends at, over R.
+# Newton's method: steps, halvings, longest step, difference step, and final residual relative to R.
 MAX_NEWTON_STEPS = wp.constant(wp.int32(30))
 MAX_HALVINGS = wp.constant(wp.int32(20))
 MAX_STEP = wp.constant(real(0.2))
 DIFFERENCE_STEP = wp.constant(real(1.0e-7))
 ROUNDING = wp.constant(real(1.0e-15))
-# Azimuths at which the rim of a pole is looked at first, from an angle to it, up to the largest, by its logarithm,
-# and the first stride of that.
+# Number of azimuths at which the search around a pole starts, logarithm of the initial and largest angle to the
+# pole, and first stride of that logarithm.
 AZIMUTHS = 32
 AZIMUTH_STEP = wp.constant(real(2.0 * math.pi / AZIMUTHS))
 LOG_ANGLE_START = wp.constant(real(math.log(1.0e-3)))
 LOG_ANGLE_MAX = wp.constant(real(math.log(1.5)))
 LOG_STRIDE = 0.05
-# Steps to the height of a ridge, and how well it is known then, over R and the distance looked at.
+# Steps to the height of a ridge, and its accuracy relative to R and the search angle.
 RIDGE_STEPS = wp.constant(wp.int32(4))
 RIDGE_TOLERANCE = wp.constant(real(0.01))
 
@@ -45,15 +46,15 @@ class DirectionSample:
     """Both surfaces along one direction, frame of b."""
 
     normal: vec3d  # out of b
-    center: vec3d  # of the core circle [m]
+    center: vec3d  # point of the core circle [m]
     point: vec3d  # of b [m]
     gap: real  # from b to the center [m]
-    tangential_offset: vec3d  # from the point to the center, less what is along the normal [m]
+    tangential_offset: vec3d  # tangential part of the vector from the point to the center [m]
 
 
 @wp.func
 def secant(a: real, b: real, f_a: real, f_b: real):
-    """Where a straight line is zero."""
+    """Returns the zero of the secant."""
     return a + (b - a) * (f_a / (f_a - f_b))
 
 
@@ -61,14 +62,14 @@ def secant(a: real, b: real, f_a: real, f_b: real):
 def functions(B: type[Shape]) -> SimpleNamespace:
     """Returns the device functions of a torus and a convex body.
 
-    - ``ridge_value(p_a, p_b, x, q, n, max_angle)``: g along n, or on a ridge not farther than ``max_angle``,
-    - ``loop_direction(p_a, p_b, x, q, n, radius)``: the way of the loop there,
-    - ``smooth_saddle(p_a, p_b, x, q, start)`` and ``sharp_saddle(p_a, p_b, x, q, start, reach)``: the saddle
-      next to a direction as a ``DirectionSample``, if that is ``normals_face(p_a, at)``,
-    - ``saddle_around_pole(p_a, p_b, x, q, pole)``: that on a loop around a pole, and whether there is one.
+    - ``ridge_value(p_a, p_b, x, q, n, max_angle)``: g along n, or on a ridge within ``max_angle``,
+    - ``loop_direction(p_a, p_b, x, q, n, radius)``: direction of the loop at n,
+    - ``smooth_saddle(p_a, p_b, x, q, start)`` and ``sharp_saddle(p_a, p_b, x, q, start, reach)``: the saddle next
+      to a direction as a ``DirectionSample``, converged if ``normals_face(p_a, at)`` is true,
+    - ``saddle_around_pole(p_a, p_b, x, q, pole)``: the saddle on a loop around a pole, and whether it exists.
     """
     azimuths = wp.constant(wp.int32(AZIMUTHS))
-    # Every other step is a halving: g has edges.
+    # Every other step is a bisection, because g has edges.
     angle_search = root_bracketing.functions(
         DirectionSample, secant, bisection_interval=2, max_steps=110, min_width=1.0e-16
     )
@@ -95,14 +96,14 @@ def functions(B: type[Shape]) -> SimpleNamespace:
 
     @wp.func
     def ridge_value(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, n: vec3d, max_angle: real):
-        """The value of g along a direction, or on a ridge or an edge of g next to it."""
+        """Returns g along a direction, or on a ridge or an edge of g next to it."""
         at = sample_direction(p_a, p_b, x, q, n)
         rate = wp.length(at.tangential_offset)
         if rate == zero:
             return at.gap
         e = at.tangential_offset / rate
         n_A = wp.quat_rotate_inv(q, n)
-        # Beyond a pole the center is another one.
+        # Beyond a pole, the center jumps.
         high = wp.min(max_angle, wp.length(vec3d(n_A[0], n_A[1], zero)))
         beside = sample_direction(p_a, p_b, x, q, wp.normalize(n + high * e))
         fall = -wp.dot(beside.tangential_offset, e)
@@ -113,7 +114,7 @@ def functions(B: type[Shape]) -> SimpleNamespace:
         high_gap = beside.gap
         best = at.gap
         for _ in range(RIDGE_STEPS):
-            # Where both tangents cross: on an edge at once, and on a ridge from above.
+            # Intersection of both tangents: exact on an edge, an upper bound on a ridge.
             position = wp.clamp((high_gap - low_gap + (high - low) * fall) / (rate + fall), zero, high - low)
             bound = low_gap + rate * position
             position += low
@@ -136,7 +137,7 @@ def functions(B: type[Shape]) -> SimpleNamespace:
     def interpolate(
         p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, low: DirectionSample, high: DirectionSample, along: vec3d
     ):
-        """Of one direction from two sides: the point on the face that is across from the center."""
+        """Returns the sample at equal directions of two sides: the point of the face opposite the center."""
         at = low
         if wp.length(low.normal - high.normal) > SAME_DIRECTION:
             return sample_direction(p_a, p_b, x, q, wp.normalize(low.normal + high.normal))
@@ -153,7 +154,7 @@ def functions(B: type[Shape]) -> SimpleNamespace:
 
     @wp.func
     def maximize_along(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, middle: vec3d, e: vec3d, start: real):
-        """The largest g on middle + u e next to u = ``start``, that u, and whether there is one."""
+        """Returns the largest g on middle + u e next to u = ``start``, its u, and whether it exists."""
         first = sample_direction(p_a, p_b, x, q, wp.normalize(middle + start * e))
         search = start_search(
             first, start, -wp.dot(first.tangential_offset, e), first, start, -wp.dot(first.tangential_offset, e)
@@ -170,7 +171,7 @@ def functions(B: type[Shape]) -> SimpleNamespace:
 
     @wp.func
     def minimax(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, n: vec3d, e_1: vec3d, e_2: vec3d):
-        """The least along e_1 of the largest along e_2, down from a direction; whether there is one."""
+        """Returns the minimum along e_1 of the maximum along e_2, starting at n, and whether it exists."""
         first, u, found = maximize_along(p_a, p_b, x, q, n, e_2, zero)
         search = start_search(
             first, zero, wp.dot(first.tangential_offset, e_1), first, zero, wp.dot(first.tangential_offset, e_1)
@@ -183,7 +184,7 @@ def functions(B: type[Shape]) -> SimpleNamespace:
 
     @wp.func
     def smooth_saddle(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, start: vec3d):
-        """Where Newton's method for facing normals leads to; ``tangential_offset`` is infinite if not a saddle."""
+        """Returns the end of Newton's method for facing normals; infinite ``tangential_offset``: not a saddle."""
         at = sample_direction(p_a, p_b, x, q, start)
         sign = zero
         for _i in range(MAX_NEWTON_STEPS):
@@ -219,13 +220,13 @@ def functions(B: type[Shape]) -> SimpleNamespace:
             if wp.length(at.tangential_offset) >= size:
                 break
         if sign >= zero:
-            # No saddle.
+            # Not a saddle.
             at.tangential_offset = vec3d(real(wp.inf))
         return at
 
     @wp.func
     def loop_direction(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, n: vec3d, circle_radius: real):
-        """The unit vector at n along which g is most like a valley, by its values on a circle around n."""
+        """Returns the unit vector at n along which g is most like a valley, from values on a circle around n."""
         t_1 = wp.normalize(wp.cross(n, vec3d(n[1], n[2], n[0])))
         t_2 = wp.cross(n, t_1)
         even = zero
@@ -241,7 +242,7 @@ def functions(B: type[Shape]) -> SimpleNamespace:
 
     @wp.func
     def sharp_saddle(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, start: vec3d, reach: real):
-        """The saddle next to a direction that lies on an edge of g, or what comes near to one."""
+        """Returns the saddle next to a direction that lies on an edge of g, or the best approximation."""
         best = sample_direction(p_a, p_b, x, q, start)
         n = start
         circle_radius = half * reach
@@ -262,9 +263,9 @@ def functions(B: type[Shape]) -> SimpleNamespace:
 
     @wp.func
     def sample_near_pole(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, pole: vec3d, azimuth: real, logarithm: real):
-        """Both surfaces along a direction, by the logarithm of its angle to a pole, and how g rises with it.
+        """Samples a direction at the angle exp(``logarithm``) from a pole; also returns the derivative of g by it.
 
-        However small that angle is, the azimuth is known to the last digit.
+        The azimuth is exact even for very small angles.
         """
         angle = wp.exp(wp.min(logarithm, LOG_ANGLE_MAX))
         e = wp.quat_rotate(q, vec3d(wp.cos(azimuth), wp.sin(azimuth), zero))
@@ -279,7 +280,7 @@ def functions(B: type[Shape]) -> SimpleNamespace:
 
     @wp.func
     def maximize_from_pole(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, pole: vec3d, azimuth: real, start: real):
-        """The largest g on the way out from a pole, the logarithm of that angle, and whether there is one."""
+        """Returns the largest g outward from a pole, the logarithm of its angle, and whether it exists."""
         first, rise = sample_near_pole(p_a, p_b, x, q, pole, azimuth, start)
         search = start_log(first, start, -rise, first, start, -rise)
         while is_running_log(search):
@@ -291,17 +292,18 @@ def functions(B: type[Shape]) -> SimpleNamespace:
 
     @wp.func
     def saddle_around_pole(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, pole: vec3d):
-        """The saddle on a loop around a pole, however small, where the rim is lowest; whether there is one.
+        """Returns the saddle on a loop around a pole, however small, and whether it exists.
 
-        Beside the pole g rises by R + d·e along e, with the distance d of the middle of the ring from the point of
-        b across the pole: the least to the side of −d. Where d is nearly R, only there the rim is near.
+        Near the pole g increases by R + d·e per angle along e, with d from the support point of b at the pole to
+        the center of the torus. The increase is least at −d, where the search starts. If |d| is nearly R, the loop
+        is close to the pole only there.
         """
         e_1 = wp.quat_rotate(q, vec3d(one, zero, zero))
         e_2 = wp.quat_rotate(q, vec3d(zero, one, zero))
         d = x - B.support(p_b, pole)
         lowest_azimuth = wp.atan2(-wp.dot(d, e_2), -wp.dot(d, e_1))
         first, u, found = maximize_from_pole(p_a, p_b, x, q, pole, lowest_azimuth, LOG_ANGLE_START)
-        # The point of an edge or a corner may be another one a little beside the pole.
+        # Next to the pole, the support point of an edge or vertex may be a different one.
         for k in range(azimuths):
             azimuth = real(k) * AZIMUTH_STEP
             now, at, exists = maximize_from_pole(p_a, p_b, x, q, pole, azimuth, LOG_ANGLE_START)
@@ -328,7 +330,7 @@ def functions(B: type[Shape]) -> SimpleNamespace:
 
     @wp.func
     def normals_face(p_a: Any, at: DirectionSample):
-        """Whether the two points lie across from each other."""
+        """Returns whether the two points are opposite each other along the normal."""
         return wp.length(at.tangential_offset) <= TOLERANCE * p_a.major_radius
 
     return SimpleNamespace(
