@@ -1,4 +1,4 @@
-"""What nonsmooth contacts are given, and what they remember from step to step."""
+"""Structs of nonsmooth contact that persist across steps: materials, stored impulses, statistics."""
 
 import functools
 from types import SimpleNamespace
@@ -14,52 +14,52 @@ def record_structs(real: type) -> SimpleNamespace:
 
     @wp.struct
     class NonsmoothMaterial:
-        """Of a contact, or of all pairs of a particle contact."""
+        """Parameters of a contact, or of all pairs of a particle contact."""
 
         restitution: real  # Newton's coefficient e
-        mu_static: real  # coefficient of friction where it stuck, or was open
-        mu_dynamic: real  # where it slipped in the last step
-        rolling: real  # coefficient of the resistance to rolling
-        spinning: real  # and to spinning about the normal
+        mu_static: real  # coefficient of friction if the contact stuck or was open in the last step
+        mu_dynamic: real  # if it slipped in the last step
+        rolling: real  # coefficient of rolling resistance
+        spinning: real  # coefficient of resistance to spinning about the normal
 
     @wp.struct
     class StoredImpulse:
-        """Of the last step in which a contact was closed; ``stamp`` tells which that was."""
+        """Impulse of the last step in which a contact was active; ``stamp`` is the number of that step."""
 
         impulse: vec3  # on the first body, W [N·s]
-        couple: vec3  # of rolling and spinning on it, W [N·m·s]
+        couple: vec3  # rolling and spinning couple on the first body, W [N·m·s]
         normal: vec3  # W
         approach_speed: real  # at K, at the end of the step [m/s]
         slip_speed: real  # likewise [m/s]
         mode: wp.int32  # MODE_*
-        stamp: wp.int32  # that step
+        stamp: wp.int32  # number of that step
 
     @wp.struct
     class StepStatistics:
-        """Of an environment since reset."""
+        """Statistics of each environment since reset."""
 
-        step: wp.array(dtype=wp.int32)  # [env] number of the last step, from 1; what has another stamp is open
+        step: wp.array(dtype=wp.int32)  # [env] number of the last step, from 1; other stamps mean open
         failures: wp.array(dtype=wp.int32)  # [env] steps without convergence
-        largest_residual: wp.array(dtype=real)  # [env] of these steps
+        largest_residual: wp.array(dtype=real)  # [env] largest residual of these steps
         unchanged_steps: wp.array(dtype=wp.int32)  # [env] last steps in which nothing moved or changed, at most 2
         restitution_limited: wp.array(dtype=wp.int32)  # [env] steps in which restitution was lowered
-        friction_dissipation: wp.array(dtype=wp.float64)  # [env] energy that friction took [J]
-        impact_dissipation: wp.array(dtype=wp.float64)  # [env] energy that impacts took [J]
+        friction_dissipation: wp.array(dtype=wp.float64)  # [env] energy dissipated by friction [J]
+        impact_dissipation: wp.array(dtype=wp.float64)  # [env] energy dissipated by impacts [J]
 
     @wp.struct
     class RestitutionLimit:
-        """How much of the restitution is left in an environment in which impacts would bring energy."""
+        """Search for the largest restitution that adds no energy to an environment."""
 
         status: wp.array(dtype=wp.int32)  # [env] ENV_ACTIVE: to be solved again
-        factor: wp.array(dtype=real)  # [env] of the solve, 0 to 1
-        feasible_factor: wp.array(dtype=real)  # [env] the largest that is known to bring none
-        infeasible_factor: wp.array(dtype=real)  # [env] the smallest that is known to bring some
-        lost: wp.array(dtype=real)  # [env] twice the energy that impulses take at ``kept`` [J]
-        gained: wp.array(dtype=real)  # [env] twice the energy that they bring at ``gains`` [J]
+        factor: wp.array(dtype=real)  # [env] factor on restitution of the last solve, 0 to 1
+        feasible_factor: wp.array(dtype=real)  # [env] largest factor found that adds no energy
+        infeasible_factor: wp.array(dtype=real)  # [env] smallest factor found that adds energy
+        lost: wp.array(dtype=real)  # [env] twice the energy that impulses remove at ``feasible_factor`` [J]
+        gained: wp.array(dtype=real)  # [env] twice the energy that they add at ``infeasible_factor`` [J]
 
     @wp.struct
     class DisplayedImpulses:
-        """What sensors show of the last step."""
+        """Impulses of the last step, for sensors."""
 
         impulse: wp.array2d(dtype=vec3)  # [env, contact] on the first body, W [N·s]
         mode: wp.array2d(dtype=wp.int32)  # [env, contact] MODE_*

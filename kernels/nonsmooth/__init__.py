@@ -1,1 +1,1 @@
-"""Unilateral contact: Signorini's condition and Coulomb's cone, solved for impulses and forces."""
+"""Nonsmooth contact: impulses by Signorini's condition and Coulomb's friction cone."""

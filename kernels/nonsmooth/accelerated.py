@@ -1,10 +1,10 @@
-"""Accelerated projected gradients: all contacts at once, with Nesterov's momentum.
+"""Accelerated projected gradients: all contacts simultaneously, with Nesterov's momentum.
 
-The step of H. Mazhar, T. Heyn, D. Negrut, A. Tasora, "Using Nesterov's method to accelerate multibody dynamics
-with friction and contact", ACM Transactions on Graphics 34, 2015, on De Saxcé's cone: the slip lifts the normal
-velocity anew in every iteration, so that what it converges to keeps Coulomb's law and does not part while it
-slides. The momentum starts again where it leads uphill: B. O'Donoghue, E. Candès, "Adaptive restart for
-accelerated gradient schemes", Foundations of Computational Mathematics 15, 2015.
+H. Mazhar, T. Heyn, D. Negrut, A. Tasora, "Using Nesterov's method to accelerate multibody dynamics with friction
+and contact", ACM Transactions on Graphics 34, 2015, applied to De Saxcé's velocity: μ times the slip speed is
+added to the normal velocity in every iteration. So the limit satisfies Coulomb's law, without separation in slip.
+Momentum restarts where it leads uphill: B. O'Donoghue, E. Candès, "Adaptive restart for accelerated gradient
+schemes", Foundations of Computational Mathematics 15, 2015.
 """
 
 import functools
@@ -12,21 +12,20 @@ import functools
 import numpy as np
 import warp as wp
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
-from warpcontact.kernels.nonsmooth import relative, velocity_update
-from warpcontact.kernels.nonsmooth import solver_common as begin
+from warpcontact.kernels.nonsmooth import relative, solver_common, velocity_update
 from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs
 from warpcontact.kernels.types import ENV_ACTIVE, LaunchRange, first_env, structs, task_count
 
-# Iterations that may pass without a smaller residual where that is of the size of rounding.
+# Number of iterations without a smaller residual after which a residual of the size of rounding is accepted.
 PATIENCE = 100
 
 
 @functools.cache
 def scratch(real: type, rolls: bool) -> type:
-    """Returns the struct of what a solve keeps of a row.
+    """Returns the struct of solver data per row.
 
-    Of couples there is what they are over an arm, so that they count as impulses do, and of angular velocities
-    what they are times that arm.
+    Couples are divided by an arm, and angular velocities multiplied by it, so that they have the units of impulses
+    and velocities.
     """
     vec3 = structs(real).vec3
 
@@ -34,14 +33,14 @@ def scratch(real: type, rolls: bool) -> type:
     class Scratch:
         rho: real  # [kg]
         free: vec3  # q, W [m/s]
-        previous: vec3  # impulse of the iteration before, W [N·s]
-        trial: vec3  # where momentum leads, W [N·s]
+        previous: vec3  # impulse of the previous iteration, W [N·s]
+        trial: vec3  # extrapolated impulse, W [N·s]
         velocity: vec3  # w, W [m/s]
-        velocity_before: vec3  # that of the iteration before
-        velocity_trial: vec3  # that where momentum leads
-        best: vec3  # impulse of the least residual, W [N·s]
+        velocity_before: vec3  # w of the previous iteration
+        velocity_trial: vec3  # w at the extrapolated impulse
+        best: vec3  # impulse with the smallest residual, W [N·s]
         if rolls:
-            arm: real  # at which a force turns as easily as it pushes [m]
+            arm: real  # arm at which force and couple have the same mobility [m]
             turning_free: vec3
             couple_before: vec3
             couple_trial: vec3
@@ -59,13 +58,13 @@ def kernel(real: type, moves: bool, rolls: bool, is_fallback: bool = False) -> w
 
     Args:
         real: Precision.
-        moves: Whether not all bodies are free.
-        rolls: Whether any contact opposes rolling or spinning.
-        is_fallback: Whether it comes after another solver, where that did not converge: with its
-            ``velocity_change`` taken back, and counting on from its iterations.
+        moves: Whether some bodies have joints.
+        rolls: Whether any contact has rolling or spinning resistance.
+        is_fallback: Whether it runs after another solver that did not converge. It then reverts the
+            ``velocity_change`` of that solver and continues its iteration count.
 
-    It starts from the guess in ``rows`` and stops at the tolerance, where rounding lets the residual fall no more,
-    or after some iterations; then the best of them is what it leaves.
+    Starts from the warm start in ``rows``. Stops at the tolerance, when rounding prevents a smaller residual, or
+    after ``iterations`` iterations; then it returns the iterate with the smallest residual.
     """
     t = structs(real)
     vec3 = t.vec3
@@ -87,23 +86,19 @@ def kernel(real: type, moves: bool, rolls: bool, is_fallback: bool = False) -> w
         f.residual_squared,
         f.projected_normal,
     )
-    solver_common = begin.functions(real, moves, rolls)
+    common = solver_common.functions(real, moves, rolls)
     clear_change, initialize_row, spread_speed_scale, residual_scale = (
-        solver_common.clear_change,
-        solver_common.initialize_row,
-        solver_common.spread_speed_scale,
-        solver_common.residual_scale,
+        common.clear_change,
+        common.initialize_row,
+        common.spread_speed_scale,
+        common.residual_scale,
     )
-    nesterov_step, apply_change, report_solve = (
-        solver_common.nesterov_step,
-        solver_common.apply_change,
-        solver_common.report_solve,
-    )
+    nesterov_step, apply_change, report_solve = common.nesterov_step, common.apply_change, common.report_solve
     zero, one = wp.constant(real(0.0)), wp.constant(real(1.0))
-    # A step that was too long becomes this part of the longest that goes down; others grow.
+    # A step that was too long is reset to this fraction of the longest descending one; others grow.
     STEP_REDUCTION, STEP_GROWTH = wp.constant(real(0.9)), wp.constant(real(1.005))
     rounding = np.finfo(wp.dtype_to_numpy(real))
-    # What rounding may leave of a residual.
+    # Rounding error of a residual.
     ROUNDING = wp.constant(real(4.0 * float(rounding.eps)))
     LARGEST = wp.constant(real(float(rounding.max)))
 
@@ -141,7 +136,7 @@ def kernel(real: type, moves: bool, rolls: bool, is_fallback: bool = False) -> w
                 continue
 
             clear_change(velocity_change, env)
-            finite = zero  # only if all terms are
+            finite = zero  # finite only if all terms are
             for row in range(count):
                 free, rho, trace, size = initialize_row(rows, body_response, velocity_change, env, row, tolerance)
                 finite += size
@@ -166,7 +161,7 @@ def kernel(real: type, moves: bool, rolls: bool, is_fallback: bool = False) -> w
             spread_speed_scale(rows, velocity_change, env, count)
 
             target = tolerance * tolerance
-            length = one  # of a step, over rho
+            length = one  # step length relative to rho
             theta = one
             beta = zero
             worst = zero
@@ -174,7 +169,7 @@ def kernel(real: type, moves: bool, rolls: bool, is_fallback: bool = False) -> w
             stalled = wp.int32(0)
             steps = wp.int32(0)
             while True:
-                # Where we are: the residual, and how the way here bent the velocities.
+                # Residual at the current iterate, and curvature along the last step.
                 worst = zero
                 curvature = zero
                 step_norm = zero
@@ -314,7 +309,7 @@ def kernel(real: type, moves: bool, rolls: bool, is_fallback: bool = False) -> w
                 steps += 1
 
             if worst > least:
-                # Back to the best.
+                # Return to the best iterate.
                 worst = least
                 for row in range(count):
                     step = scratch[env, row].best - rows[env, row].impulse

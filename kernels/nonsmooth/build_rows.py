@@ -1,6 +1,6 @@
-"""The closed contacts of a step as rows of its contact problem: one thread goes through an environment.
+"""Builds the contact problem of a step: one row per active contact, one thread per environment.
 
-A row takes as its guess the impulse of the last step, if its contact was closed in that.
+The warm start of a row is the impulse of the last step, if the contact was active in it.
 """
 
 import functools
@@ -28,9 +28,10 @@ from warpcontact.kernels.types import (
 def add_row(real: type) -> wp.Function:
     """Returns the device function that adds a contact to the rows of its environment.
 
-    Its arguments are ``(state, rows, outcome, memory, account, env, contact, material, body_1, body_2, arm_1,
-    arm_2, normal, gap, recovery, radius, torsion_radius)``; the state has the velocities before the step, of which
-    restitution takes that of approach; ``recovery`` is the share of an overlap that is taken back in a second.
+    Its arguments are ``(state, rows, solve_result, stored_impulses, statistics, env, contact, material, body_1,
+    body_2, arm_1, arm_2, normal, gap, recovery, radius, torsion_radius)``. ``state`` has the velocities before the
+    step, from which restitution computes the approach speed. ``recovery`` is the fraction of an overlap that is
+    removed per second [1/s].
     """
     t = structs(real)
     vec3, State = t.vec3, t.State
@@ -77,7 +78,7 @@ def add_row(real: type) -> wp.Function:
         if material.restitution > real(0.0):
             approach = velocity_at(state, env, body_2, arm_2) - velocity_at(state, env, body_1, arm_1)
             new_row.restitution_speed = material.restitution * wp.max(wp.dot(approach, normal), real(0.0))
-        # What bodies fall in a step stays: a contact must be closed to be held.
+        # Overlap up to g h² is not removed, so that a resting contact stays active.
         new_row.recovery = recovery * wp.max(-gap - solve_result.slack[env], real(0.0))
         row = solve_result.count[env]
         rows[env, row] = new_row
@@ -88,7 +89,7 @@ def add_row(real: type) -> wp.Function:
 
 @functools.cache
 def mesh_rows(real: type) -> wp.Kernel:
-    """Returns the kernel that adds what touches a mesh; items: 1."""
+    """Returns the kernel that adds contacts with meshes; items: 1."""
     t = structs(real)
     Model, State, Contacts, ActiveContacts = t.Model, t.State, t.Contacts, t.ActiveContacts
     r, records = row_structs(real), record_structs(real)
@@ -103,7 +104,7 @@ def mesh_rows(real: type) -> wp.Kernel:
         state: State,
         contacts: Contacts,
         active_contacts: ActiveContacts,
-        clusters: wp.array(dtype=wp.int32),  # those of nonsmooth contacts
+        clusters: wp.array(dtype=wp.int32),  # clusters of nonsmooth contacts
         block_count: wp.int32,
         recovery: real,  # [1/s]
         material: wp.array2d(dtype=records.NonsmoothMaterial),
@@ -135,7 +136,7 @@ def mesh_rows(real: type) -> wp.Kernel:
                     geometry = model.contact_geometry[env, contact]
                     torsion_radius = geometry.torsion_radius
                     if (model.contact_options[contact] & HERTZ_TORSION) != 0:
-                        # Rigid bodies have no overlap, and touch in a point.
+                        # Rigid contact has no overlap and acts at a point.
                         torsion_radius = real(0.0)
                     arm_W = contacts.arm[env, contact]
                     add(
@@ -152,7 +153,7 @@ def mesh_rows(real: type) -> wp.Kernel:
 def shape_rows(real: type, rolls: bool) -> wp.Kernel:
     """Returns the kernel that adds shape contacts of one group; items: 1.
 
-    ``rolls``: whether their radii of rolling are known.
+    ``rolls``: whether the rolling radii of contacts are available.
     """
     State, ShapeContacts = structs(real).State, shape_contact_structs(real).ShapeContacts
     r, records = row_structs(real), record_structs(real)
@@ -163,8 +164,8 @@ def shape_rows(real: type, rolls: bool) -> wp.Kernel:
         launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         state: State,
-        first: wp.int32,  # number of the first contact of the group
-        items: wp.array(dtype=wp.int32),  # those of the group that are hard
+        first: wp.int32,  # index of the first contact of the group
+        items: wp.array(dtype=wp.int32),  # nonsmooth contacts of the group
         item_count: wp.int32,
         contact_shapes: ContactShapes,
         settings: wp.array2d(dtype=ShapeContactSettings),
@@ -182,14 +183,14 @@ def shape_rows(real: type, rolls: bool) -> wp.Kernel:
                 continue
             for index in range(item_count):
                 item = items[index]
-                # For a law that is to act later it began at rest.
+                # A compliant law that is switched on later starts at rest.
                 shape_contacts.approach_speed[env, item] = real(0.0)
                 if shape_contacts.status[env, item] != CONTACT:
                     continue
                 radius = real(0.0)
                 if wp.static(rolls):
                     radius = shape_contacts.radius[env, item]
-                # Rigid bodies have no overlap, and touch in a point.
+                # Rigid contact has no overlap and acts at a point.
                 torsion_radius = wp.max(real(settings[env, item].torsion_radius), real(0.0))
                 contact = first + item
                 add(
@@ -205,7 +206,7 @@ def shape_rows(real: type, rolls: bool) -> wp.Kernel:
 
 @functools.cache
 def particle_rows(real: type) -> wp.Kernel:
-    """Returns the kernel that adds the pairs of a pile in the order of their records; items: 1."""
+    """Returns the kernel that adds particle pairs in the order of their records; items: 1."""
     State = structs(real).State
     p = particle_structs(real)
     Particles, NeighborLists, PairRecords = p.Particles, p.NeighborLists, p.PairRecords
@@ -221,8 +222,8 @@ def particle_rows(real: type) -> wp.Kernel:
         particles: Particles,
         neighbor_lists: NeighborLists,
         pair_records: PairRecords,
-        first: wp.int32,  # number of the contact of the first record
-        material_index: wp.int32,  # number of the material of all pairs
+        first: wp.int32,  # contact index of the first record
+        material_index: wp.int32,  # index of the material of all pairs
         recovery: real,  # [1/s]
         material: wp.array2d(dtype=records.NonsmoothMaterial),
         stored_impulses: records.StoredImpulses,
@@ -235,7 +236,7 @@ def particle_rows(real: type) -> wp.Kernel:
             if status[env] != ENV_ACTIVE:
                 continue
             pair_material = material[env, material_index]
-            # Rigid bodies have no overlap, and touch in a point.
+            # Rigid contact has no overlap and acts at a point.
             torsion_radius = wp.max(particles.settings[env, 0].torsion_radius, real(0.0))
             for particle in range(particle_count):
                 if (pair_records.particle_flags[env, particle] & IN_CONTACT) == 0:

@@ -1,8 +1,8 @@
-"""Coulomb's cone K = {(n, t): |t| ≤ μ n}: what a contact may carry, in its own axes (normal, two tangents).
+"""Coulomb's friction cone K = {(n, t): |t| ≤ μ n}, in contact axes (normal, two tangents).
 
-l is the force or impulse on the first body and w the velocity (or gap and slip) that belongs to it, w = W l + b.
-With De Saxcé's ŵ = (w_n + μ |w_t|, w_t) the law of contact with friction is: l in K, ŵ in the dual cone, l·ŵ = 0,
-which is l = P(l − ρ ŵ) with the projection P onto K and any ρ > 0.
+l is the force or impulse on the first body and w the corresponding velocity (or gap and slip), w = W l + b. With
+De Saxcé's ŵ = (w_n + μ |w_t|, w_t), Coulomb's law with Signorini's condition is: l in K, ŵ in the dual cone, l·ŵ =
+0. Equivalently, l = P(l − ρ ŵ) with the projection P onto K and any ρ > 0.
 """
 
 import functools
@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 from warpcontact.kernels.types import structs
 
-# Enough for bisection alone, should Newton's method never help.
+# Enough for bisection alone, without any Newton step.
 MAX_STEPS = 80
 
 
@@ -23,19 +23,19 @@ def functions(real: type) -> SimpleNamespace:
     vec3, mat33 = t.vec3, t.mat33
     zero, half, one, two = (wp.constant(real(x)) for x in (0.0, 0.5, 1.0, 2.0))
     rounding = float(np.finfo(wp.dtype_to_numpy(real)).eps)
-    # A block of less determinant, over the square of its trace, has a direction in which nothing moves; a velocity
-    # that is less, over those that it is made of, is none.
+    # A block with a smaller determinant, relative to the square of its trace, has a direction without mobility. A
+    # velocity that is smaller, relative to its terms, counts as zero.
     SINGULAR = wp.constant(real(64.0 * rounding))
     TINY_RATIO = wp.constant(real(rounding * rounding))
-    # Where slip is found, |l_t| over μ l_n is 1 to this.
+    # Tolerance of |l_t|/(μ l_n) = 1 in slip.
     SLIP_TOLERANCE = wp.constant(real(4.0 * rounding))
     TINY = wp.constant(real(np.finfo(wp.dtype_to_numpy(real)).tiny))
 
     @wp.func
     def basis(n: vec3):
-        """Two unit vectors across a unit vector ``n``; (n, first, second) is right-handed.
+        """Returns two unit vectors normal to a unit vector ``n``; (n, first, second) is right-handed.
 
-        Duff and others, "Building an orthonormal basis, revisited", 2017: without branches, exact to rounding.
+        Duff et al., "Building an orthonormal basis, revisited", 2017: without branches, exact to rounding.
         """
         side = wp.where(n[2] < zero, -one, one)
         a = -one / (side + n[2])
@@ -46,7 +46,7 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def project(z: vec3, mu: real):
-        """The point of the cone that is nearest to ``z``."""
+        """Returns the point of the cone that is nearest to ``z``."""
         across = wp.sqrt(z[1] * z[1] + z[2] * z[2])
         nearest = vec3()
         if z[0] >= zero and across <= mu * z[0]:
@@ -61,19 +61,19 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def residual(lam: vec3, w: vec3, mu: real, rho: real):
-        """How far ``lam`` is from its law at the velocity ``w``: │l − P(l − ρ ŵ)│, in its unit."""
+        """Returns the violation of the contact law by ``lam`` at ``w``: │l − P(l − ρ ŵ)│, in units of l."""
         shift = mu * wp.sqrt(w[1] * w[1] + w[2] * w[2])
         return wp.length(lam - project(lam - rho * (w + vec3(shift, zero, zero)), mu))
 
     @wp.func
     def tangential_block(W: mat33, c1: real, c2: real):
-        """S: change of w_t over l_t with w_n held, without rows; the parts (1, 1), (1, 2), (2, 2)."""
+        """Returns S, the change of w_t per l_t at constant w_n; entries (1, 1), (1, 2), (2, 2)."""
         return W[1, 1] - c1 * W[1, 0], W[1, 2] - c1 * W[2, 0], W[2, 2] - c2 * W[2, 0]
 
     @wp.func
     def open_or_slipping_contact(W: mat33, b: vec3, mu: real):
-        """``one_contact`` of what the cone does not allow to stick: it is open or slips."""
-        # An approach that is less than the rounding of a rounding of the slip is none.
+        """Returns ``one_contact`` of a contact that cannot stick: it is open or slips."""
+        # An approach below the squared rounding of the slip counts as zero.
         least_approach = TINY_RATIO * (wp.abs(b[1]) + wp.abs(b[2]))
         if b[0] + least_approach >= zero or W[0, 0] <= TINY:
             return vec3()
@@ -96,8 +96,8 @@ def functions(real: type) -> SimpleNamespace:
         if size <= noise:
             return vec3(frictionless_impulse, zero, zero)
 
-        # Slip: w_t = −σ l_t, hence (S + σ) l_t = −e. In numbers without unit, S and σ over the trace, l over
-        # press, and in the principal axes of S, first that in which it moves most: l_t = m p / det.
+        # Slip: w_t = −σ l_t, hence (S + σ) l_t = −e. Dimensionless: S and σ divided by the trace, l by
+        # frictionless_impulse, in the principal axes of S, largest first: l_t = m p / det.
         unit = one / wp.where(trace > TINY_RATIO * W[0, 0], trace, W[0, 0])
         S11 *= unit
         S12 *= unit
@@ -109,7 +109,7 @@ def functions(real: type) -> SimpleNamespace:
         x1 = one
         x2 = zero
         if radius > zero:
-            # The half of an angle, from the side that does not cancel.
+            # Half of an angle, in the form without cancellation.
             along = wp.abs(half_difference) + radius
             x1 = wp.where(half_difference < zero, S12, along)
             x2 = wp.where(half_difference < zero, along, S12)
@@ -124,14 +124,14 @@ def functions(real: type) -> SimpleNamespace:
         if not regular:
             smallest = zero
             if wp.abs(q2) * size <= noise or mu * d2 * wp.sign(q2) >= one - SLIP_TOLERANCE:
-                # Nothing moves that way. Either nothing asks it to, or there is no solution: it would jam, with
-                # ever more of friction and pressure.
+                # No mobility in this direction. Either no motion is required, or there is no solution: the contact
+                # would jam, with friction and normal impulse growing without bound.
                 q2 = zero
                 smallest = largest
         m = size * unit / frictionless_impulse
-        # g = μ l_n / |l_t| − 1 is to be 0, is negative where the contact does not stick, and positive at the upper
-        # end. It is almost straight, and is straight if S is isotropic: Newton's method, kept between the ends,
-        # from where slip across all of S is: there g is 0 but for the square of S over σ.
+        # Solve g = μ l_n / |l_t| − 1 = 0. g is negative at low and positive at high. It is almost linear, and
+        # linear for isotropic S. Newton's method, bracketed, starts at the root for slip in the presence of
+        # isotropic S; the error is of the order of the square of S over σ.
         load_coupling = d1 * q1 + d2 * q2
         low = zero
         high = two * m * (one + mu * (wp.abs(d1) + wp.abs(d2))) / mu
@@ -173,11 +173,12 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def one_contact(W: mat33, b: vec3, mu: real):
-        """The l of one contact with w = W l + ``b``, W symmetric and positive semidefinite: exact to rounding.
+        """Returns the l of one contact with w = W l + ``b``, exact to rounding.
 
-        Open if b_n ≥ 0; else it sticks, w = 0, if the cone allows, and else slips against l_t. Where nothing moves
-        along the normal l is 0. Where there are several solutions it is one of them. There is one unless W is
-        singular and ``b`` asks for what cannot move; what is returned then is finite and breaks the law.
+        W is symmetric and positive semidefinite. The contact is open if b_n ≥ 0. Otherwise it sticks, w = 0, if
+        the cone admits it, and else slips with w_t opposite to l_t. If there is no normal mobility, l is 0. If
+        there are several solutions, one of them is returned. There is a solution unless W is singular and ``b``
+        requires motion without mobility; then a finite l that violates the law is returned.
         """
         if b[0] < zero and W[0, 0] > TINY and mu > zero:
             # Stick: S l_t = −e, by Cramer's rule.

@@ -1,6 +1,6 @@
-"""Iterations for contact problems w = W l + q given as dense matrices, many at once: a thread has one.
+"""Iterative solvers for contact problems w = W l + q with dense matrices, one thread per problem.
 
-A contact has ``dim`` rows: its normal, then one or two tangents. W and what goes with it may be one for all.
+A contact has ``dim`` rows: its normal, then one or two tangents. W, mu and rho may be shared by all problems.
 """
 
 import functools
@@ -14,35 +14,35 @@ zero = wp.constant(wp.float64(0.0))
 half = wp.constant(wp.float64(0.5))
 one = wp.constant(wp.float64(1.0))
 four = wp.constant(wp.float64(4.0))
-# Sweeps of the power method, and what is added to what it finds, which is too small.
+# Iterations of the power method, and factor on its result, which is a lower bound.
 POWER_ITERATIONS = 30
 MARGIN = wp.constant(wp.float64(1.1))
-# Sweeps of Gauss–Seidel after which changes are made smaller if the residual has hardly fallen, what that is, by
-# how much, and how small they become.
+# Gauss–Seidel: number of sweeps between checks, residual ratio that counts as stagnation, factor on the relaxation
+# in that case, and its minimum.
 PATIENCE = wp.constant(wp.int32(200))
 STAGNATION = wp.constant(wp.float64(0.9))
 REDUCTION = wp.constant(wp.float64(0.7))
 MIN_RELAXATION = wp.constant(wp.float64(0.05))
-# A problem with a held shift is solved to this part of what the shift is off by, before it is set anew.
+# The problem with a fixed shift is solved to this fraction of the error of the shift before the shift is updated.
 INNER_FRACTION = wp.constant(wp.float64(0.1))
 
 
 @wp.struct
 class Dense:
-    """Problems w = W l + q with the laws of their contacts."""
+    """Problems w = W l + q with friction coefficients and solver data."""
 
     W: wp.array3d(dtype=wp.float64)  # [problem or 0, row, row]
     q: wp.array2d(dtype=wp.float64)  # [problem, row]
     mu: wp.array2d(dtype=wp.float64)  # [problem or 0, contact]
-    rho: wp.array2d(dtype=wp.float64)  # [problem or 0, contact] of the residual
-    unit: wp.array2d(dtype=wp.float64)  # [problem, contact] of the residual, a force
-    step: wp.array2d(dtype=wp.float64)  # [problem, contact] r of prox and of projected gradients
-    lam: wp.array2d(dtype=wp.float64)  # [problem, row] l; before, the guess
+    rho: wp.array2d(dtype=wp.float64)  # [problem or 0, contact] ρ of the residual
+    unit: wp.array2d(dtype=wp.float64)  # [problem, contact] scale of the residual, a force
+    step: wp.array2d(dtype=wp.float64)  # [problem, contact] step length r of prox and of projected gradients
+    lam: wp.array2d(dtype=wp.float64)  # [problem, row] l; in: the initial guess
     w: wp.array2d(dtype=wp.float64)  # [problem, row] scratch
     extrapolated: wp.array2d(dtype=wp.float64)  # [problem, row] scratch
     shift: wp.array2d(dtype=wp.float64)  # [problem, contact] scratch
     residual: wp.array(dtype=wp.float64)  # [problem]
-    iterations: wp.array(dtype=wp.int32)  # [problem] taken
+    iterations: wp.array(dtype=wp.int32)  # [problem] number of iterations
 
 
 @functools.cache
@@ -52,7 +52,7 @@ def _functions(dim: int) -> SimpleNamespace:
 
     @wp.func
     def residual(lam: wp.vec3d, w: wp.vec3d, mu: wp.float64, rho: wp.float64, unit: wp.float64):
-        """How far a contact is from its law, over its unit: as Coulomb's, and as Signorini's alone."""
+        """Returns the relative violation of Coulomb's law or of Signorini's condition, the larger one."""
         deviation = cone_residual(lam, w, mu, rho)
         if wp.static(dim > 1):
             deviation = wp.max(deviation, wp.abs(lam[0] - wp.max(lam[0] - rho * w[0], zero)))
@@ -72,7 +72,7 @@ def _functions(dim: int) -> SimpleNamespace:
 
     @wp.func
     def velocity(p: Dense, x: wp.array2d(dtype=wp.float64), e: int, k: int, i: int):
-        """W x + q of contact ``i``."""
+        """Returns W x + q of contact ``i``."""
         v = load(p.q, e, i)
         for j in range(x.shape[1]):
             for a in range(dim):
@@ -81,7 +81,7 @@ def _functions(dim: int) -> SimpleNamespace:
 
     @wp.func
     def velocities(p: Dense, x: wp.array2d(dtype=wp.float64), e: int, k: int):
-        """Writes W x + q into ``w``; returns the residual of ``x``."""
+        """Writes W x + q to ``w``; returns the residual of ``x``."""
         largest = zero
         for i in range(p.step.shape[1]):
             v = velocity(p, x, e, k, i)
@@ -104,7 +104,7 @@ def steps(dim: int) -> wp.Kernel:
         k = e % p.W.shape[0]
         rows = p.q.shape[1]
         for j in range(rows):
-            # No pattern that an eigenvector might be orthogonal to.
+            # An irregular start vector, unlikely to be orthogonal to the eigenvector.
             p.extrapolated[e, j] = one + half * wp.sin(wp.float64(3 * j * j + j))
         largest = zero
         for _ in range(POWER_ITERATIONS):
@@ -133,7 +133,7 @@ def steps(dim: int) -> wp.Kernel:
 
 @functools.cache
 def gauss_seidel(dim: int) -> wp.Kernel:
-    """Returns the kernel that solves one contact after the other. Launch with dim problems."""
+    """Returns the kernel of projected Gauss–Seidel. Launch with dim problems."""
     f = _functions(dim)
     load, store, velocity, velocities = f.load, f.store, f.velocity, f.velocities
     one_contact, residual = f.one_contact, f.residual
@@ -163,11 +163,11 @@ def gauss_seidel(dim: int) -> wp.Kernel:
                 store(p.lam, e, i, old + relaxation * (one_contact(W, v - W * old, mu) - old))
             iteration_count += 1
             if wp.static(dim > 1) and iteration_count % PATIENCE == 0:
-                # Strong coupling through friction makes it go round in circles; smaller changes end many of these.
+                # Strong coupling through friction can cause cycles; smaller changes end many of them.
                 if largest > STAGNATION * last:
                     relaxation = wp.max(REDUCTION * relaxation, MIN_RELAXATION)
                 last = largest
-            # What a sweep finds along the way is almost what it leaves.
+            # The residual during a sweep is close to that after it.
             if largest <= four * tolerance or iteration_count == iterations:
                 largest_residual = velocities(p, p.lam, e, k)
         p.residual[e] = largest_residual
@@ -178,7 +178,7 @@ def gauss_seidel(dim: int) -> wp.Kernel:
 
 @functools.cache
 def prox(dim: int) -> wp.Kernel:
-    """Returns the kernel of Uzawa's iteration l ← P(l − r ŵ), all contacts at once. Launch with dim problems."""
+    """Returns the kernel of Uzawa's iteration l ← P(l − r ŵ) of all contacts. Launch with dim problems."""
     f = _functions(dim)
     load, store, velocities, project = f.load, f.store, f.velocities, f.project
 
@@ -204,10 +204,10 @@ def prox(dim: int) -> wp.Kernel:
 
 @functools.cache
 def energy(dim: int) -> wp.Kernel:
-    """Returns the kernel that minimises ½ l·W l + (q + s)·l over the cones. Launch with dim problems.
+    """Returns the kernel that minimizes ½ l·W l + (q + s)·l over the cones. Launch with dim problems.
 
-    Projected gradients with Nesterov's momentum, given up whenever it leads uphill. The shift s = μ |w_t| of the
-    normals is held until the minimum is found to a tenth of what the shift is off by, and then set anew.
+    Projected gradients with Nesterov's momentum, restarted whenever it leads uphill. The shift s = μ |w_t| of the
+    normals is fixed until the minimum is found to a tenth of the error of the shift, and then updated.
     """
     f = _functions(dim)
     load, store, velocities = f.load, f.store, f.velocities
@@ -220,7 +220,7 @@ def energy(dim: int) -> wp.Kernel:
         contacts = p.step.shape[1]
         for j in range(p.q.shape[1]):
             p.extrapolated[e, j] = p.lam[e, j]
-        # w and the residual are those of ``extrapolated``, from which a step is made.
+        # w and the residual belong to ``extrapolated``, from which the step is taken.
         largest_residual = velocities(p, p.extrapolated, e, k)
         for i in range(contacts):
             v = load(p.w, e, i)
@@ -238,7 +238,7 @@ def energy(dim: int) -> wp.Kernel:
                 y = load(p.extrapolated, e, i)
                 inner = wp.max(inner, wp.length(y - project(y - p.rho[k, i] * v, mu)) / p.unit[e, i])
             if inner <= INNER_FRACTION * largest_residual:
-                # Of what the shift is to change by, less where that does not lead closer.
+                # Relaxed update of the shift; a smaller relaxation if the residual has grown.
                 if largest_residual > last:
                     relaxation = wp.max(half * relaxation, wp.float64(0.05))
                 last = largest_residual
@@ -256,7 +256,7 @@ def energy(dim: int) -> wp.Kernel:
                 old = load(p.lam, e, i)
                 new = project(y - p.step[e, i] * v, p.mu[e % p.mu.shape[0], i])
                 ascent += wp.dot(y - new, new - old) / p.step[e, i]
-                # The new one; how far it is from the old one is kept where w was.
+                # Store the new l; ``w`` holds the step from the old one.
                 store(p.lam, e, i, new)
                 store(p.w, e, i, new - old)
             following = half * (one + wp.sqrt(one + four * momentum * momentum))

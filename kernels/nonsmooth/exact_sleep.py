@@ -1,7 +1,7 @@
-"""Steps that would change nothing, and are left out: to the last bit the result is the same.
+"""Skips steps that would not change the state; results are bitwise identical to taking them.
 
-A step is a function of the state, of what contacts remember and of parameters. Where the last steps changed none
-of these the next does not either, until something is changed from outside. ``remember`` counts such steps.
+A step is a function of state, contact history and parameters. If the last steps changed none of these, the next
+step does not either, until the user changes something. ``save_impulses.py`` counts such steps.
 """
 
 import functools
@@ -14,9 +14,9 @@ from warpcontact.kernels.types import ENV_ACTIVE, ENV_SLEEPING, LaunchRange, fir
 
 @functools.cache
 def kernel(real: type) -> wp.Kernel:
-    """Returns the kernel that leaves environments at rest out of a step, but for their clocks; items: 1.
+    """Returns the kernel that excludes sleeping environments from a step, except for their clocks; items: 1.
 
-    All contacts are hard and with surfaces, and nothing else acts.
+    Requires that all contacts are nonsmooth contacts with surfaces, and that there are no other force elements.
     """
     StepStatistics = record_structs(real).StepStatistics
 

@@ -1,42 +1,41 @@
-"""Projected Gauss–Seidel: one contact after the other is solved exactly, with what the others do held."""
+"""Projected Gauss–Seidel solver: contacts are solved exactly one after another, the others held fixed."""
 
 import functools
 
 import numpy as np
 import warp as wp
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
-from warpcontact.kernels.nonsmooth import cone, relative, rest_impulses, velocity_update
-from warpcontact.kernels.nonsmooth import solver_common as begin
+from warpcontact.kernels.nonsmooth import cone, relative, rest_impulses, solver_common, velocity_update
 from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs
 from warpcontact.kernels.types import ENV_ACTIVE, LaunchRange, first_env, structs, task_count
 
-# Stages of a solve: the block of a row is made where it is first needed, and made anew, softer, after some sweeps.
+# States of a block: it is computed on first use, and recomputed with softening after some sweeps.
 BLOCK_UNSET, BLOCK_EXACT, BLOCK_SOFTENED = 0, 1, 2
 SOFTEN_AFTER = 50
-# How much softer, over a third of its trace: a block without an inverse, and any block late. A row then goes less
-# far from where it was, to the same solution; exact steps may go in circles, or grow, where friction is strong.
+# Softening relative to a third of the trace, for a singular block and for all blocks late in a solve. It shortens
+# the update of a row without changing the solution; exact updates can cycle or diverge with strong friction.
 SOFTENING, SOFTENING_LATE = 0.02, 0.3
-# How often the direction of a slip is tried before an equation is solved for it.
+# Fixed-point iterations for the direction of slip before the exact equation is solved.
 MAX_SLIP_ITERATIONS = 4
-# Sweeps that may pass without a smaller residual where that is of the size of rounding.
+# Number of sweeps without a smaller residual after which a residual of the size of rounding is accepted.
 PATIENCE = 50
 
 
 @functools.cache
 def scratch(real: type, rolls: bool) -> type:
-    """Returns the struct of what a solve keeps of a row."""
+    """Returns the struct of solver data per row."""
     t = structs(real)
     vec3, mat33 = t.vec3, t.mat33
 
     @wp.struct
     class Scratch:
-        stage: wp.int32  # of the solve that the block is of
+        stage: wp.int32  # BLOCK_*: state of ``block``
         rho: real  # [kg]
         free: vec3  # q, W [m/s]
         inverse: mat33  # of the block, W [kg]
-        block: mat33  # w over an impulse, (normal, two tangents) [1/kg]
+        block: mat33  # w per impulse, (normal, two tangents) [1/kg]
         before: vec3  # impulse before the sweep, W [N·s]
-        last_sweep: vec3  # impulse after the sweep before, W [N·s]
+        last_sweep: vec3  # impulse after the previous sweep, W [N·s]
         guess: vec3  # impulse before the solve, W [N·s]
         if rolls:
             couple_guess: vec3  # likewise [N·m·s]
@@ -51,15 +50,16 @@ def kernel(real: type, moves: bool, rolls: bool, has_fallback: bool = False) -> 
 
     Args:
         real: Precision.
-        moves: Whether not all bodies are free.
-        rolls: Whether any contact opposes rolling or spinning.
-        has_fallback: Whether another solver comes after it where it fails: from the same guess, since what
-            sweeps leave, of heavy bodies on light ones, is slow to go.
+        moves: Whether some bodies have joints.
+        rolls: Whether any contact has rolling or spinning resistance.
+        has_fallback: Whether another solver runs if this one fails. It then starts from the same warm start,
+            because the result of unconverged sweeps with heavy bodies on light ones converges slowly.
 
-    It starts from the guess in ``rows`` and stops at the tolerance, where rounding lets the residual fall no
-    more, or after some sweeps. Near the end a sweep looks first: where every row keeps its law nothing is
-    changed, and the solve is over. What a sweep finds that changes something belongs to many states, so that
-    the last looks alone. Between sweeps impulses go on with Nesterov's momentum, as in ``accelerated``.
+    Starts from the warm start in ``rows``. Stops at the tolerance, when rounding prevents a smaller residual, or
+    after ``iterations`` sweeps. Near convergence a sweep evaluates residuals before it changes impulses, and the
+    solve ends after a sweep without changes. A residual of a changing sweep mixes several states, so the last
+    sweep only evaluates. Between sweeps impulses are extrapolated with Nesterov's momentum, as in
+    ``accelerated.py``.
     """
     t = structs(real)
     vec3 = t.vec3
@@ -87,40 +87,36 @@ def kernel(real: type, moves: bool, rolls: bool, has_fallback: bool = False) -> 
             rest_functions.solve_rest,
             rest_functions.zero_rest_velocities,
         )
-    solver_common = begin.functions(real, moves, rolls)
+    common = solver_common.functions(real, moves, rolls)
     clear_change, initialize_row, spread_speed_scale, residual_scale = (
-        solver_common.clear_change,
-        solver_common.initialize_row,
-        solver_common.spread_speed_scale,
-        solver_common.residual_scale,
+        common.clear_change,
+        common.initialize_row,
+        common.spread_speed_scale,
+        common.residual_scale,
     )
-    nesterov_step, apply_change, report_solve = (
-        solver_common.nesterov_step,
-        solver_common.apply_change,
-        solver_common.report_solve,
-    )
+    nesterov_step, apply_change, report_solve = common.nesterov_step, common.apply_change, common.report_solve
     zero, one, three = (wp.constant(real(x)) for x in (0.0, 1.0, 3.0))
     block_unset, block_softened = wp.constant(BLOCK_UNSET), wp.constant(BLOCK_SOFTENED)
     softening, softening_late = wp.constant(real(SOFTENING)), wp.constant(real(SOFTENING_LATE))
     patience = wp.constant(PATIENCE)
     rounding = np.finfo(wp.dtype_to_numpy(real))
-    # What rounding may leave of a residual.
+    # Rounding error of a residual.
     ROUNDING = wp.constant(real(4.0 * float(rounding.eps)))
     LARGEST = wp.constant(real(float(rounding.max)))
-    # Residual over the tolerance, squared, from which the next sweep does not look first.
+    # Squared residual over tolerance above which the next sweep skips the evaluation before changes.
     UNCHECKED_ABOVE = wp.constant(real(4.0))
-    # Part of the tolerance below which a row is left as it is.
+    # Fraction of the tolerance below which a row is not changed.
     KEEP_FRACTION = wp.constant(real(0.1))
-    # Residual from which impulses on what is at rest are made right: of the size of rounding.
+    # Residual of the size of rounding above which the impulses on resting bodies are recomputed.
     REST_TOLERANCE = wp.constant(real(8.0 * float(rounding.eps)))
-    # The direction of a slip is known where it turns no more than that.
+    # Change of the direction of slip at which it has converged.
     DIRECTION_TOLERANCE = wp.constant(real(16.0 * float(rounding.eps)))
-    # Velocity, over that of the impulse alone, squared, up to which a contact may soon stick.
+    # Squared velocity, relative to that of the impulse alone, below which a contact may stick.
     STICK_SPEED = wp.constant(real(0.1))
 
     @wp.func
     def save_guess(rows: Rows, scratch: Scratch, env: int, count: int):
-        """Notes with what sweeps begin."""
+        """Stores the warm start and initializes the solver data."""
         for row in range(count):
             impulse = rows[env, row].impulse
             scratch[env, row].stage = block_unset
@@ -135,10 +131,11 @@ def kernel(real: type, moves: bool, rolls: bool, has_fallback: bool = False) -> 
     def slip_impulse(
         rows: Rows, body_response: BodyResponse, env: int, row: int, impulse: vec3, w: vec3, rho: real
     ):
-        """The impulse of a row that slips fast, and whether it does: where it might stick as well, it need not.
+        """Returns the impulse of a row that slips fast, and whether it was found.
 
-        Friction is against the slip, and turns it little: what is found for one direction gives the next. It is
-        not for a row that nothing moves apart.
+        Fixed-point iteration over the slip direction, to which friction is opposite. Not found if the slip is so
+        slow that the row may stick, if the row does not approach, if friction almost cancels the normal response,
+        or if the direction does not converge.
         """
         n = rows[env, row].normal
         slip = w - wp.dot(w, n) * n
@@ -189,7 +186,7 @@ def kernel(real: type, moves: bool, rolls: bool, has_fallback: bool = False) -> 
         w: vec3,
         stage: int,
     ):
-        """The impulse that solves a row alone, from that which it has and its velocity ``w``, W."""
+        """Returns the impulse that solves a row alone, from its current impulse and velocity ``w``, W."""
         n = rows[env, row].normal
         mu = rows[env, row].mu
         across_1, across_2 = basis(n)
@@ -206,7 +203,7 @@ def kernel(real: type, moves: bool, rolls: bool, has_fallback: bool = False) -> 
             R = wp.matrix_from_cols(n, across_1, across_2)
             scratch[env, row].block = wp.transpose(R) * W * R
             scratch[env, row].inverse = inverse
-        # Without slip, if the cone allows.
+        # Without slip, if the cone admits it.
         new = impulse - scratch[env, row].inverse * w
         along = wp.dot(new, n)
         if along >= zero and wp.length_sq(new) <= (one + mu * mu) * along * along:
@@ -239,7 +236,7 @@ def kernel(real: type, moves: bool, rolls: bool, has_fallback: bool = False) -> 
                 continue
 
             clear_change(velocity_change, env)
-            finite = zero  # only if all terms are
+            finite = zero  # finite only if all terms are
             for row in range(count):
                 free, rho, _trace, size = initialize_row(rows, body_response, velocity_change, env, row, tolerance)
                 finite += size
@@ -268,7 +265,7 @@ def kernel(real: type, moves: bool, rolls: bool, has_fallback: bool = False) -> 
                 save_guess(rows, scratch, env, count)
             rest_tolerance = zero
             if wp.static(not moves):
-                # What is at rest stays there, but for what stopped it in the last step and would push it back now.
+                # Resting bodies stay at rest, except for impulses of the last step that would now push them back.
                 if at_rest(body_response, velocity_change, env) == 1:
                     rest_tolerance = REST_TOLERANCE * REST_TOLERANCE
             unchecked = wp.int32(0)
@@ -298,7 +295,7 @@ def kernel(real: type, moves: bool, rolls: bool, has_fallback: bool = False) -> 
                         worst = wp.max(worst, off)
                     if wp.static(not moves):
                         if rest_tried == 0 and off > rest_tolerance:
-                            # Before anything is changed.
+                            # Before any change.
                             rest_tried = 1
                             if rho * rho * wp.length_sq(w) < STICK_SPEED * wp.length_sq(impulse):
                                 rest_solved = solve_rest(rows, body_response, velocity_change, scratch, env, count)
@@ -354,7 +351,7 @@ def kernel(real: type, moves: bool, rolls: bool, has_fallback: bool = False) -> 
                                 rows[env, row].spinning * pressed,
                             )
                             step = new - couple
-                            # As an impulse: over the arm at which both move a body as easily.
+                            # As an impulse: divided by the arm at which force and couple have the same mobility.
                             off = rho * trace / three * wp.length_sq(step) / scale
                             worst = wp.max(worst, off)
                             if final_sweep == 0 and (
@@ -385,7 +382,7 @@ def kernel(real: type, moves: bool, rolls: bool, has_fallback: bool = False) -> 
                     continue
                 unchecked = wp.where(worst > UNCHECKED_ABOVE * target, 1, 0)
 
-                # A sweep is a step down a hill. Its momentum leads on, and starts again where it leads uphill.
+                # A sweep is a descent step. Restart the momentum if it leads uphill.
                 if uphill > zero:
                     theta = one
                 theta, beta = nesterov_step(theta)

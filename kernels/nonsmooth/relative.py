@@ -1,4 +1,4 @@
-"""Relative velocities at a contact: of a state, and of bodies under impulses."""
+"""Relative velocities at a contact, of a state and of the bodies of a solve."""
 
 import functools
 from types import SimpleNamespace
@@ -11,9 +11,9 @@ from warpcontact.kernels.types import structs
 
 @functools.cache
 def functions(real: type, moves: bool) -> SimpleNamespace:
-    """Returns the device functions for ``real``; all are of the first body relative to the second.
+    """Returns the device functions for ``real``; all give the first body relative to the second.
 
-    With ``moves`` not all bodies are free.
+    With ``moves`` some bodies have joints.
     """
     t = structs(real)
     vec3, State = t.vec3, t.State
@@ -22,12 +22,12 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
 
     @wp.func
     def before(state: State, env: int, body_1: int, body_2: int, arm_1: vec3, arm_2: vec3):
-        """Velocity at K in a state."""
+        """Returns the relative velocity at K in a state."""
         return velocity_at(state, env, body_1, arm_1) - velocity_at(state, env, body_2, arm_2)
 
     @wp.func
     def after(body_response: BodyResponse, env: int, body_1: int, body_2: int, arm_1: vec3, arm_2: vec3):
-        """Velocity at K of bodies under impulses."""
+        """Returns the relative velocity at K in a solve."""
         velocity = vec3()
         if body_1 >= 0:
             velocity = body_response[env, body_1].linear + wp.cross(body_response[env, body_1].angular, arm_1)
@@ -37,7 +37,7 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
 
     @wp.func
     def spin_before(state: State, env: int, body_1: int, body_2: int):
-        """Angular velocity in a state."""
+        """Returns the relative angular velocity in a state."""
         difference = vec3()
         if body_1 >= 0:
             difference = state.body_angular_velocity[env, body_1]
@@ -47,7 +47,7 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
 
     @wp.func
     def spin_after(body_response: BodyResponse, env: int, body_1: int, body_2: int):
-        """Angular velocity of bodies under impulses."""
+        """Returns the relative angular velocity in a solve."""
         difference = vec3()
         if body_1 >= 0:
             difference = body_response[env, body_1].angular

@@ -1,10 +1,10 @@
-"""What stands: the impulses that stop all bodies at once, where friction can hold every contact.
+"""Direct solution of resting contact: impulses that stop all bodies, if friction can hold every contact.
 
-Several feet share a load, and sweeps from one to the next take long to agree. Yet where nothing slides it is known
-what each body needs: the impulse that takes its velocity away. It comes from the contacts with one other body or
-with the world, is shared among them with the least change, or as they are loaded, and the other body needs as much
-more. So impulses pass from the last bodies on to the first, and there is nothing to repeat. Their sum is right to
-rounding: in the next steps nothing is left to do, where sweeps would leave what grows from step to step.
+Iterations converge slowly if several contacts share a load. If nothing slides, the impulse that each body needs is
+known: it cancels the velocity of the body. The contacts with one other body or with the world provide it,
+distributed with the least change or in proportion to their load, and the opposite impulse is added to the other
+body. One pass from the last bodies to the first solves the problem. The sums are exact to rounding, so following
+steps change nothing; the error of an iteration would grow from step to step.
 """
 
 import functools
@@ -19,18 +19,17 @@ from warpcontact.kernels.types import structs
 
 @functools.cache
 def functions(real: type, Scratch: type) -> SimpleNamespace:
-    """Returns the device functions for ``real``, where all bodies are free.
+    """Returns the device functions for ``real``; all bodies must be free.
 
-    ``at_rest(moving, change, env)``: whether nothing that touches anything moved before the step.
+    ``at_rest(body_response, velocity_change, env)``: whether all bodies in contact were at rest before the step.
 
-    ``solve_rest(rows, moving, change, scratch, env, count)`` lets all touching bodies stand. It returns 1 if
-    they can, and else 0, with nothing changed: of two bodies that touch, the one with the larger number has to
-    stand on the other, and on nothing else; their contacts have to lie side by side in the rows, and not in a
-    line.
-    ``Scratch`` is the struct of a row, of which it overwrites ``before`` and ``swept`` by the impulse.
+    ``solve_rest(rows, body_response, velocity_change, scratch, env, count)`` stops all bodies in contact. It
+    returns 1 on success, and 0 if it changed nothing. In each pair of bodies in contact, the one with the larger
+    index must be supported by the other one only; their contacts must be consecutive rows and not collinear.
+    ``Scratch`` is the struct of a row; ``before`` and ``last_sweep`` are overwritten by the impulse.
 
-    ``zero_rest_velocities(rows, moving, change, env, count, stands)`` takes, after a solve, what rounding leaves
-    of the velocity of bodies that stand, and of those that were at rest: what is at rest stays there.
+    ``zero_rest_velocities(rows, body_response, velocity_change, env, count, solved)`` removes, after a solve,
+    rounding errors of the velocity of stopped bodies and of bodies that were at rest.
     """
     vec3, mat33 = structs(real).vec3, structs(real).mat33
     Rows = row_structs(real).Rows
@@ -39,7 +38,7 @@ def functions(real: type, Scratch: type) -> SimpleNamespace:
     Scratches = wp.array2d(dtype=Scratch)
     f = velocity_update.functions(real, False)
     invert_symmetric, apply_impulse = f.invert_symmetric, f.apply_impulse
-    # Of a velocity over that without contact: what rounding of impulses leaves.
+    # Velocity over that without contact: rounding error of impulses.
     ROUNDING = wp.constant(real(16.0 * float(np.finfo(wp.dtype_to_numpy(real)).eps)))
     ROUNDED_UP = wp.constant(real(1.0 + 4.0 * float(np.finfo(wp.dtype_to_numpy(real)).eps)))
     zero, one, three = (wp.constant(real(x)) for x in (0.0, 1.0, 3.0))
@@ -53,7 +52,7 @@ def functions(real: type, Scratch: type) -> SimpleNamespace:
 
     @wp.func
     def load_weight(rows: Rows, env: int, row: int, by_load: int):
-        """How much of what its body needs a row takes, beside others."""
+        """Returns the weight of a row in the distribution of the impulse of its body."""
         return wp.where(by_load == 1, wp.dot(rows[env, row].impulse, rows[env, row].normal), one)
 
     @wp.func
@@ -67,9 +66,9 @@ def functions(real: type, Scratch: type) -> SimpleNamespace:
         body: int,
         by_load: int,
     ):
-        """Puts what rows carry to stop ``body`` into ``before``; returns whether they can, and the couple.
+        """Writes the impulses of rows that stop ``body`` to ``before``; returns whether they are in their cones.
 
-        That is the one of the added impulses on the other body, about its centre of mass.
+        Also returns the angular impulse of the added impulses on the other body, about its center of mass.
         """
         total = zero
         centroid = vec3()
@@ -125,9 +124,10 @@ def functions(real: type, Scratch: type) -> SimpleNamespace:
         body: int,
         other_body: int,
     ):
-        """Lets rows stop ``body``; returns whether they can. The other body needs as much more.
+        """Stops ``body`` by its rows and adds the opposite load to the other body; returns whether it succeeded.
 
-        Evenly, which is the least change; else each as it is loaded, since what carries nothing has no friction.
+        First with equal weights, the least change; if that fails, in proportion to load, because an unloaded
+        contact has no friction.
         """
         if velocity_change[env, body].is_stopped == 1:
             return 0
@@ -161,7 +161,7 @@ def functions(real: type, Scratch: type) -> SimpleNamespace:
             inertia, invertible = invert_symmetric(body_response[env, body].inverse_inertia)
             velocity_change[env, body].is_stopped = 0
             if invertible == 0:
-                # What has none does not stand.
+                # Without an inverse inertia the body cannot be stopped.
                 return 0
             mass = one / body_response[env, body].inverse_mass
             velocity_change[env, body].stop_impulse = -mass * (
@@ -229,10 +229,10 @@ def functions(real: type, Scratch: type) -> SimpleNamespace:
 
     @wp.func
     def fastest_squared(body_response: BodyResponse, env: int, body: int, arm: vec3):
-        """Square of the larger speed of a body: of its centre of mass, or of what turns around that.
+        """Returns the squared speed of a body: of its center of mass or of its rotation, the larger one.
 
-        The latter at ``arm`` or, if that is shorter, at the radius of gyration: a contact at the centre sees no
-        turning.
+        The rotation counts at ``arm`` or, if larger, at the radius of gyration, because a contact at the center is
+        not sensitive to rotation.
         """
         C = body_response[env, body].inverse_inertia
         trace = C[0, 0] + C[1, 1] + C[2, 2]
@@ -244,7 +244,7 @@ def functions(real: type, Scratch: type) -> SimpleNamespace:
 
     @wp.func
     def is_resting(rows: Rows, body_response: BodyResponse, velocity_change: VelocityChange, env: int, count: int):
-        """Whether all bodies that touch anything were at rest, and move by what rounding leaves."""
+        """Returns whether all bodies in contact were at rest and move by rounding errors only."""
         if at_rest(body_response, velocity_change, env) == 0:
             return 0
         for row in range(count):

@@ -1,13 +1,13 @@
 """Limits restitution so that impacts add no energy.
 
-Newton's law prescribes the speed at which a contact parts, for any impulse. The impulses of a step may then do work
-W > 0 on the bodies: if friction reverses the slip, if contacts of different restitution are hit together
-(Kane and Levinson 1985), or if the impulse that carries the weight of a body at rest acts while an impact launches it.
-In the last case W is of the order of the step, so the reduction must vanish with the step.
+Newton's law prescribes the speed at which a contact parts, for any impulse. The impulses of a step may then do
+work W > 0 on the bodies: if friction reverses the slip, if contacts of different restitution are hit together
+(Kane and Levinson 1985), or if the impulse that carries the weight of a body at rest acts while an impact launches
+it. In the last case W is of the order of the step, so the reduction must vanish with the step.
 
-``limit_restitution`` scales all restitution of an environment by the largest factor s found with W(s) ≤ 0. W(0) ≤ 0 for
-any friction. Without friction and with the same contacts pressed, W is a convex quadratic of s, so its chord between a
-point with W < 0 and one with W > 0 is zero at a point with W ≤ 0, near the root.
+``limit_restitution`` scales all restitution of an environment by the largest factor s found with W(s) ≤ 0. W(0) ≤
+0 for any friction. Without friction and with the same contacts pressed, W is a convex quadratic of s, so its chord
+between a point with W < 0 and one with W > 0 is zero at a point with W ≤ 0, near the root.
 """
 
 import functools
@@ -19,17 +19,17 @@ from warpcontact.kernels.nonsmooth import relative, velocity_update
 from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs
 from warpcontact.kernels.types import ENV_ACTIVE, ENV_PAUSED, LaunchRange, first_env, structs, task_count
 
-#: Solves after the first, at most.
+#: Maximum number of solves after the first.
 MAX_ROUNDS = 4
 
 
 @functools.cache
 def kernel(real: type, moves: bool) -> wp.Kernel:
-    """Returns the kernel that chooses the factor of the restitution for the next solve; items: 1.
+    """Returns the kernel that selects the restitution factor for the next solve; items: 1.
 
-    It runs after each solve, with ``number`` 0 after the first, which has the factor 1. If that adds energy, three
-    factors between the largest found to add none and the smallest found to add some are tried: a Newton step from 1,
-    then zeros of the chord, or the middle if only 0 adds none. The last solve has a factor that adds none.
+    It runs after each solve, with ``number`` 0 after the first, which has the factor 1. If that adds energy, up to
+    three factors between the largest feasible and the smallest infeasible one are tried: a Newton step from 1,
+    then zeros of the chord, or the middle if only 0 is feasible. The last solve has a feasible factor.
     """
     t = structs(real)
     State = t.State
@@ -41,7 +41,7 @@ def kernel(real: type, moves: bool) -> wp.Kernel:
     velocity_before, velocity_after = f.before, f.after
     spin_before, spin_after = f.spin_before, f.spin_after
     last = wp.constant(MAX_ROUNDS - 1)
-    # Of the work at all contacts: what rounding may bring; and what a solve may, over its tolerance.
+    # Work relative to the sum at all contacts: rounding error, and solver error per tolerance.
     rounding_gain = wp.constant(real(1.0e-4) if real is wp.float32 else real(1.0e-9))
     solver_gain = wp.constant(real(10.0))
     zero, half, one, two = (wp.constant(real(x)) for x in (0.0, 0.5, 1.0, 2.0))
@@ -80,9 +80,9 @@ def kernel(real: type, moves: bool) -> wp.Kernel:
             couple = rows[env, row].couple
             work_done += wp.dot(impulse, u_before + u_after) + wp.dot(couple, spin_sum)
             if rows[env, row].recovery > rows[env, row].restitution_speed:
-                # What takes overlap back may bring energy.
+                # Removal of overlap may add energy.
                 work_done -= rows[env, row].recovery * wp.dot(impulse, rows[env, row].normal)
-            # At rest there is less than what a step without contact would bring.
+            # At rest the work is smaller than that of a step without contact.
             body = wp.where(body_1 < 0, body_2, body_1)
             free = wp.sqrt(wp.max(velocity_change[env, body].speed_squared, real(0.0)))
             size += wp.length(impulse) * (wp.length(u_before) + wp.length(u_after) + free)
@@ -129,7 +129,8 @@ def kernel(real: type, moves: bool) -> wp.Kernel:
                 if factor == one:
                     # Twice the Newton step, so that W < 0 there; not below ½.
                     next_factor = wp.max(one - two * work_done / wp.max(slope, work_done), half)
-                # Illinois rule: the end that stays counts half, so that the next chord is zero nearer to it.
+                # Illinois rule: halve the value of the retained end, which moves the next zero of the chord
+                # towards it.
                 restitution_limit.lost[env] = half * restitution_limit.lost[env]
             elif factor == one:
                 continue

@@ -1,4 +1,4 @@
-"""After a step: what nonsmooth contacts remember of it, what they took of the energy, and how it is read."""
+"""Saves the impulses of a step: warm starts, dissipated energy, reactions and sensor values."""
 
 import functools
 from typing import Any
@@ -26,13 +26,13 @@ from warpcontact.kernels.types import (
 
 @functools.cache
 def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
-    """Returns the kernel that takes the rows of an accepted step into the memory of their contacts; items: 1.
+    """Returns the kernel that stores the rows of an accepted step as warm starts of their contacts; items: 1.
 
-    With ``moves`` not all bodies are free, and with ``rolls`` some contacts oppose rolling or spinning.
-    Environments that were left out of the step, by ``rest``, are active again.
+    With ``moves`` some bodies have joints, with ``rolls`` some contacts have rolling or spinning resistance.
+    Environments that slept in the step (``exact_sleep.py``) become active again.
 
-    An impulse P at a contact with the velocities U⁻ before and U⁺ after takes −P·(U⁻ + U⁺)/2 of the energy: with
-    θ = ½ this and the work of the forces make up the change of the kinetic energy of free bodies.
+    An impulse P at a contact with relative velocities U⁻ before and U⁺ after dissipates −P·(U⁻ + U⁺)/2. With θ =
+    ½, this and the work of the forces equal the change of the kinetic energy of free bodies.
     """
     t = structs(real)
     vec3, State, Wrenches = t.vec3, t.State, t.Wrenches
@@ -48,7 +48,7 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
     f = relative.functions(real, moves)
     velocity_before, velocity_after = f.before, f.after
     spin_before, spin_after = f.spin_before, f.spin_after
-    # As near as that to the edge of the cone a contact slips: within rounding, and within what a solve leaves.
+    # Distance to the boundary of the cone at which a contact slips: rounding, and the error of the solver.
     ROUNDING = wp.constant(real(64.0 * t.epsilon))
     UNSOLVED = wp.constant(real(20.0))
 
@@ -100,7 +100,7 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
             for body in range(bodies):
                 reactions.force[env, body] = vec3()
                 reactions.torque[env, body] = vec3()
-                # What moves neither before nor after a step has the same pose after it.
+                # A body that is at rest before and after a step keeps its pose.
                 is_at_rest = (
                     half_step_state.body_linear_velocity[env, body] == vec3()
                     and body_response[env, body].linear == vec3()
@@ -146,7 +146,7 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                 elif limit > real(0.0) and wp.length_sq(across) < limit * limit:
                     stored.mode = wp.int32(MODE_STICK)
                 stored.stamp = number
-                # Which coefficient of friction the next step takes.
+                # The mode selects the coefficient of friction of the next step.
                 if (
                     stored.mode != stored_impulses[env, row.contact].mode
                     or stored_impulses[env, row.contact].stamp != number - 1
@@ -162,9 +162,9 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
 
 @functools.cache
 def display_contacts(real: type, Contacts: Any) -> wp.Kernel:
-    """Returns the kernel that shows what the last step of active environments did, where sensors look.
+    """Returns the kernel that writes the impulses of the last step to the contact sensors of active environments.
 
-    Items: nonsmooth contacts. ``Contacts`` is the struct of the arrays of its contacts.
+    Items: nonsmooth contacts. ``Contacts`` is the struct of the contact arrays.
     """
     vec3 = structs(real).vec3
     records = record_structs(real)
@@ -179,8 +179,8 @@ def display_contacts(real: type, Contacts: Any) -> wp.Kernel:
         launch: LaunchRange,
         status: wp.array(dtype=wp.int32),
         step: wp.array2d(dtype=real),  # [env, 0] [s]
-        first: wp.int32,  # number of the first contact of the arrays
-        items: wp.array(dtype=wp.int32),  # [item] those of the arrays that are hard
+        first: wp.int32,  # index of the first contact of the arrays
+        items: wp.array(dtype=wp.int32),  # [item] nonsmooth contacts of the arrays
         stored_impulses: StoredImpulses,
         statistics: StepStatistics,
         contacts: Contacts,
@@ -222,9 +222,9 @@ def display_contacts(real: type, Contacts: Any) -> wp.Kernel:
 
 @functools.cache
 def display_particles(real: type) -> wp.Kernel:
-    """Returns the kernel that shows what the last step did in a pile. Launch with dim (env, shape).
+    """Returns the kernel that writes the impulses of the last step to pair records.
 
-    What pressed in it is shown as touching, even if it has come apart since.
+    Launch with dim (env, particle). A pair with an impulse is reported as in contact, even if it has opened since.
     """
     vec3 = structs(real).vec3
     particle_types = particle_structs(real)
@@ -239,7 +239,7 @@ def display_particles(real: type) -> wp.Kernel:
     @unique_kernel()
     def show_particles(
         step: wp.array2d(dtype=real),  # [env, 0] [s]
-        first: wp.int32,  # number of the contact of the first record
+        first: wp.int32,  # contact index of the first record
         particles: Particles,
         neighbor_lists: NeighborLists,
         stored_impulses: StoredImpulses,
@@ -290,7 +290,7 @@ def reaction_forces(real: type) -> wp.Kernel:
 
 @functools.cache
 def reset(real: type) -> wp.Kernel:
-    """Returns the kernel that empties what chosen environments remember. Launch with dim env."""
+    """Returns the kernel that clears stored impulses of masked environments. Launch with dim env."""
     Wrenches = structs(real).Wrenches
     vec3 = structs(real).vec3
     SolveResult, StepStatistics = row_structs(real).SolveResult, record_structs(real).StepStatistics
@@ -298,7 +298,7 @@ def reset(real: type) -> wp.Kernel:
     @unique_kernel()
     def reset_statistics(
         mask: wp.array(dtype=wp.bool),
-        all_statistics: wp.int32,  # 0: but for the account
+        all_statistics: wp.int32,  # 0: keep statistics, clear only the impulses
         bodies: wp.int32,
         solve_result: SolveResult,
         statistics: StepStatistics,
@@ -307,7 +307,7 @@ def reset(real: type) -> wp.Kernel:
         env = wp.tid()
         if not mask[env]:
             return
-        # No contact has the stamp of a step that none has taken.
+        # No contact has the stamp of a step that has not been taken.
         statistics.step[env] = statistics.step[env] + 1
         statistics.unchanged_steps[env] = 0
         if all_statistics == 1:

@@ -1,28 +1,26 @@
-"""Impacts one after the other: the speeds at which the closed contacts of a step part.
+"""Sequential impacts: separation speeds of the active contacts of a step.
 
-The pair of bodies that approaches fastest collides first: its contacts are solved together, without friction, by
-Newton's law with the velocities so far, and so on until no contact approaches.
-``restitution_speed`` of each contact that was
-hit is its normal velocity after the sequence. The solvers reach it with friction and forces. So an impact travels
-through bodies that touch, as in Newton's cradle; with simultaneous impacts,
-``restitution_speed`` follows from the velocities
-before the step alone (Smith et al., Reflections on simultaneous impact, ACM Transactions on Graphics 31, 2012).
+The pair of bodies with the largest approach speed collides first. Its contacts are solved together, without
+friction, by Newton's law with the current velocities. This repeats until no contact approaches.
+``restitution_speed`` of each contact that was hit is its normal velocity after the sequence; the solvers reach it
+with friction and forces. So an impact propagates through bodies in contact, as in Newton's cradle. With
+simultaneous impacts, ``restitution_speed`` depends only on the velocities before the step. Reference: Smith et
+al., Reflections on simultaneous impact, ACM Transactions on Graphics 31, 2012.
 """
 
 import functools
 
 import warp as wp
 from warpcontact.kernels.lowlevel.unique_kernel import unique_kernel
-from warpcontact.kernels.nonsmooth import relative, velocity_update
-from warpcontact.kernels.nonsmooth import solver_common as begin
+from warpcontact.kernels.nonsmooth import relative, solver_common, velocity_update
 from warpcontact.kernels.nonsmooth.rows import body_response_struct, row_structs
 from warpcontact.kernels.types import ENV_ACTIVE, LaunchRange, first_env, structs, task_count
 
-#: Largest number of impacts in a step, per closed contact; what still approaches then does not bounce.
+#: Maximum number of impacts in a step, per active contact. Contacts that still approach then do not bounce.
 MAX_IMPACTS_PER_CONTACT = 50
-# Largest number of sweeps over the contacts of one impact.
+# Maximum number of sweeps over the contacts of one impact.
 MAX_SWEEPS = 200
-# Approach speeds that agree to this share are equal: of these the first contact comes first.
+# Relative difference below which approach speeds are equal; of equal ones the first contact is used.
 TIE = 1.0e-3
 
 
@@ -32,19 +30,19 @@ def scratch(real: type) -> type:
 
     @wp.struct
     class ImpactRow:
-        response: real  # normal velocity over the normal impulse [1/kg]
-        target: real  # speed at which it is to part after the present impact [m/s]
-        impulse: real  # normal impulse of the present impact [N·s]
-        was_hit: wp.int32  # 1: some impact pressed it
+        response: real  # normal velocity per normal impulse [1/kg]
+        target: real  # separation speed after the current impact [m/s]
+        impulse: real  # normal impulse of the current impact [N·s]
+        was_hit: wp.int32  # 1: an impact exerted an impulse on it
 
     return ImpactRow
 
 
 @functools.cache
 def kernel(real: type, moves: bool) -> wp.Kernel:
-    """Returns the kernel that sets ``restitution_speed`` of all rows by impacts one after the other; items: 1.
+    """Returns the kernel that sets ``restitution_speed`` of all rows by sequential impacts; items: 1.
 
-    With ``moves`` not all bodies are free.
+    With ``moves`` some bodies have joints.
     """
     State = structs(real).State
     r = row_structs(real)
@@ -59,14 +57,14 @@ def kernel(real: type, moves: bool) -> wp.Kernel:
         f.impulse_response,
         f.apply_impulse_pair,
     )
-    clear_change = begin.functions(real, moves, False).clear_change
+    clear_change = solver_common.functions(real, moves, False).clear_change
     zero = wp.constant(real(0.0))
     impacts, sweeps = wp.constant(MAX_IMPACTS_PER_CONTACT), wp.constant(MAX_SWEEPS)
     tie_factor, solve_fraction = wp.constant(real(1.0 + TIE)), wp.constant(real(0.1))
 
     @wp.func
     def separation_speed(half_step_state: State, rows: Rows, velocity_change: VelocityChange, env: int, row: int):
-        """Normal relative velocity so far, positive where bodies part."""
+        """Returns the current normal relative velocity, positive in separation."""
         body_1 = rows[env, row].body_1
         body_2 = rows[env, row].body_2
         arm_1 = rows[env, row].arm_1
@@ -78,14 +76,14 @@ def kernel(real: type, moves: bool) -> wp.Kernel:
 
     @wp.func
     def connects(rows: Rows, env: int, row: int, body_1: int, body_2: int):
-        """Whether a row is between two bodies."""
-        solver_common = rows[env, row].body_1
+        """Returns whether a row is between two bodies."""
+        first = rows[env, row].body_1
         second = rows[env, row].body_2
-        return (solver_common == body_1 and second == body_2) or (solver_common == body_2 and second == body_1)
+        return (first == body_1 and second == body_2) or (first == body_2 and second == body_1)
 
     @wp.func
     def initialize(rows: Rows, body_response: BodyResponse, impact_rows: ImpactRows, env: int, count: int):
-        """Prepares all rows; returns whether any has restitution."""
+        """Initializes all rows; returns whether any has restitution."""
         elastic = wp.bool(False)
         for row in range(count):
             n = rows[env, row].normal
@@ -109,7 +107,7 @@ def kernel(real: type, moves: bool) -> wp.Kernel:
         env: int,
         count: int,
     ):
-        """The row that approaches fastest, and how fast; of equal ones the first."""
+        """Returns the row with the largest approach speed, and that speed; of equal ones the first."""
         found = wp.int32(-1)
         speed = zero
         for row in range(count):
@@ -133,7 +131,7 @@ def kernel(real: type, moves: bool) -> wp.Kernel:
         body_2: int,
         rest_speed: real,
     ):
-        """One impact of two bodies, by projected Gauss–Seidel over their contacts."""
+        """Computes one impact of two bodies, by projected Gauss–Seidel over their contacts."""
         for row in range(count):
             if connects(rows, env, row, body_1, body_2):
                 approach = wp.max(-separation_speed(half_step_state, rows, velocity_change, env, row), zero)
@@ -191,7 +189,7 @@ def kernel(real: type, moves: bool) -> wp.Kernel:
                 continue
             clear_change(velocity_change, env)
             row, speed = fastest(half_step_state, rows, velocity_change, impact_rows, env, count)
-            # Below what gravity brings in a step by the tolerance, what approaches is at rest.
+            # Approach below the tolerance times the speed gained by gravity in a step counts as rest.
             rest_speed = tolerance * wp.max(speed, solve_result.slack[env] / step[env, 0])
             remaining = impacts * count
             while remaining > 0 and speed > rest_speed:

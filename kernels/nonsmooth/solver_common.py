@@ -1,8 +1,9 @@
-"""How solves begin, go on and end, and by what residuals are measured: common to the solvers of a step.
+"""Initialization, acceleration, residuals and results shared by the solvers of a step.
 
-The residual of a row is how far its impulse P is from its law, over the larger of |P| and ρ V: ρ is the mass that
-the contact feels, and V the largest relative velocity without contact, |q|, of the contacts that bodies connect
-with it. So a light body beside a heavy one, or on it, is looked at as closely as the heavy one.
+The residual of a row is the violation of the contact law by its impulse P, relative to the larger of |P| and ρ V.
+ρ is the effective mass at the contact [kg]. V is the largest relative velocity without contact, |q|, among the
+contacts connected to it by bodies. So contacts of a light body next to a heavy one are as accurate as those of the
+heavy one.
 """
 
 import functools
@@ -17,9 +18,9 @@ from warpcontact.kernels.types import structs
 
 @functools.cache
 def functions(real: type, moves: bool, rolls: bool) -> SimpleNamespace:
-    """Returns the device functions for ``real``; with ``moves`` not all bodies are free.
+    """Returns the device functions for ``real``; with ``moves`` some bodies have joints.
 
-    With ``rolls`` some contacts oppose rolling or spinning.
+    With ``rolls`` some contacts have rolling or spinning resistance.
     """
     t = structs(real)
     vec3 = t.vec3
@@ -35,7 +36,7 @@ def functions(real: type, moves: bool, rolls: bool) -> SimpleNamespace:
     between = relative.functions(real, moves)
     velocity, spin = between.after, between.spin_after
     zero, half, one, three, four = (wp.constant(real(x)) for x in (0.0, 0.5, 1.0, 3.0, 4.0))
-    # Of a velocity over that of the guess: what rounding of the guess may leave.
+    # Velocity over that of the warm start: rounding error of the warm start.
     ROUNDING = wp.constant(real(4.0 * float(np.finfo(wp.dtype_to_numpy(real)).eps)))
     TINY = wp.constant(real(float(np.finfo(wp.dtype_to_numpy(real)).tiny)))
 
@@ -48,12 +49,12 @@ def functions(real: type, moves: bool, rolls: bool) -> SimpleNamespace:
             if response > zero:
                 velocity_change[env, body].speed_squared = wp.max(before, speed_squared)
             elif before == zero:
-                # What does not move connects nothing.
+                # A body without mobility connects no contacts.
                 velocity_change[env, body].speed_squared = -one
 
     @wp.func
     def clear_change(velocity_change: VelocityChange, env: int):
-        """Nothing has changed."""
+        """Sets all velocity changes to zero."""
         for body in range(velocity_change.shape[1]):
             velocity_change[env, body].linear = vec3()
             velocity_change[env, body].angular = vec3()
@@ -68,9 +69,9 @@ def functions(real: type, moves: bool, rolls: bool) -> SimpleNamespace:
         row: int,
         tolerance: real,
     ):
-        """Gives bodies the guess of a row. Returns q, ρ, the trace of its block, and what is finite if both are.
+        """Applies the warm start of a row; returns q, ρ, the trace of its block, and a finiteness check.
 
-        Where nothing moves ρ is 0, and so is what the row may carry.
+        The last value is finite if q and the impulse are. Without mobility ρ and the impulse are 0.
         """
         body_1 = rows[env, row].body_1
         body_2 = rows[env, row].body_2
@@ -112,7 +113,7 @@ def functions(real: type, moves: bool, rolls: bool) -> SimpleNamespace:
 
     @wp.func
     def spread_speed_scale(rows: Rows, velocity_change: VelocityChange, env: int, count: int):
-        """Lets bodies that are connected by contacts have the same V."""
+        """Assigns the same V to all bodies connected by contacts."""
         step = wp.int32(1)
         changed = wp.int32(1)
         while changed == 1:
@@ -134,7 +135,7 @@ def functions(real: type, moves: bool, rolls: bool) -> SimpleNamespace:
 
     @wp.func
     def residual_scale(velocity_change: VelocityChange, env: int, body_1: int, body_2: int, rho: real):
-        """(ρ V)² of a row between two bodies [N²·s²]."""
+        """Returns (ρ V)² of a row between two bodies [N²·s²]."""
         speed_squared = zero
         if body_1 >= 0:
             speed_squared = velocity_change[env, body_1].speed_squared
@@ -144,13 +145,13 @@ def functions(real: type, moves: bool, rolls: bool) -> SimpleNamespace:
 
     @wp.func
     def nesterov_step(theta: real):
-        """Nesterov's: the next θ, and the share of the last step by which impulses go on."""
+        """Returns the next θ of Nesterov's method, and the factor on the last step for extrapolation."""
         after = half * theta * (wp.sqrt(theta * theta + four) - theta)
         return after, theta * (one - theta) / (theta * theta + after)
 
     @wp.func
     def apply_change(body_response: BodyResponse, velocity_change: VelocityChange, env: int):
-        """Adds what has changed to the velocities."""
+        """Adds the velocity changes to the velocities."""
         for body in range(velocity_change.shape[1]):
             body_response[env, body].linear = body_response[env, body].linear + velocity_change[env, body].linear
             body_response[env, body].angular = (
@@ -159,7 +160,7 @@ def functions(real: type, moves: bool, rolls: bool) -> SimpleNamespace:
 
     @wp.func
     def report_solve(solve_result: SolveResult, env: int, residual: real, iterations: int, converged: int):
-        """Says how a solve went."""
+        """Writes the result of a solve."""
         solve_result.residual[env] = residual
         solve_result.iterations[env] = iterations
         solve_result.converged[env] = converged

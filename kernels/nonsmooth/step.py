@@ -1,7 +1,7 @@
-"""The Moreau–Jean scheme around its contact problem: the pose at half a step, velocities before, the pose after.
+"""Kernels of the Moreau–Jean scheme: half step, velocities without contact, full step.
 
-Contacts and forces are those of the middle of the step. What an impulse does to a body is told there, too, and so
-a free body keeps its angular momentum to rounding.
+Contacts and forces are evaluated at the middle of the step. Impulses are applied there, too, so a free body
+conserves its angular momentum to rounding.
 """
 
 import functools
@@ -36,11 +36,12 @@ from warpcontact.kernels.types import (
 
 @functools.cache
 def half_step(real: type, moves: bool) -> wp.Kernel:
-    """Returns the kernel that goes half a step with the velocities before it; items: bodies.
+    """Returns the kernel that advances bodies by half a step with the velocities before it; items: bodies.
 
-    The angular velocity there is that of the same angular momentum. With ``moves`` some bodies are not free; those
-    that follow a function of time are left to ``driven``, which changes their pose alone. The first body of an
-    environment empties its rows, and gives back the whole restitution.
+    The angular velocity at the half step has the same angular momentum. With ``moves`` some bodies have joints.
+    Bodies with prescribed motion (TIME_FUNCTION) are skipped; the kernels of ``joints/driven.py`` set their
+    pose. The thread of the first body also clears the rows of its environment and resets the restitution factor to
+    1.
     """
     t = structs(real)
     Model, State = t.Model, t.State
@@ -123,10 +124,9 @@ def half_step(real: type, moves: bool) -> wp.Kernel:
 
 @functools.cache
 def free_velocities(real: type, moves: bool) -> wp.Kernel:
-    """Returns the kernel of the velocities without contact, and of what impulses do to each body; items: bodies.
+    """Returns the kernel of the velocities without contact and of the response to impulses; items: bodies.
 
-    With ``moves`` some bodies are not free; ``state_out`` holds the velocities of those that follow a function of
-    time.
+    With ``moves`` some bodies have joints; ``state_out`` holds the velocities of those with prescribed motion.
     """
     t = structs(real)
     vec3, mat33, Model, State, Wrenches = t.vec3, t.mat33, t.Model, t.State, t.Wrenches
@@ -262,7 +262,7 @@ def free_velocities(real: type, moves: bool) -> wp.Kernel:
             else:
                 R = wp.quat_to_matrix(half_step_state.body_orientation[env, body])
                 inverse_inertia = R * inverse_B * wp.transpose(R)
-                # There the body has the angular momentum of the start.
+                # The half-step state has the angular momentum of the start.
                 w_middle = half_step_state.body_angular_velocity[env, body]
                 body_response[env, body].angular = w_middle + inverse_inertia * (dt * wrenches.torque[env, body])
             body_response[env, body].inverse_inertia = inverse_inertia
@@ -279,10 +279,10 @@ def free_velocities(real: type, moves: bool) -> wp.Kernel:
 
 @functools.cache
 def full_step(real: type, moves: bool) -> wp.Kernel:
-    """Returns the kernel that takes each body over the step with the velocities after contact; items: bodies.
+    """Returns the kernel that advances each body over the step with the velocities after contact; items: bodies.
 
-    Positions go on with θ times the velocities after and 1 − θ times those before. With ``moves`` some bodies are
-    not free; those that follow a function of time are left to ``driven``.
+    Positions advance with θ times the velocities after contact plus 1 − θ times those before. With ``moves`` some
+    bodies have joints; those with prescribed motion are only checked.
     """
     t = structs(real)
     Model, State, Wrenches = t.Model, t.State, t.Wrenches
@@ -386,8 +386,8 @@ def full_step(real: type, moves: bool) -> wp.Kernel:
                 rotation = dt * (theta * angular_velocity + complement * w_before)
                 if wp.length_sq(rotation) > real(0.0):
                     orientation = rotated(q_WB, rotation)
-                # The change of spin, not the spin itself: a quaternion is a little longer or shorter than one and
-                # scales what it rotates, which in a difference from step to step cancels instead of adding up.
+                # Use the change of angular velocity: rounding of the quaternion norm scales rotated vectors, which
+                # cancels in a difference and would otherwise accumulate.
                 spin_before = wp.quat_rotate(q_WB, inverse_B * wp.quat_rotate_inv(q_WB, momentum))
                 momentum += wp.quat_rotate(q_middle, momentum_change_B)
                 spin_after = wp.quat_rotate(orientation, inverse_B * wp.quat_rotate_inv(orientation, momentum))
@@ -400,7 +400,7 @@ def full_step(real: type, moves: bool) -> wp.Kernel:
             state_out.body_orientation[env, body] = orientation
             state_out.body_linear_velocity[env, body] = velocity
             state_out.body_angular_velocity[env, body] = angular_velocity
-            # One sum is finite only if every term is: squares have no opposite signs.
+            # The sum is finite only if every term is, because all terms are nonnegative.
             sizes = wp.length_sq(position) + wp.length_sq(velocity) + wp.length_sq(angular_velocity)
             if not sizes < guard.suspect[env, 0]:
                 cause = failure_cause(position, velocity, angular_velocity, guard.limits[env, 0])

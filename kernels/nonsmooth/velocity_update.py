@@ -1,8 +1,8 @@
-"""What impulses do to bodies, and what a row asks of them: common to the solvers of a step.
+"""Response of bodies to impulses, cone projections and residuals, shared by the solvers of a step.
 
-Solvers look for the change of velocity, not for the velocity: it is as small as what contact does, however fast
-the bodies are, and so it is as fine in float32. A row has w = q + U(change), where q is its relative velocity
-without contact, less the speed at which it is to part.
+Solvers compute the velocity change by contact, not the velocity: it is independent of the speed of the bodies, and
+so is its float32 rounding. A row has w = q + U(change), where q is its relative velocity without contact minus its
+prescribed separation speed.
 """
 
 import functools
@@ -16,45 +16,45 @@ from warpcontact.kernels.types import structs
 
 @functools.cache
 def velocity_change_struct(real: type) -> type:
-    """Returns the struct of what contact changes of a body, for ``real``."""
+    """Returns the struct of the velocity change of a body, for ``real``."""
     vec3 = structs(real).vec3
 
     @wp.struct
     class VelocityChange:
-        """What impulses have changed of a body."""
+        """Velocity change of a body by impulses."""
 
-        linear: vec3  # of the velocity of the centre of mass, W [m/s]
+        linear: vec3  # of the velocity of the center of mass, W [m/s]
         angular: vec3  # W [rad/s]
-        speed_squared: real  # V², see ``begin`` [m²/s²]
-        stop_impulse: vec3  # impulse that stops it, see ``standing``, W [N·s]
-        stop_angular_impulse: vec3  # likewise, about its centre of mass, W [N·m·s]
-        is_stopped: wp.int32  # 1: has it
+        speed_squared: real  # V², see ``solver_common.py`` [m²/s²]
+        stop_impulse: vec3  # impulse that stops it, see ``rest_impulses.py``, W [N·s]
+        stop_angular_impulse: vec3  # likewise, about its center of mass, W [N·m·s]
+        is_stopped: wp.int32  # 1: contacts that stop it were found
 
     return VelocityChange
 
 
 @functools.cache
 def functions(real: type, moves: bool) -> SimpleNamespace:
-    """Returns the device functions for ``real``; with ``moves`` not all bodies are free."""
+    """Returns the device functions for ``real``; with ``moves`` some bodies have joints."""
     t = structs(real)
     vec3, mat33 = t.vec3, t.mat33
     BodyResponse = wp.array2d(dtype=body_response_struct(real, moves))
     VelocityChange = wp.array2d(dtype=velocity_change_struct(real))
     zero, one, two, three = (wp.constant(real(x)) for x in (0.0, 1.0, 2.0, 3.0))
     rounding = float(np.finfo(wp.dtype_to_numpy(real)).eps)
-    # A block of less determinant, over the cube of a third of its trace, is not to be inverted.
+    # A block with a smaller determinant, relative to the cube of a third of its trace, counts as singular.
     SINGULAR = wp.constant(real(100.0 * rounding))
 
     @wp.func
     def velocity_change_at(velocity_change: VelocityChange, env: int, body: int, arm: vec3):
-        """Change of the velocity at ``arm`` from the centre of mass; 0 for the world."""
+        """Returns the velocity change at ``arm`` from the center of mass; 0 for the world."""
         if body < 0:
             return vec3()
         return velocity_change[env, body].linear + wp.cross(velocity_change[env, body].angular, arm)
 
     @wp.func
     def relative_spin_change(velocity_change: VelocityChange, env: int, body_1: int, body_2: int):
-        """Change of the angular velocity of the first body relative to the second."""
+        """Returns the change of the angular velocity of the first body relative to the second."""
         difference = vec3()
         if body_1 >= 0:
             difference = velocity_change[env, body_1].angular
@@ -71,7 +71,7 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
         impulse: vec3,
         turning: vec3,
     ):
-        """Adds what an impulse and an angular impulse about the centre of mass do to a body."""
+        """Adds the response of a body to an impulse and an angular impulse about its center of mass."""
         if body < 0:
             return
         if wp.static(moves):
@@ -98,13 +98,13 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
         turning_1: vec3,
         turning_2: vec3,
     ):
-        """Adds what an impulse on the first body and its opposite on the second do, each with an own turning."""
+        """Adds the responses of two bodies to opposite impulses and an angular impulse on each."""
         apply_impulse(body_response, velocity_change, env, body_1, impulse, turning_1)
         apply_impulse(body_response, velocity_change, env, body_2, -impulse, turning_2)
 
     @wp.func
     def response_trace(body_response: BodyResponse, env: int, body: int, arm: vec3):
-        """Trace of the block of one body: how easily an impulse at ``arm`` moves that place [1/kg]."""
+        """Returns the trace of the block of one body at ``arm``, a measure of its mobility [1/kg]."""
         if body < 0:
             return zero
         C = body_response[env, body].inverse_inertia
@@ -116,7 +116,7 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
             largest = trace
             trace += two * wp.dot(arm, vec3(B[1, 2] - B[2, 1], B[2, 0] - B[0, 2], B[0, 1] - B[1, 0]))
             if trace <= SINGULAR * largest:
-                # Of a place that does not move there is left what rounding is.
+                # The point does not move; the remainder is rounding.
                 trace = zero
         else:
             trace += three * body_response[env, body].inverse_mass
@@ -124,7 +124,7 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
 
     @wp.func
     def angular_response_trace(body_response: BodyResponse, env: int, body: int):
-        """Trace of what an angular impulse does to the angular velocity of a body [1/(kg·m²)]."""
+        """Returns the trace of the response of the angular velocity to angular impulses [1/(kg·m²)]."""
         if body < 0:
             return zero
         C = body_response[env, body].inverse_inertia
@@ -132,7 +132,7 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
 
     @wp.func
     def impulse_response(body_response: BodyResponse, env: int, body: int, arm: vec3, impulse: vec3):
-        """Change of the velocity at ``arm`` that an impulse there makes: ``block`` times it."""
+        """Returns the velocity change at ``arm`` by an impulse there: ``block`` times the impulse."""
         if body < 0:
             return vec3()
         turning = wp.cross(arm, impulse)
@@ -147,7 +147,7 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
 
     @wp.func
     def block(body_response: BodyResponse, env: int, body: int, arm: vec3):
-        """Change of the velocity at ``arm`` over an impulse there, W."""
+        """Returns the velocity change at ``arm`` per impulse there, W [1/kg]."""
         if body < 0:
             return mat33()
         cross = wp.skew(arm)
@@ -163,7 +163,7 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
 
     @wp.func
     def invert_symmetric(W: mat33):
-        """Inverse of a symmetric block, and whether it has one."""
+        """Returns the inverse of a symmetric block, and whether it exists."""
         c0 = vec3(
             W[1, 1] * W[2, 2] - W[1, 2] * W[1, 2],
             W[0, 2] * W[1, 2] - W[0, 1] * W[2, 2],
@@ -182,7 +182,7 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
 
     @wp.func
     def project_onto_cone(impulse: vec3, n: vec3, mu: real):
-        """The impulse nearest to ``impulse`` that a contact may carry, as ``cone.project``; all in W."""
+        """Returns the admissible impulse nearest to ``impulse``, as ``cone.project``; all in W."""
         along = wp.dot(impulse, n)
         l_t = impulse - along * n
         across_squared = wp.length_sq(l_t)
@@ -201,7 +201,7 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
 
     @wp.func
     def project_couple(couple: vec3, n: vec3, rolling: real, spinning: real):
-        """The couple nearest to ``couple`` that is no larger than the limits, across the normal and along it."""
+        """Returns the nearest couple within the limits normal to n (rolling) and along n (spinning)."""
         along = wp.dot(couple, n)
         across = couple - along * n
         size = wp.length(across)
@@ -211,10 +211,11 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
 
     @wp.func
     def projected_normal(impulse: vec3, couple: vec3, n: vec3, mu: real, rolling: real, spinning: real):
-        """Normal part of what is nearest, among what a contact may carry, to an impulse and a couple over an arm.
+        """Returns the normal part of the projection of an impulse and a couple onto the cone with couples.
 
-        The coefficients of couples are over that arm too. Beyond their limits, which grow with it, all three draw
-        at the normal impulse; those that are within the limits they have at the result do not.
+        The couple and its coefficients are divided by an arm, which gives them the units of an impulse and 1.
+        Parts that exceed their limits increase the normal impulse. Parts that are within the limits of the result
+        do not.
         """
         along = wp.dot(impulse, n)
         turning = wp.dot(couple, n)
@@ -224,7 +225,7 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
         normal = along + mu * slip + rolling * roll + spinning * twist
         normal = normal / (one + mu * mu + rolling * rolling + spinning * spinning)
         for _ in range(3):
-            # Each that is left out makes it larger.
+            # Removing a part increases the normal impulse.
             sum = along
             weight = real(1.0)
             if slip > mu * normal:
@@ -241,12 +242,12 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
 
     @wp.func
     def de_saxce_velocity(w: vec3, n: vec3, mu: real):
-        """De Saxcé's velocity: ``w`` with what its slip lifts it, W."""
+        """Returns De Saxcé's velocity: ``w`` plus μ times the slip speed along the normal, W."""
         return w + mu * wp.length(w - wp.dot(w, n) * n) * n
 
     @wp.func
     def residual_squared(impulse: vec3, w: vec3, n: vec3, mu: real, rho: real):
-        """Square of how far an impulse is from its law at the velocity ``w``, as ``cone.residual``; all in W."""
+        """Returns the squared violation of the contact law at the velocity ``w``, as ``cone.residual``; all in W."""
         w_n = wp.dot(w, n)
         w_t = w - w_n * n
         l_n = wp.dot(impulse, n)
@@ -265,7 +266,7 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
             return wp.length_sq(impulse)
         a = a / (one + mu * mu)
         rest = l_n - a
-        # across is not 0 here, but where mu is.
+        # across is 0 here only if mu is.
         share = zero
         if across > zero:
             share = a * mu / across

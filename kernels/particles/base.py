@@ -82,7 +82,7 @@ def particle_structs(real: type) -> SimpleNamespace:
         owned: wp.array2d(dtype=wp.int32)  # [env, particle] number of owned pairs
         count: wp.array2d(dtype=wp.int32)  # [env, particle] number of neighbors
         neighbor: wp.array2d(dtype=wp.int32)  # [env, entry]
-        slot: wp.array2d(dtype=wp.int32)  # [env, entry] record of the pair; NO_INDEX: none (list of the owner full)
+        slot: wp.array2d(dtype=wp.int32)  # [env, entry] record of the pair; NO_INDEX: owner list full
 
     @wp.struct
     class PairRecords:

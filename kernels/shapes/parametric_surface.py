@@ -51,12 +51,13 @@ class ParametricSurface(Shape):
                 bend = wp.vec3d(zero, zero, one / p.radius)
                 return x_u, x_v, bend, wp.vec3d(), bend
 
-    All values are float64. ``derivatives`` returns x_u, x_v, x_uu, x_uv and x_vv. If it is not defined, differences
-    of sixth order are used, with a relative error of 1e-11; ``position`` must then be defined 1.5 % of the range
-    beyond its ends. The surface must be smooth, with x_u and x_v nowhere parallel.
+    All values are float64. ``derivatives`` returns x_u, x_v, x_uu, x_uv and x_vv. If it is not defined,
+    differences of sixth order are used, with a relative error of 1e-11; ``position`` must then be defined 1.5 % of
+    the range beyond its ends. The surface must be smooth, with x_u and x_v nowhere parallel.
 
-    The surface is open: there is no contact beyond its edges, nor with a body entirely behind its tangent plane. If
-    ``u_periodic`` (or ``v_periodic``) is true, the surface closes in that direction and the range is one period.
+    The surface is open: there is no contact beyond its edges, nor with a body entirely behind its tangent plane.
+    If ``u_periodic`` (or ``v_periodic``) is true, the surface closes in that direction and the range is one
+    period.
     """
 
     convex: ClassVar[bool] = False
