@@ -305,7 +305,9 @@ def rod(mu, angle, speed):
 def test_event_driven_raises_paradox_error_for_painleve_rod():
     angle = math.radians(45.0)
     # 1/m + (cos² − μ sin cos)/I < 0 for a thin rod: μ > (1 + 3 cos²)/(3 sin cos) = 5/3 at 45°.
-    with pytest.raises(ParadoxError, match=r"t = 0 s: sliding, tip would press itself on.*Painlevé") as caught:
+    with pytest.raises(
+        ParadoxError, match=r"t = 0 s: slip of tip increases its own normal force.*Painlevé"
+    ) as caught:
         EventDriven(rod(5.0 / 3.0 + 0.01, angle, 1.0)).run(0.1)
     assert str(caught.value.run) == "event-driven run from 0 s to 0 s: no events"
     run = EventDriven(rod(5.0 / 3.0 - 0.2, angle, 1.0)).run(0.02)
@@ -399,7 +401,7 @@ def test_event_driven_raises_for_contact_of_two_prescribed_bodies():
     press = scene.add_body(mass=1.0, inertia=[0.4] * 3, position=(0, 0, 1.1), motion=motion, name="press")
     ram = scene.add_shape(press, wc.shapes.Sphere(1.0), name="ram")
     scene.add_shape_contact(ram, ground, rigid(0.3), name="touch")
-    with pytest.raises(ParadoxError, match=r"touch must open, but neither body can give way: both are driven"):
+    with pytest.raises(ParadoxError, match=r"touch must open, but neither body can move: both are fixed"):
         EventDriven(scene.build(device="cpu", precision="float64")).run(0.25)
 
 
@@ -413,22 +415,20 @@ def test_event_driven_raises_for_ball_at_concave_edge_of_a_mesh():
         mass=1.0, inertia=[0.004] * 3, position=(1.8, 0, 0.1), linear_velocity=(20.0, 0, 0), name="ball"
     )
     scene.add_contact(scene.add_point(body, (0, 0, 0)), room, rigid(0.0, 0.5), radius=0.1, name="touch")
-    with pytest.raises(
-        RuntimeError, match=r"at t = 0.005 s touch close and part again and again: in an inner edge"
-    ):
+    with pytest.raises(RuntimeError, match=r"at t = 0.005 s touch close and open repeatedly: at a concave edge"):
         EventDriven(scene.build(device="cpu", precision="float64")).run(0.1)
 
 
 def test_event_driven_raises_for_unsupported_input():
     deep = block(lift=-1e-3)
-    with pytest.raises(ValueError, match=r"feet\[0\] begins in overlap, 0.001 m deep"):
+    with pytest.raises(ValueError, match=r"feet\[0\] starts with a penetration of 0.001 m"):
         EventDriven(deep).run(0.1)
     engine = EventDriven(ball())
     with pytest.raises(ValueError, match="duration must be greater than 0, got 0 s"):
         engine.run(0.0)
     with pytest.raises(ValueError, match="zeno must be greater than 0, got 0 s"):
         EventDriven(ball(), zeno=0.0)
-    with pytest.raises(KeyError, match=r"no 'ball.place' in an event-driven run; there are position"):
+    with pytest.raises(KeyError, match=r"no 'ball.place' in an event-driven run; available: position"):
         engine.run(0.1)["ball.place"]
     with pytest.raises(ValueError, match="most_events must be a whole number, at least 1, got 0"):
         EventDriven(ball(), most_events=0)
@@ -438,7 +438,7 @@ def test_event_driven_raises_for_unsupported_input():
         wc.unilateral.equilibrium(ball(), method="newton")
     with pytest.raises(ValueError, match=r"kind must be one of 'IMPACT', .*, got 'impact'"):
         engine.run(0.1).events_of("impact")
-    with pytest.raises(KeyError, match="no contact 'wall' in the scene; there are touch"):
+    with pytest.raises(KeyError, match="no contact 'wall' in the scene; available: touch"):
         engine.run(0.1).events_of("IMPACT", "wall")
     # Eternal bouncing is not summed up.
     with pytest.raises(RuntimeError, match="more than 5 events up to t = "):

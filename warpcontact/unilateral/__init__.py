@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from warpcontact.unilateral.solution import Solution, Termination
     from warpcontact.unilateral.solving import solve, solve_delassus
 
-# Where each public name lives.
+# Module of each public name.
 _HOME = {
     "Assembly": "reference.assembly",
     "Diagnosis": "diagnosis",
@@ -52,5 +52,5 @@ __all__ = [
     "solve_delassus",
 ]
 
-if not TYPE_CHECKING:  # there it would know every name
+if not TYPE_CHECKING:  # a type checker would accept any name
     __getattr__, __dir__ = lazy_names(__name__, _HOME, {})

@@ -1,4 +1,4 @@
-"""Contact problems in the contacts alone, w = W l + q with the law of each contact, and what judges a solution."""
+"""Contact problems w = W l + q with the law of each contact, and the residual of a solution."""
 
 from dataclasses import dataclass, field
 
@@ -12,17 +12,18 @@ _ROUNDING = float(np.finfo(np.float64).eps)
 
 @dataclass
 class Delassus:
-    """Problems, many at once; what all share has 1 in place of their number.
+    """Batch of problems; arrays shared by all problems have length 1 in the first axis.
 
     Attributes:
-        W: Shape (problems or 1, rows, rows), symmetric; the rows of contact i are dim·i to dim·i + dim − 1.
+        W: Delassus matrices (problems or 1, rows, rows), symmetric; the rows of contact i are dim·i to dim·i + dim
+            − 1.
         q: Shape (problems, contacts, dim); the normal comes first.
-        mu: Shape (problems or 1, contacts).
-        rounding: What of w is rounding of what it is the difference of, (problems or 1, contacts).
-        rho: ρ = dim / trace of the contact's block of W, (problems or 1, contacts), a stiffness.
+        mu: Coefficients of friction (problems or 1, contacts).
+        rounding: Rounding error of w (problems or 1, contacts).
+        rho: ρ = dim / trace of the block of the contact in W, (problems or 1, contacts), a stiffness.
         scale: Largest ρ |q|, or 1, a force, (problems,).
-        unit: Force that each contact is judged by, (problems, contacts): the scale, or ρ times the largest |q|
-            where that is less, of a contact softer than others.
+        unit: Force that the residual of each contact is relative to, (problems, contacts): ``scale``, or ρ times
+            the largest |q| if that is smaller (a contact more compliant than others).
     """
 
     W: Array
@@ -33,7 +34,7 @@ class Delassus:
     def __post_init__(self) -> None:
         shape = (len(self.W), self.contacts, self.dim, self.contacts, self.dim)
         blocks = np.einsum("biaia->bi", self.W.reshape(shape))
-        # What does not move takes the ρ of what moves most.
+        # Contacts without mobility get the ρ of the most mobile contact.
         largest = np.abs(blocks).max(axis=1, keepdims=True, initial=0.0)
         usual = np.where(largest > 0.0, largest, 1.0)
         self.rho = self.dim / np.where(np.abs(blocks) > 1e-14 * usual, np.abs(blocks), usual)
@@ -50,7 +51,7 @@ class Delassus:
 
     @property
     def contacts(self) -> int:
-        """Number of contacts of each."""
+        """Number of contacts of each problem."""
         return self.q.shape[1]
 
     @property
@@ -64,12 +65,11 @@ class Delassus:
         return (self.W @ flat[..., None])[..., 0].reshape(self.q.shape) + self.q
 
     def residual(self, lam: Array, w: Array | None = None) -> Array:
-        """Returns how far each problem is from solved, shape (problems,), without unit.
+        """Returns the residual of each problem, shape (problems,), dimensionless.
 
-        It is the largest of |l − P(l − ρ ŵ)| and |l_n − max(0, l_n − ρ w_n)| of a contact over its unit, with
-        ŵ = (w_n + μ |w_t|, w_t) and the projection P onto the cone |l_t| ≤ μ l_n. The second says more where μ is
-        large. What is rounding of w is none. It is not less than the rounding of the largest l, in which w may
-        drown.
+        The largest of |l − P(l − ρ ŵ)| and |l_n − max(0, l_n − ρ w_n)| of a contact over its unit, with ŵ = (w_n +
+        μ |w_t|, w_t) and the projection P onto the cone |l_t| ≤ μ l_n. The second is the sharper one for large μ.
+        Rounding of w is subtracted. The residual is at least the rounding of the largest l, which may hide w.
         """
         if not self.contacts:
             return np.zeros(self.count)
@@ -90,22 +90,22 @@ class Delassus:
         )
 
     def normals(self) -> "Delassus":
-        """Returns the problems without friction: of each contact the normal alone."""
+        """Returns the problems without friction: only the normal of each contact."""
         rows = slice(0, None, self.dim)
         mu = np.zeros((1, self.contacts))
         return Delassus(self.W[:, rows, rows], self.q[..., :1], mu, self.rounding)
 
 
 def length(vectors: Array) -> Array:
-    """Returns the lengths of vectors (…, dim); nothing overflows on the way. Of none it is 0."""
+    """Returns the lengths of vectors (…, dim), without overflow; 0 if dim is 0."""
     result: Array = np.hypot.reduce(vectors, axis=-1)
     return np.abs(result)
 
 
 def project(z: Array, mu: Array) -> Array:
-    """Returns the points of the cones |l_t| ≤ μ l_n nearest to ``z`` of shape (…, dim)."""
+    """Returns the points of the cones |l_t| ≤ μ l_n that are nearest to ``z`` of shape (…, dim)."""
     normal, across = z[..., 0], length(z[..., 1:])
-    # Cosine and sine of the angle of the cone: μ may be large.
+    # Cosine and sine of the half angle of the cone, valid for large μ.
     cos = 1.0 / np.hypot(1.0, mu)
     sin = mu * cos
     inside = (normal >= 0.0) & (cos * across <= sin * normal)

@@ -1,4 +1,4 @@
-"""What can be said of a static contact problem before it is solved: existence and uniqueness."""
+"""Diagnosis of static contact problems: existence and uniqueness of solutions."""
 
 from __future__ import annotations
 
@@ -28,30 +28,31 @@ from warpcontact.validation.checks import Array
 if TYPE_CHECKING:
     from warpcontact.unilateral.problem import Problem
 
-#: Part of the largest eigenvalue below which one of the Delassus matrix counts as zero.
+#: Eigenvalues of the Delassus matrix below this fraction of the largest count as zero.
 _RANK = 1e-11
-#: Most displacements of a sparse K whose eigenvalues are looked at.
+#: Maximum number of displacements for which eigenvalues of a sparse K are computed.
 _DENSE = 2000
-#: Most states for which all solutions are looked for.
+#: Maximum number of contact states for which all solutions are enumerated.
 _MAX_STATES = 5000
 
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """What is known of the solutions of a problem; ``str()`` says it in sentences.
+    """Existence and uniqueness of solutions of a problem; ``str()`` gives sentences.
 
     Attributes:
-        stiffness: "positive definite", "singular" or "indefinite"; "unknown" of a large sparse K with an inverse.
+        stiffness: "positive definite", "singular" or "indefinite"; "unknown" for a large sparse, invertible K.
         rows: Rows of the Delassus matrix W = G K⁻¹ Gᵀ: normals, and with friction tangents.
         rank: Its rank, or ``None`` if K is singular.
-        undetermined: Forces λ that change nothing, W λ = 0, as columns: shape (rows, rows − rank). If K is
-            singular, forces with Gᵀλ = 0.
-        exists: Whether there is a solution; ``None``: not known.
-        unique_u: Whether there is only one u.
-        unique_lam: Whether there is only one λ.
-        mu_bound: Friction below which the solution is unique: 1/√(largest over smallest eigenvalue) of √ρ W √ρ.
-            Above it that is not known. 0 if W is singular; ``None`` if K is not positive definite.
-        solutions: All of them, where they were looked for: where theory does not tell, and there are few states.
+        undetermined: Forces λ without effect, W λ = 0, as columns: shape (rows, rows − rank). If K is singular,
+            forces with Gᵀλ = 0.
+        exists: Whether there is a solution; ``None``: undetermined.
+        unique_u: Whether u is unique; ``None``: undetermined.
+        unique_lam: Whether λ is unique; ``None``: undetermined.
+        mu_bound: Friction below which the solution is unique: 1/√(condition number of √ρ W √ρ). A larger μ may or
+            may not give a unique solution. 0 if W is singular; ``None`` if K is not positive definite.
+        solutions: All solutions, if they were enumerated: if theory does not decide and there are few contact
+            states.
     """
 
     stiffness: str
@@ -66,10 +67,10 @@ class Diagnosis:
     _text: list[str] = field(repr=False)
 
     def unique_sum(self, weights: ArrayLike) -> bool:
-        """Returns whether Σ ``weights`` · λ is the same for all λ that belong to one w.
+        """Returns whether Σ ``weights`` · λ is the same for all λ with the same w.
 
         Args:
-            weights: Of the shape of λ: 1 for the forces that are summed, 0 for others, for example.
+            weights: Array of the shape of λ; for example 1 for the forces to sum, 0 for others.
         """
         given = intake.values("weights", weights).reshape(-1)
         if given.size != self.rows:
@@ -82,9 +83,9 @@ class Diagnosis:
 
 
 def diagnose(problem: Problem) -> Diagnosis:
-    """Returns what can be said of a single problem."""
+    """Returns the diagnosis of a single problem."""
     if problem.count is not None:
-        raise ValueError(f"one problem at a time is diagnosed, got {problem.count} problems")
+        raise ValueError(f"diagnose() supports a single problem only, got {problem.count} problems")
     scaled = ScaledProblem.of(problem)
     stiffness, definite = _kind(problem, scaled)
     friction = bool(np.asarray(problem.mu).any())
@@ -105,7 +106,7 @@ def diagnose(problem: Problem) -> Diagnosis:
     if stiffness == "positive definite":
         opening = np.inf if rank == rows else _common_opening(problem, friction)
         if not friction:
-            # A minimum over a convex set, if that is not empty.
+            # A minimum over a convex set, which exists if the set is not empty.
             exists = opening >= 0.0
             unique_u = True if exists else None
             unique_lam = True if rank == rows else None
@@ -117,7 +118,7 @@ def diagnose(problem: Problem) -> Diagnosis:
         free = row_null_space(scaled.flat_rows().T)
         motions = null_space(scaled, ResidualEvaluator.of(problem).scale[0])
         load_is_held = unopposed_motion(scaled, motions) is None and _common_opening(problem, False) >= 0.0
-        # Without friction a convex energy that has a lower bound has a minimum (Frank and Wolfe, 1956).
+        # Without friction, a convex energy with a lower bound has a minimum (Frank and Wolfe, 1956).
         exists = False if not load_is_held else True if definite and not friction else None
     solutions = None
     if (exists is None or unique_u is None) and _can_enumerate(problem, scaled):
@@ -138,7 +139,7 @@ def diagnose(problem: Problem) -> Diagnosis:
 
 
 def _kind(problem: Problem, scaled: ScaledProblem) -> tuple[str, bool]:
-    """Returns the kind of the stiffness, and whether no eigenvalue is negative."""
+    """Returns the kind of the stiffness, and whether it has no negative eigenvalue."""
     if not is_regular(problem, ResidualEvaluator.of(problem)).all():
         kind = "singular"
     elif hasattr(problem.K, "tocsc") and problem.K.shape[0] > _DENSE:
@@ -154,7 +155,7 @@ def _kind(problem: Problem, scaled: ScaledProblem) -> tuple[str, bool]:
 
 
 def _spectrum(system: Delassus) -> tuple[int, Array, float]:
-    """Returns the rank of W, what it takes to zero, and its condition, in the metric of the contacts."""
+    """Returns rank, null space and condition number of W, in the metric of the contacts."""
     scale = np.sqrt(np.repeat(system.rho[0], system.dim))
     sizes, vectors = np.linalg.eigh(scale[:, None] * system.W[0] * scale)
     if not len(sizes):
@@ -165,11 +166,11 @@ def _spectrum(system: Delassus) -> tuple[int, Array, float]:
 
 
 def _common_opening(problem: Problem, friction: bool) -> float:
-    """Returns how open all gaps can be at once, in units of the largest, at most 1; negative: not even closed.
+    """Returns the largest gap that all contacts can have simultaneously, relative to the largest gap, at most 1.
 
-    With friction, at rest along the tangents: if all gaps can be open then, there is a solution whatever the
-    friction (Acary and others, "A formulation of the linear discrete Coulomb friction problem via convex
-    optimization", 2011).
+    Negative: the gaps cannot even be closed. With friction the tangential displacements are those at rest. If all
+    gaps can be open then, a solution exists for any friction (Acary et al., "A formulation of the linear discrete
+    Coulomb friction problem via convex optimization", 2011).
     """
     from scipy.optimize import linprog
 
@@ -193,12 +194,12 @@ def _common_opening(problem: Problem, friction: bool) -> float:
     )
     if found.status != 0:
         return -np.inf
-    # What rounding leaves of a room is none.
+    # Values within rounding of 0 are 0.
     return 0.0 if abs(found.x[-1]) < 1e-9 else float(found.x[-1])
 
 
 def _can_enumerate(problem: Problem, scaled: ScaledProblem) -> bool:
-    """Returns whether there are few states of the contacts, and few displacements."""
+    """Returns whether contact states and displacements are few enough to enumerate."""
     dim, contacts = scaled.dim, scaled.contacts
     few = dim < 3 and contacts <= MAX_CONTACTS[dim] and (2 * dim) ** contacts <= _MAX_STATES
     return few and problem.K.shape[-1] <= 200
@@ -219,9 +220,9 @@ def _sentences(
     text = [
         {
             "positive definite": "K is positive definite: displacements without contact are unique.",
-            "singular": "K is singular: something can move without force.",
-            "indefinite": "K is indefinite: equilibrium without contact is unstable, and no energy has a minimum.",
-            "unknown": "K has an inverse; whether it is positive definite was not looked at, it is large.",
+            "singular": "K is singular: there are motions without elastic force.",
+            "indefinite": "K is indefinite: equilibrium without contact is unstable, and the energy has no minimum.",
+            "unknown": "K is invertible. Its definiteness was not checked because K is large.",
         }[stiffness]
     ]
     if rank is not None and rows:
@@ -234,17 +235,15 @@ def _sentences(
             )
     if friction and bound is not None and rank == rows:
         side = "below" if mu < bound else "not below"
-        text.append(
-            f"The largest μ, {mu:g}, is {side} {bound:.3g}, up to which the solution is known to be unique."
-        )
+        text.append(f"The largest μ, {mu:g}, is {side} {bound:.3g}, the bound of guaranteed uniqueness.")
     if solutions is not None:
         text.append(
-            {0: "No state of the contacts is admissible.", 1: "One state of the contacts is admissible."}.get(
+            {0: "No contact state is admissible.", 1: "One contact state is admissible."}.get(
                 len(solutions), f"{len(solutions)} different solutions were found."
             )
         )
     text.append(
-        {True: "There is a solution.", False: "There is no solution.", None: "Existence is not known."}[exists]
+        {True: "There is a solution.", False: "There is no solution.", None: "Existence is undetermined."}[exists]
     )
     if exists is not False:
         for name, value in (("u", unique_u), ("λ", unique_lam)):

@@ -1,4 +1,4 @@
-"""Displacements eliminated: from K u + Gᵀλ = f to w = W λ + q of the contacts."""
+"""Eliminates displacements: from K u + Gᵀλ = f to w = W λ + q of the contacts."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -12,21 +12,21 @@ from warpcontact.validation.checks import Array
 if TYPE_CHECKING:
     from warpcontact.unilateral.problem import Problem
 
-#: A scaled matrix with an eigenvalue below this share of the largest is singular. Rounding of its entries is less.
+#: A scaled matrix is singular if an eigenvalue is below this fraction of the largest; entries round to less.
 SINGULAR = 1e-12
 
 
 class SingularError(ValueError):
-    """K cannot be inverted: something can move without force."""
+    """Raised if K cannot be inverted: there are motions without elastic force."""
 
 
 def eliminate(problem: "Problem") -> tuple[Delassus, Array, Array]:
-    """Returns w = W λ + q with W = G K⁻¹ Gᵀ, the displacements K⁻¹ f without contact, and K⁻¹ Gᵀ.
+    """Returns the problem w = W λ + q with W = G K⁻¹ Gᵀ, the displacements K⁻¹ f, and K⁻¹ Gᵀ.
 
     Shapes: (problems, n) and (problems or 1, n, rows).
 
     Raises:
-        SingularError: If K, or one of many, is exactly singular; if a sparse K is singular to rounding.
+        SingularError: If any K is exactly singular, or a sparse K is singular to rounding.
     """
     n, contacts = problem.K.shape[-1], problem.contacts
     count = 1 if problem.count is None else problem.count
@@ -55,7 +55,7 @@ def eliminate(problem: "Problem") -> tuple[Delassus, Array, Array]:
 
 
 def is_regular(problem: "Problem", evaluator: ResidualEvaluator) -> NDArray[np.bool_]:
-    """Returns whether K of each problem can be inverted, independent of units; (problems,)."""
+    """Returns whether the K of each problem can be inverted, independent of units; (problems,)."""
     count, n = 1 if problem.count is None else problem.count, problem.K.shape[-1]
     if hasattr(problem.K, "tocsc"):
         try:
@@ -70,7 +70,7 @@ def is_regular(problem: "Problem", evaluator: ResidualEvaluator) -> NDArray[np.b
     found = np.empty(len(K), dtype=bool)
     for i, one in enumerate(scale[:, :, None] * K * scale[:, None, :]):
         try:
-            # Share of each diagonal entry that other displacements do not explain.
+            # Fraction of each diagonal entry that is independent of the other displacements.
             pivots = np.diagonal(np.linalg.cholesky(one)) ** 2 / np.diagonal(one)
             found[i] = pivots.min() > SINGULAR
         except np.linalg.LinAlgError:
@@ -80,7 +80,7 @@ def is_regular(problem: "Problem", evaluator: ResidualEvaluator) -> NDArray[np.b
 
 
 def _sparse(K: Any) -> Any:
-    """Returns the function that solves with K, factorized once."""
+    """Returns a function that solves with K, which is factorized once."""
     from scipy.sparse import diags_array
     from scipy.sparse.linalg import splu
 

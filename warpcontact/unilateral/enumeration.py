@@ -1,4 +1,4 @@
-"""All states that contacts can be in, one after the other: method "enumeration"."""
+"""Method "enumeration": tests all combinations of contact states (open, stick, slip)."""
 
 from collections.abc import Iterator
 
@@ -8,33 +8,33 @@ from numpy.typing import NDArray
 from warpcontact.unilateral.delassus import Delassus
 from warpcontact.validation.checks import Array
 
-#: Most contacts: 2 states of each without friction, 4 in the plane, and 65 536 of all.
+#: Maximum number of contacts: with 2 states each without friction and 4 in the plane, 65 536 combinations.
 MAX_CONTACTS = {1: 16, 2: 8}
 _CHUNK = 2048
-# Solution of a system over its right side, from which on it is computed by its singular values.
+# Solution relative to its right side from which on it is recomputed by singular values.
 _LARGE = 1e8
 
-# States of a contact in the plane; without friction OPEN and STICK, which is closed then.
+# States of a contact in the plane. Without friction OPEN and STICK, which then means closed.
 OPEN, STICK, SLIP_UP, SLIP_DOWN = range(4)
 
 
 def check_size(contacts: int, dim: int) -> None:
-    """Raises ``ValueError`` if there are too many states, or with friction in space infinitely many."""
+    """Raises ``ValueError`` if there are too many states, or infinitely many (friction in space)."""
     if dim == 3:
         raise ValueError(
-            "method 'enumeration' goes through open, stick and both ways of slip of each contact; in space there "
-            "are infinitely many ways to slip: take 'projection' or 'gauss_seidel'"
+            "method 'enumeration' tests open, stick and each direction of slip of each contact; with friction in "
+            "space there are infinitely many slip directions: use 'projection' or 'gauss_seidel'"
         )
     most, states = MAX_CONTACTS[dim], 2 * dim
     if contacts > most:
         raise ValueError(
-            f"method 'enumeration' goes through {states} states of each contact and takes at most {most} of them, "
-            f"got {contacts}: take 'projection'"
+            f"method 'enumeration' tests all {states} states of each contact and supports at most {most} contacts, "
+            f"got {contacts}: use 'projection'"
         )
 
 
 def enumerate_states(problem: Delassus, tolerance: float) -> tuple[Array, Array]:
-    """Returns of each problem the first solution found, or what is least off, and the states looked at."""
+    """Returns the first solution of each problem, or the state of least residual, and the number of states tested."""
     found, state_counts = np.zeros(problem.q.shape), np.zeros(problem.count, dtype=int)
     for k in range(problem.count):
         one, least = problem.part(np.array([k])), np.inf
@@ -51,7 +51,7 @@ def enumerate_states(problem: Delassus, tolerance: float) -> tuple[Array, Array]
 
 
 def states(contacts: int, dim: int) -> Iterator[NDArray[np.int64]]:
-    """Yields the states of all contacts in chunks, (chunk, contacts); all open is the first."""
+    """Yields combinations of contact states in chunks, (chunk, contacts); all open is the first."""
     base, total = 2 * dim, (2 * dim) ** contacts
     for start in range(0, total, _CHUNK):
         number = np.arange(start, min(start + _CHUNK, total), dtype=np.int64)
@@ -59,9 +59,9 @@ def states(contacts: int, dim: int) -> Iterator[NDArray[np.int64]]:
 
 
 def candidate_forces(problem: Delassus) -> Iterator[Array]:
-    """Yields what l would be in the states of a single problem, (chunk, contacts, dim)."""
+    """Yields the l of each combination of states of a single problem, (chunk, contacts, dim)."""
     size = problem.contacts * problem.dim
-    # Rows in the unit of l.
+    # Rows in units of l.
     rho = np.repeat(problem.rho[0], problem.dim)
     W, q = rho[:, None] * problem.W[0], rho * problem.q[0].reshape(-1)
     for chunk in states(problem.contacts, problem.dim):
@@ -72,9 +72,9 @@ def candidate_forces(problem: Delassus) -> Iterator[Array]:
 def state_equations(
     chunk: NDArray[np.int64], W: Array, q: Array, lam: Array, mu: Array, dim: int
 ) -> tuple[Array, Array]:
-    """Returns the equations of states: (chunk, rows, unknowns) and right sides.
+    """Returns the equations of combinations of states: (chunk, rows, unknowns) and right sides.
 
-    ``W`` and ``q`` give w, and ``lam`` gives l, of the unknowns.
+    ``W`` and ``q`` give w, and ``lam`` gives l, from the unknowns.
     """
     closed = chunk != OPEN
     is_velocity_row = np.repeat(closed[..., None], dim, axis=-1)
@@ -84,18 +84,18 @@ def state_equations(
     matrix = np.where(is_velocity_row[..., None], W, lam)
     right_side = np.where(is_velocity_row, -q, 0.0)
     if dim == 2:
-        # Of a contact that slips l_t ∓ μ l_n = 0.
+        # Slip: l_t ∓ μ l_n = 0.
         side = np.where(chunk == SLIP_UP, 1.0, np.where(chunk == SLIP_DOWN, -1.0, 0.0)) * mu
         matrix[:, 1::2] -= side[..., None] * lam[0::2]
     return matrix, right_side
 
 
 def solve_all(matrix: Array, right_side: Array) -> Array:
-    """Returns the solutions of many systems; of a singular one, one of small size if there is one."""
+    """Returns the solutions of many systems; for a consistent singular system, the solution of least norm."""
     try:
         found = _solved(matrix, right_side)
         bad = ~np.isfinite(found).all(axis=1)
-        # A solution this large is that of a matrix that is singular to rounding.
+        # A solution this large indicates a matrix that is singular to rounding.
         bad |= np.abs(found).max(axis=1, initial=0.0) > _LARGE * np.abs(right_side).max(axis=1, initial=0.0)
     except np.linalg.LinAlgError:
         found, bad = np.zeros(right_side.shape), np.ones(len(right_side), dtype=bool)
@@ -104,7 +104,7 @@ def solve_all(matrix: Array, right_side: Array) -> Array:
         found[bad] = (inverse @ right_side[bad][..., None])[..., 0]
         found[bad] += (inverse @ (right_side[bad] - _times(matrix[bad], found[bad]))[..., None])[..., 0]
     if not bad.all():
-        # Refinement: small entries of the right side become as exact as large ones.
+        # Refinement: small entries of the right side get the same relative accuracy as large ones.
         found[~bad] += _solved(matrix[~bad], right_side[~bad] - _times(matrix[~bad], found[~bad]))
     return found
 

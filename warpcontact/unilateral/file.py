@@ -1,4 +1,4 @@
-"""Problems in files: NumPy archives without code in them."""
+"""Reads and writes static contact problems as NumPy archives without pickled objects."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _ENTRIES = {"kind", "schema", "dim", "K", *_SPARSE, "f", "G", "d", "mu", "previo
 
 
 def save(problem: Problem, path: str | Path) -> Path:
-    """Writes ``problem``, as ``Problem.save`` says."""
+    """Writes ``problem``; see ``Problem.save``."""
     path = Path(path)
     if path.suffix != ".npz":
         raise ValueError(f"path must end in .npz, got {str(path)!r}")
@@ -39,22 +39,22 @@ def save(problem: Problem, path: str | Path) -> Path:
 
 
 def load(path: str | Path) -> Problem:
-    """Returns the problem in a file, as ``Problem.load`` says."""
+    """Reads the problem in a file; see ``Problem.load``."""
     path = Path(path)
     try:
         stream = open_file(path)
     except FileNotFoundError:
-        raise FileNotFoundError(f"{path} is not there") from None
+        raise FileNotFoundError(f"{path} does not exist") from None
     except OSError as error:
         raise ValueError(f"{path} cannot be read as a problem: {error.strerror}") from None
     with stream:
         try:
             archive = np.load(stream, allow_pickle=False)
-        except Exception:  # whatever a damaged file makes NumPy raise
+        except Exception:  # a damaged file can raise any exception in NumPy
             archive = None
         if not isinstance(archive, np.lib.npyio.NpzFile):
             raise ValueError(
-                f"{path} cannot be read as a problem: it is no archive of NumPy (.npz), or was cut off"
+                f"{path} cannot be read as a problem: it is not a NumPy archive (.npz) or is truncated"
             )
         return _problem({name: _entry(archive, name, path) for name in archive.files if name in _ENTRIES}, path)
 
@@ -63,16 +63,16 @@ def _entry(archive: Any, name: str, path: Path) -> np.ndarray:
     try:
         return np.asarray(archive[name])
     except MemoryError:
-        raise MemoryError(f"{path}: entry {name!r} takes more memory than there is, or was changed") from None
-    except Exception:  # whatever a damaged file makes NumPy raise
+        raise MemoryError(f"{path}: entry {name!r} exceeds the available memory, or is damaged") from None
+    except Exception:  # a damaged file can raise any exception in NumPy
         raise ValueError(
-            f"{path} cannot be read as a problem: its entry {name!r} was changed, or is no array of numbers"
+            f"{path} cannot be read as a problem: entry {name!r} is damaged, or is not an array of numbers"
         ) from None
 
 
 def _problem(entries: dict[str, np.ndarray], path: Path) -> Problem:
     if str(entries.get("kind")) != _KIND:
-        raise ValueError(f"{path} is not the file of a problem: it has no entry 'kind' of {_KIND!r}")
+        raise ValueError(f"{path} is not a problem file: its entry 'kind' must be {_KIND!r}")
     if "schema" not in entries:
         raise ValueError(f"{path} lacks schema")
     schema = _whole_number("schema", entries["schema"], path)
@@ -105,7 +105,7 @@ def _whole_number(name: str, value: np.ndarray, path: Path) -> int:
 
 
 def _sparse(data: np.ndarray, rows: np.ndarray, starts: np.ndarray, shape: np.ndarray) -> Any:
-    """Returns K of its compressed columns, which are what SciPy would otherwise stumble over."""
+    """Returns K from its compressed columns, checked because SciPy would fail on invalid ones."""
     from scipy.sparse import csc_matrix
 
     for name, array in zip(_SPARSE, (data, rows, starts, shape), strict=True):
@@ -113,20 +113,20 @@ def _sparse(data: np.ndarray, rows: np.ndarray, starts: np.ndarray, shape: np.nd
             kind = "numbers" if name == "K_data" else "whole numbers"
             raise ValueError(f"{name} must be a list of {kind}, got {array.dtype} of shape {array.shape}")
     if len(shape) != 2 or shape[0] != shape[1] or shape[0] < 1:
-        raise ValueError(
-            f"K_shape must be twice the number of displacements, at least 1, got {shape[:3].tolist()}"
-        )
+        raise ValueError(f"K_shape must be (n, n) with n at least 1, got {shape[:3].tolist()}")
     n = int(shape[0])
     if len(starts) != n + 1:
-        raise ValueError(f"K_indptr must have {n + 1} values, as K_shape says, got {len(starts)}")
+        raise ValueError(f"K_indptr must have {n + 1} values (from K_shape), got {len(starts)}")
     if starts[0] != 0 or starts[-1] != len(data):
-        raise ValueError(f"K_indptr must go from 0 to {len(data)}, as K_data has, got {starts[0]} to {starts[-1]}")
+        raise ValueError(
+            f"K_indptr must go from 0 to {len(data)} (size of K_data), got {starts[0]} to {starts[-1]}"
+        )
     down = np.flatnonzero(starts[1:] < starts[:-1])
     if len(down):
         k = int(down[0]) + 1
-        raise ValueError(f"K_indptr[{k}] must be at least {starts[k - 1]}, the one before, got {starts[k]}")
+        raise ValueError(f"K_indptr[{k}] must be at least {starts[k - 1]} (previous value), got {starts[k]}")
     if len(rows) != len(data):
-        raise ValueError(f"K_indices must have {len(data)} values, as K_data has, got {len(rows)}")
+        raise ValueError(f"K_indices must have {len(data)} values (size of K_data), got {len(rows)}")
     outside = np.flatnonzero((rows < 0) | (rows >= n))
     if len(outside):
         raise ValueError(f"K_indices[{outside[0]}] must be at least 0 and less than {n}, got {rows[outside[0]]}")

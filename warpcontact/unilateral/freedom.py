@@ -1,9 +1,9 @@
-"""Motions of a static problem that its stiffness does not resist, and proofs that there is no solution.
+"""Motions of a static problem without elastic resistance, and proofs that no solution exists.
 
-With the columns of R a basis of the null space of K, equilibrium needs Rᵀ(f − Gᵀλ) = 0: contacts alone hold the
-load along R. The least squares solution λ in the friction cones either balances it, or leaves p ≠ 0; then the load
-does work along R p and no admissible contact force opposes it. A second least squares problem either finds
-displacements that all gaps permit, or weights y ≥ 0 of the gaps with Gᵀy = 0 and d·y < 0 (Farkas).
+With the columns of R a basis of the null space of K, equilibrium requires Rᵀ(f − Gᵀλ) = 0: only contacts balance
+the load along R. The least-squares solution λ in the friction cones either balances it, or leaves p ≠ 0; then the
+load does work along R p and no admissible contact force opposes it. A second least-squares problem yields either
+displacements that all gaps permit, or weights y ≥ 0 of the gaps with Gᵀy = 0 and d·y < 0 (Farkas' lemma).
 """
 
 from typing import Any
@@ -14,25 +14,25 @@ from numpy.typing import NDArray
 from warpcontact.unilateral.scaled import ScaledProblem
 from warpcontact.validation.checks import Array
 
-#: Eigenvalues below this share of the largest are zero.
+#: Eigenvalues below this fraction of the largest are zero.
 ZERO_EIGENVALUE = 1e-12
-# A rest of a least squares problem below this is rounding, in scaled units.
+# A residual of a least-squares problem below this is rounding, in scaled units.
 _RESIDUAL_TOLERANCE = 1e-10
-# Tangents of the polygon around the friction cone in space.
+# Number of tangents of the polygon around the friction cone in space.
 _TANGENTS = 32
-# Displacements of a sparse K whose null space follows from all eigenvalues.
+# Maximum number of displacements for which the null space of a sparse K is computed densely.
 _DENSE = 1000
-# Shift and steps of the subspace iteration otherwise.
+# Shift and number of steps of the subspace iteration for larger K.
 _SHIFT = 1e-10
 _STEPS = 6
 
 
 def null_space(problem: ScaledProblem, scale: Array) -> Array:
-    """Returns an orthonormal basis of the null space of the scaled K, (n, freedoms).
+    """Returns an orthonormal basis of the null space of the scaled K, (n, null space dimension).
 
     Args:
         problem: The problem.
-        scale: D of ``scaling`` (n,), that of the stiffness, in which eigenvalues of K are compared.
+        scale: D of ``scaling`` (n,), the scale of the stiffness, in which eigenvalues of K are compared.
     """
     K, n = problem.K, len(problem.f)
     rescale = scale / problem.scale
@@ -71,7 +71,7 @@ def _sparse_null_space(K: Any) -> Array:
 
 
 def unopposed_motion(problem: ScaledProblem, free: Array) -> Array | None:
-    """Returns a motion (n,) in ``free`` along which the load acts, and which no contact opposes, or None."""
+    """Returns a motion (n,) in ``free`` along which the load acts and which no contact opposes, or None."""
     if not free.shape[1]:
         return None
     load = free.T @ problem.f
@@ -85,9 +85,9 @@ def unopposed_motion(problem: ScaledProblem, free: Array) -> Array | None:
 
 
 def _cone_edges(problem: ScaledProblem) -> Array:
-    """Returns generalized forces −Gᵀλ (edges, n), turned over, whose sums are all that the contacts can exert.
+    """Returns vectors Gᵀλ (edges, n) whose nonnegative combinations are all loads that contacts can balance.
 
-    In space they span a polygonal cone around the cone of friction.
+    In space they span a polygonal cone around the friction cone.
     """
     if problem.dim == 1:
         return problem.G[:, 0]
@@ -96,7 +96,7 @@ def _cone_edges(problem: ScaledProblem) -> Array:
     else:
         angles = 2.0 * np.pi * np.arange(_TANGENTS) / _TANGENTS
         tangential = np.stack([np.cos(angles), np.sin(angles)], axis=1) / np.cos(np.pi / _TANGENTS)
-    # Divided by √(1 + μ²), for strong friction.
+    # Divided by √(1 + μ²), for large μ.
     cos = 1.0 / np.hypot(1.0, problem.mu)
     normal = cos[:, None] * problem.G[:, 0]
     tangents = (cos * problem.mu)[:, None, None] * np.einsum("ta,man->mtn", tangential, problem.G[:, 1:])
@@ -104,7 +104,7 @@ def _cone_edges(problem: ScaledProblem) -> Array:
 
 
 def gaps_infeasible(problem: ScaledProblem) -> bool:
-    """Returns whether no displacements keep all gaps open or closed."""
+    """Returns whether no displacements make all gaps nonnegative."""
     rows, gaps = problem.G[:, 0], problem.targets[:, 0]
     if not (gaps < 0.0).any():
         return False
@@ -119,10 +119,10 @@ def gaps_infeasible(problem: ScaledProblem) -> bool:
 
 
 def free_motion(problem: ScaledProblem, free: Array, u: Array, lam: Array, tolerance: float) -> Array | None:
-    """Returns a motion (n,) in ``free`` that changes no force of a solution, None if u is the only one.
+    """Returns a motion (n,) in ``free`` that changes no force of a solution, None if u is unique.
 
-    Closed contacts that press stay closed, those that carry nothing may open, sticking ones stick, and slipping
-    ones slip along the same line.
+    Closed contacts with a force stay closed, closed ones without a force may open, sticking ones stick, and
+    slipping ones slip along the same line.
     """
     if not free.shape[1]:
         return None
@@ -146,7 +146,7 @@ def free_motion(problem: ScaledProblem, free: Array, u: Array, lam: Array, toler
     fixed = row_null_space(rows)
     if fixed.shape[1]:
         return np.asarray(motions @ fixed[:, 0])
-    # Without a motion that opens some of these and closes none, weights of at least 1 balance (Stiemke).
+    # If no motion opens some of these and closes none, positive weights balance them (Stiemke's theorem).
     opening = rows.sum(axis=0)
     remainder = -opening - rows.T @ _nonnegative(rows.T, -opening)
     size = np.linalg.norm(remainder)
@@ -154,7 +154,7 @@ def free_motion(problem: ScaledProblem, free: Array, u: Array, lam: Array, toler
 
 
 def row_null_space(rows: Array) -> Array:
-    """Returns an orthonormal basis of what all ``rows`` take to zero."""
+    """Returns an orthonormal basis of the null space of ``rows``."""
     n = rows.shape[1]
     if not len(rows) or not n:
         return np.eye(n)
@@ -164,7 +164,7 @@ def row_null_space(rows: Array) -> Array:
 
 
 def _nonnegative(matrix: Array, goal: Array) -> NDArray[np.float64]:
-    """Returns x ≥ 0 with the least |matrix x − goal|."""
+    """Returns x ≥ 0 that minimizes |matrix x − goal|."""
     from scipy.optimize import nnls
 
     if not matrix.shape[1]:

@@ -1,4 +1,4 @@
-"""Checks of the arguments of a static contact problem; each error names the argument and what is allowed."""
+"""Checks the arguments of a static contact problem; each error names the argument and its condition."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from warpcontact.kernels.catalogue.device_model import as_numbers
 from warpcontact.validation.checks import Array
 
-#: How unsymmetric a matrix may be, over its largest entry: more than any rounding.
+#: Largest asymmetry of a matrix, relative to its largest entry; exceeds any rounding.
 _SKEW = 1e-8
 
 
@@ -28,9 +28,9 @@ def values(name: str, given: ArrayLike, at_least: float = -np.inf) -> Array:
 
 
 def fit(name: str, array: Array, sizes: Mapping[str, int], spread: bool = False) -> Array:
-    """Returns ``array`` if its last axes have the ``sizes``, with or without one more before them.
+    """Returns ``array`` if its last axes have the ``sizes``, with or without one leading axis.
 
-    With ``spread`` a single number stands for all.
+    With ``spread`` a single number is broadcast.
     """
     shape = tuple(sizes.values())
     if spread and array.ndim == 0:
@@ -46,7 +46,7 @@ def fit(name: str, array: Array, sizes: Mapping[str, int], spread: bool = False)
 
 
 def stiffness(given: Any) -> Any:
-    """Returns K: (n, n) or (problems, n, n), symmetric, or a sparse matrix of SciPy in CSC."""
+    """Returns K: (n, n) or (problems, n, n), symmetric, or a sparse matrix of SciPy in CSC format."""
     if hasattr(given, "tocsc"):
         if given.dtype.kind not in "iuf":
             raise ValueError(f"K must be numbers, got a sparse matrix of {given.dtype}")
@@ -66,12 +66,12 @@ def stiffness(given: Any) -> Any:
     K = values("K", given)
     K = K.reshape(1, 1) if K.ndim == 0 else K
     if not K.shape[-1]:
-        raise ValueError(f"K must be of at least one displacement, got {_shape(K)}")
+        raise ValueError(f"K must have at least one displacement, got {_shape(K)}")
     return symmetric("K", K, "n")
 
 
 def symmetric(name: str, array: Array, size: str) -> Array:
-    """Returns square matrices (…, size, size) if they are symmetric, exactly so."""
+    """Returns square matrices (…, size, size), symmetrized; raises ``ValueError`` if they are not symmetric."""
     if array.ndim not in (2, 3) or array.shape[-1] != array.shape[-2]:
         raise ValueError(
             f"{name} must be of shape ({size}, {size}) or (problems, {size}, {size}), got {_shape(array)}"
@@ -97,7 +97,7 @@ def _not_symmetric(name: str, i: int, j: int, one: float, other: float) -> str:
 def gap_rows(given: Any, n: int, d: Array, friction: bool, dim: int) -> tuple[Array, int]:
     """Returns G as (m, dim, n) or (problems, m, dim, n), and dim."""
     if isinstance(dim, bool) or not isinstance(dim, int | np.integer) or dim not in (0, 1, 2, 3):
-        raise ValueError(f"dim must be 1, 2 or 3, or 0 for as G says, got {dim!r}")
+        raise ValueError(f"dim must be 1, 2 or 3, or 0 to infer it from G, got {dim!r}")
     given = given.toarray() if hasattr(given, "tocsc") else given
     G = values("G", given)
     if G.ndim == 0:
@@ -105,7 +105,7 @@ def gap_rows(given: Any, n: int, d: Array, friction: bool, dim: int) -> tuple[Ar
     if d.ndim not in (1, 2):
         raise ValueError(f"d must be of shape (m,) or (problems, m), got {_shape(d)}")
     m = d.shape[-1]
-    # Of three axes it is (problems, m, n) or (m, dim, n).
+    # With three axes it is (problems, m, n) or (m, dim, n).
     flat = dim == 1 or (dim == 0 and not friction and G.shape[-2] == m)
     if G.ndim == 2 or (G.ndim == 3 and flat):
         G = G[..., None, :]
@@ -114,27 +114,27 @@ def gap_rows(given: Any, n: int, d: Array, friction: bool, dim: int) -> tuple[Ar
     if not fits or dim not in (0, found):
         wanted = f" and dim = {dim}" if dim else ""
         raise ValueError(
-            "G must be of shape (m, n), or with friction (m, dim, n) with dim 2 or 3, or have one more axis of "
-            f"problems before these, with m = {m} (from d) and n = {n} (from K){wanted}, got "
+            "G must be of shape (m, n), or with friction (m, dim, n) with dim 2 or 3, or have a leading axis of "
+            f"problems, with m = {m} (from d) and n = {n} (from K){wanted}, got "
             f"{_shape(np.asarray(given))}"
         )
     if found == 1 and friction:
         raise ValueError(
-            "G must be of shape (m, dim, n) with dim 2 or 3 if mu is not 0, for friction acts along tangents, got "
+            "G must be of shape (m, dim, n) with dim 2 or 3 if mu is not 0 (friction acts along tangents), got "
             f"{_shape(np.asarray(given))}"
         )
     return G, found
 
 
 def count_of(counts: Mapping[str, int | None]) -> int | None:
-    """Returns how many problems there are, or raises ``ValueError`` if arguments disagree."""
+    """Returns the number of problems; raises ``ValueError`` if arguments disagree."""
     many = {name: count for name, count in counts.items() if count is not None}
     for name, count in many.items():
         if not count:
-            raise ValueError(f"{name} must be of at least one problem, got 0")
+            raise ValueError(f"{name} must have at least one problem, got 0")
     if len(set(many.values())) > 1:
         raise ValueError(
-            "arguments with an axis of problems must have equally many, got "
+            "arguments with an axis of problems must have the same number of problems, got "
             + ", ".join(f"{name} {count}" for name, count in many.items())
         )
     return next(iter(many.values()), None)

@@ -1,4 +1,4 @@
-"""The methods that go on step by step, on the device: prox, gauss_seidel and energy."""
+"""Iterative methods on the device: "prox", "gauss_seidel" and "energy"."""
 
 import functools
 from collections.abc import Callable
@@ -8,9 +8,9 @@ import numpy as np
 from warpcontact.unilateral.delassus import Delassus
 from warpcontact.validation.checks import Array
 
-#: Most rows of all problems of one launch, squared: what their matrices take of memory.
+#: Maximum number of matrix entries of all problems in one launch; limits memory.
 _ENTRIES = 50_000_000
-# Forces over those of the problem, beyond which iterations diverged.
+# Forces relative to the scale of the problem above which the iteration has diverged.
 _FARTHEST = 1e100
 
 
@@ -23,7 +23,7 @@ def iterate(
     parameter: float | None,
     device: str,
 ) -> tuple[Array, Array]:
-    """Returns l and the iterations taken of each problem; l is 0 if they diverged."""
+    """Returns l and the number of iterations of each problem; l is 0 if the iteration diverged."""
     found, iteration_counts = np.empty_like(lam), np.zeros(problem.count, dtype=int)
     rows = max(problem.contacts * problem.dim, 1)
     size = max(_ENTRIES // rows**2, 1)
@@ -32,7 +32,7 @@ def iterate(
         found[part], iteration_counts[part] = _launch(
             method, problem.part(part), lam[part], tolerance, iterations, parameter, device
         )
-    # Iterations diverge if W is not positive semidefinite.
+    # The iteration diverges if W is not positive semidefinite.
     found[~(np.abs(found).max(axis=(1, 2), initial=0.0) < _FARTHEST * problem.scale)] = 0.0
     return found, iteration_counts
 

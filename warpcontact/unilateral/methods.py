@@ -1,4 +1,4 @@
-"""The methods by name, what they take, and how a problem in the contacts is solved by one."""
+"""Solution methods by name, checks of their options, and their execution for problems in W and q."""
 
 import math
 from typing import Any
@@ -12,11 +12,11 @@ from warpcontact.unilateral.iterations import iterate
 from warpcontact.unilateral.newton import newton
 from warpcontact.validation.checks import Array, choice
 
-#: Most iterations by default.
+#: Default maximum number of iterations.
 ITERATIONS = {"enumeration": 0, "energy": 50_000, "projection": 600, "prox": 100_000, "gauss_seidel": 20_000}
-# They are counted in 32 bits.
+# Iterations are counted in 32 bits.
 _MAX_ITERATIONS = 2**31 - 1
-#: Methods with a parameter of one's own, and its name.
+#: Methods with a parameter, and its name.
 PARAMETERS = {"projection": "c", "prox": "r"}
 
 
@@ -29,7 +29,7 @@ def run(
     parameter: float | None,
     device: str,
 ) -> tuple[Array, Array]:
-    """Returns l, shape (problems, contacts, dim), and the iterations taken, (problems,)."""
+    """Returns l, shape (problems, contacts, dim), and the number of iterations, (problems,)."""
     check_options(method, tolerance, iterations, parameter)
     if device != "cpu":
         device = str(find_device(device))
@@ -39,7 +39,7 @@ def run(
         return np.concatenate([lam, np.zeros(system.q[..., 1:].shape)], axis=-1), iteration_counts
     if method == "enumeration":
         if initial is not None:
-            raise ValueError("initial: method 'enumeration' has no start")
+            raise ValueError("initial must not be given with method 'enumeration'")
         check_size(system.contacts, system.dim)
     lam = np.zeros(system.q.shape) if initial is None else np.array(initial)
     if not system.contacts or not system.count:
@@ -47,20 +47,20 @@ def run(
     if method == "enumeration":
         return enumerate_states(system, tolerance)
     max_iterations = ITERATIONS[method] if iterations is None else iterations
-    # Rounding of the measure here is not that of the methods.
+    # The residual here rounds differently from that of the methods.
     if method == "projection":
         return newton(system, lam, 0.5 * tolerance, max_iterations, parameter, device)
     return iterate(method, system, lam, 0.5 * tolerance, max_iterations, parameter, device)
 
 
 def check_options(method: Any, tolerance: Any, iterations: Any, parameter: Any) -> None:
-    """Raises ``ValueError`` if one of the options of a solution is not allowed."""
+    """Raises ``ValueError`` if an option of a solution method is not valid."""
     choice("method", method, tuple(ITERATIONS))
     if not _is_number(tolerance) or not 0.0 < tolerance < 1.0:
         raise ValueError(f"tolerance must be a number between 0 and 1, got {tolerance!r}")
     if iterations is not None:
         if method == "enumeration":
-            raise ValueError(f"iterations: method 'enumeration' has none to limit, got {iterations!r}")
+            raise ValueError(f"iterations must not be given with method 'enumeration', got {iterations!r}")
         is_integer = isinstance(iterations, int | np.integer) and not isinstance(iterations, bool)
         if not is_integer or not 1 <= iterations <= _MAX_ITERATIONS:
             raise ValueError(
@@ -68,7 +68,7 @@ def check_options(method: Any, tolerance: Any, iterations: Any, parameter: Any) 
             )
     if parameter is not None:
         if method not in PARAMETERS:
-            raise ValueError(f"parameter: method {method!r} has none, got {parameter!r}")
+            raise ValueError(f"parameter must not be given with method {method!r}, got {parameter!r}")
         if not _is_number(parameter) or not 0.0 < parameter < math.inf:
             raise ValueError(f"parameter {PARAMETERS[method]} must be a positive number, got {parameter!r}")
 

@@ -1,4 +1,4 @@
-"""Semismooth Newton methods on the projections of all contacts at once: method "projection"."""
+"""Method "projection": semismooth Newton methods on the projections of all contacts."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,19 +7,19 @@ from warpcontact.unilateral.delassus import Delassus, project
 from warpcontact.unilateral.iterations import iterate
 from warpcontact.validation.checks import Array
 
-# Steps of Newton's method before another method looks for a better start, which, and how many of its sweeps.
+# Newton steps before a restart, and the methods that compute the start, with their number of sweeps.
 _STEPS = 30
 _RESTART_METHODS = (("gauss_seidel", 50), ("prox", 1000))
-# Exchanges of all that is wrong that may fail to help before one by one is exchanged.
+# Number of steps without improvement of the active set before single contacts are exchanged.
 _MAX_STALLED = 10
 _ROUNDING = 1e-15
-# Rows from which on it pays to leave open contacts out of each system.
+# Number of rows from which on open contacts are eliminated from each system.
 _LARGE = 90
-# Forces over those that q asks for, beyond which a step is taken to have failed.
+# Forces relative to the scale of the problem above which a step has failed.
 _FARTHEST = 1e10
-# A pivot of W this small, over the contact's own flexibility, says that W is singular.
+# W is singular if a pivot is below this, relative to the compliance of the contact.
 _SINGULAR = 1e-12
-# How much of its diagonal such a W is lifted by, and how often the lift is taken back.
+# Shift of the diagonal of a singular W, and maximum number of proximal steps that remove its effect.
 _SHIFT = 1e-7
 _MAX_SHIFTS = 30
 
@@ -27,7 +27,7 @@ _MAX_SHIFTS = 30
 def newton(
     problem: Delassus, lam: Array, tolerance: float, iterations: int, parameter: float | None, device: str
 ) -> tuple[Array, Array]:
-    """Returns l and the Newton steps taken of each problem. ``parameter``: c, the ρ of the projections."""
+    """Returns l and the number of Newton steps of each problem. ``parameter``: c, the ρ of the projections."""
     if problem.dim == 1:
         return _regularized(problem, lam, tolerance, iterations, parameter)
     return _with_friction(problem, lam, tolerance, iterations, parameter, device)
@@ -36,7 +36,7 @@ def newton(
 def _regularized(
     problem: Delassus, lam: Array, tolerance: float, iterations: int, parameter: float | None
 ) -> tuple[Array, Array]:
-    """Solves without friction; a singular W is lifted, and each solution is where the next one is lifted from."""
+    """Solves without friction; a singular W is shifted, with proximal steps from solution to solution."""
     singular = np.broadcast_to(_is_singular(problem), problem.count)
     regular = np.flatnonzero(~singular)
     found, iteration_counts = lam.copy(), np.zeros(problem.count, dtype=int)
@@ -71,8 +71,8 @@ def _regularized(
 def _least_distance(problem: Delassus) -> Array | None:
     """Returns l (contacts, 1) of a single problem without friction, None if W is not positive semidefinite.
 
-    With W = AᵀA it is the point y = A l nearest to 0 with Aᵀy ≥ −q, by nonnegative least squares (Lawson and
-    Hanson, 1974). These end for any redundancy of the contacts.
+    With W = AᵀA, y = A l is the point nearest to 0 with Aᵀy ≥ −q, found by nonnegative least squares (Lawson and
+    Hanson, 1974), which terminates for any redundancy of the contacts.
     """
     from scipy.optimize import nnls
 
@@ -90,7 +90,7 @@ def _least_distance(problem: Delassus) -> Array | None:
     except RuntimeError:
         return None
     rest = (goal - matrix @ weights)[-1]
-    # Without a rest there is no such point.
+    # A zero residual means that no such point exists.
     return (size * root * weights / rest)[:, None] if rest > _SINGULAR else None
 
 
@@ -110,10 +110,10 @@ def _is_singular(problem: Delassus) -> NDArray[np.bool_]:
 def _active_sets(
     problem: Delassus, lam: Array, tolerance: float, iterations: int, parameter: float | None
 ) -> tuple[Array, Array]:
-    """Newton's method for l − max(0, l − c w) = 0: those with l − c w > 0 are closed in the next step.
+    """Returns the result of Newton's method for l − max(0, l − c w) = 0 (active sets), and the number of steps.
 
-    When that goes round in circles, one contact at a time is exchanged, the last that is wrong: with W positive
-    definite that ends (Júdice and Pires, 1994).
+    Contacts with l − c w > 0 are closed in the next step. If the method cycles, only the last wrong contact is
+    exchanged; with W positive definite this terminates (Júdice and Pires, 1994).
     """
     c = problem.rho if parameter is None else np.full_like(problem.rho, parameter)
     lam, iteration_counts = lam[..., 0].copy(), np.zeros(problem.count, dtype=int)
@@ -129,7 +129,7 @@ def _active_sets(
         lam[remaining] = _solve(matrix, np.where(closed, -part.q[..., 0], 0.0))
         iteration_counts[remaining] += 1
         w = part.velocity(lam[remaining][..., None])[..., 0]
-        # Rounding is not what makes a contact open or close.
+        # Rounding must not open or close a contact.
         slack = 1e-14 * part.unit
         wrong = np.where(closed, lam[remaining] < -slack, rho * w < -slack)
         number = wrong.sum(axis=1)
@@ -162,7 +162,7 @@ def _solve(matrix: Array, right: Array) -> Array:
 def _with_friction(
     problem: Delassus, lam: Array, tolerance: float, iterations: int, parameter: float | None, device: str
 ) -> tuple[Array, Array]:
-    """Newton's method from l; where it fails, in turn from sweeps of others and from anywhere in the cones."""
+    """Runs Newton's method from l and, on failure, from iterates of other methods and from random points."""
     found, iteration_counts = lam.copy(), np.zeros(problem.count, dtype=int)
     residuals, remaining = problem.residual(found), np.arange(problem.count)
     random, start, sweep_factor = np.random.default_rng(0), found, 1
@@ -183,7 +183,7 @@ def _with_friction(
             start, _ = iterate(method, part, found[remaining], tolerance, sweep_factor * sweeps, None, device)
         else:
             sweep_factor *= 2
-            # The same of each problem, whatever others there are.
+            # The same random numbers for each problem, independent of the number of problems.
             shape = random.exponential(1.0, (problem.contacts, 1)) * random.normal(0.0, 1.0, problem.q.shape[1:])
             start = project(part.scale[:, None, None] * shape, part.mu)
     return found, iteration_counts
@@ -192,7 +192,7 @@ def _with_friction(
 def _friction_steps(
     problem: Delassus, lam: Array, tolerance: float, iterations: int, parameter: float | None, damped: bool
 ) -> tuple[Array, Array]:
-    """Newton's method on Alart and Curnier's projections; ``damped``: steps that do not lead closer are cut."""
+    """Runs Newton's method on Alart and Curnier's projections; ``damped``: line search on the residual."""
     best, iteration_counts = lam.copy(), np.zeros(problem.count, dtype=int)
     residuals = problem.residual(best)
     remaining = np.flatnonzero(residuals > tolerance)
@@ -202,7 +202,7 @@ def _friction_steps(
             break
         part = problem.part(remaining)
         step, size = _direction(part, now, parameter)
-        # The shortest of these is taken if none leads closer: it gets out of a corner.
+        # If no length decreases the residual, the shortest is used, to leave the point of stagnation.
         length, trial = np.ones(len(remaining)), now + step
         after = _residual_norm(part, trial, parameter)
         for _ in range(5 if damped else 0):
@@ -212,11 +212,11 @@ def _friction_steps(
             length[worse] *= 0.4
             trial[worse] = now[worse] + length[worse][:, None, None] * step[worse]
             after[worse] = _residual_norm(part.part(np.flatnonzero(worse)), trial[worse], parameter)
-        # What a nearly singular step threw away does not come back by itself.
+        # Reset after a nearly singular step; the iteration would not return by itself.
         size = np.abs(trial).max(axis=(1, 2))
         now = np.where((size < _FARTHEST * part.scale)[:, None, None], trial, 0.0)
         iteration_counts[remaining] += 1
-        # Into the cone: what a step leaves outside is less than the residual, or is none of ours.
+        # Project into the cone: a converged step leaves less than the residual outside.
         inside = _into_cone(part, now)
         residual = part.residual(inside)
         better = residual < residuals[remaining]
@@ -236,7 +236,7 @@ def _into_cone(problem: Delassus, lam: Array) -> Array:
 
 
 def _projected(problem: Delassus, lam: Array, parameter: float | None) -> tuple[Array, Array, Array]:
-    """Returns (max(0, z_n), the point of the disc of radius μ z_n nearest z_t), z = l − ρ w, and ρ."""
+    """Returns (max(0, z_n), projection of z_t onto the disc of radius μ z_n), z = l − ρ w, and ρ."""
     rho = problem.rho if parameter is None else np.full_like(problem.rho, parameter)
     z = lam - rho[..., None] * problem.velocity(lam)
     normal = np.maximum(z[..., 0], 0.0)
@@ -247,14 +247,14 @@ def _projected(problem: Delassus, lam: Array, parameter: float | None) -> tuple[
 
 def _residual_norm(problem: Delassus, lam: Array, parameter: float | None) -> Array:
     deviation, flat = lam - _projected(problem, lam, parameter)[0], (problem.count, -1)
-    # A step to where everything drowns in rounding is none.
+    # Penalizes a step to forces so large that the residual is rounding.
     rounding = _ROUNDING * np.linalg.norm(lam.reshape(flat), axis=1)
     size = np.linalg.norm(deviation.reshape(flat), axis=1) + rounding
     return np.where(np.isfinite(size), size, np.inf)
 
 
 def _direction(problem: Delassus, lam: Array, parameter: float | None) -> tuple[Array, Array]:
-    """Returns Newton's step for l − P(l − ρ w) = 0 and the size of the left side."""
+    """Returns Newton's step for l − P(l − ρ w) = 0 and the norm of the left side."""
     count, contacts, dim = lam.shape
     target, z, rho = _projected(problem, lam, parameter)
     F = lam - target
@@ -262,7 +262,7 @@ def _direction(problem: Delassus, lam: Array, parameter: float | None) -> tuple[
     tangential = np.linalg.norm(z[..., 1:], axis=-1)
     closed, stick = z[..., 0] > 0.0, tangential <= radius
     d = z[..., 1:] / np.where(tangential > 0.0, tangential, 1.0)[..., None]
-    # Derivative of the projections by z, one block for each contact.
+    # Derivative of the projections with respect to z, one block per contact.
     D = np.zeros((count, contacts, dim, dim))
     D[..., 0, 0] = closed
     ratio = np.where(closed & ~stick, radius / np.where(tangential > 0.0, tangential, 1.0), 0.0)
@@ -288,7 +288,7 @@ def _direction(problem: Delassus, lam: Array, parameter: float | None) -> tuple[
 
 
 def _active_step(W: Array, F: Array, D: Array, rho: Array, closed: NDArray[np.bool_]) -> Array:
-    """Returns Newton's step of a single problem. What is open goes to 0; a system is left for what is closed."""
+    """Returns Newton's step of a single problem: open contacts go to 0, closed ones solve a system."""
     step, dim = -F, F.shape[1]
     rows = np.repeat(closed, dim)
     count = int(closed.sum())

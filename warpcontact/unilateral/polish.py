@@ -1,4 +1,4 @@
-"""Solutions of static problems to rounding: Newton's method in displacements and forces, from near a solution."""
+"""Refines solutions of static problems to rounding, by Newton's method in displacements and forces."""
 
 from collections.abc import Callable
 from typing import Any
@@ -9,25 +9,25 @@ from numpy.typing import NDArray
 from warpcontact.unilateral.scaled import ScaledProblem
 from warpcontact.validation.checks import Array
 
-# Steps: few are needed from near a solution; further ones refine against rounding.
+# Maximum number of steps: few are needed near a solution, further ones reduce rounding.
 _STEPS = 12
-# Residual that further steps do not improve, and one below which a step that does not halve it is the last.
+# Residual at which refinement stops, and residual below which a step must halve it to continue.
 _ROUNDING = 1e-15
 _LAST_STEP_BELOW = 1e-12
-# Pivots below this share of the largest are zero: contacts that share a force, displacements that nothing holds.
+# Pivots below this fraction of the largest are zero (redundant contacts, unconstrained displacements).
 _SINGULAR = 1e-12
-# Most unknowns of a system that is solved by orthogonal factors; shift and refinements of larger ones.
+# Maximum number of unknowns for orthogonal factorization; shift and refinement steps of larger systems.
 _SMALL = 150
 _SHIFT = 1e-8
 _REFINEMENTS = 3
 
 
 def refine(problem: ScaledProblem, u: Array, lam: Array) -> tuple[Array, Array, float]:
-    """Returns displacements (n,), forces (contacts, dim) and their residual, no larger than before.
+    """Returns displacements (n,), forces (contacts, dim) and their residual, which does not increase.
 
-    Each step solves K u + Gᵀλ = f with the equations of the state of each contact, open, closed, sticking or
-    slipping, linearized. In a singular system it is a small change. A step computes its right side from u and
-    λ themselves, so that steps refine each other.
+    Each step solves K u + Gᵀλ = f with the linearized equations of the state of each contact: open, closed,
+    sticking or slipping. For a singular system it takes a small change. The right side is computed from u and λ
+    themselves, so each step also refines the previous one.
     """
     best_u, best_lam, least = u, lam, problem.residual(u, lam)
     for _ in range(_STEPS):
@@ -45,7 +45,7 @@ def refine(problem: ScaledProblem, u: Array, lam: Array) -> tuple[Array, Array, 
 
 
 def _step(problem: ScaledProblem, u: Array, lam: Array) -> tuple[Array, Array] | None:
-    """Returns the changes of u and λ of a step of Newton's method, None if there is no system to be solved."""
+    """Returns the changes of u and λ in a step of Newton's method, None if the system cannot be solved."""
     n, dim = len(u), problem.dim
     scales = problem.scales(u, lam)
     rho = scales.force[0] / scales.length[0]
@@ -56,7 +56,7 @@ def _step(problem: ScaledProblem, u: Array, lam: Array) -> tuple[Array, Array] |
     rows = problem.G[closed].reshape(len(closed) * dim, n)
     A, B, right = _linearized_law(problem, lam, w, z, rho, closed)
     off = problem.f - problem.K @ u - problem.flat_rows().T @ lam.reshape(-1)
-    # The forces of open contacts vanish.
+    # Forces of open contacts vanish.
     is_open = np.ones(problem.contacts, dtype=bool)
     is_open[closed] = False
     off = off + problem.G[is_open].reshape(-1, n).T @ lam[is_open].reshape(-1)
@@ -75,8 +75,8 @@ def _linearized_law(
 ) -> tuple[Array, Array, Array]:
     """Returns the linearized laws of closed contacts, A G Δu + B Δλ = right, in blocks (closed, dim, dim).
 
-    The law is λ = (z_n, the point nearest to z_t of the disk of radius μ z_n), z = λ − ρ w. Rows without λ are
-    divided by ρ.
+    The law is λ = (z_n, projection of z_t onto the disc of radius μ z_n), z = λ − ρ w. Rows without λ are divided
+    by ρ.
     """
     dim, count = problem.dim, len(closed)
     lam, w, z, rho, mu = lam[closed], w[closed], z[closed], rho[closed], problem.mu[closed]
@@ -102,10 +102,10 @@ def _linearized_law(
 
 
 def _solve(K: Any, rows: Array, A: Array, B: Array, right: Array) -> Array | None:
-    """Returns a small solution of [[K, rowsᵀ], [A rows, B]] x = right, None if it is not found.
+    """Returns a small solution of [[K, rowsᵀ], [A rows, B]] x = right, None on failure.
 
-    A large matrix is shifted by ε, upwards in the first block and downwards in the second, so that it is regular;
-    the shift is taken back by refinement.
+    A large matrix is made regular by a shift, +ε in the first block and −ε in the second; refinement removes the
+    effect of the shift.
     """
     count, dim = A.shape[:2]
     n, active = rows.shape[1], len(rows)
@@ -139,7 +139,7 @@ def _solve(K: Any, rows: Array, A: Array, B: Array, right: Array) -> Array | Non
 
 
 def _refined(matrix: Any, inverse: Callable[[Array], Array], right: Array) -> Array:
-    """Returns x with matrix x = right from the inverse of a matrix nearby."""
+    """Returns x with matrix x = right, from the inverse of a nearby matrix."""
     x = inverse(right)
     for _ in range(_REFINEMENTS):
         x = x + inverse(right - matrix @ x)
@@ -147,7 +147,7 @@ def _refined(matrix: Any, inverse: Callable[[Array], Array], right: Array) -> Ar
 
 
 def _into_cone(mu: Array, lam: Array) -> Array:
-    """Returns forces with pressing normals and friction of at most μ times these."""
+    """Returns forces with nonnegative normals and friction of at most μ times these."""
     lam = lam.copy()
     lam[:, 0] = np.maximum(lam[:, 0], 0.0)
     across = np.linalg.norm(lam[:, 1:], axis=1)

@@ -1,4 +1,4 @@
-"""Static contact problems K u + Gᵀλ = f with gaps d − G u ≥ 0: one, or many at once."""
+"""Static contact problems K u + Gᵀλ = f with gaps d − G u ≥ 0; single problems and batches."""
 
 from __future__ import annotations
 
@@ -22,29 +22,30 @@ if TYPE_CHECKING:
 @explain_keywords_of
 @dataclass(eq=False)
 class Problem:
-    """K u + Gᵀλ = f with gap = d − G u ≥ 0, λ_n ≥ 0, gap·λ_n = 0, and with Coulomb friction across.
+    """K u + Gᵀλ = f with gap = d − G u ≥ 0, λ_n ≥ 0, gap·λ_n = 0, and Coulomb friction.
 
-    There are n displacements and m contacts, in units of one's own, m and N for example. λ presses: it acts on
-    what moves by −Gᵀλ. With friction λ_t has the direction of the slip G_t u − previous, and |λ_t| ≤ μ λ_n. Every
-    argument may have one more axis, the first: many problems; what lacks it is the same in all of them. Of one
-    displacement and one contact all may be numbers.
+    There are n displacements and m contacts, in any consistent units, for example m and N. λ_n is positive in
+    compression: the contacts exert −Gᵀλ. With friction λ_t has the direction of the slip G_t u − previous, and
+    |λ_t| ≤ μ λ_n. Every argument may have one leading axis of problems; an argument without it is shared by all
+    problems. For one displacement and one contact, all arguments may be numbers.
 
     Args:
-        K: Stiffness, (n, n), symmetric; dense, or sparse of SciPy, which is factorised once for all problems.
+        K: Stiffness, (n, n), symmetric; dense, or a sparse matrix of SciPy, which is factorized once for all
+            problems.
         f: Load, (n,).
-        G: What closes the gaps, (m, n). With friction (m, dim, n), dim 2 or 3: of each contact the row of its
-            normal, then those of its tangents.
+        G: Rows that map displacements to gap closure, (m, n). With friction (m, dim, n), dim 2 or 3: for each
+            contact the row of its normal, then those of its tangents.
         d: Gaps at u = 0, (m,).
         mu: Coefficients of friction, one or (m,).
         previous: Displacements G_t u at which the contacts are at rest, one or (m, dim − 1).
-        dim: Rows of a contact, 1, 2 or 3; 0: as G says. Only needed if ``mu`` is 0 and a ``G`` of three axes could
-            be both (many problems, m, n) and (m, dim, n); it is taken to be the first.
+        dim: Rows of a contact, 1, 2 or 3; 0: inferred from G. Only needed if ``mu`` is 0 and a ``G`` of three axes
+            could be both (problems, m, n) and (m, dim, n); by default it is the first.
 
     Attributes:
-        count: Number of problems, or ``None`` for one without an axis of its own.
+        count: Number of problems, or ``None`` for a single problem without that axis.
 
     Raises:
-        ValueError: If shapes do not fit, K is not symmetric, or a value is not allowed.
+        ValueError: If shapes do not match, K is not symmetric, or a value is out of range.
     """
 
     K: Any
@@ -94,30 +95,30 @@ class Problem:
         return solve_problem(self, method, tolerance, iterations, initial, parameter, device)
 
     def all_solutions(self, *, tolerance: float = 1e-10) -> list[Solution]:
-        """Returns every solution of a single problem, by going through all states of its contacts.
+        """Returns every solution of a single problem, by enumerating all states of its contacts.
 
-        If solutions are not isolated, as with contacts that share a load in any proportion, one is returned for
-        each state. K may be indefinite or singular.
+        If solutions are not isolated, for example for contacts that share a load in any proportion, one is
+        returned per state. K may be indefinite or singular.
 
         Raises:
-            ValueError: If there are many problems, too many contacts, or friction in space.
+            ValueError: If there are several problems, too many contacts, or friction in space.
         """
         from warpcontact.unilateral.states import all_solutions
 
         return all_solutions(self, tolerance)
 
     def diagnose(self) -> Diagnosis:
-        """Returns what can be said of existence and uniqueness before solving a single problem.
+        """Returns a diagnosis of existence and uniqueness for a single problem, without solving it.
 
         Raises:
-            ValueError: If there are many problems.
+            ValueError: If there are several problems.
         """
         from warpcontact.unilateral.diagnosis import diagnose
 
         return diagnose(self)
 
     def save(self, path: str | Path) -> Path:
-        """Writes the problem to a file that ``load`` reads, a NumPy archive, and returns its path.
+        """Writes the problem to a NumPy archive that ``load`` reads, and returns its path.
 
         Raises:
             ValueError: If the name does not end in ``.npz``.
@@ -128,18 +129,18 @@ class Problem:
 
     @staticmethod
     def load(path: str | Path) -> Problem:
-        """Returns the problem that ``save`` wrote.
+        """Returns the problem written by ``save``.
 
         Raises:
             FileNotFoundError: If there is no such file.
-            ValueError: If the file is not one of ``save``, was damaged, or holds what is not allowed.
+            ValueError: If the file was not written by ``save``, is damaged, or contains invalid values.
         """
         from warpcontact.unilateral.file import load
 
         return load(path)
 
     def part(self, which: NDArray[np.intp]) -> Problem:
-        """Returns the problems of an index array; those of a single problem are copies of it."""
+        """Returns the problems of an index array; a single problem is repeated."""
         part = copy.copy(self)
         for name, axes in (("K", 2), ("f", 1), ("G", 3), ("d", 1), ("mu", 1), ("previous", 2)):
             array = getattr(self, name)
@@ -164,7 +165,7 @@ class Problem:
         return int(np.shape(self.G)[-3])
 
     def targets(self) -> Array:
-        """Returns (d, previous), what G u is compared with, (…, m, dim)."""
+        """Returns (d, previous), the values that G u is compared with, (…, m, dim)."""
         d, previous = np.asarray(self.d), np.asarray(self.previous)
         shape = np.broadcast_shapes(d.shape, previous.shape[:-1])
         return np.concatenate(

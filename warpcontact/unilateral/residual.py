@@ -1,9 +1,8 @@
 """Residual of static contact problems in displacements, and the lengths and forces that it is relative to.
 
 ``ResidualEvaluator`` takes displacements u and forces λ from any method. The residual is the largest of three
-violations, each
-without unit: of equilibrium, row by row; of the gaps and slips, relative to the lengths of the problem; of the
-forces, relative to the terms of the equilibrium that they enter. ``docs/unilateral.md`` has the formulas.
+dimensionless violations: of equilibrium, row by row; of gaps and slips, relative to the lengths of the problem; of
+forces, relative to the terms of equilibrium that they enter. ``docs/unilateral.md`` has the formulas.
 """
 
 from dataclasses import dataclass
@@ -18,9 +17,9 @@ if TYPE_CHECKING:
     from warpcontact.unilateral.problem import Problem
 
 EPS = float(np.finfo(np.float64).eps)
-#: Roundings of d, G u and their difference.
+#: Rounding error of d, G u and their difference.
 ROUNDINGS = 16.0 * EPS
-# An entry of G below this share of the largest of its contact, in scaled units, is rounding of zero.
+# Entries of G below this fraction of the largest of the contact, in scaled units, are zero to rounding.
 _NO_ENTRY = 1e-6
 
 
@@ -40,12 +39,12 @@ class ResidualScales:
 
 
 class ResidualEvaluator:
-    """Residual of problems K u + Gᵀλ = f with gaps and slips in targets − G u.
+    """Evaluates the residual of problems K u + Gᵀλ = f with gaps and slips targets − G u.
 
-    Every array has one more axis, the first: of all problems, or of length 1 if they share it.
+    Every array has one leading axis: problems, or length 1 if shared.
 
     Args:
-        K: Stiffness (1 or problems, n, n), or a sparse (n, n).
+        K: Stiffness (1 or problems, n, n), or sparse (n, n).
         f: Load (…, n).
         G: Rows of the contacts (…, contacts, dim, n).
         targets: Gaps and tangential displacements at rest (…, contacts, dim).
@@ -54,7 +53,7 @@ class ResidualEvaluator:
 
     def __init__(self, K: Any, f: Array, G: Array, targets: Array, mu: Array) -> None:
         self.K, self.f, self.targets, self.mu = K, f, targets, mu
-        # Without friction the tangents carry nothing.
+        # Without friction the tangents have no force.
         self.dim = G.shape[-2] if mu.any() else 1
         self.G, self.targets = G[..., : self.dim, :], targets[..., : self.dim]
         self.scale, _ = scaling(K, f, self.G, self.targets)
@@ -71,7 +70,7 @@ class ResidualEvaluator:
 
     @staticmethod
     def of(problem: "Problem") -> "ResidualEvaluator":
-        """Returns the judge of one problem or of all."""
+        """Returns the evaluator of one problem or of all."""
         K, n = problem.K, problem.K.shape[-1]
         G, targets = np.asarray(problem.G), problem.targets()
         return ResidualEvaluator(
@@ -90,7 +89,7 @@ class ResidualEvaluator:
             imbalance = np.abs(_times(self.K, u) + _forces(self.G, lam) - self.f)
             allowed = self._row_rounding(terms)
             residual = _ratio(np.maximum(imbalance - allowed, 0.0), terms).max(axis=1)
-            # Forces far beyond the load hide it in their rounding.
+            # Forces that are much larger than the load hide it in their rounding.
             hidden = EPS * (self.scale * contact_terms).max(axis=1)
             residual = np.maximum(residual, _ratio(hidden, (self.scale * load).max(axis=1)))
             if lam.shape[1]:
@@ -109,7 +108,7 @@ class ResidualEvaluator:
         diagonal = np.abs(_diagonal(self.K))
         springs = _ratio(np.abs(self.f) + contact_terms, np.broadcast_to(diagonal, terms.shape))
         deflection = np.maximum(_rows(size, springs).max(axis=(1, 2), initial=0.0), 0.0)
-        # A problem without gaps has no length but this one.
+        # The only length of a problem without gaps.
         lengths = np.where(given == 0.0, np.maximum(length_scale, deflection), length_scale)
         return ResidualScales(np.where(lengths > 0.0, lengths, 1.0), self._force(terms), rounding)
 
@@ -120,11 +119,11 @@ class ResidualEvaluator:
         return load + contact_terms, load, contact_terms
 
     def _row_rounding(self, terms: Array) -> Array:
-        """Returns what equations in comparable units leave in each row."""
+        """Returns the rounding of each row, in comparable units."""
         return 4.0 * EPS * (self.scale * terms).max(axis=1, keepdims=True) / self.scale
 
     def _force(self, terms: Array) -> Array:
-        """Returns for each contact the least force that is as large as the terms of a row that it enters."""
+        """Returns for each contact the smallest force that equals the terms of a row that it enters."""
         rows = np.maximum(terms, self._row_rounding(terms))
         force = np.full((len(terms), self.G.shape[1]), np.inf)
         if len(self._entering):
@@ -155,11 +154,11 @@ class ResidualEvaluator:
 
 
 def scaling(K: Any, f: Array, G: Array, targets: Array, loaded: bool = False) -> tuple[Array, Array]:
-    """Returns D (…, n) that brings displacements u = D v into one unit, and a stiffness of the contacts (…,).
+    """Returns D (…, n) that scales displacements u = D v to one unit, and a stiffness of the contacts (…,).
 
-    Rows and columns of D K D and √ρ G D are at most of order 1: D is 1/√(diagonal of K + ρ Σ G²), with ρ the
-    largest stiffness of a displacement that contacts see, or without stiffness the load over the gaps; the larger
-    of both if ``loaded``. All are powers of two, so that scaling rounds nothing.
+    Rows and columns of D K D and √ρ G D are at most of order 1: D is 1/√(diagonal of K + ρ Σ G²). ρ is the largest
+    stiffness of a displacement at the contacts or, without stiffness, load over gap; the larger of both if
+    ``loaded``. All factors are powers of two, so that scaling does not round.
     """
     diagonal, row_squares = np.abs(_diagonal(K)), (G**2).sum(axis=(-3, -2))
     touched = row_squares > 0.0
@@ -170,7 +169,7 @@ def scaling(K: Any, f: Array, G: Array, targets: Array, loaded: bool = False) ->
     rho = np.maximum(rho, load_stiffness) if loaded else np.where(rho > 0.0, rho, load_stiffness)
     rho = _power_of_two(np.where(rho > 0.0, rho, 1.0))
     size = diagonal + rho[..., None] * row_squares
-    # What neither has a stiffness nor a contact of its own takes that of its neighbors.
+    # A displacement without stiffness and contact gets the scale of its neighbors.
     largest = abs(K).max(axis=-1)
     largest = np.asarray(largest.toarray() if hasattr(largest, "tocsc") else largest).reshape(-1, size.shape[-1])
     size = np.where(size > 0.0, size, largest)

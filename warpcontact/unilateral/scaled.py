@@ -1,4 +1,4 @@
-"""A single static problem in units of its own, in which stiffness, load, gaps and rows are at most of order 1."""
+"""A single static problem in scaled units, in which stiffness, load, gaps and rows are at most of order 1."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -14,9 +14,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ScaledProblem:
-    """K u + Gᵀλ = f with gaps and slips in targets − G u, in units that follow from the problem.
+    """K u + Gᵀλ = f with gaps and slips targets − G u, in units computed from the problem.
 
-    Without friction G and the targets have the normals only. The units are powers of two: nothing is rounded.
+    Without friction G and the targets contain only the normals. The units are powers of two, so that scaling does
+    not round.
 
     Attributes:
         K: Stiffness (n, n), dense or sparse.
@@ -28,7 +29,7 @@ class ScaledProblem:
         root: Unit of the forces over ``size``.
         size: Largest entry of load and targets before division by it.
         evaluator: Computes residuals of scaled displacements and forces.
-        rows: Rows of a contact in the problem that was scaled.
+        rows: Rows of a contact in the original problem.
     """
 
     K: Any
@@ -51,7 +52,7 @@ class ScaledProblem:
         K, f = problem.K, np.asarray(problem.f)
         given = K if hasattr(K, "tocsc") else K[None]
         (scale,), (rho,) = scaling(given, f[None], G[None], targets[None], loaded=True)
-        # An even power of two, so that its root is one as well.
+        # An even power of two, so that its square root is a power of two as well.
         root = 2.0 ** round(0.5 * np.log2(rho))
         loads, gaps = scale * f, root * targets
         size = max(np.abs(loads).max(), np.abs(gaps).max(initial=0.0))
@@ -75,7 +76,7 @@ class ScaledProblem:
 
     @property
     def dim(self) -> int:
-        """Rows of a contact that count."""
+        """Number of rows of a contact used here: 1 without friction."""
         return self.G.shape[1]
 
     def flat_rows(self) -> Array:

@@ -1,4 +1,4 @@
-"""Single static problems that elimination alone does not solve: singular or ill-conditioned K, failed methods."""
+"""Solves single static problems that elimination does not solve: singular or ill-conditioned K, failed methods."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -16,26 +16,26 @@ from warpcontact.unilateral.solution import Termination
 from warpcontact.unilateral.states import candidates, solutions
 from warpcontact.validation.checks import Array
 
-# Stiffness that each proximal step adds, over that of the displacement and its contacts, for a method that solves
-# linear systems and for others; least stiffness; the most steps.
+# Stiffness added by each proximal step, relative to that of the displacement and its contacts, for "projection"
+# and for iterative methods; its minimum; maximum number of steps.
 _ADDED_DIRECT = 1e-6
 _ADDED = 1e-3
 _LEAST_ADDED = 1e-9
 _STEPS = 40
-# Factor on it if the method does not converge in a step, twice at most.
+# Factor on it if the method does not converge in a step, applied at most twice.
 _STIFFENING = 30.0
-# Most Newton steps of a proximal step, without friction and with it.
+# Maximum number of Newton steps of a proximal step, without and with friction.
 _NEWTON_STEPS = (50, 120)
-# Scaled displacements beyond which steps diverge.
+# Scaled displacements above which the steps have diverged.
 _FARTHEST = 1e12
-# Most states of the contacts that method "projection" goes through where Newton's method fails, and displacements.
+# Maximum number of contact states and displacements that "projection" enumerates if Newton's method fails.
 _FEW_STATES = 4096
 _FEW_DISPLACEMENTS = 100
 
 
 @dataclass(frozen=True)
 class SolverOptions:
-    """Options of a method, checked."""
+    """Validated options of a method."""
 
     method: str
     tolerance: float
@@ -52,7 +52,7 @@ class SearchResult:
         u: Displacements (n,).
         lam: Forces (contacts, dim).
         residual: Their residual.
-        number: Iterations.
+        number: Number of iterations.
         termination: Result of the search.
         direction: Motion (n,) along which it is unbounded or not unique.
     """
@@ -78,10 +78,10 @@ def search(
     Args:
         problem: The problem.
         options: Options of the method.
-        guess: Forces to start from, or None for zero.
+        guess: Initial forces, or None for zero.
         start: Displacements and forces that the method found by elimination, None if K is singular.
-        taken: Iterations of the method up to there.
-        method_converged: Whether the method converged by its own measure.
+        taken: Number of iterations of the method so far.
+        method_converged: Whether the method converged by its own residual.
     """
     scaled = ScaledProblem.of(problem)
     singular = start is None
@@ -140,7 +140,7 @@ def _prove_no_solution(scaled: ScaledProblem, free: Array, result: SearchResult)
 
 
 def _by_states(scaled: ScaledProblem, result: SearchResult, tolerance: float) -> None:
-    """Stores the first state of the contacts that is a solution, or the one of least residual."""
+    """Stores the first contact state that is a solution, or the one of least residual."""
     state = next(solutions(scaled, tolerance), None)
     if state is None:
         result.termination = Termination.NO_SOLUTION
@@ -157,8 +157,8 @@ def _by_proximal_steps(
 ) -> None:
     """Repeats proximal steps: solves (K + δ) u' + Gᵀλ = f + δ u with the method, and continues from u = u'.
 
-    Without friction and with K positive semidefinite these steps converge to a solution if there is one
-    (Rockafellar, 1976). Each is polished, which ends them once the state of the contacts is right.
+    Without friction and with K positive semidefinite, the steps converge to a solution if there is one
+    (Rockafellar, 1976). Each is refined, which ends them once the contact states are right.
     """
     proximal, u, f = problem.one(0), np.zeros(len(scaled.f)), np.asarray(problem.f)
     relative_stiffness, last_state, stiffenings = _added_stiffness(scaled, options.method), None, 2
@@ -167,7 +167,7 @@ def _by_proximal_steps(
         if remaining is not None and remaining <= 0:
             return
         if options.method == "projection":
-            # Newton steps that need more cycle.
+            # If more Newton steps are needed, they cycle.
             most = _NEWTON_STEPS[scaled.dim > 1]
             remaining = most if remaining is None else min(remaining, most)
         added = relative_stiffness / scaled.scale**2
@@ -193,14 +193,14 @@ def _by_proximal_steps(
             if result.residual <= options.tolerance:
                 return
         elif stiffenings:
-            # Shorter steps are easier for the method.
+            # Shorter proximal steps are easier to solve.
             relative_stiffness, stiffenings = _STIFFENING * relative_stiffness, stiffenings - 1
         else:
             return
 
 
 def _added_stiffness(scaled: ScaledProblem, method: str) -> float:
-    """Returns the added stiffness, with which the load still moves what nothing else holds across the gaps."""
+    """Returns the added stiffness, small enough for the load to close the gaps of unconstrained displacements."""
     load, gap = np.abs(scaled.f).max(), np.abs(scaled.targets).max(initial=0.0)
     relative_stiffness = _ADDED_DIRECT if method == "projection" else _ADDED
     return float(np.clip(0.01 * load / gap, _LEAST_ADDED, relative_stiffness)) if gap > 0.0 else relative_stiffness

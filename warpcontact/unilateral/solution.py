@@ -1,4 +1,4 @@
-"""Solutions of static contact problems, and how the search for one ended."""
+"""Solutions of static contact problems, and the result of the search for them."""
 
 from __future__ import annotations
 
@@ -40,22 +40,21 @@ class Termination(IntEnum):
 class Solution:
     """Displacements, contact forces, their residual and the result of the search.
 
-    With many problems every array has one more axis, the first. Units are those of the problem.
+    With several problems every array has one leading axis. Units are those of the problem.
 
     Attributes:
-        u: Displacements, shape (n,); ``None`` of a problem given by its Delassus matrix.
+        u: Displacements, shape (n,); ``None`` for a problem given by its Delassus matrix.
         lam: Contact forces λ, shape (contacts,), or (contacts, dim) if contacts have tangents, the normal first.
-        w: w = W λ + q, of the shape of ``lam``: the gap, and the velocity or displacement that friction opposes.
+        w: w = W λ + q, of the shape of ``lam``: the gap, and the tangential velocity or displacement.
         gap: Normal part of ``w``, shape (contacts,).
-        slip: Tangential part, (contacts, dim − 1), or ``None``. Of a problem in u the displacement since the
-            contact was at rest, G_t u − previous, which λ_t has the direction of; of one in W and q it is w_t, and
-            λ_t opposes it.
+        slip: Tangential part, (contacts, dim − 1), or ``None``. For a problem in u: displacement since the contact
+            was at rest, G_t u − previous, parallel to λ_t. For a problem in W and q: w_t, opposite to λ_t.
         residual: Violation of equilibrium and of the law of contact, relative to the lengths and forces of the
             problem; ``docs/unilateral.md`` defines it.
-        iterations: Steps, sweeps or states that the method took.
+        iterations: Number of steps, sweeps or states of the method.
         converged: Whether ``residual`` is within the tolerance, for a solution whose existence is not excluded.
-        status: ``ContactMode`` of each contact, (contacts,). A closed one without friction slips.
-        active: Whether each contact is closed, that is, presses.
+        status: ``ContactMode`` of each contact, (contacts,). A closed contact without friction is SLIP.
+        active: Whether each contact is closed, that is, has a normal force.
         method: Name of the method.
         problem: The problem, or ``None`` if it was given by its Delassus matrix.
         termination: ``Termination`` of the search: kind of solution, or reason why there is none.
@@ -79,13 +78,13 @@ class Solution:
 
     @property
     def active(self) -> NDArray[np.bool_]:
-        """Whether each contact presses."""
+        """Whether each contact has a normal force."""
         return self.status != ContactMode.OPEN
 
 
 @dataclass
 class RawSolution:
-    """Displacements and forces of many problems before they are given to the user.
+    """Displacements and forces of a batch of problems, before conversion to a ``Solution``.
 
     Attributes:
         u: Displacements (problems, n).
@@ -109,7 +108,7 @@ def solution_of_displacements(
     u, lam = found.u, found.lam
     w = problem.targets() - np.einsum("...mdn,...n->...md", problem.G, u)
     residual, scales = evaluator.residual(u, lam), evaluator.scales(u, lam)
-    # Within the residual, and within rounding, forces and slips are zero.
+    # Forces and slips within the residual or rounding count as zero.
     allowed = np.minimum(np.maximum(residual, tolerance), 1.0)[:, None]
     status = np.full(lam.shape[:2], int(ContactMode.STICK))
     slips = length(w[..., 1:]) > 2.0 * (allowed * scales.length[:, None] + scales.rounding)
@@ -196,7 +195,7 @@ def _shaped(
 
 
 def _modes(system: Delassus, lam: Array, w: Array, residual: Array, tolerance: float) -> NDArray[np.int64]:
-    """Returns the ``ContactMode`` of each contact; what the residual leaves open, or is rounding, is none."""
+    """Returns the ``ContactMode`` of each contact; forces and slips within residual or rounding count as zero."""
     small = np.maximum(np.maximum(residual, tolerance)[:, None] * system.unit, system.rho * system.rounding)
     status = np.full(lam.shape[:2], int(ContactMode.STICK))
     slips = system.rho * length(w[..., 1:]) > 2.0 * small

@@ -45,34 +45,34 @@ def solve(
 ) -> Solution:
     """Returns a solution of K u + Gᵀλ = f with gap = d − G u ≥ 0, λ ≥ 0, gap·λ = 0, and Coulomb friction.
 
-    The problem is that of ``Problem``, which states the shapes; one, or many. K may be singular or indefinite.
+    ``Problem`` documents the shapes; there may be one problem or a batch. K may be singular or indefinite.
     ``Solution.termination`` reports for each problem whether a solution was found, whether others exist, or why
-    there is none. All methods are measured by the same residual.
+    there is none. All methods use the same residual.
 
     Args:
         K: Stiffness.
         f: Load.
-        G: What closes the gaps.
+        G: Rows that map displacements to gap closure.
         d: Gaps at u = 0.
         mu: Coefficients of friction.
-        method: "enumeration": all states of the contacts, few of them, without friction or in the plane.
-            "energy": the minimum of the energy by projected gradients; with friction of a sequence of energies.
+        method: "enumeration": all states of the contacts, for few contacts without friction or in the plane.
+            "energy": minimum of the energy by projected gradients; with friction a sequence of energies.
             "projection": semismooth Newton's method, active sets without friction. "prox": Uzawa's iteration.
-            "gauss_seidel": one contact after the other, each exactly.
+            "gauss_seidel": contacts one after another, each solved exactly.
         previous: Tangential displacements at which the contacts are at rest.
-        tolerance: Largest residual of a solution, without unit.
-        iterations: Most steps or sweeps; by default enough for most problems.
-        initial: λ to start from, of the shape of ``Solution.lam``; zero by default.
-        parameter: c of "projection" or r of "prox", one for all contacts, a stiffness; by default one for each
-            contact from its own flexibility.
-        device: Of the methods that go step by step: "cpu", "cuda:0", or "auto".
-        dim: Rows of a contact, where G does not say.
+        tolerance: Largest residual of a solution, dimensionless.
+        iterations: Maximum number of steps or sweeps; the default is sufficient for most problems.
+        initial: Initial λ, of the shape of ``Solution.lam``; zero by default.
+        parameter: c of "projection" or r of "prox", one for all contacts, a stiffness; by default one per contact,
+            from its compliance.
+        device: Device of the iterative methods: "cpu", "cuda:0", or "auto".
+        dim: Rows of a contact, if G does not determine it; see ``Problem``.
 
     Raises:
-        ValueError: If an argument does not fit, or the method cannot take the problem.
+        ValueError: If an argument is not valid, or the method does not support the problem.
 
     Example:
-        A spring of 1000 N/m is loaded with 30 N and meets a wall after 20 mm, which carries the rest:
+        A spring of 1000 N/m is loaded with 30 N and reaches a wall after 20 mm, which carries the rest:
 
         >>> solution = wc.unilateral.solve([[1000.0]], [30.0], [[1.0]], [0.02])
         >>> solution.u.round(9), solution.lam.round(9), solution.converged
@@ -100,7 +100,7 @@ def solve_problem(
     shape = (problem.contacts, problem.dim)
     guess = None if initial is None else _guess(initial, (count, *shape), single, flat)
     if guess is not None and method == "enumeration":
-        raise ValueError("initial: method 'enumeration' has no start")
+        raise ValueError("initial must not be given with method 'enumeration'")
     found = RawSolution(
         np.zeros((count, problem.K.shape[-1])),
         np.zeros((count, *shape)),
@@ -150,23 +150,23 @@ def solve_delassus(
 ) -> Solution:
     """Returns a solution of w = W λ + q with w_n ≥ 0, λ_n ≥ 0, w_n λ_n = 0, and Coulomb friction.
 
-    w is a gap, a velocity or an acceleration of the contacts, and λ the forces or impulses that go with it. λ_t is
-    opposite to w_t, with |λ_t| = μ λ_n where w_t is not 0.
+    w is a gap, a velocity or an acceleration of the contacts, and λ the corresponding forces or impulses. λ_t is
+    opposite to w_t, with |λ_t| = μ λ_n if w_t is not 0.
 
     Args:
         W: Delassus matrix, symmetric, (rows, rows) or (m, dim, m, dim); positive semidefinite in mechanics.
-        q: (m,) without friction, or (m, dim): of each of the m contacts the normal first, then 1 or 2 tangents.
-            Like W and ``mu`` it may have one more axis, the first, of many problems.
+        q: (m,) without friction, or (m, dim): for each of the m contacts the normal first, then 1 or 2 tangents.
+            Like W and ``mu`` it may have one leading axis of problems.
         mu: Coefficients of friction, one or (m,).
-        method: Like the further arguments as in ``solve``.
-        tolerance: Residual that is good enough.
-        iterations: Most steps or sweeps.
-        initial: λ to start from, of the shape of q.
+        method: As in ``solve``.
+        tolerance: Largest residual of a solution.
+        iterations: Maximum number of steps or sweeps.
+        initial: Initial λ, of the shape of q.
         parameter: c of "projection", r of "prox".
-        device: Of the methods that go step by step.
+        device: Device of the iterative methods.
 
     Raises:
-        ValueError: If an argument does not fit or the method cannot take the problem.
+        ValueError: If an argument is not valid or the method does not support the problem.
     """
     check_options(method, tolerance, iterations, parameter)
     matrix, right, coefficients = (
@@ -179,7 +179,7 @@ def solve_delassus(
         matrix = matrix.reshape(*matrix.shape[:-4], rows, rows)
     matrix = intake.symmetric("W", matrix, "rows")
     rows, friction = matrix.shape[-1], bool(coefficients.any())
-    # (1, dim) is one contact with tangents, not one problem of so many contacts without.
+    # (1, dim) is one contact with tangents, not one problem of dim contacts without.
     one_contact = right.shape in ((1, 2), (1, 3))
     flat = not friction and right.ndim in (1, 2) and right.shape[-1] == rows and not one_contact
     if flat:
@@ -187,8 +187,8 @@ def solve_delassus(
     fits = right.ndim in (2, 3) and right.shape[-1] in (1, 2, 3) and right.shape[-1] * right.shape[-2] == rows
     if not fits or (friction and right.shape[-1] == 1):
         raise ValueError(
-            "q must be of shape (m,), or with friction (m, dim) with dim 2 or 3, or have one more axis of "
-            f"problems before these, with as many numbers as W has rows, {rows}, got shape {np.shape(q)}"
+            "q must be of shape (m,), or with friction (m, dim) with dim 2 or 3, or have a leading axis of "
+            f"problems, with {rows} numbers per problem (rows of W), got shape {np.shape(q)}"
         )
     m = right.shape[-2]
     coefficients = intake.fit("mu", coefficients, {"m": m}, spread=True)
@@ -211,7 +211,7 @@ def solve_delassus(
 
 
 def _guess(initial: ArrayLike, wanted: tuple[int, ...], single: bool, flat: bool) -> Array:
-    """Returns the λ to start from, of the shape ``wanted``: (problems, m, dim)."""
+    """Returns the initial λ, of the shape ``wanted``: (problems, m, dim)."""
     shape = {"m": wanted[1]} if flat else {"m": wanted[1], "dim": wanted[2]}
     guess = intake.fit("initial", intake.values("initial", initial), shape)
     if single and guess.ndim > len(shape):
@@ -219,5 +219,5 @@ def _guess(initial: ArrayLike, wanted: tuple[int, ...], single: bool, flat: bool
     if flat:
         guess = guess[..., None]
     if guess.ndim == 3 and len(guess) != wanted[0]:
-        raise ValueError(f"initial must be of {wanted[0]} problems, got {len(guess)}")
+        raise ValueError(f"initial must have {wanted[0]} problems, got {len(guess)}")
     return np.broadcast_to(guess, wanted)

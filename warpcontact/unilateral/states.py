@@ -1,4 +1,4 @@
-"""All solutions of a single problem, by the states of its contacts; K may be indefinite or singular."""
+"""All solutions of a single problem, by enumeration of contact states; K may be indefinite or singular."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -24,15 +24,15 @@ from warpcontact.unilateral.scaled import ScaledProblem
 from warpcontact.unilateral.solution import RawSolution, Solution, Termination, solution_of_displacements
 from warpcontact.validation.checks import Array
 
-# Solutions that differ by less than this part of the largest of their displacements and forces, scaled, are one.
+# Relative difference, in scaled units, below which two solutions are the same.
 _ALIKE = 1e-8
-# Residual of a state from which on it is refined.
+# Residual of a state below which it is refined.
 _REFINE_BELOW = 1e-6
 
 
 @dataclass(frozen=True)
 class ContactState:
-    """A state of the contacts that keeps equilibrium.
+    """A combination of contact states that satisfies equilibrium.
 
     Attributes:
         u: Scaled displacements (n,).
@@ -61,9 +61,9 @@ class ContactState:
 
 
 def all_states(problem: Problem, tolerance: float) -> tuple[ScaledProblem, list[ContactState]]:
-    """Returns a single problem, scaled, and the states that are different solutions of it."""
+    """Returns a single problem, scaled, and the states that are distinct solutions of it."""
     if problem.count is not None:
-        raise ValueError(f"all states are gone through of a single problem, got {problem.count} problems")
+        raise ValueError(f"all_solutions() supports a single problem only, got {problem.count} problems")
     scaled = ScaledProblem.of(problem)
     found: list[ContactState] = []
     for state in solutions(scaled, tolerance):
@@ -73,14 +73,14 @@ def all_states(problem: Problem, tolerance: float) -> tuple[ScaledProblem, list[
 
 
 def all_solutions(problem: Problem, tolerance: float) -> list[Solution]:
-    """Returns the different solutions of a single problem."""
+    """Returns the distinct solutions of a single problem."""
     return as_solutions(problem, *all_states(problem, tolerance), tolerance)
 
 
 def as_solutions(
     problem: Problem, scaled: ScaledProblem, found: list[ContactState], tolerance: float
 ) -> list[Solution]:
-    """Returns states of a single problem in its own units."""
+    """Returns states of a single problem as solutions in its units."""
     evaluator, listed = ResidualEvaluator.of(problem), []
     for state in found:
         u, lam = scaled.from_scaled(state.u, state.lam)
@@ -100,7 +100,7 @@ def solutions(scaled: ScaledProblem, tolerance: float) -> Iterator[ContactState]
 
 
 def candidates(scaled: ScaledProblem) -> Iterator[ContactState]:
-    """Yields what displacements and forces would be in each state of the contacts."""
+    """Yields displacements and forces for each combination of contact states."""
     contacts, dim, n = scaled.contacts, scaled.dim, len(scaled.f)
     check_size(contacts, dim)
     rows, G, target = contacts * dim, scaled.flat_rows(), scaled.targets.reshape(-1)
@@ -149,7 +149,7 @@ def _admissible(
     motion, force = free[:n], free[n:].reshape(scaled.contacts, 2, -1)
     lam = x[n:].reshape(scaled.contacts, 2)
     w = scaled.targets - scaled.G @ x[:n]
-    # Each is at least 0: its value at x and its changes along the kernel.
+    # Each must be ≥ 0: value at x, and its changes along the null space.
     values, changes = [], []
     for i, contact_mode in enumerate(state):
         if contact_mode == OPEN:

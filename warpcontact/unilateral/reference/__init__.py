@@ -1,1 +1,1 @@
-"""Rigid contact of one environment, on the host: its assembly, its equilibrium, its motion from event to event."""
+"""Reference solvers for nonsmooth contact of one environment: assembly, equilibrium, event-driven motion."""

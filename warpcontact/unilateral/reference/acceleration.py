@@ -1,8 +1,9 @@
-"""What closed contacts do next: the complementarity problem of accelerations, with Coulomb friction.
+"""Modes of closed contacts: the complementarity problem of accelerations with Coulomb friction.
 
-Relative accelerations of contacts are w = W λ + b. Where nothing slides, λ is in the cone of friction at rest and
-w = 0 or opposite to it; where a contact slides already, its friction has the direction of sliding. From the
-solution follows what each contact does, and with that the forces once more, by a linear system, to rounding.
+Relative accelerations of contacts are w = W λ + b. At a contact without slip, λ is in the static friction cone and
+w_t is zero or opposite to λ_t. At a slipping contact, friction is opposite to the slip velocity. The solution
+determines the mode of each contact; the forces of these modes are then computed again from a linear system, to
+rounding.
 """
 
 from collections.abc import Iterator
@@ -14,33 +15,34 @@ from numpy.typing import NDArray
 from warpcontact.kernels.types import MODE_OPEN, MODE_SLIP, MODE_STICK
 from warpcontact.validation.checks import Array
 
-# Accelerations below this share of the largest without contact are none: more than what a solver leaves, whatever
-# that is. What follows from it is checked.
+# Accelerations below this fraction of the largest one without contact are zero. The values cover the error of any
+# solver; the resulting modes are checked.
 SLIP_TOLERANCES = (1.0e-7, 1.0e-5, 1.0e-3)
-# What forces may be outside of their cones, as a share of the largest: those of redundant contacts are a solver's.
+# Largest distance of forces from their cones, relative to the largest force; for redundant contacts this is the
+# error of the solver.
 CONE_TOLERANCE = 1.0e-7
-# What a linear system may leave, as a share of that: rounding, of bodies as unlike as 1 to 1e6.
+# Residual of a linear system, relative to its right side: rounding for mass ratios up to 1e6.
 SOLVE_TOLERANCE = 1.0e-8
-# Singular values below this share of the largest are zero: of redundant contacts.
+# Singular values below this fraction of the largest are zero (redundant contacts).
 SINGULAR = 1.0e-11
-# Steps of Newton's method from the answer of a solver: a few bring it to rounding.
+# Newton steps from the result of a solver; a few reach rounding.
 MAX_NEWTON_STEPS = 20
-# Methods that take friction in space: the first are asked after the one that is wanted.
+# Methods that support friction in space; the first ones are fallbacks of the requested method.
 FRICTION_METHODS = ("projection", "gauss_seidel", "prox", "energy")
 FALLBACK_METHODS = FRICTION_METHODS[:3]
-# Most sliding contacts of which all sets are looked at.
+# Maximum number of slipping contacts for which all subsets are tested.
 MAX_MINOR_SIZE = 10
-# Turns of the friction of contacts that slide.
+# Maximum number of iterations for the friction of slipping contacts.
 MAX_FRICTION_STEPS = 30
 
 
 class ParadoxError(RuntimeError):
-    """Rigid bodies with Coulomb friction have no acceleration there, or several.
+    """Raised if rigid bodies with Coulomb friction have no acceleration, or several (Painlevé paradox).
 
-    As Painlevé found: a contact that slides pushes so that it presses itself together.
+    A slipping contact then increases its own normal force.
 
     Attributes:
-        run: What was computed up to there, of ``EventDriven.run``; ``None`` otherwise.
+        run: Result of ``EventDriven.run`` up to the error; ``None`` otherwise.
     """
 
     run: object = None
@@ -48,11 +50,12 @@ class ParadoxError(RuntimeError):
 
 @dataclass(frozen=True)
 class ContactModes:
-    """What closed contacts do from an instant on.
+    """Modes of closed contacts from an instant on.
 
     Attributes:
         mode: ``ContactMode`` of each (contacts,).
-        direction: Of sliding that goes on or begins, unit vectors (t1, t2), (contacts, 2); 0 of others.
+        direction: Direction of slip that continues or begins, unit vectors (t1, t2), (contacts, 2); 0 without
+            slip.
         force: λ (contacts, 3) [N].
         acceleration: w (contacts, 3) [m/s²].
     """
@@ -73,20 +76,20 @@ def find_contact_modes(
     labels: list[str],
     method: str = "gauss_seidel",
 ) -> ContactModes:
-    """Returns what closed contacts do.
+    """Returns the modes, forces and accelerations of closed contacts.
 
     Args:
         W: Delassus matrix (3 contacts, 3 contacts) [1/kg].
         b: Relative accelerations without contact forces (contacts, 3) [m/s²].
-        mu_static: Coefficients of friction at rest (contacts,).
-        mu: Coefficients of friction in sliding (contacts,).
-        slip: Tangential velocities (contacts, 2) [m/s].
-        sliding: Whether each slides already.
-        labels: What to call the contacts in messages.
-        method: Of ``wc.unilateral.solve_delassus``.
+        mu_static: Coefficients of static friction (contacts,).
+        mu: Coefficients of dynamic friction (contacts,).
+        slip: Slip velocities (contacts, 2) [m/s].
+        sliding: Whether each contact slips already (contacts,).
+        labels: Labels of the contacts in messages.
+        method: Method of ``wc.unilateral.solve_delassus``.
 
     Raises:
-        ParadoxError: If there is no solution, or more than one where contacts slide.
+        ParadoxError: If there is no solution, or more than one with slipping contacts.
     """
     count = len(b)
     direction = np.zeros((count, 2))
@@ -102,7 +105,7 @@ def find_contact_modes(
     )
     stick_mu = np.where(sliding, 0.0, mu_static)
     for guess in _guesses(W, b, mu, direction, slides_with_friction, stick_mu, method):
-        # What is checked to rounding needs no word of a solver.
+        # The result is checked to rounding, so convergence of the solver is not required.
         for tolerance in SLIP_TOLERANCES:
             found = _refine_modes(W, b, mu_static, mu, direction, guess, sliding, tolerance)
             if found is not None:
@@ -110,11 +113,11 @@ def find_contact_modes(
     immovable = [labels[i] for i in np.flatnonzero((np.diag(W)[::3] == 0.0) & (b[:, 0] < 0.0))]
     if immovable:
         raise ParadoxError(
-            f"{', '.join(immovable)} must open, but neither body can give way: both are driven or fixed"
+            f"{', '.join(immovable)} must open, but neither body can move: both are fixed or have prescribed motion"
         )
     raise ParadoxError(
-        f"no accelerations were found of {', '.join(labels)} that agree with Coulomb friction. Where friction is "
-        "strong there may be none"
+        f"no accelerations of {', '.join(labels)} were found that satisfy Coulomb's law. With strong friction there "
+        "may be none"
     )
 
 
@@ -127,11 +130,11 @@ def _guesses(
     stick_mu: Array,
     method: str,
 ) -> Iterator[Array]:
-    """Iterates over forces (contacts, 3) that may be near the solution, what is likely first."""
+    """Yields candidate forces (contacts, 3), the most likely first."""
     count = len(b)
     for name in dict.fromkeys((method, *FALLBACK_METHODS)):
         force = np.zeros((count, 3))
-        # The friction of contacts that slide follows their normal forces, one turn behind.
+        # The friction of slipping contacts lags their normal forces by one iteration.
         for _ in range(MAX_FRICTION_STEPS if slides_with_friction.any() else 1):
             friction = np.zeros((count, 3))
             friction[slides_with_friction, 1:] = (
@@ -146,7 +149,7 @@ def _guesses(
             if np.abs(force[:, 0] - last).max() <= SOLVE_TOLERANCE * np.abs(force[:, 0]).max():
                 break
     if not (stick_mu > 0.0).any() and count <= MAX_MINOR_SIZE:
-        # Every set of contacts that press.
+        # Every subset of contacts with a normal force.
         matrix = normal_response(W, mu, direction, np.arange(count))
         for subset in range(2**count):
             chosen = [i for i in range(count) if subset >> i & 1]
@@ -157,7 +160,7 @@ def _guesses(
 
 
 def _solved(W: Array, b: Array, mu: Array, method: str) -> Array:
-    """Returns forces (contacts, 3) of ``wc.unilateral.solve_delassus``; without friction of normal parts alone."""
+    """Returns forces (contacts, 3) of ``solve_delassus``; without friction only normal forces."""
     from warpcontact.unilateral.solving import solve_delassus
 
     if (mu > 0.0).any():
@@ -169,16 +172,16 @@ def _solved(W: Array, b: Array, mu: Array, method: str) -> Array:
 
 
 def normal_response(W: Array, mu: Array, direction: Array, chosen: NDArray[np.int_]) -> Array:
-    """Returns normal accelerations by normal forces, with the friction that these bring along in sliding."""
+    """Returns normal accelerations per normal force, including the friction of slipping contacts."""
     blocks = W.reshape(len(mu), 3, len(mu), 3)[chosen][:, 0][:, chosen]
     result: Array = blocks[..., 0] - mu[chosen] * (blocks[..., 1:] * direction[chosen]).sum(axis=-1)
     return result
 
 
 def force_basis(mode: NDArray[np.int_], direction: Array, mu: Array) -> Array:
-    """Returns the forces that unknowns stand for, as columns (3 contacts, unknowns).
+    """Returns the basis of the unknown forces, as columns (3 contacts, unknowns).
 
-    Three of a contact that sticks, the normal force with the friction of it of one that slides.
+    A sticking contact has three unknowns; a slipping one has its normal force, with proportional friction.
     """
     found = []
     for contact, contact_mode in enumerate(mode):
@@ -193,7 +196,7 @@ def force_basis(mode: NDArray[np.int_], direction: Array, mu: Array) -> Array:
 
 
 def zero_rows(mode: NDArray[np.int_]) -> NDArray[np.int_]:
-    """Returns the rows of w that are zero: those of contacts that stick, the first of those that slide."""
+    """Returns the rows of w that are zero: all of sticking contacts, the first of slipping ones."""
     each = [
         range(3 * i, 3 * i + (3 if contact_mode == MODE_STICK else 1))
         for i, contact_mode in enumerate(mode)
@@ -205,9 +208,9 @@ def zero_rows(mode: NDArray[np.int_]) -> NDArray[np.int_]:
 def forces_of_modes(
     W: Array, b: Array, mu: Array, mode: NDArray[np.int_], direction: Array, guess: Array
 ) -> Array:
-    """Returns the forces (contacts, 3) with which contacts do what their modes say.
+    """Returns the forces (contacts, 3) that realize the contact modes.
 
-    Of those that do it, the one nearest to ``guess`` (contacts, 3).
+    If they are not unique, returns those nearest to ``guess`` (contacts, 3).
     """
     basis, rows = force_basis(mode, direction, mu), zero_rows(mode)
     start = np.where((mode == MODE_OPEN)[:, None], 0.0, guess)
@@ -228,9 +231,9 @@ def _refine_modes(
     sliding: NDArray[np.bool_],
     tolerance: float,
 ) -> ContactModes | None:
-    """Returns the solution that has the modes of ``force`` to rounding, ``None`` if there is none of those.
+    """Returns the solution, to rounding, with the modes implied by ``force``; ``None`` if it is inconsistent.
 
-    Accelerations under ``force`` below the part ``tolerance`` of the largest without are none.
+    Accelerations under ``force`` below ``tolerance`` times the largest one without contact are zero.
     """
     scale = np.abs(b).max() or 1.0
     w = (W @ force.reshape(-1)).reshape(-1, 3) + b
@@ -239,11 +242,11 @@ def _refine_modes(
     mode[w[:, 0] > tolerance * scale] = MODE_OPEN
     starts_to_slip &= (mode == MODE_SLIP) & (mu > 0.0)
     direction = direction.copy()
-    # The friction of a slide that starts is unknown like that of a contact that sticks.
+    # The friction of a contact that starts to slip is unknown, like that of a sticking one.
     unknown = np.where(starts_to_slip, MODE_STICK, mode)
     basis, rows = force_basis(unknown, direction, mu), zero_rows(unknown)
     if starts_to_slip.any():
-        # In sliding friction may be less than what held.
+        # Dynamic friction may be smaller than the static friction before.
         direction[starts_to_slip] = w[starts_to_slip, 1:] / np.linalg.norm(
             w[starts_to_slip, 1:], axis=1, keepdims=True
         )
@@ -275,7 +278,7 @@ def _refine_modes(
 def _is_consistent(
     found: ContactModes, mu_static: Array, starts_to_slip: NDArray[np.bool_], scale: float, force_scale: float
 ) -> bool:
-    """Whether a solution fulfils all conditions, in comparison with the largest acceleration and force."""
+    """Returns whether a solution satisfies all conditions, relative to the largest acceleration and force."""
     w, force, mode = found.acceleration, found.force, found.mode
     sticks = mode == MODE_STICK
     friction_excess = np.linalg.norm(force[sticks, 1:], axis=1) - mu_static[sticks] * force[sticks, 0]
@@ -292,7 +295,7 @@ def _is_consistent(
 def _add_slip_equation(
     contact: int, W: Array, mu: float, force: Array, w: Array, residual: Array, slopes: Array
 ) -> None:
-    """Writes that friction is opposite to sliding, λ_t |w_t| + μ λ_n w_t = 0, and its slopes, in place of w_t."""
+    """Replaces the rows of w_t by λ_t |w_t| + μ λ_n w_t = 0 (friction opposite to slip) and their derivatives."""
     own = slice(3 * contact + 1, 3 * contact + 3)
     l_n, l_t, w_t = force[contact, 0], force[contact, 1:], w[contact, 1:]
     speed = np.linalg.norm(w_t)
@@ -305,9 +308,9 @@ def _add_slip_equation(
 
 
 def check_slides(matrix: Array, labels: list[str]) -> None:
-    """Raises ``ParadoxError`` if contacts that slide do not determine their normal forces.
+    """Raises ``ParadoxError`` if slipping contacts do not determine their normal forces.
 
-    They do if every principal minor is positive (a P-matrix); of redundant contacts some are zero.
+    They do if every principal minor is positive (P-matrix); with redundant contacts some are zero.
     """
     count = len(matrix)
     scale = np.abs(np.diag(matrix)).max(initial=0.0)
@@ -315,6 +318,6 @@ def check_slides(matrix: Array, labels: list[str]) -> None:
         chosen = [i for i in range(count) if subset >> i & 1]
         if np.linalg.det(matrix[np.ix_(chosen, chosen)] / (scale or 1.0)) < -SOLVE_TOLERANCE:
             raise ParadoxError(
-                f"sliding, {', '.join(labels[i] for i in chosen)} would press itself on: friction makes the "
-                "accelerations ambiguous, or leaves none (Painlevé)"
+                f"slip of {', '.join(labels[i] for i in chosen)} increases its own normal force: accelerations are "
+                "not unique or do not exist (Painlevé paradox)"
             )

@@ -1,4 +1,4 @@
-"""The contacts of one environment that are closed, and the bodies that they hold, as matrices."""
+"""Assembles closed contacts and bodies of one environment as matrices."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -19,28 +19,28 @@ from warpcontact.validation.checks import Array
 
 @dataclass(frozen=True)
 class Assembly:
-    """Closed contacts and the bodies that they hold: U = H v, M v̇ = force + Hᵀ λ.
+    """Closed contacts and bodies: U = H v, M v̇ = force + Hᵀ λ.
 
-    v has linear and angular velocity of each body one after the other, world axes, at the centres of mass. U and λ
-    have (n, t1, t2) of each contact: the velocity of the first body relative to the second at K, and the force on
-    the first.
+    v contains linear and angular velocity of each body, in world axes, at the centers of mass. U and λ have
+    components (n, t1, t2) for each contact: the velocity of the first body relative to the second at K, and the
+    force on the first.
 
     Attributes:
-        body_names: Names of the bodies; of a set with their item in brackets.
+        body_names: Names of the bodies; for a body set with the item in brackets.
         names: Names of the contacts (contacts,).
-        items: Their items (contacts,), −1 of a contact without items.
-        labels: What to call them.
-        bodies: Numbers of the first and the second body, −1 for the world, (contacts, 2).
+        items: Items of the contacts (contacts,), −1 for a contact without items.
+        labels: Labels of the contacts in messages.
+        bodies: Indices of the first and the second body, −1 for the world, (contacts, 2).
         gap: Signed distances (contacts,) [m].
         axes: Unit vectors n, t1, t2 (contacts, 3, 3), world; n points out of the second body.
         point: Points K (contacts, 3), world [m].
-        mu_static: Coefficients of friction at rest (contacts,).
-        mu: Coefficients of friction in sliding (contacts,).
+        mu_static: Coefficients of static friction (contacts,).
+        mu: Coefficients of dynamic friction (contacts,).
         restitution: Coefficients of restitution (contacts,).
         H: (contacts, 3, 6 bodies) [-, m].
-        inverse_mass: Inverse mass matrix (6 bodies, 6 bodies), without what motions do not allow.
+        inverse_mass: Inverse mass matrix (6 bodies, 6 bodies), zero along directions constrained by joints.
         velocity: v (6 bodies,) [m/s, rad/s].
-        force: Applied forces and moments (6 bodies,), gravity and couplings among them, [N, N·m].
+        force: Applied forces and torques (6 bodies,), including gravity and couplings, [N, N·m].
         free_acceleration: Acceleration without contact (6 bodies,) [m/s², rad/s²].
     """
 
@@ -68,7 +68,7 @@ class Assembly:
 
     @property
     def rows(self) -> Array:
-        """H with one row for each component (3 contacts, 6 bodies)."""
+        """H with one row per component (3 contacts, 6 bodies)."""
         return self.H.reshape(3 * self.count, self.H.shape[-1])
 
     @cached_property
@@ -87,15 +87,16 @@ class Assembly:
 
 
 class Assembler:
-    """Makes assemblies of one environment in many states.
+    """Creates assemblies of one environment in many states.
 
     Args:
         model: From ``Scene.build``.
-        env: Number of the environment.
+        env: Index of the environment.
 
     Raises:
-        TypeError: If ``model`` is none.
-        ValueError: If there is no such environment, or a contact has a friction that a cone cannot take.
+        TypeError: If ``model`` is not a model.
+        ValueError: If there is no such environment, or a contact has a friction model without Coulomb
+            coefficients.
     """
 
     def __init__(self, model: Any, env: int = 0) -> None:
@@ -105,7 +106,7 @@ class Assembler:
         self.candidates = Candidates(self.environment)
 
     def assembly(self, snapshot: Snapshot, measured: MeasuredPairs, chosen: NDArray[np.int_]) -> Assembly:
-        """Returns the assembly of ``chosen`` pairs (numbers of candidates) in a state that was measured last."""
+        """Returns the assembly of the ``chosen`` candidate pairs in the state that was measured last."""
         own, bodies = self.candidates, self.bodies
         response = bodies.response(snapshot)
         weight = np.zeros((bodies.count, 6))
@@ -136,7 +137,7 @@ class Assembler:
 def contact_axes(normal: Array) -> Array:
     """Returns n, t1, t2 of unit normals (n, 3), right-handed, (n, 3, 3)."""
     x, y, z = normal.T
-    # Duff et al., J. Comput. Graph. Tech. 6 (2017): without a branch that a rounding could take.
+    # Duff et al., J. Comput. Graph. Tech. 6 (2017): without a branch that rounding could switch.
     sign = np.copysign(1.0, z)
     a = -1.0 / (sign + z)
     b = x * y * a
@@ -146,7 +147,7 @@ def contact_axes(normal: Array) -> Array:
 
 
 def contact_rows(axes: Array, point: Array, bodies: NDArray[np.int_], position: Array) -> Array:
-    """Returns H (n, 3, 6 bodies): the velocity of the first body relative to the second at K, along ``axes``."""
+    """Returns H (n, 3, 6 bodies): velocity of the first body relative to the second at K, along ``axes``."""
     count = len(position)
     rows = np.zeros((len(axes), 3, count, 6))
     for side, sign in ((0, 1.0), (1, -1.0)):
@@ -160,21 +161,21 @@ def contact_rows(axes: Array, point: Array, bodies: NDArray[np.int_], position: 
 
 @explain_keywords
 def assemble(model: Any, env: int = 0, closed: float = 1.0e-6) -> Assembly:
-    """Returns the closed contacts of one environment in its current state, and the bodies that they hold.
+    """Returns the closed contacts of one environment in its current state, and its bodies, as matrices.
 
-    All contacts of the scene count: of points and spheres with meshes, of smooth shapes, and of the pairs of
-    particle contacts. Contact couplings are forces like those of other couplings. μ is that of the friction of a
-    contact (``mu``, or ``mu_static`` and ``mu_dynamic``), the restitution that of its law, or 0.
+    All contacts of the scene count: point and sphere contacts with meshes, shape contacts, and pairs of particle
+    contacts. Contact couplings are forces like other couplings. μ is that of the friction model of a contact
+    (``mu``, or ``mu_static`` and ``mu_dynamic``), the restitution that of its law, or 0.
 
     Args:
-        model: From ``Scene.build``; its state stays as it is. ``precision="float64"`` is recommended.
-        env: Number of the environment.
-        closed: A contact with a gap of at most this is closed [m].
+        model: From ``Scene.build``; its state is not changed. ``precision="float64"`` is recommended.
+        env: Index of the environment.
+        closed: Largest gap of a closed contact [m].
 
     Raises:
-        TypeError: If ``model`` is none.
-        ValueError: If an argument is out of range, or a contact has a friction that a cone cannot take.
-        RuntimeError: If it was not found where smooth shapes meet.
+        TypeError: If ``model`` is not a model.
+        ValueError: If an argument is out of range, or a contact has a friction model without Coulomb coefficients.
+        RuntimeError: If a shape contact did not converge.
     """
     max_gap = float(checks.numbers("closed", closed, (), checks.limits("m", at_least=0.0)))
     assembler = Assembler(model, env)

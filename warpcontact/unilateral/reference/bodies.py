@@ -1,4 +1,4 @@
-"""How the bodies of one environment answer to forces: inverse mass matrices and accelerations, on the host."""
+"""Response of the bodies of one environment to forces: inverse mass matrices and accelerations, on the host."""
 
 from typing import NamedTuple
 
@@ -13,13 +13,13 @@ from warpcontact.validation.checks import Array
 
 
 class Response(NamedTuple):
-    """How bodies answer to forces: their acceleration is ``inverse_mass`` · force + ``bias``.
+    """Response of bodies to forces: their acceleration is ``inverse_mass`` · force + ``bias``.
 
     Attributes:
-        inverse_mass: (6 bodies, 6 bodies), linear and angular of each body one after the other; world axes, at the
-            centres of mass. What a body may not do its motion has taken out.
-        bias: Accelerations (6 bodies,) without any force but those of motions: of gyroscopic moments, of turning
-            about an anchor, of functions of time [m/s², rad/s²].
+        inverse_mass: (6 bodies, 6 bodies), linear and angular part of each body; world axes, at the centers of
+            mass. Zero along directions constrained by joints.
+        bias: Accelerations (6 bodies,) without applied forces: gyroscopic, and centripetal about the anchor of a
+            joint [m/s², rad/s²].
     """
 
     inverse_mass: Array
@@ -27,11 +27,11 @@ class Response(NamedTuple):
 
 
 class Bodies:
-    """Masses and motions of the bodies of one environment.
+    """Masses and joints of the bodies of one environment.
 
     Args:
         model: The model.
-        env: Number of the environment in it.
+        env: Index of the environment in it.
     """
 
     def __init__(self, model: Model, env: int) -> None:
@@ -66,7 +66,7 @@ class Bodies:
         return Snapshot(snapshot.time, position, snapshot.orientation, velocity, snapshot.angular_velocity)
 
     def response(self, snapshot: Snapshot) -> Response:
-        """Returns how the bodies answer to forces in a state; of bodies that follow a function of time not yet."""
+        """Returns the response of the bodies in a state, without accelerations of prescribed motion."""
         inverse_mass = np.zeros((self.count, 6, self.count, 6))
         bias = np.zeros((self.count, 6))
         rotations = rotation_matrices(snapshot.orientation)
@@ -88,9 +88,9 @@ class Bodies:
         return Response(inverse_mass.reshape(6 * self.count, 6 * self.count), bias.reshape(-1))
 
     def prescribed_accelerations(self) -> Array:
-        """Returns accelerations (6 bodies,) of those that follow a function of time; 0 of others.
+        """Returns the accelerations (6 bodies,) of bodies with prescribed motion; 0 for others.
 
-        As ``Model.prepare`` measured them last.
+        They are those of the last evaluation (``Model.evaluate_needs`` with "reactions").
         """
         result = np.zeros((self.count, 6))
         own = self.kinds == TIME_FUNCTION
@@ -101,12 +101,12 @@ class Bodies:
         return result.reshape(-1)
 
     def _arm(self, body: int, snapshot: Snapshot) -> Array:
-        """From the anchor of a hinge or a ball to the centre of mass, world axes [m]."""
+        """Returns the vector from the anchor of a hinge or ball to the center of mass, world axes [m]."""
         rotation = product(snapshot.orientation[body], inverse(self.start_orientation[body]))
         return rotation_matrices(rotation[None])[0] @ (self.start[body] - self.anchor[body])
 
     def _free_directions(self, body: int, snapshot: Snapshot) -> Array:
-        """Returns the velocities that the motion of a body leaves to it, as columns (6, freedoms)."""
+        """Returns the velocities that the joint of a body admits, as columns (6, degrees of freedom)."""
         kind = self.kinds[body]
         zeros, identity = np.zeros((3, 3)), np.eye(3)
         if kind == FREE:
@@ -128,7 +128,7 @@ class Bodies:
 
 
 def rotation_matrices(orientation: Array) -> Array:
-    """Returns the rotation matrices (n, 3, 3) of quaternions (n, 4) of length 1, x, y, z, w."""
+    """Returns the rotation matrices (n, 3, 3) of unit quaternions (n, 4), x, y, z, w."""
     x, y, z, w = orientation.T
     rows = [
         [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],

@@ -1,4 +1,4 @@
-"""The contacts that the elements of a scene can make, in one environment, as hard ones: measured on the host."""
+"""Contact candidates of one environment as nonsmooth contacts, measured on the host."""
 
 from dataclasses import dataclass
 
@@ -22,20 +22,20 @@ from warpcontact.validation.checks import Array
 
 AnyContact = Contact | ShapeContact | ParticleContact
 
-# A point that a latch keeps out by a rounding touches; one farther in came from the wrong side [m].
+# Penetration up to which a latched point counts as in contact [m]; deeper points came from the inner side.
 LATCHED_IN = 1.0e-6
 
 
 @dataclass(frozen=True)
 class MeasuredPairs:
-    """Where contacts are in a state.
+    """Contact geometry of all candidate pairs in a state.
 
     Attributes:
-        gap: Signed distances (n,) [m]; ∞ where nothing can touch.
+        gap: Signed distances (n,) [m]; ∞ if contact is impossible.
         normal: Unit normals (n, 3) out of the second body, towards the first, world.
         point: Points K (n, 3) where forces act, world [m].
-        force: Forces and moments about the centre of mass that couplings and forces from outside apply to each
-            body, one after the other, (6 bodies,), without gravity and nonsmooth contacts; world axes [N, N·m].
+        force: Forces and torques about the centers of mass by couplings and external wrenches, (6 bodies,),
+            without gravity and nonsmooth contacts; world axes [N, N·m].
     """
 
     gap: Array
@@ -45,24 +45,26 @@ class MeasuredPairs:
 
 
 class Candidates:
-    """All pairs that may touch in one environment, and what is the same in all its states.
+    """All candidate pairs of one environment, and their constant properties.
 
-    Contact couplings are forces like those of other couplings, and none of these.
+    Contact couplings are not included; they are forces like other couplings.
 
     Args:
         environment: The environment.
 
     Attributes:
         names: Name of the contact of each pair, (n,).
-        items: Its item (n,), −1 of a contact without items; of a particle contact the number of the pair.
-        labels: What to call each pair.
-        bodies: Numbers of the first and the second body, or ``WORLD``, (n, 2).
-        mu_static: Coefficients of friction of pairs that stick (n,).
-        mu: Of those that slide, likewise.
+        items: Item of the contact (n,), −1 for a contact without items; for a particle contact the index of the
+            pair.
+        labels: Label of each pair in messages.
+        bodies: Indices of the first and the second body, or ``WORLD``, (n, 2).
+        mu_static: Coefficients of static friction (n,).
+        mu: Coefficients of dynamic friction (n,).
         restitution: Coefficients of restitution (n,).
 
     Raises:
-        ValueError: If a friction of a contact is none that a cone can take, or its share is not 1.
+        ValueError: If a contact has a friction model without Coulomb coefficients, rolling or torsional friction,
+            or a force scale other than 1.
     """
 
     def __init__(self, environment: EnvironmentAccess) -> None:
@@ -121,7 +123,7 @@ class Candidates:
         approach: float = 0.0,
         separation: float = 0.0,
     ) -> Event:
-        """Returns what happens to a pair; the impulse (3,) is on its first body, world [N·s]."""
+        """Returns an event of a pair; the impulse (3,) is on its first body, world [N·s]."""
         return Event(
             time=float(time),
             kind=kind,
@@ -134,10 +136,10 @@ class Candidates:
         )
 
     def measure(self, snapshot: Snapshot) -> MeasuredPairs:
-        """Returns where they are in a state, which becomes the current one of the environment.
+        """Returns the contact geometry in a state, which becomes the current state of the environment.
 
         Raises:
-            RuntimeError: If it was not found where smooth shapes meet.
+            RuntimeError: If a shape contact did not converge.
         """
         self.environment.write(snapshot)
         self.model.evaluate_needs(self._needs)
@@ -149,17 +151,17 @@ class Candidates:
         return MeasuredPairs(gap, normal, point, self._forces())
 
     def _coefficients(self, contact: AnyContact, count: int) -> Array:
-        """Returns μ at rest, μ sliding, restitution and whether it is enabled, of each item (count, 4)."""
+        """Returns static μ, dynamic μ, restitution and ``enabled`` of each item (count, 4)."""
         for part in ("rolling", "torsion"):
             if not isinstance(contact.material.formulas[part], Frictionless):
                 raise ValueError(
-                    f"{contact.name}.{part} must be left out: resistance to rolling and spinning is not part of "
-                    f"this method, got {type(contact.material.formulas[part]).__name__}"
+                    f"{contact.name}.{part} must not be set: this method does not support rolling and torsional "
+                    f"friction, got {type(contact.material.formulas[part]).__name__}"
                 )
         sources = NonsmoothSource(contact, contact.material.formulas, count).parameter_paths()
         check_rigid(contact.name, contact.material.formulas, "Or use SemiImplicitEuler")
         if (self._values(f"{contact.name}.force_scale", count, 1.0) != 1.0).any():
-            raise ValueError(f"{contact.name}.force_scale must be 1: a nonsmooth contact cannot be a part of one")
+            raise ValueError(f"{contact.name}.force_scale must be 1 for nonsmooth contact")
         columns = [
             np.zeros(count)
             if source is None
@@ -170,19 +172,19 @@ class Candidates:
         return np.stack(columns, axis=1)
 
     def _values(self, name: str, count: int, otherwise: Array | float) -> Array:
-        """Returns a parameter of each item (count,); ``otherwise`` if there is none of that name."""
+        """Returns a parameter of each item (count,); ``otherwise`` if there is no parameter of that name."""
         values = self.model[name][self.env] if name in self.model else otherwise
         return np.broadcast_to(values, (count,))
 
     def _sensor(self, name: str) -> Array:
-        """Returns a sensor of this environment as it was computed last."""
+        """Returns the last value of a sensor of this environment."""
         if not self.model.device.is_cpu:
             return self.model.last_value(name)[self.env].astype(np.float64)
         revision, views = self._views
         if revision != self.model.revision:
             self._views = revision, views = self.model.revision, {}
         if name not in views:
-            # A view of what is computed next, too.
+            # The view remains valid for later evaluations.
             views[name] = self.model.find_sensor(name).array(self.model.arrays).numpy()
         return views[name][self.env].astype(np.float64)
 
@@ -192,7 +194,7 @@ class Candidates:
 
         gap, status = read("gap")[:, 0], read("status")[:, 0].astype(int)
         if (status == UNSOLVED).any():
-            raise RuntimeError(f"{contact.name}: it was not found where the shapes meet")
+            raise RuntimeError(f"{contact.name}: shape contact did not converge")
         may_touch = (status == ContactStatus.OPEN) | (status == ContactStatus.CONTACT)
         may_touch |= (status == ContactStatus.WRONG_SIDE) & (gap > -LATCHED_IN)
         return np.where(may_touch, gap, np.inf), read("normal"), read("point")
@@ -213,14 +215,14 @@ class Candidates:
             center[index_2] + t[:, None] * axis[index_2],
         )
         distance = np.linalg.norm(point_1 - point_2, axis=1)
-        # Where centres coincide there is no direction; any keeps them apart.
+        # If centers coincide, any direction separates the particles.
         normal = np.where(distance[:, None] > 0.0, point_1 - point_2, [0.0, 0.0, 1.0])
         normal = normal / np.where(distance > 0.0, distance, 1.0)[:, None]
         gap = distance - radius[index_1] - radius[index_2]
         return gap, normal, point_2 + (radius[index_2] + 0.5 * gap)[:, None] * normal
 
     def _forces(self) -> Array:
-        """Returns what couplings and forces from outside apply to each body (6 bodies,)."""
+        """Returns the wrenches of couplings and external wrenches on each body (6 bodies,)."""
         model, env = self.model, self.env
         a, scene = model.arrays, model.scene
         result = np.zeros((model.body_count, 6))
@@ -267,7 +269,7 @@ def _bodies_of(contact: Contact | ShapeContact) -> NDArray[np.int_]:
 
 
 def _pairs(pile: ParticleContactSet) -> NDArray[np.int_]:
-    """Returns the pairs of shapes of a particle contact that may touch (pairs, 2), the lower number first."""
+    """Returns the candidate pairs of a particle contact (pairs, 2), the lower particle index first."""
     index_1, index_2 = np.triu_indices(pile.contact.count, 1)
     kind, allowed = pile.contact.kinds
     allowed_pairs = (allowed[kind[index_1], kind[index_2]] > 0) & (

@@ -1,4 +1,4 @@
-"""A step of the motion between two events, and what ends it: contacts that close, part, stick, slide or leave."""
+"""A step between two events, and the detection of events: contacts that close, open, stick, slip or leave."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -16,33 +16,33 @@ from warpcontact.unilateral.reference.trajectory import (
     contact_margins,
 )
 
-# Speeds below this are zero: above the rounding of speeds, below those of impacts that are not summed up [m/s].
+# Speeds below this are zero: above rounding, below the speeds of impacts that are not summed [m/s].
 SPEED_TOLERANCE = 1.0e-9
-# Forces below this share of the largest are zero.
+# Forces below this fraction of the largest are zero.
 NO_FORCE = 1.0e-9
-# Part of the length that is closed by which a gap must be closed for an impact.
+# Fraction of ``closed`` by which a gap must be negative for an impact.
 GAP_FRACTION = 1.0e-3
-# Halvings of a step in search of where a contact was still open, or still on its surface.
+# Maximum number of bisections for the time at which a contact was still open, or still on its surface.
 MAX_HALVINGS = 45
 
 
 class _Monitored(IntEnum):
-    """What is positive as long as contacts do what they do."""
+    """Quantities that are positive while the mode of a contact holds."""
 
-    GAP = 0  # of a pair that is open
-    NORMAL_FORCE = 1  # normal force of a contact that is held
-    FRICTION_RESERVE = 2  # what is left until it slides
-    SLIDE = 3  # speed in the direction in which it slides
+    GAP = 0  # gap of an open pair
+    NORMAL_FORCE = 1  # normal force of a held contact
+    FRICTION_RESERVE = 2  # static friction limit minus friction of a sticking contact
+    SLIDE = 3  # speed in the direction of slip
 
 
 @dataclass(frozen=True)
 class _Crossing:
-    """A function of the state that turns negative within a step.
+    """A function of the state that becomes negative within a step.
 
     Attributes:
-        monitored: What.
-        number: Of the pair, or of the contact that is held.
-        threshold: Below its negative the function is negative.
+        monitored: Kind of the function.
+        number: Index of the pair (GAP) or of the held contact.
+        threshold: The function counts as negative below minus this value.
     """
 
     monitored: _Monitored
@@ -51,13 +51,13 @@ class _Crossing:
 
     @property
     def velocities_decide(self) -> bool:
-        """Whether velocities say what comes next; if not, contacts must be seen a little later."""
+        """Whether velocities determine the next modes; if not, contacts are evaluated slightly later."""
         return self.monitored not in (_Monitored.NORMAL_FORCE, _Monitored.FRICTION_RESERVE)
 
     def value(self, evaluated: EvaluatedState, held_contacts: HeldContacts) -> float:
-        """Returns the function in a state."""
+        """Returns the value of the function in a state."""
         if self.monitored is _Monitored.GAP:
-            # Where nothing can touch it is large.
+            # Large if contact is impossible.
             return float(min(evaluated.measured.gap[self.number], 1.0e9))
         if self.monitored is _Monitored.SLIDE:
             return float(evaluated.slide[self.number])
@@ -68,19 +68,19 @@ class _Crossing:
 
 
 class Step:
-    """A step in which contacts that are held go on with what they do.
+    """A step in which held contacts keep their modes.
 
     Args:
-        trajectory: How bodies move.
-        evaluated: What is seen of ``start``.
-        start: The state at its start.
-        held_contacts: What contacts do.
-        length: How long it is to be [s]; it ends sooner where a contact that is held leaves its surface.
+        trajectory: Motion of the bodies.
+        evaluated: Evaluation of ``start``.
+        start: State at the start.
+        held_contacts: Held contacts and their modes.
+        length: Requested length [s]; the step ends earlier if a held contact leaves its surface.
 
     Attributes:
-        length: How long it is [s].
-        end: The state at its end.
-        lost: Pairs that leave their surfaces there (contacts,).
+        length: Length [s].
+        end: State at the end.
+        lost: Pairs that leave their surfaces at the end (contacts,).
     """
 
     def __init__(
@@ -101,11 +101,13 @@ class Step:
         return self._trajectory.advance(self.start, self.held_contacts, time)
 
     def evaluate(self, state: Snapshot) -> EvaluatedState:
-        """Returns what is seen of a state in which contacts do what they do."""
+        """Returns the evaluation of a state with the held contacts."""
         return self._trajectory.evaluate(state, self.held_contacts)
 
     def first_crossing(self, closed: float) -> tuple[float, bool] | None:
-        """Returns when the first event is [s], and if velocities say what comes next; ``None`` if there is none.
+        """Returns the time of the first event [s], and whether velocities determine the next modes.
+
+        Returns ``None`` if there is no event.
 
         Args:
             closed: Gaps up to this are zero [m].
@@ -128,7 +130,7 @@ class Step:
         return first
 
     def _until_contact_lost(self, length: float) -> tuple[float, Snapshot, NDArray[np.int_]]:
-        """Returns how long held contacts stay on their surfaces, the state then, and the pairs that leave."""
+        """Returns the time for which held contacts stay on their surfaces, the state then, and the lost pairs."""
         try:
             return length, self.at(length), np.zeros(0, dtype=int)
         except LostContact as lost_contact:
@@ -145,7 +147,7 @@ class Step:
         return low, self.at(low), lost
 
     def _crossings(self, gap_tolerance: float) -> Iterator[_Crossing]:
-        """Iterates over what may have turned negative; gaps up to ``gap_tolerance`` [m] are rounding."""
+        """Yields the functions that may have become negative; gaps up to ``gap_tolerance`` [m] are rounding."""
         first, last, held_contacts = self._first, self._last, self.held_contacts
         is_open = np.isfinite(first.measured.gap) | np.isfinite(last.measured.gap)
         is_open[held_contacts.pairs] = False
@@ -163,7 +165,7 @@ class Step:
                 yield _Crossing(_Monitored.SLIDE, number, SPEED_TOLERANCE)
 
     def _minimum_gap_time(self, crossing: _Crossing, final: EvaluatedState, end: float | None) -> float | None:
-        """Returns when a gap that closes and opens before ``end`` is least, if it is closed then."""
+        """Returns the time of the minimum of a gap that closes and opens before ``end``, if it is negative then."""
         from scipy.optimize import brentq
 
         pair = crossing.number
@@ -186,7 +188,7 @@ class Step:
 
 
 def _root(value: Callable[[float], float], at_start: float, end: float) -> float:
-    """Returns the root of a function that is negative at ``end``, 0 if it is nowhere positive before."""
+    """Returns the root of a function that is negative at ``end``; 0 if it is not positive anywhere before."""
     from scipy.optimize import brentq
 
     start = 0.0

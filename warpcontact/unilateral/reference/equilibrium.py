@@ -1,4 +1,4 @@
-"""Statics of rigid bodies in contact: are they at rest under their loads, and what do the contacts hold?"""
+"""Static equilibrium of rigid bodies in contact: whether they stay at rest, and the contact forces."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -18,29 +18,30 @@ from warpcontact.unilateral.reference.assembly import Assembler, Assembly
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array
 
-# Accelerations below this share of the largest without contact are those of bodies at rest.
+# Accelerations below this fraction of the largest one without contact count as rest.
 AT_REST = 1.0e-8
 
 
 @dataclass(frozen=True)
 class Equilibrium:
-    """Whether bodies in contact stay at rest, and the forces of the contacts.
+    """Result of ``equilibrium``: whether bodies in contact stay at rest, and the contact forces.
 
-    The forces are one admissible choice: redundant contacts may share out theirs in many ways, of which
-    ``determined`` tells. Accelerations, and sums that are determined, are the same in all of them.
+    The forces are one admissible choice: redundant contacts may share a load in many ways; ``determined`` marks
+    unique forces. Accelerations, and sums that are determined, are the same for all choices.
 
     Attributes:
         assembly: The closed contacts and the bodies.
         holds: Whether all bodies stay at rest.
-        mode: ``ContactMode`` of each contact (contacts,): STICK where it holds, SLIP and OPEN where it will slide
-            or part. A contact without friction that presses is SLIP.
+        mode: ``ContactMode`` of each contact (contacts,): STICK if it holds, SLIP and OPEN if it will slip or
+            open. A contact without friction that has a normal force is SLIP.
         force: Forces on the first body of each contact (contacts, 3), world [N].
         normal_force: Their normal part (contacts,) [N].
-        determined: Whether the force is the only one (contacts,).
-        normal_determined: Whether its normal part is the only one (contacts,).
-        linear_acceleration: Of the bodies (bodies, 3), world [m/s²].
-        angular_acceleration: Of the bodies (bodies, 3), world axes [rad/s²].
-        residual: Largest acceleration of a contact that presses, over the largest without contact [-].
+        determined: Whether the force is unique (contacts,).
+        normal_determined: Whether its normal part is unique (contacts,).
+        linear_acceleration: Accelerations of the bodies (bodies, 3), world [m/s²].
+        angular_acceleration: Angular accelerations of the bodies (bodies, 3), world axes [rad/s²].
+        residual: Largest normal acceleration of a contact with a force, over the largest acceleration without
+            contact [-].
     """
 
     assembly: Assembly
@@ -63,18 +64,18 @@ class Equilibrium:
         own = self.assembly.names == name
         if not own.any():
             there = ", ".join(dict.fromkeys(self.assembly.names)) or "none"
-            raise KeyError(f"no contact {name!r} is closed; closed are: {there}")
+            raise KeyError(f"contact {name!r} is not closed; closed contacts: {there}")
         total: Array = self.force[own].sum(axis=0)
         return total
 
     @property
     def body_force(self) -> Array:
-        """Sum of the contact forces on each body (bodies, 3), world [N]; of free bodies the only one."""
+        """Sum of the contact forces on each body (bodies, 3), world [N]; unique for free bodies."""
         return self._wrench[:, :3]
 
     @property
     def body_torque(self) -> Array:
-        """Sum of their moments about the centre of mass (bodies, 3), world axes [N·m]."""
+        """Sum of their torques about the center of mass (bodies, 3), world axes [N·m]."""
         return self._wrench[:, 3:]
 
     @property
@@ -101,31 +102,31 @@ class Equilibrium:
                     lines.append(f"  {name}: {_vector(a)} m/s², {_vector(alpha)} rad/s²")
         for label, mode, force, only in zip(own.labels, self.mode, self.force, self.determined, strict=True):
             if mode != ContactMode.OPEN:
-                choice = "" if only else ", one choice of many"
+                choice = "" if only else ", not unique"
                 lines.append(f"  {label}: {ContactMode(mode).name}, {_vector(force)} N{choice}")
         return "\n".join(lines)
 
 
 @explain_keywords
 def equilibrium(model: Any, env: int = 0, closed: float = 1.0e-6, method: str = "gauss_seidel") -> Equilibrium:
-    """Tells whether the bodies of one environment, taken to be at rest where they are, stay at rest.
+    """Returns whether the bodies of one environment, assumed at rest in their current poses, stay at rest.
 
-    All contacts are rigid, with Coulomb's friction; see ``Assembly`` for which contacts count and what their
-    coefficients are. Loads are gravity, couplings, forces from outside and what motions hold.
+    All contacts are rigid, with Coulomb friction; see ``assemble`` for contacts and coefficients. Loads are
+    gravity, couplings, external wrenches and reactions of joints.
 
     Args:
-        model: From ``Scene.build``; its state stays as it is. ``precision="float64"`` is recommended.
-        env: Number of the environment.
-        closed: A contact with a gap of at most this is closed [m].
-        method: Of ``wc.unilateral.solve_delassus``, one that takes friction in space.
+        model: From ``Scene.build``; its state is not changed. ``precision="float64"`` is recommended.
+        env: Index of the environment.
+        closed: Largest gap of a closed contact [m].
+        method: Method of ``wc.unilateral.solve_delassus`` that supports friction in space.
 
     Returns:
         Whether it holds, the contact forces, and the accelerations of all bodies.
 
     Raises:
-        TypeError: If ``model`` is none.
-        ValueError: If an argument is out of range, or a contact has a friction that a cone cannot take.
-        RuntimeError: If it was not found where smooth shapes meet.
+        TypeError: If ``model`` is not a model.
+        ValueError: If an argument is out of range, or a contact has a friction model without Coulomb coefficients.
+        RuntimeError: If a shape contact did not converge.
         ParadoxError: If no accelerations were found.
     """
     max_gap = float(checks.numbers("closed", closed, (), checks.limits("m", at_least=0.0)))
@@ -135,7 +136,7 @@ def equilibrium(model: Any, env: int = 0, closed: float = 1.0e-6, method: str = 
     with assembler.environment.preserved_state():
         measured = assembler.candidates.measure(at_rest)
         own = assembler.assembly(at_rest, measured, np.flatnonzero(measured.gap <= max_gap))
-    # At rest: not what functions of time do.
+    # At rest: without accelerations of prescribed motion.
     own = replace(own, free_acceleration=own.inverse_mass @ own.force)
     return _solved(own, method)
 
@@ -173,7 +174,7 @@ def _solved(own: Assembly, method: str) -> Equilibrium:
 
 
 def _undetermined(own: Assembly, mode: NDArray[np.int_], direction: Array) -> NDArray[np.bool_]:
-    """Returns which components of the forces another solution may have otherwise (contacts, 3)."""
+    """Returns the force components that differ in another solution (contacts, 3)."""
     basis = force_basis(mode, direction, own.mu)
     effect = own.inverse_mass @ own.rows.T @ basis
     if not basis.shape[1]:
@@ -186,6 +187,6 @@ def _undetermined(own: Assembly, mode: NDArray[np.int_], direction: Array) -> ND
 
 
 def _vector(values: Array) -> str:
-    # What is rounding of the largest component is nothing.
+    # Components within rounding of the largest are shown as 0.
     shown = np.where(np.abs(values) > AT_REST * np.abs(values).max(), values, 0.0)
     return "(" + ", ".join(f"{value:.6g}" for value in shown) + ")"

@@ -1,4 +1,4 @@
-"""Event-driven motion of rigid bodies with nonsmooth contacts: reference solutions for few of them."""
+"""Event-driven motion of rigid bodies with nonsmooth contacts: reference solutions for few bodies."""
 
 from typing import Any
 
@@ -18,13 +18,13 @@ from warpcontact.unilateral.reference.snapshot import Snapshot
 from warpcontact.unilateral.reference.trajectory import EvaluatedState, HeldContacts, Trajectory
 from warpcontact.validation import checks
 
-# Most that a body turns between two looks at contacts [rad].
+# Largest rotation of a body between two evaluations of contacts [rad].
 MAX_TURN = 0.5
-# How far beyond where a contact may close at the earliest the next look is, so that it is seen closed.
+# Factor on the earliest time of closing at which contacts are evaluated next, so that the closing is detected.
 OVERSHOOT = 1.3
-# Parts of a step after an event at which it is looked what the contacts do: at the event itself it is undecided.
+# Fractions of a step after an event at which contact modes are evaluated; at the event they are undetermined.
 TIME_FRACTIONS = (1.0e-6, 1.0e-5, 1.0e-4, 1.0e-3, 1.0e-2)
-# Events and steps without any time between them after which a run is given up.
+# Maximum number of consecutive events and steps of zero duration.
 MAX_IDLE = 20
 # No pairs.
 NO_PAIRS = np.zeros(0, dtype=int)
@@ -32,37 +32,37 @@ NO_PAIRS = np.zeros(0, dtype=int)
 
 @explain_keywords_of
 class EventDriven:
-    """The motion of one environment with nonsmooth contacts, from event to event.
+    """Event-driven motion of one environment with nonsmooth contacts.
 
-    All contacts of the scene are rigid: they close without penetration, bounce by Newton's law with the
-    ``restitution`` of their law (0 if it has none; less where that would bring energy), and slide or stick by
-    Coulomb's with the ``mu`` of their friction (``mu_static`` and ``mu_dynamic`` if it has two). Couplings, and
-    contact couplings, are forces, as the model computes them; what these remember stays as it is. State, masses
-    and coefficients are those of the model when this is made.
+    All contacts of the scene are rigid. They close without penetration and bounce by Newton's law with the
+    ``restitution`` of their law (0 if it has none; reduced if it would add energy). They slip or stick by
+    Coulomb's law with the ``mu`` of their friction model (or ``mu_static`` and ``mu_dynamic``). Couplings and
+    contact couplings are forces computed by the model; their history is not advanced. State, masses and
+    coefficients are those of the model when this object is created.
 
-    Flight is in closed form where accelerations are uniform, else by DOP853 to 1e-12. Times at which a gap closes,
-    or a contact parts, slides or stops, are roots, to rounding. Contacts that impact together do so in one problem
-    with friction, and impacts that come ever closer are summed up as a geometric series. What is smooth must be
-    so: where a ball rolls over the edges of a tessellated surface, its acceleration is that of the faces.
+    Free motion is in closed form if accelerations are uniform, else integrated by DOP853 to 1e-12. Times at which
+    a gap closes, or a contact opens, slips or stops, are roots, to rounding. Simultaneous impacts are solved as
+    one problem with friction. Impacts at decreasing intervals are summed as a geometric series. Surfaces must be
+    smooth where the solution should be: a ball on a tessellated surface has the acceleration of its faces.
 
     Args:
-        model: From ``Scene.build``, best with ``precision="float64"`` and few environments: each evaluation of
-            forces is one of all of them. Its state stays as it is.
-        env: Number of the environment.
+        model: From ``Scene.build``, preferably with ``precision="float64"`` and few environments, because each
+            evaluation of forces computes all of them. Its state is not changed.
+        env: Index of the environment.
         closed: Gaps up to this are zero [m].
-        step: Longest time between two looks at the contacts [s].
-        zeno: Impacts of a contact that follow one another within this time, ever closer, are summed up [s].
-        method: Of ``wc.unilateral.solve_delassus``, one that takes friction in space.
-        most_events: After so many events a run is given up.
-        impacts: Law of multiple impacts, as that of ``wc.integrators.MoreauJean``: ``"simultaneous"`` or
+        step: Longest time between two evaluations of the contacts [s].
+        zeno: Impacts of a contact within this time, at decreasing intervals, are summed [s].
+        method: Method of ``wc.unilateral.solve_delassus`` that supports friction in space.
+        most_events: Maximum number of events of a run.
+        impacts: Law of multiple impacts, as in ``wc.integrators.MoreauJean``: ``"simultaneous"`` or
             ``"sequential"``.
 
     Attributes:
-        state: The state that the run has come to, at first that of the model.
+        state: Current state of the run, at first that of the model.
 
     Raises:
-        TypeError: If ``model`` is none.
-        ValueError: If an argument is out of range, or a contact has a friction that a cone cannot take.
+        TypeError: If ``model`` is not a model.
+        ValueError: If an argument is out of range, or a contact has a friction model without Coulomb coefficients.
     """
 
     def __init__(
@@ -95,19 +95,19 @@ class EventDriven:
         self._events: list[Event] = []
 
     def run(self, duration: float, every: float | None = None) -> EventRun:
-        """Goes on for ``duration`` [s].
+        """Advances the motion by ``duration`` [s].
 
         Args:
             duration: Simulated time [s].
-            every: Time between the states that are kept [s]; ``None``: those of all steps, and before and after
-                each event.
+            every: Interval of the stored states [s]; ``None``: states of all steps, and before and after each
+                event.
 
         Raises:
-            ValueError: If a time is not positive, or a contact begins in overlap.
-            ParadoxError: If at some time no accelerations agree with rigid bodies and Coulomb friction, or
-                several; ``error.run`` has what was computed up to there.
-            RuntimeError: If there are too many events, contacts close and part without any time between, or the
-                motion could not be integrated.
+            ValueError: If a time is not positive, or a contact starts in overlap.
+            ParadoxError: If at some time no accelerations satisfy Coulomb's law for rigid bodies, or several;
+                ``error.run`` contains the result up to then.
+            RuntimeError: If there are too many events, contacts close and open without elapsed time, or the motion
+                could not be integrated.
         """
         seconds = checks.limits("s", above=0.0)
         end = self.state.time + float(checks.numbers("duration", duration, (), seconds))
@@ -136,7 +136,7 @@ class EventDriven:
             start = self.state
             stored.first(start)
             self._resolve_impacts(start)
-            # What contacts do from the start on is nothing that happens, unless velocities jump.
+            # Initial modes are not events, unless velocities jump.
             self._events = [one for one in self._events if one.kind is EventKind.IMPACT]
             if self._events:
                 stored.step(self.state)
@@ -156,7 +156,7 @@ class EventDriven:
                 self._advance_to_event(step, *found, stored)
             else:
                 stored.between(step, step.length)
-                # The last step of a run ends there, whatever the sum of times is rounded to.
+                # The last step of a run ends at ``end``, independent of rounding.
                 last = step.length == end - self.state.time
                 self.state = (
                     step.end if len(step.lost) else self.trajectory.projected(step.end, step.held_contacts)
@@ -169,7 +169,7 @@ class EventDriven:
             if len(self._events) > self.most_events:
                 raise RuntimeError(
                     f"more than {self.most_events} events up to t = {self.state.time:.9g} s; "
-                    "zeno= may be too small for them, or most_events="
+                    "increase zeno= or most_events="
                 )
             idle = idle + 1 if self.state.time == before else 0
             if idle > MAX_IDLE:
@@ -179,12 +179,12 @@ class EventDriven:
     def _raise_no_progress(self) -> None:
         labels = ", ".join(dict.fromkeys(one.label for one in self._events[-MAX_IDLE:])) or "the contacts"
         raise RuntimeError(
-            f"at t = {self.state.time:.9g} s {labels} close and part again and again: in an inner edge of one "
-            "mesh a point touches one face at a time; let the faces be surfaces of their own"
+            f"at t = {self.state.time:.9g} s {labels} close and open repeatedly: at a concave edge of a mesh a point "
+            "contacts one face at a time; define the faces as separate surfaces"
         )
 
     def _advance_to_event(self, step: Step, time: float, velocities_decide: bool, stored: "_StoredStates") -> None:
-        """Goes to the event that is ``time`` after the start of a step, and finds what contacts do after it."""
+        """Advances to the event ``time`` [s] after the start of a step, and finds the contact modes after it."""
         stored.between(step, time)
         self.state = step.at(time)
         stored.step(self.state)
@@ -200,11 +200,12 @@ class EventDriven:
         if len(deep):
             label = self.assembler.candidates.labels[deep[0]]
             raise ValueError(
-                f"{label} begins in overlap, {-gap[deep[0]]:.3g} m deep; nonsmooth contacts begin apart or closed"
+                f"{label} starts with a penetration of {-gap[deep[0]]:.3g} m; nonsmooth contacts must start open or "
+                "closed"
             )
 
     def _safe_step(self, evaluated: EvaluatedState) -> float:
-        """Returns a time [s] within which no contact that is open closes unseen by more than ``closed``."""
+        """Returns a time [s] within which no open contact closes by more than ``closed`` without detection."""
         assert self._held_contacts is not None
         longest = self.step
         spin = np.linalg.norm(self.state.angular_velocity, axis=1).max(initial=0.0)
@@ -230,7 +231,7 @@ class EventDriven:
         return np.flatnonzero(is_closed)
 
     def _resolve_impacts(self, state: Snapshot, lost: NDArray[np.int_] = NO_PAIRS) -> None:
-        """Lets contacts that are closed impact, and finds what they do from then on; ``lost`` do nothing more."""
+        """Resolves impacts of closed contacts and finds their modes afterwards; ``lost`` pairs are excluded."""
         before = self._held_contacts
         assert before is not None
         pairs = self._closed_pairs(state, before)
@@ -242,10 +243,10 @@ class EventDriven:
         self.state = self.trajectory.projected(state, self._held_contacts)
 
     def _change_modes(self, step: Step, time: float) -> None:
-        """Finds what contacts do after they came to the edge of what they did, ``time`` after the start.
+        """Finds the contact modes after a force or friction limit was reached, ``time`` after the start.
 
-        A little later, forces that they cannot have show what they do instead. Redundant contacts may share them
-        out otherwise, and go on.
+        The modes are evaluated slightly later, when inadmissible forces show which contact changes. Redundant
+        contacts may redistribute their forces and keep their modes.
         """
         before = self._held_contacts
         assert before is not None
@@ -262,7 +263,7 @@ class EventDriven:
         self.state = self.trajectory.projected(later, found)
 
     def _held_contacts_from(self, state: Snapshot, pairs: NDArray[np.int_]) -> HeldContacts:
-        """Returns what closed contacts that do not part do from a state on."""
+        """Returns the held contacts and their modes, of closed contacts that do not open, from a state on."""
         measured = self.assembler.candidates.measure(state)
         own = self.assembler.assembly(state, measured, pairs)
         b = self.trajectory.free_relative(state, own, pairs)
@@ -279,7 +280,7 @@ class EventDriven:
         )
 
     def _record_changes(self, time: float, before: HeldContacts, after: HeldContacts) -> None:
-        """Adds the events of contacts that do something else than before."""
+        """Adds the events of contacts whose mode has changed."""
         candidates = self.assembler.candidates
         was = dict(zip(before.pairs.tolist(), before.mode.tolist(), strict=True))
         now = dict(zip(after.pairs.tolist(), after.mode.tolist(), strict=True))
@@ -294,7 +295,7 @@ class EventDriven:
 
 
 class _StoredStates:
-    """The states that a run keeps."""
+    """States stored by a run."""
 
     def __init__(self, start: float, every: float | None) -> None:
         self.start, self.every = start, every
@@ -304,10 +305,10 @@ class _StoredStates:
         self.states.append(state)
 
     def between(self, step: Step, length: float) -> None:
-        """Keeps the states at whole intervals within the first ``length`` [s] of a step."""
+        """Stores the states at multiples of the interval within the first ``length`` [s] of a step."""
         if self.every is None:
             return
-        # Of a time that a step ends at to rounding, the state at its end.
+        # A time that equals the end of the step to rounding gets the state at the end.
         while (next_time := self.start + len(self.states) * self.every) <= step.start.time + length * (
             1.0 + 1.0e-12
         ):
@@ -315,6 +316,6 @@ class _StoredStates:
             self.states.append(step.at(within).at(next_time))
 
     def step(self, state: Snapshot) -> None:
-        """Keeps the state at the end of a step, or before or after an event."""
+        """Stores the state at the end of a step, or before or after an event."""
         if self.every is None:
             self.states.append(state)

@@ -1,4 +1,4 @@
-"""What happens in an event-driven run: events, and the states in between."""
+"""Results of an event-driven run: events, and the states between them."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -21,10 +21,10 @@ _COMPONENTS = {3: ("axis", ["x", "y", "z"]), 4: ("component", ["x", "y", "z", "w
 
 
 class EventKind(StrEnum):
-    """What happens at a contact.
+    """Kind of an event at a contact.
 
-    IMPACT: velocities jump. LIFT_OFF: a contact that was closed for a time opens. STICK and SLIP: a closed contact
-    begins to stick, or to slide. REST: impacts that came ever closer have ended; the contact stays closed.
+    IMPACT: velocities jump. LIFT_OFF: a held contact opens. STICK and SLIP: a closed contact begins to stick, or
+    to slip. REST: a series of impacts at decreasing intervals has ended; the contact stays closed.
     """
 
     IMPACT = "IMPACT"
@@ -36,15 +36,15 @@ class EventKind(StrEnum):
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happens at a contact.
+    """Event at a contact.
 
     Attributes:
-        time: When [s].
-        kind: What.
+        time: Time [s].
+        kind: Kind.
         contact: Name of the contact.
-        item: Its item, −1 of a contact without items; of a particle contact the number of the pair.
-        label: What to call it.
-        impulse: Of an IMPACT, on the first body at K (3,), world [N·s]; 0 of other kinds.
+        item: Item of the contact, −1 for a contact without items; for a particle contact the index of the pair.
+        label: Label of the pair.
+        impulse: Impulse of an IMPACT on the first body at K (3,), world [N·s]; 0 for other kinds.
         approach_speed: Normal speed before, positive on approach [m/s].
         separation_speed: Normal speed after [m/s].
     """
@@ -68,16 +68,16 @@ class Event:
 
 @dataclass(frozen=True)
 class EventRun:
-    """An event-driven run.
+    """Result of an event-driven run.
 
-    ``run["ball.position"]`` is a labelled array (time, …) of the position, orientation, linear_velocity or
+    ``run["ball.position"]`` is a labeled array (time, …) of the position, orientation, linear_velocity or
     angular_velocity of a body.
 
     Attributes:
-        times: Of the states (n,) [s]. Where velocities jump there are two states of one time, unless the states
-            are those of fixed intervals.
+        times: Times of the states (n,) [s]. If velocities jump there are two states of one time, unless states are
+            stored at fixed intervals.
         states: Poses and velocities of all bodies.
-        events: In the order of time.
+        events: Events in order of time.
         scene: The scene.
     """
 
@@ -87,7 +87,7 @@ class EventRun:
     scene: "Scene"
 
     def events_of(self, kind: EventKind | str, contact: str | None = None) -> list[Event]:
-        """Returns the events of one kind, of one contact if it is named.
+        """Returns the events of one kind, optionally of one contact.
 
         Raises:
             ValueError: If there is no such kind.
@@ -98,14 +98,14 @@ class EventRun:
         elements: list[Any] = [*scene.contacts, *scene.shape_contacts, *scene.particle_contacts]
         names = [one.name for one in elements]
         if contact is not None and contact not in names:
-            raise KeyError(f"no contact {contact!r} in the scene; there are {', '.join(names) or 'none'}")
+            raise KeyError(f"no contact {contact!r} in the scene; available: {', '.join(names) or 'none'}")
         return [one for one in self.events if one.kind is wanted and contact in (None, one.contact)]
 
     def __getitem__(self, name: str) -> "xr.DataArray":
         """Returns a quantity of a body over time.
 
         Raises:
-            KeyError: If there is none of that name.
+            KeyError: If there is no quantity of that name.
         """
         import xarray as xr
 
@@ -113,7 +113,7 @@ class EventRun:
         bodies = {body.name: body for body in self.scene.bodies}
         if element not in bodies or quantity not in _UNITS:
             raise KeyError(
-                f"no {name!r} in an event-driven run; there are {', '.join(_UNITS)} of {', '.join(bodies)}"
+                f"no {name!r} in an event-driven run; available: {', '.join(_UNITS)} of {', '.join(bodies)}"
             )
         body = bodies[element]
         values = np.stack([getattr(state, quantity)[body.items] for state in self.states])
@@ -131,6 +131,6 @@ class EventRun:
 
 
 def sorted_by_time(events: list[Event]) -> tuple[Event, ...]:
-    """Returns events by their time; those of one time as they are given."""
+    """Returns events sorted by time; simultaneous events keep their order."""
     order: NDArray[np.int_] = np.argsort([one.time for one in events], kind="stable")
     return tuple(events[number] for number in order)

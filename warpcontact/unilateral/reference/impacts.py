@@ -1,4 +1,4 @@
-"""Impacts of rigid bodies: several contacts at once, with friction, and series that come ever closer."""
+"""Impacts of rigid bodies: simultaneous contacts with friction, and series at decreasing intervals."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,30 +11,30 @@ from warpcontact.unilateral.reference.sequence import parting_speeds
 from warpcontact.unilateral.reference.snapshot import Snapshot
 from warpcontact.validation.checks import Array
 
-# Work of impulses over that of all single ones that is rounding, and halvings of the restitution that brings more.
+# Relative work of impulses that counts as rounding, and number of bisections for the largest restitution factor.
 WORK_TOLERANCE = 1.0e-12
 MAX_HALVINGS = 45
-# Speed of sliding over that of the last impact of a series up to which both end together.
+# Slip speed relative to that of the last impact of a series up to which slip ends with the series.
 SLIDE_SPEED_RATIO = 20.0
 
 
 class Impacts:
-    """What impacts do to velocities; it remembers when they were.
+    """Computes velocities after impacts; stores the times of past impacts.
 
     Args:
-        assembler: Of the environment.
-        zeno: Impacts of a contact that follow one another within this time, ever closer, are summed up [s].
-        method: Of ``wc.unilateral.solve_delassus``.
-        sequential: Whether pairs of bodies collide one after the other.
+        assembler: Assembler of the environment.
+        zeno: Impacts of a contact within this time, at decreasing intervals, are summed [s].
+        method: Method of ``wc.unilateral.solve_delassus``.
+        sequential: Whether pairs of bodies collide sequentially.
     """
 
     def __init__(self, assembler: Assembler, zeno: float, method: str, sequential: bool) -> None:
         self._assembler, self._zeno, self._method = assembler, zeno, method
         self._sequential = sequential
-        self._last: dict[int, tuple[float, float]] = {}  # of a pair: when it was last, and how long before that
+        self._last: dict[int, tuple[float, float]] = {}  # pair: (time of last impact, interval before it)
 
     def resolve(self, state: Snapshot, pairs: NDArray[np.int_]) -> tuple[Snapshot, NDArray[np.bool_], list[Event]]:
-        """Returns the state after impacts of closed contacts, which of these part (contacts,), and the events."""
+        """Returns the state after impacts of closed contacts, which of them open (contacts,), and the events."""
         candidates = self._assembler.candidates
         own = self._assembler.assembly(state, candidates.measure(state), pairs)
         speed = own.contact_velocity
@@ -57,12 +57,12 @@ class Impacts:
         return state.with_velocity(velocity), after > SPEED_TOLERANCE, events
 
     def _impulses(self, own: Assembly, speed: Array, restitution: Array) -> Array:
-        """Returns the impulses of an impact by local axes (contacts, 3) [N·s].
+        """Returns the impulses of an impact in local axes (contacts, 3) [N·s].
 
-        Simultaneous impacts keep Newton's law with the velocities before; sequential ones part as they do one
-        after the other. Friction acts in one problem either way. Newton's law alone may bring energy where
-        friction turns a slip round, or contacts of different restitution are hit together: restitution is then
-        lowered, of all contacts alike, until it brings none.
+        Simultaneous impacts satisfy Newton's law with the velocities before; sequential ones have the separation
+        speeds of the sequence. In both cases friction is solved in one problem. Newton's law alone may add energy
+        if friction reverses a slip, or if contacts of different restitution are hit together. Restitution of all
+        contacts is then reduced by a common factor until no energy is added.
         """
         none = np.zeros(own.count, dtype=bool)
         separation_speed = -restitution * np.minimum(speed[:, 0], 0.0)
@@ -90,7 +90,7 @@ class Impacts:
         return solve_impact(low)[0]
 
     def _series(self, time: float, pairs: NDArray[np.int_], speed: Array) -> dict[int, float]:
-        """Returns contacts of which impacts that come ever closer are summed up, and when these have ended."""
+        """Returns contacts whose series of impacts is summed, and the time at which the series ends."""
         limit = None
         for pair, approach in zip(pairs.tolist(), speed, strict=True):
             if approach >= -SPEED_TOLERANCE:
@@ -103,7 +103,7 @@ class Impacts:
             self._last[pair] = (time, since)
         if limit is None:
             return {}
-        # Contacts that take turns come to rest together.
+        # Contacts that hit alternately come to rest together.
         recent = [pair for pair, (last, _) in self._last.items() if time - last <= 2.0 * self._zeno]
         ending = {pair: limit for pair in recent if pair in pairs}
         for pair in ending:
@@ -112,9 +112,9 @@ class Impacts:
 
 
 def _end_series(own: Assembly, velocity: Array, ending: NDArray[np.bool_], approach: float) -> Array:
-    """Returns velocities (6 bodies,) after all of a series of impacts: without what is left of parting.
+    """Returns velocities (6 bodies,) at the end of a series of impacts: without separation speed.
 
-    And of sliding that is no faster than the last ``approach`` [m/s] by more than bodies are longer than wide.
+    Slip that is slow relative to the last ``approach`` speed [m/s] ends, too (``SLIDE_SPEED_RATIO``).
     """
     U = (own.rows @ velocity).reshape(-1, 3)
     is_slow = (np.linalg.norm(U[:, 1:], axis=1) < SLIDE_SPEED_RATIO * approach) & (own.mu > 0.0)

@@ -4,19 +4,19 @@ import numpy as np
 
 from warpcontact.validation.checks import Array
 
-# Segments at a smaller angle than the root of this are parallel.
+# Squared sine of the angle below which two segments are parallel.
 PARALLEL = 1.0e-10
 
 
 def closest_on_segments(d: Array, g: Array, h: Array) -> tuple[Array, Array]:
-    """Returns the parameters (s, t) in −1…1 (n,) of the closest points of two segments each.
+    """Returns the parameters (s, t) in [−1, 1] (n,) of the closest points of pairs of segments.
 
-    Of parallel segments side by side it is the middle of where they overlap.
+    For parallel segments that overlap in projection, the middle of the overlap is used.
 
     Args:
-        d: From the middle of the second to that of the first (n, 3) [m].
-        g: From the middle of the first to its end (n, 3) [m]; zeros: a point.
-        h: Likewise of the second.
+        d: Vector from the middle of the second to that of the first (n, 3) [m].
+        g: Vector from the middle of the first to its end (n, 3) [m]; zeros: a point.
+        h: Likewise for the second.
     """
     a, b, c = (g * g).sum(axis=1), (g * h).sum(axis=1), (h * h).sum(axis=1)
     e, f = (g * d).sum(axis=1), (h * d).sum(axis=1)
@@ -27,7 +27,7 @@ def closest_on_segments(d: Array, g: Array, h: Array) -> tuple[Array, Array]:
     ends = np.stack([-e - b, -e + b]) / a_or_1
     low, high = ends.min(axis=0), ends.max(axis=0)
     beside = 0.5 * (np.maximum(low, -1.0) + np.minimum(high, 1.0))
-    # One beyond the other: the end that looks at it.
+    # Without overlap: the end that is nearest to the other segment.
     beside = np.where(high < -1.0, -1.0, np.where(low > 1.0, 1.0, beside))
     s = np.where(crossing, (b * f - c * e) / np.where(crossing, det, 1.0), beside)
     s = np.where(long_2, np.clip(s, -1.0, 1.0), np.clip(-e / a_or_1, -1.0, 1.0))

@@ -1,6 +1,6 @@
-"""Impacts one after the other: the speeds at which contacts part.
+"""Sequential impacts: separation speeds of contacts, on the host.
 
-On the host; ``kernels/nonsmooth/sequence.py`` has the same rule.
+``kernels/nonsmooth/sequence.py`` implements the same rule.
 """
 
 import numpy as np
@@ -9,25 +9,23 @@ from numpy.typing import NDArray
 from warpcontact.kernels.nonsmooth.sequence import MAX_IMPACTS_PER_CONTACT, TIE
 from warpcontact.validation.checks import Array
 
-# Approach speeds below this share of the largest are zero.
+# Approach speeds below this fraction of the largest are zero.
 SMALL = 1.0e-12
 
 
 def parting_speeds(W: Array, speed: Array, restitution: Array, bodies: NDArray[np.int_], method: str) -> Array:
-    """Returns the normal velocities (contacts,) after impacts one after the other.
+    """Returns the normal velocities (contacts,) after sequential impacts; 0 for contacts that were not hit.
 
-    It is 0 of a contact that no impact pressed.
-
-    The pair of bodies that approaches fastest collides first: its contacts are solved together, without friction,
-    by Newton's law with the velocities so far, and so on until no contact approaches. What still approaches after
-    ``MAX_IMPACTS_PER_CONTACT`` for each contact does not bounce.
+    The pair of bodies with the largest approach speed collides first. Its contacts are solved together, without
+    friction, by Newton's law with the current velocities. This repeats until no contact approaches. Contacts that
+    still approach after ``MAX_IMPACTS_PER_CONTACT`` impacts per contact do not bounce.
 
     Args:
         W: Delassus matrix of the normals (contacts, contacts) [1/kg].
-        speed: Normal velocities before, positive where bodies part (contacts,) [m/s].
+        speed: Normal velocities before, positive in separation (contacts,) [m/s].
         restitution: Newton's coefficients (contacts,).
-        bodies: Numbers of the first and the second body (contacts, 2).
-        method: Of ``wc.unilateral.solve_delassus``.
+        bodies: Indices of the first and the second body (contacts, 2).
+        method: Method of ``wc.unilateral.solve_delassus``.
     """
     from warpcontact.unilateral.solving import solve_delassus
 

@@ -1,4 +1,4 @@
-"""The state of one environment on the host, in float64: read from a model, and written into it."""
+"""Reads and writes the state of one environment on the host, in float64."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,10 +24,10 @@ class Snapshot:
 
     Attributes:
         time: Time [s].
-        position: Centres of mass (bodies, 3), world [m].
+        position: Centers of mass (bodies, 3), world [m].
         orientation: Rotations body → world (bodies, 4), quaternions (x, y, z, w).
-        linear_velocity: Of the centres of mass (bodies, 3), world [m/s].
-        angular_velocity: (bodies, 3), world axes [rad/s].
+        linear_velocity: Velocities of the centers of mass (bodies, 3), world [m/s].
+        angular_velocity: Angular velocities (bodies, 3), world axes [rad/s].
     """
 
     time: float
@@ -38,20 +38,20 @@ class Snapshot:
 
     @property
     def velocity(self) -> Array:
-        """Linear and angular velocity of each body, one after the other, (6 bodies,)."""
+        """Linear and angular velocity of each body, concatenated, (6 bodies,)."""
         return np.hstack([self.linear_velocity, self.angular_velocity]).reshape(-1)
 
     def at(self, time: float) -> "Snapshot":
-        """Returns the same at another time [s]."""
+        """Returns a copy at another time [s]."""
         return replace(self, time=time)
 
     def with_velocity(self, velocity: Array) -> "Snapshot":
-        """Returns the same with other velocities (6 bodies,)."""
+        """Returns a copy with other velocities (6 bodies,)."""
         rows = velocity.reshape(-1, 6)
         return replace(self, linear_velocity=rows[:, :3].copy(), angular_velocity=rows[:, 3:].copy())
 
     def displaced(self, displacement: Array) -> "Snapshot":
-        """Returns the same with poses moved by (6 bodies,): displacements and rotation vectors [m, rad]."""
+        """Returns a copy with poses moved by (6 bodies,): displacements and rotation vectors [m, rad]."""
         rows = displacement.reshape(-1, 6)
         return replace(
             self,
@@ -61,19 +61,19 @@ class Snapshot:
 
 
 def rotate_quaternions(orientation: Array, angle: Array) -> Array:
-    """Returns quaternions (n, 4) turned by rotation vectors (n, 3) in world axes [rad], of length 1."""
+    """Returns unit quaternions (n, 4) rotated by rotation vectors (n, 3) in world axes [rad]."""
     size = np.linalg.norm(angle, axis=1, keepdims=True)
-    # sin(x/2)/x, by its limit where x is 0.
+    # sin(x/2)/x, with its limit at x = 0.
     increment = np.hstack([0.5 * np.sinc(size / (2.0 * np.pi)) * angle, np.cos(0.5 * size)])
     result = product(increment, orientation)
     return result / np.linalg.norm(result, axis=1, keepdims=True)
 
 
 def find_environment(model: Any, env: int) -> tuple[Model, int]:
-    """Returns the part of ``model`` that has environment ``env``, and its number there.
+    """Returns the device model that has environment ``env``, and the index of the environment in it.
 
     Raises:
-        TypeError: If ``model`` is none.
+        TypeError: If ``model`` is not a model.
         ValueError: If there is no such environment.
     """
     if not isinstance(model, Environments):
@@ -87,11 +87,11 @@ def find_environment(model: Any, env: int) -> tuple[Model, int]:
 
 
 class EnvironmentAccess:
-    """One environment of a model, to be read and written in float64.
+    """Access to one environment of a model, in float64.
 
     Args:
         model: The model.
-        env: Number of the environment in it.
+        env: Index of the environment in it.
     """
 
     def __init__(self, model: Model, env: int) -> None:
@@ -99,7 +99,7 @@ class EnvironmentAccess:
         state = model.arrays.state
         self._arrays = {name: getattr(state, f"body_{name}") for name in (*_STATE, "position_remainder")}
         self._arrays["time"] = model.arrays.time
-        # On the CPU they are views, and the arrays of a state stay where they are for the life of the model.
+        # On the CPU these are views; state arrays are not reallocated during the life of the model.
         self._views = {name: array.numpy() for name, array in self._arrays.items()} if model.device.is_cpu else {}
         self._real = wp.dtype_to_numpy(model.types.real)
         chosen = np.arange(model.envs) == env
@@ -114,7 +114,7 @@ class EnvironmentAccess:
         return Snapshot(time=float(views["time"][self.env]), **values)
 
     def write(self, snapshot: Snapshot) -> None:
-        """Makes ``snapshot`` the current state; the clock of the environment is set as well."""
+        """Sets the current state to ``snapshot``, including the clock of the environment."""
         position, remainder = snapshot.position, 0.0 * snapshot.position
         if self._real is not np.float64:
             position, remainder = split("position", snapshot.position, self._real)
@@ -124,7 +124,7 @@ class EnvironmentAccess:
 
     @contextmanager
     def preserved_state(self) -> Iterator[None]:
-        """Puts the state back afterwards as it was, to the bit."""
+        """Context manager that restores the state afterwards, bitwise."""
         before = {name: array.numpy()[self.env].copy() for name, array in self._arrays.items()}
         try:
             yield
@@ -139,9 +139,9 @@ class EnvironmentAccess:
                 array.assign(array_view)
 
     def apply_prescribed_motion(self, snapshot: Snapshot) -> Snapshot:
-        """Returns ``snapshot`` with bodies that follow functions of time where they are at its time.
+        """Returns ``snapshot`` with prescribed bodies at their poses at its time.
 
-        If there are any, that is the current state then.
+        If there are any, the result also becomes the current state.
         """
         model, a = self.model, self.model.arrays
         if not model.prescribed_motions:

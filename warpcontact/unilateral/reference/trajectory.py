@@ -1,4 +1,4 @@
-"""Motion between events: bodies in flight, and in contacts of which it is known what each of them does."""
+"""Motion between events: bodies in free motion, and in contacts with fixed modes."""
 
 from dataclasses import dataclass, replace
 
@@ -13,29 +13,29 @@ from warpcontact.unilateral.reference.candidates import MeasuredPairs
 from warpcontact.unilateral.reference.snapshot import Snapshot
 from warpcontact.validation.checks import Array
 
-# Relative and absolute tolerance of a step of DOP853, some roundings of float64.
+# Relative and absolute tolerance of a step of DOP853, a few roundings of float64.
 RELATIVE, ABSOLUTE = 1.0e-12, 1.0e-13
-# Both, in contact with a body that follows a function of time: its accelerations are differences in time, good to
-# 1e-6, and steps that ask for more shrink for ever.
+# Both tolerances in contact with a body of prescribed motion: its accelerations are finite differences in time
+# with an error of 1e-6; with a smaller tolerance the step length would shrink without end.
 PRESCRIBED_ERROR = 1.0e-8
-# Way over which the rows of H are differentiated [rad, m]: the error of the formula, of its fourth power, and that
-# of rounding are both below 1e-12.
+# Displacement for the differences of the rows of H [rad, m]: truncation (fourth order) and rounding error are both
+# below 1e-12.
 DIFFERENCE = 3.0e-4
-# Speed below which the direction of a slide is that in which it began [m/s].
+# Speed below which the direction of slip is the initial one [m/s].
 SLOW = 1.0e-10
-# Gyroscopic acceleration below this share of ω² is rounding.
+# Gyroscopic acceleration below this fraction of ω² is rounding.
 ROUNDING = 1.0e-13
 
 
 @dataclass(frozen=True)
 class HeldContacts:
-    """Contacts that stay closed, and what they do; vectors in world axes, whatever tangents are called.
+    """Contacts that stay closed, and their modes; vectors in world axes, independent of the choice of tangents.
 
     Attributes:
-        pairs: Numbers of the candidates (contacts,).
+        pairs: Indices of the candidates (contacts,).
         mode: STICK or SLIP of each (contacts,).
-        direction: Of sliding (contacts, 3), 0 of others.
-        force: Forces of the instant from which this holds (contacts, 3) [N].
+        direction: Direction of slip (contacts, 3), 0 without slip.
+        force: Forces at the start of these modes (contacts, 3) [N].
     """
 
     pairs: NDArray[np.int_]
@@ -45,12 +45,12 @@ class HeldContacts:
 
     @staticmethod
     def none() -> "HeldContacts":
-        """Returns that of bodies in flight."""
+        """Returns held contacts of bodies in free motion (none)."""
         return HeldContacts(np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros((0, 3)), np.zeros((0, 3)))
 
 
 class LostContact(Exception):
-    """A contact that is held has left its surface: beyond its boundary nothing can touch."""
+    """Raised when a held contact leaves its surface: beyond the boundary there is no contact."""
 
     def __init__(self, pairs: NDArray[np.int_]) -> None:
         super().__init__()
@@ -59,16 +59,16 @@ class LostContact(Exception):
 
 @dataclass(frozen=True)
 class EvaluatedState:
-    """What one sees of a state.
+    """Evaluation of a state.
 
     Attributes:
-        measured: Where all pairs are.
+        measured: Contact geometry of all pairs.
         rate: Rates of their gaps (pairs,) [m/s].
-        assembly: Of the contacts that are held.
-        force: Their forces, by local axes (contacts, 3) [N].
-        slide: Their speeds along the direction in which each slides (contacts,) [m/s].
-        acceleration: Of all bodies (6 bodies,) [m/s², rad/s²].
-        acceleration_bound: Bounds on accelerations of the gaps of all pairs (pairs,) [m/s²].
+        assembly: Assembly of the held contacts.
+        force: Forces of the held contacts, in local axes (contacts, 3) [N].
+        slide: Their speeds along the direction of slip (contacts,) [m/s].
+        acceleration: Accelerations of all bodies (6 bodies,) [m/s², rad/s²].
+        acceleration_bound: Bounds on the accelerations of the gaps of all pairs (pairs,) [m/s²].
     """
 
     measured: MeasuredPairs
@@ -81,14 +81,14 @@ class EvaluatedState:
 
 
 class Trajectory:
-    """How the bodies of one environment move while their contacts do what they do."""
+    """Motion of the bodies of one environment while contact modes do not change."""
 
     def __init__(self, assembler: Assembler) -> None:
         self.assembler = assembler
         scene, bodies = assembler.model.scene, assembler.bodies
         self.pairs = assembler.candidates.bodies
         self.prescribed = bodies.kinds == TIME_FUNCTION
-        # Whether accelerations in flight do not depend on where bodies are, but for gyroscopic ones.
+        # Whether accelerations in free motion do not depend on poses, except for gyroscopic ones.
         self.uniform = not (
             scene.couplings
             or scene.contact_couplings
@@ -97,7 +97,7 @@ class Trajectory:
         )
 
     def evaluate(self, snapshot: Snapshot, held_contacts: HeldContacts) -> EvaluatedState:
-        """Returns what is seen of a state in which ``held_contacts`` holds."""
+        """Returns the evaluation of a state with ``held_contacts``."""
         measured = self.assembler.candidates.measure(snapshot)
         own = self.assembler.assembly(snapshot, measured, held_contacts.pairs)
         local = self._forces(snapshot, own, held_contacts)
@@ -106,7 +106,7 @@ class Trajectory:
         speed = own.contact_velocity[:, None, :] @ own.axes
         slide = np.where(is_slipping, (speed[:, 0] * held_contacts.direction).sum(axis=1), 0.0)
         rows = self.normal_rows(snapshot, measured)
-        # What bodies that move alike have in common counts little; of turning it is at most ω² times the arm of K.
+        # The common acceleration of both bodies counts little; rotation adds at most ω² times the arm of K.
         acceleration_bound = 2.0 * np.abs(rows @ acceleration) + 0.1 * np.abs(rows) @ np.abs(acceleration)
         arms = np.linalg.norm(
             np.nan_to_num(measured.point)[:, None] - snapshot.position[np.maximum(self.pairs, 0)], axis=2
@@ -118,7 +118,7 @@ class Trajectory:
         )
 
     def normal_rows(self, snapshot: Snapshot, measured: MeasuredPairs) -> Array:
-        """Returns the rows of H of all gaps (pairs, 6 bodies); zeros of pairs that cannot touch."""
+        """Returns the rows of H of all gaps (pairs, 6 bodies); zeros for pairs without possible contact."""
         valid = np.isfinite(measured.gap)
         normal = np.where(valid[:, None], measured.normal, 0.0)
         point = np.where(valid[:, None], measured.point, 0.0)
@@ -130,12 +130,12 @@ class Trajectory:
         return b + self._convective_acceleration(snapshot, own, pairs)
 
     def advance(self, snapshot: Snapshot, held_contacts: HeldContacts, duration: float) -> Snapshot:
-        """Returns the state after ``duration`` [s], in which ``held_contacts`` holds.
+        """Returns the state after ``duration`` [s] with ``held_contacts``.
 
-        In closed form where accelerations are uniform; to rounding otherwise, by DOP853.
+        In closed form if accelerations are uniform; otherwise by DOP853, to rounding.
 
         Raises:
-            LostContact: If a contact that is held leaves its surface before.
+            LostContact: If a held contact leaves its surface before.
         """
         if duration == 0.0:
             return snapshot
@@ -151,7 +151,7 @@ class Trajectory:
         return self._integrated(snapshot, held_contacts, duration)
 
     def _uniform(self, snapshot: Snapshot) -> Array | None:
-        """Returns the accelerations of bodies in flight (6 bodies,), ``None`` if they are going to change."""
+        """Returns the accelerations of bodies in free motion (6 bodies,), ``None`` if they are not constant."""
         model, env = self.assembler.model, self.assembler.env
         bodies = self.assembler.bodies
         if model.arrays.model.body_external_torque.numpy()[env].any():
@@ -197,7 +197,7 @@ class Trajectory:
             turn = np.hstack(
                 [q[:, 3:] * spin + cross(spin, q[:, :3]), -(spin * q[:, :3]).sum(axis=1, keepdims=True)]
             )
-            # Bodies that follow functions of time are put where these say.
+            # Prescribed bodies are placed by ``apply_prescribed_motion``.
             parts = (now.linear_velocity, 0.5 * turn, acceleration.reshape(count, 6))
             return np.concatenate([np.where(self.prescribed[:, None], 0.0, part).reshape(-1) for part in parts])
 
@@ -214,7 +214,7 @@ class Trajectory:
         return state(duration, result.y[:, -1])
 
     def _forces(self, snapshot: Snapshot, own: Assembly, held_contacts: HeldContacts) -> Array:
-        """Returns the forces of contacts that are held, by local axes (contacts, 3) [N]."""
+        """Returns the forces of held contacts, in local axes (contacts, 3) [N]."""
         if not len(held_contacts.pairs):
             return np.zeros((0, 3))
         b = self.free_relative(snapshot, own, held_contacts.pairs)
@@ -224,9 +224,9 @@ class Trajectory:
         )
 
     def slide_directions(self, own: Assembly, held_contacts: HeldContacts) -> Array:
-        """Returns the directions of sliding by local axes (contacts, 2).
+        """Returns the directions of slip in local axes (contacts, 2).
 
-        Beyond the end of a slide it is continued, so that the end can be found.
+        The direction is continued beyond the end of slip, so that the end can be located as a root.
         """
         directions = (own.axes[:, 1:] @ held_contacts.direction[..., None])[..., 0]
         sizes = np.linalg.norm(directions, axis=1, keepdims=True)
@@ -237,7 +237,7 @@ class Trajectory:
         return np.where(keeps_sliding, slip / np.where(speed > 0.0, speed, 1.0), directions)
 
     def check(self, evaluated: EvaluatedState, held_contacts: HeldContacts) -> None:
-        """Raises ``ParadoxError`` if contacts that slide do not determine their normal forces."""
+        """Raises ``ParadoxError`` if slipping contacts do not determine their normal forces."""
         own = evaluated.assembly
         sliding = np.flatnonzero((held_contacts.mode == MODE_SLIP) & (own.mu > 0.0))
         if len(sliding):
@@ -245,7 +245,7 @@ class Trajectory:
             check_slides(matrix, [own.labels[i] for i in sliding])
 
     def projected(self, snapshot: Snapshot, held_contacts: HeldContacts) -> Snapshot:
-        """Returns the state with the gaps of closed contacts, and their velocities, at zero."""
+        """Returns the state with gaps of closed contacts, and their velocities, set to zero."""
         if not len(held_contacts.pairs):
             return snapshot
         for _ in range(2):
@@ -261,9 +261,9 @@ class Trajectory:
         return self.assembler.bodies.project_anchors(snapshot.with_velocity(snapshot.velocity + change))
 
     def _convective_acceleration(self, snapshot: Snapshot, own: Assembly, pairs: NDArray[np.int_]) -> Array:
-        """Returns Ḣ v of contacts (contacts, 3): accelerations of K that turning and rolling bring about [m/s²].
+        """Returns Ḣ v of contacts (contacts, 3): accelerations of K by rotation and rolling [m/s²].
 
-        By differences along the motion: the shapes of bodies need not be known.
+        Computed by differences along the motion, so no curvature of the surfaces is needed.
         """
         velocity = snapshot.velocity
         rate = np.linalg.norm(snapshot.angular_velocity, axis=1).max(initial=0.0)
@@ -282,7 +282,7 @@ class Trajectory:
             rows = contact_rows(axes, measured.point[pairs], self.pairs[pairs], moved.position)
             values[steps] = (rows.reshape(3 * len(pairs), -1) @ velocity).reshape(-1, 3)
         result = values[-2] - 8.0 * values[-1] + 8.0 * values[1] - values[2]
-        # At the boundary of a surface, by what lies behind.
+        # At the boundary of a surface, one-sided differences from the past.
         one_sided = 6.0 * (values[-2] - 4.0 * values[-1] + 3.0 * values[0])
         result = np.where(valid[:, None], result, one_sided)
         self.assembler.environment.write(snapshot)
@@ -290,9 +290,9 @@ class Trajectory:
 
 
 def _same_surface(measured: MeasuredPairs, pairs: NDArray[np.int_], normal: Array) -> NDArray[np.bool_]:
-    """Whether contacts that were closed with these normals a little before touch the same part of a surface.
+    """Returns whether contacts that had these normals slightly before are on the same part of a surface.
 
-    What is beside the boundary of a surface is turned away from it.
+    Beyond the boundary of a surface, the normal has turned away.
     """
     same_side = (measured.normal[pairs] * normal).sum(axis=1) > 0.5
     result: NDArray[np.bool_] = np.isfinite(measured.gap[pairs]) & same_side
@@ -307,7 +307,7 @@ def _least_energy_change(own: Assembly, rows: NDArray[np.int_], targets: Array) 
 
 
 def contact_margins(evaluated: EvaluatedState, held_contacts: HeldContacts) -> tuple[Array, Array]:
-    """Returns how far contacts that are held are from parting and sliding (contacts,) [N]; ∞: they cannot."""
+    """Returns the margins of held contacts to opening and slip (contacts,) [N]; ∞ if impossible."""
     normal = evaluated.force[:, 0]
     sticks = (held_contacts.mode == MODE_STICK) & (evaluated.assembly.mu_static > 0.0)
     friction_reserve = evaluated.assembly.mu_static * normal - np.linalg.norm(evaluated.force[:, 1:], axis=1)
