@@ -1,11 +1,11 @@
-"""How many catenaries are solved in a second: from the last solution while an end moves, and from nothing.
+"""Measures catenary solves per second, with and without a warm start.
 
     python benchmarks/catenary.py --out benchmarks/results/catenary-cpu.json
 
-Each environment has one line, from the world to a body. The kinds are those of a mooring: slack, with a part on
-the floor, and taut. ``warm``: the end moves by a centimetre, the forces are computed and accepted, and so on, as
-in a simulation; ``cold``: the last solution is forgotten before each. Only the stage of the lines is timed, on one
-core of a CPU.
+Each environment has one catenary from the world to a body. The kinds are those of a mooring: slack, partly
+grounded, and taut. ``warm``: the end moves by 0.01 m per evaluation, and solutions are accepted, as in a
+simulation. ``cold``: the stored solution is cleared before each evaluation. Only the stage of the catenaries is
+timed, on one CPU core.
 """
 
 import argparse
@@ -23,7 +23,7 @@ from warpcontact.benchmark.facts import facts
 from warpcontact.forces.execution_plan import ExecutionPlan
 
 LINE = {"length": 100.0, "mass_per_length": 20.0, "axial_stiffness": 1e7}
-#: Where the ends are [m], and the floor.
+#: Ranges of the horizontal and vertical distance of the ends, and height of the floor [m].
 KINDS = {
     "slack": ((50.0, 70.0), (20.0, 40.0), None),
     "on the floor": ((70.0, 80.0), (20.0, 40.0), 0.0),
@@ -33,7 +33,7 @@ MOVE = 0.01  # m from one evaluation to the next
 
 
 def model_of(kind: str, envs: int, device: str, precision: str) -> tuple[wc.Model, np.ndarray]:
-    """Returns a model of lines of one kind, and where their upper ends are."""
+    """Returns a model with catenaries of one kind, and the positions of their upper ends."""
     across, upwards, floor = KINDS[kind]
     scene = wc.Scene()
     body = scene.add_body(1.0, (1.0, 1.0, 1.0), name="body")
@@ -47,7 +47,7 @@ def model_of(kind: str, envs: int, device: str, precision: str) -> tuple[wc.Mode
 
 
 def seconds(model: wc.Model, places: np.ndarray, moves: int, *, warm: bool) -> tuple[float, float]:
-    """Returns how long a solve takes, and how many evaluations it has on average."""
+    """Returns the time of a solve [s], and its mean number of evaluations."""
     device = model.device
     clock = time.process_time if device.is_cpu else time.perf_counter
     lines = model.couplings[0]
@@ -73,7 +73,7 @@ def seconds(model: wc.Model, places: np.ndarray, moves: int, *, warm: bool) -> t
             launch.launch()
         used.append(lines.results.iterations.numpy().mean())
     if lines.failures(0).any():
-        raise RuntimeError("a line was not solved")
+        raise RuntimeError("a catenary was not solved")
     return taken / (moves * model.envs), float(np.mean(used))
 
 

@@ -1,12 +1,12 @@
-"""This engine and its peers side by side at the same works, in turn.
+"""Compares this engine with others on the same benchmark scenes, in alternating runs.
 
     python benchmarks/compare.py                                        # on the CPU, all cores
     python benchmarks/compare.py --device cuda:0 --envs 8192 32768 131072
     python benchmarks/compare.py --engines warpcontact --works W1 --envs 1 64 1024
 
-Peers get an environment of their own when they are first needed; ``--here`` runs all engines in the present
-interpreter, ``--python newton=PATH`` one in another. In every round each engine has a turn, so that what else a
-machine does hits all alike. Each engine is then taken at its best number of environments.
+A virtual environment is created for each peer on first use. ``--here`` runs all engines in the current
+interpreter, ``--python newton=PATH`` runs one in another. In each round every engine runs once, so that other load
+on the machine affects all of them. The result of an engine is that at its best number of environments.
 """
 
 import argparse
@@ -42,7 +42,7 @@ def main() -> None:
             for envs in options.envs:
                 done = bar.n
                 found = compare(work, envs, able, options, bar)
-                bar.update(done + runs - bar.n)  # also for engines that were left out
+                bar.update(done + runs - bar.n)  # also for skipped engines
                 for entry in found:
                     if not quick(entry, options):
                         able.pop(entry["engine"])
@@ -56,7 +56,7 @@ def main() -> None:
 def compare(
     work: str, envs: int, pythons: dict[str, Path], options: argparse.Namespace, bar: Bar
 ) -> list[dict[str, Any]]:
-    """Returns the results of engines at a work."""
+    """Returns the results of the engines on a benchmark scene."""
 
     def progress(name: str) -> None:
         if name:
@@ -74,7 +74,7 @@ def compare(
             for _ in range(options.rounds):
                 rates = race.round()
                 if any(envs * options.steps / rate > options.longest for rate in rates.values()):
-                    break  # nobody has an advantage from more rounds
+                    break  # runs are so long that more rounds do not change the result
             race.finish()
         finally:
             race.end()
@@ -82,7 +82,7 @@ def compare(
 
 
 def quick(entry: dict[str, Any], options: argparse.Namespace) -> bool:
-    """Returns whether an engine is worth trying with more environments."""
+    """Returns whether an engine is fast enough to run it with more environments."""
     rates = entry.get("env_steps_per_s")
     return bool(rates) and entry["envs"] * options.steps / max(rates) < options.longest
 
@@ -97,9 +97,9 @@ def python_of(name: str, options: argparse.Namespace) -> Path:
 
 
 def report(about: dict[str, Any], options: argparse.Namespace, entries: list[dict[str, Any]]) -> dict[str, Any]:
-    """Returns what there is so far, as it is written."""
+    """Returns the report of the results so far, as it is written."""
     versions = {entry["engine"]: entry["versions"] for entry in entries if "versions" in entry}
-    common_keys = ("versions", "steps", "device")  # of all entries at once
+    common_keys = ("versions", "steps", "device")  # equal in all entries
     measured = [{key: value for key, value in entry.items() if key not in common_keys} for entry in entries]
     return {
         "facts": about,
@@ -119,20 +119,24 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--device", default="cpu", help="cpu or cuda:0")
     parser.add_argument("--engines", nargs="+", choices=ENGINES, metavar="ENGINE", help=", ".join(ENGINES))
     parser.add_argument("--works", nargs="+", choices=WORKS, default=list(WORKS))
-    parser.add_argument("--envs", type=int, nargs="+", help="numbers of environments to try, rising")
+    parser.add_argument("--envs", type=int, nargs="+", help="numbers of environments, ascending")
     parser.add_argument("--steps", type=int, default=STEPS)
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument(
-        "--at-least", type=float, default=1.0, help="seconds of a turn, in as many runs as it takes"
+        "--at-least", type=float, default=1.0, help="minimum duration of a measurement, in seconds"
     )
-    parser.add_argument("--threads", type=int, default=os.cpu_count(), help="of engines that have threads")
-    parser.add_argument("--here", action="store_true", help="the present interpreter has all engines")
+    parser.add_argument(
+        "--threads", type=int, default=os.cpu_count(), help="threads of engines with a thread option"
+    )
+    parser.add_argument("--here", action="store_true", help="use the current interpreter for all engines")
     parser.add_argument("--python", nargs="+", default=[], metavar="ENGINE=PATH", help="interpreter of an engine")
-    parser.add_argument("--cache", type=Path, default=CACHE, help="where the environments of the peers are made")
-    parser.add_argument("--cold", action="store_true", help="compile everything anew, to measure the first start")
-    parser.add_argument("--together", action="store_true", help="start engines at the same time; saves waiting")
-    parser.add_argument("--patience", type=float, default=900.0, help="seconds to wait for an engine")
-    parser.add_argument("--longest", type=float, default=30.0, help="seconds of a run after which no more follow")
+    parser.add_argument("--cache", type=Path, default=CACHE, help="folder of the virtual environments of peers")
+    parser.add_argument("--cold", action="store_true", help="start with an empty kernel cache")
+    parser.add_argument("--together", action="store_true", help="start all engines simultaneously")
+    parser.add_argument("--patience", type=float, default=900.0, help="timeout for an engine, in seconds")
+    parser.add_argument(
+        "--longest", type=float, default=30.0, help="run time above which an engine is not run again, in seconds"
+    )
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
     options.python = dict(text.partition("=")[::2] for text in options.python)
@@ -140,7 +144,7 @@ def arguments() -> argparse.Namespace:
     for name, path in options.python.items():
         if name not in known or not shutil.which(path):
             names = ", ".join(sorted(known))
-            parser.error(f"--python: {name}={path} is not one of {names} and an interpreter")
+            parser.error(f"--python must be ENGINE=PATH with an engine of {names}, got {name}={path}")
     cuda = options.device.startswith("cuda")
     if options.engines is None:
         options.engines = [name for name, engine in ENGINES.items() if (engine.cuda if cuda else engine.cpu)]

@@ -1,4 +1,4 @@
-"""An interpreter for each engine: its own virtual environment, made when it is first needed."""
+"""Python interpreters of the engines: one virtual environment each, created on first use."""
 
 import hashlib
 import os
@@ -12,12 +12,12 @@ CACHE = Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")).expanduser() / "warpc
 
 
 def interpreter(file: str, cache: Path = CACHE) -> Path:
-    """Returns the interpreter that has an engine.
+    """Returns the interpreter of an engine.
 
     Args:
-        file: Name of the engine's file, and of its list of requirements. An engine without a list runs in the
-            present interpreter.
-        cache: Where the environments are.
+        file: Name of the engine's module and of its list of requirements. An engine without a list runs in the
+            current interpreter.
+        cache: Folder of the virtual environments.
     """
     requirements = REQUIREMENTS / f"{file}.txt"
     if not requirements.is_file():

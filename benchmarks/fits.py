@@ -1,4 +1,4 @@
-"""How a cost grows: exponents of power laws, and what a decade adds."""
+"""Fits growth of a cost: exponents of power laws, and increase per decade."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,7 +15,7 @@ def exponent(values: ArrayLike, costs: ArrayLike) -> float:
 
 
 def upper_exponent(values: ArrayLike, costs: ArrayLike) -> float:
-    """Returns the exponent of the upper half of ``values`` in log, where what does not grow counts less."""
+    """Returns the exponent over the upper half of ``values`` in log, where constant costs have less effect."""
     x, y = _of(values, costs), np.asarray(costs, dtype=float)
     upper = x >= np.sqrt(x.min() * x.max()) * (1.0 - 1e-9)
     if len(set(x[upper])) < 2:
@@ -24,11 +24,10 @@ def upper_exponent(values: ArrayLike, costs: ArrayLike) -> float:
 
 
 def per_decade(values: ArrayLike, costs: ArrayLike) -> tuple[float, float]:
-    """Returns what ten times the value adds to the cost, and how well that describes it.
+    """Returns the increase of the cost per decade of the value, and the quality of the fit.
 
     Returns:
-        The slope b of the line cost = a + b·log₁₀(value), and the share of the variance that it explains; 1 where
-        the growth is logarithmic, or where there is nothing to explain.
+        The slope b of the line cost = a + b·log₁₀(value), and its R²; 1 if the cost is constant.
     """
     x, y = np.log10(_of(values, costs)), np.asarray(costs, dtype=float)
     line = np.polyfit(x, y, 1)
@@ -38,7 +37,7 @@ def per_decade(values: ArrayLike, costs: ArrayLike) -> tuple[float, float]:
 
 
 def _of(values: ArrayLike, costs: ArrayLike) -> np.ndarray:
-    """Returns ``values`` as an array, checked."""
+    """Validates and returns ``values`` as an array."""
     x, y = np.asarray(values, dtype=float), np.asarray(costs, dtype=float)
     if x.shape != y.shape or len(set(x)) < 2 or not (x > 0).all() or not (y > 0).all():
         raise ValueError(f"a fit needs two or more positive values and their costs, got {values!r} and {costs!r}")

@@ -1,4 +1,4 @@
-"""What a fresh interpreter is asked to time, one thing at a time, printed as one line of JSON; see ``start.py``.
+"""Measures one start-up time in a new interpreter and prints it as a line of JSON; see ``start.py``.
 
 python benchmarks/fresh.py first_step --device cpu
 """
@@ -14,21 +14,21 @@ from typing import Any
 
 BEGIN = time.perf_counter()
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "terrain_drop.toml"
-#: One environment is stepped alone in so many turns, each of so many seconds at least.
+#: Number of timings of one environment, and minimum duration of each [s].
 TURNS, SECONDS = 5, 0.2
-#: Names that the sample of the README uses up to its first step.
+#: Names that the example of the README uses up to its first step.
 TO_SIMULATE = ("Scene", "Simulation", "ContactMaterial", "friction", "laws", "load_mesh", "meshes")
 
 
 def imports(options: argparse.Namespace) -> dict[str, float]:
-    """Returns how long the import takes [s], with the names that a simulation needs, and with all."""
+    """Returns import times [s]: package, with the names that a simulation needs, and with all names."""
     import warpcontact
 
     imported = time.perf_counter()
     for name in TO_SIMULATE:
         getattr(warpcontact, name)
     found = {"package": imported - BEGIN, "to_simulate": time.perf_counter() - BEGIN}
-    # Some names draw or store, and what they need may not be there.
+    # Some names need optional packages that may not be installed.
     with contextlib.suppress(ModuleNotFoundError):
         for name in warpcontact.__all__:
             getattr(warpcontact, name)
@@ -37,9 +37,9 @@ def imports(options: argparse.Namespace) -> dict[str, float]:
 
 
 def warp_alone(options: argparse.Namespace) -> dict[str, float]:
-    """Returns when Warp was imported and started, by the clock that all processes have in common.
+    """Returns the time at which Warp is imported and initialized, on the system-wide monotonic clock [s].
 
-    No start is shorter: beside it stands what this package adds.
+    This is a lower bound for every start.
     """
     import warp as wp
 
@@ -49,9 +49,9 @@ def warp_alone(options: argparse.Namespace) -> dict[str, float]:
 
 
 def first_step(options: argparse.Namespace) -> dict[str, float]:
-    """Returns how long it takes from the first line to the first step of the terrain example [s], by parts.
+    """Returns the times from interpreter start to the first step of the terrain example [s], by part.
 
-    ``ended`` is when it was done, by the clock that all processes have in common.
+    ``ended`` is the end on the system-wide monotonic clock [s].
     """
     import warpcontact as wc
 
@@ -81,7 +81,7 @@ def first_step(options: argparse.Namespace) -> dict[str, float]:
 
 
 def alone(options: argparse.Namespace) -> dict[str, float]:
-    """Returns the steps per second of one environment alone, of each work and of the terrain example."""
+    """Returns the steps per second of a single environment, for each benchmark scene and the terrain example."""
     import warnings
 
     import warp as wp
@@ -112,12 +112,12 @@ MEASUREMENTS = {"imports": imports, "warp_alone": warp_alone, "first_step": firs
 
 
 def main() -> None:
-    """Prints the answer."""
+    """Prints the result of a measurement."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=MEASUREMENTS)
     parser.add_argument("--device", default="cpu")
-    parser.add_argument("--envs", type=int, help="of the terrain example (default: as in its file)")
-    parser.add_argument("--at-least", type=float, default=SECONDS, help="seconds that one environment is stepped")
+    parser.add_argument("--envs", type=int, help="environments of the terrain example (default: as in its file)")
+    parser.add_argument("--at-least", type=float, default=SECONDS, help="minimum duration of a timing, in seconds")
     options = parser.parse_args()
     answer: dict[str, Any] = MEASUREMENTS[options.what](options)
     json.dump(answer, sys.stdout)

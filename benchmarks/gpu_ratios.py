@@ -5,9 +5,9 @@
     python benchmarks/gpu_ratios.py --write     # stores the ratios in the file of the device in results/
 
 A run is 1000 steps from the start of a scene, so all runs pass through the same states. The queries are those of
-``kernels/narrowphase/bare_query.py`` for all points at the end of a run. In each round every scene is measured once: queries,
-a run, the same queries. The ratio divides the run by the mean of both, so a change of the clock rate cancels. The
-median of the rounds counts. No other work may run on the GPU meanwhile.
+``kernels/narrowphase/bare_query.py`` for all points at the end of a run. In each round every scene is measured
+once: queries, a run, the same queries. The ratio divides the run by the mean of both, so a change of the clock
+rate cancels. The median of the rounds counts. No other work may run on the GPU meanwhile.
 """
 
 import argparse
@@ -44,7 +44,7 @@ def main() -> int:
     """Prints a table and returns the exit code."""
     options = arguments()
     wp.config.log_level = wp.LOG_ERROR
-    warnings.simplefilter("ignore", wc.ContactWarning)  # the step is that of the comparison with peers
+    warnings.simplefilter("ignore", wc.ContactWarning)  # the step length is that of the comparison with peers
     about = facts(options.device, available_threads())
     path = options.file or default_path("", options.device, about)
     measured = {
@@ -110,7 +110,7 @@ class Scene:
 
 
 class Queries:
-    """One bare closest-point query for each point of a model at its present state.
+    """One bare closest-point query for each point of a model at its current state.
 
     Args:
         sim: The simulation.

@@ -1,11 +1,12 @@
-"""Nonsmooth contact beside MuJoCo, in turn: boxes on feet that slide, come to rest and lie.
+"""Compares nonsmooth contact with MuJoCo in alternating runs: boxes on feet that slide and come to rest.
 
     python benchmarks/hard_contact.py                                   # on the CPU, all cores
     python benchmarks/hard_contact.py --device cuda:0 --envs 4096 32768 --no-peer
     python benchmarks/hard_contact.py --works table4 table8 table16 stack8 --plot hard.png
 
-A run is 500 steps from the start. Each engine judges its steps by the same residual, that of Signorini's condition
-and Coulomb's cone on the velocities after the step; MuJoCo's contacts are soft by design, which shows there.
+A run is 500 steps from the initial state. The same residual is computed for both engines: that of Signorini's
+condition and Coulomb's cone for the velocities after a step. MuJoCo contacts are soft by design, which increases
+it.
 """
 
 import argparse
@@ -32,7 +33,7 @@ SOLVERS = ("auto", "gauss_seidel", "accelerated")
 
 
 class Peer:
-    """MuJoCo in a process of its own, which waits for its turn."""
+    """MuJoCo in a separate process, which runs on request."""
 
     def __init__(self, python: Path, work: str, envs: int, threads: int, cone: str) -> None:
         options = ["--work", work, "--envs", envs, "--threads", threads, "--steps", STEPS, "--cone", cone]
@@ -45,14 +46,14 @@ class Peer:
         return json.loads(self._process.stdout.readline())
 
     def seconds(self) -> float:
-        """Runs once."""
+        """Runs once from the initial state; returns the duration [s]."""
         assert self._process.stdin
         self._process.stdin.write("run\n")
         self._process.stdin.flush()
         return self._answer()["seconds"]
 
     def quality(self) -> dict[str, float]:
-        """Ends it; returns the quality of a run."""
+        """Ends the process; returns the quality figures of a run."""
         assert self._process.stdin
         self._process.stdin.close()
         found = self._answer()
@@ -61,7 +62,7 @@ class Peer:
 
 
 def measure(work: str, envs: int, options: argparse.Namespace, bar: Bar) -> list[dict[str, Any]]:
-    """Returns the figures of all engines at a work, in turn."""
+    """Returns the figures of all engines on a benchmark scene, from alternating runs."""
     peers = {}
     if options.peer:
         python = interpreter("mujoco", options.cache)
@@ -79,7 +80,7 @@ def measure(work: str, envs: int, options: argparse.Namespace, bar: Bar) -> list
             else:
                 own[name].reset()
                 if not seconds:
-                    own[name].step(STEPS)  # compiles
+                    own[name].step(STEPS)  # compiles the kernels
                     own[name].reset()
                 begin = time.perf_counter()
                 own[name].step(STEPS)
@@ -107,7 +108,7 @@ def rate(entry: dict[str, Any]) -> float:
 
 
 def table(entries: list[dict[str, Any]]) -> list[str]:
-    """Returns the lines of a table with ratios to the best peer."""
+    """Returns the lines of a table with ratios to the fastest peer."""
     lines = [f"{'work':9}{'envs':>8}  {'engine':26}{'env-steps/s':>12}{'ratio':>8}{'residual':>11}{'depth':>10}"]
     for entry in entries:
         same = (entry["work"], entry["envs"])
@@ -121,7 +122,7 @@ def table(entries: list[dict[str, Any]]) -> list[str]:
 
 
 def draw(entries: list[dict[str, Any]], picture: Path) -> None:
-    """Draws the cost of a step over the number of contacts."""
+    """Draws the time of a step over the number of contacts."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -130,7 +131,7 @@ def draw(entries: list[dict[str, Any]], picture: Path) -> None:
     check_path(picture)
     figure = Figure(figsize=(10.0, 4.4), dpi=120, layout="constrained")
     FigureCanvasAgg(figure)
-    kinds = {"table": "One box on many feet", "stack": "Boxes on each other, four feet each"}
+    kinds = {"table": "One box on many feet", "stack": "Stacked boxes, four feet each"}
     for axes, (kind, title) in zip(figure.subplots(1, 2), kinds.items(), strict=True):
         chosen = [entry for entry in entries if entry["work"].startswith(kind)]
         for number, engine in enumerate(dict.fromkeys(entry["engine"] for entry in chosen)):
@@ -156,9 +157,11 @@ def main() -> None:
     parser.add_argument("--solvers", nargs="+", choices=SOLVERS, default=list(SOLVERS))
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--threads", type=int, default=os.cpu_count())
-    parser.add_argument("--peer", action=argparse.BooleanOptionalAction, default=True, help="measure MuJoCo, too")
-    parser.add_argument("--cache", type=Path, default=CACHE, help="where the environments of the peers are made")
-    parser.add_argument("--plot", type=Path, help="picture of the cost over the number of contacts")
+    parser.add_argument(
+        "--peer", action=argparse.BooleanOptionalAction, default=True, help="measure MuJoCo as well"
+    )
+    parser.add_argument("--cache", type=Path, default=CACHE, help="folder of the virtual environments of peers")
+    parser.add_argument("--plot", type=Path, help="plot of step time over number of contacts")
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
     about = facts(options.device, options.threads)

@@ -1,13 +1,14 @@
-"""One engine at one work, in a process of its own: environment-steps per second, printed as one line of JSON.
+"""Measures environment-steps per second of one engine on one benchmark scene; prints a line of JSON.
 
     python benchmarks/measure.py newton-xpbd --work W1 --envs 1024 --device cpu
 
-It needs the engine and NumPy. A run goes from the start of the work through all steps; compiling and building are
-measured apart. With ``--turns`` one begins when a line arrives on the standard input, so that engines can take
-turns: there is a line when the engine is ready, one after each turn, and the result when the input ends.
+Only the engine and NumPy are needed. A run takes all steps from the initial state; compiling and building are
+timed separately. With ``--turns`` each measurement starts when a line arrives on standard input, so that engines
+can alternate. A line is printed when the engine is ready and after each measurement, and the result at the end of
+the input.
 
-A turn lasts about a second for every engine, in as many runs as it takes: after those of others caches are cold
-and cores not yet free, which would weigh most on the shortest run.
+A measurement lasts about a second for every engine, in as many runs as needed: after the run of another engine
+caches are cold and cores may be busy, which would affect short runs most.
 """
 
 import argparse
@@ -24,8 +25,8 @@ BEGIN = time.perf_counter()
 
 
 def main() -> None:
-    """Prints the result."""
-    # What engines and kernels print must not get between the lines of the report.
+    """Measures an engine and prints the result."""
+    # Redirect standard output, so that output of engines and kernels does not mix with the report.
     report = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)
     options = _arguments()
@@ -73,7 +74,7 @@ WARM_UP = 20
 
 
 def _measure(run: Any, envs: int, steps: int, at_least: float) -> tuple[float, float]:
-    """Returns environment-steps per second from the start, and how many cores were busy with them."""
+    """Returns environment-steps per second from the initial state, and the mean number of busy cores."""
     runs, passed, used = 0, 0.0, 0.0
     while not runs or passed < at_least:
         run.reset()
@@ -90,23 +91,27 @@ def _measure(run: Any, envs: int, steps: int, at_least: float) -> tuple[float, f
 def _version(package: str) -> str:
     try:
         return metadata.version(package)
-    except metadata.PackageNotFoundError:  # on the path, but not installed
+    except metadata.PackageNotFoundError:  # importable, but not installed
         return str(getattr(sys.modules.get(package.replace("-", "_")), "__version__", "unknown"))
 
 
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("engine", help="a name in engines/__init__.py")
+    parser.add_argument("engine", help="name of an engine, see engines/__init__.py")
     parser.add_argument("--work", default="W1", help="W1, W2p8, W2p64 or W3")
     parser.add_argument("--envs", type=int, default=1024)
-    parser.add_argument("--steps", type=int, default=1000, help="a multiple of 10, which graphs hold")
-    parser.add_argument("--repeats", type=int, default=3, help="turns")
     parser.add_argument(
-        "--at-least", type=float, default=1.0, help="seconds of a turn, in as many runs as it takes"
+        "--steps", type=int, default=1000, help="number of steps, a multiple of 10 (length of graphs)"
+    )
+    parser.add_argument("--repeats", type=int, default=3, help="number of measurements")
+    parser.add_argument(
+        "--at-least", type=float, default=1.0, help="minimum duration of a measurement, in seconds"
     )
     parser.add_argument("--device", default="cpu")
-    parser.add_argument("--threads", type=int, default=os.cpu_count(), help="for engines that are told")
-    parser.add_argument("--turns", action="store_true", help="wait for a line on the standard input before a turn")
+    parser.add_argument(
+        "--threads", type=int, default=os.cpu_count(), help="threads of engines with a thread option"
+    )
+    parser.add_argument("--turns", action="store_true", help="start a measurement for each line of standard input")
     options = parser.parse_args()
     if options.steps < 10 or options.steps % 10:
         parser.error(f"--steps must be a multiple of 10, got {options.steps}")

@@ -1,10 +1,10 @@
-"""How fast spheres touch each other: ten in each of many environments, and very many in one.
+"""Measures particle contact: ten spheres in each of many environments, and many spheres in one.
 
     python benchmarks/piles.py --device cuda:0 --envs 4096 32768 131072 --spheres 1000 100000 --out piles.json
 
-W3 is ten spheres in a bowl, in each environment; its stages are timed at rest. Then spheres fall into a tube and
-settle: the time of a step, that of making all lists of partners anew, and the part of the bulk that they fill. At
-the end is what the spheres of a bulk are known to fill at random, 0.59 to 0.64, if they came to rest.
+W3 is ten spheres in a bowl per environment; its stages are timed at rest. Then spheres fall into a tube and
+settle. Reported are the time of a step, the time to rebuild all neighbor lists, and the packing fraction of the
+bulk. A random packing at rest has a fraction of 0.59 to 0.64.
 """
 
 import argparse
@@ -27,13 +27,13 @@ from warpcontact.system.resources import available_threads
 
 DIAMETER, DENSITY, GRAVITY = 0.01, 2500.0, 9.81
 MASS = DENSITY * np.pi / 6 * DIAMETER**3
-# For each layer of spheres that lies on others: those at the bottom overlap as little, however many there are.
+# Per layer of the packing, so that the overlap at the bottom does not depend on the number of layers.
 LAYER_STIFFNESS = 600 * MASS * GRAVITY / DIAMETER  # N/m
 UNIT = np.sqrt(DIAMETER / GRAVITY)
 
 
 def tube(radius: float, height: float, sides: int = 64) -> wc.Mesh:
-    """Returns a tube about z whose outer side looks at the axis."""
+    """Returns a tube about z whose outer side faces the axis."""
     angle = 2 * np.pi * np.arange(sides) / sides
     x, y = radius * np.cos(angle), radius * np.sin(angle)
     vertices = np.concatenate([np.stack([x, y, np.full(sides, z)], 1) for z in (-0.1 * height, height)])
@@ -46,7 +46,7 @@ def tube(radius: float, height: float, sides: int = 64) -> wc.Mesh:
 
 
 def packing(spheres: int, friction: float = 0.3) -> tuple[wc.Scene, float, float]:
-    """Returns equal spheres above the floor of a tube, about as high as wide, its radius and a time step."""
+    """Returns a scene of equal spheres in a tube as high as wide, the tube's radius [m], and a time step [s]."""
     rng = np.random.default_rng(4)
     width = max((spheres / 6.0) ** (1 / 3), 6.5) * DIAMETER
     pitch = 1.12 * DIAMETER
@@ -59,7 +59,7 @@ def packing(spheres: int, friction: float = 0.3) -> tuple[wc.Scene, float, float
     layers = 0.27 * spheres / (width / DIAMETER) ** 2
     stiffness = layers * LAYER_STIFFNESS
     scene = wc.Scene(gravity=(0, 0, -GRAVITY))
-    # They start with speeds of some diameters per unit of time, so that no lattice is left.
+    # Initial speeds of a few diameters per unit of time destroy the initial lattice.
     speeds = 2 * DIAMETER / UNIT * rng.uniform(-1, 1, places.shape)
     balls = scene.add_bodies(places, MASS, [0.1 * MASS * DIAMETER**2] * 3, linear_velocities=speeds, name="ball")
     material = wc.ContactMaterial(
@@ -69,7 +69,7 @@ def packing(spheres: int, friction: float = 0.3) -> tuple[wc.Scene, float, float
     point = scene.add_point(balls, (0, 0, 0))
     walls = scene.add_surface(tube(width, heights[-1] + 8 * DIAMETER), name="tube")
     floor = scene.add_surface(wc.meshes.grid((2.4 * width, 2.4 * width)), name="floor")
-    # Above the tube and beside it a sphere is not deep in its wall.
+    # Limits penetration, so that spheres above or outside the tube are not in contact with its wall.
     sizes = {"radius": 0.5 * DIAMETER, "max_depth": 0.5 * DIAMETER}
     for surface in (walls, floor):
         scene.add_contact(point, surface, material, name=f"on_{surface.name}", **sizes)
@@ -78,7 +78,7 @@ def packing(spheres: int, friction: float = 0.3) -> tuple[wc.Scene, float, float
 
 
 def bulk_fraction(places: np.ndarray, width: float) -> float:
-    """Returns the part of the bulk, two diameters and more from its bounds, that is in spheres."""
+    """Returns the packing fraction of the bulk, at least two diameters from its boundaries."""
     rng = np.random.default_rng(2)
     inner = width - 2.5 * DIAMETER
     high = np.quantile(places[:, 2], 0.97) - 2 * DIAMETER
@@ -91,7 +91,7 @@ def bulk_fraction(places: np.ndarray, width: float) -> float:
 
 
 def settle(spheres: int, device: str, most: float = 60.0) -> dict[str, Any]:
-    """Lets spheres settle, for ``most`` times √(d/g) at the longest; returns what was measured."""
+    """Lets spheres settle for at most ``most`` times √(d/g); returns the figures."""
     scene, width, dt = packing(spheres)
     model = scene.build(device=device)
     sim = wc.Simulation(model, dt=dt)
@@ -123,7 +123,7 @@ def settle(spheres: int, device: str, most: float = 60.0) -> dict[str, Any]:
 
 
 def rebuild(sim: wc.Simulation, spheres: int, device: str, count: int = 20) -> float:
-    """Returns what it costs to make all lists anew [ns per sphere], as that of steps with and without."""
+    """Returns the time to rebuild all neighbor lists [ns per sphere], as a difference of steps with and without."""
 
     def run(anew: bool) -> float:
         total = 0.0
@@ -142,7 +142,7 @@ def rebuild(sim: wc.Simulation, spheres: int, device: str, count: int = 20) -> f
 
 
 def bowl(envs: int, device: str, repeats: int) -> dict[str, Any]:
-    """Returns the rate of W3, and the cost of its stages at rest."""
+    """Returns the rate of W3, and the time of its stages at rest."""
     sim = simulation(WORKS["W3"], envs, device)
     sim.step(100)
     rates = []
@@ -162,13 +162,13 @@ def bowl(envs: int, device: str, repeats: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Prints what it measures and writes it."""
+    """Prints the figures and writes them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--envs", type=int, nargs="*", default=[1024])
     parser.add_argument("--spheres", type=int, nargs="*", default=[2000])
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--most", type=float, default=60.0, help="time to settle, in √(d/g)")
+    parser.add_argument("--most", type=float, default=60.0, help="longest time to settle, in √(d/g)")
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
     found: dict[str, Any] = {"bowl": {}, "packing": {}}

@@ -1,10 +1,9 @@
-"""What float64 costs, and contacts that follow or are swept: step rates as ratios, in alternating runs.
+"""Measures the cost of float64, latched contact and swept contact: ratios of step times in alternating runs.
 
     python benchmarks/precision.py --out benchmarks/results/precision-cpu.json
 
-The scenes are those of ``works.py``. Each round runs the reference and then the other; the ratio of a round
-compares neighbours in time, and the report has the median and the spread over the rounds, so that a machine that
-others use as well tells something too.
+The scenes are those of ``works.py``. Each round runs the reference and then the variant. The ratio is taken per
+round, and the report has its median and range over the rounds, so that other load on the machine cancels.
 """
 
 import argparse
@@ -21,7 +20,7 @@ import warpcontact as wc
 from warpcontact.benchmark.facts import facts
 from warpcontact.benchmark.simulation import simulation
 
-#: What is compared: name, options of the reference, options of the other.
+#: Comparisons: name, options of the reference, options of the variant.
 COMPARISONS = {
     "float64 against float32": ({}, {"precision": "float64"}),
     "latched against literal": ({}, {"entry": "latched"}),
@@ -31,7 +30,7 @@ COMPARISONS = {
 
 
 def seconds(sim: wc.Simulation, device: str, steps: int) -> float:
-    """Returns how long ``steps`` steps from the start take; on the CPU its own time, whatever else it does."""
+    """Returns the time of ``steps`` steps from the initial state [s]; on a CPU the processor time."""
     clock = time.process_time if device == "cpu" else time.perf_counter
     sim.reset()
     wp.synchronize_device(device)
@@ -44,7 +43,7 @@ def seconds(sim: wc.Simulation, device: str, steps: int) -> float:
 def compare(
     scene: str, envs: int, device: str, steps: int, rounds: int, pair: tuple[dict, dict]
 ) -> dict[str, float]:
-    """Returns the ratio of the times of the other to those of the reference, and the rate of the reference."""
+    """Returns the ratio of step times of the variant to the reference, and the rate of the reference."""
     sims = [simulation(WORKS[scene], envs, device, **options) for options in pair]
     for sim in sims:
         sim.step(2)

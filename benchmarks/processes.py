@@ -1,7 +1,7 @@
-"""A simulation in several processes of one thread: what cores give to steps that share nothing but the machine.
+"""Runs a simulation in several single-threaded processes: the speedup of steps without shared data.
 
-Virtual cores may share a cache, or be threads of one core, and one core alone may run faster: then no number of
-threads is as many times as fast as one, whatever steps them.
+Virtual cores may share a cache or a physical core, and a single core may run at a higher clock rate. This measures
+the speedup that the machine allows, independent of the implementation of threads.
 """
 
 import multiprocessing
@@ -15,14 +15,14 @@ from series import Case
 
 
 class Processes:
-    """The environments of a case, in as many processes as it has threads.
+    """Environments of a case, distributed over as many processes as it has threads.
 
     Args:
         case: The case, on the CPU.
-        steps: Steps of a run.
+        steps: Number of steps of a run.
 
     Attributes:
-        envs: How many environments they step together: all, but for what cannot be shared out evenly.
+        envs: Number of environments of all processes: that of the case, rounded to an equal number per process.
     """
 
     def __init__(self, case: Case, steps: int) -> None:
@@ -33,7 +33,7 @@ class Processes:
         self._running = []
         for _ in range(case.threads):
             here, there = context.Pipe()
-            # Nothing is left behind where what started them ends before it could say so.
+            # Daemon processes end if the parent process ends without closing the pipe.
             process = context.Process(target=_run_on_request, args=(each, steps, there), daemon=True)
             process.start()
             there.close()
@@ -43,7 +43,7 @@ class Processes:
             line.recv()
 
     def seconds_of_runs(self, at_least: float) -> float:
-        """Returns how long a run takes where all run at once, each for ``at_least`` seconds: the mean [s]."""
+        """Returns the mean time of a run [s] while all processes run simultaneously for ``at_least`` seconds each."""
         for line in self._lines:
             line.send(at_least)
         return statistics.mean(line.recv() for line in self._lines)
@@ -56,7 +56,7 @@ class Processes:
 
 
 def _run_on_request(case: Case, steps: int, line: "Connection[Any, Any]") -> None:
-    """Says that a simulation is ready, and then how long its runs take, for as long as anybody asks."""
+    """Reports that a simulation is ready, then the time of its runs for each request."""
     import warp as wp
 
     import warpcontact as wc

@@ -1,4 +1,4 @@
-"""A progress bar, where there is one to be had: figures are also taken where only the engine is installed."""
+"""Progress bar; without tqdm a silent replacement, because engine environments may lack it."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ try:
 except ImportError:
 
     class Bar:  # type: ignore[no-redef]
-        """What is used of ``tqdm``, showing nothing."""
+        """Silent replacement with the methods of ``tqdm`` that are used."""
 
         def __init__(self, **options: Any) -> None:
             self.n = 0
@@ -19,10 +19,10 @@ except ImportError:
             pass
 
         def set_description(self, text: str) -> None:
-            """Says what is going on."""
+            """Does nothing; tqdm shows the text."""
 
         def update(self, count: float = 1) -> None:
-            """Counts what was done."""
+            """Counts completed items."""
             self.n += count
 
 

@@ -1,13 +1,13 @@
-"""What frames cost beside the steps between them.
+"""Measures the cost of frames relative to the steps between them.
 
     python benchmarks/recording.py --envs 1024 65536 --works W1 W2p8
 
-Runs of 1000 steps with a frame every ten of them, and without, in turn; the figures are of processor time, which
-other programs disturb less, and of all threads. Frames are copied on the host and no more is done with them.
+Alternating runs of 1000 steps with a frame every ten steps, and without. On a CPU the figures are processor times
+of all threads, which other programs affect less. Frames are copied to the host and not processed.
 
-On a CPU then what it takes to keep them: experiments of ``--folder-envs`` environments of W1 with four outcomes,
-which write their results into a folder, with a series of 101 frames and without, in turn. Their figures are of all
-that ``Experiment.run`` does, but for the pictures of the results, in processor time and in time.
+On a CPU the cost of storing them follows: experiments of ``--folder-envs`` environments of W1 with four outcomes
+write results into a folder, with a series of 101 frames and without, alternating. These figures include all of
+``Experiment.run`` except for pictures of the results, in processor time and in wall time.
 """
 
 import argparse
@@ -42,7 +42,7 @@ KINDS = {
 
 
 def seconds(sim: wc.Simulation, run: Callable[[], None]) -> float:
-    """Returns what a run from the start takes of the processor [s]; of a GPU, the time until it is done."""
+    """Returns the processor time of a run from the initial state [s]; on a GPU, the wall time."""
     clock = time.process_time if sim.model.devices[0].is_cpu else time.perf_counter
     sim.reset()
     wp.synchronize()
@@ -53,14 +53,14 @@ def seconds(sim: wc.Simulation, run: Callable[[], None]) -> float:
 
 
 def record(sim: wc.Simulation, recorder: Recorder) -> None:
-    """Takes all steps, and the frames anew."""
+    """Takes all steps and records the frames again."""
     recorder.rewind()
     for _ in sim.advance(recorder, STEPS, EVERY, start=sim.time):
         pass
 
 
 def measure(name: str, envs: int, device: str, repeats: int) -> dict[str, Any]:
-    """Returns steps alone [ns per environment and step], and what each kind of frames costs beside them."""
+    """Returns the time of steps [ns per environment and step], and the additional cost of each kind of frames."""
     sim = simulation(WORKS[name], envs, device)
     steps = lambda: sim.step(STEPS)  # noqa: E731
     seconds(sim, steps)
@@ -82,7 +82,7 @@ def measure(name: str, envs: int, device: str, repeats: int) -> dict[str, Any]:
 
 
 def spent(experiment: wc.Experiment, folder: Path) -> tuple[float, float]:
-    """Returns what a run into ``folder``, which is not there, takes of the processor, and of time [s]."""
+    """Returns processor time and wall time of a run into the new ``folder`` [s]."""
     with mock.patch.object(execute, "_show"):
         clocks = time.process_time(), time.perf_counter()
         experiment.run(folder, device="cpu", progress=False)
@@ -90,12 +90,12 @@ def spent(experiment: wc.Experiment, folder: Path) -> tuple[float, float]:
 
 
 def measure_folder(envs: int, repeats: int, parent: Path | None) -> dict[str, Any]:
-    """Returns what the series of runs into folders in ``parent`` takes beside the same without it."""
+    """Returns the cost of series in runs into folders in ``parent``, relative to runs without series."""
     plain = study(envs, OUTCOMES)
     recorded = plain | {"record": {"every": EVERY * DT, "series": True}, "output": {"usd_envs": 0}}
     without, with_series = wc.Experiment(plain), wc.Experiment(recorded)
     pairs = []
-    # What is removed from the disk costs who writes next.
+    # All folders are deleted at the end: deleting between runs would slow down the next writer.
     with tempfile.TemporaryDirectory(dir=parent) as folder:
         for number in range(-1, repeats):
             order = (without, with_series)[:: 1 if number % 2 else -1]
@@ -116,7 +116,7 @@ def measure_folder(envs: int, repeats: int, parent: Path | None) -> dict[str, An
 
 
 def main() -> None:
-    """Prints a table and, if asked to, writes the figures."""
+    """Prints a table and optionally writes the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--envs", type=int, nargs="+", default=[1024])
@@ -124,9 +124,9 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--folder-envs", type=int, nargs="*", default=[16384])
     parser.add_argument("--folder-repeats", type=int, default=15)
-    parser.add_argument("--folder", type=Path, help="where runs write, on the disk that is to be measured")
-    parser.add_argument("--write", action="store_true", help="keep the figures in benchmarks/results")
-    parser.add_argument("--out", type=Path, help="or in this file")
+    parser.add_argument("--folder", type=Path, help="parent of the run folders, on the disk to measure")
+    parser.add_argument("--write", action="store_true", help="write the figures to benchmarks/results")
+    parser.add_argument("--out", type=Path, help="write the figures to this file")
     options = parser.parse_args()
     about = facts(options.device, available_threads())
     found: dict[str, Any] = {}
@@ -134,7 +134,7 @@ def main() -> None:
         for envs in options.envs:
             result = measure(name, envs, options.device, options.repeats)
             found.setdefault(name, {})[str(envs)] = result
-            print(f"{name}, {envs} environments: a step {result['step_ns_per_env']:.3g} ns per environment")
+            print(f"{name}, {envs} environments: step {result['step_ns_per_env']:.3g} ns per environment")
             for kind, costs in result["frames"].items():
                 share, single = costs["share_of_steps"], costs["ns_per_env_and_frame"]
                 print(f"  frames of {kind}: {100 * share:.3g} % of the steps, {single:.3g} ns each", flush=True)

@@ -1,9 +1,9 @@
-"""What a picture costs.
+"""Measures the time of rendering a picture.
 
     python benchmarks/rendering.py --device cpu
 
-Each picture is drawn several times, from the recording to the last pixel, and the median is told; the first, which
-compiles, is left out.
+Each picture is rendered several times, from the recording to the final pixels; the median is reported. The first
+run, which compiles kernels, is reported separately.
 """
 
 import argparse
@@ -23,7 +23,7 @@ REPEATS = 3
 
 
 def ball_on_terrain() -> wc.Recording:
-    """A ball over 20 000 triangles."""
+    """Returns a recording of a ball over 20 000 triangles."""
     scene = wc.Scene()
     ground = scene.add_surface(wc.meshes.sinusoidal_terrain(), name="ground")
     ball = scene.add_body(mass=0.5, inertia=(5e-4,) * 3, position=(0, 0, 1.0), name="ball")
@@ -33,7 +33,7 @@ def ball_on_terrain() -> wc.Recording:
 
 
 def grains(count: int) -> wc.Recording:
-    """So many spheres above a plane."""
+    """Returns a recording of ``count`` spheres above a plane."""
     scene = wc.Scene(gravity=(0, 0, 0))
     side = 0.025 * count ** (1 / 3)
     places = np.random.default_rng(1).uniform((-side, -side, 0.02), (side, side, 2 * side), (count, 3))
@@ -44,7 +44,7 @@ def grains(count: int) -> wc.Recording:
 
 
 def recorded(scene: wc.Scene) -> wc.Recording:
-    """One step of a scene."""
+    """Returns a recording of one step of a scene."""
     return wc.Simulation(scene.build(device="cpu"), dt=1e-4).run(1e-4, record=[], poses=True)
 
 
@@ -56,10 +56,10 @@ WORKS = {
 
 
 def main() -> None:
-    """Measures, prints and writes a file."""
+    """Prints the figures and writes them."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--device", default="cpu")
-    parser.add_argument("--large", action="store_true", help="also in 3840 x 2160")
+    parser.add_argument("--large", action="store_true", help="render in 3840 x 2160 as well")
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
     rows = []

@@ -1,14 +1,13 @@
-"""How the cost of a step grows with environments, points, triangles and threads.
+"""Measures growth of the step time with environments, points, triangles and threads.
 
     python benchmarks/scaling.py                                    # on the CPU, all cores
     python benchmarks/scaling.py --device cuda:0 --most-envs 262144
     python benchmarks/scaling.py --series threads --out threads.json
 
-A run goes from rest through contact, as in ``works.py``. All cases of a series are ready before the first is
-timed, and take turns, so that what else a machine does hits all alike. Beside each stands what a step that
-remembers nothing could not do without: a bare closest-point query of every point, and a copy of the state; and
-beside all threads as many processes of one thread, which share nothing but the machine. The picture is drawn where
-there is Matplotlib; ``scaling_picture.py`` draws it from the figures later.
+A run starts at rest and includes contact, as in ``works.py``. All cases of a series are prepared first and then
+run alternately, so that other load affects all of them. Lower bounds are measured as well: a bare closest-point
+query of every point and a copy of the state, and for threads the same number of single-threaded processes. The
+plot needs Matplotlib; ``scaling_picture.py`` can draw it later.
 """
 
 import argparse
@@ -34,10 +33,10 @@ from warpcontact.system.resources import available_threads
 
 
 def main() -> None:
-    """Prints what is fitted, and writes the figures and the picture."""
+    """Prints the fits, and writes figures and plot."""
     options = arguments()
     wp.config.log_level = wp.LOG_ERROR
-    warnings.simplefilter("ignore", wc.ContactWarning)  # steps as long as those that peers are compared at
+    warnings.simplefilter("ignore", wc.ContactWarning)  # the step length is that of the comparison with peers
     about = facts(options.device, options.threads)
     out = options.out or default_path("scaling", options.device, about)
     sizes = Sizes(options.device, options.most_envs, options.most_points, options.most_triangles, options.threads)
@@ -62,7 +61,9 @@ def main() -> None:
     try:
         from scaling_picture import draw
     except ModuleNotFoundError as error:
-        print(f"no picture, there is no {error.name}; elsewhere: python benchmarks/scaling_picture.py {out}")
+        print(
+            f"no picture: {error.name} is not installed; elsewhere run python benchmarks/scaling_picture.py {out}"
+        )
     else:
         draw(out, picture)
         print(f"picture: {picture}")
@@ -70,15 +71,15 @@ def main() -> None:
 
 @dataclass
 class Ready:
-    """A case that can be timed.
+    """Case that is ready to run.
 
     Attributes:
-        case: What it is.
+        case: The case.
         sim: Its simulation.
-        least: What a step could not do without.
-        apart: It in processes, if these are looked at.
-        times: Of its turns, how long a run took [s].
-        times_apart: The same of the processes.
+        least: Lower bounds of a step.
+        apart: The case in processes, if these are measured.
+        times: Time of a run in each round [s].
+        process_times: The same for the processes [s].
     """
 
     case: Case
@@ -89,7 +90,7 @@ class Ready:
     process_times: list[float] = field(default_factory=list)
 
     def figures(self, steps: int) -> dict[str, Any]:
-        """Returns what was found in runs of so many steps."""
+        """Returns the figures of runs of ``steps`` steps."""
         case = self.case
 
         def each(times: list[float], envs: int) -> list[float]:
@@ -117,12 +118,12 @@ class Ready:
 
 
 def measure(some: list[Case], options: argparse.Namespace, bar: Any) -> list[dict[str, Any]]:
-    """Returns the figures of the cases of one series, which take turns."""
+    """Returns the figures of the cases of one series, which run alternately."""
     ready = []
     for case in some:
         bar.set_description(f"{case.series}: {case.line}, {case.value}")
         sim = case.simulation(options.device)
-        run_seconds(sim, options.steps)  # compiles, and captures what later runs replay
+        run_seconds(sim, options.steps)  # compiles, and captures the graphs that later runs replay
         several = case.series == "threads" and 1 < case.threads == options.threads
         apart = Processes(case, options.steps) if several else None
         ready.append(Ready(case, sim, limits(sim.model, case.work, case.threads), apart))
@@ -141,12 +142,12 @@ def measure(some: list[Case], options: argparse.Namespace, bar: Any) -> list[dic
 
 
 def fits(measured: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Returns how the cost of a step grows along every line of every series with two values or more.
+    """Returns the growth of the step time along every line of every series with at least two values.
 
-    ``exponent`` k is that of cost ∝ valueᵏ and ``upper_exponent`` that of the upper half of the values; the cost
-    is the time of a step of all environments together. Of triangles there is also what a decade adds to an
-    environment-step [ns], and the share of the variance that a logarithm explains; of threads how many times as
-    fast as one thread each number is, and as many processes as there are threads.
+    ``exponent`` k is that of cost ∝ valueᵏ, with the time of a step of all environments as cost.
+    ``upper_exponent`` is that of the upper half of the values. For triangles there are also the increase of an
+    environment-step per decade [ns] and the R² of a logarithm. For threads there is the speedup over one thread,
+    and that of as many processes.
     """
     found = []
     for series, line in dict.fromkeys((entry["series"], entry["line"]) for entry in measured):
@@ -182,13 +183,13 @@ def lines(found: list[dict[str, Any]]) -> list[str]:
         if "times_one_thread" in fit:
             rates = ", ".join(f"{value}: {ratio:.2f}" for value, ratio in fit["times_one_thread"].items())
             if "times_one_thread_in_processes" in fit:
-                rates += f"; as many processes: {fit['times_one_thread_in_processes']:.2f}"
-            text.append(f"{head} times as fast as one thread: {rates}")
+                rates += f"; same number of processes: {fit['times_one_thread_in_processes']:.2f}"
+            text.append(f"{head} speedup over one thread: {rates}")
             continue
         tail = f"cost ∝ n^{fit['exponent']:.2f}, in the upper half n^{fit['upper_exponent']:.2f}"
         if "ns_per_decade" in fit:
-            tail += f"; {fit['ns_per_decade']:+.3g} ns a decade, R² {fit['explained_by_logarithm']:.2f}"
-            tail += f"; bare query {fit['ns_per_decade_of_bare_query']:+.3g} ns a decade"
+            tail += f"; {fit['ns_per_decade']:+.3g} ns per decade, R² {fit['explained_by_logarithm']:.2f}"
+            tail += f"; bare query {fit['ns_per_decade_of_bare_query']:+.3g} ns per decade"
         text.append(f"{head} {tail}")
     return text
 
@@ -201,14 +202,16 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--most-envs", type=int, help=f"default: {MOST_ENVS_ON_CPU}, on a GPU {MOST_ENVS_ON_CUDA}")
     parser.add_argument("--most-points", type=int, default=512)
     parser.add_argument("--most-triangles", type=int, default=10**6)
-    parser.add_argument("--threads", type=int, default=available_threads(), help="most, on a CPU")
+    parser.add_argument("--threads", type=int, default=available_threads(), help="maximum number of CPU threads")
     parser.add_argument("--steps", type=int, default=STEPS)
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument(
-        "--at-least", type=float, default=0.2, help="seconds of a turn, in as many runs as it takes"
+        "--at-least", type=float, default=0.2, help="minimum duration of a measurement, in seconds"
     )
-    parser.add_argument("--out", type=Path, help="the figures (default: benchmarks/results/scaling-DEVICE.json)")
-    parser.add_argument("--plot", type=Path, help="the picture, .svg or .png (default: beside the figures)")
+    parser.add_argument(
+        "--out", type=Path, help="file of figures (default: benchmarks/results/scaling-DEVICE.json)"
+    )
+    parser.add_argument("--plot", type=Path, help="plot, .svg or .png (default: next to the figures)")
     options = parser.parse_args()
     if options.most_envs is None:
         options.most_envs = MOST_ENVS_ON_CUDA if options.device.startswith("cuda") else MOST_ENVS_ON_CPU

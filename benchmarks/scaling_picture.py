@@ -1,4 +1,4 @@
-"""Draws the figures of ``scaling.py``: what a step costs against everything that makes it dearer.
+"""Plots the figures of ``scaling.py``: step time over environments, points, triangles and threads.
 
 python benchmarks/scaling_picture.py benchmarks/results/scaling-cpu.json --plot scaling.png
 """
@@ -15,9 +15,9 @@ from matplotlib.figure import Figure
 
 from warpcontact.files.picture_file import check_path, save
 
-# Series of the figures: title of the panel, axis across.
+# Series of the figures: title and x-axis label of the panel.
 TITLES = {
-    "environments": ("All environments together", "environments"),
+    "environments": ("Step of all environments", "environments"),
     "points": ("Points of a body", "points"),
     "triangles": ("Triangles of the same terrain", "triangles"),
     "threads": ("Threads", "threads"),
@@ -26,7 +26,7 @@ LABELS = {"W1": "sphere", "W2p8": "box of 8 points", "W2p64": "box of 64 points"
 
 
 def draw(figures: Path, picture: Path) -> None:
-    """Draws a file of figures."""
+    """Plots a file of figures."""
     check_path(picture)
     report = json.loads(figures.read_text(encoding="utf-8"))
     measured, about = report["measured"], report["facts"]
@@ -43,7 +43,7 @@ def draw(figures: Path, picture: Path) -> None:
         panel(axes, name, [entry for entry in measured if entry["series"] == name], fits)
     have = report["versions"]
     cores = "" if "processor" in about else f", {about['cores']} cores"
-    # One panel is too narrow for a line.
+    # One panel is too narrow for the title in one line.
     on = " " if columns > 1 else "\n"
     figure.suptitle(
         f"Cost of a step: warpcontact {have['warpcontact']}, Warp {have['warp-lang']},{on}"
@@ -59,7 +59,7 @@ def draw(figures: Path, picture: Path) -> None:
 
 
 def panel(axes: Any, series: str, entries: list[dict[str, Any]], fits: dict[str, dict[str, Any]]) -> None:
-    """Draws one series, its limit, and a line to compare its growth with; ``fits`` by the names of its lines."""
+    """Plots one series, its lower bound and a reference growth; ``fits`` by the names of its lines."""
     curves = {}
     for entry in entries:
         curves.setdefault(entry["line"], []).append(entry)
@@ -79,12 +79,12 @@ def panel(axes: Any, series: str, entries: list[dict[str, Any]], fits: dict[str,
     if series != "threads":
         axes.plot([], [], color="0.4", linestyle="--", linewidth=0.9, label="bare query of every point")
     if any("times_one_thread_in_processes" in fit for fit in fits.values()):
-        axes.plot([], [], color="0.4", linestyle="", marker="x", label="as many processes")
+        axes.plot([], [], color="0.4", linestyle="", marker="x", label="same number of processes")
     title, across = TITLES[series]
     axes.set_title(title, fontsize="medium")
     axes.set_xlabel(across)
     axes.set_ylabel(
-        {"environments": "time of a step [µs]", "threads": "times as fast as one thread"}.get(
+        {"environments": "time of a step [µs]", "threads": "speedup over one thread"}.get(
             series, "time of an environment-step [ns]"
         )
     )
@@ -99,7 +99,7 @@ def panel(axes: Any, series: str, entries: list[dict[str, Any]], fits: dict[str,
 
 
 def label(line: str, fit: dict[str, Any] | None) -> str:
-    """Returns the name of a line in the legend, and what was fitted."""
+    """Returns the legend entry of a line, with its fit."""
     name = LABELS.get(line, line)
     if fit is None:
         return name
@@ -107,12 +107,12 @@ def label(line: str, fit: dict[str, Any] | None) -> str:
         most, times = list(fit["times_one_thread"].items())[-1]
         return f"{name}: {times:.2f} × with {most}"
     if "ns_per_decade" in fit:
-        return f"{name}: {fit['ns_per_decade']:+.3g} ns a decade, R² = {fit['explained_by_logarithm']:.2f}"
+        return f"{name}: {fit['ns_per_decade']:+.3g} ns per decade, R² = {fit['explained_by_logarithm']:.2f}"
     return f"{name}: n^{fit['upper_exponent']:.2f} in the upper half"
 
 
 def ordinates(series: str, own: list[dict[str, Any]], key: str) -> list[float]:
-    """Returns what is drawn of a line: µs of a step, how many times as fast as one thread, or ns."""
+    """Returns the y-values of a line: µs per step, speedup over one thread, or ns per environment-step."""
     if series == "environments":
         return [1e-3 * entry[key] * entry["envs"] for entry in own]
     if series == "threads":
@@ -122,23 +122,23 @@ def ordinates(series: str, own: list[dict[str, Any]], key: str) -> list[float]:
 
 
 def reference(axes: Any, series: str, values: Sequence[float], curves: Sequence[Sequence[float]]) -> None:
-    """Draws how a cost grows that is in proportion to the value, or to its logarithm."""
+    """Plots a reference line: growth proportional to the value, or to its logarithm."""
     growth: Callable[[float], float] = math.log if series == "triangles" else float
     if series == "threads":
-        start, label = 1.0, "in proportion"
+        start, label = 1.0, "proportional"
     elif series == "triangles":
         start, label = curves[0][0] / growth(values[0]), "growth as log n"
     else:
-        # Where a whole device is busy; what a step costs before that hides the growth.
+        # At the largest value the device is fully occupied; smaller ones are dominated by constant cost.
         start, label = max(curve[-1] for curve in curves) / growth(values[-1]), "growth as n"
     axes.plot(values, [start * growth(value) for value in values], color="0.4", linestyle=":", label=label)
 
 
 def main() -> None:
-    """Draws the file that is named."""
+    """Plots the given file."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("figures", type=Path, help="a file that scaling.py wrote")
-    parser.add_argument("--plot", type=Path, help="the picture, .svg or .png (default: beside the figures)")
+    parser.add_argument("figures", type=Path, help="file of figures from scaling.py")
+    parser.add_argument("--plot", type=Path, help="plot, .svg or .png (default: next to the figures)")
     options = parser.parse_args()
     picture = options.plot or options.figures.with_suffix(".svg")
     draw(options.figures, picture)

@@ -1,7 +1,7 @@
-"""What is varied to see how the cost of a step grows: environments, points, triangles, threads.
+"""Cases of the scaling measurement: variation of environments, points, triangles, threads.
 
-Everything else of a series stays as it is: the terrain is the same surface on a finer grid, bodies start at the
-same places, and points are added to the same box.
+Everything else is constant along a series: the terrain is the same surface on a finer grid, bodies start at the
+same positions, and points are added to the same box.
 """
 
 from collections.abc import Callable, Iterator
@@ -16,13 +16,13 @@ from warpcontact.benchmark.works import HALF, Array, Work, box_points, terrain
 SERIES = ("environments", "points", "triangles", "threads")
 WORKS = {"W1": None, "W2p8": box_points(8), "W2p64": box_points(64)}
 
-# Four times as many each time. Contacts of all environments together are what fills a memory.
+# Factor 4 from case to case. The total number of contacts is limited by memory.
 MOST_ENVS_ON_CPU, MOST_ENVS_ON_CUDA, MOST_CONTACTS = 4**7, 4**10, 2**24
 POINTS = (1, 8, 16, 32, 64, 128, 256, 512)
-# Cells along a side: 968 … 999 698 triangles, three times as many each time.
+# Cells along a side: 968 … 999 698 triangles, with a factor of 3 from case to case.
 CELLS = (22, 39, 71, 122, 224, 387, 707)
 TRIANGLE_WORKS = ("W1", "W2p8")
-# Environments for each thread where there are the most: so many that a step takes it about as long in every work.
+# Environments per thread at the largest size: step times of the scenes are about equal.
 ENVS_OF_A_THREAD = {"W1": 4096, "W2p8": 2048, "W2p64": 512}
 
 
@@ -31,12 +31,12 @@ class Case:
     """One point of a series.
 
     Attributes:
-        series: What is varied.
-        line: The work, or what else stays the same along a line of the picture.
-        value: Of what is varied.
-        work: What is simulated.
+        series: Name of the series.
+        line: Benchmark scene, or another constant along a line of the plot.
+        value: Value of the varied quantity.
+        work: Benchmark scene.
         envs: Number of environments.
-        threads: Threads on a CPU.
+        threads: Number of CPU threads.
     """
 
     series: str
@@ -47,20 +47,20 @@ class Case:
     threads: int
 
     def simulation(self, device: str) -> wc.Simulation:
-        """Returns the simulation, at its start."""
+        """Returns the simulation in its initial state."""
         return simulation(self.work, self.envs, device, threads=self.threads)
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """How large the cases are.
+    """Sizes of the cases.
 
     Attributes:
         device: ``"cpu"``, ``"cuda:0"``, …
-        most_envs: Environments at most, in all series.
-        most_points: Points of a body at most.
-        most_triangles: Triangles at most.
-        threads: Threads at most.
+        most_envs: Maximum number of environments, in all series.
+        most_points: Maximum number of points of a body.
+        most_triangles: Maximum number of triangles.
+        threads: Maximum number of threads.
     """
 
     device: str
@@ -70,7 +70,7 @@ class Sizes:
     threads: int
 
     def envs(self, on_cpu: int, on_cuda: int) -> int:
-        """Returns the number of environments of a series that does not vary them."""
+        """Returns the number of environments of a series that does not vary it."""
         return min(self.most_envs, on_cuda if self.device.startswith("cuda") else on_cpu)
 
 
@@ -97,7 +97,7 @@ def _points(sizes: Sizes) -> Iterator[Case]:
 
 
 def spread_points(count: int) -> Array:
-    """Returns the 8 corners of the box, and more points spread evenly over its surface, ``(count, 3)``."""
+    """Returns the 8 corners of the box and ``count`` − 8 points spread evenly over its surface, ``(count, 3)``."""
     corners = box_points(8)
     if count == len(corners):
         return corners

@@ -1,8 +1,8 @@
-"""Several GPUs of one host against the first of them: the same environments, split over all or on one.
+"""Measures several GPUs of one host against the first one: the same environments on all or on one.
 
     python benchmarks/several_gpus.py --works W1 W2p64 --envs 262144 1048576
 
-The two take turns. Whether they end in the same states is told as well.
+Both run alternately. The report also states whether their final states are equal.
 """
 
 import argparse
@@ -29,7 +29,7 @@ def main() -> None:
     """Prints ratios and writes the figures."""
     options = arguments()
     wp.config.log_level = wp.LOG_ERROR
-    warnings.simplefilter("ignore", wc.ContactWarning)  # steps as long as those that peers are compared at
+    warnings.simplefilter("ignore", wc.ContactWarning)  # the step length is that of the comparison with peers
     about = facts(ONE, available_threads()) | {"gpus": wp.get_cuda_device_count()}
     out = options.out or default_path("several-gpus", ONE, about)
     measured: list[dict[str, Any]] = []
@@ -41,19 +41,19 @@ def main() -> None:
                 measured.append(measure(work, envs, options.rounds, bar))
     write(out, {"facts": about, "versions": versions(), "steps": STEPS, "measured": measured})
     for row in measured:
-        same = "the same states" if row["same"] else "OTHER STATES"
-        print(f"{row['work']:6} {row['envs']:8}  {row['of_one_gpu']:.2f} of one GPU, {same}")
+        same = "same states" if row["same"] else "DIFFERENT STATES"
+        print(f"{row['work']:6} {row['envs']:8}  {row['of_one_gpu']:.2f} × one GPU, {same}")
     print(f"written to {out}")
 
 
 def measure(work: str, envs: int, rounds: int, bar: Any) -> dict[str, Any]:
-    """Returns environment-steps per second on one GPU and on all, medians of some rounds."""
+    """Returns environment-steps per second on one GPU and on all, medians over the rounds."""
     sims = {device: simulation(WORKS[work], envs, device) for device in (ONE, ALL)}
     times: dict[str, list[float]] = {device: [] for device in sims}
     for number in range(rounds + 1):
         for device, sim in sims.items():
             seconds = run_seconds(sim, STEPS)
-            if number:  # the first captures what others replay
+            if number:  # the first run captures the graphs
                 times[device].append(seconds)
             bar.update()
     one, every = (envs * STEPS / statistics.median(times[device]) for device in (ONE, ALL))
@@ -77,7 +77,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
     if wp.get_cuda_device_count() < 2:
-        parser.error(f"needs at least two GPUs, there are {wp.get_cuda_device_count()}")
+        parser.error(f"at least two GPUs are needed, got {wp.get_cuda_device_count()}")
     return options
 
 

@@ -1,4 +1,4 @@
-"""All engines at one work and one number of environments, in turn."""
+"""Runs all engines on one benchmark scene with one number of environments, alternately."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -9,19 +9,19 @@ from worker import Failure, Worker
 
 
 class SideBySide:
-    """Starts the engines, lets them run in rounds, and collects their results.
+    """Starts the engines, runs them in rounds, and collects their results.
 
     Args:
-        work: Name of the work.
+        work: Name of the benchmark scene.
         envs: Number of environments.
         pythons: Engines and their interpreters.
         arguments: Further arguments of ``measure.py``.
-        cold: Folder for compiled kernels; ``None``: the usual one, where they may be already.
-        patience: Seconds to wait for an engine.
-        progress: Called with the name of an engine before each run and with "" after.
+        cold: Folder for compiled kernels; ``None``: the default cache, which may contain them.
+        patience: Timeout for a response of an engine [s].
+        progress: Called with the name of an engine before each run and with "" after it.
 
     Attributes:
-        entries: What there is of each engine: its result, or ``why`` there is none.
+        entries: Result of each engine, or the reason ``why`` it has none.
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class SideBySide:
         self._workers: dict[str, Worker] = {}
 
     def start(self, *, together: bool) -> None:
-        """Makes the engines ready, one after the other or all at the same time."""
+        """Starts the engines, one after another or simultaneously."""
         for name in self._pythons:
             self._begin(name)
             if not together:
@@ -63,7 +63,7 @@ class SideBySide:
                 self._leave(name, "not available")
 
     def round(self) -> dict[str, float]:
-        """Gives every engine a turn; returns their environment-steps per second."""
+        """Runs every engine once; returns their environment-steps per second."""
         rates = {}
         for name in list(self._workers):
             with self._turn(name):
@@ -78,13 +78,13 @@ class SideBySide:
                 self.entries[name]["start_s"]["process"] = worker.start_s
 
     def end(self) -> None:
-        """Ends what is left of the processes."""
+        """Ends the remaining processes."""
         for worker in self._workers.values():
             worker.end()
 
     @contextmanager
     def _turn(self, name: str) -> Iterator[None]:
-        """The turn of an engine; if it fails, it is out, and its entry says why."""
+        """Context of a run of an engine; an engine that fails is removed, and its entry has the reason."""
         self._progress(name)
         try:
             yield

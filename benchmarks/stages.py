@@ -1,10 +1,11 @@
-"""Where the time of a step goes, and how far it is from what the device can do.
+"""Measures the time of each stage of a step, and lower bounds of the device.
 
     python benchmarks/stages.py --device cuda:0 --envs 65536 --works W1 W2p64 --out stages.json
 
-Each stage is timed in some steps of a run, at several times. A launch is in it, 3 µs on a CPU and more on a GPU,
-so few environments tell little. Beside them: one closest-point query of Warp for every point and no more (which a
-step without memory of distances cannot do without), and a copy of the state on the device.
+Each stage is timed over ``STEPS`` steps of a run, at several times. The time includes a launch, about 3 µs on a
+CPU and more on a GPU, so results with few environments are not significant. Lower bounds are one bare
+closest-point query of Warp per point, which a step without cached distances needs, and a copy of the state on the
+device.
 """
 
 import argparse
@@ -27,31 +28,31 @@ from warpcontact.forces.execution_plan import ExecutionPlan, accept_stages
 from warpcontact.stepping.slice_stepper import StepBuffers
 from warpcontact.system.resources import available_threads
 
-# Steps over which a stage is timed, an even number.
+# Number of steps over which a stage is timed; even.
 STEPS = 20
 
 
 class Clock:
-    """Instants of a device, in its own time: events on a GPU."""
+    """Clock of a device: events on a GPU."""
 
     def __init__(self, device: str) -> None:
         self._device = wp.get_device(device)
 
     def now(self) -> Any:
-        """Returns the instant at which the device has come here."""
+        """Returns the instant at which the device reaches this point."""
         if self._device.is_cpu:
             return time.perf_counter()
         return wp.get_stream(self._device).record_event(wp.Event(self._device, enable_timing=True))
 
     def between(self, start: Any, stop: Any) -> float:
-        """Returns the time from one instant to another [ns]."""
+        """Returns the time between two instants [ns]."""
         if self._device.is_cpu:
             return 1e9 * (stop - start)
         return 1e6 * wp.get_event_elapsed_time(start, stop)
 
 
 def stages(sim: wc.Simulation, envs: int) -> dict[str, float]:
-    """Takes steps and returns what every stage of them cost [ns per environment]."""
+    """Takes steps and returns the time of each stage [ns per environment]."""
     model = sim.model
     device = str(model.device)
     gpu = model.device.is_cuda
@@ -90,7 +91,7 @@ def stages(sim: wc.Simulation, envs: int) -> dict[str, float]:
 
 
 def measure(name: str, envs: int, device: str, at: list[int], repeats: int) -> dict[str, Any]:
-    """Returns the rate of a work, and the cost of its stages after some numbers of steps."""
+    """Returns the rate of a benchmark scene, and the times of its stages after given numbers of steps."""
     work = WORKS[name]
     sim = simulation(work, envs, device)
     sim.step(100)
@@ -122,7 +123,7 @@ def main() -> None:
     parser.add_argument("--envs", type=int, nargs="+", default=[128])
     parser.add_argument("--works", nargs="+", choices=KNOWN, default=list(KNOWN))
     parser.add_argument(
-        "--at", type=int, nargs="+", default=[100, 400, 900], help="steps before a look at the stages"
+        "--at", type=int, nargs="+", default=[100, 400, 900], help="numbers of steps after which stages are timed"
     )
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--out", type=Path)

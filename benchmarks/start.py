@@ -1,13 +1,13 @@
-"""How long it takes to get going: import, first step with and without compiled kernels, and one environment alone.
+"""Measures start-up: import, first step with and without compiled kernels, and one environment.
 
     python benchmarks/start.py
     python benchmarks/start.py --device cuda:0
 
-Everything is timed in fresh interpreters, in rounds. *Cold* is a first step with an empty cache of compiled
-kernels, *warm* the next one with the same cache; both are the terrain example, from the start of the process until
-the step is done, and what Python takes to end the process stands beside. So does what Python, NumPy and Warp take
-without this package, which tells a slow machine from a slow start. A warm-up that is not counted reads the files
-of Python and Warp once, so that none of it waits for a disk.
+Everything is timed in new interpreters, in rounds. *Cold* is a first step with an empty kernel cache, *warm* the
+next one with the same cache. Both use the terrain example and are timed from the start of the process to the end
+of the step; the duration of the whole process is reported, too. The start of Python, NumPy and Warp without this
+package is measured for comparison with other machines. An uncounted warm-up reads the files of Python and Warp, so
+that no measurement waits for a disk.
 """
 
 import argparse
@@ -28,7 +28,7 @@ from warpcontact.benchmark.facts import facts, versions
 from warpcontact.system.resources import available_threads
 
 FRESH = Path(__file__).with_name("fresh.py")
-#: What is promised: of the import and of the first step at most [s], of one environment at least [steps/s].
+#: Targets: upper limits of import and first step [s], lower limit of one environment [steps/s].
 PROMISES = {"import": 0.5, "cold": 15.0, "warm": 1.0, "alone": 1e5}
 
 
@@ -44,7 +44,7 @@ def main() -> None:
         bar.update()
         for _ in range(options.rounds):
             with tempfile.TemporaryDirectory() as folder:
-                # The driver keeps what it compiles as well.
+                # The driver has a cache of compiled kernels as well.
                 caches = {"WARP_CACHE_PATH": f"{folder}/warp", "CUDA_CACHE_PATH": f"{folder}/cuda"}
                 for name, what, variables in (
                     ("imports", "imports", {}),
@@ -75,14 +75,14 @@ def main() -> None:
 
 
 def ask(what: str, options: argparse.Namespace, variables: dict[str, str]) -> dict[str, Any]:
-    """Returns the answer of a fresh interpreter; of what starts Warp also when that was, and its process [s]."""
+    """Returns the result of a new interpreter; if it reports ``ended``, also time to it and process time [s]."""
     words = [what, "--device", options.device, "--at-least", str(options.at_least)]
     if options.envs:
         words += ["--envs", str(options.envs)]
     start = time.monotonic()
     done = subprocess.run(
         [sys.executable, FRESH, *words],
-        # Compiled modules of Python stay, as for users, whatever this one was told.
+        # Python bytecode is cached, as for users, independent of the settings of this process.
         env={**os.environ, "PYTHONDONTWRITEBYTECODE": "", **variables},
         capture_output=True,
         text=True,
@@ -98,7 +98,7 @@ def ask(what: str, options: argparse.Namespace, variables: dict[str, str]) -> di
 
 
 def summary(answers: list[dict[str, Any]]) -> dict[str, Any]:
-    """Returns median and extremes over the rounds, of every entry."""
+    """Returns median and range over the rounds, for every entry."""
     found = {}
     for name in answers[0]:
         values = [answer[name] for answer in answers]
@@ -107,7 +107,7 @@ def summary(answers: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """Returns the figures as lines of text, beside what is promised."""
+    """Returns the figures as lines of text, with the targets."""
 
     def line(name: str, figures: dict[str, float], unit: str, promised: str = "") -> str:
         spread = f"{figures['lowest']:.3g} … {figures['highest']:.3g}"
@@ -115,14 +115,14 @@ def lines(report: dict[str, Any]) -> list[str]:
 
     imported, alone = report["import_s"], report["steps_per_s_alone"]
     text = [
-        line("import warpcontact", imported["package"], "s", f"promised: under {PROMISES['import']:g} s"),
-        line("  and what a simulation needs", imported["to_simulate"], "s"),
+        line("import warpcontact", imported["package"], "s", f"target: under {PROMISES['import']:g} s"),
+        line("  with the names of a simulation", imported["to_simulate"], "s"),
     ]
     if "every_name" in imported:
-        text.append(line("  and all of its names", imported["every_name"], "s"))
-    text.append(line("Python, NumPy and Warp alone: started", report["warp_s"]["done"], "s"))
+        text.append(line("  with all names", imported["every_name"], "s"))
+    text.append(line("Python, NumPy and Warp only: started", report["warp_s"]["done"], "s"))
     for name, part in report["first_step_s"].items():
-        promised = f"promised: under {PROMISES[name]:g} s"
+        promised = f"target: under {PROMISES[name]:g} s"
         text.append(line(f"terrain example, {name}: first step done", part["done"], "s", promised))
         text += [
             line(f"  {what}", part[key], "s")
@@ -131,13 +131,11 @@ def lines(report: dict[str, Any]) -> list[str]:
                 ("read", "read and check the file"),
                 ("build", "build"),
                 ("step", "first step" if name == "warm" else f"first step, {part['modules']} modules compiled"),
-                ("process", "process, with its end"),
+                ("process", "whole process"),
             )
         ]
     for name, figures in alone.items():
-        text.append(
-            line(f"one environment: {name}", figures, "steps/s", f"promised: {PROMISES['alone']:g} steps/s")
-        )
+        text.append(line(f"one environment: {name}", figures, "steps/s", f"target: {PROMISES['alone']:g} steps/s"))
     return text
 
 
@@ -146,9 +144,11 @@ def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--device", default="cpu", help="cpu or cuda:0")
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--envs", type=int, help="of the terrain example (default: as in its file)")
-    parser.add_argument("--at-least", type=float, default=0.2, help="seconds that one environment is stepped")
-    parser.add_argument("--out", type=Path, help="the figures (default: benchmarks/results/start-DEVICE.json)")
+    parser.add_argument("--envs", type=int, help="environments of the terrain example (default: as in its file)")
+    parser.add_argument(
+        "--at-least", type=float, default=0.2, help="minimum duration of a measurement, in seconds"
+    )
+    parser.add_argument("--out", type=Path, help="file of figures (default: benchmarks/results/start-DEVICE.json)")
     options = parser.parse_args()
     if options.rounds < 1:
         parser.error(f"--rounds must be at least 1, got {options.rounds}")

@@ -1,8 +1,8 @@
-"""What a study of a million environments takes, by one command: memory beside its plan, time, and disk.
+"""Measures a study of a million environments with one command: memory against its plan, time, and disk space.
 
     python benchmarks/study.py --envs 1000000 --device cpu
 
-W1, a sphere on a terrain, 1000 steps, outcomes and nothing over time; each run in a process of its own.
+W1, a sphere on a terrain, 1000 steps, with outcomes and without series. Each run is a separate process.
 """
 
 import argparse
@@ -62,7 +62,7 @@ def study(envs: int, outcomes: dict[str, Any]) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Prints a table and writes the figures; or, as the process of its own, runs one study."""
+    """Prints a table and writes the figures; in a child process, runs one study."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--envs", type=int, default=1_000_000)
@@ -75,7 +75,7 @@ def main() -> None:
     if options.study:
         experiment = wc.Experiment(study(options.envs, outcomes_of[options.study]))
         experiment.run(options.folder, device=options.device)
-        # What the system tells a parent of its child has the parent's own in it.
+        # Read in the child: the peak memory that the parent gets for a child includes its own.
         peak = re.search(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text())
         Path(options.folder).with_name("peak").write_text(peak[1] if peak else "")
         return
@@ -102,8 +102,8 @@ def main() -> None:
         own = results[name]
         peak, planned = (own[f"{key}_host_bytes"] / 2**30 for key in ("peak", "planned"))
         print(
-            f"{name:18} {took:7.1f} s, {own['env_steps_per_s']:.3g} environment steps per second, "
-            f"peak {peak:.2f} GiB of the host, planned {planned:.2f} GiB",
+            f"{name:18} {took:7.1f} s, {own['env_steps_per_s']:.3g} environment-steps per second, "
+            f"peak host memory {peak:.2f} GiB, planned {planned:.2f} GiB",
             flush=True,
         )
     threads = available_threads() if options.device == "cpu" else 1

@@ -1,4 +1,4 @@
-"""What a comparison comes to: medians, each engine's best number of environments, ratios to the best peer."""
+"""Summary of a comparison: medians, best number of environments per engine, ratios to the fastest peer."""
 
 import statistics
 from typing import Any
@@ -7,7 +7,7 @@ OWN = "warpcontact"
 
 
 def summarise(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Returns one row for each work and engine, at the number of environments that is its best.
+    """Returns one row per benchmark scene and engine, at its best number of environments.
 
     Args:
         entries: Results of single processes: ``work``, ``engine``, ``envs``, ``env_steps_per_s`` and more.
@@ -43,7 +43,7 @@ def summarise(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def doubt(entry: dict[str, Any]) -> str:
-    """Returns why a run may not be worth its speed, if there is a reason."""
+    """Returns the reasons why the result of a run may be invalid; empty if there are none."""
     sanity, notes = entry["sanity"], entry.get("notes", {})
     reasons = []
     if sanity["not_finite"] > 0.0:
@@ -51,7 +51,7 @@ def doubt(entry: dict[str, Any]) -> str:
     if sanity["below"] > 0.0:
         reasons.append(f"{sanity['below']:.2%} below the surface")
     if sanity["highest_body"] > 0.5:
-        # Bodies fall 0.4 m and lose energy: after a second none can be as high as where it started.
+        # Bodies fall 0.4 m and lose energy: after one second none can be as high as its start.
         reasons.append(f"a body {sanity['highest_body']:.2g} m above the surface")
     if notes.get("overflow"):
         reasons.append("contacts overflowed")
@@ -59,7 +59,7 @@ def doubt(entry: dict[str, Any]) -> str:
 
 
 def lines(rows: list[dict[str, Any]]) -> list[str]:
-    """Returns the rows as lines of text, under a heading."""
+    """Returns the rows as lines of text, with a heading."""
     text = [
         f"{'work':6} {'engine':21} {'envs':>8} {'env-steps/s':>11}  {'lowest … highest':>19} {'× best peer':>11} "
         f"{'cores':>5} {'height':>7} {'start':>7}"

@@ -1,9 +1,9 @@
-"""What exporting costs: seconds and bytes of stages of many bodies and 100 records.
+"""Measures USD export: time and file size for stages of many bodies and 100 frames.
 
     python benchmarks/usd_export.py --write
 
-Each kind is exported several times to a file on the disk; the figure is the median. Recordings are of random
-poses, which compress worst.
+Each kind is exported several times to a file on the disk; the median is reported. Recordings contain random poses,
+which are hardest to compress.
 """
 
 import argparse
@@ -25,7 +25,7 @@ RECORDS = 100
 
 
 def recording(envs: int, bodies: int) -> wc.Recording:
-    """Returns random poses: of one body in each environment, or of a set of them."""
+    """Returns a recording of random poses, of one body per environment or of a body set."""
     scene, rng = wc.Scene(), np.random.default_rng(0)
     ground = scene.add_surface(wc.meshes.grid((4.0, 4.0)), name="ground")
     items: tuple[str, ...] = ()
@@ -51,7 +51,7 @@ def recording(envs: int, bodies: int) -> wc.Recording:
     return found
 
 
-#: Environments, bodies of a set, and options.
+#: Number of environments, number of bodies in the set, and options.
 KINDS: dict[str, tuple[int, int, dict[str, Any]]] = {
     "1000 environments as ensemble": (1000, 1, {"envs": 0, "ensemble": True}),
     "1000 environments as ensemble, coloured, 16 with physics": (1000, 1, {"color_by": "outcome"}),
@@ -66,7 +66,7 @@ KINDS: dict[str, tuple[int, int, dict[str, Any]]] = {
 
 
 def measure(export: Callable[[Path], Any], suffix: str, repeats: int) -> dict[str, float]:
-    """Returns the median time [s] and the size of what is written [bytes]."""
+    """Returns the median time [s] and the size of the output [bytes]."""
     seconds = []
     for _ in range(repeats + 1):
         with tempfile.TemporaryDirectory() as folder:
@@ -74,17 +74,17 @@ def measure(export: Callable[[Path], Any], suffix: str, repeats: int) -> dict[st
             export(Path(folder) / f"stage{suffix}")
             seconds.append(time.perf_counter() - start)
             size = sum(file.stat().st_size for file in Path(folder).rglob("*") if file.is_file())
-    # The first loads what is imported on first use.
+    # The first run also imports modules.
     return {"seconds": statistics.median(seconds[1:]), "bytes": size}
 
 
 def main() -> None:
-    """Prints a table and, if asked to, writes the figures."""
+    """Prints a table and optionally writes the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--suffixes", nargs="+", default=[".usdc", ".usda", ".usdz"])
-    parser.add_argument("--write", action="store_true", help="keep the figures in benchmarks/results")
-    parser.add_argument("--out", type=Path, help="or in this file")
+    parser.add_argument("--write", action="store_true", help="write the figures to benchmarks/results")
+    parser.add_argument("--out", type=Path, help="write the figures to this file")
     options = parser.parse_args()
     found: dict[str, dict[str, Any]] = {}
     for name, (envs, bodies, given) in KINDS.items():

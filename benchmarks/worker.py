@@ -1,4 +1,4 @@
-"""The process of one engine at one work, which waits for its turn."""
+"""Process of one engine with one benchmark scene, which runs on request."""
 
 import json
 import os
@@ -14,7 +14,7 @@ MEASURE = Path(__file__).with_name("measure.py")
 
 
 class Failure(Exception):
-    """The process ended, or took too long; the text is the end of what it said."""
+    """Raised if the process ended or timed out; the text is the last line of its error output."""
 
 
 class Worker:
@@ -23,11 +23,11 @@ class Worker:
     Args:
         python: The interpreter.
         arguments: Command line of ``measure.py`` without ``--turns``.
-        environment: Further environment variables.
-        patience: Seconds to wait for any answer.
+        environment: Additional environment variables.
+        patience: Timeout for a response [s].
 
     Attributes:
-        start_s: Seconds from the start of the process until the engine was ready.
+        start_s: Time from the start of the process until the engine was ready [s].
     """
 
     def __init__(self, python: Path, arguments: list[str], environment: dict[str, str], patience: float) -> None:
@@ -42,7 +42,7 @@ class Worker:
             text=True,
             env={**os.environ, **environment},
         )
-        self._lines: queue.Queue[tuple[str, float]] = queue.Queue()  # and when they came
+        self._lines: queue.Queue[tuple[str, float]] = queue.Queue()  # line and time of arrival
         threading.Thread(target=self._read, daemon=True).start()
         self.start_s = 0.0
 
@@ -53,7 +53,7 @@ class Worker:
         self._lines.put(("", time.perf_counter()))
 
     def answer(self) -> dict[str, Any]:
-        """Returns the next line of the process."""
+        """Returns the next response of the process."""
         try:
             line, self._came = self._lines.get(timeout=self._patience)
         except queue.Empty:
@@ -65,7 +65,7 @@ class Worker:
         return json.loads(line)
 
     def ready(self) -> bool:
-        """Waits until the engine is ready; false if it does not do the work."""
+        """Waits until the engine is ready; returns false if it does not support the scene."""
         answer = self.answer()
         self.start_s = round(self._came - self._begin, 2)
         return "ready" in answer
@@ -92,7 +92,7 @@ class Worker:
         return result
 
     def last_output(self) -> str:
-        """Returns the last line that the process wrote to its error output."""
+        """Returns the last line of the error output of the process."""
         lines = self._all().strip().splitlines()
         return lines[-1][:300] if lines else ""
 
@@ -101,7 +101,7 @@ class Worker:
         return self._log.read()
 
     def end(self) -> None:
-        """Ends the process, whatever it does."""
+        """Ends the process, if necessary by force."""
         if self._process.poll() is None:
             self._process.kill()
             self._process.wait()

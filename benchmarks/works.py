@@ -1,9 +1,9 @@
-"""The works that all engines do: geometry, masses, contact parameters and start positions, as plain NumPy.
+"""Benchmark scenes for all engines: geometry, masses, contact parameters and initial positions in NumPy.
 
-W1 is a sphere on a terrain of 20 000 triangles, W2p8 and W2p64 a box of 8 or 64 points on it, which
-``warpcontact bench`` does as well; W3 is ten spheres that also touch each other in a bowl of 1280 triangles. Every
-body starts with its lowest point 0.4 m above the surface below its centre, at rest, and environments are spread
-over the surface. SI units.
+W1 is a sphere on a terrain of 20 000 triangles, W2p8 and W2p64 a box of 8 or 64 points on it; ``warpcontact
+bench`` runs these as well. W3 is ten spheres in a bowl of 1280 triangles, with contact between spheres. Every body
+starts at rest with its lowest point 0.4 m above the surface below its center. Environments are spread over the
+surface. SI units.
 """
 
 import sys
@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-# The interpreters of other engines have no warpcontact installed. This part of it needs NumPy alone.
+# Interpreters of other engines have no warpcontact installed. The imported module needs only NumPy.
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 
 from warpcontact.benchmark import works as of_one_body
@@ -32,7 +32,7 @@ from warpcontact.benchmark.works import (
 __all__ = ["DAMPING", "DT", "FRICTION", "SLIP_SPEED", "STEPS", "STIFFNESS", "box_points"]  # for engines
 
 GRAVITY = 9.81
-POINT_RADIUS = 0.025  # of a sphere that stands for a point of the box, where an engine has no points
+POINT_RADIUS = 0.025  # of the sphere at a point of the box, for engines without points [m]
 
 
 def bowl(cells: tuple[int, int] = (32, 20), edge: float = 0.1, radius: float = 1.6) -> Surface:
@@ -43,46 +43,46 @@ def bowl(cells: tuple[int, int] = (32, 20), edge: float = 0.1, radius: float = 1
 
 @dataclass(frozen=True)
 class Work(of_one_body.Work):
-    """What an engine has to simulate.
+    """Benchmark scene.
 
     Attributes:
-        bodies: Number of bodies in an environment; more than one touch each other.
+        bodies: Number of bodies of an environment; several bodies have contact with each other.
     """
 
     bodies: int = 1
 
     @property
     def resting_contacts(self) -> int:
-        """Contacts of a body that lies on a plane."""
+        """Number of contacts of a body at rest on a plane."""
         return 1 if self.points is None else round(len(self.points) ** (2 / 3))
 
     def spheres(self) -> list[tuple[Array, float]]:
-        """Returns centre and radius of spheres for engines without points: one at each point, within the box."""
+        """Returns center and radius of spheres for engines without points: one at each point, inside the box."""
         if self.points is None:
             return [(np.zeros(3), self.radius)]
         outermost = np.isclose(np.abs(self.points), HALF)
         return [(point, POINT_RADIUS) for point in self.points - POINT_RADIUS * np.sign(self.points) * outermost]
 
     def start(self, envs: int) -> Array:
-        """Returns the positions at the start, ``(envs, bodies, 3)``."""
+        """Returns the initial positions, ``(envs, bodies, 3)`` [m]."""
         if self.bodies == 1:
             return super().start(envs)
         rows = 2
         grid = np.stack(np.meshgrid(np.arange(self.bodies // rows), np.arange(rows)), axis=-1).reshape(-1, 2)
-        # Rows and columns three radii apart, moved a little so that no environment is like another.
+        # Rows and columns at a distance of three radii, with a random displacement per environment.
         moved = np.random.default_rng(1).uniform(-0.2, 0.2, (envs, self.bodies, 2)) * HALF
         return self.above(3 * HALF * (grid - grid.mean(axis=0)) + moved)
 
 
 def sanity(work: Work, positions: Array) -> dict[str, float]:
-    """Returns figures that tell whether a run was physical.
+    """Returns figures that show whether a run was physical.
 
     Args:
-        work: The work.
-        positions: Centres of the bodies at the end, ``(envs, bodies, 3)``.
+        work: The benchmark scene.
+        positions: Centers of the bodies at the end, ``(envs, bodies, 3)`` [m].
 
     Returns:
-        Mean and highest height of the centres above the surface [m], and fractions of the bodies that are below
+        Mean and maximum height of the centers above the surface [m], and fractions of the bodies that are below
         the surface or not finite.
     """
     finite = np.isfinite(positions).all(axis=-1)

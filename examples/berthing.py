@@ -1,11 +1,12 @@
-"""A boat comes alongside a quay: the faces of two fenders on its side are held off the wall by a contact coupling.
+"""A boat comes alongside a quay: a contact coupling keeps two fenders on its side off the wall.
 
-The range of the coupling is made for the design speed, with weak damping. Environments differ in speed: faster
-ones come closer than they should, which the report names. The distance of the stop and the speed after it are
+The range of the coupling is computed for a design speed, with weak damping. Environments differ in speed; faster
+boats come closer than intended, which the report lists. Relative to the undamped stopping distance v/ω and to the
+initial speed, the closest distance and the final speed are
 
     d = d₀ − (v/ω) exp(−ς arccos(ς)/√(1 − ς²)),    e = exp(−ς (π − atan2(2ς √(1 − ς²), 1 − 2ς²))/√(1 − ς²))
 
-of the way to the stop without damping, v/ω, and the speed before. No water acts on the boat.
+There is no force of the water on the boat.
 """
 
 import argparse
@@ -35,7 +36,7 @@ def fenders() -> wc.Mesh:
 
 
 def harbour() -> tuple[wc.Scene, wc.ContactCoupling]:
-    """Returns the scene, a wall whose outer side looks to +y and a boat beside it, and the coupling of both."""
+    """Returns the scene of a wall, whose outer side faces +y, and a boat next to it, and their contact coupling."""
     x, y, z = BOAT
     scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
     laid = (-math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))  # z → y

@@ -1,12 +1,12 @@
-"""A ball bounces on hard ground until it rests: from event to event, and step by step through its Zeno point.
+"""A ball bounces on rigid ground until it rests: event-driven, and by time stepping through its Zeno point.
 
-Dropped from the height h with restitution e it hits the ground infinitely often in a finite time:
+Dropped from the height h with restitution e, it hits the ground infinitely often in a finite time:
 
     t_n = t_1 (1 + 2 (e + e² + … + eⁿ⁻¹)),   t_∞ = t_1 (1 + e)/(1 − e),   t_1 = √(2h/g)
 
-The event-driven run locates its impacts to rounding and sums up the last of them as a geometric series. Time
-stepping by the Moreau–Jean scheme locates none: it passes the point of accumulation as it passes all impacts, with
-an error of the first order of its step.
+The event-driven run locates impacts to rounding and sums the last ones as a geometric series. Time stepping by the
+Moreau–Jean scheme locates no impacts. It passes the point of accumulation like any impact, with an error of first
+order in its step.
 """
 
 import argparse
@@ -25,7 +25,7 @@ IMPACTS = 5
 
 
 def ball(device: str) -> wc.Model:
-    """Returns the model of the ball above its ground."""
+    """Returns the model of the ball above the ground."""
     scene = wc.Scene(gravity=(0.0, 0.0, -GRAVITY))
     ground = scene.add_surface(wc.meshes.grid((2.0, 2.0)), name="ground")
     body = scene.add_body(
@@ -43,14 +43,14 @@ def impact_times(count: int) -> NDArray[np.float64]:
 
 
 def stepped_times(recording: wc.Recording, dt: float) -> NDArray[np.float64]:
-    """Returns when a ball that was stepped turned upwards, the middle of the step [s]."""
+    """Returns the times at which the velocity of a stepped ball turned upwards [s], as middles of steps."""
     speed = recording["ball.linear_velocity"].values[:, 0, 2]
     turned = np.flatnonzero((speed[:-1] < 0.0) & (speed[1:] > 0.0))
     return (recording["time"].values[turned] + 0.5 * dt)[:IMPACTS]
 
 
 def plot(run: wc.unilateral.EventRun, stepped: dict[float, wc.Recording], errors: dict[float, float], path: str):
-    """Draws height over time, through the Zeno point, and how the error of impact times falls with the step."""
+    """Plots height over time, also around the Zeno point, and the error of impact times over the step."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -92,7 +92,7 @@ def main(argv: list[str] | None = None) -> dict[str, float]:
     model = ball(options.device)
     times = impact_times(IMPACTS)
 
-    # A state every millisecond shows how low it comes.
+    # A state per millisecond resolves the lowest positions.
     run = wc.unilateral.EventDriven(model).run(DURATION, every=1e-3)
     found = np.array([event.time for event in run.events_of("IMPACT")[:IMPACTS]])
     rest = run.events_of("REST")[0].time

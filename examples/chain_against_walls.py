@@ -1,7 +1,7 @@
-"""A chain of five masses pressed against walls, by every method, with what each of them needs.
+"""A chain of five masses is pressed against walls; solved by every method.
 
-Springs of 1000 N/m hold the masses to the ground at one end and to each other. Chain A has one wall, at its last
-mass; chain B has one at each mass, and of the 32 states of its contacts one is admissible. Run it with
+Springs of 1000 N/m connect the first mass to the ground and the masses to each other. Chain A has one wall, at its
+last mass. Chain B has a wall at each mass; of the 32 states of its contacts one is admissible. Run it with
 ``python examples/chain_against_walls.py --picture chain.png``.
 """
 
@@ -15,7 +15,7 @@ import warpcontact as wc
 MASSES, STIFFNESS = 5, 1000.0  # N/m
 METHODS = ("enumeration", "energy", "projection", "prox", "gauss_seidel")
 
-# Load of each mass [N], mass at each wall, how far the wall is [m], and what the walls carry [N].
+# Load of each mass [N], mass at each wall, distance of each wall [m], and expected forces on the walls [N].
 CHAINS: dict[str, dict[str, Any]] = {
     "A": {"load": [2, 4, 6, 8, 10], "at": [4], "wall": [0.05], "force": [12.0]},
     "B": {
@@ -30,12 +30,12 @@ CHAINS: dict[str, dict[str, Any]] = {
 def problem(chain: dict[str, Any]) -> wc.unilateral.Problem:
     """Returns K u + Gᵀλ = f with u ≤ d at the walls."""
     K = STIFFNESS * (2.0 * np.eye(MASSES) - np.eye(MASSES, k=1) - np.eye(MASSES, k=-1))
-    K[-1, -1] = STIFFNESS  # the last mass has one neighbour
+    K[-1, -1] = STIFFNESS  # the last mass has one neighbor
     return wc.unilateral.Problem(K, chain["load"], np.eye(MASSES)[chain["at"]], chain["wall"])
 
 
 def draw(path: str) -> None:
-    """Draws both chains, how far each mass goes with walls and without, and how the methods converge."""
+    """Plots displacements of both chains with and without walls, and the convergence of the methods."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -75,7 +75,7 @@ def draw(path: str) -> None:
 
 
 def main(argv: list[str] | None = None) -> float:
-    """Prints what each method finds and returns the largest error of a force [N]."""
+    """Prints the result of each method and returns the largest error of a force [N]."""
     parser = argparse.ArgumentParser(description="Two chains against walls, by all methods.")
     parser.add_argument("--picture", metavar="FILE", help="file to draw to, such as chain.png")
     options = parser.parse_args(argv)

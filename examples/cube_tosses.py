@@ -1,18 +1,18 @@
 """400 measured tosses of a cube, simulated in one batch and compared with the measurement frame by frame.
 
-The data are the ContactNets cube tosses (Pfrommer, Halm, Posa, CoRL 2020; BSD-3-Clause) as one ``.npz`` file in
-SI units, z up, table at z = 0::
+The data are the ContactNets cube tosses (Pfrommer, Halm, Posa, CoRL 2020; BSD-3-Clause) as one ``.npz`` file in SI
+units, z up, table at z = 0::
 
     offset (n + 1,)              toss i is rows offset[i]:offset[i + 1]
-    position (T, 3)              centre of the cube, world [m]
+    position (T, 3)              center of the cube, world [m]
     quaternion_xyzw (T, 4)       body → world
     linear_velocity (T, 3)       world [m/s]
     angular_velocity_body (T, 3) body axes [rad/s]
     dt, half_width               time between frames [s], half the side of the cube [m]
     mass, inertia                [kg], the same about every axis [kg·m²]
 
-Each toss is one environment that starts from the first measured pose. ``--start raw`` takes the first measured
-velocities, which are noisy; ``--start ballistic`` fits them to the frames before the cube touches the table.
+Each toss is one environment that starts from the first measured pose. ``--start raw`` uses the first measured
+velocities, which are noisy; ``--start ballistic`` fits them to the frames before the cube reaches the table.
 """
 
 import argparse
@@ -28,20 +28,21 @@ import warpcontact as wc
 
 GRAVITY = 9.81  # m/s²
 
-# Picked by hand: one parameter at a time was varied over all tosses from raw starts. Friction decides how far the
-# cube slides: μ ± 0.01 costs 1.4 % of position error. Restitution is good from 0.17 to 0.27. Corners rounded by
-# 9 mm instead of sharp ones save 3° of rotation error. The rest hardly matters: stiffness may go from 3e5 to
-# 3e6 N/m^1.5, velocity_scale from 0.01 to 0.2 m/s, and errors change by 0.2 % and 0.2°.
+# Tuned by hand: one parameter at a time was varied over all tosses with raw starts. Friction determines the
+# distance of sliding: μ ± 0.01 adds 1.4 % of position error. Restitution is good from 0.17 to 0.27. Corners
+# rounded by 9 mm instead of sharp ones reduce the rotation error by 3°. The other parameters have little effect:
+# with stiffness from 3e5 to 3e6 N/m^1.5 and velocity_scale from 0.01 to 0.2 m/s, errors change by 0.2 % and 0.2°.
 LAW = wc.laws.HuntCrossley(stiffness=1.0e6, exponent=1.5, restitution=0.22, speed_floor=0.05)
 FRICTION = wc.friction.Tanh(mu=0.18, velocity_scale=0.05)
 CORNER_RADIUS = 9.0e-3  # m
 
-# A resting cube was tracked with its centre 1.2 mm lower than half its side. The table is put where the simulated
-# cube, which sinks in by 0.1 mm, comes to rest at the height that was tracked.
+# A resting cube was tracked with its center 1.2 mm lower than half its side. The table is placed so that the
+# simulated cube, with a penetration of 0.1 mm, rests at the tracked height.
 TABLE_HEIGHT = -1.1e-3  # m
 
-# 0.34 ms: an impact takes 4 ms and is 2 mm deep, and friction stays below its stability limit 2 m v_s/(μ N)
-# ≈ 0.8 ms (0.1 kg behind a corner, 70 N). Twice as many steps change the mean errors by less than 0.1 % and 0.1°.
+# 0.34 ms: an impact takes 4 ms and is 2 mm deep. The step is below the stability limit of friction, 2 m v_s/(μ N)
+# ≈ 0.8 ms (effective mass 0.1 kg at a corner, 70 N). Twice as many steps change the mean errors by less than 0.1 %
+# and 0.1°.
 STEPS_PER_FRAME = 20
 
 # The start is ballistic until the lowest corner comes this close to the table.
@@ -53,9 +54,9 @@ CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)
 
 @dataclass(frozen=True)
 class Tosses:
-    """Measured tosses, of different length, padded to the longest with their last frame."""
+    """Measured tosses of different length, padded to the longest by repeating their last frame."""
 
-    frames: NDArray[np.int64]  # (n,) frames that were measured
+    frames: NDArray[np.int64]  # (n,) number of measured frames
     position: NDArray[np.float64]  # (time, n, 3) [m]
     orientation: NDArray[np.float64]  # (time, n, 4) body → world, x, y, z, w
     linear_velocity: NDArray[np.float64]  # (n, 3) at the start, world [m/s]
@@ -67,7 +68,7 @@ class Tosses:
 
     @property
     def measured(self) -> NDArray[np.bool_]:
-        """Which frames were measured, (time, n)."""
+        """Whether each frame was measured, (time, n)."""
         return np.arange(len(self.position))[:, None] < self.frames
 
 
@@ -75,7 +76,7 @@ def load(path: str | Path, count: int | None = None) -> Tosses:
     """Reads the tosses of a file, or the first ``count`` of them.
 
     Raises:
-        ValueError: If there is no such file, or it lacks something; the message says what.
+        ValueError: If there is no such file, or an entry is missing.
     """
     needed = ("offset", "position", "quaternion_xyzw", "linear_velocity", "angular_velocity_body")
     needed += ("dt", "half_width", "mass", "inertia")
@@ -94,7 +95,7 @@ def load(path: str | Path, count: int | None = None) -> Tosses:
     frames = end - first
     rows = np.minimum(first + np.arange(frames.max())[:, None], end - 1)  # (time, n)
     orientation = data["quaternion_xyzw"][rows]
-    # The engine wants world axes.
+    # The model takes angular velocities in world axes.
     to_world = Rotation.from_quat(orientation[0])
     return Tosses(
         frames=frames,
@@ -107,10 +108,10 @@ def load(path: str | Path, count: int | None = None) -> Tosses:
 
 
 def ballistic_start(tosses: Tosses) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Linear and angular velocity at the first pose, (n, 3) each, fitted to the frames in free flight.
+    """Returns linear and angular velocity at the first pose, (n, 3) each, fitted to the frames in free flight.
 
-    In flight the position is a parabola, and a cube, whose inertia is the same about every axis, keeps its
-    angular velocity: both fits are straight lines through the first pose.
+    In flight the position is a parabola, and a cube with equal moments of inertia has constant angular velocity:
+    both fits are straight lines through the first pose.
     """
     linear, angular = tosses.linear_velocity.copy(), tosses.angular_velocity.copy()
     for i, frames in enumerate(tosses.frames):
@@ -120,7 +121,7 @@ def ballistic_start(tosses: Tosses) -> tuple[NDArray[np.float64], NDArray[np.flo
         flight = slice(1, touching[0] if len(touching) else frames)
         time = tosses.dt * np.arange(frames)[flight, None]
         if len(time) == 0:
-            continue  # starts on the table: keep what was measured
+            continue  # starts on the table: use the measured velocities
         moved = tosses.position[flight, i] - tosses.position[0, i] + [0.0, 0.0, 0.5 * GRAVITY] * time**2
         turned = (rotation[flight] * rotation[0].inv()).as_rotvec()
         linear[i] = (time * moved).sum(axis=0) / (time**2).sum()
@@ -129,11 +130,11 @@ def ballistic_start(tosses: Tosses) -> tuple[NDArray[np.float64], NDArray[np.flo
 
 
 def simulate(tosses: Tosses, start: str = "raw", device: str = "auto") -> wc.Recording:
-    """Simulates all tosses as environments of one model and records a frame wherever one was measured."""
+    """Simulates all tosses as environments of one model and records the measured frames."""
     scene = wc.Scene(gravity=(0.0, 0.0, -GRAVITY))
     table = scene.add_surface(wc.meshes.grid((4.0, 4.0)), position=(0.0, 0.0, TABLE_HEIGHT), name="table")
     cube = scene.add_body(mass=tosses.mass, inertia=[tosses.inertia] * 3, name="cube")
-    # A box with rounded edges touches a plane with the spheres in its corners and nothing else.
+    # A box with rounded edges touches a plane only with the spheres at its corners.
     corners = scene.add_points(cube, (tosses.half_width - CORNER_RADIUS) * CORNERS, name="corners")
     scene.add_contact(
         corners, table, wc.ContactMaterial(law=LAW, friction=FRICTION), radius=CORNER_RADIUS, name="touch"
@@ -149,12 +150,12 @@ def simulate(tosses: Tosses, start: str = "raw", device: str = "auto") -> wc.Rec
     model["cube.angular_velocity"] = angular
 
     sim = wc.Simulation(model, dt=tosses.dt / STEPS_PER_FRAME)
-    # Poses are recorded in any case. The short tosses run on to the end of the longest and are cut afterwards.
+    # Poses are always recorded. Short tosses run to the end of the longest and are cut afterwards.
     return sim.run(duration=(len(tosses.position) - 1) * tosses.dt, record=["touch.penetration"], every=tosses.dt)
 
 
 def errors(tosses: Tosses, recording: wc.Recording) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Position error as part of the cube's side [-] and rotation error [rad] of each frame, (time, n).
+    """Returns position error relative to the side [-] and rotation error [rad] of each frame, (time, n).
 
     Frames that were not measured are NaN.
     """
@@ -167,7 +168,7 @@ def errors(tosses: Tosses, recording: wc.Recording) -> tuple[NDArray[np.float64]
 
 
 def landed_right(tosses: Tosses, recording: wc.Recording) -> NDArray[np.bool_]:
-    """Whether the same face of the cube is up at the end, (n,)."""
+    """Returns whether the same face of the cube is up at the end, (n,)."""
     last = tosses.frames - 1, np.arange(len(tosses.frames))
     up = [
         Rotation.from_quat(orientation[last]).inv().apply([0.0, 0.0, 1.0]).round()
@@ -177,7 +178,7 @@ def landed_right(tosses: Tosses, recording: wc.Recording) -> NDArray[np.bool_]:
 
 
 def plot(tosses: Tosses, recording: wc.Recording, path: str | Path, title: str) -> None:
-    """Draws the distributions of the errors, and a good, a middling and a bad toss, to a file."""
+    """Plots the distributions of the errors, and a good, an average and a bad toss, to a file."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -204,7 +205,7 @@ def plot(tosses: Tosses, recording: wc.Recording, path: str | Path, title: str) 
         ax.set(xlabel=f"mean {name}", ylabel="tosses", xlim=(0.0, None))
         ax.legend()
 
-    # How errors grow, while at least half of the tosses are still being measured.
+    # Growth of errors, while at least half of the tosses have measured frames.
     seen = tosses.measured.mean(axis=1) >= 0.5
     left_axis, right_axis = axes[2, 0], axes[2, 0].twinx()
     for ax, error, unit, color in (

@@ -1,4 +1,4 @@
-"""An ellipsoid slides and tumbles in a bowl, a patch of one's own; without losses it keeps its energy.
+"""An ellipsoid slides and tumbles in a bowl, a custom parametric surface; without losses, energy is conserved.
 
 Run it with ``python examples/ellipsoid_in_bowl.py``.
 """
@@ -24,14 +24,14 @@ class Bowl(wc.ParametricSurface):
 
     @wp.func
     def position(p: Any, u: Any, v: Any):
-        """The point of the bowl at x = a u, y = b v."""
+        """Returns the point of the bowl at x = a u, y = b v."""
         one = wp.float64(1.0)
         height = p.semi_axes[2] * (one - wp.sqrt(one - u * u - v * v))
         return wp.vec3d(p.semi_axes[0] * u, p.semi_axes[1] * v, height)
 
 
 def energy_kept(duration: float = 1.0) -> float:
-    """Returns by how much the energy of a run changes at most, as part of what the ellipsoid falls through."""
+    """Returns the largest energy change of a run, relative to the range of potential energy."""
     scene = wc.Scene()
     squares = np.square(AXES)
     inertia = MASS / 5.0 * (squares.sum() - squares)

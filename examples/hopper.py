@@ -1,9 +1,9 @@
-"""A hopper: thousands of spheres run through a funnel, and their rate is held against Beverloo's law.
+"""A hopper: thousands of spheres flow through a funnel, and their rate is compared with Beverloo's law.
 
-Beverloo, Leniger and van de Velde (Chem. Eng. Sci. 15 (1961) 260) found that the mass that leaves a hopper with a
-round orifice of diameter D per unit of time is W = C ρ √g (D − k d)^(5/2), with grains of diameter d, their bulk
-density ρ, C ≈ 0.58 and k ≈ 1.4, whatever the height of the filling. Funnels as flat as this one do the same as
-flat floors: grains at rest on them make a steeper one.
+Beverloo, Leniger and van de Velde (Chem. Eng. Sci. 15 (1961) 260) found the mass flow rate W = C ρ √g (D − k
+d)^(5/2) of a hopper with a round orifice of diameter D, grains of diameter d and their bulk density ρ, with C ≈
+0.58 and k ≈ 1.4, independent of the filling height. Shallow funnels like this one behave like flat floors, because
+grains at rest on them form a steeper funnel.
 """
 
 import argparse
@@ -16,7 +16,7 @@ from tqdm import tqdm
 import warpcontact as wc
 
 GRAVITY = 9.81  # m/s²
-DIAMETER = 0.01  # m, mean of the spheres; they differ by ± 10 %
+DIAMETER = 0.01  # m, mean diameter of the spheres; they vary by ± 10 %
 DENSITY = 2500.0  # kg/m³, of their material
 FRICTION, RESTITUTION = 0.5, 0.5
 STIFFNESS = 2000.0  # in weights of a sphere per diameter: N/m = STIFFNESS m g / d
@@ -28,9 +28,9 @@ MASS = DENSITY * math.pi / 6.0 * DIAMETER**3  # kg
 
 
 def lathe(profile: list[tuple[float, float]], sides: int = 72) -> wc.Mesh:
-    """The surface that a line (radius, height) leaves in turning about z, its outer side towards the axis.
+    """Returns the surface of revolution of a line (radius, height) about z, its outer side towards the axis.
 
-    The line goes down.
+    The line must run downwards.
     """
     angles = 2.0 * np.pi * np.arange(sides) / sides
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
@@ -48,29 +48,30 @@ def lathe(profile: list[tuple[float, float]], sides: int = 72) -> wc.Mesh:
 
 
 def bin_radius(spheres: int, orifice: float) -> float:
-    """Radius of a bin that is 5 diameters wider than the orifice, and about as high as wide when full [m]."""
+    """Returns the radius of a bin 5 diameters wider than the orifice, and about as high as wide when full [m]."""
     return max((spheres / 5.5) ** (1.0 / 3.0), 0.5 * orifice + 5.0) * DIAMETER
 
 
 def fewest(orifice: float) -> int:
-    """Number of spheres that fill the funnel and four diameters of the narrowest bin above it."""
+    """Returns the number of spheres that fill the funnel and four diameters of the narrowest bin above it."""
     width, mouth = 0.5 * orifice + 5.0, 0.5 * orifice
     funnel = (width - mouth) * math.tan(SLOPE) * (width**2 + width * mouth + mouth**2) / 3.0
-    # Settled to 0.6 of the volume, of which a sphere has π/6.
+    # Packed to 0.6 of the volume; a sphere of unit diameter has a volume of π/6.
     return math.ceil(0.6 * 6.0 * (funnel + 4.0 * width**2))
 
 
 def hopper(spheres: int, orifice: float, part: float, seed: int = 0) -> tuple[wc.Scene, np.ndarray]:
-    """Spheres above a funnel, which has a gate in an orifice ``orifice`` mean diameters wide; and their radii.
+    """Returns the scene of spheres above a funnel with a gate in its orifice, and their radii.
 
-    The floor lies so deep that a heap of ``part`` of them does not reach the orifice.
+    ``orifice`` is its width in mean diameters. The floor is so deep that a heap of ``part`` of the spheres does
+    not reach the orifice.
     """
     rng = np.random.default_rng(seed)
     radii = 0.5 * DIAMETER * rng.uniform(0.9, 1.1, spheres)
     width, mouth = bin_radius(spheres, orifice), 0.5 * orifice * DIAMETER
     rise = (width - mouth) * math.tan(SLOPE)
 
-    # Loose, row on row, each a little off its place.
+    # Loose layers with small random displacements.
     pitch = 1.15 * DIAMETER
     lines = np.arange(-width, width, pitch)
     row = np.stack(np.meshgrid(lines, lines), axis=-1).reshape(-1, 2)
@@ -101,7 +102,7 @@ def hopper(spheres: int, orifice: float, part: float, seed: int = 0) -> tuple[wc
     heap = (part * spheres) ** (1.0 / 3.0) * DIAMETER
     depth = 0.6 * heap + 10.0 * DIAMETER
     ground = scene.add_surface(wc.meshes.grid((16.0 * heap, 16.0 * heap)), position=(0, 0, -depth), name="floor")
-    # A sphere beside the orifice, below the funnel, is not deep in its wall.
+    # Limits penetration, so that spheres below the funnel are not in contact with its wall.
     options = {"radius": radii, "max_depth": 0.5 * DIAMETER}
     scene.add_contact(centres, wall, material, boundary="outer", name="on_funnel", **options)
     scene.add_contact(centres, gate, material, name="on_gate", **options)
@@ -112,7 +113,7 @@ def hopper(spheres: int, orifice: float, part: float, seed: int = 0) -> tuple[wc
 
 
 def packed_fraction(places: np.ndarray, radii: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
-    """Part of a cylinder about z that is in spheres, by 100 000 points in it; its radius is ``low[0]``."""
+    """Returns the packing fraction in a cylinder about z with radius ``low[0]``, from 100 000 sample points."""
     rng = np.random.default_rng(2)
     distance = low[0] * np.sqrt(rng.uniform(size=100_000))
     angle = rng.uniform(0.0, 2.0 * np.pi, distance.shape)
@@ -124,11 +125,11 @@ def packed_fraction(places: np.ndarray, radii: np.ndarray, low: np.ndarray, high
 
 
 def discharge(spheres: int, orifice: float, part: float, device: str, progress: bool = True) -> dict[str, object]:
-    """Fills a hopper, opens it, and measures the rate while ``part`` of the spheres leave it."""
+    """Fills a hopper, opens it, and measures the flow rate while ``part`` of the spheres leave it."""
     scene, radii = hopper(spheres, orifice, part)
     model = scene.build(device=device)
     model["on_gate.enabled"] = 1.0
-    # Seventeen steps in the contact of two spheres, more in that of a light one with the wall.
+    # 17 steps per contact of two spheres, more for a light sphere and the wall.
     dt = math.pi * math.sqrt(0.5 / STIFFNESS) * UNIT / 17.0
     sim = wc.Simulation(model, dt=dt)
     every = round(0.5 * UNIT / dt)
@@ -147,7 +148,7 @@ def discharge(spheres: int, orifice: float, part: float, device: str, progress: 
             sim.step(4 * every)
             bar.update(min(0.01, 0.15 - bar.n))
             energy = float(model.sensor("scene.kinetic_energy")[0])
-            # At rest: what they move with would lift them by a thousandth of a diameter.
+            # At rest: the kinetic energy would lift the spheres by a thousandth of a diameter.
             if sim.time - start > 10.0 * UNIT and energy < 1.0e-3 * weight.sum() * GRAVITY * DIAMETER:
                 break
         settled = places()
@@ -171,7 +172,7 @@ def discharge(spheres: int, orifice: float, part: float, device: str, progress: 
                 picture = now
             if times[-1] > 6.0 * part * weight.sum() / (bulk * law):
                 break
-    # From when the flow is steady: the first tenth is that of the gate.
+    # Steady flow: the first tenth is affected by the gate.
     time, mass = np.array(times), np.array(left)
     steady = mass > 0.1 * mass[-1]
     rate = float(np.polyfit(time[steady], mass[steady], 1)[0])
@@ -190,7 +191,7 @@ def discharge(spheres: int, orifice: float, part: float, device: str, progress: 
 
 
 def draw(result: dict[str, object], file: str) -> None:
-    """Draws a slice through the hopper in flow, and the mass that has left it."""
+    """Plots a slice through the hopper during flow, and the discharged mass over time."""
     import matplotlib.pyplot as plt
     from matplotlib.collections import EllipseCollection
 
@@ -212,7 +213,7 @@ def draw(result: dict[str, object], file: str) -> None:
     left.set(xlabel="x [m]", ylabel="z [m]", title="a slice two diameters thick, in flow")
     time, mass = np.asarray(result["time"]), np.asarray(result["mass"])
     right.plot(time, mass, label="simulated")
-    # Through the middle of what was measured.
+    # Through the center of the measured points.
     law = float(result["law"])  # type: ignore[arg-type]
     right.plot(time, mass.mean() + law * (time - time.mean()), "--", label="slope of Beverloo's law")
     right.set(xlabel="time since the gate opened [s]", ylabel="mass that has left [kg]", ylim=(0, None))

@@ -1,9 +1,9 @@
-"""The landings of lander.toml: quantiles of their loads, how sure those are, and how many tip over.
+"""The landings of lander.toml: quantiles of their loads with confidence intervals, and the rate of tipping.
 
     python examples/lander.py
     python examples/lander.py --envs 65536 --out results/many_landings
 
-A few of the landings run once more and are recorded: how the load of all legs is spread over time.
+Some of the landings run again with recording, which gives the spread of the total leg load over time.
 """
 
 import argparse
@@ -27,7 +27,7 @@ def tilts(orientation: np.ndarray) -> np.ndarray:
 
 
 def recorded(run: wc.Run, envs: int, out: Path, device: str) -> wc.Run:
-    """Runs the first landings of a run again, for as long as half of them took, and records their loads."""
+    """Runs the first landings of a run again, up to their median end time, and records their loads."""
     content = run.settings.model_dump(exclude_none=True) | {
         "envs": envs,
         "duration": float(np.round(run.outcome["end_time"].median(), 2)),
@@ -37,7 +37,7 @@ def recorded(run: wc.Run, envs: int, out: Path, device: str) -> wc.Run:
 
 
 def plot(settled: dict[float, xr.Dataset], path: Path) -> None:
-    """Draws how the quantiles of the peak load settle as landings are added."""
+    """Plots the convergence of the quantiles of the peak load with the number of landings."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -1,7 +1,7 @@
-"""Two free bodies push each other in space: a spinning block carries a mesh surface, the other is a ball.
+"""Two free bodies collide in space: a spinning block carries a mesh surface, the other is a ball.
 
-A surface may be fixed to a body like a point may. Both bodies get the same force at the same point, so nothing
-but rounding changes the total momentum, linear or angular, whatever law and friction act between them.
+Like a point, a surface can be fixed to a body. Both bodies get equal and opposite forces at the same point. So the
+total linear and angular momentum is constant to rounding for any law and friction model.
 """
 
 import argparse
@@ -15,7 +15,7 @@ RADIUS = 0.05  # m, of the ball
 
 
 def scene_in_space() -> wc.Scene:
-    """A block that turns while a faster ball comes up from behind and hits it off its centre."""
+    """Returns the scene of a spinning block that a faster ball hits from behind, off its center."""
     scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
     mass = 2.0
     block = scene.add_body(
@@ -44,7 +44,7 @@ def scene_in_space() -> wc.Scene:
 
 
 def collide(envs: int = 5, device: str = "auto", precision: str = "float64") -> dict[str, float]:
-    """Prints what the collision does; returns the relative drifts of momentum and the error of restitution."""
+    """Prints the result of the collision; returns relative drifts of momentum and the error of restitution."""
     model = scene_in_space().build(envs=envs, device=device, precision=precision)
     prescribed = np.linspace(0.1, 0.9, envs)
     model["touch.law.restitution"] = prescribed
@@ -56,7 +56,7 @@ def collide(envs: int = 5, device: str = "auto", precision: str = "float64") -> 
     for name in conserved:
         momentum = recording[name]
         before, after = momentum.isel(time=0, env=0).values, momentum.isel(time=-1, env=0).values
-        # Against the length of the vector, over all times and environments.
+        # Relative to the length of the vector, over all times and environments.
         drift = np.abs(momentum - momentum.isel(time=0)).max() / np.linalg.norm(before)
         result[name] = float(drift)
         unit = momentum.attrs["units"]

@@ -1,6 +1,6 @@
-"""A mass on a spring pushed against a wall: six formulations of one contact, and what each of them does.
+"""A mass on a spring is pushed against a wall: six formulations of one contact.
 
-The mass is at u, the spring pulls it back by k u, the load f pushes it, the wall at u = d pushes back by λ ≥ 0::
+The mass is at u, the spring force is k u, the load is f, and the wall at u = d exerts the force λ ≥ 0::
 
     k u + λ = f,    u ≤ d,    λ ≥ 0,    (u − d) λ = 0
 
@@ -17,7 +17,7 @@ import warpcontact as wc
 STIFFNESS, WALL = 1000.0, 0.01  # N/m, m
 LOADS = {"pulled off": -5.0, "open": 5.0, "grazing": 10.0, "closed": 25.0}  # N
 
-# What the formulation is, and the method that takes it literally.
+# Formulation by the method that implements it.
 FORMULATIONS = {
     "enumeration": "try open, then closed",
     "energy": "least ½ k u² − f u with u ≤ d",
@@ -34,7 +34,7 @@ def closed_form(load: float) -> tuple[float, float]:
 
 
 def by_inequality(load: float) -> tuple[float, float, int]:
-    """Solves the variational inequality by its fixed point u = min(u − ρ (k u − f), d), which λ is not in."""
+    """Solves the variational inequality by its fixed point u = min(u − ρ (k u − f), d), which does not contain λ."""
     u, rho = 0.0, 0.5 / STIFFNESS
     taken, before = 0, np.inf
     while u != before and taken < 200:
@@ -44,7 +44,7 @@ def by_inequality(load: float) -> tuple[float, float, int]:
 
 
 def solved(formulation: str, load: float) -> tuple[float, float, int]:
-    """Returns u [m], λ [N] and the iterations that it took."""
+    """Returns u [m], λ [N] and the number of iterations."""
     if formulation == "inequality":
         return by_inequality(load)
     solution = wc.unilateral.solve(STIFFNESS, load, 1.0, WALL, method=formulation, tolerance=1e-14)
@@ -54,7 +54,7 @@ def solved(formulation: str, load: float) -> tuple[float, float, int]:
 
 
 def draw(loads: NDArray[np.float64], u: NDArray[np.float64], lam: NDArray[np.float64], path: str) -> None:
-    """Draws u and λ over f, the energy of the closed contact over u, and the law of the wall."""
+    """Plots u and λ over f, the energy of the closed contact over u, and the law of the wall."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -105,7 +105,7 @@ def draw(loads: NDArray[np.float64], u: NDArray[np.float64], lam: NDArray[np.flo
 
 
 def main(argv: list[str] | None = None) -> float:
-    """Prints what each formulation finds and returns the largest error, of u in 10 mm or of λ in 10 N."""
+    """Prints the result of each formulation; returns the largest error, of u in 10 mm or of λ in 10 N."""
     parser = argparse.ArgumentParser(description="One contact by six formulations.")
     parser.add_argument("--picture", metavar="FILE", help="file to draw to, such as one_dof.png")
     options = parser.parse_args(argv)
@@ -121,7 +121,7 @@ def main(argv: list[str] | None = None) -> float:
                 f"    {name:10}  f {load:6.1f} N    u {1e3 * u:7.3f} mm    λ {lam:7.3f} N    {taken:3} iterations"
             )
     if options.picture:
-        # Many loads at once: one stiffness, one wall.
+        # A batch of loads with one stiffness and one wall.
         loads = np.linspace(-5.0, 25.0, 301)
         many = wc.unilateral.solve([[STIFFNESS]], loads[:, None], [[1.0]], [WALL])
         draw(loads, many.u[:, 0], many.lam[:, 0], options.picture)

@@ -1,7 +1,7 @@
-"""A contact law and a friction of one's own: a ball dropped at a slant on a plate.
+"""A custom contact law and a custom friction model: a ball with horizontal speed falls on a plate.
 
-Both are written here, in this file, and compiled into the contact kernel like those of the catalogue. Every
-environment has another damping; what comes back is compared with the closed form of the impact.
+Both classes are defined in this file and compiled into the contact kernel like those of the catalogue. Every
+environment has a different damping. The rebound is compared with the closed form of the impact.
 """
 
 import argparse
@@ -16,31 +16,31 @@ import warpcontact as wc
 GRAVITY = 9.81  # m/s²
 MASS, RADIUS = 0.5, 0.05  # kg, m
 DROP = 0.2  # m, from the lowest point of the ball to the plate
-SIDEWAYS = 1.0  # m/s, horizontal speed of the ball, which does not spin at first
-DRAG = 0.03  # s/m, of the friction
+SIDEWAYS = 1.0  # m/s, horizontal speed of the ball, which has no spin initially
+DRAG = 0.03  # s/m, drag coefficient of the friction model
 
 
 class CubicSpring(wc.Law):
-    """N = k δ³ (1 + χ δ̇): hardens with depth, and its damping vanishes at touch and release."""
+    """N = k δ³ (1 + χ δ̇): hardens with penetration; damping vanishes at the start and the end of contact."""
 
     stiffness: float = wc.parameter("N/m³", "stiffness k", above=0.0)
     damping: float = wc.parameter("s/m", "damping χ", default=0.0, at_least=0.0)
 
     @wp.func
     def force(p: Any, c: Any):
-        """Normal force from coefficients ``p`` and contact ``c``; the type makes it run in float64 as well."""
+        """Returns the normal force from coefficients ``p`` and contact state ``c``; also compiles in float64."""
         one = type(c.delta)(1.0)
         return p.stiffness * c.delta * c.delta * c.delta * (one + p.damping * c.delta_dot)
 
 
 class Lubricated(wc.Friction):
-    """F = −β N v: grows with load and slip speed, as on a thin film; never sticks."""
+    """F = −β N v: proportional to load and slip velocity, as on a thin film; never sticks."""
 
     drag: float = wc.parameter("s/m", "drag β", at_least=0.0)
 
     @wp.func
     def force(p: Any, s: Any):
-        """Force on the ball from coefficients ``p`` and slip ``s``."""
+        """Returns the force on the ball from coefficients ``p`` and slip state ``s``."""
         return (-p.drag * s.normal_force) * s.velocity
 
 
@@ -60,17 +60,17 @@ def drop(dampings: np.ndarray, device: str = "auto") -> wc.Recording:
 
     model = scene.build(envs=len(dampings), device=device)
     model["touch.law.damping"] = dampings  # one value per environment; nothing is compiled again
-    # The impact lasts about 0.7 ms and half a millimetre deep, so that the weight hardly matters in it.
+    # The impact lasts about 0.7 ms with a penetration of half a millimeter, so gravity is negligible in it.
     sim = wc.Simulation(model, dt=1.0e-5)
     return sim.run(duration=2.2 * np.sqrt(2.0 * DROP / GRAVITY), record=["ball.linear_velocity"], every=1.0e-3)
 
 
 def expected(dampings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rebound height [m] and horizontal speed after the impact [m/s], with the weight left out of the impact.
+    """Returns rebound height [m] and horizontal speed after the impact [m/s], without gravity in the impact.
 
-    With x = χ v_in, the work of N over the way in and the way out gives v_out = [1 + W₀(−(1+x) e^−(1+x))]/χ
-    for any spring. The impulse of N is m (v_in + v_out); slip u decays by du/dt = −(7/2)(β N/m) u, for friction
-    both slows a solid ball and spins it up.
+    With x = χ v_in, the work of N in compression and restitution gives v_out = [1 + W₀(−(1+x) e^−(1+x))]/χ for any
+    spring. The impulse of N is m (v_in + v_out). Slip u decays by du/dt = −(7/2)(β N/m) u, because friction both
+    decelerates a solid ball and spins it up.
     """
     fall_speed = np.sqrt(2.0 * GRAVITY * DROP)
     chi = np.where(dampings > 0.0, dampings, 1.0)

@@ -1,10 +1,11 @@
-"""A block under a push sticks, slides or tips: maps of many environments against the boundaries of statics.
+"""A pushed block sticks, slides or tips: maps of many environments, compared with the boundaries of statics.
 
 A block of 10 kg, 1 m wide and 2 m high, stands on rough ground and is pushed at the height z. It slides if the
-push exceeds μ m g, and tips over its front edge if it exceeds m g b/(2 z) with the width b. In one map a push of
-constant size acts on each block, in the other the push grows until the block moves: it slides if μ < b/(2 z), and
-tips otherwise. Beyond both boundaries it depends: a block that slides feels no more than μ m g at its feet, and may
-stay upright; one that turns presses harder on its edge, and may not slide. Dashed lines are the boundaries of these.
+push exceeds μ m g, and tips over its front edge if it exceeds m g b/(2 z) with the width b. In the first map a
+constant push acts on each block. In the second the push grows until the block moves: it slides if μ < b/(2 z), and
+tips otherwise. Beyond both boundaries dynamics decides: friction on a sliding block is limited to μ m g, so it may
+stay upright; a tipping block has a larger normal force at its edge, so it may not slide. Dashed lines are these
+boundaries.
 
 Run it with ``python examples/pushed_block.py --picture pushed_block.png``.
 """
@@ -19,7 +20,7 @@ GRAVITY = 9.81  # m/s²
 MASS, WIDTH, HEIGHT = 10.0, 1.0, 2.0  # kg, m, m
 WEIGHT = MASS * GRAVITY
 INERTIA = MASS / 12.0 * (WIDTH**2 + HEIGHT**2)  # about the axis into the picture
-MU, LARGEST = 0.35, 0.82 * WEIGHT  # of the first map: friction, and the largest push [N]
+MU, LARGEST = 0.35, 0.82 * WEIGHT  # first map: friction, and largest push [N]
 DT = 1e-3  # s
 INTEGRATOR = wc.integrators.MoreauJean()
 STICKS, SLIDES, TIPS, TIPS_AND_SLIDES = range(4)
@@ -28,7 +29,7 @@ COLORS = ("#d9d9d9", "#7fb3d5", "#f0b27a", "#c39bd3")
 
 
 def block(envs: int, device: str) -> wc.Model:
-    """A block on its four lower corners in each environment."""
+    """Returns a model with a block on its four lower corners in each environment."""
     scene = wc.Scene(gravity=(0.0, 0.0, -GRAVITY))
     ground = scene.add_surface(wc.meshes.grid((20.0, 20.0)), name="ground")
     moments = MASS / 12.0 * np.array([1.0 + HEIGHT**2, WIDTH**2 + HEIGHT**2, WIDTH**2 + 1.0])
@@ -40,14 +41,14 @@ def block(envs: int, device: str) -> wc.Model:
 
 
 def push(model: wc.Model, height: np.ndarray, force: np.ndarray) -> None:
-    """Pushes each block to the right, ``height`` above the ground; forces act at the centre of mass."""
+    """Pushes each block to the right, ``height`` above the ground; forces act at the center of mass."""
     none = np.zeros_like(force)
     model["block.external_force"] = np.stack([force, none, none], axis=-1)
     model["block.external_torque"] = np.stack([none, force * (height - 0.5 * HEIGHT), none], axis=-1)
 
 
 def observed_mode(model: wc.Model) -> np.ndarray:
-    """What each block has begun to do."""
+    """Returns the mode of motion of each block."""
     turning = model.sensor("block.angular_velocity")[:, 1]
     # The front feet stay on the ground when the block tips.
     slip = model.sensor("feet.slip_speed")[:, 2:].max(axis=1)
@@ -55,12 +56,12 @@ def observed_mode(model: wc.Model) -> np.ndarray:
 
 
 def expected(height: np.ndarray, force: np.ndarray, mu: np.ndarray) -> np.ndarray:
-    """What a block at rest begins to do, by the laws of motion of a rigid body."""
+    """Returns the mode of a block at rest under a push, from rigid-body dynamics."""
     slides = force > mu * WEIGHT
     tips = force > WEIGHT * WIDTH / (2.0 * height)
-    # Of a block that slides, friction is μ m g; its moment and that of the push may exceed that of the weight.
+    # Friction on a sliding block is μ m g; its moment and that of the push may exceed that of the weight.
     tips_in_sliding = force * (height - 0.5 * HEIGHT) + 0.5 * mu * WEIGHT * HEIGHT > 0.5 * WEIGHT * WIDTH
-    # Of a block that turns about its front edge, friction and weight accelerate its centre along the arc.
+    # Tipping about the front edge, friction and weight accelerate the center along an arc.
     about_edge = INERTIA + 0.25 * MASS * (WIDTH**2 + HEIGHT**2)
     turning = (force * height - 0.5 * WEIGHT * WIDTH) / about_edge
     friction = force - 0.5 * MASS * HEIGHT * turning
@@ -71,7 +72,7 @@ def expected(height: np.ndarray, force: np.ndarray, mu: np.ndarray) -> np.ndarra
 
 
 def at_once(side: int, device: str) -> dict[str, np.ndarray]:
-    """A map over the height of a push and its size."""
+    """Returns the map over height and size of a constant push."""
     height, force = (grid.ravel() for grid in np.meshgrid(_cells(0.0, HEIGHT, side), _cells(0.0, LARGEST, side)))
     model = block(side * side, device)
     simulation = wc.Simulation(model, DT, INTEGRATOR)
@@ -83,14 +84,14 @@ def at_once(side: int, device: str) -> dict[str, np.ndarray]:
 
 
 def growing(side: int, steps: int, device: str) -> dict[str, np.ndarray]:
-    """A map over the height of a push and friction: what ends the rest of the block, and at which push."""
+    """Returns the map over height of a growing push and friction: first mode of motion, and push at its start."""
     height, mu = (grid.ravel() for grid in np.meshgrid(_cells(0.0, HEIGHT, side), _cells(0.0, 1.0, side)))
     model = block(side * side, device)
     model["feet.friction.mu"] = mu[:, None]
     simulation = wc.Simulation(model, DT, INTEGRATOR)
     simulation.step(5)
     first, limit = np.full(len(mu), STICKS), np.zeros(len(mu))
-    # A push that ends the rest of all: with the largest μ, and at any height, it is less than the weight.
+    # The largest push moves every block: with the largest μ, and at any height, the limit is below the weight.
     for force in np.linspace(0.0, WEIGHT, steps + 1)[1:]:
         push(model, height, np.full_like(mu, force))
         simulation.step(1)
@@ -105,7 +106,7 @@ def growing(side: int, steps: int, device: str) -> dict[str, np.ndarray]:
 
 
 def draw(one: dict[str, np.ndarray], two: dict[str, np.ndarray], file: str) -> None:
-    """Draws both maps with the boundaries of statics."""
+    """Plots both maps with the boundaries of statics."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.colors import ListedColormap
     from matplotlib.figure import Figure
@@ -165,8 +166,8 @@ def main(argv: list[str] | None = None) -> dict[str, float]:
     if options.picture:
         draw(one, two, options.picture)
         print(f"picture: {options.picture}")
-    counts = ", ".join(f"{(one['observed_mode'] == mode).sum()} {name}" for mode, name in enumerate(NAMES))
-    print(f"{len(one['observed_mode'])} blocks under a push of one size: {counts}")
+    counts = ", ".join(f"{(one['seen'] == mode).sum()} {name}" for mode, name in enumerate(NAMES))
+    print(f"{len(one['seen'])} blocks under a push of one size: {counts}")
     print(f"largest error of the push that ends the rest: {result['limit']:.3f} N of {WEIGHT:g} N")
     print(
         f"agree with the theory: {100.0 * result['push']:.2f} % under a push of one size, "
@@ -176,7 +177,7 @@ def main(argv: list[str] | None = None) -> dict[str, float]:
 
 
 def _cells(low: float, high: float, count: int) -> np.ndarray:
-    """Returns the middles of ``count`` equal parts."""
+    """Returns the centers of ``count`` equal intervals."""
     return low + (high - low) * (np.arange(count) + 0.5) / count
 
 

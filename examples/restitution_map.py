@@ -1,17 +1,17 @@
-"""Restitution against mass and speed for five contact laws: 65 536 environments against closed forms.
+"""Restitution over mass and speed for five contact laws: 65 536 environments, compared with closed forms.
 
     python examples/restitution_map.py
     python examples/restitution_map.py --side 64 --out results/small_map
 
-In every environment five strikers of the same mass and speed hit a plate, one for each law. What a law makes of
-mass m and speed v is a matter of dimensions, and known:
+In every environment five strikers of the same mass m and speed v hit a plate, one per law. By dimensional analysis
+the restitution e depends on:
 
-* Kelvin–Voigt, N = K δ + c δ̇, knows the mass alone: its damping ratio is ξ = c/(2 √(K m));
-* Hunt–Crossley, N = K δ^1.5 (1 + χ δ̇), knows the speed alone, by d = χ v: d (1 + e) = ln[(1 + d)/(1 − d e)];
-* Kuwabara–Kono, N = K (δ^1.5 + 1.5 A √δ δ̇), knows both, by A (K/m)^0.4 v^0.2; its e is a Padé approximant,
-  good to 7e-4;
-* Lankarani–Nikravesh and Flores are made to have the same restitution at all speeds and masses, and have, but not
-  the one that they are given: e of their d(e), by the equation of Hunt–Crossley.
+* Kelvin–Voigt, N = K δ + c δ̇: mass only, by the damping ratio ξ = c/(2 √(K m));
+* Hunt–Crossley, N = K δ^1.5 (1 + χ δ̇): speed only, by d = χ v: d (1 + e) = ln[(1 + d)/(1 − d e)];
+* Kuwabara–Kono, N = K (δ^1.5 + 1.5 A √δ δ̇): both, by A (K/m)^0.4 v^0.2; e is a Padé approximant with an error of
+  7e-4;
+* Lankarani–Nikravesh and Flores: neither, by design. It is not the prescribed value, but e of their d(e) from the
+  Hunt–Crossley equation.
 """
 
 import argparse
@@ -40,7 +40,7 @@ TITLES = ("Kelvin–Voigt", "Hunt–Crossley", "Kuwabara–Kono", "Lankarani–N
 
 
 def experiment(masses: np.ndarray, speeds: np.ndarray) -> wc.Experiment:
-    """Returns the impacts of all masses [kg] with all speeds [m/s], the speed varying fastest."""
+    """Returns the experiment of impacts of all masses [kg] with all speeds [m/s], the speed varying fastest."""
     variation: dict[str, Any] = {}
     for name in LAWS:
         variation[f"{name}.mass"] = {"grid": masses.tolist(), "group": "mass"}
@@ -52,7 +52,7 @@ def experiment(masses: np.ndarray, speeds: np.ndarray) -> wc.Experiment:
     return wc.Experiment.from_dict(
         {
             "name": "restitution map",
-            # The longest contact, of the heaviest and slowest, takes 39 ms without loss; the shortest 31 steps.
+            # Longest contact (heaviest, slowest striker): 39 ms without loss. Shortest contact: 31 steps.
             "duration": 0.06,
             "dt": 2.5e-4,
             "gravity": [0, 0, 0],
@@ -90,7 +90,7 @@ def plot(
     closed_form_values: dict[str, np.ndarray],
     path: Path,
 ) -> None:
-    """Draws a map (mass, speed) of each law with the contours of its closed form, and curves over the speed."""
+    """Plots a map (mass, speed) of each law with the contours of its closed form, and curves over the speed."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -1,14 +1,14 @@
-"""What decides how far a block slides, its speed or its friction: Sobol' indices against their closed form.
+"""Effect of speed and friction on the stopping distance of a block: Sobol' indices against their closed form.
 
     python examples/stopping_distance.py
     python examples/stopping_distance.py --envs 65536 --out results/stopping_distance
 
-A block of speed v stops after d = v²/(2 μ g), a product of f = v² and h = 1/μ. With both drawn independently the
-parts of its variance are those of f alone, of h alone, and of both together:
+A block of speed v stops after d = v²/(2 μ g), a product of f = v² and h = 1/μ. For independent v and μ, the
+variance of d has a part of f only, a part of h only, and a part of their interaction:
 
     Var d ∝ E[f²] E[h²] − E[f]² E[h]²,   S_v = Var f E[h]² / Var d,   S_μ = Var h E[f]² / Var d
 
-and the total indices are S_Tv = 1 − S_μ and S_Tμ = 1 − S_v.
+The total indices are S_Tv = 1 − S_μ and S_Tμ = 1 − S_v.
 """
 
 import argparse
@@ -25,7 +25,7 @@ GRAVITY = 9.81  # m/s²
 
 
 def moments(low: float, high: float, power: int) -> tuple[float, float]:
-    """Returns mean and mean square of x^power, x uniform from low to high."""
+    """Returns mean and mean square of x^power for x uniform from low to high."""
 
     def mean(p: int) -> float:
         if p == -1:
@@ -36,7 +36,7 @@ def moments(low: float, high: float, power: int) -> tuple[float, float]:
 
 
 def closed_form(speeds: tuple[float, float], coefficients: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the first-order and total indices, of speed and of friction, of which the ranges are given."""
+    """Returns the first-order and total indices of speed and friction with the given ranges."""
     f, ff = moments(*speeds, 2)
     h, hh = moments(*coefficients, -1)
     first = np.array([(ff - f**2) * h**2, (hh - h**2) * f**2]) / (ff * hh - (f * h) ** 2)
@@ -57,7 +57,7 @@ def main(argv: Sequence[str] | None = None) -> dict[str, float]:
     print(run)
     table = run.to_dataframe()
     speed, mu = table[f"{SPEED}.initial.x"], table[FRICTION]
-    # In two steps, those of touching and of coming to rest, the speed is off by at most μ g dt.
+    # In two steps, at first contact and at rest, the speed has an error of at most μ g dt.
     error = float((table["distance"] - speed**2 / (2.0 * mu * GRAVITY)).abs().max())
 
     indices = wc.sensitivity(run, "distance")

@@ -1,11 +1,11 @@
-"""A meshed sphere pressed into a plate: points of one surface against the other, under a law per area.
+"""A meshed sphere is pressed into a plate: contact of two surfaces by sample points, with a law per area.
 
-How many points there are does not matter once there are enough. Which surface they are on does: springs on the
-sphere push along the normal of the plate, springs on the plate along that of the sphere. Their limits are
+The force converges with the number of points. Its limit depends on the surface that has the points: springs on the
+sphere push along the normal of the plate, springs on the plate along that of the sphere. The limits are
 
     π k R δ²  (points of the sphere)    and    π k (R − δ) δ²  (points of the plate)
 
-and those of both with half the weight the mean of the two.
+and their mean for points on both surfaces with half the weight.
 """
 
 import argparse
@@ -16,19 +16,19 @@ import numpy as np
 import warpcontact as wc
 
 RADIUS = 0.05  # m
-DEPTH = 0.004  # m, of the lowest point
+DEPTH = 0.004  # m, penetration of the lowest point
 MODULUS = 1.0e9  # Pa/m
 COUNTS = (250, 1000, 4000)
 
 
 def force(sides: str, first: str, count: int, device: str) -> float:
-    """Returns the force that holds the sphere [N]."""
+    """Returns the contact force on the sphere [N]."""
     scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
     plate = scene.add_surface(wc.meshes.grid((0.06, 0.06)), name="plate")
     ball = scene.add_body(mass=1.0, inertia=(1e-3, 1e-3, 1e-3), position=(0, 0, RADIUS - DEPTH), name="ball")
     skin = scene.add_surface(wc.meshes.icosphere(RADIUS, subdivisions=6), ball, name="skin")
     pair = (skin, plate) if first == "sphere" else (plate, skin)
-    # Each point stands for a part of its surface: the law takes the area from there.
+    # Each point represents an area of its surface, which the law uses.
     pad = wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=MODULUS))
     scene.add_surface_contact(*pair, pad, samples=count, sides=sides, name="press")
     model = scene.build(device=device, precision="float64")

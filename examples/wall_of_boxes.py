@@ -1,6 +1,7 @@
-"""A heavy ball breaks through a wall of boxes in running bond: nonsmooth contact of many bodies, by both solvers.
+"""A heavy ball breaks through a wall of boxes in running bond: nonsmooth contact of many bodies, both solvers.
 
-Boxes touch the ground, each other and the ball. Two boxes touch by the corners of each on the faces of the other.
+There is contact between boxes, ground and ball. Between two boxes, the corners of each are in contact with the
+faces of the other.
 
 Run it with ``python examples/wall_of_boxes.py --usd wall.usdc --picture wall.png``.
 """
@@ -19,7 +20,7 @@ import warpcontact as wc
 GRAVITY = 9.81  # m/s²
 LENGTH, DEPTH, HEIGHT = 0.4, 0.2, 0.2  # m, of a box with its joint
 JOINT = 2e-3  # m, between boxes of a course
-ROUNDING = 0.01  # m, radius of the corners that touch
+ROUNDING = 0.01  # m, radius of the corner spheres
 DENSITY = 700.0  # kg/m³, of boxes
 BALL_MASS, BALL_RADIUS, BALL_SPEED = 60.0, 0.17, 7.0  # kg, m, m/s
 FRICTION, RESTITUTION = 0.5, 0.1
@@ -28,7 +29,7 @@ TOLERANCE = 1e-6  # of a solve, relative to its impulses
 
 
 def bond(columns: int, rows: int) -> list[tuple[float, float, float]]:
-    """Middle and length of each box (x, z, length) [m]: every other course begins and ends with half a box."""
+    """Returns center and length of each box (x, z, length) [m]; odd courses begin and end with half a box."""
     boxes = []
     for row in range(rows):
         ends = np.arange(columns + 1.0)
@@ -40,7 +41,7 @@ def bond(columns: int, rows: int) -> list[tuple[float, float, float]]:
 
 
 def wall(columns: int, rows: int) -> wc.Scene:
-    """A wall about the plane y = 0 and a ball before it."""
+    """Returns the scene of a wall in the plane y = 0 and a ball in front of it."""
     scene = wc.Scene(gravity=(0.0, 0.0, -GRAVITY))
     ground = scene.add_surface(wc.meshes.grid((20.0, 20.0)), name="ground", color=(0.5, 0.55, 0.5))
     material = wc.ContactMaterial(
@@ -67,7 +68,7 @@ def wall(columns: int, rows: int) -> wc.Scene:
     )
     centre = scene.add_point(ball, (0.0, 0.0, 0.0), name="centre")
     scene.add_contact(centre, ground, material, radius=BALL_RADIUS, name="ball_on_ground")
-    # A corner deeper than this came from the other side.
+    # A corner with a larger penetration came from the other side.
     half = 0.5 * min(DEPTH, HEIGHT)
     for number, corners in enumerate(points):
         scene.add_contact(corners, ground, material, radius=ROUNDING, name=f"feet{number}")
@@ -92,10 +93,10 @@ def strike(
     record = ["scene.kinetic_energy", "scene.potential_energy", "scene.closed_contacts", "scene.solve_failures"]
     record += ["scene.solve_iterations", "scene.friction_dissipation", "scene.impact_dissipation"]
     record += [f"{body.name}.{key}" for body in scene.bodies for key in ("linear_velocity", "angular_velocity")]
-    simulation.step(1)  # compiles
+    simulation.step(1)  # compiles the kernels
     simulation.reset()
     with warnings.catch_warnings():
-        # Steps that are not solved to the tolerance are counted.
+        # Steps that miss the tolerance are counted by solve_failures.
         warnings.filterwarnings("ignore", message=".*not solved to the tolerance", category=RuntimeWarning)
         began = time.perf_counter()
         simulation.step(round(duration / DT))
@@ -128,7 +129,7 @@ def strike(
 
 
 def draw(recording: wc.Recording, sizes: dict[str, np.ndarray], file: str) -> None:
-    """Draws the wall at six instants."""
+    """Plots the wall at six instants."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
@@ -210,7 +211,7 @@ def main(argv: list[str] | None = None) -> dict[str, dict[str, float]]:
         draw(recording, sizes, options.picture)
         print(f"picture: {options.picture}")
     if options.usd:
-        # Without what was measured of each of the 500 contacts.
+        # Without the penetrations of the 500 contacts.
         poses = recording.drop_vars([name for name in recording.data_vars if str(name).endswith(".penetration")])
         wc.export_usd(poses, options.usd, scene=recording.scene)
         print(f"animation: {options.usd}")

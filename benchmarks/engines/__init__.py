@@ -1,12 +1,12 @@
-"""One file per engine: how it does the works.
+"""Engines of the comparison: one module per engine.
 
-A file imports its engine, NumPy and ``works``, and nothing of other engines. It has
+A module imports its engine, NumPy and ``works`` only. It has
 
-* ``WORKS``: names of the works that the engine can do;
-* ``PACKAGES``: what to name the versions of;
-* ``Run(work, envs, device, threads, variant)``: the work, ready to go, with ``reset()`` (back to the start),
-  ``step(count)``, ``wait()`` (until the device has done it), ``positions()`` (centres of the bodies, ``(envs,
-  bodies, 3)``) and ``notes()`` (what is worth knowing about a run, such as overflows).
+* ``WORKS``: names of the benchmark scenes that the engine supports;
+* ``PACKAGES``: packages whose versions are reported;
+* ``Run(work, envs, device, threads, variant)``: a run ready to start, with ``reset()`` (return to the initial
+  state), ``step(count)``, ``wait()`` (until the device is idle), ``positions()`` (centers of the bodies, ``(envs,
+  bodies, 3)`` [m]) and ``notes()`` (remarks on a run, such as overflows).
 """
 
 from dataclasses import dataclass
@@ -14,13 +14,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Engine:
-    """One line of a comparison.
+    """Engine of the comparison.
 
     Attributes:
-        file: Module of this package that does it, and list of its requirements.
-        cpu: Whether it is compared on a CPU unless asked for otherwise.
+        file: Module of this package, and name of its list of requirements.
+        cpu: Whether it is compared on a CPU by default.
         cuda: Whether it runs on a GPU.
-        variant: What ``Run`` gets to know, such as a solver.
+        variant: Variant passed to ``Run``, such as a solver.
     """
 
     file: str
@@ -32,7 +32,7 @@ class Engine:
 ENGINES = {
     "warpcontact": Engine("warpcontact"),
     "mujoco": Engine("mujoco", cuda=False),
-    "mujoco-warp": Engine("mujoco_warp", cpu=False),  # made for GPUs: minutes to compile, then slower than MuJoCo
+    "mujoco-warp": Engine("mujoco_warp", cpu=False),  # for GPUs: on a CPU slower than MuJoCo
     "newton-semi-implicit": Engine("newton", variant="semi-implicit"),
     "newton-xpbd": Engine("newton", variant="xpbd"),
 }

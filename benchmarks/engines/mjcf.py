@@ -1,12 +1,11 @@
-"""The works as MuJoCo models, for MuJoCo and MuJoCo Warp.
+"""Benchmark scenes as MuJoCo models, for MuJoCo and MuJoCo Warp.
 
-The surface is a height field. MuJoCo's contacts are soft constraints: with ``solref = (−k/m, −c/m)`` a contact
-accelerates its bodies as a spring and damper would, in so far as other contacts do not do so already; how far is
-the impedance d. At d → 0 contacts are springs side by side, which the points of a box are. A sphere has a contact
-with each of the triangles that it overlaps and only one in the engine compared; d = 0.9, MuJoCo's own choice,
-makes them share. Cones are elliptic: with pyramids, contacts as soft as these gain energy, and are no faster.
-Contacts between spheres have half of k and c, because MuJoCo scales with the masses of both bodies. All other
-options are MuJoCo's own choice.
+The surface is a height field. MuJoCo contacts are soft constraints. With ``solref = (−k/m, −c/m)`` a contact adds
+the acceleration of a spring and damper, reduced by what other contacts provide; the impedance d sets the degree.
+For d → 0 contacts are independent springs, as the points of a box are. A sphere has one contact per overlapped
+triangle in MuJoCo but one in total in this engine, so the MuJoCo default d = 0.9 is used, which shares the load.
+Cones are elliptic: pyramidal ones gain energy with such soft contacts and are not faster. Contacts between spheres
+have half of k and c, because MuJoCo scales with the masses of both bodies. All other options are defaults.
 """
 
 import mujoco
@@ -15,7 +14,7 @@ from works import DAMPING, DT, FRICTION, GRAVITY, STIFFNESS, Work
 
 
 def model(work: Work) -> mujoco.MjModel:
-    """Returns the model of a work, its bodies at the origin."""
+    """Returns the model of a benchmark scene, with its bodies at the origin."""
     spec = mujoco.MjSpec()
     spec.option.timestep = DT
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
@@ -48,7 +47,7 @@ def model(work: Work) -> mujoco.MjModel:
 
 
 def start(work: Work, envs: int) -> np.ndarray:
-    """Returns ``qpos`` at the start, ``(envs, 7·bodies)``."""
+    """Returns the initial ``qpos``, ``(envs, 7·bodies)``."""
     positions = work.start(envs)
     upright = np.broadcast_to((1.0, 0.0, 0.0, 0.0), (*positions.shape[:2], 4))
     return np.concatenate((positions, upright), axis=-1).reshape(envs, -1)

@@ -1,4 +1,4 @@
-"""MuJoCo: environments spread over its own thread pool."""
+"""MuJoCo: environments distributed over its thread pool."""
 
 from typing import Any
 
@@ -12,11 +12,11 @@ from engines import mjcf
 WORKS = ("W1", "W2p8", "W2p64", "W3")
 PACKAGES = ("mujoco", "numpy")
 
-STEPS_AT_ONCE = 100  # rollouts keep every state, so a long one would be slowed by its memory
+STEPS_AT_ONCE = 100  # rollouts store every state: long ones are limited by memory bandwidth
 
 
 class Run:
-    """See the package."""
+    """Run of a benchmark scene; see the package."""
 
     def __init__(self, work: Work, envs: int, device: str, threads: int, variant: str) -> None:
         self._model = mjcf.model(work)

@@ -1,4 +1,4 @@
-"""MuJoCo Warp: the models of MuJoCo; steps are replayed from a graph on a GPU, as its own speed test does."""
+"""MuJoCo Warp with the models of MuJoCo; on a GPU steps are replayed from a graph, as in its own speed test."""
 
 from typing import Any
 
@@ -12,14 +12,14 @@ from engines import mjcf
 WORKS = ("W1", "W2p8", "W2p64", "W3")
 PACKAGES = ("mujoco-warp", "mujoco", "warp-lang", "numpy")
 
-#: Pairs that may touch, on average over all environments, and contacts of one environment at most.
+#: Candidate pairs per environment (mean over all environments), and maximum contacts of one environment.
 PAIRS = {"W1": 4, "W2p8": 10, "W2p64": 72, "W3": 48}
 CONTACTS = {"W1": 8, "W2p8": 12, "W2p64": 24, "W3": 64}
 STEPS_IN_GRAPH = 10
 
 
 class Run:
-    """See the package."""
+    """Run of a benchmark scene; see the package."""
 
     def __init__(self, work: Work, envs: int, device: str, threads: int, variant: str) -> None:
         wp.config.log_level = wp.LOG_ERROR
@@ -30,7 +30,7 @@ class Run:
         self._data = mjw.make_data(host, nworld=envs, nconmax=PAIRS[work.name], njmax=3 * CONTACTS[work.name])
         self._start = wp.array(mjcf.start(work, envs), dtype=float)
         self.reset()
-        mjw.step(self._model, self._data)  # compiles everything
+        mjw.step(self._model, self._data)  # compiles all kernels
         self._graph = None
         if wp.get_device(device).is_cuda:
             with wp.ScopedCapture() as capture:

@@ -1,10 +1,10 @@
-"""Newton: the triangles of the surface, its collision pipeline, and one of two solvers.
+"""Newton: surface as triangle mesh, its collision pipeline, and one of two solvers.
 
-SemiImplicit has springs and dampers, so k, c and μ are the same; its friction grows with slip by a slope in N·s/m,
-which is taken so that a body at rest feels the slope of the others. XPBD has rigid contacts, μ alone. Steps are
-replayed from a graph on both devices. What makes it fast in these works is set: the distance at which contacts are
-looked for (SemiImplicit acts on overlap alone and needs none; a body of XPBD moves at most 4 mm in a step; with
-the default of 10 cm both take several times as long, for the same motion), and buffers that suffice and no more.
+SemiImplicit has springs and dampers, so k, c and μ are the same; its friction is proportional to the slip speed up
+to μ N, with a slope [N·s/m] that equals that of the other engines for a body at rest. XPBD has rigid contacts with
+μ only. Steps are replayed from a graph on both devices. Two settings are tuned for speed. The detection distance
+is small: SemiImplicit acts in overlap only, and a body moves at most 4 mm per step with XPBD; with the default of
+10 cm both take several times as long for the same motion. Buffers have the minimum sufficient size.
 """
 
 from typing import Any
@@ -18,14 +18,14 @@ WORKS = ("W1", "W2p8", "W2p64", "W3")
 PACKAGES = ("newton", "warp-lang", "numpy")
 
 GAPS = {"semi-implicit": 0.0, "xpbd": 0.004}
-#: Triangles near the shapes of one environment, and contacts, on average over all: about twice what was seen.
+#: Candidate triangles and contacts per environment (mean over all environments): about twice the observed numbers.
 TRIANGLES = {"W1": 32, "W2p8": 64, "W2p64": 512, "W3": 512}
 CONTACTS = {"W1": 8, "W2p8": 32, "W2p64": 128, "W3": 128}
-STEPS_IN_GRAPH = 10  # even, so that the state is back in the first of its two buffers
+STEPS_IN_GRAPH = 10  # even, so that the state ends in the first of the two buffers
 
 
 class Run:
-    """See the package."""
+    """Run of a benchmark scene; see the package."""
 
     def __init__(self, work: Work, envs: int, device: str, threads: int, variant: str) -> None:
         wp.config.log_level = wp.LOG_ERROR
@@ -48,7 +48,7 @@ class Run:
             poses[:, :3], poses[:, 6] = work.start(envs).reshape(-1, 3), 1.0
             self._start = wp.array(poses, dtype=wp.transform)
             self.reset()
-            self._take(2)  # compiles everything
+            self._take(2)  # compiles all kernels
             with wp.ScopedCapture(device=device) as capture:
                 self._take(STEPS_IN_GRAPH)
             self._graph = capture.graph

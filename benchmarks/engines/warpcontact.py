@@ -1,4 +1,4 @@
-"""warpcontact: Kelvin–Voigt contact with tanh friction on the triangles of the surface, and between spheres."""
+"""warpcontact: Kelvin–Voigt contact with tanh friction, with the triangles of the surface and between spheres."""
 
 from typing import Any
 
@@ -14,7 +14,7 @@ wp.config.log_level = wp.LOG_ERROR
 
 
 class Run:
-    """See the package."""
+    """Run of a benchmark scene; see the package."""
 
     def __init__(self, work: Work, envs: int, device: str, threads: int, variant: str) -> None:
         self._sim = simulation(work, envs, device, threads=threads)

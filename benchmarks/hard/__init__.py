@@ -1,1 +1,1 @@
-"""Nonsmooth contact measured: what is simulated, and how this engine and MuJoCo do it."""
+"""Benchmark scenes of nonsmooth contact, and their runs with this engine and with MuJoCo."""

@@ -1,4 +1,4 @@
-"""This engine at the works of nonsmooth contact: feet on meshes, by the Moreau–Jean scheme."""
+"""Benchmark scenes of nonsmooth contact with this engine: feet on meshes, Moreau–Jean scheme."""
 
 import warnings
 
@@ -10,7 +10,7 @@ from hard.works import DT, EDGE, FRICTION, GRAVITY, HEIGHT, MASS, RADIUS, Work
 
 
 class Run:
-    """A work, ready to go."""
+    """Run of a benchmark scene."""
 
     def __init__(
         self, work: Work, envs: int, device: str, threads: int, solver: str, precision: str = "float32"
@@ -29,18 +29,18 @@ class Run:
         self.sim = wc.Simulation(self.model, DT, wc.integrators.MoreauJean(solver=solver), threads=threads)
 
     def reset(self) -> None:
-        """Goes back to the start."""
+        """Returns to the initial state."""
         self.sim.reset()
 
     def step(self, count: int) -> None:
-        """Takes steps, and waits for them."""
+        """Takes steps and waits for the device."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             self.sim.step(count)
         wp.synchronize()
 
     def quality(self, steps: int, samples: int = 20) -> dict[str, float]:
-        """Returns figures of a run from the start, looked at now and then."""
+        """Returns quality figures of a run from the initial state, sampled at regular intervals."""
         self.reset()
         residual, iterations, deepest = [], [], 0.0
         names = [name for name in self.model.sensor_names if name.endswith(".gap")]

@@ -1,9 +1,10 @@
-"""MuJoCo at the works of nonsmooth contact: small spheres under boxes, its own solver and soft constraints.
+"""Benchmark scenes of nonsmooth contact with MuJoCo: small spheres under boxes, soft constraints.
 
     python benchmarks/hard/peer.py --work table8 --envs 4096 --threads 2 --steps 500
 
-With a line on the standard input it runs once from the start and prints seconds; at the end it prints the quality
-of a run. Contacts have MuJoCo's own stiffness, damping and impedance; elliptic cones, as friction has here.
+For each line on standard input it runs once from the initial state and prints the duration [s]. At the end of the
+input it prints quality figures of a run. Contacts have the default stiffness, damping and impedance, and elliptic
+cones by default, like the friction of this engine.
 """
 
 import argparse
@@ -19,12 +20,12 @@ import numpy as np
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 from hard.works import DT, EDGE, FRICTION, GRAVITY, HEIGHT, MASS, RADIUS, WORKS, Work, residual
 
-STEPS_AT_ONCE = 100  # rollouts keep every state, so a long one would be slowed by its memory
-LOOKED_AT = 8  # environments
+STEPS_AT_ONCE = 100  # rollouts store every state: long ones are limited by memory bandwidth
+LOOKED_AT = 8  # environments that are sampled
 
 
 def model(work: Work, cone: str) -> mujoco.MjModel:
-    """Returns the model of a work."""
+    """Returns the model of a benchmark scene."""
     spec = mujoco.MjSpec()
     spec.option.timestep = DT
     spec.option.gravity = (0.0, 0.0, -GRAVITY)
@@ -37,7 +38,8 @@ def model(work: Work, cone: str) -> mujoco.MjModel:
     for number, place in enumerate(work.start()):
         body = spec.worldbody.add_body(pos=place, mass=MASS, inertia=work.inertia, explicitinertial=True)
         body.add_freejoint()
-        # The feet of a box touch what is below it: bit ``number`` for what box ``number`` stands on.
+        # The feet of a box collide only with the next lower object: bit ``number`` marks the object under box
+        # ``number``.
         body.add_geom(
             type=mujoco.mjtGeom.mjGEOM_BOX, size=(EDGE / 2, EDGE / 2, HEIGHT / 2), mass=0.0,
             contype=2 << number, conaffinity=0, **contact,
@@ -51,7 +53,7 @@ def model(work: Work, cone: str) -> mujoco.MjModel:
 
 
 class Run:
-    """A work, ready to go."""
+    """Run of a benchmark scene."""
 
     def __init__(self, work: Work, envs: int, threads: int, cone: str) -> None:
         self._model = model(work, cone)
@@ -66,7 +68,7 @@ class Run:
         self._states = np.zeros((envs, STEPS_AT_ONCE, size))
 
     def run(self, steps: int) -> float:
-        """Runs from the start; returns how long it took [s]."""
+        """Runs from the initial state; returns the duration [s]."""
         state = self._start.copy()
         begin = time.perf_counter()
         for _ in range(steps // STEPS_AT_ONCE):
@@ -75,7 +77,7 @@ class Run:
         return time.perf_counter() - begin
 
     def quality(self, steps: int, samples: int = 20) -> dict[str, float]:
-        """Returns figures of runs from the start of a few environments, looked at now and then."""
+        """Returns quality figures of runs of a few environments, sampled at regular intervals."""
         m, d = self._model, self._data[0]
         residuals, iterations, deepest, speeds = [], [], 0.0, []
         for start in self._start[:LOOKED_AT]:
@@ -99,7 +101,7 @@ class Run:
         }
 
     def _residual(self) -> float:
-        """Takes a step; returns the residual of its contacts as a problem of rigid bodies."""
+        """Takes a step; returns the residual of its contacts as a rigid contact problem."""
         m, d = self._model, self._data[0]
         mujoco.mj_step1(m, d)
         mujoco.mj_step2(m, d)
@@ -124,7 +126,7 @@ class Run:
 
 
 def main() -> None:
-    """Runs once for every line of the standard input."""
+    """Runs once for every line of standard input."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--work", choices=WORKS, default="table8")
     parser.add_argument("--envs", type=int, default=4096)

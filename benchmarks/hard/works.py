@@ -1,7 +1,7 @@
-"""What is simulated to measure nonsmooth contact, as plain NumPy: boxes on feet that slide, come to rest and lie.
+"""Benchmark scenes of nonsmooth contact, as plain NumPy: boxes on feet that slide and come to rest.
 
-``table`` is one box with feet on a grid, ``stack`` boxes with four feet each, one on the other. Each environment
-throws its boxes along the ground with another velocity. A run ends in rest. SI units.
+``table`` is one box with feet on a grid, ``stack`` is a stack of boxes with four feet each. Each environment
+throws its boxes along the ground with another velocity. A run ends at rest. SI units.
 """
 
 from dataclasses import dataclass
@@ -15,8 +15,8 @@ DT = 2e-3
 GRAVITY = 9.81
 FRICTION = 0.4
 EDGE, HEIGHT, MASS = 0.5, 0.2, 20.0
-RADIUS = 0.01  # of a foot, a small sphere
-FASTEST = 1.5  # of a box along the ground, at the start [m/s]
+RADIUS = 0.01  # of a foot, a small sphere [m]
+FASTEST = 1.5  # largest initial speed of a box along the ground [m/s]
 
 
 @dataclass(frozen=True)
@@ -24,9 +24,9 @@ class Work:
     """Boxes with feet.
 
     Attributes:
-        name: Its name.
-        boxes: How many lie on each other.
-        feet: Feet of each.
+        name: Name of the scene.
+        boxes: Number of stacked boxes.
+        feet: Number of feet of each box.
     """
 
     name: str
@@ -35,12 +35,12 @@ class Work:
 
     @property
     def contacts(self) -> int:
-        """Contacts of an environment at rest."""
+        """Number of contacts of an environment at rest."""
         return self.boxes * self.feet
 
     @property
     def places(self) -> Array:
-        """Centres of the feet of a box in its frame, ``(feet, 3)``: on a grid below it."""
+        """Centers of the feet of a box in its frame, ``(feet, 3)`` [m]: on a grid below it."""
         across = int(np.sqrt(self.feet))
         while self.feet % across:
             across -= 1
@@ -50,17 +50,17 @@ class Work:
 
     @property
     def inertia(self) -> Array:
-        """Principal moments of a box."""
+        """Principal moments of inertia of a box [kg·m²]."""
         edges = np.array([EDGE, EDGE, HEIGHT])
         return MASS / 12.0 * (np.square(edges).sum() - np.square(edges))
 
     def start(self) -> Array:
-        """Returns the centres of the boxes, ``(boxes, 3)``, a little above each other."""
+        """Returns the centers of the boxes, ``(boxes, 3)`` [m], with small gaps between them."""
         z = 0.5 * HEIGHT + (HEIGHT + 1e-4) * np.arange(self.boxes) + 1e-4
         return np.stack([np.zeros(self.boxes), np.zeros(self.boxes), z], axis=1)
 
     def velocities(self, envs: int) -> Array:
-        """Returns the velocity of all boxes in each environment, ``(envs, 3)``."""
+        """Returns the initial velocity of all boxes in each environment, ``(envs, 3)`` [m/s]."""
         rng = np.random.default_rng(7)
         angle, speed = rng.uniform(0.0, 2.0 * np.pi, envs), rng.uniform(0.0, FASTEST, envs)
         return np.stack([speed * np.cos(angle), speed * np.sin(angle), np.zeros(envs)], axis=1)
@@ -82,12 +82,12 @@ WORKS = {
 
 
 def residual(W: Array, w: Array, impulses: Array, mu: float) -> float:
-    """Returns what is left of a contact problem, as this engine judges its own.
+    """Returns the relative residual of a contact problem, as this engine computes it.
 
     Args:
         W: Delassus matrix, (3 n, 3 n), contact by contact, normal first [1/kg].
         w: Relative velocities after the step, (n, 3) [m/s].
-        impulses: Of the step, (n, 3) [N·s].
+        impulses: Impulses of the step, (n, 3) [N·s].
         mu: Coefficient of friction.
     """
     if not len(w):
@@ -104,7 +104,7 @@ def residual(W: Array, w: Array, impulses: Array, mu: float) -> float:
     inside = across <= mu * normal
     projected = np.where(inside[:, None], z, np.where((mu * across <= -normal)[:, None], 0.0, on_cone))
     free = w - (W @ impulses.ravel()).reshape(-1, 3)
-    # Bodies connect all contacts here.
+    # In these scenes all contacts are connected by bodies.
     fastest = np.linalg.norm(free, axis=1).max()
     scale = np.maximum(np.linalg.norm(impulses, axis=1), rho * fastest)
     return float((np.linalg.norm(impulses - projected, axis=1) / np.where(scale > 0.0, scale, 1.0)).max())

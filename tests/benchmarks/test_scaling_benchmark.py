@@ -105,7 +105,7 @@ def test_growth_is_fitted_for_every_series(load):
     assert found["triangles"]["explained_by_logarithm"] == pytest.approx(1.0)
     assert found["threads"]["times_one_thread"] == {"1": 1.0, "2": 2.0, "3": pytest.approx(3.0)}
     assert found["threads"]["times_one_thread_in_processes"] == pytest.approx(2.5)
-    assert "as many processes: 2.50" in scaling.lines([found["threads"]])[0]
+    assert "same number of processes: 2.50" in scaling.lines([found["threads"]])[0]
     assert len(scaling.lines(list(found.values()))) == len(found) == 4
 
 
@@ -164,7 +164,7 @@ def test_scaling_benchmark_runs_without_matplotlib_and_is_plotted_elsewhere(devi
     words = [*TINY, "--device", device, "--series", "environments", "--out", out]
     done = run("scaling.py", *words, **bare)
     assert done.returncode == 0, done.stderr
-    assert "no picture, there is no matplotlib" in done.stdout
+    assert "no picture: matplotlib is not installed" in done.stdout
     drawn = run("scaling_picture.py", out, "--plot", tmp_path / "picture.png")
     assert drawn.returncode == 0, drawn.stderr
     assert (tmp_path / "picture.png").read_bytes().startswith(b"\x89PNG")

@@ -264,7 +264,7 @@ def test_enumeration_raises_for_unsupported_problems():
 @pytest.mark.parametrize(
     ("W", "q", "mu", "message"),
     [
-        (np.eye(3), np.ones(2), 0.0, "as many numbers as W has rows, 3, got shape (2,)"),
+        (np.eye(3), np.ones(2), 0.0, "3 numbers per problem (rows of W), got shape (2,)"),
         (np.eye(3), np.ones(3), 0.5, "with friction (m, dim) with dim 2 or 3"),
         (np.triu(np.ones((2, 2))), np.ones(2), 0.0, "W must be symmetric"),
         (np.eye(2), [np.nan, 0.0], 0.0, "q[0] must be finite, got nan"),
