@@ -44,7 +44,7 @@ NAMES: dict[str, tuple[str, ...]] = {
     "scene.restitution_limited": ("scene.restitution_limited", "scene.restrained"),
 }
 
-#: Modules that have the classes of a catalog, first the one to look in first.
+#: Modules that have the classes of a catalog, in search order.
 MODULES: dict[str, tuple[str, ...]] = {
     "law": ("laws",),
     "friction": ("friction", "frictions"),
