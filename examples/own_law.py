@@ -101,7 +101,7 @@ def compare(envs: int = 16, device: str = "auto") -> tuple[float, float]:
 
 
 def main(argv: list[str] | None = None) -> tuple[float, float]:
-    parser = argparse.ArgumentParser(description="A contact law and a friction of one's own.")
+    parser = argparse.ArgumentParser(description="A custom contact law and friction model.")
     parser.add_argument("--envs", type=int, default=16, help="number of dampings (default: 16)")
     parser.add_argument("--device", default="auto", help="cpu, cuda:0 or auto (default)")
     options = parser.parse_args(argv)

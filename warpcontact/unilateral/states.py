@@ -47,11 +47,11 @@ class ContactState:
     number: int
 
     def same_u(self, other: "ContactState") -> bool:
-        """Whether both have the same displacements."""
+        """Returns whether both have the same displacements."""
         return self._is_close(self.u, other.u, other)
 
     def same_lam(self, other: "ContactState") -> bool:
-        """Whether both have the same forces."""
+        """Returns whether both have the same forces."""
         return self._is_close(self.lam, other.lam, other)
 
     def _is_close(self, one: Array, another: Array, other: "ContactState") -> bool:

@@ -124,7 +124,7 @@ class EnvironmentAccess:
 
     @contextmanager
     def preserved_state(self) -> Iterator[None]:
-        """Context manager that restores the state afterwards, bitwise."""
+        """Restores the state on exit, bitwise; a context manager."""
         before = {name: array.numpy()[self.env].copy() for name, array in self._arrays.items()}
         try:
             yield
