@@ -1,11 +1,11 @@
-"""Configuration of Sphinx, which makes the site: ``python -m sphinx -W -b html docs docs/_build/html``."""
+"""Sphinx configuration of the site: ``python -m sphinx -W -b html docs docs/_build/html``."""
 
 import sys
 from pathlib import Path
 
 import warpcontact
 
-# The extensions that are files of this folder.
+# Extensions in this folder.
 sys.path.insert(0, str(Path(__file__).parent))
 
 project = "warpcontact"
@@ -18,13 +18,13 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "sphinx.ext.doctest",
-    "outside",  # pages that are made of files elsewhere in the repository
+    "outside",  # pages made from files elsewhere in the repository
     "contents",  # the tree of pages
     "gallery",  # pages of the examples
-    "reference",  # what docstrings do not say: formulas, catalogues, types of arguments
+    "reference",  # formulas, catalogues and argument types in addition to docstrings
 ]
 exclude_patterns = ["_build"]
-# Headings can be linked to, as on a git host.
+# Anchors of headings, as on a git host.
 myst_heading_anchors = 4
 
 autodoc_member_order = "bysource"

@@ -1,7 +1,7 @@
-"""Pages of the examples: the story that each tells of itself, how to run it, what comes out, and its code.
+"""Sphinx extension: one page per example, with description, commands, output and code.
 
-Whatever lies in ``examples/`` has a page; ``gallery/gallery.toml`` says in which part of the gallery, and how its
-picture is made.
+Every file in ``examples/`` has a page; ``gallery/gallery.toml`` sets its part of the gallery and the recipe of its
+picture.
 """
 
 import ast
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 DOCS = Path(__file__).resolve().parent
 EXAMPLES = DOCS.parent / "examples"
 FOLDER = DOCS / "gallery"
-#: Commands in a story, which the page has below it.
+#: Commands in a description; the page lists them separately.
 COMMANDS = re.compile(r"^ {4}(?:python|warpcontact) .*\n|\s*Run it with\s+``[^`]*``\.", re.MULTILINE)
 INTRODUCTION = """\
 # Examples
 
-Each of them is one file, or an experiment and what looks at its results, and ends with a number that tests check.
+Each example is a script, an experiment file, or both. It ends with a number that a test checks.
 """
 
 
@@ -31,9 +31,9 @@ class Example:
     """Files of one name in ``examples/``.
 
     Args:
-        name: Theirs, without suffix.
-        part: Of the gallery.
-        recipe: How its picture is made, as ``gallery.toml`` says.
+        name: File name without suffix.
+        part: Part of the gallery.
+        recipe: Recipe of its picture, from ``gallery.toml``.
     """
 
     name: str
@@ -42,39 +42,39 @@ class Example:
 
     @property
     def title(self) -> str:
-        """Its name in words."""
+        """Title of its page."""
         return self.name.replace("_", " ").capitalize()
 
     @property
     def files(self) -> list[Path]:
-        """Its files, the script first."""
+        """Its files; the script comes first."""
         return sorted(EXAMPLES.glob(f"{self.name}.*"))
 
     @property
     def picture(self) -> Path:
-        """Where its picture is: a plot, or what was rendered."""
+        """Path of its picture: JPEG if rendered, PNG for a plot."""
         rendered = not {"render", "recording"}.isdisjoint(self.recipe)
         return FOLDER / f"{self.name}{'.jpg' if rendered else '.png'}"
 
     @property
     def printed(self) -> Path:
-        """Where it is noted what it prints."""
+        """Path of its printed output."""
         return FOLDER / f"{self.name}.txt"
 
     @property
     def summary(self) -> str:
-        """The first sentence of its story."""
+        """First sentence of its description."""
         first = story(self.files[0]).partition("\n\n")[0].replace("\n", " ")
         return re.split(r"(?<=\.) ", first)[0].rstrip(":.") + "."
 
     def command(self, file: Path, picture: str) -> str:
-        """Returns the command that runs one of its files, and draws to ``picture`` if it draws."""
+        """Returns the command that runs one of its files; a script that draws writes ``picture``."""
         if file.suffix == ".toml":
             return f"warpcontact run examples/{file.name} --out results/{self.name}"
         return f"python examples/{file.name} {self.recipe.get('options', '')}".rstrip().format(picture=picture)
 
     def render(self, picture: str) -> str:
-        """Returns the command that draws what was run."""
+        """Returns the command that draws the results of its run."""
         return f"warpcontact render results/{self.name} {self.recipe['render']} -o {picture}"
 
 
@@ -82,8 +82,7 @@ def examples() -> list[Example]:
     """Returns all examples, in the order of the gallery.
 
     Raises:
-        ValueError: If one is without a place in the gallery, a picture or a note of what it prints, or has a
-            place and does not exist.
+        ValueError: If an example is not in ``gallery.toml``, or an entry there has no example.
     """
     parts = tomllib.loads((FOLDER / "gallery.toml").read_text(encoding="utf-8"))
     found = [Example(name, part, recipe) for part, entries in parts.items() for name, recipe in entries.items()]
@@ -95,7 +94,7 @@ def examples() -> list[Example]:
 
 
 def story(file: Path) -> str:
-    """Returns what an example says of itself: its docstring, or the comment that it begins with."""
+    """Returns the description of an example: its docstring, or its leading comment."""
     text = file.read_text(encoding="utf-8")
     if file.suffix == ".py":
         description = ast.get_docstring(ast.parse(text)) or ""
@@ -105,7 +104,7 @@ def story(file: Path) -> str:
 
 
 def expected(file: Path) -> str:
-    """Returns what an experiment file ends with: the comment that says what is to be expected."""
+    """Returns the final comment of an experiment file, which states the expected result."""
     end = re.search(r"^# (Expected(?:.*\n)(?:#.*\n)*)\Z", file.read_text(encoding="utf-8"), re.MULTILINE)
     return uncommented("# " + end[1]).strip() if end else ""
 
@@ -167,7 +166,7 @@ def card(example: Example) -> str:
 
 
 def write_pages(app: "Sphinx") -> None:
-    """Makes the pages."""
+    """Writes the pages."""
     from outside import write
     from sphinx.errors import ExtensionError
 
@@ -181,6 +180,6 @@ def write_pages(app: "Sphinx") -> None:
 
 
 def setup(app: "Sphinx") -> dict[str, Any]:
-    """Registers it with Sphinx."""
+    """Registers the extension with Sphinx."""
     app.connect("builder-inited", write_pages)
     return {"parallel_read_safe": True}

@@ -1,9 +1,9 @@
-"""Makes the pictures of the gallery and notes what the examples print. A maintainer runs it and commits both.
+"""Makes the pictures of the gallery and stores the output of the examples. A maintainer runs it and commits both.
 
-    python docs/pictures.py                  # all of them, some minutes
+    python docs/pictures.py                  # all examples, several minutes
     python docs/pictures.py buoy pendulum
 
-Cube tosses need the measured data, in the folder that WARPCONTACT_SHARED names.
+The cube tosses need measured data in the folder named by the environment variable ``WARPCONTACT_SHARED``.
 """
 
 import argparse
@@ -27,9 +27,9 @@ from PIL import Image
 
 import warpcontact as wc
 
-#: Most pixels along a side, and bytes, of a picture.
+#: Maximum number of pixels along a side, and of bytes, of a picture.
 SIDE, BYTES = 1000, 150_000
-#: What differs from run to run, is only about files, or is said by Warp.
+#: Output that is not stored: times, paths and messages of Warp.
 PASSING = re.compile(
     r"^(?:.* s on .* environment steps per second|  \w+ +results/.*|(?:wrote|pictures?:|plot:|animation:) .*"
     r"|Warp [0-9.]+ initialized:\n(?: {3}.*\n)*?  +Kernel cache:\n.*|Module .* load on device .*)\n",
@@ -38,7 +38,7 @@ PASSING = re.compile(
 
 
 def run(command: str, folder: Path) -> str:
-    """Returns what a command prints; its programs are those of this environment."""
+    """Returns the output of a command, run with the programs of this virtual environment."""
     program, *arguments = shlex.split(command)
     there = {"python": sys.executable, "warpcontact": str(Path(sys.executable).with_name("warpcontact"))}
     print(command, flush=True)
@@ -48,7 +48,7 @@ def run(command: str, folder: Path) -> str:
 
 
 def make(example: Example, folder: Path) -> None:
-    """Runs an example in a folder, takes over its picture, and notes what it prints."""
+    """Runs an example in a folder, and stores its picture and its output."""
     picture = folder / f"{example.name}.png"
     first = example.files[0]
     if "recording" in example.recipe:
@@ -66,9 +66,9 @@ def make(example: Example, folder: Path) -> None:
 
 
 def draw_recording(script: Path, options: dict[str, Any], picture: Path) -> str:
-    """Runs a script in this process, draws its last recording, and returns what it prints.
+    """Runs a script in this process, draws its last recording, and returns its output.
 
-    Of a script that records nothing, the last of its models is drawn as it is.
+    For a script without a recording, the current state of its last model is drawn.
     """
     models, recordings = [], []
 
@@ -93,7 +93,11 @@ def draw_recording(script: Path, options: dict[str, Any], picture: Path) -> str:
 
 
 def shrink(source: Path, target: Path) -> None:
-    """Writes a picture as large as its share of the repository allows: plots with few colours, others as JPEG."""
+    """Writes a picture of limited size: plots with a reduced palette, others as JPEG.
+
+    Raises:
+        ValueError: If the picture is larger than ``BYTES`` at the lowest quality.
+    """
     with Image.open(source) as original:
         picture = original.convert("RGB")
     picture.thumbnail((SIDE, SIDE), Image.Resampling.LANCZOS)
@@ -108,7 +112,7 @@ def shrink(source: Path, target: Path) -> None:
 
 
 def main() -> None:
-    """Makes the pictures that are asked for."""
+    """Makes the requested pictures."""
     every = {example.name: example for example in examples()}
     parser = argparse.ArgumentParser(description="Makes the pictures of the gallery.")
     parser.add_argument("names", nargs="*", metavar="NAME", help="examples (default: all)")

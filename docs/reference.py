@@ -1,7 +1,7 @@
-"""What the reference takes from the code beside docstrings.
+"""Sphinx extension: reference entries from declarations in the code, in addition to docstrings.
 
-``.. catalogue:: warpcontact.laws`` documents all that is public there. Laws, friction models, springs, motions and
-shapes are described by what their classes declare: formula, source, range, parameters with units and limits.
+``.. catalogue:: warpcontact.laws`` documents all public names of a module. For laws, friction models, springs, joints
+and shapes it adds the declarations of their classes: formula, source, validity, parameters with units and limits.
 """
 
 import dataclasses
@@ -24,7 +24,7 @@ from warpcontact.cli.law_list import PROVENANCE
 
 
 def declared(formula: type[Formula]) -> list[str]:
-    """Returns what a formula declares, as lines of reStructuredText."""
+    """Returns the declarations of a formula as lines of reStructuredText."""
     lines = [""]
     if formula.formula:
         lines += [f"| {plain(formula.formula)}", ""]
@@ -56,12 +56,12 @@ def described(field: "dataclasses.Field[Any]") -> str:
 
 
 def plain(text: str) -> str:
-    """Returns text of a docstring with |x| for absolute values, which reStructuredText would replace."""
+    """Returns the text of a docstring with escaped bars, which reStructuredText would take as substitutions."""
     return re.sub(r"(``.*?``)|\|", lambda found: found[1] or r"\|", text)
 
 
 def describe(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
-    """Adds what a formula declares to its docstring."""
+    """Adds the declarations of a formula to its docstring."""
     lines[:] = map(plain, lines)
     if inspect.isclass(obj) and issubclass(obj, Formula) and dataclasses.fields(obj):
         lines += declared(obj)
@@ -70,7 +70,7 @@ def describe(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: l
 def shorten(
     app: Sphinx, what: str, name: str, obj: Any, options: Any, signature: str | None, returned: str | None
 ) -> tuple[str | None, str | None]:
-    """Returns a signature in which arrays are called what they are in the source, and not all that they may be."""
+    """Returns a signature with ``ArrayLike`` instead of its long union type."""
     long = stringify_annotation(ArrayLike, "smart")
     return (signature and signature.replace(long, "ArrayLike")), returned
 
@@ -78,7 +78,7 @@ def shorten(
 class Catalogue(SphinxDirective):
     """Documents every class and function that a module exports, in the order of its catalogue.
 
-    With the option ``members`` it documents members of classes, too.
+    With the option ``members`` it also documents the members of classes.
     """
 
     required_arguments = 1
@@ -102,7 +102,7 @@ class Catalogue(SphinxDirective):
 
 
 def ordered(module: Any) -> list[str]:
-    """Returns the public names of a module that the package does not export itself: a catalogue in its order."""
+    """Returns the public names of a module that the package does not export itself, catalogues in their order."""
     names = [name for name in module.__all__ if name not in warpcontact.__all__]
     listed = [
         entry.__name__
@@ -115,7 +115,7 @@ def ordered(module: Any) -> list[str]:
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
-    """Registers it with Sphinx."""
+    """Registers the extension with Sphinx."""
     app.add_directive("catalogue", Catalogue)
     app.connect("autodoc-process-docstring", describe, priority=600)
     app.connect("autodoc-process-signature", shorten)
