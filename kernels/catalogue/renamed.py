@@ -69,6 +69,8 @@ def explain_renamed(kind: type[C]) -> type[C]:
     """Decorates a class: access to a renamed attribute raises an ``AttributeError`` with the present name."""
 
     def missing(self: Any, name: str) -> Any:
+        if hasattr(type(self), name):  # a property that raised
+            return object.__getattribute__(self, name)
         owner = type(self).__name__
         new = RENAMED.get(name)
         if new is None or not (new in vars(self) or hasattr(type(self), new)):

@@ -94,7 +94,7 @@ def test_self_intersections_are_invariant_to_scale_and_position():
 
 
 def test_mesh_with_too_many_close_faces_is_not_examined(monkeypatch):
-    monkeypatch.setattr("warpcontact.meshes.overlap._BUDGET", 100)
+    monkeypatch.setattr("warpcontact.meshes.overlap._MAX_PAIRS", 100)
     mesh = icosphere(1.0, 3)
     assert examine(mesh.vertices, mesh.faces, overlaps=True).self_intersection_count is None
     with pytest.raises(MeshError, match="too many faces close to each other"):

@@ -1,6 +1,7 @@
 """Checkpoints as data of strangers: tampered ones are refused, or run; they never end the process."""
 
 import collections
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +14,8 @@ import warpcontact as wc
 from warpcontact.stepping import checkpoint
 
 HERE = Path(__file__).parent
+# Where the process finds helper modules.
+PATHS = os.environ | {"PYTHONPATH": str(HERE.parent)}
 # For 50 files and the start of a process, on a slow machine [s].
 PATIENCE = 300
 
@@ -22,7 +25,9 @@ def test_tampered_checkpoint_neither_crashes_nor_hangs(case, times, tmp_path):
     ends = collections.Counter()
     for first in range(0, 50 * times, 50):
         command = [sys.executable, HERE / "tampered_checkpoints.py", case, str(first), "50", tmp_path]
-        done = subprocess.run(command, check=False, capture_output=True, text=True, cwd=HERE, timeout=PATIENCE)
+        done = subprocess.run(
+            command, check=False, capture_output=True, text=True, cwd=HERE, timeout=PATIENCE, env=PATHS
+        )
         lines = done.stdout.splitlines()
         assert done.returncode == 0, f"{lines[-1:]}\n{done.stderr[-2000:]}"
         assert len(lines) == 50
@@ -61,7 +66,7 @@ def test_checkpoint_stores_no_caches(saved):
     assert names.isdisjoint(
         {"safe_travel", "nearest", "list_center", "gap", "penetration", "key", "head", "wrenches"}
     )
-    assert {"body_position", "entry_speed", "armed", "face", "partner", "slot", "status", "time"} <= names
+    assert {"body_position", "entry_speed", "armed", "face", "neighbor", "slot", "status", "time"} <= names
 
 
 @pytest.mark.parametrize(
@@ -74,11 +79,11 @@ def test_checkpoint_stores_no_caches(saved):
         ("state:time", np.float64([np.nan]), r"time\[0\] must be a time of at least 0 s, got nan"),
         ("state:body_position", np.float32([np.inf]), r"body_position\[0, 0\] must be finite, got \[inf"),
         ("state:body_orientation", np.float32([3.0]), r"body_orientation\[0, 0\] must be a unit quaternion"),
-        ("seed", np.int32([9, 9] * 16), r"seed\.known\[0, 0\] must be from 0 to 1"),
-        ("piles:partner", np.int32([40]), r"partner\[0, 0\] must be from 0 to 39, got 40"),
-        ("piles:slot", np.int32([-2]), r"slot\[0, 0\] must be from -1 to \d+, got -2"),
-        ("piles:owned", np.int32([10**4]), r"owned\[0, 0\] must be from 0 to \d+, got 10000"),
-        ("piles:bits", np.int32([4]), r"bits\[0, 0\] must be from 0 to 3, got 4"),
+        ("warm_start", np.int32([9, 9] * 16), r"warm_start\.valid\[0, 0\] must be from 0 to 1"),
+        ("particles:neighbor", np.int32([40]), r"neighbor\[0, 0\] must be from 0 to 39, got 40"),
+        ("particles:slot", np.int32([-2]), r"slot\[0, 0\] must be from -1 to \d+, got -2"),
+        ("particles:owned", np.int32([10**4]), r"owned\[0, 0\] must be from 0 to \d+, got 10000"),
+        ("particles:flags", np.int32([4]), r"flags\[0, 0\] must be from 0 to 3, got 4"),
         ("couplings:grounded", np.int32([-1]), r"grounded\[0, 0\] must be from 0 to 1, got -1"),
     ],
 )

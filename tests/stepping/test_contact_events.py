@@ -126,5 +126,5 @@ def test_particle_contact_has_no_events():
 
 
 def test_events_of_simulation_without_events_raise_with_remedy():
-    with pytest.raises(ValueError, match=r"no events are watched: give the simulation events=wc\.Events"):
+    with pytest.raises(ValueError, match=r"no events are watched: give the simulation events=wc\.ContactEvents"):
         wc.Simulation(box(1), DT).events()

@@ -64,7 +64,9 @@ def test_results_are_bitwise_identical_for_any_skin(run, device):
     """A wide skin keeps lists long, a narrow one makes them anew: what is remembered goes with the pairs."""
     end, wide = again(run, scene(skin=0.15), device)
     np.testing.assert_array_equal(end, run[1])
-    often, seldom = (model.particle_contact_sets[0].grid.build_count.numpy().min() for model in (run[0], wide))
+    often, seldom = (
+        model.particle_contact_sets[0].cell_list.build_count.numpy().min() for model in (run[0], wide)
+    )
     assert often > 5 * seldom > 0
 
 
@@ -102,7 +104,7 @@ def test_neighbor_lists_of_offset_capsules_give_bitwise_identical_results(device
         models.append(model)
     changed = np.linalg.norm(models[0].sensor("rod.linear_velocity") + 2 * positions, axis=-1)
     assert (changed > 0.5).mean() > 0.8
-    often, seldom = (model.particle_contact_sets[0].grid.build_count.numpy().min() for model in models[:2])
+    often, seldom = (model.particle_contact_sets[0].cell_list.build_count.numpy().min() for model in models[:2])
     assert often > 5 * seldom > 0
     assert models[2].particle_contact_sets[0].all_pairs
     for end in ends[1:3]:

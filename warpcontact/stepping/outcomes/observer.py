@@ -198,7 +198,9 @@ class Monitor:
         form = sources.form(self._real)
         if self._model is None:
             return form, None
-        view = sources.view(SimpleNamespace(**{**vars(self._model.arrays), "state": state, "hard": self._hard}))
+        view = sources.view(
+            SimpleNamespace(**{**vars(self._model.arrays), "state": state, "nonsmooth": self._hard})
+        )
         return form._replace(dtype=view.dtype), view
 
     def _forms_and_views(
