@@ -78,10 +78,10 @@ class Solved:
 @pytest.mark.parametrize(
     ("residual", "level", "advice"),
     [
-        (1e-6, NOTE, "0.0001 % of their size, which is harmless; a larger tolerance"),
-        (MAX_HARMLESS_RESIDUAL, NOTE, "0.1 % of their size, which is harmless"),
-        (2 * MAX_HARMLESS_RESIDUAL, CAUTION, "0.2 % of their size. Give the integrator more iterations"),
-        (2 * MAX_TOLERABLE_RESIDUAL, ERROR, "20 % of their size. Give the integrator more iterations"),
+        (1e-6, NOTE, "about 0.0001 %. This error is harmless; a larger tolerance"),
+        (MAX_HARMLESS_RESIDUAL, NOTE, "about 0.1 %. This error is harmless"),
+        (2 * MAX_HARMLESS_RESIDUAL, CAUTION, "about 0.2 %. Use more iterations"),
+        (2 * MAX_TOLERABLE_RESIDUAL, ERROR, "about 20 %. Use more iterations"),
     ],
 )
 def test_missed_tolerance_is_rated_by_the_largest_residual(residual, level, advice):
@@ -91,8 +91,8 @@ def test_missed_tolerance_is_rated_by_the_largest_residual(residual, level, advi
     model.failures = np.array([0, 5], np.int32)
     (warning,) = remarks.new()
     assert warning.level == level
-    assert "in some steps of 1 of 2 environments, most in 4, in 5 steps. " in str(warning)
-    assert f"The largest residual was {residual:.1e}, in 4: " in str(warning)
+    assert "in 1 of 2 environments (most often in environment 4: 5 steps). " in str(warning)
+    assert f"The largest residual is {residual:.1e}, in environment 4: " in str(warning)
     assert advice in str(warning)
 
 

@@ -194,7 +194,7 @@ BAD = [
     (
         ("record", "every"),
         0.0125,
-        "record.every must be a multiple of dt = 0.001 s, got 0.0125 s; the nearest are",
+        "record.every must be a multiple of dt = 0.001 s, got 0.0125 s; nearest: ",
     ),
     (("record", "every"), 0.2, "record.every must be at most the duration, 0.1 s, got 0.2 s"),
     # Variations.

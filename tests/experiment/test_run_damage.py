@@ -297,7 +297,8 @@ def test_damaged_checkpoint_restarts_its_shard(damage, whole_run, part_run, copi
     else:
         sharded_runs.change(folder / "commit" / "shard_000001.json", steps=MOST, frames=MOST)
     with pytest.warns(
-        RuntimeWarning, match=rf"shard_000001 begins anew: {path}: (is no whole|does not go on|is of )"
+        RuntimeWarning,
+        match=rf"shard_000001 begins anew: {path}: (is no complete|does not go on|is of |has schema )",
     ):
         wc.Experiment.from_toml(folder / "experiment.toml").run(folder, device="cpu", resume=True)
     assert sharded_runs.hashes(folder) == sharded_runs.hashes(whole_run)
@@ -325,7 +326,7 @@ def test_checkpoint_with_pickled_objects_runs_no_code(tmp_path):
             return os.mkdir, (str(tmp_path / "ran"),)
 
     np.savez(tmp_path / "state.npz", header=np.array([Code()], dtype=object))
-    with pytest.raises(wc.CheckpointError, match="is no whole checkpoint: Object arrays cannot be loaded"):
+    with pytest.raises(wc.CheckpointError, match="is no complete checkpoint: Object arrays cannot be loaded"):
         checkpoint.read(tmp_path / "state.npz")
     assert not (tmp_path / "ran").exists()
 

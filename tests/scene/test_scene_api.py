@@ -298,5 +298,5 @@ def test_refused_entry_is_named_with_its_index_if_there_are_several(device):
         model["ball.inertia"] = [1, 1, 3]
     with pytest.raises(ValueError, match=r"^ball\.inertia\[1\] must be physical"):
         model["ball.inertia"] = [np.eye(3), np.diag([1, 1, 3]), np.eye(3)]
-    with pytest.raises(ValueError, match=r"multiple of dt = 0.1 s, got 0.05 s; the smallest is that$"):
+    with pytest.raises(ValueError, match=r"multiple of dt = 0.1 s, got 0.05 s; the smallest multiple is dt$"):
         wc.Simulation(model, dt=0.1).run(1.0, every=0.05)

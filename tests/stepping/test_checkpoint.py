@@ -136,9 +136,9 @@ def test_unstepped_model_loaded_from_checkpoint_still_follows_its_parameters(dev
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"dt": 1e-3}, r"dt: 0\.0005 there, 0\.001 here"),
-        ({"crossing_substeps": 2}, "crossing_substeps: 3 there, 2 here"),
-        ({"envs": 4}, r"envs: \[3\] there, \[4\] here"),
+        ({"dt": 1e-3}, r"dt: 0\.0005 in the file, 0\.001 in the simulation"),
+        ({"crossing_substeps": 2}, "crossing_substeps: 3 in the file, 2 in the simulation"),
+        ({"envs": 4}, r"envs: \[3\] in the file, \[4\] in the simulation"),
     ],
 )
 def test_checkpoint_of_another_simulation_is_refused_without_changes(changes, message, device, tmp_path):
@@ -179,16 +179,16 @@ def test_damaged_checkpoint_is_refused(device, tmp_path):
         assert bits(sim) == before  # a byte between two arrays
     for length in (0, 1, 100, len(whole) // 2, len(whole) - 1):
         path.write_bytes(whole[:length])
-        with pytest.raises(wc.CheckpointError, match="is no whole checkpoint"):
+        with pytest.raises(wc.CheckpointError, match="is no complete checkpoint"):
             sim.load(path)
     for text in ("not a checkpoint", "import numpy\n", ""):
         path.write_text(text)
-        with pytest.raises(wc.CheckpointError, match=r"is no whole checkpoint: it is no \.npz file") as caught:
+        with pytest.raises(wc.CheckpointError, match=r"is no complete checkpoint: it is no \.npz file") as caught:
             sim.load(path)
         assert "pickle" not in str(caught.value)
     np.savez(path, header=np.array([{}], dtype=object))
     with pytest.raises(
-        wc.CheckpointError, match="is no whole checkpoint: Object arrays cannot be loaded"
+        wc.CheckpointError, match="is no complete checkpoint: Object arrays cannot be loaded"
     ) as caught:
         sim.load(path)
     assert "pickle" not in str(caught.value)
@@ -237,6 +237,6 @@ def test_checkpoint_with_other_monitors_is_refused(watched, device, tmp_path):
     again.load(tmp_path / "state.npz")
     assert again.outcomes().identical(sim.outcomes())
     with pytest.raises(
-        wc.CheckpointError, match=r"another simulation: watched: it has .(far: Max|quarantine: fr)"
+        wc.CheckpointError, match=r"another simulation: watched: the file has .(far: Max|quarantine: fr)"
     ):
         simulation("impulses", device, **(given | watched)).load(tmp_path / "state.npz")

@@ -174,7 +174,7 @@ def test_checkpoint_of_earlier_schema_is_refused_with_its_version(saved, tmp_pat
     sim, _, _ = saved
     checkpoint.write(tmp_path / "old.npz", {}, {"schema": 3, "program": "warpcontact 0.0.1"})
     with pytest.raises(
-        wc.CheckpointError, match=r"is of schema 3, by 'warpcontact 0\.0\.1'; this version reads schema 5"
+        wc.CheckpointError, match=r"has schema 3, written by 'warpcontact 0\.0\.1'; this version reads schema 5"
     ):
         sim.load(tmp_path / "old.npz")
 

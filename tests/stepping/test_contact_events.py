@@ -94,11 +94,14 @@ def test_contact_at_the_start_begins_at_time_zero():
 @pytest.mark.parametrize(
     ("make", "problem"),
     [
-        (lambda: wc.ContactEvents([]), "Events.contacts must be one name of a contact or more"),
+        (lambda: wc.ContactEvents([]), "Events.contacts must be one or more names of contacts"),
         (lambda: wc.ContactEvents("touch"), "must be a list of names of contacts, got the string 'touch'"),
         (lambda: wc.ContactEvents(["touch", "touch"]), "must be different contacts"),
         (lambda: wc.ContactEvents(["touch"], most=0), "Events.most must be a whole number of at least 1, got 0"),
-        (lambda: wc.ContactEvents(["tuch"]), "events: 'tuch' is not a contact; events are of 'feet', 'touch'"),
+        (
+            lambda: wc.ContactEvents(["tuch"]),
+            "events: 'tuch' is not a contact; contacts that can have events: 'feet', 'touch'",
+        ),
         (lambda: wc.ContactEvents(["ball"]), "events: 'ball' is not a contact"),
     ],
 )
@@ -115,10 +118,12 @@ def test_particle_contact_has_no_events():
     scene.add_particle_contact(scene.add_shape(grains, wc.shapes.Sphere(0.1)), material, name="pile")
     model = scene.build()
     with pytest.raises(
-        ValueError, match="events: 'pile' is a particle contact, the touches of which have no numbers"
+        ValueError, match="events: 'pile' is a particle contact, whose contact pairs have no fixed numbers"
     ):
         wc.Simulation(model, DT, events=wc.ContactEvents(["pile"]))
-    with pytest.raises(ValueError, match=r"pile\.contacts is not there in every step, and may only be Final"):
+    with pytest.raises(
+        ValueError, match=r"pile\.contacts is not computed in every step, so only Final can use it"
+    ):
         wc.Simulation(model, DT, outcomes={"n": wc.outcomes.Max("pile.contacts")})
     sim = wc.Simulation(model, DT, outcomes={"n": wc.outcomes.Final("pile.contacts")})
     sim.step(3)
@@ -126,5 +131,5 @@ def test_particle_contact_has_no_events():
 
 
 def test_events_of_simulation_without_events_raise_with_remedy():
-    with pytest.raises(ValueError, match=r"no events are watched: give the simulation events=wc\.ContactEvents"):
+    with pytest.raises(ValueError, match=r"no events are recorded: pass events=wc\.ContactEvents"):
         wc.Simulation(box(1), DT).events()

@@ -301,7 +301,7 @@ def test_restarted_recorder_begins_with_an_empty_block(device):
 def test_frames_beyond_recorder_capacity_are_refused(device):
     sim = falling(device)
     recorder = Recorder(sim.model, WATCHED, 3, poses=False)
-    with pytest.raises(RuntimeError, match=r"room for 0 of 3 frames, not for 1 more: start it first"):
+    with pytest.raises(RuntimeError, match=r"0 of 3 frames free, but 1 are required"):
         recorder.take(0.0)
     recorder.start()
     recorder.take(0.0)

@@ -1,4 +1,4 @@
-"""Poses on the host."""
+"""Rotations and rigid transforms on the host, with NumPy arrays."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -7,12 +7,12 @@ from warpcontact.validation.checks import Array
 
 
 def transform_points(points: Array, position: Array, orientation: Array) -> Array:
-    """Returns points (…, n, 3) [m] of a frame in the frame that carries it.
+    """Returns points (…, n, 3) [m] transformed from a frame to its parent frame.
 
     Args:
-        points: In the frame.
-        position: Its origin, (…, 3) [m].
-        orientation: Rotation out of it, quaternions (…, 4) in the order x, y, z, w, of length 1.
+        points: Points in the frame (…, n, 3) [m].
+        position: Origin of the frame in the parent frame (…, 3) [m].
+        orientation: Rotation from the frame to the parent frame, unit quaternions (x, y, z, w), (…, 4).
     """
     axis, angle = orientation[..., None, :3], orientation[..., None, 3:]
     turn = 2.0 * np.cross(axis, points)
@@ -20,14 +20,14 @@ def transform_points(points: Array, position: Array, orientation: Array) -> Arra
 
 
 def product(first: Array, second: Array) -> Array:
-    """Returns the quaternions (…, 4) of two rotations one after the other, ``second`` before ``first``."""
+    """Returns the quaternion products (…, 4): the rotation ``second`` followed by ``first``."""
     a, p = first[..., :3], first[..., 3:]
     b, q = second[..., :3], second[..., 3:]
     return np.concatenate([p * b + q * a + np.cross(a, b), p * q - (a * b).sum(axis=-1, keepdims=True)], axis=-1)
 
 
 def inverse(orientation: Array) -> Array:
-    """Returns the quaternions (…, 4) of the rotations back."""
+    """Returns the quaternions (…, 4) of the inverse rotations."""
     return orientation * np.array([-1.0, -1.0, -1.0, 1.0])
 
 
@@ -36,11 +36,11 @@ def shortest_rotations(start: ArrayLike, directions: Array) -> Array:
 
     Args:
         start: The axis, one of x, y and z, (3,).
-        directions: Unit vectors (…, 3); the one opposite to ``start`` is reached by half a turn about the axis
-            after it, in the order x, y, z.
+        directions: Unit vectors (…, 3). A direction opposite to ``start`` gives a rotation by π about the axis that
+            follows ``start`` in the order x, y, z.
     """
     start = np.asarray(start, dtype=np.float64)
-    # Half the angle from the sum of both; 1e-12 is what rounding leaves of it where they are opposite.
+    # q ∝ (a × b, 1 + a·b). For opposite vectors, rounding leaves 1 + a·b below 1e-12.
     whole = 1.0 + directions @ start
     quaternions = np.concatenate([np.cross(start, directions), whole[..., None]], axis=-1)
     quaternions[whole < 1.0e-12] = (*np.roll(start, 1), 0.0)

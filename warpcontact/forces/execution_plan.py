@@ -1,13 +1,13 @@
-"""The step as a list of prepared launches.
+"""Builds the step as a list of prepared Warp launches.
 
-Each stage reads what earlier ones wrote:
+``ExecutionPlan`` selects how a range of environments is computed: stage by stage, with narrow phase and contact
+force fused, or with the whole step fused. The functions ``*_stages`` return the launches of one stage:
 
-    travel → closest point → couplings → shape contacts → contact force (one launch per law) → wrenches → piles
-    → integrate, motions → sweep → outcomes → finish → history
+    motion bounds → broad and narrow phase → couplings → shape contacts → contact forces → wrenches → particles
+    → integration → swept test → monitors → accept → history
 
-or, of bodies alone in their environment, one launch for all of it.
-
-What an integrator does between forces and ``finish`` is its own: ``integrators/``.
+Integrators (``integrators/``) build the stages from couplings to the swept test. On one device all variants give
+bitwise identical results.
 """
 
 from dataclasses import dataclass
@@ -46,37 +46,38 @@ if TYPE_CHECKING:
     from warpcontact.model.model import Model
 
 
-# Whether stages are fused into one kernel where results stay bitwise identical. Staged kernels compile faster.
+# Whether stages are fused into one kernel if results stay bitwise identical. Separate kernels compile faster.
 FUSE_STAGES = not QUICK
-# Most threads of a GPU that work off a queue, in whole warps, however long it is.
+# Maximum number of GPU threads that process a work queue of any length; multiples of a warp.
 DETECTION_THREADS = 262144
 SEARCH_THREADS = 65536
-# Contacts, or threads, that are few for a GPU, at most.
+# Maximum number of contacts, or threads, of a launch that counts as small.
 SMALL_LAUNCH = 131072
-# Blocks of contacts that who integrates a body adds up on a GPU, at most.
+# Maximum number of clusters per body whose wrenches the integrator sums on a GPU.
 MAX_SUMMED_CLUSTERS = 16
-# Threads of a block: of kernels with many registers each, small blocks fill a processor better.
+# Threads per block. Small blocks give kernels with many registers a higher occupancy.
 SMALL_BLOCK, GRID_BLOCK, LARGE_BLOCK = 64, 128, 256
-# Warps that fill the processors of a GPU; measured on an H200.
+# Number of warps that fill all multiprocessors of a GPU; measured on an H200.
 FULL_WARPS = 2048
 
 
 @dataclass(frozen=True)
 class ExecutionPlan:
-    """Environments of one model, and how their contacts are computed.
+    """Environments of one model and the kernels that compute them.
 
     Attributes:
         model: The model.
-        count: How many, from the first on.
-        uses_cache: Whether what is known of distances saves work: gap, normal and point are not told of what is far
-            away then, which steps do without.
-        ordered_sum: Whether wrenches are summed in one order, the same in every run.
-        uses_queues: Whether threads share out contacts by what they need, not by blocks: for many threads.
-        nonsmooth: The contacts that are solved for impulses and have no force; ``None``: all have theirs.
-        evaluated_state: A state whose contacts are known, as nothing changed since they were looked at; ``None``: none.
-        write_outputs: Whether anyone asks what contacts did in a step: else they need not tell.
-        slice: Where launches read, when they run, which of these environments they are for, the first and how
-            many, and how many steps those in place take of them; ``None``: for all.
+        count: Number of environments, from the first one.
+        uses_cache: Whether contacts that cannot touch are skipped, using cached clearances. Gap, normal and point of
+            skipped contacts are then not written; steps do not need them.
+        ordered_sum: Whether wrenches are summed in a fixed order instead of with atomics.
+        uses_queues: Whether contacts are distributed over threads by work queues, one thread per contact, instead of
+            one thread per cluster. Used on GPUs.
+        nonsmooth: The nonsmooth contacts, which have impulses instead of forces. ``None``: all contacts are compliant.
+        evaluated_state: State whose contacts were detected before and have not changed since. ``None``: no such state.
+        write_outputs: Whether kernels write contact outputs (forces, slip) that sensors read.
+        slice: Device array [3] that launches read when they run: first environment, number of environments, and
+            number of steps of a multi-step launch. ``None``: all environments.
     """
 
     model: "Model"
@@ -91,17 +92,17 @@ class ExecutionPlan:
 
     @property
     def other_forces(self) -> tuple[bool, bool]:
-        """What acts on bodies beside contacts: couplings or shape contacts, and forces from outside."""
+        """Whether there are couplings or shape contacts, and whether there are external forces."""
         return bool(self.model.couplings or self.model.shape_contact_sets), self.model.has_external_forces
 
     @property
     def is_small(self) -> bool:
-        """Whether contacts are so few that a launch less is worth more than threads that do the same."""
+        """Whether the number of contacts is so small that launch overhead outweighs thread divergence."""
         return self.count * self.model.contact_count <= SMALL_LAUNCH
 
     @property
     def sums_by_body(self) -> bool:
-        """Whether who integrates a body may add up few blocks, and touches of a pile: nothing comes between."""
+        """Whether the integrator can sum the cluster and particle wrenches of a body itself."""
         model = self.model
         few_clusters = model.device.is_cpu or model.clusters.max_per_body <= MAX_SUMMED_CLUSTERS
         return few_clusters and (
@@ -111,7 +112,10 @@ class ExecutionPlan:
 
     @property
     def fuses_contact(self) -> bool:
-        """Whether who looks at a contact computes its force, and tells nobody: on a CPU, or of single contacts."""
+        """Whether narrow phase and contact force run in one fused kernel, without writing contact sensors.
+
+        On a CPU this requires meshes without face grids; with work queues, face grids and clusters of one contact.
+        """
         model = self.model
         needs_outputs = self.write_outputs or model.has_latched_contacts or self._has_contact_couplings
         uses_face_grid, single_contacts = (
@@ -125,9 +129,9 @@ class ExecutionPlan:
 
     @property
     def accepts_in_integrator(self) -> bool:
-        """Whether who integrates a body may end the step of its environment: it has no other, and few contacts."""
+        """Whether the integrator can also accept the step: environments with one free body and few contacts."""
         model = self.model
-        # Of many environments of a GPU two launches, with fewer registers each, take less.
+        # With many environments on a GPU, two launches with fewer registers each are faster.
         few_clusters = model.device.is_cpu or (model.clusters.count == 1 and self.is_small)
         return (
             FUSE_STAGES and few_clusters and self._single_body and model.clusters.count > 0 and self.sums_by_body
@@ -135,12 +139,12 @@ class ExecutionPlan:
 
     @property
     def _has_contact_couplings(self) -> bool:
-        """Whether contacts are those of contact couplings, which ask where each of them is."""
+        """Whether there are contact couplings, which need the position of each contact."""
         return any(group.coupling_count for group in self.model.groups)
 
     @property
     def _single_body(self) -> bool:
-        """Whether environments have one body, which is free, and contacts that follow no surface."""
+        """Whether environments have one free body and no latched contacts."""
         model = self.model
         return model.body_count == 1 and not (
             model.has_joints or model.prescribed_motions or model.has_latched_contacts
@@ -148,7 +152,7 @@ class ExecutionPlan:
 
     @property
     def fuses_step(self) -> bool:
-        """Whether one launch takes a step: of bodies alone in their environments with one set of contacts."""
+        """Whether one launch takes a whole step: single-body environments with one contact set and face grids."""
         model, clusters = self.model, self.model.clusters
         detects = self.uses_queues and self.uses_cache and model.arrays.uses_face_grid and clusters.set_count == 1
         return (
@@ -161,7 +165,7 @@ class ExecutionPlan:
 
     @property
     def fuses_steps(self) -> bool:
-        """Whether one launch takes any number of steps: on a CPU, of bodies alone with one kind of contacts."""
+        """Whether a multi-step launch is possible: on a CPU, single-body environments with one contact group."""
         per_body = not self.uses_queues and self.fuses_contact and self.accepts_in_integrator
         return (
             per_body
@@ -172,7 +176,7 @@ class ExecutionPlan:
 
     @property
     def _has_other_forces(self) -> bool:
-        """Whether other things act on bodies than contacts of points and forces from outside."""
+        """Whether bodies have force elements other than point contacts and external forces."""
         model = self.model
         return bool(
             model.couplings
@@ -189,15 +193,15 @@ class ExecutionPlan:
         threads: int | None = None,
         block_dim: int | None = None,
     ) -> list[wp.Launch]:
-        """Returns the launch for some items per environment, recorded once; none if there is no work.
+        """Returns the recorded launch of a kernel as a list; an empty list if there are no items.
 
         Args:
-            kernel: The kernel.
-            items: Items per environment.
-            inputs: Its inputs after the work.
-            threads: How many, on a GPU; one for each item if not given.
-            block_dim: How many of them share the registers of a GPU block; so many that few are spread over all
-                processors if not given.
+            kernel: The kernel. Its first argument is a ``LaunchRange``.
+            items: Number of items per environment.
+            inputs: Arguments after the ``LaunchRange``.
+            threads: Number of GPU threads. Default: one per item.
+            block_dim: Threads per GPU block. Default: ``SMALL_BLOCK`` for small launches, so that they use all
+                multiprocessors, else ``LARGE_BLOCK``.
         """
         if items == 0:
             return []
@@ -218,9 +222,9 @@ class StepLength:
     """Length of a step [env, 0] [s].
 
     Attributes:
-        real: In the precision of the model, for what forces do over it.
-        clock: In float64, for clocks and for motions that are functions of time.
-        half_clock: Half of that.
+        real: In the precision of the model, for the integration of forces.
+        clock: In float64, for clocks and prescribed motions.
+        half_clock: Half of ``clock``.
     """
 
     real: wp.array
@@ -231,15 +235,15 @@ class StepLength:
 def force_stages(
     plan: ExecutionPlan, state: Any, step: wp.array, status: wp.array, *, by_cluster: bool = False
 ) -> list[wp.Launch]:
-    """Returns the launches that compute contacts and wrenches of ``state``; they change nothing else.
+    """Returns the launches that compute contacts and wrenches of ``state``, without changing the state.
 
     Args:
         plan: The environments.
-        state: Their state.
-        step: What the forces act over [env, 0] [s]; zeros for the forces of the instant.
-        status: Of the environments [env]; left out are those that are not active.
-        by_cluster: Whether what blocks of contacts and touches of a pile do is left with them, to be added up by
-            whoever comes next, or by nobody.
+        state: State of the environments.
+        step: Time over which the forces act [env, 0] [s]; zeros for instantaneous forces.
+        status: Status of the environments [env]. Environments that are not active are skipped.
+        by_cluster: Whether to leave the wrenches of clusters and particle contacts unsummed. The integrator sums
+            them, or they are not needed.
     """
     model = plan.model
     a, real = model.arrays, model.types.real
@@ -287,7 +291,7 @@ def force_stages(
 def _fused_contact_stages(
     plan: ExecutionPlan, group: "ContactGroup", state: Any, step: wp.array, status: wp.array, *, ordered_sum: bool
 ) -> list[wp.Launch]:
-    """Returns the launches that look at the contacts of a group and compute what they do."""
+    """Returns the launches that detect the contacts of a group and compute their forces in one kernel."""
     model = plan.model
     a, codes = model.arrays, (group.parts, model.types.real, group.has_joints, group.projected)
     state_inputs = [a.model, state, a.history, group.history_in, step]
@@ -309,9 +313,9 @@ def _fused_contact_stages(
 
 
 def detection_stages(plan: ExecutionPlan, state: Any, status: wp.array) -> list[wp.Launch]:
-    """Returns the launches that look at what is near of points and meshes; arguments as in ``force_stages``.
+    """Returns the launches of broad and narrow phase of points and meshes; arguments as in ``force_stages``.
 
-    What adds up wrenches has to follow: it empties the queues.
+    A kernel that sums or clears wrenches must follow, because it empties the work queues.
     """
     model = plan.model
     a, real = model.arrays, model.types.real
@@ -335,11 +339,11 @@ def detection_stages(plan: ExecutionPlan, state: Any, status: wp.array) -> list[
 
 
 def _grid_detection_stages(plan: ExecutionPlan, state: Any, status: wp.array) -> list[wp.Launch]:
-    """Returns the launches that look at all contacts in the cells of meshes, and search for the rest."""
+    """Returns the launches that detect contacts in face grids, and search with a BVH for the remaining ones."""
     model = plan.model
     a, real, latched, clusters = model.arrays, model.types.real, model.has_latched_contacts, model.clusters.count
     inputs = [a.model, state, a.history, a.cache, a.contacts, a.active_contacts]
-    # On a CPU one thread looks at a whole block.
+    # On a CPU one thread processes a whole cluster.
     width = model.clusters.width if model.device.is_cuda else 0
     single_launch = plan.is_small or not plan.uses_queues
     kernel = contact_detection_grid.kernel(real, latched, width, single_launch)
@@ -354,7 +358,7 @@ def _grid_detection_stages(plan: ExecutionPlan, state: Any, status: wp.array) ->
 
 
 def _queued_detection_stages(plan: ExecutionPlan, state: Any, status: wp.array) -> list[wp.Launch]:
-    """Returns the launches that look at what is near on a GPU, by what it takes."""
+    """Returns the launches of contact detection on a GPU with one work queue per detection part."""
     model = plan.model
     a, real, latched = model.arrays, model.types.real, model.has_latched_contacts
     clusters, contacts = model.clusters.count, model.contact_count
@@ -394,10 +398,10 @@ def accept_stages(
 ) -> list[wp.Launch]:
     """Returns the launches that accept a proposed step in all active environments.
 
-    ``accepted``: whether clocks and the history of contacts have gone on already.
+    ``accepted``: whether clocks and contact history were already advanced by the integrator.
     """
     if accepted and plan.fuses_step:
-        # What formulas remember has as well, see ``Integrator.step_stages``.
+        # The fused step also advances history variables, see ``Integrator.step_stages``.
         return []
     model = plan.model
     a, real = model.arrays, model.types.real
@@ -448,14 +452,14 @@ def accept_stages(
 
 
 def fused_step_stages(plan: ExecutionPlan, dt: StepLength, state_in: Any, state_out: Any) -> list[wp.Launch]:
-    """Returns the launch that takes an accepted semi-implicit Euler step of a span that is ``alone``."""
+    """Returns the launch that takes an accepted semi-implicit Euler step; requires ``plan.fuses_step``."""
     model, clusters = plan.model, plan.model.clusters
     a, real, (group,) = model.arrays, model.types.real, model.groups
     lanes = warps.LANES if model.device.is_cuda else 1
     codes = group.parts, real, group.projected, model.has_external_forces
     kernel = fused_step.kernel(*codes, clusters.width, clusters.count, lanes)
-    # Of many environments each thread has one; of few so many that all processors have warps. One contact is not
-    # shared out.
+    # With many environments, each thread has one. With few, a warp has fewer environments, so that there are
+    # ``FULL_WARPS`` warps; the lanes share the contacts. A single contact cannot be shared.
     envs_per_warp = lanes if model.contact_count == 1 else min(lanes, max(1, plan.count // FULL_WARPS))
     inputs = [
         envs_per_warp,
@@ -483,7 +487,7 @@ def fused_step_stages(plan: ExecutionPlan, dt: StepLength, state_in: Any, state_
 
 
 def multi_step_stages(plan: ExecutionPlan, dt: StepLength, state: Any) -> list[wp.Launch]:
-    """Returns the launch that takes accepted semi-implicit Euler steps of a slice, if the span is ``in_place``."""
+    """Returns the multi-step launch of semi-implicit Euler steps of a slice; requires ``plan.fuses_steps``."""
     model, clusters = plan.model, plan.model.clusters
     a, (group,) = model.arrays, model.groups
     kernel = fused_steps_cpu.kernel(group.parts, model.types.real, group.projected, model.has_external_forces)
@@ -493,12 +497,12 @@ def multi_step_stages(plan: ExecutionPlan, dt: StepLength, state: Any) -> list[w
 
 
 def copy_state_stage(plan: ExecutionPlan, source: Any, target: Any) -> list[wp.Launch]:
-    """Returns the launch that copies the state of the active environments; a frozen one is left as it is."""
+    """Returns the launch that copies the state of the active environments; frozen ones are skipped."""
     model = plan.model
     kernel = semi_implicit.copy_state(model.types.real)
     return plan.prepare(kernel, model.body_count, [model.arrays.status, source, target])
 
 
 def mask_substeps_stage(plan: ExecutionPlan, *, unmask: bool) -> list[wp.Launch]:
-    """Returns the launch that lets environments with a crossing step and the others wait, or all step again."""
+    """Returns the launch that pauses all environments without a crossing; with ``unmask``, resumes them."""
     return plan.prepare(swept.mask_substeps(), 1, [plan.model.arrays.status, int(unmask)])

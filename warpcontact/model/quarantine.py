@@ -1,4 +1,8 @@
-"""What makes an environment fail, and what becomes of it beside being held at its last good state."""
+"""Quarantine: limits whose violation makes an environment fail, and the policies for failed environments.
+
+Kernels freeze a failed environment at its last valid state (``kernels/integrators/quarantine.py``). The policies
+"reset" and "raise" are applied here, on the host.
+"""
 
 from typing import TYPE_CHECKING, Any
 
@@ -17,12 +21,12 @@ if TYPE_CHECKING:
     from warpcontact.model.environments import Environments
     from warpcontact.stepping.outcomes.observer import Monitor
 
-#: Steps between two looks at which environments failed. In steps, so that results do not depend on the machine.
+#: Number of steps between checks for failed environments. In steps, so that results do not depend on the machine.
 CADENCE = 64
 
 
 def add_guard(scene: Scene, layout: AllocationPlan, parameters: Parameters, real: type) -> Any:
-    """Returns the struct of what environments may not do, declared and with its parameters."""
+    """Returns the struct of limits of speed and distance; declares its arrays and parameters."""
     guard_functions = quarantine.guard(real)
     guard = guard_functions.Guard()
     layout.array("state", guard, "cause", wp.int32, per_env(), ranges={"cause": (NO_CAUSE, TOO_FAR)})
@@ -32,7 +36,7 @@ def add_guard(scene: Scene, layout: AllocationPlan, parameters: Parameters, real
     def squares() -> dict[str, NDArray[np.float64]]:
         with np.errstate(over="ignore"):
             of = {"speed": speed.values**2, "distance": distance.values**2}
-        # Beyond what the device has numbers for, all others are within the limit.
+        # A limit whose square exceeds the device precision is never reached.
         return {key: np.where(values > largest, np.inf, values) for key, values in of.items()}
 
     device_fields = [
@@ -49,13 +53,13 @@ def add_guard(scene: Scene, layout: AllocationPlan, parameters: Parameters, real
 
 
 class QuarantineError(RuntimeError):
-    """An environment failed, and the policy is to raise.
+    """Raised if an environment failed and the quarantine policy is ``"raise"``.
 
     Attributes:
-        env: Its number.
-        time: What its clock says: it is held at its state then [s].
-        cause: Why.
-        count: How many have failed.
+        env: Number of the environment.
+        time: Its clock, the time of its last valid state [s].
+        cause: Cause of the failure.
+        count: Number of failed environments.
     """
 
     def __init__(self, env: int, time: float, cause: FailureCause, count: int) -> None:
@@ -68,7 +72,7 @@ class QuarantineError(RuntimeError):
 
 
 def raise_failed(model: "Environments") -> None:
-    """Raises for the first to fail by its clock, and of those at one time the first in order.
+    """Raises an error for the frozen environment with the earliest clock (the lowest number if several).
 
     Raises:
         QuarantineError: If any environment is frozen.
@@ -86,7 +90,7 @@ def raise_failed(model: "Environments") -> None:
 
 
 def reset_failed(model: "Environments", monitors: "list[Monitor]") -> None:
-    """Puts failed environments back to their initial state, with empty history and outcomes, and counts it."""
+    """Resets failed environments to their initial state, with empty history and outcomes, and counts the resets."""
     for part, monitor in zip(model.parts, monitors, strict=True):
         failed = part.arrays.status.numpy() == ENV_FROZEN
         if failed.any():

@@ -1,11 +1,10 @@
 """State and history of a simulation as arrays, and as a file: what a run needs to continue bitwise identically.
 
-A ``AllocationPlan`` declares which arrays are stored, and the allowed values of their integers. Caches and arrays that
-are computed before they are read are left out; loading sets them to zero, as in a new model. Tables that follow
-from the scene and from parameters are computed again. A file is an ``.npz`` of plain arrays with checksums, and
-contains no code.
+An ``AllocationPlan`` declares which arrays are stored, and the allowed values of their integers. Caches and arrays
+that are computed before they are read are not stored; loading sets them to zero, as in a new model. Tables derived
+from the scene and from parameters are recomputed. A file is an ``.npz`` of plain arrays with checksums, without code.
 
-A file may come from anywhere: shapes, types, index ranges, parameters and states are checked before anything is
+Files are not trusted: shapes, types, index ranges, parameters and states are checked before the simulation is
 changed, so that no file can make a kernel read outside its arrays.
 """
 
@@ -41,7 +40,7 @@ if TYPE_CHECKING:
     from warpcontact.stepping.outcomes.watch import MonitorSettings
     from warpcontact.stepping.simulation import Simulation
 
-#: Goes up when files of earlier versions can no longer be read as they are.
+#: Schema version; incremented when files of earlier versions can no longer be read.
 SCHEMA = 5
 _HEADER = "header"
 
@@ -49,7 +48,7 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def write(path: Path | RunPath, arrays: Mapping[str, NDArray[Any]], header: Mapping[str, Any]) -> None:
-    """Writes arrays and a header into a file, which is there as a whole or not at all."""
+    """Writes arrays and a header into a file atomically."""
     content = {"program": f"warpcontact {__version__}", "schema": SCHEMA, **header}
     named: dict[str, Any] = {_HEADER: np.frombuffer(json.dumps(content).encode(), dtype=np.uint8), **arrays}
     with atomic_file(path) as file:
@@ -60,12 +59,12 @@ def read(path: Path | RunPath) -> tuple[Arrays, dict[str, Any]]:
     """Returns arrays and header of a file.
 
     Raises:
-        CheckpointError: If it is no checkpoint, damaged, or of a later version.
-        FileNotFoundError: If there is none.
+        CheckpointError: If the file is no checkpoint, is damaged, or has another schema version.
+        FileNotFoundError: If the file does not exist.
     """
     try:
         with open_file(path) as raw, warnings.catch_warnings():
-            # NumPy warns of files by Python 2.
+            # NumPy warns of files written by Python 2.
             warnings.simplefilter("ignore")
             size = raw.seek(0, os.SEEK_END)
             raw.seek(0)
@@ -79,14 +78,14 @@ def read(path: Path | RunPath) -> tuple[Arrays, dict[str, Any]]:
     except UnsafeFileError as error:
         raise CheckpointError(str(error)) from None
     except Exception as error:  # NumPy, zipfile and json raise many kinds for a damaged file
-        # NumPy tells how to run the code in a file, also of one that is no archive.
+        # Drop NumPy's advice to enable pickle, which would run code from the file.
         why = str(error).partition(" when allow_pickle")[0]
         if not isinstance(error, OSError) and not _is_archive(path):
-            why = "it is no .npz file of arrays, or was cut off"
-        raise CheckpointError(f"{path}: is no whole checkpoint: {why}") from None
+            why = "it is no .npz file of arrays, or is truncated"
+        raise CheckpointError(f"{path}: is no complete checkpoint: {why}") from None
     if schema != SCHEMA:
         raise CheckpointError(
-            f"{path}: is of schema {schema!r}, by {header.get('program')!r}; this version reads schema {SCHEMA}"
+            f"{path}: has schema {schema!r}, written by {header.get('program')!r}; this version reads schema {SCHEMA}"
         )
     return arrays, header
 
@@ -99,16 +98,16 @@ def _is_archive(path: Path | RunPath) -> bool:
 def _check_members(members: list[zipfile.ZipInfo], size: int) -> None:
     """Raises ``ValueError`` unless the members of an archive of ``size`` bytes are stored one after the other.
 
-    Otherwise a small file could take any amount of memory.
+    With compressed or overlapping members, a small file could require any amount of memory.
     """
     if any(one.compress_type != zipfile.ZIP_STORED for one in members):
-        raise ValueError("its arrays are compressed, which those of a checkpoint are not")
+        raise ValueError("its arrays are compressed; arrays of a checkpoint must be stored uncompressed")
     if sum(one.file_size for one in members) > size:
         raise ValueError("its arrays are larger than the file")
 
 
 def identity(simulation: "Simulation") -> dict[str, Any]:
-    """Returns what a checkpoint has to agree in with a simulation that takes it over."""
+    """Returns the properties in which a checkpoint must match the simulation that loads it."""
     model = simulation.model
     scene = model.scene
     return {
@@ -134,15 +133,15 @@ def identity(simulation: "Simulation") -> dict[str, Any]:
 
 
 def _monitored(settings: "MonitorSettings") -> list[str]:
-    """Returns what is watched, in its order and with everything that tells one from another."""
+    """Returns outcomes, stop conditions, events and quarantine as texts, in order, with all settings."""
     named = [*settings.outcomes.items(), *settings.stops.items()]
-    told = [f"{name}: {type(one).__name__} {sorted(vars(one).items())}" for name, one in named]
+    texts = [f"{name}: {type(one).__name__} {sorted(vars(one).items())}" for name, one in named]
     events = [] if settings.events is None else [f"events: {sorted(vars(settings.events).items())}"]
-    return [*told, *events, f"quarantine: {settings.quarantine}"]
+    return [*texts, *events, f"quarantine: {settings.quarantine}"]
 
 
 def state_of(simulation: "Simulation") -> Arrays:
-    """Returns the bytes of everything that steps of ``simulation`` need of earlier ones, by name."""
+    """Returns all arrays that future steps of ``simulation`` depend on, by name."""
     arrays: Arrays = {}
     for place, layout in _layouts(simulation):
         for name, memory in layout.step_memory().items():
@@ -158,8 +157,8 @@ def restore(simulation: "Simulation", arrays: Mapping[str, NDArray[Any]]) -> Non
     """Sets state and history to those that ``state_of`` returned, and clears all caches.
 
     Raises:
-        CheckpointError: If the arrays are others than those of ``simulation``, or hold values that no steps lead
-            to; nothing is changed then.
+        CheckpointError: If the arrays do not match those of ``simulation``, or hold values that steps cannot produce.
+            The simulation is unchanged then.
     """
     restored = _checked(simulation, arrays)
     for place, layout in _layouts(simulation):
@@ -169,7 +168,7 @@ def restore(simulation: "Simulation", arrays: Mapping[str, NDArray[Any]]) -> Non
         simulation.model.parts, arrays["elapsed"], arrays["is_initial"], strict=True
     ):
         if part.contact_count:
-            # Zero would be a face.
+            # Reset to −1, because 0 is a valid face.
             part.arrays.contacts.crossed_face.fill_(-1)
         part.elapsed, part.is_initial = float(elapsed), bool(is_initial)
 
@@ -180,7 +179,7 @@ def _checked(
     """Returns the values of all arrays by layout, memory and name.
 
     Raises:
-        CheckpointError: If anything is missing or not allowed.
+        CheckpointError: If an array is missing or has values that are not allowed.
     """
     restored: dict[str, dict[str, dict[str, NDArray[Any]]]] = {}
     for place, layout in _layouts(simulation):
@@ -203,7 +202,7 @@ def _checked(
 
 
 def save(simulation: "Simulation", path: str | os.PathLike[str]) -> None:
-    """Writes what ``Simulation.save`` promises."""
+    """Writes a checkpoint; see ``Simulation.save``."""
     arrays = state_of(simulation)
     for number, part in enumerate(simulation.model.parts):
         arrays |= ParameterValues(part, number).saved()
@@ -211,12 +210,12 @@ def save(simulation: "Simulation", path: str | os.PathLike[str]) -> None:
 
 
 def load(simulation: "Simulation", path: str | os.PathLike[str]) -> None:
-    """Reads what ``Simulation.load`` promises."""
+    """Loads a checkpoint; see ``Simulation.load``."""
     arrays, header = read(Path(path))
     own = identity(simulation)
     theirs = header.get("identity")
     if not isinstance(theirs, dict):
-        raise CheckpointError(f"{path}: is a part of a run, which only the run can go on from")
+        raise CheckpointError(f"{path}: belongs to a run; resume the run instead")
     for key, value in own.items():
         if theirs.get(key) != json.loads(json.dumps(value)):
             raise CheckpointError(f"{path}: is of another simulation: {_difference(key, theirs.get(key), value)}")
@@ -232,7 +231,7 @@ def load(simulation: "Simulation", path: str | os.PathLike[str]) -> None:
 
 
 def _layouts(simulation: "Simulation") -> Iterator[tuple[str, AllocationPlan]]:
-    """Iterates over what is on the device of each part, by a name."""
+    """Yields the allocation plans of each part, of model and stepping, with a name prefix."""
     for number, (part, stepping) in enumerate(
         zip(simulation.model.parts, simulation.step_allocations(), strict=True)
     ):
@@ -245,10 +244,10 @@ def _shown(value: Any) -> str:
 
 
 def _difference(key: str, theirs: Any, own: Any) -> str:
-    """Returns in words where two identities differ."""
+    """Returns a text about the difference of an entry of two identities."""
     if key in ("parameters", "formulas", "watched") and isinstance(theirs, list):
-        told = [f"it has {_shown(one)}" for one in theirs if one not in own][:1]
-        told += [f"has no {one!r}" for one in own if one not in theirs][:1]
-        if told:
-            return f"{key}: {' and '.join(told)}"
-    return f"{key}: {_shown(theirs)} there, {_shown(own)} here"
+        parts = [f"the file has {_shown(one)}" for one in theirs if one not in own][:1]
+        parts += [f"has no {one!r}" for one in own if one not in theirs][:1]
+        if parts:
+            return f"{key}: {' and '.join(parts)}"
+    return f"{key}: {_shown(theirs)} in the file, {_shown(own)} in the simulation"

@@ -1,4 +1,4 @@
-"""Values of a checkpoint that are checked by their meaning: clocks, states, parameters and external forces."""
+"""Checks of checkpoint values by their meaning: clocks, states, parameters and external forces."""
 
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
@@ -16,7 +16,7 @@ from warpcontact.validation.safe_text import SafeTextError
 if TYPE_CHECKING:
     from warpcontact.model.model import Model
 
-# Rounding of stored quaternions, and of directions that are scaled to length 1 again.
+# Tolerances: of the norm of stored quaternions, and of values that are normalized when they are set (relative).
 UNIT_ROUNDING = 1.0e-3
 CONVERTED_ROUNDING = 1.0e-9
 
@@ -24,17 +24,17 @@ _EXTERNAL = ("force", "torque")
 
 
 class CheckpointError(SafeTextError):
-    """A file that holds no checkpoint, a damaged one, or one of another simulation."""
+    """Raised for a file that is no checkpoint, is damaged, or belongs to another simulation."""
 
 
 def check_clocks(arrays: Mapping[str, NDArray[Any]], parts: int) -> None:
-    """Raises ``CheckpointError`` unless each part of the model has a time, and whether it was stepped."""
+    """Raises ``CheckpointError`` unless ``elapsed`` and ``is_initial`` are valid for all parts of the model."""
     for name, dtype in (("elapsed", np.float64), ("is_initial", np.bool_)):
         found = arrays.get(name)
         if found is None or found.dtype != dtype or found.shape != (parts,):
             got = "nothing" if found is None else f"{found.dtype} of shape {found.shape}"
             raise CheckpointError(
-                f"array {name!r} must be a {dtype.__name__} for each of {parts} devices, got {got}"
+                f"array {name!r} must be {dtype.__name__} of shape ({parts},), one per device, got {got}"
             )
     _check_times("elapsed", arrays["elapsed"])
 
@@ -42,8 +42,8 @@ def check_clocks(arrays: Mapping[str, NDArray[Any]], parts: int) -> None:
 def check_states(found: Mapping[str, NDArray[Any]]) -> None:
     """Raises ``CheckpointError`` unless clocks and states of all environments are valid.
 
-    A frozen environment keeps the state that it had. Others have a finite one: a step that leads to another is not
-    accepted.
+    States of frozen environments are not checked. All others are finite, because a step to a non-finite state is
+    not accepted.
 
     Args:
         found: ``status`` and ``time`` (envs,), and the arrays of the state (envs, bodies, …), by name.
@@ -81,8 +81,8 @@ class ParameterValues:
     Attributes:
         part: The part.
         fields: Values of all parameters, each once.
-        changed: Those that differ from the present ones, by number of the field; after ``check``.
-        external: External forces and torques, if there are any; after ``check``.
+        changed: Values of the file that differ from the current ones, by number of the field; after ``check``.
+        external: External forces and torques of the file, if any; after ``check``.
     """
 
     def __init__(self, part: "Model", number: int) -> None:
@@ -93,7 +93,7 @@ class ParameterValues:
         self._number = number
 
     def saved(self) -> dict[str, NDArray[Any]]:
-        """Returns the arrays of a file."""
+        """Returns the arrays to write to a file, by name."""
         arrays: dict[str, NDArray[Any]] = {self._name(key): field.values for key, field in enumerate(self.fields)}
         if self.part.external_exposed:
             for name in _EXTERNAL:
@@ -101,7 +101,7 @@ class ParameterValues:
         return arrays
 
     def check(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Takes the values of a file.
+        """Checks the values of a file and stores those that differ in ``changed`` and ``external``.
 
         Raises:
             CheckpointError: If a value is missing or not allowed.
@@ -143,17 +143,17 @@ class ParameterValues:
         self.external = found
 
     def set_host_fields(self) -> None:
-        """Sets the fields on the host; ``upload`` has to follow."""
+        """Sets the fields on the host; ``upload`` must follow."""
         for key, values in self.changed.items():
             field = self.fields[key]
             field.shared = len(values) == 1 and (self.part.envs > 1 or field.shared)
             field.values = np.array(values)
 
     def contents(self) -> dict[Any, NDArray[Any]]:
-        """Returns what the device is to hold, by upload.
+        """Returns the values to upload, by device field.
 
         Raises:
-            ValueError: If values do not fit each other, or the precision of the device.
+            ValueError: If values are inconsistent, or out of range for the precision of the device.
         """
         changed = {id(self.fields[key]) for key in self.changed}
         device_fields = [
@@ -165,7 +165,7 @@ class ParameterValues:
         return {device_field: device_field.content() for device_field in dict.fromkeys(device_fields)}
 
     def upload(self, contents: Mapping[Any, NDArray[Any]]) -> None:
-        """Sends ``contents`` and external forces to the device."""
+        """Copies ``contents`` and external forces to the device."""
         self.part.upload(contents.keys(), contents.values())
         for name, values in self.external.items():
             self._external(name).assign(values)
@@ -184,7 +184,7 @@ def set_values(parts: Iterable[ParameterValues]) -> None:
     """Sets the checked values of all parts of a model.
 
     Raises:
-        CheckpointError: If values do not fit each other; nothing is changed then.
+        CheckpointError: If values are inconsistent. The model is unchanged then.
     """
     parts = list(parts)
     before: list[tuple[Field, Field]] = [(field, field.copy()) for one in parts for field in one.fields]
@@ -201,7 +201,7 @@ def set_values(parts: Iterable[ParameterValues]) -> None:
 
 
 def _check_parameter(part: "Model", parameter: Parameter, values: NDArray[np.float64]) -> None:
-    """Raises ``CheckpointError`` unless a user could set a parameter to ``values`` (1 or envs, items, …) now."""
+    """Raises ``CheckpointError`` unless ``values`` (1 or envs, items, …) are allowed for a parameter."""
     try:
         check_values(parameter.name, values, parameter.limits)
         if parameter.whole:

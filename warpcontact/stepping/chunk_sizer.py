@@ -1,4 +1,4 @@
-"""How many steps are taken at a time, so that somebody gets to look at progress and at Ctrl-C."""
+"""Number of steps per chunk, adapted to the time they take, so that progress and Ctrl-C are handled regularly."""
 
 import contextlib
 from dataclasses import dataclass
@@ -9,17 +9,18 @@ from warpcontact.validation.safe_text import terminal
 if TYPE_CHECKING:
     from tqdm import tqdm
 
-# What is taken at a time is to take so long [s], or up to twice or half that.
+# Target duration of a chunk [s]; half to twice this value is accepted.
 TARGET_SECONDS = 0.1
 
 
 @dataclass
 class ChunkSizer:
-    """A number of steps that follows the time that they take.
+    """Number of steps per chunk, adapted to their measured duration.
 
     Args:
-        steps: How many are taken at first, and at least: whole graphs.
-        max_steps: How many at most, where they are queued and no time tells; ``None``: as many as the time allows.
+        steps: Initial and minimum number of steps, a multiple of a graph.
+        max_steps: Maximum number of steps, for devices that queue launches, whose duration is not measured. ``None``:
+            no maximum.
     """
 
     steps: int
@@ -29,11 +30,11 @@ class ChunkSizer:
         self._min_steps = self.steps
 
     def next(self, count: int) -> int:
-        """Returns how many of ``count`` steps to take now: what is little more than that all at once."""
+        """Returns the steps of the next chunk; all ``count`` remaining steps if fewer than 1.5 chunks remain."""
         return count if 2 * count < 3 * self.steps else min(count, self.steps)
 
     def record(self, count: int, seconds: float) -> None:
-        """Counts that ``count`` steps took so long [s]."""
+        """Adapts the number of steps: ``count`` steps took ``seconds``."""
         if (
             seconds < 0.5 * TARGET_SECONDS
             and 2 * count > self.steps
@@ -45,12 +46,12 @@ class ChunkSizer:
 
 
 def progress_bar(progress: Any, steps: int, what: str) -> "contextlib.AbstractContextManager[tqdm]":
-    """Returns the bar that ``steps`` steps move on: that of ``tqdm`` that is given, to stay open, or its own.
+    """Returns a context with a ``tqdm`` bar of ``steps`` steps; a given bar is used and not closed.
 
     Args:
-        progress: Whether to show one, on runs of over a second; ``None``: in a terminal. Or the bar.
-        steps: How many steps come.
-        what: What is stepped.
+        progress: Whether to show a bar in runs longer than 1 s. ``None``: only in a terminal. Or a ``tqdm`` bar.
+        steps: Total number of steps.
+        what: Description of the bar.
     """
     from tqdm import tqdm
 

@@ -1,8 +1,8 @@
-"""The way of frames from where a sensor is measured to the host.
+"""Result arrays of recorded sensors, and ring buffers on GPUs.
 
-On the CPU launches put it where it belongs, in one graph with steps: Python, which steps drive out of the cache of
-a core, takes longer to call than a slice to copy. On a GPU frames wait in a buffer, and come to the host some at a
-time.
+On a CPU, launches copy sensor values to the results, in the same graph as the steps (``frame_copies.py``): stepping
+evicts the interpreter from the core's cache, so a call from Python takes longer than copying a slice. On a GPU, frames
+are collected in a buffer and copied to the host together when it is full.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,18 +21,18 @@ from warpcontact.storage.memory_estimate import MemoryItem
 from warpcontact.system.capture_lock import shared_capture_lock
 from warpcontact.system.resources import HOST
 
-# Frames wait on a GPU up to this size, then move to the host in one copy.
+# Size of the buffer of a sensor on a GPU, unless one frame is larger [bytes].
 RING_BYTES = 64 * 2**20
 
 
 @dataclass(frozen=True)
 class Frame:
-    """What one frame of a sensor takes for one environment.
+    """Size of one frame of a sensor for one environment.
 
     Attributes:
         name: Name of the sensor.
-        device: On the device, as it is read [bytes].
-        host: On the host, as it is reported [bytes].
+        device: Size of the source array on the device [bytes].
+        host: Size of the reported values on the host [bytes].
     """
 
     name: str
@@ -40,15 +40,15 @@ class Frame:
     host: int
 
     def slots(self, envs: int, frames: int) -> int:
-        """Returns how many frames wait on the device."""
+        """Returns the number of frames of the buffer on the device."""
         return min(frames, max(1, RING_BYTES // max(1, envs * self.device)))
 
     def memory_items(self, device: str, envs: int, frames: int, blocks: int = 1) -> list[MemoryItem]:
-        """Returns what a buffer on ``device``, if it is a GPU, and the results on the host, one a block, take."""
+        """Returns the memory of ``blocks`` result arrays on the host and, on a GPU, of the buffer on ``device``."""
         slots, result = self.slots(envs, frames), blocks * frames * self.host
         memory_items = [MemoryItem("recording", HOST, envs * result, result)]
         if not wp.get_device(device).is_cpu:
-            # A buffer of some frames is of about the same size however many environments there are.
+            # Between 1 and all frames, the buffer has about ``RING_BYTES`` for any number of environments.
             grows = slots in (1, frames)
             memory_items.append(
                 MemoryItem("buffers", device, slots * envs * self.device, slots * self.device if grows else 0)
@@ -57,11 +57,11 @@ class Frame:
 
 
 class Channel:
-    """The frames of one sensor: results on the host, and on each GPU a buffer, once they are allocated.
+    """Results of one sensor on the host, and its buffers on GPUs; valid after ``allocate``.
 
     Attributes:
-        result: Where frames are put now, one of ``results``.
-        results: One for each block of frames.
+        result: Result array of the current block (frame, env, …), one of ``results``.
+        results: One result array per block of frames.
     """
 
     def __init__(self, model: Environments, name: str) -> None:
@@ -69,7 +69,7 @@ class Channel:
         self.sensor = model.find_sensor(name)
         source = self.sensor.array(model.parts[0].arrays)
         row = prod(source.shape[1:]) * wp.types.type_size_in_bytes(source.dtype)
-        # Of one environment, as it is reported.
+        # Reported value of one environment, for shape and dtype.
         self._sample = self.sensor.finish(source[:1].numpy()[None], axis=2)[0, 0]
         self.frame = Frame(name, row, self._sample.nbytes)
         self.result = np.zeros((0, model.envs, *self._sample.shape), dtype=self._sample.dtype)
@@ -78,7 +78,7 @@ class Channel:
 
     @shared_capture_lock()
     def allocate(self, frames: int, blocks: Sequence[Mapping[Model, FrameCopies]]) -> None:
-        """Makes room for ``frames`` frames of each block, which are to be taken of parts on the CPU by copies."""
+        """Allocates ``frames`` frames per block, and registers the results of parts on the CPU in ``blocks``."""
         shape = (frames, self.model.envs, *self._sample.shape)
         self.results = [np.zeros(shape, dtype=self._sample.dtype) for _ in blocks]
         for part, own in self.model.shares():
@@ -90,29 +90,29 @@ class Channel:
         self.begin(0)
 
     def begin(self, block: int) -> None:
-        """Puts the frames that come next into a block, from its first on; what waits on a device is dropped."""
+        """Selects a block and starts at its first frame. Frames still in device buffers are discarded."""
         self.result = self.results[block]
         self.continue_from(0)
 
     def drain(self) -> None:
-        """Takes to the host what waits on a device."""
+        """Copies all frames in device buffers to the host."""
         for ring in self.rings.values():
             ring.drain(self.result)
 
     def continue_from(self, count: int) -> None:
-        """Takes the first ``count`` frames of the result for taken, and what waits for lost."""
+        """Sets the number of recorded frames to ``count``. Frames still in device buffers are discarded."""
         for ring in self.rings.values():
             ring.taken = ring.drained = count
 
 
 class Ring:
-    """The frames of one sensor of a part on a GPU, that wait in a buffer there.
+    """Buffer on a GPU for the frames of one sensor of a part.
 
     Args:
         part: The part.
-        frame: What one frame takes, and of which sensor.
-        own: Environments of the part, among all.
-        frames: How many come until they are all on the host.
+        frame: Sensor and size of a frame.
+        own: Range of the part in all environments.
+        frames: Maximum number of frames until ``drain``.
     """
 
     def __init__(self, part: Model, frame: Frame, own: slice, frames: int) -> None:
@@ -126,14 +126,14 @@ class Ring:
 
     @shared_capture_lock()
     def take(self, number: int, result: NDArray[Any]) -> None:
-        """Copies a frame, and takes what waits to ``result`` when the buffer is full."""
+        """Copies the sensor into the buffer as frame ``number``; drains to ``result`` if the buffer is full."""
         wp.copy(self.memory[number - self.drained], self.source)
         self.taken = number + 1
         if self.taken - self.drained == len(self.memory):
             self.drain(result)
 
     def drain(self, result: NDArray[Any]) -> None:
-        """Takes what waits to the host, to ``result`` (frame, env, …) of all environments."""
+        """Copies the buffered frames to ``result`` (frame, env, …) on the host, which has all environments."""
         count = self.taken - self.drained
         if count:
             values = self.sensor.finish(self.memory.numpy()[:count], axis=2)

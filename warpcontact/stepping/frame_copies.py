@@ -1,4 +1,7 @@
-"""How frames get on the CPU from where sensors are measured to where they are kept: by launches."""
+"""Copies of recorded frames on a CPU, from sensor arrays to results, by kernel launches.
+
+The kernel is ``kernels/outcomes/recording.py``; see ``frame_buffers.py`` for results and GPUs.
+"""
 
 import functools
 from typing import TYPE_CHECKING, Any
@@ -17,10 +20,10 @@ if TYPE_CHECKING:
 
 
 class FrameCopies:
-    """What is taken of the frames of a part on the CPU: from where sensors are measured to their results.
+    """Sources and results of the recorded sensors of a part on the CPU.
 
     Args:
-        part: The part, which lives as long: its arrays may be views of its memory.
+        part: The part. A reference is kept, because sensor arrays may be views of its memory.
     """
 
     def __init__(self, part: "Model") -> None:
@@ -28,23 +31,23 @@ class FrameCopies:
         self._sources: list[tuple[Sensor, wp.array, NDArray[Any]]] = []
 
     def add(self, sensor: "Sensor", result: NDArray[Any]) -> None:
-        """Adds a sensor of the part; ``result`` receives all its frames (frame, env, …)."""
+        """Adds a sensor of the part; ``result`` receives its frames (frame, env, …)."""
         self._sources.append((sensor, sensor.array(self._part.arrays), result))
 
     @functools.cached_property
     def rows(self) -> NDArray[Any]:
-        """What launches are told of the sensors, once all are added: a ``kernels.recording.Row`` for each."""
+        """One ``kernels.outcomes.recording.Row`` per sensor; read it after all sensors were added."""
         return np.array([_row(*source_row) for source_row in self._sources], recording.Row.numpy_dtype())
 
     def take(self, number: int) -> None:
-        """Takes a frame of all environments, without a launch."""
+        """Copies frame ``number`` of all environments, without a launch."""
         for sensor, source, result in self._sources:
             result[number] = sensor.finish(source.numpy(), axis=1)
 
 
 def _row(sensor: "Sensor", source: wp.array, result: NDArray[Any]) -> tuple[int, ...]:
     size = wp.types.type_size_in_bytes(source.dtype)
-    # Each item is in one piece, be it a number, a vector or a matrix; what has no items is one.
+    # An item (scalar, vector or matrix) is contiguous. Contiguous items are copied as one.
     items, item_stride = (source.shape[1], source.strides[1]) if source.ndim == 2 else (1, size)
     if item_stride == size and not sensor.total:
         items, size = 1, items * size
@@ -54,26 +57,26 @@ def _row(sensor: "Sensor", source: wp.array, result: NDArray[Any]) -> tuple[int,
 
 
 class FrameRecording:
-    """The launch that takes frames of some environments; which, and of what, it reads when it runs.
+    """Launch that copies the frames of a slice. It reads the frame number and the sensors when it runs.
 
     Args:
-        plan: The environments, on the CPU.
+        plan: Execution plan of the environments, on the CPU.
 
     Attributes:
-        launches: It.
+        launches: The launch, as a list.
     """
 
     @shared_capture_lock()
     def __init__(self, plan: ExecutionPlan) -> None:
         frame_range = wp.zeros(2, dtype=wp.int32, device="cpu")
-        # There is room for all sensors.
+        # Allocated for all sensors of the model.
         rows = wp.zeros(len(plan.model.sensors), dtype=recording.Row, device="cpu")
         self.launches = plan.prepare(recording.record_frame(), 1, [frame_range, rows])
-        # Views, which keep what the launch reads.
+        # NumPy views, which keep the memory that the launch reads alive.
         self._frame_range, self._rows = frame_range.numpy(), rows.numpy()
 
     def set_copies(self, copies: FrameCopies | None) -> None:
-        """Takes frames of other sensors from now on, or of none."""
+        """Selects the sensors of subsequent frames; ``None``: none."""
         count = 0
         if copies is not None:
             count = len(copies.rows)
@@ -81,5 +84,5 @@ class FrameRecording:
         self._frame_range[1] = count
 
     def set_frame(self, number: int) -> None:
-        """Takes frame ``number`` next, and then those after it."""
+        """Sets the number of the next frame; the launch increments it."""
         self._frame_range[0] = number

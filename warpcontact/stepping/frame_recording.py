@@ -1,4 +1,4 @@
-"""FrameSchedule of a recorder, taken while a simulation steps."""
+"""Records the frames of a recorder while a simulation steps."""
 
 from typing import TYPE_CHECKING
 
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def record_first_frame(simulation: "Simulation", recorder: "Recorder", time: float) -> None:
-    """Takes a frame of the state that there is, at ``time`` [s]."""
+    """Records a frame of the current state, at ``time`` [s]."""
     recorder.require(1)
     needs = frozenset(recorder.needs)
     if not simulation.evaluates_by_slice(needs):
@@ -31,9 +31,16 @@ def record_frames(
     done: int,
     follows_frame: bool,
 ) -> None:
-    """Takes ``count`` times ``every`` steps after the first ``done``, and a frame after each of these.
+    """Takes ``count`` × ``every`` steps and records a frame after every ``every`` steps.
 
-    ``follows_frame``: whether they follow a frame, see ``FrameSchedule``.
+    Args:
+        simulation: The simulation.
+        recorder: Records the frames.
+        count: Number of frames.
+        every: Number of steps between frames.
+        start: Simulated time at step 0 of the run [s].
+        done: Number of steps taken before.
+        follows_frame: Whether the steps follow a frame, see ``FrameSchedule``.
     """
     recorder.require(count)
     needs = frozenset(recorder.needs)

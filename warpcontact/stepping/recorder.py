@@ -1,4 +1,8 @@
-"""Recording: chosen sensors, frame by frame, put into one labelled data set."""
+"""Recording of sensors, frame by frame, into one labeled data set.
+
+``Recorder`` owns the result arrays (``frame_buffers.py``) and their copies (``frame_copies.py``). It is used by
+``Simulation.run`` and by experiments, which write frames in blocks.
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -34,18 +38,18 @@ if TYPE_CHECKING:
 
     from warpcontact.stepping.recording import Recording
 
-#: Attribute of a recording: parameters that it does not hold and that are those of the scene everywhere.
+#: Attribute of a recording: names of parameters that are not stored, because they equal those of the scene everywhere.
 UNCHANGED = "unchanged_parameters"
 
 
 @dataclass(frozen=True)
 class RecordingSize:
-    """What a recording takes.
+    """Memory of a recording.
 
     Attributes:
-        frames: One frame of each sensor.
-        parameters: Parameters that are kept with it, for one environment [bytes].
-        measured: What the sensors are measured into, see ``Sensor.needs``.
+        frames: Size of one frame of each sensor.
+        parameters: Size of the stored parameters of one environment [bytes].
+        measured: Quantities that the sensors need, see ``Sensor.needs``.
     """
 
     frames: tuple[Frame, ...]
@@ -53,7 +57,7 @@ class RecordingSize:
     measured: frozenset[str]
 
     def memory_items(self, device: str, envs: int, count: int, blocks: int = 1) -> list[MemoryItem]:
-        """Returns what blocks of ``count`` frames of ``envs`` environments of a device take."""
+        """Returns the memory of ``blocks`` blocks of ``count`` frames of ``envs`` environments on a device."""
         needs = [need for frame in self.frames for need in frame.memory_items(device, envs, count, blocks)]
         return [*needs, MemoryItem("recording", HOST, envs * self.parameters, self.parameters)]
 
@@ -63,16 +67,16 @@ class RecordingSize:
 
 
 def item_dimension(scene: Scene, element: str) -> str:
-    """Returns the name of the item axis of a set: sets of different size cannot share one."""
+    """Returns the name of the item dimension of an element; sets of different size need different names."""
     sizes = {points.count for points in scene.points if not points.single}
     sizes |= {body.count for body in scene.bodies if not body.single}
-    # A particle contact has one item for each of its shapes, which may be those of several sets.
+    # A particle contact has one item per particle; its particles may be those of several sets.
     sizes |= {pile.count for pile in scene.particle_contacts if pile.name == element}
     return "item" if len(sizes) == 1 else f"{element}.item"
 
 
 def replay_parameters(model: Environments) -> list[str]:
-    """Returns the parameters that a replay takes from the scene and that are not those of it in environment 0."""
+    """Returns the parameters a replay reads from the scene whose value in environment 0 differs from the scene's."""
     scene = model.scene
     first = {
         f"{surface.name}.{key}": getattr(surface, key)
@@ -99,30 +103,31 @@ def replay_parameters(model: Environments) -> list[str]:
 
 
 def _equals(model: Environments, name: str, value: Any) -> bool:
-    """Whether a parameter has a value in environment 0."""
+    """Returns whether a parameter equals ``value`` in environment 0."""
     part = model.parts[0]
     return bool((part.parameters[name].read(part.envs)[0] == value).all())
 
 
 def unchanged_parameters(model: Environments, kept: Iterable[str]) -> list[str]:
-    """Returns what a recording does not hold of masses and inertias, and is that of the scene everywhere."""
+    """Returns the masses and inertias that are not in ``kept`` and equal those of the scene in all environments."""
     own = {f"{body.name}.{key}": getattr(body, key) for body in model.scene.bodies for key in ("mass", "inertia")}
     absent = own.keys() - set(kept)
-    # Values of one field are of all bodies, and may be equal where each environment has its own.
+    # Compare values: a field holds all bodies, and may be stored per environment although this body does not vary.
     return [name for name in own if name in absent and bool((model[name] == own[name]).all())]
 
 
 class Recorder:
-    """Takes frames of sensors from a model, once it is started, all of them or block after block.
+    """Records frames of sensors of a model, in one or several blocks; call ``start`` first.
 
     Args:
         model: The model.
-        names: Sensors to take.
-        frames: Number of frames that it holds, of each block.
-        poses: Whether to take the pose of every body as well, and keep the parameters that differ.
-        parameters: Names of further parameters to keep.
-        series: Whether to take any frames: if not, only the parameters are kept.
-        blocks: How many blocks of frames it holds. What was taken stays until as many were begun after it.
+        names: Names of the sensors.
+        frames: Number of frames per block.
+        poses: Whether to record also the pose of every body, and to store the parameters that differ between
+            environments.
+        parameters: Names of further parameters to store.
+        series: Whether to record poses. If not, only parameters are stored for ``poses``.
+        blocks: Number of blocks of frames. A block is overwritten after ``blocks`` calls of ``rewind``.
     """
 
     def __init__(
@@ -138,7 +143,7 @@ class Recorder:
         self.model = model
         self.kept = [model.find_parameter(name) for name in parameters]
         if poses:
-            # What a replay needs beside the poses, and whatever sets the environments apart.
+            # Parameters that a replay needs in addition to the poses, and all that differ between environments.
             needed = (".mass", ".inertia", ".radius")
             moved = replay_parameters(model)
             self.kept += [
@@ -150,20 +155,20 @@ class Recorder:
         if poses and series:
             both = ("position", "orientation")
             wanted += [f"{body.name}.{key}" for body in model.scene.bodies for key in both]
-        # By the names under which they are stored: two names of one sensor are one channel.
+        # Keyed by stored name, so that an alias and its sensor are one channel.
         sensors = {sensor.name: sensor for sensor in model.find_sensors(wanted)}
         self.needs = {need for sensor in sensors.values() for need in sensor.needs}
         model.ensure_sensor_arrays(self.needs)
         self.channels = [Channel(model, name) for name in sensors]
         self.capacity, self._blocks = frames, blocks
-        # Of each block, once started: what takes its frames of parts on the CPU, and their times.
+        # Per block, after ``start``: copies of frames of parts on the CPU, and times of the frames.
         self._copies: list[dict[Model, FrameCopies]] = [{}]
         self._times = np.zeros((1, 0))
         self._block = 0
         self.taken = 0
 
     def size(self) -> RecordingSize:
-        """Returns what it takes."""
+        """Returns the memory of the recording."""
         envs = self.model.parts[0].envs
         parameters = {parameter.name: row_bytes(parameter.read(envs)) for parameter in self.kept}
         frames = tuple(channel.frame for channel in self.channels)
@@ -171,35 +176,35 @@ class Recorder:
 
     @property
     def copies(self) -> dict[Model, FrameCopies]:
-        """What takes frames of parts on the CPU now."""
+        """Frame copies of the current block, by part on the CPU."""
         return self._copies[self._block]
 
     @property
     def times(self) -> NDArray[np.float64]:
-        """Times of the frames of the block [s], of which the first ``taken`` are there."""
+        """Times of the frames of the current block [s]; the first ``taken`` are valid."""
         return self._times[self._block]
 
     @property
     def free_frames(self) -> int:
-        """How many frames more it holds until it is rewound; none before it is started."""
+        """Number of free frames in the current block; 0 before ``start``."""
         return len(self.times) - self.taken
 
     def require(self, frames: int) -> None:
-        """Raises ``RuntimeError`` if it does not hold so many frames more."""
+        """Raises ``RuntimeError`` if fewer than ``frames`` frames are free."""
         if frames > self.free_frames:
             raise RuntimeError(
-                f"the recorder has room for {self.free_frames} of {self.capacity} frames, not for {frames} more: "
-                "start it first, and rewind it for a new block"
+                f"the recorder has {self.free_frames} of {self.capacity} frames free, but {frames} are required. "
+                "Call start() before the first frame and rewind() before a new block"
             )
 
     def start(self, extra: Iterable[MemoryItem] = ()) -> None:
-        """Allocates what the frames are put into.
+        """Allocates the buffers of the frames.
 
         Args:
-            extra: What steps take more of memory for these frames.
+            extra: Additional memory of steps that record these frames, see ``Simulation.frame_memory``.
 
         Raises:
-            MemoryError: If that is more than there is; says how many frames would fit.
+            MemoryError: If the memory is not available; the message states the number of frames that fit.
         """
         size, frames, blocks = self.size(), self.capacity, self._blocks
         footprint = total(
@@ -236,13 +241,13 @@ class Recorder:
         )
 
     def take(self, time: float) -> None:
-        """Takes one frame of the current state at ``time`` [s].
+        """Evaluates and records one frame of the current state at ``time`` [s].
 
         Raises:
-            RuntimeError: If there is no room for it.
+            RuntimeError: If the block is full.
         """
         self.require(1)
-        # All parts are at work before the first is waited for.
+        # Launch all parts before waiting for the first one, so that devices run in parallel.
         for part in self.model.parts:
             part.evaluate_needs(self.needs)
         for part in self.model.parts:
@@ -250,7 +255,7 @@ class Recorder:
         self.count([time])
 
     def take_part(self, part: Model, own: slice, number: int) -> None:
-        """Takes frame ``number`` of a part, what it needs being computed; ``own`` are all of its environments."""
+        """Records frame ``number`` of an evaluated part; ``own`` must be all of its environments."""
         if part in self.copies:
             self.copies[part].take(number)
         else:
@@ -258,12 +263,15 @@ class Recorder:
                 channel.rings[part].take(number, channel.result)
 
     def count(self, times: Sequence[float] | NDArray[Any]) -> None:
-        """Counts the next frames, at ``times`` [s], which are taken of all environments."""
+        """Adds frames at ``times`` [s] that were recorded in all environments to the count."""
         self.times[self.taken : self.taken + len(times)] = times
         self.taken += len(times)
 
     def _parameter_variable(self, parameter: Parameter) -> dict[str, Any]:
-        """Returns a parameter as a variable (env, …); that of an initial state has a name of its own."""
+        """Returns a parameter as a variable (env, …).
+
+        A parameter with the name of a sensor (an initial state) is named ``<name>.initial``.
+        """
         name = parameter.name
         dims = ["env"] + ([] if parameter.single else [item_dimension(self.model.scene, name.partition(".")[0])])
         if parameter.tail == (3, 3):
@@ -281,7 +289,7 @@ class Recorder:
         return {channel.frame.name: channel.result[: self.taken] for channel in self.channels}
 
     def continue_from(self, frames: Mapping[str, NDArray[Any]], times: NDArray[Any]) -> None:
-        """Takes over what ``frames`` returned of another recorder, and ``times`` [s] of these."""
+        """Loads the frames that ``frames`` of another recorder returned, with their ``times`` [s]."""
         self.taken = 0
         self.require(len(times))
         self.count(times)
@@ -290,7 +298,7 @@ class Recorder:
             channel.continue_from(self.taken)
 
     def rewind(self) -> None:
-        """Begins a new block of frames, in place of the oldest."""
+        """Begins a new block of frames, which overwrites the oldest one."""
         self._block, self.taken = (self._block + 1) % self._blocks, 0
         for channel in self.channels:
             channel.begin(self._block)
@@ -321,7 +329,7 @@ class Recorder:
         return {"time": ("time", self.times[: self.taken], {"units": "s", "long_name": "simulated time"})}
 
     def parameters(self) -> "xr.Dataset":
-        """Returns the parameters that are kept, (env, …)."""
+        """Returns the stored parameters as a data set, (env, …)."""
         import xarray as xr
 
         return xr.Dataset(**self._labelled(self._parameter_variables(), {}))
@@ -333,16 +341,16 @@ class Recorder:
         return variables
 
     def _labelled(self, variables: Mapping[str, Any], coordinates: Mapping[str, Any]) -> dict[str, Any]:
-        """Returns ``variables`` with the labels of all axes that they have, as a data set takes them."""
+        """Returns keyword arguments of a data set: ``variables``, and coordinates of all their dimensions."""
         model = self.model
         used = {dim for dims, _, _ in variables.values() for dim in dims}
         numbers = ("env", model.first_env + np.arange(model.envs), {"long_name": "environment"})
-        # As objects: texts of fixed length have no place in some files, the Zarr v3 specification among them.
+        # dtype object, because some formats have no fixed-length strings, such as the Zarr v3 specification.
         labels = {dim: (dim, np.array(names, object)) for dim, names in AXES.values() if dim in used}
         return {"data_vars": variables, "coords": {**coordinates, "env": numbers, **labels}}
 
     def finish(self, attributes: Mapping[str, Any]) -> "Recording":
-        """Returns the frames taken and the parameters kept as one data set."""
+        """Returns the recorded frames and the stored parameters as one data set."""
         from warpcontact.stepping.recording import Recording
 
         variables = {**self._series_variables(), **self._parameter_variables()}
@@ -355,7 +363,7 @@ class Recorder:
 
 
 def sources(model: Environments) -> dict[str, str]:
-    """Returns what is said of where sensors of ``model`` come from."""
+    """Returns the attributes of a data set that state version, devices and precision."""
     return {
         "source": f"warpcontact {__version__}",
         "device": ", ".join(map(str, model.devices)),

@@ -1,4 +1,4 @@
-"""Recorded sensors as labelled data sets; a module of its own, because xarray takes long to import."""
+"""Recorded sensors as labeled data sets; a separate module, because importing xarray is slow."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -9,7 +9,7 @@ from warpcontact.scene.scene import Scene
 
 
 class Series(xr.Dataset):
-    """An ``xarray.Dataset`` of sensors, in which an alias finds its sensor: ``data["touch.delta"]``."""
+    """An ``xarray.Dataset`` of sensors that also accepts aliases of sensors: ``data["touch.delta"]``."""
 
     __slots__ = ()
 
@@ -26,14 +26,14 @@ class Series(xr.Dataset):
             return super().__contains__(self._stored(key))
 
     def _stored(self, key: Any) -> Any:
-        """Returns the name under which a variable is stored, an unknown name unchanged."""
+        """Returns the stored name of a variable; unknown names unchanged."""
         if isinstance(key, str) and key not in self._variables and (name := stored_name(key)) in self._variables:
             return name
         return key
 
 
 class Recording(Series):
-    """The data set that ``Simulation.run`` returns: sensors over time, with the scene that they are of."""
+    """The data set that ``Simulation.run`` returns: sensors over time, and the scene."""
 
     __slots__ = ("scene",)
 

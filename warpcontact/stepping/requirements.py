@@ -1,4 +1,4 @@
-"""What stepping takes beside the model: slices of environments, kernels, and memory for launches and graphs."""
+"""Resources for stepping, in addition to the model: slice sizes, kernels, and memory for launches and graphs."""
 
 import ctypes
 import functools
@@ -23,38 +23,41 @@ if TYPE_CHECKING:
     from warpcontact.model.model import Model
     from warpcontact.model.plan import DeviceModelPlan
 
-# Of the cache of a core that a slice may fill, and what a contact, a body and a face take of it; measured.
+# Cache of a core that a slice may fill, and bytes of a contact, a body and a face in it; measured.
 CACHE_BYTES = 512 * 1024
 CONTACT_BYTES = 300
 BODY_BYTES = 400
 FACE_BYTES = 100
 MAX_SLICE = 256
-# For faces alone slices are not made smaller: launches would take more than the cache saves.
+# Minimum slice size because of faces: with smaller slices, launch overhead exceeds the gain from the cache.
 MIN_SLICE_FOR_FACES = 32
 
-# What a prepared launch takes, a graph, and what is captured in it for each byte of the arguments of its launches,
-# which are kept with the places of all pointers among them; measured with Warp 1.19 (tests/test_memory_plan.py).
+# Bytes of a prepared launch, of a graph, and of a graph per byte of the arguments of its launches, which are stored
+# with the locations of all pointers in them; measured with Warp 1.19 (tests/test_memory_plan.py).
 LAUNCH_BYTES = 1800
 GRAPH_BYTES = 50_000
 CAPTURED_PER_ARGUMENT_BYTE = 2.05
-# What a kernel is told of an array: pointers, shape and strides.
+# Size of an array argument of a kernel: pointers, shape and strides.
 ARRAY_BYTES = 56
 
 
 class KernelLister(ExecutionPlan):
-    """Lists kernels in place of launches."""
+    """Execution plan that returns kernels instead of launches."""
 
     def prepare(self, kernel: wp.Kernel, items: int, inputs: list[Any], *_: Any, **__: Any) -> list[Any]:
-        """Returns the kernel that would be launched; none if there is no work."""
+        """Returns the kernel of the launch as a list; an empty list if there are no items."""
         return [kernel] if items else []
 
 
 def slice_sizes(shares: "Sequence[tuple[Model | DeviceModelPlan, int]]", threads: int) -> list[int]:
-    """Returns how many environments a slice has, by part: as fit into the cache of a core, and enough slices.
+    """Returns the number of environments per slice, by part.
+
+    On a CPU a slice fits into the cache of a core, and there is at least one slice per thread if possible. On a GPU a
+    slice has all environments of the part.
 
     Args:
-        shares: The parts, each with how many environments it has.
-        threads: How many threads step those on the CPU.
+        shares: The parts, each with its number of environments.
+        threads: Number of CPU threads.
     """
     on_cpu = sum(envs for part, envs in shares if part.device.is_cpu)
     largest = min(MAX_SLICE, -(-on_cpu // threads))
@@ -62,19 +65,19 @@ def slice_sizes(shares: "Sequence[tuple[Model | DeviceModelPlan, int]]", threads
 
 
 def cut_slices(envs: int, size: int) -> list[slice]:
-    """Returns ``envs`` environments in slices of ``size``, the last perhaps smaller."""
+    """Returns slices of ``size`` environments that cover ``envs`` environments; the last may be smaller."""
     return [slice(first, min(first + size, envs)) for first in range(0, envs, size)]
 
 
 def _max_slice(part: "Model | DeviceModelPlan") -> int:
-    """Returns how many environments fit into the cache of a core, of many with the faces that they read."""
+    """Returns the number of environments that fit into the cache of a core, with the faces that they read."""
     per_env = _cache_bytes_per_env(part)
     with_faces = CACHE_BYTES // (per_env + FACE_BYTES * part.arrays.faces_read)
     return min(CACHE_BYTES // per_env, max(MIN_SLICE_FOR_FACES, with_faces))
 
 
 def _cache_bytes_per_env(part: "Model | DeviceModelPlan") -> int:
-    """Returns what an environment takes of a cache."""
+    """Returns the cache bytes of one environment, without faces."""
     for_contacts = CONTACT_BYTES * (part.contact_count + part.shape_contact_count) + BODY_BYTES * part.body_count
     return for_contacts + sum(particle_set.bytes_per_step for particle_set in part.particle_contact_sets)
 
@@ -95,21 +98,22 @@ def stepping_memory(
     recorded_needs: Set[str] | None = None,
     varied: Collection[str] = (),
 ) -> MemoryEstimate:
-    """Returns what a ``Simulation`` takes beside the model; the options are those of its class.
+    """Returns the memory estimate of a ``Simulation``, without the model. Options are those of ``Simulation``.
 
-    ``shares`` are the parts of the model, each with how many environments it has; the parameters ``varied`` are to
-    have a value in each. ``recorded_needs`` is what sensors need that are recorded meanwhile; ``None``: none are.
+    ``shares`` are the parts of the model, each with its number of environments. ``recorded_needs`` are the needs of
+    the recorded sensors, see ``Sensor.needs``; ``None``: no recording. ``varied`` names the parameters that will
+    differ between environments.
     """
     threads = available_threads() if threads is None else threads
     integrator = SemiImplicitEuler() if integrator is None else integrator
     settings = MonitorSettings.of(outcomes, stop, events, quarantine)
-    # As many as may have a slice; with few environments some have none.
+    # At most one thread per environment can have a slice.
     threads_used = min(threads, sum(envs for part, envs in shares if part.device.is_cpu))
     estimates = []
     for part, envs in shares:
         buffers = StepBuffers(part, integrator, settings=settings)
         monitor = buffers.monitor
-        # Nothing is launched, so that a draft does as well.
+        # No kernel is launched, so a ``DeviceModelPlan`` can stand for the model.
         queued = part.device.is_cuda
         plan = KernelLister(
             cast("Model", part),
@@ -135,20 +139,20 @@ def stepping_memory(
             ]
             size += LAUNCH_BYTES * len(evaluation)
             if stepper.captured:
-                # By itself, and with the steps before it.
+                # Graphs of the evaluation alone, and with the steps before it.
                 evaluations = [evaluation]
                 if stepper.prepare_step_after_evaluation(recorded_needs):
                     first = stepper.graph(StepChunk(1 + stepper.multi_step, after_evaluation=True))
                     size += LAUNCH_BYTES * len(first)
                     evaluations += [first, [*evaluation, *first]] if stepper.multi_step else [first]
-                # Few of those that are no steps in place are smaller.
+                # Without multi-step launches, assume the largest graph that ends with an evaluation.
                 steps = 1 if stepper.multi_step else MAX_FRAME_GRAPHS * stepper.graph_steps[0]
                 evaluations.append([*evaluation, *stepper.graph(StepChunk(steps))])
                 size += sum(_captured_bytes(graph) for graph in evaluations)
         launches = MemoryItem("launches", HOST, size * (threads_used if part.device.is_cpu else 1))
         needs = [*buffers.layout.memory_items(envs), launches]
         if monitor is not None:
-            # What is there already is the model's.
+            # Allocated arrays are counted in the estimate of the model.
             unallocated = [name for name in monitor.needs if getattr(part.arrays, name, True) is None]
             needs += part.sensor_memory(part.device, unallocated, envs)
         if buffers.nonsmooth is not None:
@@ -162,7 +166,7 @@ def step_kernels(part: "Model", stepper: Stepper, recorded_needs: Sequence[Set[s
 
     Args:
         part: The model.
-        stepper: Its stepper, with a ``KernelLister`` as span.
+        stepper: Its stepper, with a ``KernelLister`` as execution plan.
         recorded_needs: The needs of each kind of frame, see ``Sensor.needs``.
     """
     evaluations = [
@@ -173,12 +177,12 @@ def step_kernels(part: "Model", stepper: Stepper, recorded_needs: Sequence[Set[s
     ]
     for needs in recorded_needs:
         stepper.prepare_step_after_evaluation(needs)
-    # Looks first: these kernels are the largest.
+    # Evaluations first: their kernels are the largest.
     return list(dict.fromkeys(itertools.chain(*evaluations, *stepper.launches())))
 
 
 def _captured_bytes(launched: list[Any]) -> int:
-    """Returns what a graph of kernels takes; none if there are none."""
+    """Returns the bytes of a graph of kernels; 0 if there are none."""
     return GRAPH_BYTES + int(CAPTURED_PER_ARGUMENT_BYTE * sum(map(_argument_bytes, launched))) if launched else 0
 
 

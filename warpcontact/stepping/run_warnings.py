@@ -1,4 +1,4 @@
-"""Warnings after a run: environments that were frozen, and problems that were not solved in some steps."""
+"""Warnings after a run: frozen environments, and steps in which a solver did not converge."""
 
 from warpcontact.model.environments import Environments
 from warpcontact.validation.warning_levels import RunWarning, WarningLevel
@@ -10,10 +10,10 @@ MAX_TOLERABLE_RESIDUAL = 1.0e-1
 
 
 class RunWarnings:
-    """Compares a model with its state when this object was made; the largest residuals are those since then.
+    """Collects the failures of a model since this object was created.
 
     Args:
-        model: The model.
+        model: The model. Its largest residuals are reset.
     """
 
     def __init__(self, model: Environments) -> None:
@@ -25,11 +25,11 @@ class RunWarnings:
         model.reset_residuals()
 
     def new(self) -> list[RunWarning]:
-        """Returns the warnings since then, without that of frozen environments."""
+        """Returns the warnings about solvers; see ``frozen_warnings`` for the others."""
         return [*self._catenary_warnings(), *self._unsolved_warnings(), *self._solver_warnings()]
 
     def frozen_warnings(self) -> list[RunWarning]:
-        """Returns a warning if more environments are frozen than then."""
+        """Returns a warning if the number of frozen environments has grown."""
         health = self.model.health()
         more = len(health.frozen) > self._frozen
         return [RunWarning(str(health), WarningLevel.ERROR)] if more else []
@@ -37,31 +37,31 @@ class RunWarnings:
     def _catenary_warnings(self) -> list[RunWarning]:
         return [
             RunWarning(
-                f"catenary {line!r} was without a solution in some steps of {count} of {self.model.envs} "
-                f"environments, and its forces were those of the last iterate; {line}.failures has their number"
+                f"catenary {line!r} did not converge in {count} of {self.model.envs} environments. In those steps "
+                f"its forces are those of the last iterate; {line}.failures counts them"
             )
             for line, count in self.model.failed_catenaries().items()
             if count > self._failed.get(line, 0)
         ]
 
     def _unsolved_warnings(self) -> list[RunWarning]:
-        """Returns a warning for each contact of two shapes that was not found in more steps."""
+        """Returns a warning for each shape contact with new failures of the narrow phase."""
         now = self.model.unsolved_contacts()
         warned = []
         for contact in self.model.scene.shape_contacts:
             failed = (now[contact.name] > self._unsolved[contact.name]).nonzero()[0]
             if len(failed):
                 text = (
-                    f"{contact.name}: where {contact.shape.name!r} and {contact.other_shape.name!r} meet was not "
-                    f"found in some steps of {len(failed)} of {self.model.envs} environments, the first of them "
-                    f"{self.model.first_env + failed[0]}, and no force acted then; {contact.name}.failures has "
-                    "their number"
+                    f"{contact.name}: contact of {contact.shape.name!r} and {contact.other_shape.name!r} did not "
+                    f"converge in {len(failed)} of {self.model.envs} environments (first: "
+                    f"{self.model.first_env + failed[0]}). No force was applied in those steps; "
+                    f"{contact.name}.failures counts them"
                 )
                 warned.append(RunWarning(text, WarningLevel.ERROR))
         return warned
 
     def _solver_warnings(self) -> list[RunWarning]:
-        """Returns a warning about contact problems that were not solved."""
+        """Returns a warning about contact problems that did not converge to the tolerance."""
         more = self.model.unfinished_solves() - self._unfinished
         count = int((more > 0).sum())
         if not count:
@@ -71,19 +71,17 @@ class RunWarnings:
         worst = int(residuals.argmax())
         residual = float(residuals[worst])
         text = (
-            f"the contact problem was not solved to the tolerance in some steps of {count} of "
-            f"{self.model.envs} environments, most in {self.model.first_env + most}, in {more[most]} steps. The "
-            f"largest residual was {residual:.1e}, in {self.model.first_env + worst}: contact impulses and "
-            f"velocities are wrong by about {100.0 * residual:.2g} % of their size"
+            f"the contact problem did not converge to the tolerance in {count} of {self.model.envs} environments "
+            f"(most often in environment {self.model.first_env + most}: {more[most]} steps). The largest residual "
+            f"is {residual:.1e}, in environment {self.model.first_env + worst}: the relative error of contact "
+            f"impulses and velocities is about {100.0 * residual:.2g} %"
         )
         if residual <= MAX_HARMLESS_RESIDUAL:
-            return [
-                RunWarning(f"{text}, which is harmless; a larger tolerance takes less time", WarningLevel.NOTE)
-            ]
+            return [RunWarning(f"{text}. This error is harmless; a larger tolerance is faster", WarningLevel.NOTE)]
         return [
             RunWarning(
-                f"{text}. Give the integrator more iterations, solver='accelerated', or a shorter step; "
-                "scene.solve_failures has the number of such steps",
+                f"{text}. Use more iterations, solver='accelerated' or a smaller dt; "
+                "scene.solve_failures counts such steps",
                 WarningLevel.CAUTION if residual <= MAX_TOLERABLE_RESIDUAL else WarningLevel.ERROR,
             )
         ]

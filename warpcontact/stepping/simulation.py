@@ -1,4 +1,4 @@
-"""Time stepping: takes a model forward and records what is asked for."""
+"""Time stepping: advances a model and records sensors."""
 
 import os
 import time
@@ -39,14 +39,15 @@ from warpcontact.validation import checks
 from warpcontact.validation.uncopyable import Uncopied
 from warpcontact.validation.warning_levels import ContactWarning, WarningLevel
 
-# Labelled data, and what reads and writes it, takes as long to import as all the rest; who only steps has no need.
+# xarray takes as long to import as the rest of the package. Stepping without recording does not need it.
 if TYPE_CHECKING:
     import xarray as xr
 
     from warpcontact.stepping.recorder import Recorder
     from warpcontact.stepping.recording import Recording
 
-# Steps between two looks at the progress bar at least, whole graphs; and on a GPU, which queues them, at most.
+# Minimum number of steps between updates of the progress bar: one CPU graph. Maximum on a GPU, where launches are
+# queued, so that their duration cannot be measured.
 MIN_CHUNK = 8
 MAX_CHUNK_GPU = 64
 
@@ -54,29 +55,33 @@ MAX_CHUNK_GPU = 64
 @explain_renamed
 @explain_keywords_of
 class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(path) keep its state"):
-    """Steps a model through time.
+    """Advances a model in time.
+
+    A simulation owns the step buffers, the integrator and the monitors; the state belongs to the model. Several
+    simulations of one model can exist, but only the last one that stepped has valid outcomes.
 
     Args:
-        model: The model, on one device or split over several; its state is the state of the simulation.
-        dt: Time step [s].
-        integrator: Scheme, semi-implicit Euler if not given.
-        crossing_substeps: Substeps in environments in which a swept point crosses a surface. 1: no substeps.
-        threads: Threads that step the environments on the CPU, of all parts of a model; ``None``: one per core.
-        deterministic: Whether a run repeats to the bit on a GPU as well, where several points of a body touch;
-            on the CPU it does in any case, whatever the number of threads.
-        distance_cache: Whether what is known of distances from earlier steps saves work; results are the same.
-        capture_graphs: Whether steps are captured and replayed, without a word from Python; results are the same.
-        outcomes: What to sum up of sensors while stepping, ``wc.outcomes``, by name; see ``outcomes()``.
-        stop: Conditions that stop an environment, by name; the first in order wins.
-        events: The contacts of which to write down when they are made and lost; see ``events()``.
-        quarantine: What becomes of an environment that turns non-finite or goes beyond ``scene.max_speed`` or
-            ``scene.max_distance``: ``"freeze"`` holds it at its last good state, ``"reset"`` puts it back to its
-            initial one, ``"raise"`` raises a ``QuarantineError``; the last two look every ``CADENCE`` steps.
+        model: Model from ``Scene.build``, on one or several devices.
+        dt: Time step [s], positive.
+        integrator: Time integrator. Default: ``SemiImplicitEuler()``. ``MoreauJean()`` gives nonsmooth contact.
+        crossing_substeps: Number of substeps for environments in which a swept point crosses a surface. 1: no
+            substeps.
+        threads: Number of CPU threads. Default: one per available core.
+        deterministic: Sum contact forces in a fixed order on a GPU, so that runs are bitwise reproducible. CPU runs
+            always are.
+        distance_cache: Skip contacts that cannot touch, using cached distances. Does not change results.
+        capture_graphs: Capture steps as graphs and replay them. Does not change results.
+        outcomes: Outcomes to compute while stepping, by name; see ``outcomes()``.
+        stop: Stop conditions, by name. If several hold, the first one is reported.
+        events: Contacts whose start and end times are recorded; see ``events()``.
+        quarantine: Policy for environments that become non-finite or exceed ``scene.max_speed`` or
+            ``scene.max_distance``. ``"freeze"``: keep the last valid state. ``"reset"``: return to the initial state.
+            ``"raise"``: raise ``QuarantineError``. ``"reset"`` and ``"raise"`` are checked every ``CADENCE`` steps.
 
     Raises:
-        KeyError: If there is no sensor of a name.
-        ValueError: If an argument is not allowed.
-        MemoryError: If stepping takes more memory than there is.
+        KeyError: If a sensor or contact name does not exist.
+        ValueError: If an argument is out of range; the message names it.
+        MemoryError: If the step buffers do not fit into memory.
     """
 
     def __init__(
@@ -117,7 +122,7 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         self.distance_cache = bool(distance_cache)
         self.capture_graphs = bool(capture_graphs)
         self.monitor_settings = MonitorSettings.of(outcomes, stop, events, quarantine)
-        # Whether the first step has nothing to warn of any more.
+        # Whether the warnings of the first step were already issued.
         self.warned_at_start = False
         require(self._stepping_memory, model.envs, "to step them, ")
         self._buffers = [
@@ -139,12 +144,12 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
 
     @property
     def times(self) -> StepLengths:
-        """Lengths of steps, on the device of the first part of the model."""
+        """Step lengths, on the device of the first part of the model."""
         return self._buffers[0].times
 
     @property
     def state(self) -> State:
-        """The current state; see ``Model``. That of a model on several devices is in ``model.parts``."""
+        """The current state; see ``Model``. For a model on several devices use the states of ``model.parts``."""
         return self.model.state
 
     @property
@@ -154,56 +159,59 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
 
     @property
     def steps(self) -> int:
-        """That time in steps of this simulation."""
+        """Simulated time divided by ``dt``, rounded to an integer."""
         return round(self.model.time / self.dt)
 
     def _attach_to_model(self) -> None:
-        """Lets sensors tell what this simulation does with contacts, not another one of the same model."""
+        """Makes the model's sensors read the nonsmooth contacts and monitors of this simulation."""
         for part, buffers in zip(self.model.parts, self._buffers, strict=True):
             part.attach_simulation(buffers.nonsmooth, buffers.monitor)
 
     def check(self) -> list[str]:
-        """Returns what there is to say about the model as it is, and this step for it.
+        """Returns the warnings for the current model state and time step.
 
-        The first step from the start of the model warns of it.
+        The first step from the initial state of the model issues them.
         """
         return scene_warnings(self.model, self.dt, self._buffers[0].nonsmooth)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes state, history, clocks and parameters into a file, from which ``load`` goes on to the bit.
+        """Writes state, history, clocks and parameters into a checkpoint.
+
+        After ``load``, steps are bitwise identical to those of a simulation that was not interrupted.
 
         Args:
-            path: The file, an ``.npz`` of plain arrays; one that is there is replaced as a whole.
+            path: Checkpoint file, an ``.npz`` of plain arrays. An existing file is replaced atomically.
 
         Raises:
-            OSError: If it cannot be written.
+            OSError: If the file cannot be written.
         """
         self._attach_to_model()
         checkpoint.save(self, path)
 
     def load(self, path: str | os.PathLike[str]) -> None:
-        """Takes over everything from a file that ``save`` wrote, in this process or another.
+        """Loads state, history, clocks and parameters from a checkpoint that ``save`` wrote in any process.
 
-        The simulation must be of the same scene, number of environments, kind of device, precision, step and
-        integrator. Its parameters become those of the file.
+        The simulation must have the same scene, number of environments, kind of device, precision, time step and
+        integrator. Its parameters are replaced by those of the file.
 
         Raises:
-            CheckpointError: If the file is damaged or of another simulation; names the entry. Nothing is changed.
-            FileNotFoundError: If there is none.
+            CheckpointError: If the file is damaged or belongs to another simulation. The message names the entry;
+                the simulation is unchanged.
+            FileNotFoundError: If the file does not exist.
         """
         self._attach_to_model()
         checkpoint.load(self, path)
 
     def step_allocations(self) -> list[AllocationPlan]:
-        """Returns what steps of each part of the model take on its device, beside the model."""
+        """Returns the allocations for stepping of each part of the model, without those of the model."""
         return [buffers.layout for buffers in self._buffers]
 
     def memory(self) -> MemoryEstimate:
-        """Returns what the model and this simulation take of memory; recordings come on top."""
+        """Returns the memory estimate of the model and this simulation, without recordings."""
         return self.model.memory_estimate().with_items(self._stepping_memory(self.model.envs).items)
 
     def frame_memory(self, needs: Set[str]) -> list[MemoryItem]:
-        """Returns what steps take more of memory if they are recorded, by what sensors need."""
+        """Returns the additional memory of steps that record sensors with ``needs`` (see ``Sensor.needs``)."""
         without_frames, with_frames = (
             self._stepping_memory(self.model.envs, recorded_needs) for recorded_needs in (None, frozenset(needs))
         )
@@ -212,7 +220,7 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         ]
 
     def _stepping_memory(self, envs: int, recorded_needs: frozenset[str] | None = None) -> MemoryEstimate:
-        """Returns what this simulation would take if it had ``envs`` environments, beside the model."""
+        """Returns the memory estimate of stepping ``envs`` environments, without the model."""
         return stepping_memory(
             self.model.shares_of(envs),
             self.integrator,
@@ -228,13 +236,13 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         )
 
     def outcomes(self) -> "xr.Dataset":
-        """Returns the outcomes so far, the current state included (env[, item][, axis]).
+        """Returns the outcomes up to and including the current state (env[, item][, axis]).
 
-        Beside them ``status``, ``cause`` of being frozen, ``end_time``, the time of each environment, how many
-        ``resets`` it had by the quarantine, and what it was ``stopped_by``, if there are conditions.
+        The data set also has, per environment: ``status``, ``cause`` of failure, ``end_time`` (its clock) [s],
+        ``resets`` (number of resets by the quarantine) and, if there are stop conditions, ``stopped_by``.
 
         Raises:
-            RuntimeError: If another simulation of the model has taken over.
+            RuntimeError: If another simulation of the model stepped since.
         """
         self._require_monitors()
         from warpcontact.stepping.outcomes.report import outcomes_of
@@ -242,11 +250,11 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         return outcomes_of(self.model, self.monitor_settings, self._monitors)
 
     def events(self) -> "xr.Dataset":
-        """Returns when contacts were made and lost, up to the last step (env, event).
+        """Returns the start and end times of contacts, up to the last step (env, event).
 
         Raises:
-            ValueError: If no events are watched.
-            RuntimeError: If another simulation of the model has taken over.
+            ValueError: If the simulation has no ``events``.
+            RuntimeError: If another simulation of the model stepped since.
         """
         self._require_monitors()
         from warpcontact.stepping.outcomes.report import events_of
@@ -254,23 +262,23 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         return events_of(self.model, self.monitor_settings, self._monitors)
 
     def _require_monitors(self) -> None:
-        """Raises ``RuntimeError`` if the state is no longer what this simulation watched."""
+        """Raises ``RuntimeError`` if another simulation stepped the model since."""
         part_monitors = [part.monitor for part in self.model.parts]
         if self._monitors and part_monitors != self._monitors:
             raise RuntimeError(
-                "another simulation of the model has taken over since, and this one knows nothing of its steps; "
-                "when this one steps again, outcomes and events begin anew"
+                "another simulation stepped the model since, so the outcomes and events of this simulation are "
+                "invalid. They restart when this simulation steps again"
             )
 
     def reset(self, env_mask: ArrayLike | None = None) -> None:
-        """Resets state and history of the environments of a mask (envs,); ``None``: of all, and the clock."""
+        """Resets state and history of the environments in a mask (envs,); ``None``: of all, and the clock."""
         self.model.reset(env_mask)
 
     def step(self, count: int = 1) -> None:
         """Takes ``count`` steps without recording.
 
         Raises:
-            QuarantineError: If an environment failed and the quarantine is to raise.
+            QuarantineError: If an environment failed and ``quarantine`` is ``"raise"``.
             RuntimeError: If a neighbor list was too short. On a GPU the next evaluation raises it.
         """
         if checks.integer("count", count, least=0):
@@ -279,7 +287,7 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
     def step_with_callback(
         self, frames: int, every: int, needs: Iterable[str], take: Callable[[Model, slice, int], None]
     ) -> None:
-        """Takes ``frames`` times ``every`` steps, and evaluates the state after each ``every`` of them.
+        """Takes ``frames`` × ``every`` steps, and evaluates the state after every ``every`` steps.
 
         Args:
             frames: Number of frames.
@@ -296,7 +304,7 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         self.step_to_frames(count, FrameSchedule(checks.integer("every", every), check_needs(needs), take))
 
     def step_to_frames(self, count: int, frames: FrameSchedule) -> None:
-        """Takes steps to ``count`` frames, and looks at each."""
+        """Takes the steps of ``count`` frames, and evaluates and delivers each frame."""
         self._attach_to_model()
         parts = self.model.parts
         if self.evaluates_by_slice(frames.needs):
@@ -304,14 +312,14 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
             return
         for number in range(frames.first_frame, frames.first_frame + count):
             self._advance(frames.every, None)
-            # All parts are at work before the first is waited for.
+            # Launch all parts before waiting for the first one, so that devices run in parallel.
             for part in parts:
                 part.evaluate_needs(frames.needs)
             for part in parts:
                 frames.deliver_frame(part, slice(0, part.envs), number)
 
     def evaluates_by_slice(self, needs: frozenset[str]) -> bool:
-        """Whether frames are looked at slice by slice."""
+        """Whether frames with ``needs`` can be evaluated slice by slice."""
         parts = self.model.parts
         return self.monitor_settings.quarantine == "freeze" and all(
             can_evaluate_by_slice(p.device, p.nonsmooth, needs) for p in parts
@@ -343,12 +351,12 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
                 raise_failed(model)
             elif self.monitor_settings.quarantine == "reset" and self.steps % CADENCE == 0:
                 reset_failed(model, self._monitors)
-        # A GPU is still at work, and is asked when it is waited for.
+        # A GPU may still be running; the next evaluation checks it.
         if all(device.is_cpu for device in model.devices):
             model.check_neighbor_lists()
 
     def worker_pool(self) -> WorkerPool:
-        """Returns the worker pool for the model as it is built now."""
+        """Returns the worker pool; rebuilt if a part of the model has a new revision."""
         self._attach_to_model()
         revisions = tuple(part.revision for part in self.model.parts)
         prepared, worker_pool = self._prepared
@@ -371,7 +379,7 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
 
     @shared_capture_lock()
     def step_kernels(self, recorded_needs: Sequence[Set[str]]) -> list[wp.Kernel]:
-        """Returns the CPU kernels of steps and of frames, each once; ``recorded_needs``: needs of each kind of frame."""
+        """Returns the CPU kernels of steps and frames, each once; ``recorded_needs``: needs of each kind of frame."""
         own = zip(self.model.parts, self._buffers, strict=True)
         on_cpu = [
             (part, self._stepper(part, buffers, KernelLister)) for part, buffers in own if part.device.is_cpu
@@ -380,7 +388,7 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
 
     @property
     def evaluates_start(self) -> bool:
-        """Whether ``advice`` evaluates contacts at the present state."""
+        """Whether ``check`` evaluates contacts at the current state."""
         return contacts_to_evaluate(self.model, self._buffers[0].nonsmooth) is not None
 
     @shared_capture_lock()
@@ -398,7 +406,7 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         ]
 
     def _stepper(self, model: Model, buffers: StepBuffers, kind: type[ExecutionPlan] | None = None) -> Stepper:
-        # On the CPU a slice is stepped by one thread at a time, so the order is the same in any case.
+        # On a CPU one thread steps a slice, so the order of summation is always the same.
         uses_gpu = model.device.is_cuda
         ordered = self.deterministic or not uses_gpu
         own = None if uses_gpu else wp.array([0, model.envs, 0], dtype=wp.int32, device=model.device)
@@ -419,26 +427,26 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         parameters: Sequence[str] = (),
         progress: Any = None,
     ) -> "Recording":
-        """Simulates for ``duration`` and returns what was recorded, the state at the start included.
+        """Simulates for ``duration`` and returns a recording, including the state at the start.
 
         Args:
             duration: Simulated time [s]; rounded up to whole steps.
             record: Names of sensors, see ``model.sensor_names``.
-            every: Time between records [s], a multiple of the step; ``None``: every step.
-            poses: Whether to record the position and orientation of every body as well, and the parameters
+            every: Time between frames [s], a multiple of the time step. Default: every step.
+            poses: Whether to record also the position and orientation of every body, and the parameters
                 that differ between environments, so that the recording can be replayed and exported.
-            parameters: Names of further parameters to keep with the recording, whether or not they differ.
-            progress: Whether to show a progress bar; ``None``: on runs of over a second, in a terminal. A bar of
-                tqdm is moved on by the steps of this run, and left open.
+            parameters: Names of further parameters to store in the recording, whether or not they differ.
+            progress: Whether to show a progress bar. Default: in a terminal, for runs longer than 1 s. A given tqdm
+                bar is advanced by the steps of this run and not closed.
 
         Returns:
             A data set with dimensions (time, env), then ``item`` for sets of points and ``axis`` or
             ``component`` for vectors and quaternions; units are in the attributes.
 
         Raises:
-            ValueError: If a time is not allowed.
-            KeyError: If there is no such sensor.
-            MemoryError: If the recording takes more memory than there is, before anything runs.
+            ValueError: If a time is out of range.
+            KeyError: If a sensor does not exist.
+            MemoryError: If the recording does not fit into memory; raised before the first step.
         """
         steps, stride = recorded_steps(duration, every, self.dt)
         if isinstance(record, str):
@@ -454,7 +462,7 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         start = self.time
         with progress_bar(progress, steps, env_count_text(self.model.envs)) as bar:
             before = 0
-            # Who gave a bar may look at the model when it moves.
+            # The owner of a given bar may read the model when the bar is updated.
             exclusive = bar is not progress
             for done in self.advance(recorder, steps, stride, start=start, exclusive=exclusive):
                 bar.update(done - before)
@@ -490,7 +498,8 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
             start: Time at the start [s].
             done: Number of steps taken before.
             taken: Number of frames taken before.
-            exclusive: Whether the caller leaves the model unchanged meanwhile. Steps then reuse contacts of a frame.
+            exclusive: Whether the caller leaves the model unchanged in the meantime. Steps then reuse the contacts
+                of a frame.
         """
         follows_frame, uses_gpu = False, any(device.is_cuda for device in self.model.devices)
         chunk_sizer = ChunkSizer(MIN_CHUNK, MAX_CHUNK_GPU if uses_gpu else None)
@@ -505,12 +514,12 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
             begin = time.perf_counter()
             count = chunk_sizer.next(steps - done)
             every = taken * stride - done
-            # A frame that is not much farther is taken with its steps.
+            # If the next frame is within two chunks, take it together with its steps.
             if every > min(2 * chunk_sizer.steps, steps - done):
                 self.step(count)
                 follows_frame = False
             else:
-                # The first of a piece may be nearer than the others are apart.
+                # The first frame may be closer than the stride; it is then recorded alone.
                 max_frames = min(recorder.free_frames, (steps - done) // stride)
                 frames = max(1, chunk_sizer.next(max_frames * stride) // stride) if every == stride else 1
                 record_frames(self, recorder, frames, every, start, done, follows_frame)

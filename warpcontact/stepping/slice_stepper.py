@@ -1,8 +1,9 @@
-"""Steps of slices of the environments: so few that their state stays in the cache of the core that steps them.
+"""Stepping of slices of environments.
 
-A step is a list of launches. Where nothing has to be decided on the host they are captured once, many steps at a
-time, and replayed; launches and replays compute the same. They are the same for all slices on the CPU, and read
-from memory which slice they are for: each thread has its own, and takes them from slice to slice.
+A slice is a range of environments whose state fits into the cache of a core. ``Stepper`` prepares the launches of a
+step once and captures them as graphs of up to 8 steps on a CPU and 32 on a GPU. On a CPU the launches read the range
+of environments from memory, so a worker uses the same graphs for every slice. A step with substeps
+(``crossing_substeps``) depends on a host decision and is launched without a graph.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Set
@@ -32,17 +33,24 @@ if TYPE_CHECKING:
     from warpcontact.model.model import Model
     from warpcontact.model.plan import DeviceModelPlan
 
-# Steps in a graph, the most first; whatever is asked for is made up of these. An odd one ends in the other buffer
-# and is copied back. On the CPU Warp takes a quarter of a millisecond to capture a launch, for each thread.
+# Steps per graph, largest first; any number of steps is composed of these. A graph of an odd number ends in the other
+# buffer and copies it back. On a CPU Warp takes 0.25 ms to capture a launch, for each thread.
 GRAPH_STEPS = (32, 2, 1)
 CPU_GRAPH_STEPS = (2, 1) if QUICK else (8, 2, 1)
-# Graphs of the most steps in whose place steps to a frame have one of their own, with its look, at most.
+# Steps between two frames and the evaluation are captured as one graph up to this many times the largest graph.
 MAX_FRAME_GRAPHS = 2
 
 
 @dataclass(frozen=True)
 class StepLengths:
-    """Lengths of steps [env, 0] [s]: of a whole one, of a part, and what the one is longer or shorter by."""
+    """Lengths of a step and of a substep, and their differences.
+
+    Attributes:
+        full: Length of a step.
+        substep: Length of a substep.
+        to_substep: Change from a step to a substep, negative [env, 0] [s].
+        to_full: Change from a substep to a step [env, 0] [s].
+    """
 
     full: StepLength
     substep: StepLength
@@ -51,21 +59,22 @@ class StepLengths:
 
 
 class StepBuffers:
-    """What steps of a model need on its device; there once it is allocated.
+    """Device buffers for stepping a model; valid after ``allocate``.
 
     Args:
-        model: The model, or what is drawn up of it.
-        integrator: The scheme.
-        dt: Length of a step [s].
-        substeps: Parts into which a step with a crossing is divided.
-        settings: What to watch meanwhile.
+        model: The model, or its plan.
+        integrator: The time integrator.
+        dt: Time step [s].
+        substeps: Number of substeps of a step with a crossing.
+        settings: Monitor settings.
 
     Attributes:
-        layout: What is to lie on the device.
-        times: Lengths of steps.
-        other_state: A second state. Steps go from the model's to it and back; between calls the state is in the model's.
-        nonsmooth: The contacts that the scheme solves for impulses, ``None``: it has none.
-        monitor: What watches it; ``None``: nothing does.
+        layout: Allocation plan of the buffers.
+        times: Step lengths.
+        other_state: Second state buffer. Steps alternate between the model's state and this buffer; between calls the
+            current state is in the model.
+        nonsmooth: The nonsmooth contacts. ``None``: the integrator has none.
+        monitor: Monitor of outcomes, events and stop conditions. ``None``: nothing is monitored.
     """
 
     def __init__(
@@ -86,7 +95,7 @@ class StepBuffers:
         self.monitor = Monitor(model, settings, self.layout, self.nonsmooth) if settings else None
         if self.nonsmooth is not None:
             self.nonsmooth.monitored = self.monitor is not None
-        # Kept alive: the times share their memory.
+        # A reference keeps this memory alive; ``times`` are views of it.
         self._lengths = SimpleNamespace()
         substep = dt / substeps
         lengths = {"full": dt, "substep": substep, "to_substep": substep - dt, "to_full": dt - substep}
@@ -98,7 +107,7 @@ class StepBuffers:
 
     @shared_capture_lock()
     def allocate(self, envs: int) -> None:
-        """Makes them for ``envs`` environments."""
+        """Allocates the buffers for ``envs`` environments."""
         self.layout.allocate(envs)
         lengths = {name: broadcast(memory, envs) for name, memory in vars(self._lengths).items()}
         full, substep = (
@@ -110,17 +119,17 @@ class StepBuffers:
 
 @dataclass(frozen=True)
 class FrameSchedule:
-    """What is to be looked at while steps are taken.
+    """Frames to record during stepping.
 
     Attributes:
-        every: Steps from frame to frame.
-        needs: What is computed for each, see ``Sensor.needs``.
-        deliver_frame: Called when it is, by the thread that computed it, with the model, its environments that are there,
-            and the number of the frame: in any order of environments, one frame after the other.
-        copies: By model, on the CPU, what launches take where looks are at slices; ``take`` is not called there.
-        first_frame: Number of the first of these frames.
-        follows_frame: Whether the steps to it follow a frame with these needs, since when nobody changed the model or
-            looked at it.
+        every: Number of steps between frames.
+        needs: Quantities to compute for each frame, see ``Sensor.needs``.
+        deliver_frame: Called by the worker that evaluated a frame, with the model, the slice of its environments and
+            the number of the frame. Slices come in any order, frames of a slice in order.
+        copies: Per model on a CPU, the copies that launches make of each slice; ``deliver_frame`` is not called then.
+        first_frame: Number of the first frame.
+        follows_frame: Whether the steps follow a frame with the same needs and the model was neither changed nor
+            evaluated since.
     """
 
     every: int
@@ -131,9 +140,9 @@ class FrameSchedule:
     follows_frame: bool = False
 
     def align(self, done: int, steps: int, count: int) -> int:
-        """Returns about ``steps`` of ``count`` steps, after the first ``done``: whole frames, if one is near.
+        """Returns ``steps`` adjusted to end at a frame if possible; ``done`` of ``count`` steps were taken before.
 
-        What is left of another would take launches of its own, and does not know what the frame before told.
+        A remainder of a frame interval would need its own launches and cannot reuse the contacts of the last frame.
         """
         excess = (done + steps) % self.every
         to_frame = self.every - excess
@@ -144,7 +153,7 @@ class FrameSchedule:
         return steps + to_frame if to_frame <= steps and done + steps + to_frame <= count else steps
 
     def split(self, done: int, count: int) -> list[int]:
-        """Returns ``count`` steps after the first ``done`` as those from frame to frame."""
+        """Returns ``count`` steps after the first ``done``, split at frames: numbers of steps."""
         first = min(self.every - done % self.every, count)
         full, rest = divmod(count - first, self.every)
         return [first, *[self.every] * full, *([rest] if rest else [])]
@@ -152,12 +161,12 @@ class FrameSchedule:
 
 @dataclass(frozen=True)
 class StepChunk:
-    """Steps that are taken one after the other, and what comes before and after them.
+    """Consecutive steps with an optional evaluation after them.
 
     Attributes:
-        steps: How many.
-        after_evaluation: Whether a look came just before, which may have told what is near of contacts.
-        evaluates: Whether a look follows.
+        steps: Number of steps.
+        after_evaluation: Whether an evaluation directly precedes the steps; they may reuse its contacts.
+        evaluates: Whether an evaluation follows.
     """
 
     steps: int
@@ -167,31 +176,31 @@ class StepChunk:
 
 @dataclass(frozen=True)
 class _StepLaunches:
-    """The launches of a step from one buffer to the other, and those of a part of it."""
+    """The launches of a step, or of a substep, from a first state buffer to a second one."""
 
     full: list[wp.Launch]
     substep: list[wp.Launch]
-    to_substeps: list[wp.Launch]  # before a first part from the first buffer
-    to_full_steps: list[wp.Launch]  # after a last part into the second
+    to_substeps: list[wp.Launch]  # prepares the first buffer for the first substep
+    to_full_steps: list[wp.Launch]  # prepares the second buffer, after the last substep, for full steps
     copy_back: list[wp.Launch]  # copies the second buffer to the first
 
 
 class Stepper:
-    """Steps one slice of a span after the other, between the model's state and another buffer.
+    """Steps slices of environments, one at a time, using the model's state and a second state buffer.
 
     Args:
-        plan: All environments.
-        integrator: The scheme.
-        buffers: What steps need on the device.
-        substeps: Parts into which a step with a crossing is divided.
-        captured: Whether steps are captured and replayed.
+        plan: Execution plan of all environments.
+        integrator: The time integrator.
+        buffers: Step buffers.
+        substeps: Number of substeps of a step with a crossing.
+        captured: Whether steps are captured as graphs and replayed.
 
     Attributes:
-        slice: The environments that are stepped next; at first all.
-        device: Their device.
-        captured: Whether steps are replayed: on a GPU nothing is then waited for.
-        multi_step: Whether steps are one launch, of any number.
-        graph_steps: Steps in its graphs, the most first, if they are not.
+        slice: The selected environments; at first all.
+        device: Device of the environments.
+        captured: Whether steps are replayed from graphs. On a GPU the host then does not wait for steps.
+        multi_step: Whether one multi-step launch takes any number of steps.
+        graph_steps: Steps per graph, largest first; used if ``multi_step`` is false.
     """
 
     def __init__(
@@ -206,13 +215,13 @@ class Stepper:
         self._substeps = substeps
         has_substeps = model.has_swept_contacts and substeps > 1
         self._crossing_flag = wp.zeros(1, dtype=wp.int32, device=model.device) if has_substeps else None
-        # Where the host looks at it.
+        # Copy of the flag that the host reads.
         self._host_crossing_flag = self._crossing_flag
         if has_substeps and model.device.is_cuda:
             self._host_crossing_flag = wp.zeros(1, dtype=wp.int32, device="cpu", pinned=True)
         self._integrator, self._times = integrator, buffers.times
         self._states = own, other = model.arrays.state, buffers.other_state
-        # Whether steps go from a state to itself.
+        # Only steps without monitor and substeps can update the state in place.
         unmonitored = self._monitor is None and not has_substeps
         one = integrator.multi_step_stages(plan, self._times.full, own) if unmonitored else []
         self.multi_step = bool(one)
@@ -220,31 +229,31 @@ class Stepper:
             self._steps = [_StepLaunches(one, [], [], [], [])] * 2
         else:
             self._steps = [self._prepare(*chunk) for chunk in ((own, other), (other, own))]
-        # A step from the model's state after a look has told what is near, once there are such looks.
+        # A step from the model's state that reuses the contacts of an evaluation; prepared on demand.
         self._step_after_evaluation: list[wp.Launch] = []
         self._pause, self._resume = (mask_substeps_stage(plan, unmask=unmask) for unmask in (False, True))
-        # What is decided on the host cannot be captured.
+        # A decision on the host cannot be captured in a graph.
         self.captured = captured and not has_substeps
         self.graph_steps = CPU_GRAPH_STEPS if model.device.is_cpu else GRAPH_STEPS
-        # With what a look at their end is for. All are kept: few sets of needs come up in a simulation.
+        # Graphs by chunk and needs of its evaluation. Never evicted: a simulation has few different sets of needs.
         self._graphs: dict[tuple[StepChunk, frozenset[str]], wp.Graph] = {}
-        # Of those, which make up ways that are taken one after the other, each with the steps it takes in place;
-        # by what else decides that.
+        # Graphs of a sequence of chunks, each with its number of steps in a multi-step launch; by chunks, needs and
+        # ``_provides_contacts``.
         self._sequences: dict[tuple[tuple[StepChunk, ...], frozenset[str], bool], list[tuple[int, wp.Graph]]] = {}
-        # By what is needed; what is now, and whether it tells steps what is near; and what takes frames.
+        # Launches of evaluations by needs; the current needs; whether steps can reuse the contacts of the evaluation.
         self._evaluations: dict[frozenset[str], list[wp.Launch]] = {}
         self._needs: frozenset[str] = frozenset()
         self._provides_contacts = False
         self._frame_recording: FrameRecording | None = None
 
     def select(self, own: slice) -> None:
-        """Takes the environments that are stepped next: others than all of the span only if it has slices."""
+        """Selects the environments to step. Ranges other than all require a plan with ``slice``."""
         self.slice = own
         if self._slice_values is not None:
             self._slice_values[:2] = own.start, own.stop - own.start
 
     def _set_step_count(self, steps: int) -> None:
-        """Has the next launch in place take ``steps`` steps."""
+        """Sets the number of steps of the next multi-step launch."""
         if self._slice_values is not None:
             self._slice_values[2] = steps
 
@@ -265,7 +274,7 @@ class Stepper:
     def _stages(
         self, plan: ExecutionPlan, dt: StepLength, state_in: Any, state_out: Any, mark: wp.array | None
     ) -> list[wp.Launch]:
-        """Returns the launches of a step that is accepted, and watched."""
+        """Returns the launches of a step, including monitors and acceptance."""
         accepts = self._monitor is None and self._integrator.can_accept(plan)
         launches = self._integrator.step_stages(plan, dt, state_in, state_out, mark, accepts=accepts)
         if self._monitor is not None:
@@ -273,12 +282,12 @@ class Stepper:
         return launches + accept_stages(plan, dt, state_in, state_out, accepted=accepts)
 
     def launches(self) -> list[list[wp.Launch]]:
-        """Returns everything that is prepared."""
+        """Returns all prepared launches, as lists."""
         steps = [substep for step in self._steps for substep in vars(step).values()]
         return [*steps, self._step_after_evaluation, self._pause, self._resume]
 
     def graph(self, chunk: StepChunk) -> list[wp.Launch]:
-        """Returns the launches of a graph, none if nothing is captured."""
+        """Returns the launches of a graph; none if steps are not captured."""
         if not self.captured:
             return []
         launches: list[wp.Launch] = []
@@ -293,17 +302,18 @@ class Stepper:
         return launches + self._evaluations[self._needs] if chunk.evaluates else launches
 
     def _graphs_for(self, chunk: StepChunk) -> Iterator[tuple[StepChunk, int]]:
-        """Yields the graphs that make up a way, each with the steps that it reads that it takes in place."""
+        """Yields the graphs of a chunk, each with the number of steps to set for its multi-step launch (or 0)."""
         count, most = chunk.steps, self.graph_steps[0]
         if self.multi_step:
-            # The same for any number, after a first step that knows what is near, which has launches of its own.
+            # One graph for any number of steps. A first step that reuses the contacts of an evaluation has its own
+            # launches in it.
             yield (
                 replace(chunk, steps=min(count, 1 + chunk.after_evaluation)),
                 max(0, count - chunk.after_evaluation),
             )
             return
         if chunk.after_evaluation and chunk.evaluates and count <= MAX_FRAME_GRAPHS * most:
-            # Of frame after frame: whatever is launched apart, Python has to come by for.
+            # Steps from frame to frame: one graph, because each graph launch has a cost in Python.
             yield chunk, 0
             return
         if chunk.after_evaluation and count:
@@ -318,13 +328,13 @@ class Stepper:
             yield StepChunk(0, evaluates=True), 0
 
     def capture(self, chunks: tuple[StepChunk, ...]) -> None:
-        """Captures what ``step`` will replay. Not while other threads step."""
+        """Captures the graphs that ``step`` replays. Must not run while other threads step."""
         sequence = chunks, self._needs, self._provides_contacts
         if not self.captured or sequence in self._sequences:
             return
         graphs = []
         for chunk in chunks:
-            # It knows no more than looks tell.
+            # The contacts can be reused only after an evaluation that computes them.
             for one, multi_step in self._graphs_for(
                 replace(chunk, after_evaluation=chunk.after_evaluation and self._provides_contacts)
             ):
@@ -340,9 +350,12 @@ class Stepper:
         return capture.graph
 
     def step(self, chunks: tuple[StepChunk, ...]) -> None:
-        """Takes steps, captured ones, and looks; the state is in the model's buffer before and after each way."""
+        """Takes the steps and evaluations of chunks. Before and after each chunk the state is in the model's buffer.
+
+        If steps are captured, ``capture`` must have been called with the same chunks.
+        """
         if self.captured:
-            # Looked up once: Python is slow where steps drive it out of the cache of a core.
+            # One lookup for all graphs: stepping evicts the interpreter from the core's cache, so Python is slow here.
             for multi_step, graph in self._sequences[chunks, self._needs, self._provides_contacts]:
                 if multi_step:
                     self._set_step_count(multi_step)
@@ -362,7 +375,7 @@ class Stepper:
                     _launch(self._evaluations[self._needs])
 
     def prepare_evaluation(self, frames: FrameSchedule) -> None:
-        """Prepares looks, for ways from now on. Not while other threads step."""
+        """Prepares the evaluations of subsequent chunks. Must not run while other threads step."""
         if self._frame_recording is None:
             self._frame_recording = FrameRecording(self._span)
         self._frame_recording.set_copies(frames.copies.get(self._span.model))
@@ -373,7 +386,7 @@ class Stepper:
         self._provides_contacts = self.prepare_step_after_evaluation(frames.needs)
 
     def prepare_step_after_evaluation(self, needs: Set[str]) -> bool:
-        """Prepares the step after a look for sensors with ``needs``; returns whether it has less to do."""
+        """Prepares the step after an evaluation for ``needs``; returns whether it can reuse the contacts."""
         if not (self.captured and provides_contacts(self._span, needs)):
             return False
         if not self._step_after_evaluation:
@@ -386,26 +399,26 @@ class Stepper:
         return True
 
     def set_frame(self, number: int) -> None:
-        """Takes frame ``number`` next, where launches do."""
+        """Sets the number of the next frame that launches record."""
         if self._frame_recording is not None:
             self._frame_recording.set_frame(number)
 
     def records(self, frames: FrameSchedule) -> bool:
-        """Whether launches take frames where they are looked at, and nobody has to hand them on."""
+        """Whether launches copy the frames, so that ``deliver`` is not needed."""
         return self._span.model in frames.copies
 
     def deliver(self, frames: FrameSchedule, number: int) -> None:
-        """Hands on frame ``number`` of its environments, which was looked at."""
+        """Passes frame ``number`` of the selected environments, which was evaluated, to ``frames.deliver_frame``."""
         frames.deliver_frame(self._span.model, self.slice, number)
 
     def _take_step(self, chunk: int) -> None:
-        """Takes one step from one buffer to the other, and again in parts where a surface was crossed."""
+        """Takes one step from one buffer to the other; environments with a crossing repeat it in substeps."""
         if self._crossing_flag is not None:
             self._crossing_flag.zero_()
         _launch(self._steps[chunk].full)
         if not self._crossed():
             return
-        # Environments with a crossing have not moved on. The others wait.
+        # Environments with a crossing did not accept the step and repeat it. The others are paused.
         _launch(self._pause)
         _launch(self._steps[chunk].to_substeps)
         for substep in range(self._substeps):
@@ -416,11 +429,11 @@ class Stepper:
         _launch(self._resume)
 
     def _crossed(self) -> bool:
-        """Whether a surface was crossed in the step just taken; waits for no other device than its own."""
+        """Returns whether a surface was crossed in the last step; synchronizes with its own device only."""
         if self._crossing_flag is None or self._host_crossing_flag is None:
             return False
         if self._host_crossing_flag is not self._crossing_flag:
-            # Of a GPU wp.array.numpy() would change the default device of the process while other threads step.
+            # ``wp.array.numpy()`` on a GPU would change the default device of the process while other threads step.
             wp.copy(self._host_crossing_flag, self._crossing_flag)
             wp.synchronize_stream(self.device)
         return bool(self._host_crossing_flag.numpy()[0])

@@ -1,4 +1,8 @@
-"""Who steps which slices of the environments: on the CPU the thread that is free, on GPUs their graphs."""
+"""Worker pool: CPU threads take slices of environments as they become free; each GPU replays its graphs.
+
+``WorkerPool.step`` divides steps into chunks. Within a chunk each slice is stepped independently; all workers wait
+for each other at its end (barrier), where progress and interrupts are handled. Used by ``Simulation``.
+"""
 
 import contextlib
 import signal
@@ -15,30 +19,29 @@ import warp as wp
 from warpcontact.stepping.chunk_sizer import ChunkSizer
 from warpcontact.stepping.slice_stepper import FrameSchedule, StepChunk, Stepper
 
-# Steps between two looks at whether somebody wants to interrupt, at least, in whole graphs: on the CPU, and where
-# a GPU has graphs. Threads wait for each other then.
+# Minimum number of steps between barriers, where interrupts are checked: one graph, on a CPU and on a GPU.
 _MIN_STEPS = 8
 _MIN_STEPS_GPU = 32
-# Of what a thread does until all wait for each other, the last turn that it takes, at most, but for a whole graph
-# or a frame: one may take it alone.
+# Maximum size of the last work item, as a fraction of a worker's work up to the barrier (at least a graph or a
+# frame interval). Other workers may be idle during it.
 _LAST_ITEM_FRACTION = 1 / 64
-# Slices for each thread that are taken in turns, the last ones. Others stay with a thread to the end of what is
-# taken at a time, so that it fetches them once. So many make up for a thread at a quarter of the speed of others.
+# Slices per thread that are split into several work items for load balancing. All others are stepped by one worker
+# up to the barrier, so they are loaded into its cache once. 4 compensate for a thread at a quarter of the speed.
 _DYNAMIC_SLICES = 4
-# Environment-steps of a thread that are taken at a time, at most: a fraction of a second, where all are stepped.
-# Those that are held take no time, until they are reset.
+# Maximum number of environment-steps of a thread between barriers: a fraction of a second if all environments are
+# active. Frozen environments take no time until they are reset, so the measured time alone is no bound.
 _MAX_ENV_STEPS = 2**21
-# Environment-steps below which starting threads takes longer than what they would save.
+# Number of environment-steps below which starting threads takes longer than it saves.
 SERIAL_ENV_STEPS = 4096
 
 
 @dataclass(frozen=True)
 class DeviceShare:
-    """The environments of a part of the model.
+    """The environments of one part of the model.
 
     Attributes:
-        slices: Them, in pieces that share nothing that is written.
-        steppers: What steps them, one for each thread that may.
+        slices: Ranges of environments; they share no memory that is written.
+        steppers: One stepper for each thread.
     """
 
     slices: Sequence[slice]
@@ -46,29 +49,29 @@ class DeviceShare:
 
     @property
     def device(self) -> wp.Device:
-        """Where they are."""
+        """Device of the environments."""
         return self.steppers[0].device
 
 
 @dataclass(frozen=True)
 class _WorkItem:
-    """What is done to a slice at a time.
+    """Consecutive steps of one slice.
 
     Attributes:
-        frame: Number of the frame that is looked at next.
-        chunks: Its steps, up to each frame or the end.
+        frame: Number of the next frame.
+        chunks: The steps, split at frames.
     """
 
     frame: int
     chunks: tuple[StepChunk, ...]
 
     def batches(self, stepper: Stepper, frames: FrameSchedule | None) -> list[tuple[StepChunk, ...]]:
-        """Returns ways that ``stepper`` takes at once: one by one if frames are handed on after each."""
+        """Returns the chunks per call of ``stepper.step``: one at a time if frames are delivered after each."""
         whole_items = frames is None or stepper.records(frames)
         return [self.chunks] if whole_items else [(chunk,) for chunk in self.chunks]
 
 
-# A slice that somebody may take, with the turns that are left of it.
+# A slice to be stepped, with its remaining work items.
 _QueueEntry = tuple[DeviceShare, slice, Sequence[_WorkItem]]
 
 
@@ -76,13 +79,13 @@ class WorkerPool:
     """Steps the environments of one simulation.
 
     Args:
-        shares: All of them, by parts of the model; those on the CPU have a stepper for each thread there is to be.
+        shares: Environments of each part of the model. Those on a CPU have one stepper per thread.
     """
 
     def __init__(self, shares: Sequence[DeviceShare]) -> None:
         self._steppers = [stepper for share in shares for stepper in share.steppers]
-        # GPUs are given their graphs in turn, which takes no time. What Python launches, and waits for, has a
-        # thread for each GPU, so that none waits for another.
+        # Graph launches on GPUs are asynchronous, so one thread serves all GPUs. Without graphs, Python launches
+        # kernels and waits for them; each GPU then has its own thread.
         self._gpu_slices = _device_slices(
             share for share in shares if share.device.is_cuda and share.steppers[0].captured
         )
@@ -91,12 +94,12 @@ class WorkerPool:
             if share.device.is_cuda and not share.steppers[0].captured:
                 host_launched.setdefault(str(share.device), []).append(share)
         on_cpu = [share for share in shares if share.device.is_cpu]
-        # Kernels in Warp's debug mode share a pointer to the storage of tiles, which they look at when they end.
+        # In Warp's debug mode, kernels share a pointer to the tile storage and check it when they end.
         threads = 1 if wp.config.mode == "debug" else max((len(share.steppers) for share in on_cpu), default=0)
-        # The other slices, and how many threads share them.
+        # Slices that are stepped by threads, and the number of threads of each group.
         slices = _device_slices(on_cpu)
         self._thread_groups = [(_device_slices(own), 1) for own in host_launched.values()] + [(slices, threads)]
-        # Of few slices each thread has few: in turns, the last of which is short, they end at about the same time.
+        # With few slices per worker, split the chunk; the last work item is short, so workers finish together.
         self._last_item_fraction = (
             _LAST_ITEM_FRACTION * len(slices) / threads if 1 < threads < len(slices) else 1.0
         )
@@ -107,10 +110,10 @@ class WorkerPool:
         self._chunk_sizer = ChunkSizer(_MIN_STEPS_GPU) if self._gpu_slices else ChunkSizer(_MIN_STEPS, max_steps)
 
     def step(self, count: int, frames: FrameSchedule | None = None) -> Iterator[int]:
-        """Takes ``count`` steps in all slices, some at a time; yields how many were taken so far.
+        """Takes ``count`` steps in all slices, chunk by chunk; yields the number of steps taken so far.
 
-        Every slice has taken as many at each yield, also after an interruption. ``frames`` are looked at by the
-        way, while what a slice has written is still near its thread.
+        At each yield all slices have taken the same number of steps, also after an interrupt. ``frames`` are
+        evaluated between steps, while the data of a slice is still in the cache.
         """
         done = 0
         after_evaluation = frames is not None and frames.follows_frame
@@ -137,7 +140,7 @@ class WorkerPool:
             self._chunk_sizer.record(steps, took)
 
     def record_frame(self, frames: FrameSchedule) -> None:
-        """Takes a frame of the state that there is, the first of ``frames``."""
+        """Records a frame of the current state, the first of ``frames``."""
         items = [_WorkItem(frames.first_frame, (StepChunk(0, evaluates=True),))]
         for stepper in self._steppers:
             stepper.prepare_evaluation(frames)
@@ -146,11 +149,11 @@ class WorkerPool:
             self._step_all(1, items, items, frames)
 
     def _is_serial(self, count: int) -> bool:
-        """Whether one thread takes ``count`` steps sooner than several are told of them."""
+        """Returns whether one thread takes ``count`` steps faster than several threads can be started."""
         return self._threads < 2 or count * self._envs < SERIAL_ENV_STEPS
 
     def _item_lengths(self, steps: int) -> list[int]:
-        """Returns steps of one turn after the other: each time half of what is left, until that is little."""
+        """Returns the steps of consecutive work items: each is half of the remaining steps, down to a minimum."""
         grain = _MIN_STEPS_GPU if self._gpu_slices else _MIN_STEPS
         last = steps if self._is_serial(steps) else max(grain, self._last_item_fraction * steps)
         lengths = []
@@ -166,7 +169,7 @@ class WorkerPool:
         items: Sequence[_WorkItem],
         frames: FrameSchedule | None,
     ) -> None:
-        """Takes ``count`` steps in all slices: in most at once, as ``whole_items``, in the last ones in ``items``."""
+        """Takes ``count`` steps in all slices: most slices as ``whole_items``, the last ones split into ``items``."""
         _work(0, _make_queue(self._gpu_slices, whole_items), frames)
         if self._is_serial(count):
             for slices, _ in self._thread_groups:
@@ -176,7 +179,7 @@ class WorkerPool:
             self._pool = ThreadPoolExecutor(self._threads, thread_name_prefix="warpcontact")
         futures = []
         for slices, threads in self._thread_groups:
-            # Who is alone need not be waited for.
+            # A single thread needs no load balancing.
             static_count = max(0, len(slices) - _DYNAMIC_SLICES * threads) if threads > 1 else len(slices)
             queue = _make_queue(slices[:static_count], whole_items) + _make_queue(slices[static_count:], items)
             futures += [self._pool.submit(_work, thread, queue, frames) for thread in range(threads)]
@@ -193,7 +196,10 @@ def _device_slices(shares: Iterable[DeviceShare]) -> list[tuple[DeviceShare, sli
 def _work_items(
     done: int, lengths: Sequence[int], frames: FrameSchedule | None, after_evaluation: bool
 ) -> list[_WorkItem]:
-    """Returns turns of about these ``lengths``, after the first ``done`` steps; ``after_evaluation`` is that of the first."""
+    """Returns work items of about ``lengths`` steps, after the first ``done`` steps, that end at frames.
+
+    ``after_evaluation`` is the attribute of the first chunk.
+    """
     if frames is None:
         return [_WorkItem(0, (StepChunk(length),)) for length in lengths]
     items: list[_WorkItem] = []
@@ -212,15 +218,15 @@ def _work_items(
 
 
 def _make_queue(slices: Iterable[tuple[DeviceShare, slice]], items: Sequence[_WorkItem]) -> deque[_QueueEntry]:
-    """Returns slices that somebody may take."""
+    """Returns a queue of slices, each with all ``items``."""
     return deque((share, own, items) for share, own in slices)
 
 
 def _work(thread: int, queue: deque[_QueueEntry], frames: FrameSchedule | None) -> None:
-    """Takes turns, as a member of a team, in each slice that nobody else has taken."""
+    """Runs work items from the queue, as worker number ``thread``, until the queue is empty."""
     while True:
         try:
-            # At once with others.
+            # ``deque.popleft`` is thread-safe.
             share, own, items = queue.popleft()
         except IndexError:
             return
@@ -232,7 +238,7 @@ def _work(thread: int, queue: deque[_QueueEntry], frames: FrameSchedule | None) 
 
 
 def _run_item(stepper: Stepper, item: _WorkItem, frames: FrameSchedule | None) -> None:
-    """Takes a turn in a slice, and looks at it wherever a frame is due."""
+    """Runs a work item in the selected slice, and evaluates and delivers its frames."""
     if frames is None or stepper.records(frames):
         stepper.set_frame(item.frame)
         stepper.step(item.chunks)
@@ -247,7 +253,7 @@ def _run_item(stepper: Stepper, item: _WorkItem, frames: FrameSchedule | None) -
 
 @contextlib.contextmanager
 def _defer_interrupts() -> Iterator[None]:
-    """Lets Ctrl-C wait until all environments have come equally far. It reaches the main thread only."""
+    """Defers Ctrl-C until all environments have taken the same number of steps; only in the main thread."""
     previous_handler = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or not callable(previous_handler):
         yield

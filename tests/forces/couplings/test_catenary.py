@@ -354,7 +354,7 @@ def test_failed_catenary_solution_warns_and_is_counted(device):
     model = hung([(50.0, 0, 0), (0, 0, 50.0)], 2, device)
     assert model.sensor("line.status").tolist() == [wc.CatenaryStatus.FAILED, wc.CatenaryStatus.FOLDED]
     sim = wc.Simulation(model, dt=1e-4)
-    with pytest.warns(RuntimeWarning, match="catenary 'line' was without a solution in some steps of 1 of 2"):
+    with pytest.warns(RuntimeWarning, match="catenary 'line' did not converge in 1 of 2"):
         sim.run(3e-4)
     assert model.sensor("line.failures")[0] == 3
     sim.reset()

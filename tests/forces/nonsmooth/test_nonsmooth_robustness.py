@@ -140,7 +140,7 @@ def test_stacked_boxes_come_to_rest_with_overlap_recovery(device):
 
 
 def test_recovery_time_below_time_step_is_refused(device):
-    with pytest.raises(ValueError, match=r"recovery_time must be at least the step, 0\.001 s, got 0\.0005 s"):
+    with pytest.raises(ValueError, match=r"recovery_time must be at least dt = 0\.001 s, got 0\.0005 s"):
         wc.Simulation(ball(device=device), 1e-3, wc.integrators.MoreauJean(recovery_time=5e-4))
 
 

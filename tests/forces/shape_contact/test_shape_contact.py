@@ -473,9 +473,7 @@ def test_unconverged_shape_contact_has_no_force_and_warns(device):
     scene.add_shape_contact(egg, odd, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e3)), name="touch")
     model = scene.build(2, device)
     model["touch.enabled"] = [False, True]
-    with pytest.warns(
-        RuntimeWarning, match="'egg' and 'odd' meet was not found in some steps of 1 of 2 environments"
-    ):
+    with pytest.warns(RuntimeWarning, match="'egg' and 'odd' did not converge in 1 of 2 environments"):
         recording = wc.Simulation(model, dt=1e-4).run(
             1e-3, ["touch.status", "touch.normal_force", "touch.failures"]
         )

@@ -1,4 +1,4 @@
-"""The contract of a time integrator."""
+"""Abstract base class of time integrators."""
 
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any
@@ -16,32 +16,32 @@ if TYPE_CHECKING:
 
 
 class Integrator(ABC):
-    """A scheme that takes a state over one step."""
+    """A time integration scheme: builds the launches that propose a step."""
 
     #: Order of convergence of the state for smooth forces.
     order: int
 
     @abstractmethod
     def check(self, scene: "Scene") -> None:
-        """Checks that it can step a scene.
+        """Checks that the integrator can step a scene.
 
         Raises:
-            ValueError: If it cannot; the message names what is in the way.
+            ValueError: If it cannot; the message names the element.
         """
 
-    def check_step(self, dt: float) -> None:  # noqa: B027  most schemes take any
-        """Checks the length of a step [s].
+    def check_step(self, dt: float) -> None:  # noqa: B027  most schemes accept any step
+        """Checks the time step [s].
 
         Raises:
-            ValueError: If it does not go with the settings.
+            ValueError: If it is incompatible with the settings of the integrator.
         """
 
     def declare(self, model: "Model | DeviceModelPlan", layout: AllocationPlan) -> "NonsmoothContacts | None":
-        """Declares what it takes beside the model; ``None``: contacts act by their forces alone."""
+        """Declares the arrays of the integrator and returns the nonsmooth contacts; ``None`` if there are none."""
         return None
 
     def can_accept(self, plan: ExecutionPlan) -> bool:
-        """Whether ``step_stages`` can end steps of these environments, where nobody has to see them before."""
+        """Returns whether ``step_stages`` can also accept the step, if no monitor must evaluate it before."""
         return False
 
     @abstractmethod
@@ -57,30 +57,34 @@ class Integrator(ABC):
     ) -> list[wp.Launch]:
         """Returns the launches that propose a step from ``state_in`` to ``state_out``.
 
-        With ``accepts`` it is accepted at once, as far as clocks and the history of contacts go; and what formulas
-        remember, if the span is ``alone``.
-
-        ``mark`` [0] is set, and the status of the environment changed, where a swept point crosses a surface;
-        with ``None`` such a step is taken as it is.
+        Args:
+            plan: Execution plan of the environments.
+            dt: Step length.
+            state_in: State at the start of the step.
+            state_out: Receives the proposed state.
+            mark: Flag [1] that is set to 1 if a swept point crosses a surface; the status of the environment is
+                changed, too. ``None``: crossings do not reject the step.
+            accepts: Whether the launches also accept the step: they advance clocks and contact history, and with
+                ``plan.fuses_step`` also history variables of laws and friction models.
         """
 
     def multi_step_stages(self, plan: ExecutionPlan, dt: StepLength, state: Any) -> list[wp.Launch]:
-        """Returns the launches that take accepted steps of ``state`` in place, as many as ``span.slice`` says.
+        """Returns a multi-step launch that updates ``state`` in place; ``plan.slice`` has the number of steps.
 
-        Nobody sees them. None: these environments have no such steps.
+        It does not support monitors. An empty list if these environments cannot be stepped in this form.
         """
         return []
 
     def change_stages(self, plan: ExecutionPlan, change: wp.array, state: Any) -> list[wp.Launch]:
-        """Returns the launches that ready ``state`` for steps longer by ``change`` [env, 0] than those before [s].
+        """Returns the launches that adapt ``state`` to a step length that changes by ``change`` [env, 0] [s].
 
-        None: a state does not depend on the step that led to it.
+        An empty list if the state does not depend on the step length.
         """
         return []
 
 
 def formulas_of(scene: "Scene") -> dict[str, dict[str, Any]]:
-    """Returns law and friction models by the name of their part, of every contact of a scene by its name."""
+    """Returns the law and friction models of all contacts of a scene: contact name → part → model."""
     return {
         **{contact.name: contact.material.formulas for contact in scene.contacts},
         **{contact.name: contact.formulas for contact in scene.shape_contacts},

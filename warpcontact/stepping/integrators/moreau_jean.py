@@ -1,4 +1,8 @@
-"""The Moreau–Jean scheme: nonsmooth contact in time steps, without locating impacts."""
+"""Moreau–Jean time-stepping scheme: nonsmooth contact by impulses per step, without locating impacts.
+
+Reference: M. Jean, "The non-smooth contact dynamics method", Comput. Methods Appl. Mech. Eng. 177 (1999) 235–257.
+Kernels: ``kernels/nonsmooth``.
+"""
 
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -23,13 +27,13 @@ if TYPE_CHECKING:
     from warpcontact.scene.scene import Scene
 
 KERNELS = {"gauss_seidel": gauss_seidel, "accelerated": accelerated}
-#: What is chosen by a name: these, one where those before do not converge.
+#: Kernels of each value of ``solver``; the second one is used if the first one does not converge.
 SOLVERS = {"auto": tuple(KERNELS), **{name: (name,) for name in KERNELS}}
-#: Most iterations of each in a step, if nothing is said.
+#: Default maximum number of iterations per step.
 ITERATIONS = {"gauss_seidel": 200, "accelerated": 2000}
-#: Relative residual to reach, if nothing is said, by precision.
+#: Default tolerance of the relative residual, by precision.
 TOLERANCES = {wp.float32: 1.0e-5, wp.float64: 1.0e-8}
-#: Share of a step within which velocities of functions of time are those of an instant.
+#: Half width, as a fraction of the step, of the difference that gives velocities of prescribed motions.
 INSTANT = 0.005
 THETA = limits("-", at_least=0.5, at_most=1.0)
 TOLERANCE = limits("-", above=0.0, at_most=1.0)
@@ -39,43 +43,44 @@ RECOVERY_TIME = limits("s", above=0.0)
 @explain_keywords_of
 @dataclass(frozen=True)
 class MoreauJean(Integrator):
-    """Impulses that keep contacts from approaching, with Newton's restitution and Coulomb's friction.
+    """Moreau–Jean scheme: contact impulses with Newton's restitution and Coulomb friction.
 
-    Contacts are those of the pose at half a step, q + (h/2) v. A contact is closed if its gap is below 1e-9 m in
+    Contacts are detected at the pose at half a step, q + (h/2) v. A contact is closed if its gap is below 1e-9 m in
     float64 and 1e-6 m in float32. The velocities U⁺ after the step and the impulses P of closed contacts satisfy
-    0 ≤ P_n ⟂ U_n⁺ + e U_n⁻ ≥ 0 and the cone of Coulomb; then q⁺ = q + h (θ v⁺ + (1 − θ) v). Impacts are not
-    located: the scheme is of first order, and steps through infinitely many of them. Bodies overlap by no more
-    than they move in a step.
+    0 ≤ P_n ⟂ U_n⁺ + e U_n⁻ ≥ 0 and Coulomb's friction cone; then q⁺ = q + h (θ v⁺ + (1 − θ) v). Impacts are not
+    located, so the scheme is of first order and steps across accumulations of impacts. Penetration is bounded by the
+    displacement per step.
 
-    Newton's law and friction may together bring energy into an impact. Where they would, the restitution of the
-    contacts that do is lowered for that step until they do not.
+    Newton's law with friction can add energy in an impact. In such a step the restitution of the contacts involved
+    is reduced until the impact adds no energy.
 
-    Newton's law leaves open what several contacts do that are hit together, as in Newton's cradle. With
-    ``impacts="simultaneous"`` it holds for each closed contact with its own U_n⁻, and all are solved in one
-    problem: five equal touching balls, e = 1, the first hit at 1 m/s, leave at (−0.6, 0.4, 0.4, 0.4, 0.4) m/s.
-    With ``"sequential"`` pairs of bodies collide one after the other, the fastest first: (0, 0, 0, 0, 1) m/s. The
-    contacts that were hit then part with these normal velocities, and friction acts in the one problem of the
-    step.
+    Newton's law does not determine the outcome of simultaneous impacts, as in Newton's cradle. With
+    ``impacts="simultaneous"`` it holds for each closed contact with its own U_n⁻, in one contact problem: five equal
+    touching balls, e = 1, the first hit at 1 m/s, leave at (−0.6, 0.4, 0.4, 0.4, 0.4) m/s. With ``"sequential"``
+    pairs of bodies collide one after the other, the fastest first: (0, 0, 0, 0, 1) m/s. The contact problem of the
+    step then prescribes the resulting normal velocities and adds friction.
 
-    Every contact is hard, with the ``restitution`` of its law, 0 if that has none, and the coefficient of its
-    friction, the dynamic one where it slipped in the step before; so the same scene may be stepped either way.
-    ``wc.laws.Rigid`` and ``wc.friction.Coulomb`` have only these. A law that pulls and a friction without a
-    coefficient are refused; a ``force_scale`` does not matter, since there is no force to scale.
+    All contacts are nonsmooth, with the ``restitution`` of their law (0 if it has none) and the coefficient of their
+    friction model, the dynamic one if the contact slipped in the last step. Other parameters of laws and friction
+    models are ignored, so the same scene can be stepped with either integrator. ``wc.laws.Rigid`` and
+    ``wc.friction.Coulomb`` have only these parameters. Adhesive laws and friction models without a coefficient are
+    rejected. ``force_scale`` has no effect.
 
     Args:
-        theta: θ, from ½, which keeps the energy, to 1.
-        solver: ``"gauss_seidel"``, one contact after the other; ``"accelerated"``, all at once by projected
-            gradients with momentum, for heavy bodies on light ones and feet that share a load; ``"auto"``, the
-            first, and the other instead in the environments where that was not enough.
-        iterations: Most iterations of a solver in a step; ``None``: 200 of the first, 2000 of the other.
-        tolerance: Relative residual to reach; ``None``: 1e-5 in float32, 1e-8 in float64.
-        compliant: Names of contacts that act by the force of their law instead.
-        impacts: Law of multiple impacts: ``"simultaneous"`` or ``"sequential"``.
-        recovery_time: An overlap d, beyond the g h² of a step, is taken back at d over this time, of ten steps or
-            more [s]; ``None``: it is not. That lifts bodies, which brings energy.
+        theta: θ in [½, 1]. θ = ½ conserves energy between impacts.
+        solver: ``"gauss_seidel"``: one contact after the other. ``"accelerated"``: all contacts simultaneously, by
+            projected gradients with momentum, for heavy bodies on light ones and statically indeterminate supports.
+            ``"auto"``: the first, then the second in environments where the first did not converge.
+        iterations: Maximum number of iterations per step. Default: 200 (``"gauss_seidel"``), 2000
+            (``"accelerated"``).
+        tolerance: Tolerance of the relative residual. Default: 1e-5 in float32, 1e-8 in float64.
+        compliant: Names of contacts that use the force of their law instead of impulses.
+        impacts: Law of simultaneous impacts: ``"simultaneous"`` or ``"sequential"``.
+        recovery_time: Penetration d beyond g h² is reduced with the velocity d / recovery_time [s]; use ten steps or
+            more. This lifts bodies and adds energy. Default: penetration is not reduced.
 
     Raises:
-        ValueError: If a value is not allowed.
+        ValueError: If a value is out of range.
     """
 
     theta: float = 0.5
@@ -103,17 +108,17 @@ class MoreauJean(Integrator):
         object.__setattr__(self, "compliant", tuple(self.compliant))
 
     def check(self, scene: "Scene") -> None:
-        """Checks that contacts without a force do not pull and have Coulomb's cone, and that others have a force.
+        """Checks that nonsmooth contacts have a rigid law and a friction coefficient, and compliant ones a force.
 
         Raises:
-            ValueError: If not, or if there is no contact of a name in ``compliant``.
+            ValueError: If not, if a contact is swept, or if a name in ``compliant`` does not exist.
         """
         contacts = formulas_of(scene)
         forces = {contact.name for contact in scene.contacts if contact.facing is not None}
         for name in self.compliant:
             if name not in contacts or name in forces:
                 known = ", ".join(repr(own) for own in contacts if own not in forces) or "none"
-                raise ValueError(f"compliant: there is no contact {name!r}; there is {known}")
+                raise ValueError(f"compliant: there is no contact {name!r}; contacts: {known}")
         for name, formulas in contacts.items():
             if name not in self.compliant and name not in forces:
                 check_rigid(name, formulas, f"Or use SemiImplicitEuler, or compliant=[{name!r}]")
@@ -121,26 +126,23 @@ class MoreauJean(Integrator):
             for part, formula in formulas.items():
                 if formula.rigid:
                     why = "compliant: " if name in self.compliant else "contact couplings are forces: "
-                    raise ValueError(
-                        f"{why}{name}.{part} is {type(formula).__name__}, which has no force of its own"
-                    )
+                    raise ValueError(f"{why}{name}.{part} is {type(formula).__name__}, which has no force")
         for contact in scene.contacts:
             if contact.swept:
                 raise ValueError(
-                    f"{contact.name}.swept is for contacts with a force under SemiImplicitEuler; MoreauJean looks "
-                    "at contacts at half a step, and has no steps to divide"
+                    f"{contact.name}.swept must be False with MoreauJean, which has no substeps. Use "
+                    "SemiImplicitEuler for swept contacts"
                 )
 
     def check_step(self, dt: float) -> None:
-        """Checks that overlap is not to be taken back within a step.
+        """Checks that the recovery time is at least a step.
 
         Raises:
-            ValueError: If it is.
+            ValueError: If it is shorter.
         """
         if self.recovery_time is not None and self.recovery_time < dt:
             raise ValueError(
-                f"recovery_time must be at least the step, {dt:g} s, got {self.recovery_time:g} s; take ten steps "
-                "or more"
+                f"recovery_time must be at least dt = {dt:g} s, got {self.recovery_time:g} s; use ten steps or more"
             )
 
     def declare(self, model: "Model | DeviceModelPlan", layout: AllocationPlan) -> "NonsmoothContacts":
@@ -163,7 +165,7 @@ class MoreauJean(Integrator):
         *,
         accepts: bool = False,
     ) -> list[wp.Launch]:
-        """Returns the launches: half a step, forces and contacts there, the contact problem, the whole step."""
+        """Returns the launches: half step, contacts and forces there, contact problem, full step."""
         model, nonsmooth = plan.model, plan.nonsmooth
         assert nonsmooth is not None
         a, real, has_joints, bodies = model.arrays, model.types.real, model.has_joints, model.body_count
@@ -177,7 +179,8 @@ class MoreauJean(Integrator):
         )
         for motion_set in model.prescribed_motions:
             follow = driven.follow(motion_set.motion, real)
-            # Of the instant at which what rides on them moves as they do, from step to step.
+            # Velocities are taken at the times (fractions of the step) at which bodies carried along have the same
+            # velocity from step to step.
             before, after = 2.0 * (0.5 - self.theta), 1.5 - self.theta
             for length, at, state in ((dt.half_clock, before, middle), (dt.clock, after, state_out)):
                 share = (at - INSTANT, at + INSTANT)

@@ -1,4 +1,4 @@
-"""The semi-implicit Euler scheme."""
+"""Semi-implicit Euler scheme for compliant contact."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 @explain_keywords_of
 @dataclass(frozen=True)
 class SemiImplicitEuler(Integrator):
-    """Velocities from the forces at the state before the step, positions from the new velocities.
+    """Semi-implicit Euler: velocities from the forces at the start of the step, positions from the new velocities.
 
     First order; symplectic for conservative forces, so the energy of an elastic bounce does not drift.
     """
@@ -35,21 +35,21 @@ class SemiImplicitEuler(Integrator):
     order = 1
 
     def check(self, scene: "Scene") -> None:
-        """Checks that every contact of ``scene`` has a force.
+        """Checks that all contacts of ``scene`` have force laws.
 
         Raises:
-            ValueError: If one is rigid.
+            ValueError: If a contact has a rigid law or friction model.
         """
         for name, formulas in formulas_of(scene).items():
             for part, formula in formulas.items():
                 if formula.rigid:
                     raise ValueError(
-                        f"{name}.{part} is {type(formula).__name__}, which has no force of its own; it needs the "
-                        "integrator MoreauJean"
+                        f"{name}.{part} is {type(formula).__name__}, which has no force; use the integrator "
+                        "MoreauJean"
                     )
 
     def can_accept(self, plan: ExecutionPlan) -> bool:
-        """Of one body alone."""
+        """Returns whether the plan is one of a single-body environment whose step can be accepted in place."""
         return plan.fuses_step or plan.accepts_in_integrator
 
     def step_stages(
@@ -62,7 +62,7 @@ class SemiImplicitEuler(Integrator):
         *,
         accepts: bool = False,
     ) -> list[wp.Launch]:
-        """Returns the launches of forces, of free bodies and of others, and those that look for crossings."""
+        """Returns the launches of forces, free bodies, joints, prescribed motions and the swept test."""
         if accepts and plan.fuses_step:
             return fused_step_stages(plan, dt, state_in, state_out)
         model = plan.model
@@ -85,7 +85,7 @@ class SemiImplicitEuler(Integrator):
             a.coupling_wrenches,
         ]
         inputs += particle_arrays(particle_set, real)
-        # Steps that nobody asks about them need no wrenches but those of bodies that are not free.
+        # Without monitors, only bodies with joints or prescribed motion need the sum of wrenches in memory.
         inputs += [plan.write_outputs or model.has_joints or bool(model.prescribed_motions), a.wrenches]
         inputs += [dt.clock, a.time, model.clusters.count, a.contacts, a.history, a.cache, state_out]
         launches += plan.prepare(kernel, model.body_count, inputs, block_dim=SMALL_BLOCK if particle_set else None)
@@ -113,12 +113,12 @@ class SemiImplicitEuler(Integrator):
         return launches
 
     def multi_step_stages(self, plan: ExecutionPlan, dt: StepLength, state: Any) -> list[wp.Launch]:
-        """Returns one launch, of bodies alone on a CPU; none of a subclass whose steps are others."""
+        """Returns the multi-step launch if the plan allows it; none for subclasses that override ``step_stages``."""
         own = type(self).step_stages is SemiImplicitEuler.step_stages
         return multi_step_stages(plan, dt, state) if own and plan.fuses_steps else []
 
     def change_stages(self, plan: ExecutionPlan, change: wp.array, state: Any) -> list[wp.Launch]:
-        """Returns the launches that take the velocities, half a step behind the positions, to another step."""
+        """Returns the launches that adapt the velocities, which lag half a step behind the positions."""
         model = plan.model
         a, real = model.arrays, model.types.real
         launches = force_stages(plan, state, model.zero_step, a.status)

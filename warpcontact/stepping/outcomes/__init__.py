@@ -1,4 +1,4 @@
-"""Outcomes: what is kept of sensors over time, by a few numbers per environment, while it is stepped."""
+"""Outcomes: scalars per environment, reduced from sensors over time on the device during stepping."""
 
 from typing import TYPE_CHECKING
 
@@ -46,6 +46,6 @@ __all__ = [
     "Work",
 ]
 
-if not TYPE_CHECKING:  # there it would know every name
+if not TYPE_CHECKING:  # a module ``__getattr__`` would make a type checker accept any name
     _LATER = [name for name in __all__ if name not in ("OfContact", "Outcome")]
     __getattr__, __dir__ = lazy_names(__name__, dict.fromkeys(_LATER, "..kernels.outcomes.catalogue"), {})

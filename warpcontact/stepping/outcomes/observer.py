@@ -1,4 +1,8 @@
-"""What a part of a model is watched by on its device: the memory of outcomes, conditions and events."""
+"""Monitor of a part of a model: device state and launches of outcomes, stop conditions and events.
+
+``Monitor`` declares the arrays, resolves the sensors (``sources.py``) and prepares the launches that run in each step
+before it is accepted (``kernels/outcomes``). ``report.py`` returns the results as data sets.
+"""
 
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -27,7 +31,7 @@ if TYPE_CHECKING:
     from warpcontact.model.plan import DeviceModelPlan
 
 PURPOSE = "outcomes"
-#: Events of an environment in a checkpoint: their place in the ring follows from a 32-bit count.
+#: Maximum number of events of an environment in a checkpoint: the index in the ring buffer is derived from an int32.
 MOST_EVENTS = 2**30
 
 
@@ -37,9 +41,9 @@ class OutcomeState:
 
     Attributes:
         name: Its name.
-        outcome: What it is.
-        sources: Its sources.
-        memory: [env, result].
+        outcome: Its definition.
+        sources: Its resolved sources.
+        memory: Accumulated values, vectors of float64 [env, result].
     """
 
     name: str
@@ -49,33 +53,34 @@ class OutcomeState:
 
     @property
     def length(self) -> int:
-        """Numbers of its memory; a vector of Warp has two at least."""
+        """Length of the memory vector; at least 2, the minimum of Warp's vectors."""
         return max(2, len(self.outcome.memory))
 
     @property
     def results(self) -> int:
-        """Number of results of an environment."""
+        """Number of results per environment."""
         return self.sources[0].items * self.sources[0].components
 
 
 class Monitor:
-    """What a part of a model is watched by.
+    """Evaluates outcomes, stop conditions and events of a part of a model in each step.
 
     Args:
-        model: The model, or what is drawn up of it.
-        settings: What to watch.
-        layout: Where to declare arrays.
-        nonsmooth: The contacts that are solved for impulses.
+        model: The model, or its plan.
+        settings: Outcomes, stop conditions, events and quarantine.
+        layout: Allocation plan to which the arrays are added.
+        nonsmooth: The nonsmooth contacts, if any.
 
     Attributes:
-        settings: What it watches.
-        outcome_state: The outcomes.
-        needs: What has to be computed for results, see ``Sensor.needs``.
-        needs_all_distances: Whether all contacts have to be looked at in every step.
+        settings: The settings.
+        outcome_states: The outcomes.
+        event_sources: One source per contact with events.
+        needs: Quantities that the results need, see ``Sensor.needs``.
+        needs_all_distances: Whether all contacts must be evaluated in every step, without the distance cache.
 
     Raises:
-        KeyError: If there is no sensor of a name.
-        ValueError: If one is not what is asked for.
+        KeyError: If a sensor does not exist.
+        ValueError: If a sensor cannot be used as requested.
     """
 
     def __init__(
@@ -99,7 +104,7 @@ class Monitor:
         ]
         names = () if settings.events is None else settings.events.contacts
         self.event_sources = [resolver.contact_indicator("events", name) for name in names]
-        #: Number of the first item of each watched contact.
+        #: Number of the first item of each contact with events.
         self.event_offsets = np.cumsum([0, *(one.items for one in self.event_sources)]).tolist()
         step_sources = [
             one
@@ -138,10 +143,10 @@ class Monitor:
         layout.array(PURPOSE, self, "resets", wp.int32, per_env(), ranges={"resets": COUNT})
 
     def initialize(self, model: "Model") -> None:
-        """Takes the model, once everything is allocated, and compiles outcomes, which may be a user's own.
+        """Attaches the allocated model and compiles the outcomes, which may be user-defined.
 
         Raises:
-            TypeError: If one does not compile.
+            TypeError: If an outcome does not compile.
         """
         self._model = model
         for outcome_state in self.outcome_states:
@@ -154,12 +159,12 @@ class Monitor:
                 text = compile_error_text(error, [type(outcome)])
                 raise TypeError(
                     f"outcomes[{outcome_state.name!r}]: {type(outcome).__name__} does not compile: {text}\n"
-                    "m is the memory, a vector of float64, x a float64, or a vector of them of an outcome of a "
-                    "contact, time and dt are float64; constants are written as wp.float64(1.5)."
+                    "m is the memory, a vector of float64; x is a float64, or a vector of float64 for an outcome of "
+                    "a contact; time and dt are float64; write constants as wp.float64(1.5)."
                 ) from error
 
     def stages(self, plan: "ExecutionPlan", dt: "StepLength", state: Any) -> list[wp.Launch]:
-        """Returns the launches that look at the ``state`` that a step begins from, before it is accepted."""
+        """Returns the launches that evaluate the ``state`` at the start of a step, before the step is accepted."""
         model, status = plan.model, plan.model.arrays.status
         launches = self._sensor_stages(plan, status, state)
         time = model.arrays.time
@@ -187,14 +192,14 @@ class Monitor:
         return launches
 
     def _sensor_stages(self, plan: "ExecutionPlan", status: wp.array, state: Any) -> list[wp.Launch]:
-        """Returns the launches that measure what is looked at."""
+        """Returns the launches that compute the sensors of the sources."""
         launches = sensor_stages(plan, self._step_needs, state, status)
         if self._has_nonsmooth and self._hard is not None:
             launches += self._hard.show_stages(plan, status)
         return launches
 
     def _form_and_view(self, sources: ResolvedSource, state: Any) -> tuple[SourceForm, Any]:
-        """Returns the form and the array of a source in ``state``; no array if nothing is allocated."""
+        """Returns the form and the array of a source in ``state``; ``None`` as array before allocation."""
         form = sources.form(self._real)
         if self._model is None:
             return form, None
@@ -206,13 +211,13 @@ class Monitor:
     def _forms_and_views(
         self, outcome_state: OutcomeState, state: Any
     ) -> tuple[tuple[SourceForm, ...], list[Any]]:
-        """Returns the forms of the sources of an outcome, and ``MOST`` arrays."""
+        """Returns the forms of the sources of an outcome, and their arrays, padded to ``MAX_SOURCES``."""
         pairs = [self._form_and_view(one, state) for one in outcome_state.sources]
         views = [view for _, view in pairs]
         return tuple(form for form, _ in pairs), views + views[:1] * (MAX_SOURCES - len(views))
 
     def reset_state(self, chosen: wp.array) -> None:
-        """Starts anew in the environments of the mask ``chosen`` [env]."""
+        """Restarts outcomes, stop conditions and events in the environments of the mask ``chosen`` [env]."""
         envs = len(chosen)
         for outcome_state in self.outcome_states:
             start = outcome_state.memory.dtype(
@@ -229,8 +234,11 @@ class Monitor:
 
     @shared_capture_lock()
     def results(self, outcome_state: OutcomeState) -> NDArray[np.float64]:
-        """Returns the results of an outcome at the current state (env, item, component); it has been measured."""
-        from warpcontact.forces.execution_plan import ExecutionPlan
+        """Returns the results of an outcome at the current state (env, item, component).
+
+        The sensors in ``needs`` must have been evaluated.
+        """
+        from warpcontact.stepping.execution_plan import ExecutionPlan
 
         model = self._model
         assert model is not None
@@ -260,8 +268,8 @@ def sources_of(resolver: SourceResolver, owner: str, outcome: Outcome) -> tuple[
     """Returns the sources of an outcome.
 
     Raises:
-        KeyError: If there is no sensor of a name.
-        ValueError: If one is not what is asked for; messages begin with ``owner``.
+        KeyError: If a sensor does not exist.
+        ValueError: If a sensor cannot be used as requested. Messages begin with ``owner``.
     """
     try:
         outcome.check(resolver.nonsmooth)

@@ -1,4 +1,4 @@
-"""Outcomes and events as labelled data sets."""
+"""Outcomes and events as labeled data sets."""
 
 from collections.abc import Mapping, Sequence
 from enum import IntEnum
@@ -23,15 +23,15 @@ def outcomes_of(model: Environments, settings: MonitorSettings, monitors: Sequen
     """Returns the outcomes of a simulation so far; see ``Simulation.outcomes``.
 
     Args:
-        model: The model, the current state of which is seen.
-        settings: What is watched.
-        monitors: Those of its parts; none: nothing is watched.
+        model: The model; its current state is included.
+        settings: Settings of the monitors.
+        monitors: Monitors of the parts of the model; empty if nothing is monitored.
     """
     variables: dict[str, Variable] = {}
     if settings.outcomes:
         needs = {*monitors[0].needs}
         model.ensure_sensor_arrays(needs)
-        # All parts are at work before the first is waited for.
+        # Launch all parts before waiting for the first one, so that devices run in parallel.
         for part in model.parts:
             part.evaluate_needs(needs)
         model.check_neighbor_lists()
@@ -46,17 +46,17 @@ def outcomes_of(model: Environments, settings: MonitorSettings, monitors: Sequen
     if monitors:
         resets = np.concatenate([one.resets.numpy() for one in monitors])
     variables["status"] = (["env"], status, {"long_name": "state of the environment", **_flags(EnvironmentStatus)})
-    variables["cause"] = (["env"], cause, {"long_name": "why it was frozen", **_flags(FailureCause)})
-    variables["end_time"] = (["env"], time, {"units": "s", "long_name": "time that it has come to"})
-    about = {"units": "-", "long_name": "times that it was put back to its initial state after it failed"}
+    variables["cause"] = (["env"], cause, {"long_name": "cause of failure", **_flags(FailureCause)})
+    variables["end_time"] = (["env"], time, {"units": "s", "long_name": "simulated time of the environment"})
+    about = {"units": "-", "long_name": "number of resets to the initial state after a failure"}
     variables["resets"] = (["env"], resets, about)
     if settings.stops:
         stopped = np.concatenate([one.stops.stopped_by.numpy() for one in monitors]).astype(np.int16)
-        about = {"long_name": "condition that stopped it; −1: none", **_named(settings.stops)}
+        about = {"long_name": "stop condition that ended the environment; −1: none", **_named(settings.stops)}
         variables["stopped_by"] = (["env"], stopped, about)
     if settings.events is not None:
         count = np.concatenate([one.events.count.numpy() for one in monitors])
-        about = {"units": "-", "long_name": "events that were not kept"}
+        about = {"units": "-", "long_name": "number of events that were not stored"}
         variables["events_missed"] = (["env"], np.maximum(count - settings.events.most, 0), about)
     return _dataset(model, variables)
 
@@ -66,18 +66,18 @@ def events_of(model: Environments, settings: MonitorSettings, monitors: Sequence
 
     Args:
         model: The model.
-        settings: What is watched.
-        monitors: Those of its parts.
+        settings: Settings of the monitors.
+        monitors: Monitors of the parts of the model.
 
     Raises:
-        ValueError: If no events are watched.
+        ValueError: If the simulation has no ``events``.
     """
     if settings.events is None:
-        raise ValueError("no events are watched: give the simulation events=wc.ContactEvents(['touch'])")
+        raise ValueError("no events are recorded: pass events=wc.ContactEvents(['touch']) to the simulation")
     most = settings.events.most
     event_offsets = np.array(monitors[0].event_offsets)
     count = np.concatenate([one.events.count.numpy() for one in monitors])
-    # The oldest first.
+    # Oldest event first: the ring buffer starts at count mod most once it is full.
     order = (np.arange(most) + np.where(count > most, count, 0)[:, None]) % most
     there = np.arange(most) < count[:, None]
     time = np.concatenate([one.events.time.numpy() for one in monitors])

@@ -1,4 +1,4 @@
-"""Sensors as outcomes, stop conditions and events look at them: found, checked, and brought to one form."""
+"""Resolves and checks the sensors of outcomes, stop conditions and events, and returns views of their arrays."""
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
@@ -19,21 +19,21 @@ if TYPE_CHECKING:
     from warpcontact.model.model import Model
     from warpcontact.model.plan import DeviceModelPlan
 
-#: Those of a contact with a mesh that are not computed where it is known to be far.
+#: Sensors of a contact with a mesh that are not computed while the contact is culled.
 NEAR_ONLY = frozenset(("gap", "normal", "status", "point"))
 
 
 @dataclass(frozen=True)
 class ResolvedSource:
-    """A source that was found.
+    """A source with its sensor.
 
     Attributes:
-        source: What was asked for.
+        source: The requested source.
         sensor: The sensor.
-        in_every_step: Whether it is there in every step.
-        needs_all_distances: Whether for that all contacts have to be looked at in every step.
-        is_nonsmooth: Whether it is of a nonsmooth contact, which has to be shown first.
-        owner: What to call who asked, in a message.
+        in_every_step: Whether the sensor is available in every step.
+        needs_all_distances: Whether this requires the evaluation of all contacts in every step.
+        is_nonsmooth: Whether it is a sensor of a nonsmooth contact, which is copied by ``show_stages`` first.
+        owner: Name of the user of the source, for messages.
     """
 
     source: Source
@@ -45,26 +45,26 @@ class ResolvedSource:
 
     @property
     def items(self) -> int:
-        """Number of items that have a result of their own."""
+        """Number of items with separate results."""
         return max(1, self.sensor.items) if self.source.items == EACH else 1
 
     @property
     def components(self) -> int:
-        """Number of components that have a result of their own."""
+        """Number of components with separate results."""
         return 1 if self.source.component is not None or not self.sensor.shape else self.sensor.shape[0]
 
     @property
     def axis(self) -> str | None:
-        """Name of the dimension of its components; ``None``: it has one."""
+        """Name of the dimension of the components; ``None``: one component."""
         return AXES[self.components][0] if self.components > 1 else None
 
     def form(self, real: type) -> SourceForm:
-        """Returns how its numbers become one; before there is an array of it, as if that were of ``real``."""
+        """Returns the reduction of the source to a scalar; ``real`` is the assumed dtype before allocation."""
         items = SUM if self.sensor.total else self.source.items
         return SourceForm(real, self.source.component == "norm", items)
 
     def view(self, arrays: SimpleNamespace) -> wp.array:
-        """Returns what is looked at as an array of numbers (env, item, component)."""
+        """Returns a view of the sensor's array as scalars (env, item, component)."""
         array = self.sensor.array(arrays)
         scalar = getattr(array.dtype, "_wp_scalar_type_", array.dtype)
         size = wp.types.type_size_in_bytes(scalar)
@@ -79,7 +79,7 @@ class ResolvedSource:
             device=array.device,
             copy=False,
         )
-        view.memory = array  # which lives as long
+        view.memory = array  # keeps the memory alive
         return view
 
 
@@ -87,8 +87,8 @@ class SourceResolver:
     """Finds sources among the sensors of a model.
 
     Args:
-        model: The model, or what is drawn up of it.
-        nonsmooth: The contacts that are solved for impulses.
+        model: The model, or its plan.
+        nonsmooth: The nonsmooth contacts, if any.
     """
 
     def __init__(self, model: "Model | DeviceModelPlan", nonsmooth: "NonsmoothContacts | None") -> None:
@@ -107,15 +107,15 @@ class SourceResolver:
 
     @property
     def nonsmooth(self) -> frozenset[str]:
-        """Names of the contacts that are hard."""
+        """Names of the nonsmooth contacts."""
         return frozenset(self._hard)
 
     def resolve(self, owner: str, source: Source) -> ResolvedSource:
-        """Returns what is known of ``source``.
+        """Returns the resolved ``source``.
 
         Raises:
-            KeyError: If there is no such sensor.
-            ValueError: If it has no such component, no items, or is no vector.
+            KeyError: If the sensor does not exist.
+            ValueError: If the sensor is a matrix, or has no such component or no items.
         """
         from warpcontact.forces.nonsmooth.contacts import sensor_hint
 
@@ -125,14 +125,14 @@ class SourceResolver:
         except KeyError as error:
             raise KeyError(f"{owner}: {error.args[0]}") from None
         if len(sensor.shape) > 1:
-            raise ValueError(f"{owner}: {source.name} is a matrix; take sensors of numbers or vectors")
+            raise ValueError(f"{owner}: {source.name} is a matrix; use sensors that are scalars or vectors")
         width = sensor.shape[0] if sensor.shape else 1
         component = COMPONENTS[source.component] if source.component is not None else 0
         if source.component is not None and (width == 1 or (component or 0) >= width):
             has = ", ".join([*map(repr, AXES[width][1]), "'norm'"]) if width > 1 else "no components"
             raise ValueError(f"{owner}: {source.name} has {has}, got component={source.component!r}")
         if source.items != EACH and not sensor.items:
-            raise ValueError(f"{owner}: {source.name} is not of a set and takes no items, got {source.items!r}")
+            raise ValueError(f"{owner}: {source.name} has no items, got items={source.items!r}")
         element, _, quantity = source.name.rpartition(".")
         return ResolvedSource(
             source,
@@ -144,11 +144,11 @@ class SourceResolver:
         )
 
     def resolve_in_step(self, owner: str, source: Source) -> ResolvedSource:
-        """Returns the same of what is there in every step.
+        """Returns the resolved ``source``, which must be available in every step.
 
         Raises:
-            KeyError: If there is no such sensor.
-            ValueError: If it has no such component, or is not there in every step.
+            KeyError: If the sensor does not exist.
+            ValueError: If it has no such component, or is not available in every step.
         """
         found = self.resolve(owner, source)
         if not found.in_every_step:
@@ -158,44 +158,47 @@ class SourceResolver:
             ]
             listed = ", ".join(others) or f"those of {', '.join(sorted(self._mesh_contacts | self._bodies))}"
             raise ValueError(
-                f"{owner}: {source.name} is not there in every step, and may only be Final; in every step there "
-                f"are {listed}"
+                f"{owner}: {source.name} is not computed in every step, so only Final can use it. Sensors of every "
+                f"step: {listed}"
             )
         return found
 
     def resolve_scalar(self, owner: str, source: Source) -> ResolvedSource:
-        """Returns the same of what is one number of an environment in every step.
+        """Returns the resolved ``source``, which must be one number per environment in every step.
 
         Raises:
-            KeyError: If there is no such sensor.
-            ValueError: If it is not one number, or not there in every step.
+            KeyError: If the sensor does not exist.
+            ValueError: If it is not one number per environment, or not available in every step.
         """
         found = self.resolve_in_step(owner, source)
         if found.components > 1:
             known = ", ".join([*map(repr, AXES[found.components][1]), "'norm'"])
-            raise ValueError(f"{owner}: {source.name} is a vector; say which component: {known}")
+            raise ValueError(f"{owner}: {source.name} is a vector; set component to {known}")
         if found.sensor.items and source.items == EACH:
-            raise ValueError(f"{owner}: {source.name} is of a set; say items='sum', 'max' or 'min'")
+            raise ValueError(f"{owner}: {source.name} has several items; set items='sum', 'max' or 'min'")
         return found
 
     def contact_indicator(self, owner: str, contact: str) -> ResolvedSource:
-        """Returns what is above 0 where ``contact`` touches.
+        """Returns a source that is positive while ``contact`` is closed.
 
         Raises:
-            ValueError: If it is no contact, or one whose touches have no place of their own.
+            ValueError: If it is no contact, or a particle contact, whose pairs have no fixed numbers.
         """
         quantity = "mode" if contact in self._hard else "penetration"
         name = f"{contact}.{quantity}"
         if contact not in self._single_contacts:
             what = "not a contact"
             if contact in self._particle_contacts:
-                what = "a particle contact, the touches of which have no numbers"
-            known = ", ".join(map(repr, self._single_contacts)) or "none here"
-            raise ValueError(f"{owner}: {contact!r} is {what}; events are of {known}")
+                what = "a particle contact, whose contact pairs have no fixed numbers"
+            known = ", ".join(map(repr, self._single_contacts)) or "none"
+            raise ValueError(f"{owner}: {contact!r} is {what}; contacts that can have events: {known}")
         return self.resolve_in_step(owner, Source(name))
 
     def _in_every_step(self, name: str) -> bool:
-        """Whether a sensor is there in every step; wrenches are without impulses until they are asked for."""
+        """Returns whether a sensor is available in every step.
+
+        Body wrenches are not, with nonsmooth contact: impulses are added to them only in an evaluation.
+        """
         sensor: Any = self._sensors.get(name)
         element, _, quantity = name.rpartition(".")
         if self._hard and element in self._bodies and quantity in ("force", "torque"):

@@ -1,4 +1,4 @@
-"""What a simulation is asked to watch: outcomes, stop conditions, events, and what becomes of failures."""
+"""Settings of monitors: outcomes, stop conditions, contact events and the quarantine policy."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,7 +10,7 @@ from warpcontact.kernels.outcomes.source import EACH
 from warpcontact.validation import checks
 from warpcontact.validation.checks import limits
 
-#: What is done with an environment that failed.
+#: Policies for failed environments.
 POLICIES = ("freeze", "reset", "raise")
 LASTING = limits("s", at_least=0.0)
 #: Names of variables that every data set of outcomes has.
@@ -30,18 +30,18 @@ RESERVED = (
 
 @explain_keywords_of
 class StopCondition:
-    """A condition that stops an environment: it is held at the first state at which it holds, or has for a while.
+    """A condition that stops an environment at the first state at which it holds, or has held for ``lasting``.
 
     Args:
-        of: Name of a sensor; of a set or a vector, ``items`` or ``component`` make it one number.
+        of: Name of a sensor. A vector requires ``component``, a sensor with several items ``items``.
         component: ``"x"``, ``"y"``, ``"z"``, ``"w"`` or ``"norm"`` of a vector.
-        items: ``"sum"``, ``"max"`` or ``"min"`` of the items of a set.
-        above: The condition: the sensor is above this ...
-        below: ... or below this; one of both.
-        lasting: How long it has to hold without a break [s].
+        items: Reduction over items: ``"sum"``, ``"max"`` or ``"min"``.
+        above: The condition holds if the sensor is above this value. Give either ``above`` or ``below``.
+        below: The condition holds if the sensor is below this value.
+        lasting: Time for which it must hold without interruption [s]. Default: 0.
 
     Raises:
-        ValueError: If an argument is not allowed.
+        ValueError: If an argument is out of range.
     """
 
     source: Source
@@ -70,12 +70,12 @@ class StopCondition:
 
 @explain_keywords_of
 class ContactEvents:
-    """When contacts are made and lost, by the times of the first states in and out of contact.
+    """Start and end times of contacts: the times of the first states in and out of contact.
 
     Args:
-        contacts: Names of the contacts to watch, each item of a set by itself.
-        most: ContactEvents that are kept for each environment; later ones take the places of the first, and those are
-            counted.
+        contacts: Names of the contacts. The items of a set are recorded separately.
+        most: Maximum number of stored events per environment. Later events overwrite the oldest ones, which are
+            counted in ``events_missed``.
 
     Raises:
         ValueError: If an argument is not allowed.
@@ -91,7 +91,7 @@ class ContactEvents:
             )
         self.contacts = tuple(contacts)
         if not self.contacts or not all(isinstance(name, str) for name in self.contacts):
-            raise ValueError(f"ContactEvents.contacts must be one name of a contact or more, got {contacts!r}")
+            raise ValueError(f"ContactEvents.contacts must be one or more names of contacts, got {contacts!r}")
         if len(set(self.contacts)) < len(self.contacts):
             raise ValueError(f"ContactEvents.contacts must be different contacts, got {list(self.contacts)}")
         self.most = checks.integer("ContactEvents.most", most)
@@ -102,13 +102,13 @@ class ContactEvents:
 
 @dataclass(frozen=True)
 class MonitorSettings:
-    """What to watch while stepping.
+    """Monitor settings of a simulation.
 
     Attributes:
-        outcomes: By name.
-        stops: Conditions by name; the first in order wins.
-        events: Of which contacts; ``None``: none.
-        quarantine: One of ``POLICIES``.
+        outcomes: Outcomes by name.
+        stops: Stop conditions by name. If several hold, the first one is reported.
+        events: Contacts whose events are recorded. ``None``: none.
+        quarantine: Policy for failed environments, one of ``POLICIES``.
     """
 
     outcomes: Mapping[str, Outcome] = field(default_factory=dict)
@@ -124,9 +124,9 @@ class MonitorSettings:
         )
         for name in self.outcomes:
             if name in RESERVED:
-                raise ValueError(f"outcomes: {name!r} is the name of what every result has; choose another")
+                raise ValueError(f"outcomes: {name!r} is a reserved name; choose another")
         if self.events is not None and not isinstance(self.events, ContactEvents):
-            raise TypeError(f"events must be such as wc.ContactEvents(['touch']), got {self.events!r}")
+            raise TypeError(f"events must be like wc.ContactEvents(['touch']), got {self.events!r}")
 
     @classmethod
     def of(
@@ -136,16 +136,16 @@ class MonitorSettings:
         events: ContactEvents | None,
         quarantine: str,
     ) -> "MonitorSettings":
-        """Returns what the arguments of a ``Simulation`` ask for.
+        """Returns the settings for arguments of ``Simulation``.
 
         Raises:
-            TypeError: If one is not of its type.
+            TypeError: If an argument has the wrong type.
             ValueError: If a name or the policy is not allowed.
         """
         return cls({} if outcomes is None else outcomes, {} if stop is None else stop, events, quarantine)
 
     def __bool__(self) -> bool:
-        """Whether anything is to be kept beside the model."""
+        """Returns whether a ``Monitor`` is needed."""
         return bool(self.outcomes or self.stops or self.events is not None or self.quarantine == "reset")
 
 
@@ -155,7 +155,7 @@ def _check_names(what: str, table: object, kind: type, example: str) -> None:
     for name, one in table.items():
         checks.key(what, name)
         if not isinstance(one, kind):
-            raise TypeError(f"{what}[{name!r}] must be such as {example}, got {_describe(one)}")
+            raise TypeError(f"{what}[{name!r}] must be like {example}, got {_describe(one)}")
 
 
 def _describe(value: Any) -> str:
