@@ -227,8 +227,8 @@ def test_wrong_return_type_is_reported_without_kernels(folder):
     (folder / "my_laws.py").write_text(LAWS + LAWS_WITH_TYPE_ERRORS, encoding="utf-8")
     (problem,) = problems_of(study(law=custom_type("Twofold", stiffness=1)), folder)
     results = (
-        "The force of a law is a number of the precision of the simulation, such as type(c.delta)(0.0), that of a "
-        "friction a vector."
+        "A law returns a number in the precision of the simulation, such as type(c.delta)(0.0); a friction model "
+        "returns a vector."
     )
     expected_problem = (
         f"law Twofold does not compile in float32: Twofold.force returns vec2f\n    {HELP}\n    {results}"

@@ -21,7 +21,7 @@ def test_too_many_environments_are_refused_before_allocation(device, monkeypatch
     assert "of which 340 MiB can be used (85% of the 400 MiB available)" in message
     most = caught.value.max_envs
     batches = -(-10_000_000 // most)
-    assert f"at most {most} environments at once fit on {device}" in message
+    assert f"at most {most} environments fit on {device}" in message
     assert f"run them in {batches} batches of {-(-10_000_000 // batches)}" in message
     assert caught.value.needed > caught.value.available == int(0.85 * 400 * MIB)
     # So many do fit, and one more does not.
@@ -50,14 +50,14 @@ def test_memory_error_names_the_device_with_too_little_memory(monkeypatch):
         memory_estimate.require(split, 100)
     assert str(caught.value) == (
         "100 environments need 50 MiB of the memory of cuda:1, of which 17 MiB can be used (85% of the 20 MiB "
-        "available); at most 34 environments at once fit on cuda:0, cuda:1: run them in 3 batches of 34"
+        "available); at most 34 environments fit on cuda:0, cuda:1: run them in 3 batches of 34"
     )
     memory_estimate.require(split, 34)
 
 
 def test_split_model_is_refused_before_allocation(device, monkeypatch, counting_allocator):
     set_available_memory(monkeypatch, 400 * MIB)
-    with pytest.raises(MemoryError, match=r"at most \d+ environments at once fit on \w+") as caught:
+    with pytest.raises(MemoryError, match=r"at most \d+ environments fit on \w+") as caught:
         ball_scene().build(10_000_000, [device] * 2)
     assert counting_allocator.used == 0
     draft = plan_model(ball_scene(), [device] * 2)
@@ -70,7 +70,7 @@ def test_split_model_is_refused_before_allocation(device, monkeypatch, counting_
 def test_simulation_is_refused_before_allocation_of_step_buffers(monkeypatch):
     model = ball_scene().build(200_000, "cpu")
     set_available_memory(monkeypatch, 8 * MIB)
-    message = r"to step them, 200000 environments need .* at most \d+ environments at once fit on cpu"
+    message = r"to step them, 200000 environments need .* at most \d+ environments fit on cpu"
     with pytest.raises(MemoryError, match=message):
         wc.Simulation(model, dt=1e-4)
 
@@ -107,9 +107,7 @@ def test_parameter_values_per_environment_are_refused_if_they_do_not_fit(parts, 
     model = ball_scene().build(1000, [device] * parts)
     mass = np.linspace(1, 2, 1000)
     set_available_memory(monkeypatch, 5000)  # the host keeps 8 bytes of each
-    message = (
-        r"^for a value of ball\.mass in each, 1000 environments need .*; at most \d+ environments at once fit on"
-    )
+    message = r"^for a value of ball\.mass in each, 1000 environments need .*; at most \d+ environments fit on"
     with pytest.raises(MemoryError, match=message):
         model["ball.mass"] = mass
     assert not model.varies("ball.mass")

@@ -154,7 +154,7 @@ def test_invalid_parameter_values_are_refused_without_changes(name, value, messa
 def test_ambiguous_inertia_shape_is_refused():
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e3), envs=3)
     moments = np.array([(1.0, 2.0, 2.5), (1.0, 1.0, 1.0), (2.0, 2.0, 3.0)])
-    with pytest.raises(ValueError, match=r"of shape \(3, 3\) may be meant for all environments or one row"):
+    with pytest.raises(ValueError, match=r"of shape \(3, 3\) is ambiguous: one row for all environments"):
         model["ball.inertia"] = moments
     model["ball.inertia"] = moments[:, :, None] * np.eye(3)
     np.testing.assert_array_equal(model["ball.inertia"][0], np.diag(moments[0]))

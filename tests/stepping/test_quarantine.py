@@ -40,7 +40,7 @@ def test_limits_freeze_an_environment_at_the_last_state_within_them(integrator, 
     report = str(health)
     assert "1 of 4 environments became faster than scene.max_speed" in report
     assert (
-        "1 of 4 environments went beyond scene.max_distance and are frozen at the last state before: 2" in report
+        "1 of 4 environments went beyond scene.max_distance and are frozen at their last valid state: 2" in report
     )
     found = sim.outcomes()
     assert found["cause"].to_numpy().tolist() == [0, 2, 3, 0]

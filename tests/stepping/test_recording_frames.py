@@ -253,7 +253,7 @@ def test_contact_evaluation_does_not_accumulate_wrenches(name, device):
             1,
             1,
             ("bodies", "contacts"),
-            r"needs \['bodies'\] are not known, there are \['contact_coup",
+            r"unknown needs \['bodies'\]; possible needs: \['contact_coup",
         ),
     ],
 )

@@ -73,11 +73,11 @@ def test_environments_of_a_batch_are_numbered_consecutively(device):
 
 def test_attributes_of_a_single_part_are_refused_with_a_remedy(device):
     model = scene().build(4, [device, device])
-    with pytest.raises(AttributeError, match=r"has no one state: take model\.parts\[0\]\.state"):
+    with pytest.raises(AttributeError, match=r"has no single state: use model\.parts\[0\]\.state"):
         _ = model.state
-    with pytest.raises(AttributeError, match=r"has no one state: take model\.parts\[0\]\.state"):
+    with pytest.raises(AttributeError, match=r"has no single state: use model\.parts\[0\]\.state"):
         _ = wc.Simulation(model, dt=1e-3).state
-    with pytest.raises(AttributeError, match=r"has no one device: take model\.devices"):
+    with pytest.raises(AttributeError, match=r"has no single device: use model\.devices"):
         _ = model.device
     assert not hasattr(model, "state")
 

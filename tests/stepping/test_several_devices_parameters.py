@@ -53,7 +53,7 @@ def test_ambiguous_shape_is_resolved_by_total_number_of_environments(device):
     for model in (one, other):
         wc.Simulation(model, dt=1e-3, deterministic=True).step(50)
     assert_same_state(one, other)
-    with pytest.raises(ValueError, match="may be meant for all environments or one row for each"):
+    with pytest.raises(ValueError, match="is ambiguous: one row for all environments, or one per"):
         scene().build(points, [device, device])["corners.position"] = rows[:points]
 
 

@@ -75,7 +75,7 @@ def test_pictures_and_reports_count_stopped_environments(run, titles, tmp_path):
 
 
 def test_summary_counts_environments_per_stop_condition(run):
-    expected_text = "and are frozen at the last state before: 5; 4 are stopped (down 3, late 1)"
+    expected_text = "and are frozen at their last valid state: 5; 4 are stopped (down 3, late 1)"
     assert expected_text in str(run)
     assert expected_text in str(wc.open_run(run.folder).health)
 

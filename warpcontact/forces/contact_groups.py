@@ -1,4 +1,4 @@
-"""Contacts grouped by the code of their law and friction: one launch of the force kernel per group."""
+"""Contact groups: contacts with the same contact model, evaluated by one launch of the force kernel."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -25,24 +25,24 @@ from warpcontact.validation.custom_law_errors import explain_compile_errors, has
 
 @dataclass(frozen=True)
 class ContactGroup:
-    """Contacts side by side on the device that share the code of their law and friction models.
+    """Consecutive contacts on the device with the same contact model.
 
     Attributes:
         parts: The classes of law and friction models.
-        projected: Whether its contacts are weighed by the normals of their points.
-        has_joints: Whether bodies that are not free oppose to its forces what their motions let them.
+        projected: Whether forces are scaled by the fraction of the area of a point that faces the surface.
+        has_joints: Whether the effective mass includes the joints of bodies.
         real: Type of a real number.
         first: Index of the first contact.
         count: Number of contacts.
-        first_cluster: Index of their first block.
-        cluster_count: Number of their blocks.
-        first_set: Index of their first set.
-        set_count: Number of their sets.
-        first_coupling: Index of the first contact coupling that is made of them.
-        coupling_count: Number of these.
+        first_cluster: Index of the first cluster.
+        cluster_count: Number of clusters.
+        first_set: Index of the first point set.
+        set_count: Number of point sets.
+        first_coupling: Index of the first contact coupling that consists of these contacts.
+        coupling_count: Number of contact couplings.
         coefficients: Struct of arrays [env, contact of the group], one per part.
-        history_in: Struct of such arrays: what each part remembers of the last accepted step.
-        history_out: Likewise, what it will remember if the present step is accepted.
+        history_in: Struct of such arrays: history variables of the last accepted step.
+        history_out: Struct of such arrays: history variables of the current step, stored if it is accepted.
     """
 
     parts: ContactModel
@@ -63,23 +63,23 @@ class ContactGroup:
 
     @property
     def kernel(self) -> wp.Kernel:
-        """Their force kernel. Where steps are taken in place it may never be needed."""
+        """The force kernel; created on demand, because fused kernels may replace it."""
         return contact_force.kernel(self.parts, self.real, self.has_joints, self.projected)
 
     def compile(self, device: wp.Device) -> None:
-        """Compiles the force kernel of users' laws and friction models, so that a mistake in them shows at once.
+        """Compiles the force kernel if it has user-defined laws or friction models, to report errors early.
 
         Raises:
-            TypeError: If one does not compile.
+            TypeError: If a law or friction model does not compile.
         """
         compile_force_kernel(self.parts, lambda: self.kernel, device, self.real)
 
     def history_of(self, part: str, name: str) -> wp.array:
-        """Returns what ``part`` remembers as ``name``, a view (envs, contact of the group)."""
+        """Returns history variable ``name`` of ``part``, a view (envs, contact of the group)."""
         return history_view(getattr(self.history_in, part), name)
 
     def histories(self) -> list[tuple[type[Formula], wp.array, wp.array]]:
-        """Returns (formula, memory, kept) of the parts that remember anything."""
+        """Returns (formula, history_in, history_out) of the parts with history variables."""
         return [
             (formula, getattr(self.history_in, part), getattr(self.history_out, part))
             for part, formula in self.parts._asdict().items()
@@ -88,7 +88,7 @@ class ContactGroup:
 
 
 def group_by_model(contacts: Sequence[Contact]) -> list[list[Contact]]:
-    """Sorts contacts into groups of the same code, in order of first appearance."""
+    """Groups contacts by contact model, in order of first appearance."""
     groups: dict[tuple[ContactModel, bool], list[Contact]] = {}
     for contact in contacts:
         groups.setdefault(contact.code, []).append(contact)
@@ -105,9 +105,9 @@ def make_group(
     real: type,
     has_joints: bool,
 ) -> ContactGroup:
-    """Adds the parameters of the laws and friction models of ``contacts``, and the memory that these have.
+    """Adds the parameters and history arrays of the laws and friction models of ``contacts``.
 
-    ``has_joints`` says whether any body of the scene is not free.
+    ``has_joints``: whether any body of the scene is not free.
     """
     parts, projected = contacts[0].code
     Coefficients, Memory = group_structs(parts, real)
@@ -116,11 +116,11 @@ def make_group(
     for part, formula in parts._asdict().items():
         _add_formula(contacts, part, formula, coefficients, couplings, parameters, real)
         for target in (history_in, history_out):
-            # Never looked at if the formula remembers nothing.
+            # A dummy array if the formula has no history variables.
             shape = per_env(count) if formula.memories else fixed(1, 1)
             transient = target is history_out or not formula.memories
             layout.array("contacts", target, part, memory_struct(formula, real), shape, transient=transient)
-    # Only a mass depends on how bodies may move.
+    # Joints affect only the effective mass.
     has_joints = has_joints and parts.law.needs_mass
     return ContactGroup(
         parts,
@@ -139,7 +139,7 @@ def make_group(
 
 
 def history_view(history_in: wp.array, name: str) -> wp.array:
-    """Returns what is remembered as ``name`` in an array of the memory of a formula, a view of the same shape."""
+    """Returns history variable ``name`` of an array of history structs, a view of the same shape."""
     offset = np.dtype(history_in.dtype.numpy_dtype()).fields[name][1]
     return wp.array(
         ptr=history_in.ptr + offset,
@@ -154,10 +154,10 @@ def history_view(history_in: wp.array, name: str) -> wp.array:
 def compile_force_kernel(
     parts: ContactModel, kernel: Callable[[], wp.Kernel], device: wp.Device, real: type
 ) -> None:
-    """Compiles a force kernel if any of its ``parts`` is a user's, so that a mistake in that shows at once.
+    """Compiles a force kernel if any of its ``parts`` is user-defined, to report errors early.
 
     Raises:
-        TypeError: If a law or friction does not compile.
+        TypeError: If a law or friction model does not compile.
     """
     if not has_user_code(parts):
         return
@@ -167,10 +167,10 @@ def compile_force_kernel(
         present,
         real,
         lambda part: ("c", t.NormalState) if part == "law" else ("s", t.TangentialState),
-        "\nConstants, also those that a variable starts with, take the precision of the simulation when written "
-        "as type(c.delta)(1.5) in a law, type(s.speed)(1.5) in a friction.",
-        "\nThe force of a law is a number of the precision of the simulation, such as type(c.delta)(0.0), that of "
-        "a friction a vector.",
+        "\nWrite constants and initial values of variables in the precision of the simulation: type(c.delta)(1.5) "
+        "in a law, type(s.speed)(1.5) in a friction model.",
+        "\nA law returns a number in the precision of the simulation, such as type(c.delta)(0.0); a friction model "
+        "returns a vector.",
     ):
         load(kernel(), device)
 
@@ -190,9 +190,9 @@ def _add_formula(
         contact: {name: Field(np.full(contact.count, value)) for name, value in contact.parameters(part).items()}
         for contact in contacts
     }
-    # What the sides of a coupling have in common is one number.
+    # Both sides of a contact coupling share some parameters.
     common = couplings.share(fields)
-    # Points of a surface have the area that they stand for in its mesh.
+    # Area weights of points of a surface scale with its mesh.
     scales = {
         contact: parameters.by_name[f"{carrier.name}.scale"]
         for contact in contacts

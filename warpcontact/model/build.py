@@ -1,4 +1,8 @@
-"""Scene → Draft → Model, or one on each device: the arrays of bodies, points, surfaces and contacts."""
+"""Builds models from scenes: ``Scene`` → ``ModelPlan`` → ``Model``, or one model per device.
+
+``plan_model`` declares the arrays and parameters of bodies, points, surfaces and contacts without allocating them;
+``ModelPlan.build`` allocates them. Both are used by ``Scene.build`` and by memory estimates.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -47,10 +51,10 @@ def build(
     """Builds ``envs`` environments of ``scene``.
 
     Args:
-        scene: What there is; changes to it after this have no effect on the model.
+        scene: The scene. It is copied; later changes do not affect the model.
         envs: Number of environments, at least 1.
-        device: ``"cpu"``, ``"cuda:0"``, …; ``"auto"``: one GPU if there is any, else the CPU; ``"cuda"``: all GPUs
-            that CUDA shows, or a list such as ``["cuda:0", "cuda:2"]``: the environments are split over them, in
+        device: ``"cpu"``, ``"cuda:0"``, …; ``"auto"``: one GPU if available, else the CPU; ``"cuda"``: all visible
+            GPUs; or a list such as ``["cuda:0", "cuda:2"]``. With several devices, the environments are split in
             order and as evenly as possible. A device may be listed more than once, ``["cpu", "cpu"]``.
         precision: ``"float32"`` or ``"float64"``.
 
@@ -59,9 +63,9 @@ def build(
 
     Raises:
         ValueError: If an argument is out of range or the scene has no body.
-        TypeError: If a law, a shape or such of a user does not compile.
-        MemoryError: If they take more memory than there is on any of the devices or on this machine, with how many
-            environments would fit; nothing has been allocated then.
+        TypeError: If a user-defined law, friction model, shape, spring or motion does not compile.
+        MemoryError: If the environments do not fit into the memory of a device or the host. The message states the
+            number that fits. Nothing is allocated then.
     """
     return plan_model(scene, device, precision).build(checks.integer("envs", envs))
 
@@ -72,14 +76,14 @@ def plan_model(
     precision: str = "float32",
     mesh_cache: QueryMeshCache | None = None,
 ) -> ModelPlan:
-    """Prepares a model of ``scene``; arguments and errors are those of ``build``, and of ``make_query_meshes``."""
+    """Plans a model of ``scene``; arguments and errors are those of ``build`` and ``make_query_meshes``."""
     checks.choice("precision", precision, tuple(PRECISIONS))
     if not scene.bodies:
         raise ValueError("the scene has no body; add_body adds one")
     devices = find_devices(device)
     groups = group_by_model(scene.contacts)
     contacts = [contact for group in groups for contact in group]
-    # What is the same on all devices.
+    # Tables that are the same on all devices.
     clusters = make_clusters(contacts, sum(body.count for body in scene.bodies))
     common = _SharedTables(
         scene.snapshot(), precision, groups, contacts, clusters, make_query_meshes(contacts, mesh_cache)
@@ -89,15 +93,15 @@ def plan_model(
 
 @dataclass(frozen=True)
 class _SharedTables:
-    """What the parts of a model have in common, on the host.
+    """Host tables that the parts of a model share.
 
     Attributes:
-        scene: What there is.
-        precision: Of state and forces.
-        groups: All contacts by the code of their laws and friction models.
-        contacts: The same as they lie on the device, in the order of their groups.
-        clusters: What they are worked on in.
-        query_meshes: What they search.
+        scene: Copy of the scene.
+        precision: Precision of state and forces.
+        groups: Contacts, grouped by contact model.
+        contacts: All contacts in the order of the groups, which is their order on the device.
+        clusters: Clusters of contacts.
+        query_meshes: Query meshes of the contacts.
     """
 
     scene: Scene
@@ -109,7 +113,7 @@ class _SharedTables:
 
 
 def _plan_on_device(target: wp.Device, common: _SharedTables) -> DeviceModelPlan:
-    """Prepares the model of the environments on one device."""
+    """Plans the model of one device."""
     scene, contacts, clusters = common.scene, common.contacts, common.clusters
     contact_couplings = ContactCouplings.order(scene.contact_couplings, contacts)
     t = types.structs(PRECISIONS[common.precision])
@@ -143,7 +147,7 @@ def _plan_on_device(target: wp.Device, common: _SharedTables) -> DeviceModelPlan
     has_joints = any(body.motion.kind != types.FREE for body in scene.bodies)
     shapes = make_shape_sets(scene.shapes, parameters)
     shape_contact_sets: list[ShapeContactSet] = []
-    if scene.shape_contacts:  # Warp parses all functions of kernels that are imported
+    if scene.shape_contacts:  # import on demand, because Warp parses all functions of imported kernel modules
         from warpcontact.forces.shape_contact.contact_sets import make_shape_contact_sets
 
         shape_contact_sets = make_shape_contact_sets(scene, shapes, layout, parameters, t.real, has_joints)
@@ -210,9 +214,9 @@ def _add_bodies(scene: Scene, arrays: SimpleNamespace, parameters: Parameters, t
 def _add_points(
     scene: Scene, arrays: SimpleNamespace, layout: AllocationPlan, parameters: Parameters, t: SimpleNamespace
 ) -> tuple[Callable[[], Array], list[Parameter]]:
-    """Adds the points; returns where all are, (1 or envs, points, 3), and what moves them.
+    """Adds the points; returns a function of their positions (1 or envs, points, 3), and the parameters they depend on.
 
-    That is in their bodies, or in the world from an anchor in the middle of their set.
+    Positions are in the frame of the body, or in the world relative to an anchor at the center of the set.
     """
     sets = scene.points
     empty = np.zeros(0, dtype=np.int32)
@@ -288,7 +292,7 @@ def _add_surfaces(
     on_world = np.array([surface.body is None for surface in surfaces], dtype=bool)[:, None]
 
     def centre_in_body() -> Array:
-        # Kernels see a mesh from where its numbers are finest; here that is placed, in float64.
+        # Kernels use mesh coordinates relative to the center of the mesh, for precision; its position is float64.
         offset = scale.values[..., None] * centre
         return transform_points(offset[..., None, :], position.values, orientation.values)[..., 0, :]
 
@@ -371,7 +375,7 @@ def _add_contacts(
 
     def values_of(contact: Contact, key: str) -> Array:
         value = getattr(contact, key)
-        # A torsion radius that is not given follows from the overlap.
+        # 0 stands for a torsion radius that is computed from the penetration.
         return np.broadcast_to(0.0 if value is None else value, contact.count)
 
     fields = {
@@ -413,7 +417,7 @@ def _add_vector(
     attribute: str,
     t: SimpleNamespace,
 ) -> tuple[Field, list[DeviceField]]:
-    """Adds a vector that every body has."""
+    """Adds a vector parameter of all bodies."""
     field = Field(np.concatenate([body.rows(key) for body in bodies]))
     device_fields = [parameters.device_field(struct, attribute, t.vec3, lambda: field.values)]
     for body in bodies:
@@ -425,7 +429,7 @@ def _add_vector(
 def _add_remainder(
     parameters: Parameters, position: Field, device_fields: list[DeviceField], initial: Any, t: SimpleNamespace
 ) -> None:
-    """Adds what rounding leaves of the position of every body, which follows it."""
+    """Adds the rounding remainder of the position of all bodies, which depends on the position."""
 
     def remainder() -> Array:
         return split("body_position", position.values, parameters.real)[1]
@@ -436,7 +440,7 @@ def _add_remainder(
 def _add_orientation(
     parameters: Parameters, bodies: list[Body], struct: Any, attribute: str, t: SimpleNamespace
 ) -> None:
-    """Adds the orientation that every body has."""
+    """Adds the orientation of all bodies."""
     field = Field(np.concatenate([body.rows("orientation") for body in bodies]))
     device_field = parameters.device_field(struct, attribute, t.quat, lambda: field.values)
     for body in bodies:
@@ -457,7 +461,7 @@ def _is_isotropic(tensors: Array) -> NDArray[np.bool]:
 
 
 def _inertia(name: str, values: Array) -> Array:
-    """Takes principal moments (…, 3) or tensors (…, 3, 3) to checked tensors (envs, items, 3, 3)."""
+    """Converts principal moments (…, 3) or tensors (…, 3, 3) to checked tensors (envs, items, 3, 3)."""
     if values.ndim == 3:
         values = values[..., None] * np.eye(3)
     return checks.inertia_tensors(name, values)

@@ -1,4 +1,4 @@
-"""Arrays of every model that steps write: state, history of contacts, contacts, wrenches and caches."""
+"""Arrays of a model that steps write: state, contact history, contacts, wrenches and caches."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -13,7 +13,7 @@ from warpcontact.scene.scene import Scene
 from warpcontact.storage.allocation_plan import AllocationPlan, fixed, per_env
 from warpcontact.storage.state_storage import COUNT, SWITCH
 
-#: Status of environments between steps; all others are those of a part of a step.
+#: Status values of environments between steps; all others occur within a step only.
 BETWEEN_STEPS = frozenset((types.ENV_ACTIVE, types.ENV_FROZEN, types.ENV_STOPPED))
 
 
@@ -26,21 +26,22 @@ def declare_arrays(
     *,
     uses_face_grid: bool,
 ) -> SimpleNamespace:
-    """Declares the arrays of a model; those that follow from the scene are empty structs.
+    """Declares the arrays of a model; structs of parameters are returned empty.
 
     Args:
         scene: The scene.
         t: Structs of the precision.
-        layout: Where to declare them.
+        layout: Allocation plan to which the arrays are added.
         clusters: Clusters of contacts.
-        query_meshes: Meshes that contacts search.
-        uses_face_grid: Whether they are searched in grids, with no cached faces.
+        query_meshes: Query meshes of the contacts.
+        uses_face_grid: Whether queries use face grids; there is no face cache then.
     """
     contacts = len(clusters.contact)
     body_count = sum(body.count for body in scene.bodies)
     ends = 2 * (len(scene.couplings) + sum(contact.count for contact in scene.shape_contacts))
     bodies, each, parts = per_env(body_count), per_env(contacts), per_env(clusters.count)
-    records = contacts > 1  # a few of many contacts are near; of one contact neighbours are those of other envs
+    # Interleave: only a few of many contacts are accessed. With one contact per environment, all are, in order.
+    records = contacts > 1
     arrays = SimpleNamespace(
         model=t.Model(),
         initial=t.State(),
@@ -96,7 +97,7 @@ def _cache(
         transient=True,
         ranges=None,
         **shapes,
-        # What blocks look through lies by contact.
+        # Read for all contacts of a cluster, so not interleaved with the rest.
         safe_travel=per_env(contacts),
         face_count=per_env(contacts),
         **dict.fromkeys(("clearance", "clearance_center"), room),

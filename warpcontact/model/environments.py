@@ -1,4 +1,4 @@
-"""What can be done with many environments of one scene, on whatever devices they are."""
+"""Interface of models: parameters, sensors, resets and health of the environments of one scene, on any devices."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Set
@@ -38,12 +38,12 @@ if TYPE_CHECKING:
 class Environments(
     Uncopied, ABC, instead="pickle or copy its scene, and build that: model.scene.build(envs=model.envs)"
 ):
-    """Many environments of one scene, in parts side by side: the interface of ``Model`` and of ``SplitModel``.
+    """Environments of one scene on one or several devices: the interface of ``Model`` and ``SplitModel``.
 
     Attributes:
-        scene: The scene they were built from.
-        envs: Their number.
-        first_env: Number of the first, 0 unless they are a batch of more.
+        scene: A copy of the scene they were built from.
+        envs: Number of environments.
+        first_env: Number of the first environment; nonzero if they are a batch of more environments.
         precision: ``"float32"`` or ``"float64"``.
     """
 
@@ -55,21 +55,21 @@ class Environments(
     @property
     @abstractmethod
     def parts(self) -> tuple["Model", ...]:
-        """The models, each on one device, that make up the environments, in their order."""
+        """The models, each on one device, in the order of the environments."""
 
     @property
     @abstractmethod
     def state(self) -> "State":
-        """The current state, where all environments are on one device: arrays (envs, bodies)."""
+        """The current state, if all environments are on one device: arrays (envs, bodies)."""
 
     def shares(self) -> Iterator[tuple["Model", slice]]:
-        """Iterates over the parts, each with the environments of the whole that it has."""
+        """Yields the parts, each with the range of its environments."""
         for part in self.parts:
             first = part.first_env - self.first_env
             yield part, slice(first, first + part.envs)
 
     def shares_of(self, envs: int) -> list[tuple["Model", int]]:
-        """Returns the parts over which ``envs`` environments would be split, each with how many it would have."""
+        """Returns the parts over which ``envs`` environments would be split, each with its number."""
         return list(zip(self.parts, split_evenly(envs, len(self.parts)), strict=False))
 
     @property
@@ -77,7 +77,7 @@ class Environments(
         """The Warp device of each part."""
         return tuple(part.device for part in self.parts)
 
-    # Steps and complete resets of the whole set clock and start of all parts alike.
+    # Steps and complete resets set the clock and the initial flag of all parts alike.
 
     @property
     def time(self) -> float:
@@ -86,34 +86,34 @@ class Environments(
 
     @property
     def at_start(self) -> bool:
-        """Whether the state is still the initial one, which then follows its parameters."""
+        """Whether the state is the initial one; it then follows changes of its parameters."""
         return all(part.is_initial for part in self.parts)
 
     def __getitem__(self, name: str) -> Array:
-        """Returns a copy of parameter ``name``, (envs, …). That of a state is the initial one."""
+        """Returns a copy of parameter ``name``, (envs, …). A parameter of the state is its initial value."""
         self.find_parameter(name)
         return np.concatenate([part.parameters[name].read(part.envs) for part in self.parts])
 
     def __setitem__(self, name: str, value: ArrayLike) -> None:
         """Sets parameter ``name`` from one value or one per environment.
 
-        A parameter of the state is the initial one; before the first step it sets the current one, too.
+        A parameter of the state is its initial value; before the first step, the current state follows.
 
         Raises:
-            KeyError: If there is no such parameter.
-            ValueError: If the value is not allowed; nothing is changed then.
-            MemoryError: If one value per environment takes more memory than there is; nothing is changed then.
+            KeyError: If the parameter does not exist.
+            ValueError: If the value is not allowed. The model is unchanged then.
+            MemoryError: If one value per environment does not fit into memory. The model is unchanged then.
         """
         self.assign(name, self.find_parameter(name).parse(value, self.envs))
 
     def assign(self, name: str, values: Array) -> None:
-        """Sets parameter ``name`` from what ``Parameter.parse`` returned, (1 or envs, 1 or items, …).
+        """Sets parameter ``name`` to values that ``Parameter.parse`` returned, (1 or envs, 1 or items, …).
 
         Raises:
-            KeyError: If there is no such parameter.
-            ValueError: If nonsmooth contact does not allow the values, or they do not fit into the precision of
-                the device; nothing is changed then.
-            MemoryError: If they take more memory than there is; nothing is changed then.
+            KeyError: If the parameter does not exist.
+            ValueError: If nonsmooth contact does not allow the values, or they are out of range for the precision of
+                the device. The model is unchanged then.
+            MemoryError: If the values do not fit into memory. The model is unchanged then.
         """
         self.find_parameter(name)
         shared = len(values) == 1
@@ -128,7 +128,7 @@ class Environments(
                 parameter.field.assign(
                     parameter.items, values if shared else values[own], part.envs, shared=shared
                 )
-            # All of it before any is sent: that a value does not fit the device shows here.
+            # Compute all contents before uploading any, because this raises errors about the precision.
             contents = [
                 [device_field.content() for device_field in parameter.device_fields] for _, parameter, _ in changed
             ]
@@ -145,7 +145,7 @@ class Environments(
             self.reset()
 
     def _require_values(self, name: str) -> None:
-        """Raises ``MemoryShortage`` if there is no room for a value of ``name`` in each environment."""
+        """Raises ``MemoryShortage`` if one value of ``name`` per environment does not fit into memory."""
 
         def footprint(envs: int) -> MemoryEstimate:
             return total(
@@ -159,15 +159,15 @@ class Environments(
         return name in self.parts[0].parameters
 
     def __iter__(self) -> Iterator[str]:
-        """Iterates over the names of all parameters."""
+        """Yields the names of all parameters."""
         return iter(self.parts[0].parameters)
 
     def find_parameter(self, name: str) -> Parameter:
-        """Returns what is known of parameter ``name``; the values are those of the first part.
+        """Returns the parameter ``name``, with the values of the first part.
 
         Raises:
-            TypeError: If ``name`` is no string.
-            KeyError: If there is none; the message says what may have been meant.
+            TypeError: If ``name`` is not a string.
+            KeyError: If the parameter does not exist; the message suggests the closest name.
         """
         if not isinstance(name, str):
             raise TypeError(
@@ -194,16 +194,16 @@ class Environments(
         return find_entry("parameter", name, parameters)
 
     def varies(self, name: str) -> bool:
-        """Whether each environment has a value of its own of parameter ``name``, be they equal or not."""
+        """Returns whether parameter ``name`` has separate values per environment, equal or not."""
         fields = [part.parameters[name].field for part in self.parts]
         first = fields[0].values[0]
         return any(not field.shared or (field.values[0] != first).any() for field in fields)
 
     def reset(self, env_mask: ArrayLike | None = None) -> None:
-        """Puts environments back to their initial state, with empty history.
+        """Resets environments to their initial state, with empty history.
 
         Args:
-            env_mask: Booleans (envs,) of the environments to reset; ``None``: all.
+            env_mask: Booleans (envs,), true for environments to reset. Default: all.
         """
         if env_mask is None:
             mask = np.ones(self.envs, dtype=bool)
@@ -222,7 +222,7 @@ class Environments(
                 part.elapsed = 0.0
 
     def evaluate(self) -> None:
-        """Computes contacts and wrenches of the current state; changes neither state nor history."""
+        """Computes contacts and wrenches of the current state, without changing state or history."""
         for part in self.parts:
             part.evaluate_needs(CONTACT_NEEDS)
 
@@ -241,7 +241,7 @@ class Environments(
         """Returns the sensors with these names or aliases.
 
         Raises:
-            KeyError: If any is missing; the message names all that are.
+            KeyError: If any does not exist; the message names all of them.
         """
         found, problems = [], []
         for name in names:
@@ -259,27 +259,27 @@ class Environments(
         return tuple(self.parts[0].sensors)
 
     def sensor(self, name: str) -> NDArray[Any]:
-        """Measures ``name`` at the current state.
+        """Evaluates sensor ``name`` at the current state.
 
         Returns:
             A new array (envs,), or (envs, item) for a set of points, with a last axis for vectors.
 
         Raises:
-            KeyError: If there is no such sensor.
-            MemoryError: If what it is measured into is more than there is.
+            KeyError: If the sensor does not exist.
+            MemoryError: If its arrays do not fit into memory.
         """
         needs = {*self.find_sensor(name).needs}
         self.ensure_sensor_arrays(needs)
-        # All parts are at work before the first is waited for.
+        # Launch all parts before waiting for the first one, so that devices run in parallel.
         for part in self.parts:
             part.evaluate_needs(needs)
         return self.last_value(name)
 
     def ensure_sensor_arrays(self, needs: Set[str]) -> None:
-        """Allocates what sensors are measured into, by their ``needs``, if it is not there yet.
+        """Allocates the arrays for sensors with ``needs``, if they are not allocated yet.
 
         Raises:
-            MemoryError: If that is more than there is.
+            MemoryError: If the arrays do not fit into memory.
         """
         missing = [
             name
@@ -300,50 +300,50 @@ class Environments(
             part.allocate_sensor_arrays(missing)
 
     def last_value(self, name: str) -> NDArray[Any]:
-        """Returns sensor ``name`` as it was computed last, in a new array."""
+        """Returns the last computed value of sensor ``name`` in a new array."""
         if "particles" in self.find_sensor(name).needs:
             self.check_neighbor_lists()
-        # On the CPU what is read is a view of memory that the next step overwrites; this copies it.
+        # On a CPU ``numpy()`` is a view of memory that the next step overwrites; ``concatenate`` copies it.
         sensor = self.find_sensor(name)
         values = [part.sensors[sensor.name].array(part.arrays).numpy() for part in self.parts]
         return sensor.finish(np.concatenate(values))
 
     def catenary_shape(self, name: str, count: int = 50) -> NDArray[np.float64]:
-        """Returns where a catenary is at the current state, to be drawn.
+        """Returns points on a catenary at the current state, for plotting.
 
         Args:
-            name: Its name.
-            count: Number of points, evenly along its unstretched length from end a to end b, at least 2.
+            name: Name of the catenary.
+            count: Number of points, at least 2, at equal intervals of unstretched length from end a to end b.
 
         Returns:
-            Places (envs, count, 3), world [m]. More of a line on the floor than it takes is drawn straight.
+            Positions (envs, count, 3), world [m]. Slack cable on the floor is drawn as a straight line.
 
         Raises:
-            KeyError: If there is no such catenary.
+            KeyError: If the catenary does not exist.
         """
         checks.integer("count", count, 2)
         self.evaluate()
         return np.concatenate([lines.shape(part, item, count) for part, lines, item in self._catenaries(name)])
 
     def catenary_stiffness(self, name: str) -> NDArray[np.float64]:
-        """Returns the derivative of the force on end b of a catenary by the place of that end.
+        """Returns the derivative of the force on end b of a catenary with respect to the position of end b.
 
-        Of an end that lies on the floor, as it slides there.
+        If end b lies on the floor, it is displaced along the floor.
 
         Args:
-            name: Its name.
+            name: Name of the catenary.
 
         Returns:
             Symmetric matrices (envs, 3, 3), world [N/m].
 
         Raises:
-            KeyError: If there is no such catenary.
+            KeyError: If the catenary does not exist.
         """
         self.evaluate()
         return np.concatenate([lines.stiffness(part, item) for part, lines, item in self._catenaries(name)])
 
     def _catenaries(self, name: str) -> "list[tuple[Model, CatenarySet, int]]":
-        """Returns each part with the set that has the catenary, and its place there."""
+        """Returns each part, the set that contains the catenary, and its index in the set."""
         from warpcontact.forces.couplings.catenaries import CatenarySet
 
         find_entry("catenary", name, {one.name: one for one in self.scene.couplings if isinstance(one, Catenary)})
@@ -357,7 +357,7 @@ class Environments(
         ]
 
     def failed_catenaries(self) -> dict[str, int]:
-        """Returns in how many environments a catenary was without a solution since reset; of those that were."""
+        """Returns the number of environments in which a catenary did not converge since reset, by name, if any."""
         counts = {}
         for one in self.scene.couplings:
             if isinstance(one, Catenary):
@@ -367,9 +367,9 @@ class Environments(
         return counts
 
     def unsolved_contacts(self) -> dict[str, NDArray[np.int32]]:
-        """Returns in how many steps since reset it was not found where two shapes meet, (envs,) by contact.
+        """Returns the number of steps since reset in which a shape contact did not converge, (envs,) by contact.
 
-        Of a set, the most of any of its items.
+        For a set, the maximum over its items.
         """
         return {
             contact.name: np.concatenate(
@@ -384,7 +384,7 @@ class Environments(
         }
 
     def unfinished_solves(self) -> NDArray[np.int32]:
-        """Returns in how many steps since reset the problem of nonsmooth contacts was not solved, (envs,)."""
+        """Returns the number of steps since reset in which the nonsmooth contact solver did not converge, (envs,)."""
         return np.concatenate(
             [
                 np.zeros(part.envs, np.int32)
@@ -395,7 +395,7 @@ class Environments(
         )
 
     def largest_residuals(self) -> NDArray[np.float64]:
-        """Returns the largest residual of unsolved problems since reset or ``reset_residuals``, (envs,)."""
+        """Returns the largest residual of steps without convergence since reset or ``reset_residuals``, (envs,)."""
         return np.concatenate(
             [
                 np.zeros(part.envs)
@@ -412,20 +412,20 @@ class Environments(
                 part.nonsmooth.reset_residuals()
 
     def contact_pairs(self, name: str) -> "xr.Dataset":
-        """Returns which pairs of a particle contact touch at the current state.
+        """Returns the pairs of a particle contact that are in contact at the current state.
 
         Args:
-            name: Its name.
+            name: Name of the particle contact.
 
         Returns:
-            A data set with one dimension, ``pair``, in the order of environments and shapes: ``env``, the numbers,
-            names and bodies of both shapes (``shape_1`` < ``shape_2``, ``name_1``, ``body_1``, …), ``gap``,
-            ``point`` K, ``normal`` out of the second, ``normal_force``, ``friction_force`` on the first and
-            ``approach_speed``; units are in the attributes.
+            A data set with one dimension, ``pair``, in the order of environments and particles: ``env``, the numbers,
+            names and bodies of both particles (``shape_1`` < ``shape_2``, ``name_1``, ``body_1``, …), ``gap``,
+            contact ``point``, ``normal`` out of the second particle, ``normal_force``, ``friction_force`` on the
+            first one and ``approach_speed``; units are in the attributes.
 
         Raises:
-            KeyError: If there is no such particle contact.
-            RuntimeError: If a list of partners was too short.
+            KeyError: If the particle contact does not exist.
+            RuntimeError: If a neighbor list was too short.
         """
         from warpcontact.forces.particle_contact.contact_pairs import contact_pairs
 
@@ -442,10 +442,10 @@ class Environments(
         )
 
     def check_neighbor_lists(self) -> None:
-        """Waits for the devices and looks whether all pairs of particle contacts were found.
+        """Waits for the devices and checks that no neighbor list of a particle contact was too short.
 
         Raises:
-            RuntimeError: If a list of partners was too short, in any environment since its reset.
+            RuntimeError: If a neighbor list was too short in any environment since its reset.
         """
         for part in self.parts:
             for particle_set in part.particle_contact_sets:
@@ -453,10 +453,10 @@ class Environments(
                     raise RuntimeError(problem)
 
     def health(self) -> Health:
-        """Returns which environments are frozen, why and since when, and which are stopped.
+        """Returns the frozen environments with causes and times, and the stopped ones.
 
         Raises:
-            RuntimeError: If a list of partners of a particle contact was too short.
+            RuntimeError: If a neighbor list of a particle contact was too short.
         """
         self.check_neighbor_lists()
         parts = self.parts
@@ -467,16 +467,16 @@ class Environments(
         )
 
     def memory(self) -> MemoryEstimate:
-        """Returns what the environments take of memory as they are, and a simulation that steps them.
+        """Returns the memory estimate of the model and a simulation with default options.
 
-        That is the arrays of the model with what was measured so far, and a ``Simulation`` with default options;
-        recordings come on top. ``print(model.memory())`` tells what for, where and how much.
+        Arrays of sensors that were evaluated are included, recordings are not. ``print(model.memory())`` shows a
+        table by location and purpose.
         """
         stepping = stepping_memory([(part, part.envs) for part in self.parts])
         return self.memory_estimate().with_items(stepping.items)
 
     def memory_estimate(self) -> MemoryEstimate:
-        """Returns what the model alone takes of memory."""
+        """Returns the memory estimate of the model, without a simulation."""
         return total(
             MemoryEstimate(part.envs, str(part.device), tuple(part.memory_items())) for part in self.parts
         )

@@ -1,4 +1,4 @@
-"""Codes of variables in words, by the attributes of the CF conventions."""
+"""Names of integer codes of variables, from the CF attributes ``flag_values`` and ``flag_meanings``."""
 
 from typing import TYPE_CHECKING
 
@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 
 def words_of(array: "xr.DataArray") -> dict[int, str]:
-    """Returns what the codes of an array mean; none: they are no codes."""
+    """Returns the names of the codes of an array, by code; empty if its values are no codes."""
     if "flag_meanings" not in array.attrs:
         return {}
     codes = np.atleast_1d(array.attrs.get("flag_values", ()))

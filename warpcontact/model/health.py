@@ -1,4 +1,4 @@
-"""Which environments failed and were frozen, why and when, and which were stopped."""
+"""Health of environments: the frozen ones with causes and times, and the stopped ones."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,16 +18,16 @@ _WORDS = {
 
 @dataclass(frozen=True)
 class Health:
-    """State of health of all environments.
+    """Health of all environments.
 
     Attributes:
         envs: Number of environments.
-        frozen: Numbers of the environments that failed. They are held at the last state before and cost no more
-            time; ``reset`` revives them.
-        causes: Why each of these failed, a ``FailureCause``.
-        times: What its clock says: that of the state it is held at [s].
-        stopped: Numbers of the environments that a stop condition holds.
-        conditions: How many of these by which condition, by its name, where it is known.
+        frozen: Numbers of the environments that failed. They keep their last valid state and are skipped by steps
+            until ``reset``.
+        causes: ``FailureCause`` of each frozen environment.
+        times: Clock of each frozen environment, the time of its last valid state [s].
+        stopped: Numbers of the environments that a stop condition ended.
+        conditions: Number of stopped environments by name of the stop condition, if available.
     """
 
     envs: int
@@ -46,9 +46,9 @@ class Health:
         numbers: NDArray[np.int_] | None = None,
         conditions: Mapping[str, int] | None = None,
     ) -> "Health":
-        """Reads the status, the causes and the clocks of all environments (envs,).
+        """Returns the health for the status, causes and clocks of all environments (envs,).
 
-        ``numbers`` are those of the environments, if not from 0, ``conditions`` how many were stopped by which.
+        ``numbers`` are the numbers of the environments (default: from 0), ``conditions`` as in the attribute.
         """
         numbers = np.arange(len(status)) if numbers is None else numbers
         frozen = np.flatnonzero(status == ENV_FROZEN)
@@ -74,13 +74,13 @@ class Health:
             every = "all" if not stopped else f"{active} of"
             return f"{every} {self.envs} environments are active{stopped}"
         causes = np.array(self.causes)
-        said = [
-            f"{np.count_nonzero(causes == cause)} of {self.envs} environments {words} and are frozen at the last "
-            f"state before: {_listed(self.frozen[causes == cause])}"
+        texts = [
+            f"{np.count_nonzero(causes == cause)} of {self.envs} environments {words} and are frozen at their last "
+            f"valid state: {_listed(self.frozen[causes == cause])}"
             for cause, words in _WORDS.items()
             if (causes == cause).any()
         ]
-        return "; ".join(said) + stopped
+        return "; ".join(texts) + stopped
 
 
 def _listed(numbers: NDArray[np.int_]) -> str:

@@ -1,4 +1,7 @@
-"""A built scene: parameters, state and memory of many environments on one device."""
+"""A built scene: parameters, state and device arrays of the environments on one device.
+
+``build.py`` creates it. ``Simulation`` steps it; sensors are evaluated by ``sensor_evaluation.py``.
+"""
 
 from collections.abc import Collection, Iterable, Mapping, Set
 from dataclasses import dataclass
@@ -31,7 +34,7 @@ if TYPE_CHECKING:
     from warpcontact.forces.shape_contact.contact_sets import ShapeContactSet
     from warpcontact.stepping.outcomes.observer import Monitor
 
-#: What is 0 of a contact that does not touch.
+#: Quantities of a contact that are 0 without contact.
 ZERO_WITHOUT_CONTACT = ("penetration", "approach_speed", "normal_force", "friction_force", "slip_speed", "torque")
 
 
@@ -42,11 +45,11 @@ class State:
     Write into them (``state.body_position.assign(values)``), do not replace them.
 
     Attributes:
-        body_position: Centre of mass, world [m], as far as the precision tells it.
-        body_position_remainder: What rounding left of it [m]: the centre of mass is at the sum of both. To place a
-            body to the precision it is enough to write the position.
+        body_position: Center of mass, world [m], rounded to the precision of the model.
+        body_position_remainder: Rounding remainder [m]: the center of mass is the sum of both. To set a position to
+            the precision of the model, it is sufficient to write ``body_position``.
         body_orientation: Rotation body → world, quaternion (x, y, z, w).
-        body_linear_velocity: Velocity of the centre of mass, world [m/s].
+        body_linear_velocity: Velocity of the center of mass, world [m/s].
         body_angular_velocity: Angular velocity, world axes [rad/s].
     """
 
@@ -59,10 +62,10 @@ class State:
 
 @dataclass(frozen=True)
 class External:
-    """Forces from outside on all bodies: Warp arrays (envs, bodies), to be written between steps.
+    """External forces and torques on all bodies: Warp arrays (envs, bodies) that users write between steps.
 
     Attributes:
-        force: Force at the centre of mass, world [N].
+        force: Force at the center of mass, world [N].
         torque: Torque, world axes [N·m].
     """
 
@@ -71,18 +74,18 @@ class External:
 
 
 class Model(Environments, SceneTraits):
-    """Many environments of one scene on a device. Made by ``Scene.build``.
+    """Environments of one scene on one device. Created by ``Scene.build``.
 
     ``model["ball.mass"]`` reads a parameter, (envs, …); ``model["ball.mass"] = values`` sets it, from one value
-    or one per environment. ``model.sensor("touch.gap")`` measures the current state.
+    or one per environment. ``model.sensor("touch.gap")`` evaluates a sensor at the current state.
 
     Attributes:
-        scene: The scene it was built from.
+        scene: A copy of the scene it was built from.
         envs: Number of environments.
-        first_env: Number of the first, 0 unless they are a part, or a batch, of more.
+        first_env: Number of the first environment; nonzero if they are a part, or a batch, of more environments.
         device: Warp device.
         precision: ``"float32"`` or ``"float64"``.
-        state: The current state, arrays to share with NumPy, PyTorch or JAX without a copy.
+        state: The current state; arrays can be shared with NumPy, PyTorch or JAX without a copy.
         time: Simulated time since the last complete reset [s].
     """
 
@@ -122,27 +125,27 @@ class Model(Environments, SceneTraits):
         self.clusters = clusters
         self.parameters = parameters
         self.first_env = 0
-        # Goes up when a device array moves: whoever prepared launches prepares them again.
+        # Incremented when a device array is reallocated: prepared launches must then be rebuilt.
         self.revision = 0
         # Simulated time since the last complete reset [s].
         self.elapsed = 0.0
-        # Whether the state is still the initial one, which then follows its parameters.
+        # Whether the state is the initial one; it then follows changes of its parameters.
         self.is_initial = True
         self.sensors = sensors
         self.side_regions = side_regions
         self._meshes = meshes  # kept alive: a kernel only holds their ids
-        # Step of 0 [env, 0]: for the forces of an instant.
+        # Step lengths of 0 s [env, 0], for instantaneous forces.
         self.zero_step = broadcast(arrays.zero_step, envs)
-        # Status [env] of environments that are all active: a frozen one can be measured as well.
+        # Status [env] with all environments active, so that sensors of frozen environments can be evaluated.
         self.active_status = broadcast(arrays.active_status, envs)
-        # Launches of all environments by what they are for, as of a revision.
+        # Launches of evaluations of all environments, by needs, with their revision.
         self._evaluations: tuple[int, dict[frozenset[str], list[wp.Launch]]] = (-1, {})
-        # Contacts that the last simulation solves for impulses, and what it watches.
+        # Nonsmooth contacts and monitor of the simulation that stepped last.
         self.nonsmooth: NonsmoothContacts | None = None
         self.monitor: Monitor | None = None
-        # Whether any of them has a restitution.
+        # Whether a nonsmooth contact has a nonzero restitution.
         self.has_restitution = False
-        # Whether forces from outside are written where they lie.
+        # Whether the user has access to the arrays of external forces.
         self.external_exposed = False
         self._device_fields = device_fields  # kept alive: broadcast arrays do not own their memory
         self.upload(device_fields, (device_field.content() for device_field in device_fields))
@@ -151,7 +154,7 @@ class Model(Environments, SceneTraits):
 
     @property
     def parts(self) -> tuple["Model", ...]:
-        """The model itself: all its environments are on one device."""
+        """The model itself, because all its environments are on one device."""
         return (self,)
 
     @property
@@ -161,10 +164,10 @@ class Model(Environments, SceneTraits):
 
     @property
     def external(self) -> External:
-        """Forces from outside as arrays, to be written between steps without a copy.
+        """External forces as arrays that can be written between steps without a copy.
 
-        From the first look at them each environment has its own. To set ``<body>.external_force`` or
-        ``<body>.external_torque`` afterwards writes all of its array anew.
+        The first access allocates separate values for each environment. Setting ``<body>.external_force`` or
+        ``<body>.external_torque`` afterwards overwrites the whole array.
         """
         if not self.external_exposed:
             self.external_exposed = True
@@ -182,13 +185,13 @@ class Model(Environments, SceneTraits):
             self.revision += 1
 
     def attach_simulation(self, nonsmooth: "NonsmoothContacts | None", monitor: "Monitor | None" = None) -> None:
-        """Lets contacts be those of the simulation that is to step: ``nonsmooth`` ones, or all with their forces.
+        """Attaches the nonsmooth contacts and the monitor of the simulation that will step; ``None``: none.
 
-        Hard ones remember nothing then: what they do may be of before a reset, or of a step of another simulation.
-        The ``monitor`` of what it watches likewise begins anew.
+        A newly attached simulation starts without warm starts and with restarted outcomes, because they may be
+        older than a reset or a step of another simulation.
 
         Raises:
-            ValueError: If a parameter has a value that nonsmooth contact does not allow; nothing is changed then.
+            ValueError: If a parameter has a value that nonsmooth contact does not allow. The model is unchanged then.
         """
         if nonsmooth is not self.nonsmooth:
             if nonsmooth is not None:
@@ -206,7 +209,7 @@ class Model(Environments, SceneTraits):
 
     @shared_capture_lock()
     def _restart_monitor(self, monitor: "Monitor") -> None:
-        # Steps that nobody watched may have told nothing; contacts that touch are looked at in any case.
+        # Without a monitor, steps may not have written contact outputs. Active contacts are always evaluated.
         self._clear_contact_values()
         monitor.reset_state(wp.full(self.envs, True, dtype=wp.bool, device=self.device))
 
@@ -221,7 +224,7 @@ class Model(Environments, SceneTraits):
             nonsmooth.activate(self)
             self.sensors.update((own.name, own) for own in nonsmooth.sensors())
         self._update_restitution_flag()
-        # Nobody writes what nonsmooth contacts would do to bodies by a force.
+        # Force kernels do not write the entries of nonsmooth contacts.
         active_contacts, coupling_wrenches = self.arrays.active_contacts, self.arrays.coupling_wrenches
         for array in (
             active_contacts.force,
@@ -231,11 +234,11 @@ class Model(Environments, SceneTraits):
             coupling_wrenches.torque,
         ):
             array.zero_()
-        # Nor what they showed is what a contact says that does not touch.
+        # Outputs of nonsmooth contacts that are open remain otherwise.
         self._clear_contact_values()
 
     def _clear_contact_values(self) -> None:
-        """Has all contacts say what those do that do not touch."""
+        """Sets the outputs of all contacts to those of open contacts."""
         for name in ZERO_WITHOUT_CONTACT:
             getattr(self.arrays.contacts, name).zero_()
         self._evaluations = (-1, {})
@@ -250,7 +253,7 @@ class Model(Environments, SceneTraits):
         return self.external_exposed or any(bool(self.parameters[name].field.values.any()) for name in names)
 
     def sets_initial_state(self, parameter: Parameter) -> bool:
-        """Whether ``parameter`` says where the state begins."""
+        """Returns whether ``parameter`` is part of the initial state."""
         starts = [self.arrays.initial, *(motion_set.arrays for motion_set in self.prescribed_motions)]
         return any(
             device_field.attribute == "body_motion" or any(device_field.struct is start for start in starts)
@@ -259,8 +262,7 @@ class Model(Environments, SceneTraits):
 
     @shared_capture_lock()
     def reset_state(self, mask: NDArray[np.bool_]) -> None:
-        """Puts the environments of ``mask`` (envs,) back to their initial state, with empty history."""
-        from warpcontact.kernels.acceptance import reset
+        """Resets the environments of ``mask`` (envs,) to their initial state, with empty history."""
         from warpcontact.kernels.couplings import contact_coupling
 
         a = self.arrays
@@ -315,7 +317,7 @@ class Model(Environments, SceneTraits):
             self._start_motions(chosen)
 
     def _start_motions(self, chosen: wp.array) -> None:
-        """Takes off velocities that joints do not allow, and puts what follows a function of time to its start."""
+        """Projects initial velocities onto the joints, and sets bodies with prescribed motion to their start."""
         from warpcontact.kernels.joints import driven, velocity_projection
 
         a, real = self.arrays, self.types.real
@@ -333,20 +335,20 @@ class Model(Environments, SceneTraits):
 
     @shared_capture_lock()
     def evaluation_launches(self, needs: Set[str], own: wp.array | None = None) -> list[wp.Launch]:
-        """Returns the launches that compute what sensors need, of frozen environments too.
+        """Returns the launches that compute the quantities in ``needs``, also of frozen environments.
 
-        ``evaluate_remaining_needs`` does the rest.
+        Some needs require ``evaluate_remaining_needs`` afterwards.
 
         Args:
-            needs: Those of the sensors.
-            own: Of which environments, see ``Span.slice``; ``None``: of all.
+            needs: Needs of the sensors.
+            own: Range of environments, see ``ExecutionPlan.slice``. ``None``: all.
         """
         plan = evaluation_plan(ExecutionPlan, self, self.envs, self.nonsmooth, needs, own)
         return evaluation_stages(plan, needs, self.zero_step, self.active_status)
 
     @shared_capture_lock()
     def evaluate_needs(self, needs: Set[str]) -> None:
-        """Computes what sensors of the current state need, by their ``needs``; there is room to measure into."""
+        """Computes the quantities in ``needs`` for the current state; their arrays must be allocated."""
         if self._evaluations[0] != self.revision:
             self._evaluations = (self.revision, {})
         cached, requested = self._evaluations[1], frozenset(needs)
@@ -357,7 +359,7 @@ class Model(Environments, SceneTraits):
         self.evaluate_remaining_needs(needs)
 
     def evaluate_remaining_needs(self, needs: Set[str]) -> None:
-        """Computes the rest of what sensors need, after the launches of ``look`` for all environments."""
+        """Computes the rest of ``needs``, after ``evaluation_launches`` ran for all environments."""
         if self.nonsmooth is not None and needs_contacts(needs):
             self.nonsmooth.show(self)
         if "reactions" in needs:
@@ -375,7 +377,7 @@ class Model(Environments, SceneTraits):
 
     @shared_capture_lock()
     def allocate_sensor_arrays(self, names: Collection[str]) -> None:
-        """Allocates those of ``SENSOR_ARRAYS`` with ``names`` that are not there yet."""
+        """Allocates the arrays in ``SENSOR_ARRAYS`` with ``names`` that are not allocated yet."""
         arrays_by_need = {
             name: SENSOR_ARRAYS[name](self.layout, self) for name in names if getattr(self.arrays, name) is None
         }
@@ -384,7 +386,7 @@ class Model(Environments, SceneTraits):
             setattr(self.arrays, name, arrays)
 
     def memory_items(self) -> list[MemoryItem]:
-        """Returns what its arrays take, on the device and on the host."""
+        """Returns the memory of the arrays, on the device and on the host."""
         return self.layout.memory_items(self.envs) + parameter_memory(
             self.parameters, self._device_fields, self.envs
         )
@@ -413,23 +415,23 @@ class Model(Environments, SceneTraits):
         wp.launch(kernel, dim=shape, inputs=inputs, outputs=[a.contact_couplings], device=self.device)
 
     def group_of(self, contact: Contact) -> tuple[ContactGroup, int]:
-        """Returns the group that ``contact`` is computed in, and the index of its first item there."""
+        """Returns the contact group of ``contact``, and the index of its first item in the group."""
         own = [other for other in self.scene.contacts if other.code == contact.code]
         group = next(group for group in self.groups if (group.parts, group.projected) == contact.code)
         return group, sum(other.count for other in own[: own.index(contact)])
 
     @shared_capture_lock()
     def upload(self, device_fields: Iterable[DeviceField], contents: Iterable[NDArray[Any]]) -> None:
-        """Puts the content of each of ``device_fields`` into its array on the device."""
+        """Copies the content of each of ``device_fields`` to its array on the device."""
         for device_field, content in zip(device_fields, contents, strict=True):
             if device_field.upload(content, self.envs):
                 self.revision += 1
-        # Steps without them do not look for them.
+        # Launches without external forces do not read them, so they must be rebuilt.
         if self.has_external_forces != (pushed := self._has_external_force()):
             self.has_external_forces = pushed
             self.revision += 1
         self._update_restitution_flag()
-        # What was known of distances may not hold for other radii, poses or meshes.
+        # Cached distances may be invalid after changes of radii, poses or meshes.
         cache = self.arrays.cache
         clusters = (cache.cluster_safe_travel, cache.cluster_probe_travel, cache.cluster_inactive)
         for cached in (cache.set_safe_travel, *clusters, cache.safe_travel, cache.face_count, cache.clearance):

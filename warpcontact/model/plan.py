@@ -1,4 +1,7 @@
-"""A scene ready to be built: what its model takes of memory is known, and nothing of it is taken."""
+"""Plan of a model: everything but the number of environments, without allocated memory.
+
+``build.plan_model`` creates it. It estimates memory (``ModelPlan.memory``) and builds the model (``ModelPlan.build``).
+"""
 
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -31,27 +34,27 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class DeviceModelPlan(SceneTraits):
-    """Everything of a model on one device but the number of environments, and no memory there yet.
+    """Plan of a model on one device; no device memory is allocated before ``build``.
 
     Attributes:
         scene: The scene.
         device: Warp device.
         precision: ``"float32"`` or ``"float64"``.
-        types: Structs.
-        layout: What is to lie on the device.
-        arrays: The arrays, once they are built.
+        types: Warp structs of the precision.
+        layout: Allocation plan.
+        arrays: The arrays; allocated by ``build``.
         parameters: The parameters.
-        groups: The contacts by the code of their laws and friction models.
-        couplings: The couplings by their code.
-        shape_contact_sets: The shape contacts by the code of their laws and friction models.
-        particle_contact_sets: The particle contacts.
-        prescribed_motions: The bodies that follow functions of time, by class.
-        clusters: The contacts by what lies together.
-        sensors: What can be measured.
-        side_regions: Where the surface of each contact keeps its sides apart, mesh by mesh.
-        meshes: What is searched, once it is built.
-        zero_step: What a model has as an array; see there.
-        has_restitution: Whether restitution is to be looked after, where it may come.
+        groups: Contacts, grouped by contact model.
+        couplings: Couplings, grouped by formulas.
+        shape_contact_sets: Shape contacts, grouped by contact model.
+        particle_contact_sets: Particle contacts.
+        prescribed_motions: Bodies with prescribed motion, by class of motion.
+        clusters: Clusters of contacts.
+        sensors: Sensors by name.
+        side_regions: Side regions of the surface of each contact, per mesh.
+        meshes: Warp meshes of the queries; created by ``build``.
+        zero_step: ``None``; an array in ``Model``.
+        has_restitution: True, because nonsmooth contacts may have a restitution; see ``Model``.
     """
 
     scene: Scene
@@ -75,23 +78,23 @@ class DeviceModelPlan(SceneTraits):
 
     @property
     def parameters_by_name(self) -> dict[str, Parameter]:
-        """The parameters by their names."""
+        """The parameters by name."""
         return self.parameters.by_name
 
     def memory_items(self, envs: int, varied: Collection[str] = ()) -> list[MemoryItem]:
-        """Returns what ``envs`` environments would take; ``varied`` are to have a value in each."""
+        """Returns the memory of ``envs`` environments; parameters ``varied`` have separate values per environment."""
         return self.layout.memory_items(envs) + parameter_memory(
             self.parameters.by_name, self.parameters.device_fields, envs, varied
         )
 
     @shared_capture_lock()
     def build(self, envs: int) -> Model:
-        """Returns the model of ``envs`` environments; once.
+        """Returns the model of ``envs`` environments. Can be called only once.
 
         Raises:
-            TypeError: If a law, a friction, a shape, a spring or a motion of a user does not compile.
+            TypeError: If a user-defined law, friction model, shape, spring or motion does not compile.
         """
-        # What is the library's own does, and waits for whatever launches it.
+        # ``compile`` compiles user-defined formulas only; other kernels are compiled when they are launched.
         for group in self.groups:
             group.compile(self.device)
         for contacts in self.shape_contact_sets:
@@ -127,24 +130,24 @@ class DeviceModelPlan(SceneTraits):
 
 @dataclass(frozen=True)
 class ModelPlan:
-    """Everything of a model, on one device or several, but the number of environments.
+    """Plan of a model on one or several devices.
 
     Attributes:
-        parts: What is drawn up for each device.
+        parts: Plan of each device.
     """
 
     parts: tuple[DeviceModelPlan, ...]
 
     def shares(self, envs: int) -> list[tuple[DeviceModelPlan, int]]:
-        """Returns the parts that ``envs`` environments are split over, each with how many it has."""
+        """Returns the parts over which ``envs`` environments are split, each with its number."""
         return list(zip(self.parts, split_evenly(envs, len(self.parts)), strict=False))
 
     def memory(self, envs: int, varied: Collection[str] = (), **stepping: Any) -> MemoryEstimate:
-        """Returns what ``envs`` environments would take, and a simulation that steps them.
+        """Returns the memory estimate of a model with ``envs`` environments and a simulation.
 
         Args:
             envs: Number of environments.
-            varied: Names of the parameters that are to have a value per environment.
+            varied: Names of parameters with separate values per environment.
             stepping: Options of the simulation, see ``stepping_memory``.
         """
         shares = self.shares(envs)
@@ -154,13 +157,13 @@ class ModelPlan:
         return model.with_items(stepping_memory(shares, varied=varied, **stepping).items)
 
     def build(self, envs: int) -> Model | SplitModel:
-        """Returns the model of ``envs`` environments; once.
+        """Returns the model of ``envs`` environments. Can be called only once.
 
         Raises:
-            MemoryError: If it takes more memory than there is.
-            TypeError: If a law, a shape or such of a user does not compile.
+            MemoryError: If the model does not fit into memory.
+            TypeError: If a user-defined formula does not compile.
         """
-        # Whether steps are to be captured is for the simulation to say.
+        # Without graphs, because the simulation decides later whether steps are captured.
         require(lambda count: self.memory(count, capture_graphs=False), envs)
         models = [part.build(own) for part, own in self.shares(envs)]
         return models[0] if len(models) == 1 else SplitModel(models)

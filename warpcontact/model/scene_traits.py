@@ -1,4 +1,4 @@
-"""What follows from a scene alone, whatever the number of its environments: counts, and what is measured."""
+"""Properties of a scene that are independent of the number of environments: counts, flags and sensor arrays."""
 
 from collections.abc import Callable, Collection
 from functools import cached_property
@@ -17,52 +17,52 @@ from warpcontact.storage.memory_estimate import MemoryItem
 
 
 class SceneTraits:
-    """What follows from a scene alone, whatever the number of its environments."""
+    """Counts and flags of a scene, independent of the number of environments."""
 
     scene: Scene
 
     @cached_property
     def body_count(self) -> int:
-        """Number of bodies of an environment."""
+        """Number of bodies per environment."""
         return sum(body.count for body in self.scene.bodies)
 
     @cached_property
     def contact_count(self) -> int:
-        """Number of contacts of an environment."""
+        """Number of point contacts per environment."""
         return sum(contact.count for contact in self.scene.contacts)
 
     @cached_property
     def shape_contact_count(self) -> int:
-        """Number of shape contacts of an environment."""
+        """Number of shape contacts per environment."""
         return sum(contact.count for contact in self.scene.shape_contacts)
 
     @cached_property
     def has_swept_contacts(self) -> bool:
-        """Whether any contact looks for crossings."""
+        """Whether any contact is swept."""
         return any(contact.swept for contact in self.scene.contacts)
 
     @cached_property
     def has_latched_contacts(self) -> bool:
-        """Whether any contact stays with what it touched."""
+        """Whether any contact tracks its closest point from step to step: latched or swept."""
         return self.has_swept_contacts or any(contact.entry == "latched" for contact in self.scene.contacts)
 
     @cached_property
     def has_external_forces(self) -> bool:
-        """Whether there are forces from outside."""
+        """Whether any external force or torque is nonzero."""
         return any(body.external_force.any() or body.external_torque.any() for body in self.scene.bodies)
 
     @cached_property
     def has_joints(self) -> bool:
-        """Whether any body is not free."""
+        """Whether any body has a joint or prescribed motion."""
         return any(body.motion.kind != FREE for body in self.scene.bodies)
 
     @cached_property
     def constrained_count(self) -> int:
-        """Number of bodies that are neither free nor follow a function of time."""
+        """Number of bodies that are neither free nor follow a function of time, per environment."""
         return sum(body.count for body in self.scene.bodies if body.motion.kind not in (FREE, TIME_FUNCTION))
 
     def sensor_memory(self, device: wp.Device, needs: Collection[str], envs: int) -> list[MemoryItem]:
-        """Returns what ``envs`` environments take that sensors with these ``needs`` are measured into."""
+        """Returns the memory of the arrays of sensors with ``needs``, for ``envs`` environments."""
         layout = AllocationPlan(device)
         for name, declare in SENSOR_ARRAYS.items():
             if name in needs:
@@ -109,7 +109,7 @@ def _shape_gradients(layout: AllocationPlan, model: SceneTraits) -> Any:
     return layout.struct(PURPOSE, Gradients, per_env(model.shape_contact_count))
 
 
-#: How to declare what sensors are measured into, by what they need.
+#: Functions that declare the arrays of sensors, by need.
 SENSOR_ARRAYS: dict[str, Callable[[AllocationPlan, SceneTraits], Any]] = {
     **{name: _per_body(struct) for name, (struct, _) in body_measures.BODY_MEASURES.items()},
     "points": _points,
@@ -120,5 +120,5 @@ SENSOR_ARRAYS: dict[str, Callable[[AllocationPlan, SceneTraits], Any]] = {
     "shape_curvatures": _shape_curvatures,
     "shape_gradients": _shape_gradients,
 }
-#: Those of shape contacts, measured on contacts that were computed before.
+#: Needs of shape contacts that are computed on request from the last evaluated contacts.
 SHAPE_CONTACT_MEASURES = ("shape_points", "shape_curvatures", "shape_gradients")

@@ -1,4 +1,7 @@
-"""What is launched to look at a state: what sensors need, of some environments apart from the others."""
+"""Launches that evaluate a state: the quantities that sensors need, for all environments or a slice.
+
+``evaluation_stages`` is used by ``Model`` and by ``Stepper`` for recorded frames.
+"""
 
 from collections.abc import Iterable, Set
 from typing import TYPE_CHECKING, Any
@@ -13,14 +16,12 @@ from warpcontact.model.scene_traits import SHAPE_CONTACT_MEASURES
 if TYPE_CHECKING:
     from warpcontact.forces.nonsmooth.contacts import NonsmoothContacts
 
-#: Needs of sensors that tell of surfaces that are far away as well.
+#: Needs that require the evaluation of all contacts, also of those that are far.
 NEEDS_ALL_DISTANCES = ("distances", "points", "contact_couplings", *SHAPE_CONTACT_MEASURES)
-#: Needs that can be computed of some environments apart from the others, and in every step.
-SLICE_NEEDS = frozenset(
-    ("contacts", "wrenches", "distances", *body_measures.BODY_MEASURES, "points", "coordinates")
-)
+#: Needs that can be computed slice by slice and in every step.
+SLICE_NEEDS = frozenset(("contacts", "wrenches", "distances", *measures.BODY_MEASURES, "points", "coordinates"))
 
-#: What tells contacts and wrenches, of what is far away as well.
+#: Needs of contacts and wrenches, including contacts that are far.
 CONTACT_NEEDS = frozenset(("wrenches", "distances"))
 
 #: All needs.
@@ -28,25 +29,25 @@ ALL_NEEDS = SLICE_NEEDS.union(NEEDS_ALL_DISTANCES, ("reactions", "particles"))
 
 
 def check_needs(needs: Iterable[str]) -> frozenset[str]:
-    """Returns ``needs``; raises ``ValueError`` if nothing tells how to compute one."""
+    """Returns ``needs`` as a set; raises ``ValueError`` if one does not exist."""
     requested = frozenset(needs)
     if unknown := requested - ALL_NEEDS:
-        raise ValueError(f"needs {sorted(unknown)} are not known, there are {sorted(ALL_NEEDS)}")
+        raise ValueError(f"unknown needs {sorted(unknown)}; possible needs: {sorted(ALL_NEEDS)}")
     return requested
 
 
 def can_evaluate_by_slice(device: wp.Device, nonsmooth: "NonsmoothContacts | None", needs: Set[str]) -> bool:
-    """Whether ``evaluation_stages`` computes all that sensors with ``needs`` are of, and nobody waits for a device."""
+    """Returns whether ``evaluation_stages`` computes all ``needs`` on a CPU, so that slices can be evaluated."""
     return device.is_cpu and needs <= SLICE_NEEDS and not (nonsmooth is not None and needs_contacts(needs))
 
 
 def needs_contacts(needs: Set[str]) -> bool:
-    """Whether sensors with ``needs`` tell of contacts, of which hard ones have to be shown."""
+    """Returns whether ``needs`` include contacts; outputs of nonsmooth contacts must then be copied, see ``show``."""
     return not needs.isdisjoint(("contacts", "wrenches", *NEEDS_ALL_DISTANCES))
 
 
 def provides_contacts(plan: ExecutionPlan, needs: Set[str]) -> bool:
-    """Whether looks for sensors with ``needs`` leave contacts as a step of ``plan`` from there finds them."""
+    """Returns whether a step of ``plan`` can reuse the contacts of an evaluation for ``needs``."""
     return (
         plan.uses_cache
         and plan.model.device.is_cpu
@@ -63,28 +64,28 @@ def evaluation_plan(
     needs: Set[str],
     own: wp.array | None = None,
 ) -> ExecutionPlan:
-    """Returns ``count`` environments, or the slice ``own`` of them, to be looked at.
+    """Returns the execution plan for the evaluation of ``count`` environments, or the slice ``own`` of them.
 
-    Forces are told of what may touch alone, unless a sensor is of what is far away: all is looked at then, and
-    what is far is searched for, to the last digit. On a GPU steps alone leave out what cannot touch.
+    On a CPU it uses the distance cache, unless a need requires contacts that are far. All contacts are then evaluated
+    exactly. On a GPU evaluations never use the cache.
     """
     cached = model.device.is_cpu and needs.isdisjoint(NEEDS_ALL_DISTANCES)
     return kind(model, count, cached, ordered_sum=True, nonsmooth=nonsmooth, slice=own)
 
 
 def evaluation_stages(plan: ExecutionPlan, needs: Set[str], zero_step: Any, active_status: Any) -> list[wp.Launch]:
-    """Returns the launches that compute what sensors need, of frozen environments too.
+    """Returns the launches that compute ``needs`` for the current state, also of frozen environments.
 
     Args:
-        plan: The environments.
-        needs: Those of the sensors.
-        zero_step: A step of 0 for each environment.
-        active_status: The status of an active one for each.
+        plan: Execution plan of the environments.
+        needs: Needs of the sensors.
+        zero_step: Step length 0 for all environments [env, 0] [s].
+        active_status: Active status for all environments [env].
     """
     a = plan.model.arrays
     launches = []
     if needs_contacts(needs):
-        # On a GPU what adds up empties queues as well, and to what piles and nonsmooth contacts add has to be there.
+        # On a GPU the sum of wrenches also empties the work queues. Particle and nonsmooth contacts add to the sum.
         others_add_wrenches = (
             plan.model.device.is_cuda or plan.model.particle_contact_sets or plan.nonsmooth is not None
         )
@@ -94,13 +95,13 @@ def evaluation_stages(plan: ExecutionPlan, needs: Set[str], zero_step: Any, acti
 
 
 def sensor_stages(plan: ExecutionPlan, needs: Set[str], state: Any, status: wp.array) -> list[wp.Launch]:
-    """Returns the launches that measure what sensors need of ``state``, whose contacts are computed.
+    """Returns the launches that compute ``needs`` for ``state``, after its contacts were computed.
 
     Args:
-        plan: The environments.
-        needs: Those of the sensors.
-        state: Their state.
-        status: Of the environments [env]; left out are those that are not active.
+        plan: Execution plan of the environments.
+        needs: Needs of the sensors.
+        state: State of the environments.
+        status: Status of the environments [env]. Environments that are not active are skipped.
     """
     model = plan.model
     a, real = model.arrays, model.types.real

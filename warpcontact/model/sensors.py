@@ -1,4 +1,7 @@
-"""What can be measured: names, units, shapes, and where the values are on the device."""
+"""Sensors of a model: names, units, shapes and device arrays.
+
+``sensors_of`` returns all sensors of a scene; ``sensor_evaluation.py`` computes their values.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -27,17 +30,17 @@ if TYPE_CHECKING:
 
 AXES = {3: ("axis", ["x", "y", "z"]), 4: ("component", ["x", "y", "z", "w"])}
 
-# name: (array, or struct of measures, unit, what it is)
+# name: (array, or struct of measures; unit; meaning)
 _BODY_STATE = {
     "orientation": ("body_orientation", "-", "rotation body → world, quaternion x, y, z, w"),
-    "linear_velocity": ("body_linear_velocity", "m/s", "velocity of the centre of mass, world"),
+    "linear_velocity": ("body_linear_velocity", "m/s", "velocity of the center of mass, world"),
     "angular_velocity": ("body_angular_velocity", "rad/s", "angular velocity, world axes"),
 }
 _BODY_WRENCH = {
-    "force": ("force", "N", "sum of all forces but gravity, world"),
-    "torque": ("torque", "N·m", "sum of their moments about the centre of mass, world axes"),
+    "force": ("force", "N", "sum of all forces except gravity, world"),
+    "torque": ("torque", "N·m", "sum of their moments about the center of mass, world axes"),
 }
-# In float64 whatever the precision: sums, and places far from the origin.
+# Always in float64, because of sums and of positions far from the origin.
 _BODY_MEASURE = {
     "kinetic_energy": ("energies", "J", "kinetic energy"),
     "potential_energy": ("energies", "J", "potential energy of gravity, 0 at the world's origin"),
@@ -49,31 +52,31 @@ _HINGE = {
     "angle_rate": ("coordinates", "angle_rate", "rad/s", "angular velocity about the axis"),
 }
 _SLIDER = {
-    "displacement": ("coordinates", "displacement", "m", "way from the initial position along the axis"),
+    "displacement": ("coordinates", "displacement", "m", "displacement from the initial position along the axis"),
     "displacement_rate": ("coordinates", "displacement_rate", "m/s", "velocity along the axis"),
 }
 # At each status a sensor has the value of the table "Status and sensors" in docs/contact.md: ``gap`` is the signed
 # distance, also at WRONG_SIDE, where it is negative without contact.
 CONTACT_SENSORS = {
     "gap": ("gap", "m", "signed distance, negative in overlap, with or without contact"),
-    "penetration": ("penetration", "m", "depth, 0 without contact"),
+    "penetration": ("penetration", "m", "penetration, 0 without contact"),
     "normal_force": ("normal_force", "N", "normal force"),
     "friction_force": ("friction_force", "N", "friction force on the point's body, world"),
-    "torque": ("torque", "N·m", "couple of rolling and torsion on the point's body, world"),
+    "torque": ("torque", "N·m", "torque of rolling and torsional friction on the point's body, world"),
     "normal": ("normal", "-", "unit normal out of the surface, world"),
     "slip_speed": ("slip_speed", "m/s", "tangential speed at K, 0 without contact"),
     "approach_speed": ("approach_speed", "m/s", "rate of penetration at K, 0 without contact"),
     "status": ("status", "-", "state of the contact"),
 }
-# What is told of contacts that do not touch as well, which takes a search.
+# Sensors that are defined also without contact, which requires a search.
 _OF_FAR = ("gap", "normal", "status")
 _SWEPT = {
-    "crossings": ("crossings", "-", "times the point crossed the surface within a step, since reset"),
-    "crossing_time": ("crossing_time", "s", "time of the first of them since reset; NaN: none"),
+    "crossings": ("crossings", "-", "number of steps within which the point crossed the surface, since reset"),
+    "crossing_time": ("crossing_time", "s", "time of the first crossing since reset; NaN: none"),
 }
 _COUPLING = {
-    "force": ("contact_couplings", "force", "N", "force on the body of its first surface, world"),
-    "torque": ("contact_couplings", "torque", "N·m", "its moment about the centre of mass of it, world axes"),
+    "force": ("contact_couplings", "force", "N", "force on the body of the first surface, world"),
+    "torque": ("contact_couplings", "torque", "N·m", "moment of the force about its center of mass, world axes"),
     "effective_area": (
         "coupling_extremes",
         "effective_area",
@@ -84,29 +87,29 @@ _COUPLING = {
         "coupling_extremes",
         "minimum_distance",
         "m",
-        "smallest distance of a face in range since reset, as of the last step; NaN: none was",
+        "smallest distance of a face in range since reset, as of the last step; NaN: none",
     ),
 }
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """One measurable quantity.
+    """A named quantity that can be evaluated or recorded.
 
     Attributes:
         name: ``<element>.<quantity>``.
         unit: SI unit.
-        meaning: What it is, and its frame.
+        meaning: Description with frame.
         array: Returns its device array, (envs,) or (envs, item), from the arrays of a model.
-        needs: What has to be computed first: ``"contacts"``, or also the ``"wrenches"`` on bodies; of these
-            ``"positions"``, ``"energies"`` and ``"momenta"``; contact ``"points"``, ``"distances"`` of what is
-            far away; of motions ``"reactions"`` and ``"coordinates"``; the forces of ``"contact_couplings"``; of
-            shape contacts ``"shape_points"``, ``"shape_curvatures"`` and ``"shape_gradients"``; or what is
-            measured of ``"particles"``.
+        needs: Quantities to compute first: ``"contacts"``, or also the ``"wrenches"`` on bodies; body
+            ``"positions"``, ``"energies"`` and ``"momenta"``; contact ``"points"``; ``"distances"`` also of contacts
+            that are far; ``"reactions"`` and ``"coordinates"`` of joints; forces of ``"contact_couplings"``;
+            ``"shape_points"``, ``"shape_curvatures"`` and ``"shape_gradients"`` of shape contacts; measures of
+            ``"particles"``.
         items: Number of items of a set, 0 if there is no item axis.
-        total: Whether the item axis is summed over.
-        codes: What its numbers stand for.
-        shape: Of a value: () of a number, (3,) of a vector.
+        total: Whether the value is the sum over the item axis.
+        codes: Enumeration of its integer values, if any.
+        shape: Shape of a value: () for a number, (3,) for a vector.
     """
 
     name: str
@@ -121,7 +124,7 @@ class Sensor:
 
     @property
     def flags(self) -> dict[str, Any]:
-        """CF attributes that explain its codes; none if they are no codes."""
+        """CF attributes of its codes; empty if the values are no codes."""
         if self.codes is None:
             return {}
         return {
@@ -130,10 +133,10 @@ class Sensor:
         }
 
     def finish(self, values: NDArray[Any], axis: int = 1) -> NDArray[Any]:
-        """Returns what is reported from what was read; ``axis`` is the item axis."""
+        """Returns the reported values for the ``values`` of the array; ``axis`` is the item axis."""
         if not self.total:
             return values
-        # From the first item to the last, and never −0, as launches sum up.
+        # Sum in order of items, and without −0, as kernels do.
         return np.add.accumulate(values, axis=axis).take(-1, axis=axis) + 0.0
 
 
@@ -157,13 +160,13 @@ def sensors_of(
 
     Args:
         scene: The scene.
-        types: Structs of its arrays.
-        start_of: Where a contact's values begin.
-        groups: What its contacts are computed in.
-        contact_couplings: Its contact couplings.
-        couplings: Its other couplings.
-        shape_contact_sets: Its shape contacts.
-        particle_contact_sets: Its particle contacts.
+        types: Warp structs of the precision.
+        start_of: Index of the first item of each contact.
+        groups: Contact groups.
+        contact_couplings: Contact couplings.
+        couplings: Other couplings.
+        shape_contact_sets: Shape contacts.
+        particle_contact_sets: Particle contacts.
     """
     table: dict[str, Sensor] = {}
 
@@ -194,7 +197,7 @@ def sensors_of(
     for body in scene.bodies:
         own, several = (body.index, 0) if body.single else (body.items, body.count)
         options: dict[str, Any] = {"needs": ("positions",), "items": several}
-        add_column(f"{body.name}.position", "m", "centre of mass, world", "positions", "position", own, **options)
+        add_column(f"{body.name}.position", "m", "center of mass, world", "positions", "position", own, **options)
         for key, (attribute, unit, meaning) in _BODY_STATE.items():
             add_column(f"{body.name}.{key}", unit, meaning, "state", attribute, own, items=several)
         for key, (attribute, unit, meaning) in _BODY_WRENCH.items():
@@ -256,13 +259,13 @@ def sensors_of(
 
 
 def joint_sensors(motion: Motion) -> dict[str, tuple[str, str, str, str]]:
-    """Returns what can be measured of a body with this motion: (need, array, unit, meaning) by name."""
+    """Returns the sensors of a body with this motion: (need, array, unit, meaning) by name."""
     if motion.kind == FREE:
         return {}
-    place = "anchor" if motion.kind in (HINGE, BALL) else "centre of mass"
+    place = "anchor" if motion.kind in (HINGE, BALL) else "center of mass"
     table = {
-        "reaction_force": ("reactions", "force", "N", f"force of its motion on it, at the {place}, world"),
-        "reaction_torque": ("reactions", "torque", "N·m", f"moment of its motion about the {place}, world axes"),
+        "reaction_force": ("reactions", "force", "N", f"force of the joint on the body at its {place}, world"),
+        "reaction_torque": ("reactions", "torque", "N·m", f"moment of the joint about the {place}, world axes"),
     }
     if motion.kind in (HINGE, PLANAR):
         table |= _HINGE

@@ -7,16 +7,16 @@ from warpcontact.model.model import Model
 
 
 class SplitModel(Environments):
-    """Many environments of one scene, split over several devices. Made by ``Scene.build``.
+    """Environments of one scene, split over several devices. Created by ``Scene.build``.
 
-    Parameters, sensors, resets, health and simulations are those of one ``Model`` with all environments, in one
-    order; only the arrays of the state are of each part: ``model.parts[0].state``. Parts are there to be looked at
-    and written to on their device; to step or reset one alone lets it run apart from the others.
+    Parameters, sensors, resets, health and simulations work as for one ``Model`` with all environments. Only the
+    state arrays are separate: ``model.parts[0].state``. Use parts to read and write data on their device. Do not step
+    or reset a part alone, because its clock would then differ from the others.
 
     Attributes:
-        scene: The scene it was built from.
+        scene: A copy of the scene it was built from.
         envs: Number of environments, of all parts together.
-        first_env: Number of the first, 0 unless they are a batch of more.
+        first_env: Number of the first environment; nonzero if they are a batch of more environments.
         precision: ``"float32"`` or ``"float64"``.
         parts: The models, each on one device, in the order of the environments.
         devices: The Warp device of each part.
@@ -32,7 +32,7 @@ class SplitModel(Environments):
 
     @property
     def first_env(self) -> int:
-        """Number of the first environment; those of the parts follow it."""
+        """Number of the first environment; setting it renumbers the parts."""
         return self.parts[0].first_env
 
     @first_env.setter
@@ -48,24 +48,24 @@ class SplitModel(Environments):
 
     @property
     def state(self) -> NoReturn:
-        """There is no one state.
+        """Not available: each part has its own state.
 
         Raises:
-            AttributeError: Always; says where the states of the parts are.
+            AttributeError: Always; the message names the states of the parts.
         """
         raise AttributeError(
-            f"a model split over {self._listed()} has no one state: take model.parts[0].state, …, or "
+            f"a model split over {self._listed()} has no single state: use model.parts[0].state, …, or "
             "model.sensor('<body>.position'), which gathers all environments"
         )
 
     @property
     def device(self) -> NoReturn:
-        """There is no one device.
+        """Not available: each part has its own device.
 
         Raises:
-            AttributeError: Always; says what to ask for.
+            AttributeError: Always; the message names ``devices``.
         """
-        raise AttributeError(f"a model split over {self._listed()} has no one device: take model.devices")
+        raise AttributeError(f"a model split over {self._listed()} has no single device: use model.devices")
 
     def _listed(self) -> str:
         return ", ".join(map(str, self.devices))

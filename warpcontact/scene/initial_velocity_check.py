@@ -1,4 +1,4 @@
-"""Whether the velocities that a body starts with are those that its motion allows."""
+"""Checks that the initial velocities of a body are compatible with its joint."""
 
 import numpy as np
 
@@ -8,16 +8,16 @@ from warpcontact.kernels.types import BALL, FIXED, FREE, HINGE, PLANAR, PRESCRIB
 from warpcontact.scene.elements import Body
 from warpcontact.validation.checks import Array
 
-# Of the velocity: more than any rounding of what a user computes.
+# Relative tolerance of the velocity, above the rounding error of user computations.
 TOLERANCE = 1.0e-6
 
 
 def check_initial_velocity(body: Body) -> None:
-    """Raises an error if ``body`` has no motion, or starts with velocities that it does not allow.
+    """Checks the motion of ``body`` and its initial velocities.
 
     Raises:
-        TypeError: If its motion is none.
-        ValueError: If a velocity is not allowed; the message names it.
+        TypeError: If ``body.motion`` is not a motion.
+        ValueError: If the motion does not allow an initial velocity; the message names it.
     """
     motion = body.motion
     if not isinstance(motion, Motion):
@@ -50,7 +50,7 @@ def check_initial_velocity(body: Body) -> None:
 
 
 def _along(axis: Array, vectors: Array) -> Array:
-    """Returns the part of ``vectors`` (n, 3) along ``axis``."""
+    """Returns the components of ``vectors`` (n, 3) along ``axis``."""
     return (vectors @ axis)[:, None] * axis
 
 

@@ -1,4 +1,7 @@
-"""What bodies oppose to forces, for estimates before the first step: as they stand initially."""
+"""Mobility (inverse effective mass) of bodies at the initial state, for warnings before the first step.
+
+Bodies with joints move only along their degrees of freedom.
+"""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -17,21 +20,19 @@ if TYPE_CHECKING:
     from warpcontact.scene.scene import Contact
 
 
-# Bodies that yield less than this to a force cannot be moved by it [1/kg].
+# Below this mobility a body counts as immovable [1/kg].
 MIN_MOBILITY = 1.0e-20
 
 
 @dataclass(frozen=True)
 class Mobility:
-    """The most that a body yields, (envs, 1) each; nothing if it follows a motion that no force changes.
-
-    Of a set of bodies (envs, n), one for each of them.
+    """Maximum mobility of a body (envs, 1), or of each body of a set (envs, n); 0 with prescribed motion.
 
     Attributes:
-        linear: To a force at the worst place and in the worst direction [1/kg]. Of a body that is free, or moves in
-            a plane, without its rotation, which ``angular`` is for.
-        angular: To a couple about the worst axis [1/(kg·m²)].
-        rotates_with_force: Whether a force turns it by ``angular`` times its lever as well.
+        linear: For a force at the most mobile point, in the most mobile direction [1/kg]. For free and planar bodies
+            it excludes rotation, see ``rotates_with_force``.
+        angular: For a torque about the most mobile axis [1/(kg·m²)].
+        rotates_with_force: Whether a force with lever arm r adds up to ``angular`` · r² to the linear mobility.
     """
 
     linear: Array
@@ -42,7 +43,7 @@ class Mobility:
 def mobility_of(
     model: "Environments", contact: "Contact | ShapeContact | ParticleContact", body: Body
 ) -> Mobility:
-    """Returns what ``body``, one of those of ``contact``, yields."""
+    """Returns the maximum mobility of ``body`` in ``contact``."""
     mass = model[f"{body.name}.mass"].reshape(model.envs, body.count)
     zero = np.zeros_like(mass)
     kind = body.motion.kind
@@ -57,7 +58,7 @@ def mobility_of(
     if kind not in (HINGE, BALL):
         return Mobility(zero, zero, False)
     arm, inertia = _anchor_inertia(model, body)
-    # From the anchor, (envs, places, 3).
+    # Lever arms from the anchor, (envs, points, 3).
     levers = transform_points(_places(contact, body)[None], arm, model[f"{body.name}.orientation"])
     if kind == HINGE:
         axis = model[f"{body.name}.motion.axis"]
@@ -66,20 +67,20 @@ def mobility_of(
         return Mobility(angular * reach**2, angular, False)
     inverse = np.linalg.inv(inertia)
     worst = np.asarray(np.linalg.eigvalsh(inverse)[:, -1:], dtype=np.float64)
-    # Columns of ``crossed`` are lever × e: n' crossed' inverse crossed n is what the place yields along n.
+    # Columns of ``crossed`` are lever × eᵢ: the mobility along n is nᵀ crossedᵀ I⁻¹ crossed n.
     crossed = np.swapaxes(np.cross(levers[:, :, None], np.eye(3)), 2, 3)
     compliances = np.swapaxes(crossed, 2, 3) @ inverse[:, None] @ crossed
     return Mobility(np.linalg.eigvalsh(compliances)[..., -1].max(axis=1)[:, None], worst, False)
 
 
 def mobility_along(model: "Environments", body: Body, arm: Array, direction: Array) -> Array:
-    """Returns the inverse of the mass that ``body`` opposes to a force, (envs,) [1/kg].
+    """Returns the mobility of ``body`` at a point along a direction, (envs,) [1/kg].
 
     Args:
         model: The model.
         body: The body.
-        arm: Where the force acts, from the centre of mass, (envs, 3), world [m].
-        direction: Its direction, unit vectors (envs, 3), world.
+        arm: Point of action relative to the center of mass, (envs, 3), world [m].
+        direction: Unit vectors (envs, 3), world.
     """
     kind = body.motion.kind
     mass = model[f"{body.name}.mass"]
@@ -106,15 +107,15 @@ def mobility_along(model: "Environments", body: Body, arm: Array, direction: Arr
 
 
 def _inertia(model: "Environments", body: Body) -> Array:
-    """Returns the inertia about the centre of mass, (envs, 3, 3) or (envs, n, 3, 3), world axes [kg·m²]."""
+    """Returns the inertia about the center of mass, (envs, 3, 3) or (envs, n, 3, 3), world axes [kg·m²]."""
     inertia, orientation = model[f"{body.name}.inertia"], model[f"{body.name}.orientation"]
-    # Its rows are the axes of the body, in the world.
+    # Rows of ``axes`` are the axes of the body in the world.
     axes = transform_points(np.broadcast_to(np.eye(3), inertia.shape), np.zeros(3), orientation)
     return np.swapaxes(axes, -2, -1) @ inertia @ axes
 
 
 def _anchor_inertia(model: "Environments", body: Body) -> tuple[Array, Array]:
-    """Returns the way from the anchor of a hinge or a ball to the centre of mass, and the inertia about it."""
+    """Returns the vector from the anchor of a hinge or ball to the center of mass, and the inertia about the anchor."""
     arm = model[f"{body.name}.position"] - model[f"{body.name}.motion.anchor"]
     steiner = (arm**2).sum(axis=1)[:, None, None] * np.eye(3) - arm[:, :, None] * arm[:, None, :]
     return arm, _inertia(model, body) + model[f"{body.name}.mass"][:, None, None] * steiner
@@ -126,12 +127,12 @@ def _along(axis: Array, inertia: Array) -> Array:
 
 
 def _rotational_mobility(lever: Array, inertia: Array) -> Array:
-    """Returns what a force moves its place along itself by turning a body, (envs,) [1/kg]."""
+    """Returns the rotational part of the mobility, lᵀ I⁻¹ l with l = arm × direction, (envs,) [1/kg]."""
     return (lever * np.linalg.solve(inertia, lever[..., None])[..., 0]).sum(axis=1)
 
 
 def _places(contact: "Contact | ShapeContact | ParticleContact", body: Body) -> Array:
-    """Returns where ``contact`` may act on ``body``, in its frame and as in the scene, (n, 3) [m]."""
+    """Returns points of ``body`` where ``contact`` can act, as in the scene, in the body frame (n, 3) [m]."""
     if isinstance(contact, ShapeContact | ParticleContact):
         return np.concatenate([_surface_points(shape) for shape in contact.shapes if shape.body is body])
     if body is contact.points.body:
@@ -144,7 +145,7 @@ def _places(contact: "Contact | ShapeContact | ParticleContact", body: Body) -> 
 
 
 def _surface_points(shape: Shape) -> Array:
-    """Returns points of the surface of a shape, the first of a set, in the frame of its body (n, 3) [m]."""
+    """Returns points of the surface of a shape (the first one of a set), in the frame of its body (n, 3) [m]."""
     from warpcontact.forces.shape_contact.tessellate import tessellate
 
     vertices, _ = tessellate(shape.kind, {key: values[0] for key, values in shape.sizes.items()})

@@ -1,6 +1,6 @@
-"""State of an environment, a contact, a coupling or a line.
+"""Status codes of environments, contacts, couplings and catenaries.
 
-Of the last three it is what ``<contact>.status`` and ``<coupling>.status`` report.
+``<contact>.status`` and ``<coupling>.status`` report them.
 """
 
 from enum import IntEnum
@@ -9,15 +9,15 @@ from warpcontact.kernels import types
 
 
 class ContactStatus(IntEnum):
-    """State of a contact.
+    """Status of a contact.
 
-    OPEN: not touching. CONTACT: touching. INACTIVE: the nearest point is not on the active part, or beyond the edge
-    of a patch. FAR: nothing within the search radius. WRONG_SIDE: deeper than ``max_depth``, or come from the
-    inner side with ``entry="latched"``. DISABLED: not enabled. NOT_CONVERGED: of a shape contact, where its
-    surfaces meet was not found; no force acts.
+    OPEN: not in contact. CONTACT: in contact. INACTIVE: the closest point is on an inactive face, or beyond the edge
+    of a parametric surface. FAR: no surface within the search radius. WRONG_SIDE: deeper than ``max_depth``, or
+    entered from the inner side with ``entry="latched"``. DISABLED: not enabled. NOT_CONVERGED: narrow phase of a
+    shape contact did not converge; no force is applied.
 
-    ``<contact>.gap`` is the signed distance at OPEN, CONTACT and WRONG_SIDE, where it is negative without contact;
-    not less than 0 at INACTIVE; the search radius less the radius at FAR; NaN at DISABLED.
+    ``<contact>.gap`` is the signed distance at OPEN, CONTACT and WRONG_SIDE (negative without contact); not less than
+    0 at INACTIVE; the search radius minus the radius at FAR; NaN at DISABLED.
     """
 
     OPEN = types.OPEN
@@ -30,9 +30,9 @@ class ContactStatus(IntEnum):
 
 
 class ContactMode(IntEnum):
-    """What a nonsmooth contact does.
+    """Contact mode of a nonsmooth contact.
 
-    OPEN: no force. STICK: it holds, and does not slide. SLIP: it holds, and slides, or nothing keeps it from it.
+    OPEN: no impulse. STICK: closed, no slip. SLIP: closed, with slip or without friction to prevent it.
     """
 
     OPEN = types.MODE_OPEN
@@ -41,11 +41,11 @@ class ContactMode(IntEnum):
 
 
 class CouplingStatus(IntEnum):
-    """State of a spring-damper or a bushing.
+    """Status of a spring-damper or bushing.
 
-    ACTIVE: acting. SLACK: ``tension_only``, and not stretched. BROKEN: by more than its ``break_force``. OUTSIDE:
-    of the distances of its table, the end of which is held. NO_DIRECTION: its ends are in one place, and nothing
-    is known of where they came from, so that no force acts. DISABLED: not enabled.
+    ACTIVE: the force law applies. SLACK: ``tension_only``, and not stretched. BROKEN: the force exceeded
+    ``break_force``. OUTSIDE: the length is outside of the table of the law, whose end value is used. NO_DIRECTION: the
+    ends coincide and no earlier direction is available, so no force is applied. DISABLED: not enabled.
     """
 
     ACTIVE = types.COUPLING_ACTIVE
@@ -57,12 +57,12 @@ class CouplingStatus(IntEnum):
 
 
 class CatenaryStatus(IntEnum):
-    """State of a catenary.
+    """Status of a catenary.
 
-    HANGING: longer than the distance of its ends. TAUT: shorter, and stretched. FOLDED: its ends are above one
-    another, and it hangs from both. GROUNDED: a part of it rests on the floor. SUNK: an end lies below the floor,
-    and is taken to be on it. LOOSE: without weight and not stretched. DISABLED: not enabled. FAILED: no solution
-    was found, and the forces are those of the last iterate.
+    HANGING: its length exceeds the distance of its ends. TAUT: shorter, and stretched. FOLDED: one end is vertically
+    above the other, and the cable hangs from both. GROUNDED: a part rests on the floor. SUNK: an end is below the
+    floor and is treated as on the floor. LOOSE: weightless and not stretched. DISABLED: not enabled. FAILED: the
+    solver did not converge; forces are those of the last iterate.
     """
 
     HANGING = types.LINE_HANGING
@@ -76,10 +76,10 @@ class CatenaryStatus(IntEnum):
 
 
 class EnvironmentStatus(IntEnum):
-    """State of an environment between steps.
+    """Status of an environment between steps.
 
-    ACTIVE: it is stepped. FROZEN: a step failed, and it is held at the last state before; ``FailureCause`` says why.
-    STOPPED: it is held at the state at which a stop condition held.
+    ACTIVE: it is stepped. FROZEN: a step failed; it keeps its last valid state, see ``FailureCause``. STOPPED: it
+    keeps the state at which a stop condition held.
     """
 
     ACTIVE = types.ENV_ACTIVE
@@ -88,9 +88,9 @@ class EnvironmentStatus(IntEnum):
 
 
 class FailureCause(IntEnum):
-    """Why an environment was frozen.
+    """Cause of failure of a frozen environment.
 
-    NONE: it was not. NON_FINITE: its state, or what was to lead to it, was no longer made of finite numbers.
+    NONE: it is not frozen. NON_FINITE: its state, or a quantity that the step is computed from, was not finite.
     TOO_FAST: a body was faster than ``scene.max_speed``. TOO_FAR: a body was farther from the origin than
     ``scene.max_distance``.
     """

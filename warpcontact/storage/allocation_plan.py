@@ -1,4 +1,4 @@
-"""Arrays on a device: declared first, so that one knows what they take, and made together."""
+"""Allocation plan: device arrays are declared first, so that their memory can be estimated, then allocated."""
 
 from collections.abc import Callable, Collection, Mapping
 from math import prod
@@ -12,7 +12,7 @@ from warpcontact.kernels.lowlevel import static_strides as strides
 from warpcontact.storage.memory_estimate import MemoryItem
 from warpcontact.storage.state_storage import Allocation, Allowed
 
-#: Purpose of what sensors are measured into.
+#: Purpose of the arrays of sensors.
 SENSOR_PURPOSE = "measures"
 
 #: Shape of an array for a number of environments.
@@ -30,9 +30,9 @@ def fixed(*shape: int) -> Shape:
 
 
 class AllocationPlan:
-    """What is to lie on a device. Nothing is allocated before ``allocate``.
+    """Declared device arrays; ``allocate`` allocates them.
 
-    Whatever is declared here is both counted and made from the same shape.
+    Memory estimate and allocation use the same declared shapes.
 
     Args:
         device: The device.
@@ -40,9 +40,9 @@ class AllocationPlan:
 
     def __init__(self, device: wp.Device) -> None:
         self.device = device
-        self._sizes: list[tuple[str, Callable[[int], int]]] = []  # what for, bytes for a number of environments
+        self._sizes: list[tuple[str, Callable[[int], int]]] = []  # purpose, bytes for a number of environments
         self._pending: list[Callable[[int], None]] = []
-        # Memory that steps write, by number and purpose.
+        # Memory that steps write, by "number:purpose".
         self._step_memory: dict[str, Allocation] = {}
 
     def array(
@@ -56,7 +56,7 @@ class AllocationPlan:
         transient: bool = False,
         ranges: Mapping[str, Allowed] | None = None,
     ) -> None:
-        """Declares ``owner.name``, an array of zeros; ``transient`` and ``ranges``: see ``struct``."""
+        """Declares ``owner.name``, an array of zeros; for ``transient`` and ``ranges`` see ``struct``."""
         size = wp.types.type_size_in_bytes(dtype)
         saved = () if transient or purpose == SENSOR_PURPOSE else (name,)
         written = Allocation({name: dtype}, {name: 0}, size, saved, ranges)
@@ -80,20 +80,20 @@ class AllocationPlan:
         ranges: Mapping[str, Allowed] | None = None,
         **others: Shape,
     ) -> Any:
-        """Returns an instance of a Warp struct of arrays, to be zero.
+        """Declares all arrays of a Warp struct, filled with zeros, and returns an instance of the struct.
 
         Args:
-            purpose: What for.
+            purpose: Purpose, for memory estimates.
             struct: The struct.
-            shape: Shape of its arrays.
-            records: Whether what belongs to an item lies side by side: few items here and there are fetched whole.
-                On a CPU some structs do anyway, as far as ``strides.py`` says.
-            transient: Names of the arrays that checkpoints omit, ``True``: all. Zeros must be valid values: these
+            shape: Default shape of its arrays.
+            records: Whether to interleave the arrays (array of structs), which is faster if few items are accessed.
+                On a CPU some structs are always interleaved, see ``kernels/lowlevel/static_strides.py``.
+            transient: Names of the arrays that checkpoints omit; ``True``: all. Zeros must be valid values: these
                 are caches, and arrays that are computed before they are read.
             ranges: Allowed values of the integers of all other arrays, by array, or array and field (``a.b``).
-                Loaded integers are checked, as kernels use them as indices.
-            others: Arrays that have a shape of their own, one for those of a record. They lie apart, if not in
-                records of ``strides.py``.
+                Loaded integers are checked, because kernels use them as indices.
+            others: Shapes of arrays that differ from ``shape``, by name; for a record, that of its first array.
+                Except in records of ``static_strides.py``, these arrays are not interleaved.
 
         Raises:
             TypeError: If integers that checkpoints store have no range.
@@ -123,7 +123,7 @@ class AllocationPlan:
         saved: Collection[str],
         ranges: Mapping[str, Allowed] | None,
     ) -> None:
-        """Declares arrays [env, item] of some types, interleaved in one piece of memory."""
+        """Declares arrays [env, item] that are interleaved in one block of memory."""
         offsets, record = strides.record_layout(dtypes)
         written = Allocation(dtypes, offsets, record, () if purpose == SENSOR_PURPOSE else saved, ranges)
 
@@ -131,7 +131,7 @@ class AllocationPlan:
             return max(1, prod(shape(envs)))
 
         def make(envs: int) -> None:
-            # Of two dimensions, as each has less than 2³¹ elements, and a device may have more bytes.
+            # Two dimensions, because each is limited to 2³¹ elements, fewer than the bytes of a device.
             memory = wp.zeros((number(envs), record), dtype=wp.uint8, device=self.device)
             own = shape(envs)
             written.bind(memory, own)
@@ -144,22 +144,22 @@ class AllocationPlan:
                     device=self.device,
                     copy=False,
                 )
-                array.memory = memory  # which lives as long as the last of them
+                array.memory = memory  # keeps the memory alive
                 setattr(owner, name, array)
 
         self._declare(purpose, lambda envs: number(envs) * record, make)
         self._add_step_memory(purpose, written)
 
     def _add_step_memory(self, purpose: str, written: Allocation) -> None:
-        if purpose != SENSOR_PURPOSE:  # measured again on each request
+        if purpose != SENSOR_PURPOSE:  # sensors are recomputed on request
             self._step_memory[f"{len(self._step_memory)}:{purpose}"] = written
 
     def step_memory(self) -> Mapping[str, Allocation]:
-        """Returns all memory that was declared as zeros, which is all that steps write, by number and purpose."""
+        """Returns all memory that steps write (declared as zeros), by "number:purpose"."""
         return self._step_memory
 
     def constant(self, purpose: str, owner: Any, name: str, values: Any, dtype: Any) -> None:
-        """Declares ``owner.name``, an array that holds ``values``, the same for all environments."""
+        """Declares ``owner.name``, an array of ``values`` that all environments share."""
         array = np.asarray(values, dtype=wp.dtype_to_numpy(_scalar(dtype)))
 
         def make(_: int) -> None:
@@ -168,17 +168,17 @@ class AllocationPlan:
         self.custom(purpose, array.nbytes, make)
 
     def custom(self, purpose: str, size: int, make: Callable[[int], None]) -> None:
-        """Declares something of ``size`` bytes that ``make`` makes, given the number of environments."""
+        """Declares an object of ``size`` bytes that ``make`` creates, given the number of environments."""
         self._declare(purpose, lambda _: size, make)
 
     def allocate(self, envs: int) -> None:
-        """Makes what was declared since the last time."""
+        """Allocates everything that was declared since the last call."""
         pending, self._pending = self._pending, []
         for make in pending:
             make(envs)
 
     def memory_items(self, envs: int) -> list[MemoryItem]:
-        """Returns what all of it takes, made or not, for a number of environments."""
+        """Returns the memory of all declared arrays, allocated or not, for a number of environments."""
         return [
             MemoryItem(purpose, str(self.device), size(envs), size(2) - size(1)) for purpose, size in self._sizes
         ]
@@ -189,22 +189,22 @@ class AllocationPlan:
 
 
 def _as_bytes(array: wp.array) -> wp.array:
-    """Returns a contiguous array as bytes, those of an element along an axis more, in the same memory."""
+    """Returns a view of a contiguous array as bytes, with an additional last axis for the bytes of an element."""
     shape = (*array.shape, wp.types.type_size_in_bytes(array.dtype))
     view = wp.array(ptr=array.ptr, dtype=wp.uint8, shape=shape, device=array.device, copy=False)
-    view.memory = array  # which lives as long
+    view.memory = array  # keeps the memory alive
     return view
 
 
 def row_bytes(values: NDArray[Any]) -> int:
-    """Returns the bytes of one row, that of an environment, of ``values`` (1 or envs, …)."""
+    """Returns the bytes of one row (one environment) of ``values`` (1 or envs, …)."""
     return values[:1].nbytes
 
 
 def broadcast(memory: wp.array, envs: int, items: int | None = None) -> wp.array:
-    """Returns ``memory`` (1 or envs, items) as an array (envs, items), with stride 0 if it is shared.
+    """Returns ``memory`` (1 or envs, items) as an array (envs, items), with stride 0 if it has one row.
 
-    With ``items`` that many share the one that there is.
+    With ``items``, a single item is broadcast to that number of items.
     """
     if memory.shape[0] == envs and items is None:
         return memory
@@ -221,7 +221,7 @@ def broadcast(memory: wp.array, envs: int, items: int | None = None) -> wp.array
         device=memory.device,
         copy=False,
     )
-    array.memory = memory  # which lives as long
+    array.memory = memory  # keeps the memory alive
     return array
 
 

@@ -1,4 +1,4 @@
-"""What something takes of memory, by what for and where, and what to do if that is too much."""
+"""Memory estimates by purpose and location, and errors before an allocation that does not fit."""
 
 import functools
 import operator
@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from warpcontact.system.resources import HOST, AvailableMemory, available_memory
 from warpcontact.validation.number_format import format_bytes
 
-# Of what is available, what is planned with: estimates are good to 15 %, and others need some, too.
+# Usable fraction of the available memory: estimates are accurate to 15 %, and other processes need memory, too.
 USABLE_FRACTION = 0.85
-# The same where one may choose how much to take: more would be no faster, and others may come.
+# The same if the amount can be chosen: more would not be faster, and other processes may need memory later.
 CAUTIOUS_FRACTION = 0.7
 
 
@@ -19,10 +19,10 @@ class MemoryItem:
     """Memory for one purpose.
 
     Attributes:
-        purpose: What for, such as ``"state"``.
-        location: Where: ``"host"``, or the name of a device with memory of its own. ``"cpu"`` is taken as the host.
-        size: How much [bytes].
-        per_env: What one environment more would take [bytes].
+        purpose: Purpose, such as ``"state"``.
+        location: ``"host"``, or the name of a device with separate memory. ``"cpu"`` is converted to ``"host"``.
+        size: Size [bytes].
+        per_env: Additional size of one more environment [bytes].
     """
 
     purpose: str
@@ -37,12 +37,12 @@ class MemoryItem:
 
 @dataclass(frozen=True)
 class MemoryEstimate:
-    """What a number of environments take of memory.
+    """Memory estimate for a number of environments.
 
     Attributes:
         envs: Number of environments.
-        device: Name of their device, or names. ``"cpu"`` has no memory of its own: all of it is the host's.
-        items: What for, where and how much.
+        device: Name of their device, or names. ``"cpu"`` uses the memory of the host.
+        items: Memory by purpose and location.
     """
 
     envs: int
@@ -51,27 +51,27 @@ class MemoryEstimate:
 
     @property
     def device_bytes(self) -> int:
-        """Memory on devices, 0 on the CPU, whose memory is that of the host."""
+        """Memory on devices with separate memory; 0 on a CPU [bytes]."""
         return sum(item.size for item in self.items if item.location != HOST)
 
     @property
     def host_bytes(self) -> int:
-        """Memory of the host."""
+        """Memory of the host [bytes]."""
         return self.bytes_at(HOST)
 
     @property
     def bytes_per_env(self) -> float:
-        """What one environment more would take, on device and host together."""
+        """Additional size of one more environment, on device and host together [bytes]."""
         return sum(item.per_env for item in self.items)
 
     @property
     def fixed_bytes(self) -> int:
-        """What is taken whatever the number of environments, on device and host together."""
+        """Size independent of the number of environments, on device and host together [bytes]."""
         return _fixed(self.items, self.envs)
 
     @property
     def locations(self) -> tuple[str, ...]:
-        """Where it takes memory, devices first."""
+        """All locations of the items, devices first."""
         found = dict.fromkeys(item.location for item in self.items)
         return (
             *(location for location in found if location != HOST),
@@ -79,22 +79,22 @@ class MemoryEstimate:
         )
 
     def bytes_at(self, location: str) -> int:
-        """Returns what it takes of the memory of a device, or of the ``"host"`` [bytes]."""
+        """Returns the size at a location: a device or ``"host"`` [bytes]."""
         return sum(item.size for item in self.items if item.location == location)
 
     def bytes_for(self, purpose: str) -> int:
-        """Returns what it takes for one purpose, everywhere [bytes]."""
+        """Returns the size for one purpose at all locations [bytes]."""
         return sum(item.size for item in self.items if item.purpose == purpose)
 
     def with_items(self, items: Iterable[MemoryItem]) -> "MemoryEstimate":
-        """Returns what the same environments take with more ``items``."""
+        """Returns the estimate with additional ``items`` for the same environments."""
         return replace(self, items=(*self.items, *items))
 
     def __add__(self, other: "MemoryEstimate") -> "MemoryEstimate":
-        """Returns what both take that have different environments, such as parts of a model on several devices."""
+        """Returns the sum for different environments, such as parts of a model on several devices."""
         devices = dict.fromkeys((*self.device.split(", "), *other.device.split(", ")))
         envs = self.envs + other.envs
-        # One environment more of all is one more of a part for as many as that has of them.
+        # One more environment in total is a fraction part.envs / envs of one more in each part.
         items = (
             replace(item, per_env=item.per_env * part.envs / envs) for part in (self, other) for item in part.items
         )
@@ -106,10 +106,8 @@ class MemoryEstimate:
             local_items = [item for item in self.items if item.location == location]
             name = "host" if location == HOST else location
             if location == HOST and self.device == "cpu":
-                name = "memory of this machine (the CPU has no other)"
-            lines.append(
-                f"{name}: {_summary(local_items)}, {format_bytes(_fixed(local_items, self.envs))} in any case"
-            )
+                name = "host memory"
+            lines.append(f"{name}: {_summary(local_items)}, {format_bytes(_fixed(local_items, self.envs))} fixed")
             for purpose in dict.fromkeys(item.purpose for item in local_items):
                 same_purpose = [item for item in local_items if item.purpose == purpose]
                 if sum(item.size for item in same_purpose):
@@ -122,17 +120,17 @@ class MemoryEstimate:
 
 
 def total(parts: Iterable[MemoryEstimate]) -> MemoryEstimate:
-    """Returns what the parts of a model take together."""
+    """Returns the sum of the estimates of the parts of a model."""
     return functools.reduce(operator.add, parts)
 
 
 class MemoryShortage(MemoryError):
-    """There is not enough memory, as found before it was asked for.
+    """Raised before an allocation that would not fit into memory.
 
     Attributes:
-        needed: What it would take [bytes].
-        available: What may be taken of it [bytes].
-        max_envs: How many environments would do at once, 0 if not even one; ``None``: their number is not the matter.
+        needed: Estimated size [bytes].
+        available: Usable memory [bytes].
+        max_envs: Maximum number of environments that fit; 0 if none fits. ``None``: does not depend on their number.
     """
 
     def __init__(self, message: str, needed: int, available: int, max_envs: int | None = None) -> None:
@@ -143,19 +141,19 @@ class MemoryShortage(MemoryError):
 
 
 def available_memory_for(estimate: MemoryEstimate) -> tuple[AvailableMemory, ...]:
-    """Returns what there is of the memory that ``estimate`` needs, where it is known."""
+    """Returns the available memory at the locations of ``estimate``, if it can be determined."""
     return tuple(memory for location in estimate.locations if (memory := available_memory(location)) is not None)
 
 
 def usable_bytes(memory: AvailableMemory) -> int:
-    """Returns how much of ``memory`` may be taken [bytes]."""
+    """Returns the usable part of ``memory`` [bytes]."""
     return int(USABLE_FRACTION * memory.size)
 
 
 def shortage(
     estimate: MemoryEstimate, available: Iterable[AvailableMemory], fraction: float = USABLE_FRACTION
 ) -> AvailableMemory | None:
-    """Returns the memory of ``available`` a ``fraction`` of which is too little for ``estimate``; ``None``: it fits."""
+    """Returns the first memory of which ``fraction`` is too small for ``estimate``; ``None``: it fits."""
     return next(
         (memory for memory in available if estimate.bytes_at(memory.location) > int(fraction * memory.size)), None
     )
@@ -167,13 +165,13 @@ def max_envs_that_fit(
     available: Iterable[AvailableMemory],
     fraction: float = USABLE_FRACTION,
 ) -> int:
-    """Returns how many of ``envs`` environments fit at once, 0 if none does.
+    """Returns the maximum number of environments that fit, at most ``envs``; 0 if none fits.
 
     Args:
-        estimate: Returns what a number of environments take; grows with it.
-        envs: How many are wanted.
-        available: What there is.
-        fraction: How much of it may be taken.
+        estimate: Returns the memory estimate for a number of environments; must increase with it.
+        envs: Requested number of environments.
+        available: Available memory.
+        fraction: Usable fraction of it.
     """
     if shortage(estimate(envs), available, fraction) is None:
         return envs
@@ -186,12 +184,12 @@ def max_envs_that_fit(
 
 
 def require(estimate: Callable[[int], MemoryEstimate], envs: int, what: str = "") -> None:
-    """Raises ``MemoryShortage`` unless ``envs`` environments fit, with how many would.
+    """Raises ``MemoryShortage`` unless ``envs`` environments fit; the message states the number that fits.
 
     Args:
-        estimate: Returns what a number of environments take; grows with it.
-        envs: How many are wanted.
-        what: What they take it for, if not for everything.
+        estimate: Returns the memory estimate for a number of environments; must increase with it.
+        envs: Requested number of environments.
+        what: Beginning of the message, if the memory is for one purpose only.
     """
     required = estimate(envs)
     available = available_memory_for(required)
@@ -202,7 +200,7 @@ def require(estimate: Callable[[int], MemoryEstimate], envs: int, what: str = ""
     if max_envs:
         batches = -(-envs // max_envs)
         advice = (
-            f"at most {env_count_text(max_envs)} at once fit{'s' if max_envs == 1 else ''} on {required.device}: "
+            f"at most {env_count_text(max_envs)} fit{'s' if max_envs == 1 else ''} on {required.device}: "
             f"run them in {batches} batches of {-(-envs // batches)}"
         )
     else:
@@ -216,7 +214,7 @@ def require(estimate: Callable[[int], MemoryEstimate], envs: int, what: str = ""
 
 
 def shortage_message(estimate: MemoryEstimate, memory: AvailableMemory) -> str:
-    """Returns that ``estimate`` is too much for ``memory``, in words."""
+    """Returns the text of an error: ``estimate`` does not fit into ``memory``."""
     return (
         f"{env_count_text(estimate.envs)} need{'s' if estimate.envs == 1 else ''} "
         f"{format_bytes(estimate.bytes_at(memory.location))} of {memory.name}, of which "
@@ -225,17 +223,25 @@ def shortage_message(estimate: MemoryEstimate, memory: AvailableMemory) -> str:
 
 
 def env_count_text(count: int) -> str:
-    """Returns how many environments, in words."""
+    """Returns a number of environments as text."""
     return f"{count} environment{'' if count == 1 else 's'}"
 
 
+def format_bytes(size: float) -> str:
+    """Returns a number of bytes as text with three digits, such as ``1.50 GiB``."""
+    unit = 0
+    while abs(size) >= 1024.0 and unit < len(_UNITS) - 1:
+        size, unit = size / 1024.0, unit + 1
+    return f"{size:.0f} {_UNITS[unit]}" if unit == 0 or size >= 999.5 else f"{size:.3g} {_UNITS[unit]}"
+
+
 def _fixed(items: Iterable[MemoryItem], envs: int) -> int:
-    """Returns what of ``items`` does not come with the environments."""
+    """Returns the size of ``items`` that does not depend on the number of environments [bytes]."""
     return max(0, round(sum(item.size - envs * item.per_env for item in items)))
 
 
 def _summary(items: list[MemoryItem]) -> str:
-    """Returns in words what ``items`` are together."""
+    """Returns the total size of ``items``, and their size per environment, as text."""
     per_env = sum(item.per_env for item in items)
     return format_bytes(sum(item.size for item in items)) + (
         f", {format_bytes(per_env)} per environment" if per_env else ""

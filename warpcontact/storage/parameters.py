@@ -1,9 +1,9 @@
 """Numeric parameters of a model: one value that all environments share, or one per environment.
 
 ``Field`` holds the values of one quantity for all items (all bodies' masses) on the host in float64;
-``Parameter`` is a named window on it (``ball.mass``); ``DeviceField`` puts what is computed from fields into an array
-of a Warp struct; ``Parameters`` collects both while a model is built. A quantity that is shared is stored once on
-the device, with stride 0 over the environments.
+``Parameter`` is a named view of items of it (``ball.mass``); ``DeviceField`` is a device array computed from fields;
+``Parameters`` collects both while a model is built. Values that all environments share are stored once on the device,
+with stride 0 over the environments.
 """
 
 import dataclasses
@@ -28,17 +28,17 @@ class Field:
 
     Attributes:
         values: The values.
-        shared: Whether all environments of the model have the same; a single row may also be that of a part
-            with one environment.
+        shared: Whether all environments of the model share the values. Needed, because one row may also belong to a
+            part with one environment.
     """
 
     def __init__(self, values: Array) -> None:
-        """Starts with ``values`` (items, ...) shared by all environments."""
+        """Creates a field of ``values`` (items, ...) that all environments share."""
         self.values = np.array(values, dtype=np.float64)[None]
         self.shared = True
 
     def assign(self, items: slice, values: Array, envs: int, *, shared: bool) -> None:
-        """Sets ``items`` from ``values`` (1 or envs, 1 or items, ...), of all environments if ``shared``."""
+        """Sets ``items`` to ``values`` (1 or envs, 1 or items, ...), in all environments if ``shared``."""
         if self.shared and not shared:
             self.values = np.repeat(self.values, envs, axis=0)
             self.shared = False
@@ -51,7 +51,7 @@ class Field:
         return copied
 
     def restore(self, earlier: "Field") -> None:
-        """Goes back to ``earlier``, a copy."""
+        """Restores values from ``earlier``, a copy."""
         self.values, self.shared = earlier.values, earlier.shared
 
 
@@ -61,15 +61,15 @@ class Parameter:
 
     Args:
         name: ``<element>.<quantity>``.
-        field: Where its values are.
-        items: Which items of the field.
-        limits: Unit and allowed range, as ``check_values`` takes them.
+        field: Field with its values.
+        items: Its items of the field.
+        limits: Unit and allowed range, see ``check_values``.
         tail: Shape of one value, () for a number.
         single: Whether it has no item axis.
-        whole: Whether its values are whole numbers.
-        convert: Turns checked values (..., *given) into those to store, or raises ``ValueError``.
-        given: Shape of one value as a user writes it where it may differ from ``tail``.
-        device_fields: What is to be sent to the device when it changes.
+        whole: Whether its values are integers.
+        convert: Converts checked values (..., *given) to stored values, or raises ``ValueError``.
+        given: Allowed shapes of one user value, if they differ from ``tail``.
+        device_fields: Device fields to upload when it changes.
     """
 
     name: str
@@ -90,14 +90,14 @@ class Parameter:
 
     @property
     def values(self) -> Array:
-        """A view (1 or envs, items, *tail): one row if it is the same in all environments."""
+        """Values as a view (1 or envs, items, *tail): one row if all environments share them."""
         return self.field.values[:, self.items]
 
     def parse(self, value: ArrayLike, envs: int) -> Array:
-        """Returns ``value`` as (1 or envs, 1 or items, *tail), checked.
+        """Returns ``value`` checked, with shape (1 or envs, 1 or items, *tail).
 
         Raises:
-            ValueError: If the shape fits neither one value nor one per environment, or a value is out of range.
+            ValueError: If the shape is that of neither one value nor one per environment, or a value is out of range.
         """
         given = as_numbers(value)
         if given is None and self.convert is checks.switches:
@@ -115,7 +115,7 @@ class Parameter:
             elif lead == (envs,):
                 shaped = values[:, None]
                 if not self.single and envs == self.count > 1:
-                    # One value per point, the same everywhere, has this shape, too.
+                    # One value per item, the same in all environments, has this shape, too.
                     found.append(values[None])
             elif not self.single and lead in ((1, self.count), (envs, self.count), (envs, 1)):
                 shaped = values
@@ -124,8 +124,8 @@ class Parameter:
             found.append(shaped)
         if len(found) > 1:
             raise ValueError(
-                f"{self.name} of shape {values.shape} may be meant for all environments or one row for each; "
-                f"give it in full, {(envs, *self.tail) if self.single else (envs, self.count, *self.tail)}"
+                f"{self.name} of shape {values.shape} is ambiguous: one row for all environments, or one per "
+                f"environment; use shape {(envs, *self.tail) if self.single else (envs, self.count, *self.tail)}"
             )
         if found:
             check_values(self.name, values, self.limits)
@@ -148,7 +148,7 @@ class Parameter:
         return values[:, 0] if self.single else values
 
     def widening(self, envs: int) -> list[MemoryItem]:
-        """Returns what it takes to have a value in each of ``envs`` environments, shared so far."""
+        """Returns the additional memory of separate values for ``envs`` environments that share one value now."""
         row = row_bytes(self.field.values)
         memory_items = [MemoryItem("parameters", HOST, envs * row, row)]
         for device_field in self.device_fields:
@@ -169,15 +169,15 @@ def _as_switches(value: ArrayLike) -> NDArray[Any] | None:
 
 
 class DeviceField:
-    """One device array of a struct, and how its content follows from fields.
+    """A device array of a struct, computed from fields.
 
     Args:
         struct: Instance of a Warp struct.
-        attribute: Its array attribute, ``[env, item]``.
+        attribute: Name of its array attribute, ``[env, item]``.
         dtype: Warp type of the elements.
         compute: Returns the content as NumPy array (1 or envs, items, ...).
         device: Device of the array.
-        items: How many items share the only one of the content; ``None``: each has its own.
+        items: Number of items that share the single item of the content. ``None``: items are not shared.
     """
 
     def __init__(
@@ -200,15 +200,15 @@ class DeviceField:
 
     @property
     def wide(self) -> bool:
-        """Whether each environment has values of its own."""
+        """Whether environments have separate values."""
         return self._memory is not None and self._memory.shape[0] > 1
 
     def size(self, envs: int, varied: bool = False) -> tuple[int, int]:
-        """Returns what the array takes, and what of it is for each environment [bytes].
+        """Returns the size of the array and its size per environment [bytes].
 
         Args:
             envs: Number of environments.
-            varied: Whether each is to have values of its own, as it may have already.
+            varied: Whether to assume separate values per environment.
         """
         if self._row_bytes is None:
             self._row_bytes = row_bytes(self.compute())
@@ -216,17 +216,17 @@ class DeviceField:
         return (envs if own else 1) * self._row_bytes, self._row_bytes if own else 0
 
     def content(self) -> NDArray[Any]:
-        """Returns the content as it is now.
+        """Returns the content for the current values of the fields.
 
         Raises:
-            ValueError: If a value does not fit into the precision of the device.
+            ValueError: If a value is out of range for the precision of the device.
         """
         return np.ascontiguousarray(self.compute())
 
     def upload(self, content: NDArray[Any], envs: int) -> bool:
-        """Sends ``content`` to ``envs`` environments; returns whether the array moved.
+        """Copies ``content`` to the device, for ``envs`` environments; returns whether the array was reallocated.
 
-        Prepared launches are stale then.
+        Prepared launches must be rebuilt then.
         """
         if self._memory is not None and self._memory.shape == content.shape[:2]:
             self._memory.assign(content)
@@ -238,23 +238,23 @@ class DeviceField:
 
 @dataclass(frozen=True)
 class ClosedGap:
-    """Gaps below which contacts are closed: 0, or the tolerance of nonsmooth contact. Not a parameter of users.
+    """Gaps below which contacts are closed: 0, or the tolerance of nonsmooth contact. Not a user parameter.
 
     Attributes:
-        field: Where they are [m].
-        device_field: What sends them to the device.
+        field: Field with the gaps [m].
+        device_field: Their device field.
     """
 
     field: Field
     device_field: DeviceField
 
     def assign(self, items: NDArray[np.int_], gap: float) -> None:
-        """Sets ``items`` to ``gap`` [m]; ``device_field`` has to be sent afterwards."""
+        """Sets ``items`` to ``gap`` [m]; ``device_field`` must be uploaded afterwards."""
         self.field.values[:, items] = gap
 
 
 class Parameters:
-    """The parameters and uploads of a model in the making.
+    """The parameters and device fields of a model while it is planned.
 
     Args:
         device: Device of the arrays.
@@ -275,9 +275,9 @@ class Parameters:
         compute: Callable[[], NDArray[Any]],
         items: int | None = None,
     ) -> DeviceField:
-        """Adds an array of ``struct``; reals are rounded to the precision of the device.
+        """Adds a device field of ``struct``; real numbers are rounded to the precision of the device.
 
-        With ``items`` that many share the only one that is computed.
+        Arguments are those of ``DeviceField``.
         """
 
         def content() -> NDArray[Any]:
@@ -304,13 +304,13 @@ class Parameters:
 def parameter_memory(
     parameters: Mapping[str, Parameter], device_fields: list[DeviceField], envs: int, varied: Collection[str] = ()
 ) -> list[MemoryItem]:
-    """Returns what parameters take: their values on the host, and what follows from them on the device.
+    """Returns the memory of parameters: values on the host and device fields.
 
     Args:
         parameters: The parameters by name.
-        device_fields: All arrays.
+        device_fields: All device fields.
         envs: Number of environments.
-        varied: Names of the parameters that are to have values of their own in each environment.
+        varied: Names of parameters with separate values per environment.
     """
     fields = {id(parameter.field): parameter.field for parameter in parameters.values()}
     wide_fields = {id(parameters[name].field) for name in varied}
@@ -342,7 +342,7 @@ def rounded(name: str, values: NDArray[Any], dtype: Any) -> NDArray[Any]:
     """Returns ``values`` in the precision of the device.
 
     Raises:
-        ValueError: If a finite value becomes infinite there, or a positive one zero.
+        ValueError: If a finite value becomes infinite, or a nonzero one zero.
     """
     with np.errstate(over="ignore", under="ignore"):
         result = values.astype(dtype)
@@ -353,10 +353,10 @@ def rounded(name: str, values: NDArray[Any], dtype: Any) -> NDArray[Any]:
 
 
 def split(name: str, values: Array, dtype: Any) -> tuple[Array, Array]:
-    """Returns ``values`` as they are rounded on the device, and what rounding leaves of them.
+    """Returns ``values`` rounded to ``dtype``, and the rounding remainder, both as float64.
 
     Raises:
-        ValueError: If a value does not fit there.
+        ValueError: If a value is out of range for ``dtype``.
     """
     leading = rounded(name, values, dtype).astype(np.float64)
     with np.errstate(under="ignore"):

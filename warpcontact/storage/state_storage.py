@@ -1,4 +1,4 @@
-"""Memory that steps write, seen from the host: what a checkpoint stores of it, and which values it accepts."""
+"""Host access to the memory that steps write: the arrays a checkpoint stores, and checks of loaded values."""
 
 from collections.abc import Collection, Iterator, Mapping
 from math import prod
@@ -8,10 +8,10 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-#: Values that an integer may have: lowest and highest, numbers or one for each item; or all of them.
+#: Allowed values of an integer: lowest and highest (scalars or one per item), or the set of all values.
 Allowed = tuple[Any, Any] | frozenset[int]
 
-#: For counters that kernels do not use as an index.
+#: Range of counters that kernels do not use as an index.
 COUNT = (0, 2**31 - 1)
 SWITCH = (0, 1)
 
@@ -21,14 +21,14 @@ class Allocation:
 
     Args:
         dtypes: Warp types of the arrays, by name.
-        offsets: Where each begins in a record [bytes].
+        offsets: Offset of each array in a record [bytes].
         size: Size of a record [bytes].
         saved: Names of the arrays that checkpoints store.
         ranges: Allowed values of their integers, by array, or array and field (``a.b``).
 
     Attributes:
         saved: Names of the arrays that checkpoints store.
-        shape: Shape of the arrays, once it is allocated.
+        shape: Shape of the arrays, after allocation.
 
     Raises:
         TypeError: If integers that checkpoints store have no range.
@@ -62,18 +62,18 @@ class Allocation:
             self._ranges[name] = [(path, known[path]) for path in paths]
 
     def bind(self, memory: wp.array, shape: tuple[int, ...]) -> None:
-        """Takes the allocated bytes (…, bytes of a record) of arrays of a shape."""
+        """Attaches the allocated bytes (…, bytes of a record) of arrays with ``shape``."""
         self._memory, self.shape = memory, shape
 
     @property
     def memory(self) -> wp.array:
-        """All bytes, on the device."""
+        """All bytes, as an array on the device."""
         assert self._memory is not None
         return self._memory
 
     def _as_records(self, content: NDArray[np.uint8]) -> NDArray[Any]:
         """Returns bytes as records, of the shape of the arrays."""
-        # Arrays without items have the memory of a record.
+        # Empty arrays have the memory of one record.
         flat = content.reshape(-1, self._record.itemsize)[: prod(self.shape)]
         return flat.view(self._record).reshape(self.shape)
 
@@ -85,10 +85,10 @@ class Allocation:
         return {name: np.ascontiguousarray(records[name]).reshape(-1).view(np.uint8) for name in self.saved}
 
     def checked(self, name: str, found: NDArray[Any]) -> NDArray[Any]:
-        """Returns the values of an array whose bytes were found in a file, with its shape.
+        """Returns the values of an array, in its shape, for the bytes ``found`` in a file.
 
         Raises:
-            ValueError: If the number of bytes or an integer is not allowed; names the array.
+            ValueError: If the number of bytes or an integer is not allowed; the message names the array.
         """
         element = self._record[name]
         expected = prod(self.shape) * element.itemsize
@@ -101,7 +101,7 @@ class Allocation:
         return values
 
     def restore(self, values: Mapping[str, NDArray[Any]]) -> None:
-        """Sets the arrays to values by their names, and everything else to zero."""
+        """Sets arrays to ``values``, by name, and all other memory to zero."""
         if not values:
             self.memory.zero_()
             return
@@ -118,12 +118,12 @@ def _numpy_type(dtype: Any) -> np.dtype[Any]:
         return np.dtype(dtype.numpy_dtype())
     if hasattr(dtype, "_wp_scalar_type_"):
         return np.dtype((wp.dtype_to_numpy(dtype._wp_scalar_type_), dtype._shape_))
-    # Bytes other than 0 and 1 are no booleans.
+    # Booleans as bytes, so that values other than 0 and 1 are detected.
     return np.dtype(np.uint8 if dtype is wp.bool else wp.dtype_to_numpy(dtype))
 
 
 def _integers(path: str, dtype: np.dtype[Any]) -> Iterator[str]:
-    """Iterates over what is an integer, or a boolean, of a type: ``path``, or fields of it."""
+    """Yields the paths of integers and booleans in a type: ``path``, or its fields."""
     base = dtype.base
     if base.names is not None:
         for name in base.names:
@@ -139,7 +139,7 @@ def _field(values: NDArray[Any], path: str) -> NDArray[Any]:
 
 
 def _check(path: str, values: NDArray[Any], allowed: Allowed, shape: tuple[int, ...]) -> None:
-    """Raises ``ValueError`` if one of ``values``, of arrays of ``shape``, is not allowed; names the first."""
+    """Raises ``ValueError`` if one of ``values`` (shape, …) is not allowed; the message names the first one."""
     if isinstance(allowed, frozenset):
         bad, condition = ~np.isin(values, list(allowed)), f"one of {sorted(allowed)}"
     else:
