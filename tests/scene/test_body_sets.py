@@ -361,7 +361,7 @@ REFUSED = [
     (lambda: with_set(inertia=[(1, 1, 1)] * 3 + [(1, 1, 5)]), r"grains\.inertia\[3\] must be physical"),
     (
         lambda: with_set(positions=np.zeros((3, 3)), inertia=np.eye(3)),
-        r"grains\.inertia of shape \(3, 3\) may be one tensor or the moments of each of 3 bodies",
+        r"grains\.inertia of shape \(3, 3\) is ambiguous: one tensor, or the moments of each of 3 bodies",
     ),
     (
         lambda: with_set(orientations=[(0, 0, 0, 1)] * 3 + [(0, 0, 0, 2)]),
@@ -371,7 +371,7 @@ REFUSED = [
     (lambda: with_set(color=(2, 0, 0)), r"grains\.color\[0\] must be at least 0 and at most 1, got 2"),
     (
         lambda: with_set(motion=wc.motions.Hinge(axis=(0, 0, 1), anchor=(0, 0, 0))),
-        r"grains\.motion must be Free, Fixed, .* got Hinge, with an anchor or a function of time of each body",
+        r"grains\.motion must be Free, Fixed, .* got Hinge, which needs an anchor or a function of time per body",
     ),
     (
         lambda: with_set(motion=wc.motions.Harmonic(direction=(0, 0, 1), amplitude=1, frequency=1)),

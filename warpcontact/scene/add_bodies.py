@@ -1,4 +1,4 @@
-"""How bodies are added to a scene, one or a set of them. All input is checked here."""
+"""Methods of ``Scene`` that add bodies and sets of bodies; they check all input."""
 
 from typing import Any
 
@@ -16,7 +16,7 @@ from warpcontact.validation.checks import limits
 
 @explain_keywords_of
 class Bodies:
-    """The bodies of a ``Scene``, and how to add them."""
+    """The bodies of a ``Scene``."""
 
     bodies: list[Body]
     _elements: dict[str, Any]
@@ -40,19 +40,19 @@ class Bodies:
 
         Args:
             mass: Mass [kg], positive.
-            inertia: Inertia about the centre of mass in body axes [kg·m²]: three principal moments or a
+            inertia: Inertia about the center of mass in body axes [kg·m²]: three principal moments or a
                 symmetric 3×3 tensor.
-            position: Initial position of the centre of mass, world [m].
+            position: Initial position of the center of mass, world [m].
             orientation: Initial rotation body → world, quaternion (x, y, z, w).
-            linear_velocity: Initial velocity of the centre of mass, world [m/s].
+            linear_velocity: Initial velocity of the center of mass, world [m/s].
             angular_velocity: Initial angular velocity, world axes [rad/s].
-            external_force: Force from outside at the centre of mass, world axes [N].
-            external_torque: Torque from outside, world axes [N·m].
-            motion: How it may move, of ``wc.motions`` or your own ``wc.Motion``; ``None``: free. Axes and anchors
-                are those of the initial pose, in the world. On a hinge or a ball the linear velocity follows from
-                the angular one and may be left out.
-            name: Name in parameters and sensors; made up if not given.
-            color: Display colour, RGB in 0…1.
+            external_force: External force at the center of mass, world axes [N].
+            external_torque: External torque, world axes [N·m].
+            motion: Joint or prescribed motion, of ``wc.motions`` or a custom ``wc.Motion``. Default: free. Axes and
+                anchors are given in the world, at the initial pose. With a hinge or ball joint, the linear velocity
+                follows from the angular velocity and may be omitted.
+            name: Name in parameters and sensors. Default: generated.
+            color: Display color, RGB in 0…1.
 
         Raises:
             ValueError: If a value is out of range; the message names it.
@@ -105,24 +105,24 @@ class Bodies:
         name: str | None = None,
         color: ArrayLike | None = None,
     ) -> Body:
-        """Adds a set of rigid bodies as one element. Its parameters and sensors have one more axis, ``item``.
+        """Adds a set of rigid bodies as one element. Its parameters and sensors have an additional axis, ``item``.
 
-        All but ``positions`` are one value that all of them share, or one per body, (n, …).
+        All arguments except ``positions`` are one value for all bodies, or one per body, (n, …).
 
         Args:
-            positions: Initial positions of the centres of mass, (n, 3), world [m].
+            positions: Initial positions of the centers of mass, (n, 3), world [m].
             mass: Mass [kg], positive; one or (n,).
-            inertia: Inertia about the centre of mass in body axes [kg·m²]: three principal moments or a symmetric
-                3×3 tensor; for each, (n, 3) or (n, 3, 3).
+            inertia: Inertia about the center of mass in body axes [kg·m²]: three principal moments or a symmetric
+                3×3 tensor; one per body: (n, 3) or (n, 3, 3).
             orientations: Initial rotations body → world, quaternions (x, y, z, w).
-            linear_velocities: Initial velocities of the centres of mass, world [m/s].
+            linear_velocities: Initial velocities of the centers of mass, world [m/s].
             angular_velocities: Initial angular velocities, world axes [rad/s].
-            external_forces: Forces from outside at the centres of mass, world axes [N].
-            external_torques: Torques from outside, world axes [N·m].
-            motion: How each of them may move: ``Free``, ``Fixed``, ``Translation``, ``Planar``, ``Slider`` or
-                ``Prescribed`` of ``wc.motions``; ``None``: free.
-            name: Name in parameters and sensors; made up if not given.
-            color: Display colour, RGB in 0…1.
+            external_forces: External forces at the centers of mass, world axes [N].
+            external_torques: External torques, world axes [N·m].
+            motion: Motion of each body: ``Free``, ``Fixed``, ``Translation``, ``Planar``, ``Slider`` or
+                ``Prescribed`` of ``wc.motions``. Default: free.
+            name: Name in parameters and sensors. Default: generated.
+            color: Display color, RGB in 0…1.
 
         Raises:
             ValueError: If a value is out of range; the message names it.

@@ -1,4 +1,4 @@
-"""How couplings are added to a scene. All input is checked here."""
+"""Methods of ``Scene`` that add couplings and contact couplings; they check all input."""
 
 import math
 from typing import TYPE_CHECKING, Any, cast
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 @explain_keywords_of
 class Couplings:
-    """The couplings of a ``Scene``, and how to add them."""
+    """The couplings of a ``Scene``."""
 
     couplings: list[Coupling]
     _elements: dict[str, Any]
@@ -61,26 +61,25 @@ class Couplings:
         color: ArrayLike | None = None,
         visible: bool = True,
     ) -> SpringDamper:
-        """Adds a spring and a damper side by side, along the line between two points.
+        """Adds a spring and a damper in parallel, along the line between two points.
 
-        It pulls its ends together with f = f_e(x) + k_d ẋ, where x is their distance; it pushes where that is
-        negative. Where the ends are in one place the direction is the last one known.
+        The tension is f = f_e(x) + k_d ẋ with the distance x of the points; if negative, the coupling pushes. If the
+        points coincide, the last direction is used.
 
         Args:
             point_a: From ``add_point``.
-            point_b: From ``add_point``, on another body; one of both may be of the world.
+            point_b: From ``add_point``, on another body. One of the points may be fixed to the world.
             stiffness: Stiffness of a linear spring, f_e = k (x − x₀) [N/m].
             damping: Damping coefficient k_d [N·s/m].
-            spring: In place of ``stiffness``, a spring of ``wc.springs`` or your own ``wc.Spring``.
-            damper: In place of ``damping``, a damper of ``wc.springs`` or your own ``wc.Damper``.
-            rest_length: Length x₀ at which a linear spring is without force [m]; ``None``: the distance of the
+            spring: Instead of ``stiffness``, a spring of ``wc.springs`` or a custom ``wc.Spring``.
+            damper: Instead of ``damping``, a damper of ``wc.springs`` or a custom ``wc.Damper``.
+            rest_length: Length x₀ at which the force of a linear spring is zero [m]. Default: the distance of the
                 points in the scene.
-            tension_only: Whether it is a rope: it does not push, and is without force and damping while it is
-                not stretched.
-            break_force: Force of either sign beyond which it breaks, for good [N].
-            enabled: Whether it acts.
-            name: Name in parameters and sensors; made up if not given.
-            color: Display colour, RGB in 0…1.
+            tension_only: Whether it behaves as a rope: no force and no damping unless it is stretched.
+            break_force: Magnitude of the force at which it breaks permanently [N].
+            enabled: Whether the coupling is enabled.
+            name: Name in parameters and sensors. Default: generated.
+            color: Display color, RGB in 0…1.
             visible: Whether it is drawn.
 
         Raises:
@@ -134,23 +133,23 @@ class Couplings:
         color: ArrayLike | None = None,
         visible: bool = True,
     ) -> Bushing:
-        """Adds springs and dampers along three axes and about them, between two points and their bodies.
+        """Adds translational and rotational springs and dampers along three axes, between two points and their bodies.
 
-        The axes are fixed to the first body. The bushing is without force where both points are in one place and
-        the bodies stand to each other as in the scene. Turns enter as the rotation vector from there, which is
-        exact for equal stiffnesses and for small turns.
+        The axes are fixed to the first body. The force is zero if both points coincide and the bodies have the
+        relative orientation of the scene. Rotations are measured by the rotation vector from that orientation,
+        which is exact for equal stiffnesses and for small rotations.
 
         Args:
             point_a: From ``add_point``.
-            point_b: From ``add_point``, on another body; one of both may be of the world.
-            stiffness: Along the axes, 3 numbers [N/m].
-            damping: Along the axes, 3 numbers [N·s/m].
-            turn_stiffness: About the axes, 3 numbers [N·m/rad].
-            turn_damping: About the axes, 3 numbers [N·m·s/rad].
+            point_b: From ``add_point``, on another body. One of the points may be fixed to the world.
+            stiffness: Stiffness along the axes, 3 numbers [N/m].
+            damping: Damping along the axes, 3 numbers [N·s/m].
+            turn_stiffness: Rotational stiffness about the axes, 3 numbers [N·m/rad].
+            turn_damping: Rotational damping about the axes, 3 numbers [N·m·s/rad].
             orientation: Rotation from the axes of the bushing to the first body, quaternion (x, y, z, w).
-            enabled: Whether it acts.
-            name: Name in parameters and sensors; made up if not given.
-            color: Display colour, RGB in 0…1.
+            enabled: Whether the coupling is enabled.
+            name: Name in parameters and sensors. Default: generated.
+            color: Display color, RGB in 0…1.
             visible: Whether it is drawn.
 
         Raises:
@@ -189,22 +188,22 @@ class Couplings:
         color: ArrayLike | None = None,
         visible: bool = True,
     ) -> Catenary:
-        """Adds an elastic line that hangs between two points under its own weight, such as a mooring line.
+        """Adds an elastic cable between two points under its own weight, such as a mooring line.
 
-        It is in equilibrium at every instant: it has no inertia, damping or bending of its own. It pulls at its
-        ends with the tension that the catenary has there, slack or taut.
+        The cable is quasi-static: it is always in equilibrium and has no inertia, damping or bending stiffness. It
+        exerts its end tensions on the bodies, slack or taut.
 
         Args:
             point_a: From ``add_point``.
-            point_b: From ``add_point``, on another body; one of both may be of the world.
+            point_b: From ``add_point``, on another body. One of the points may be fixed to the world.
             length: Unstretched length [m].
-            mass_per_length: Mass per unstretched length; in a fluid, less that of the fluid it displaces [kg/m].
-            axial_stiffness: EA, the tension over the strain [N]; EA/L is the stiffness of the whole line.
-            floor: Height above the origin, against gravity, of a level floor without friction on which the line
-                may rest [m]; ``None``: there is none. An end below it is taken to be on it.
-            enabled: Whether it acts.
-            name: Name in parameters and sensors; made up if not given.
-            color: Display colour, RGB in 0…1.
+            mass_per_length: Mass per unstretched length; in a fluid, minus that of the displaced fluid [kg/m].
+            axial_stiffness: EA, tension divided by strain [N]; EA/L is the stiffness of the whole cable.
+            floor: Height above the origin, against gravity, of a horizontal frictionless floor on which the cable
+                can rest [m]. Default: no floor. An end below the floor is treated as on the floor.
+            enabled: Whether the coupling is enabled.
+            name: Name in parameters and sensors. Default: generated.
+            color: Display color, RGB in 0…1.
             visible: Whether it is drawn.
 
         Raises:
@@ -244,33 +243,35 @@ class Couplings:
         color: ArrayLike | None = None,
         visible: bool = True,
     ) -> "ContactCoupling":
-        """Adds a force per area that keeps the faces of a body off another surface before they touch.
+        """Adds a repulsive pressure between two surfaces within a range, before they touch.
 
-        On each active face, at its points r_f, f = a max(0, k₁ (d₀ − d) − k₂ ḋ) n, with the signed distance d to
-        the other surface and its normal n there, and friction against the velocity at r_f; both bodies get the
-        force at r_f.
+        At quadrature points r_f of the active faces, with area weight a, the force is
+        f = a max(0, k₁ (d₀ − d) − k₂ ḋ) n, with the signed distance d to the other surface and its normal n, plus
+        friction. Equal and opposite forces act on both bodies at r_f.
 
         Args:
             surface_a: From ``add_surface``, on a body.
-            surface_b: From ``add_surface``: on the world, or on another body.
+            surface_b: From ``add_surface``, on another body or on the world.
             range: Coefficients k₁, k₂ and the range d₀.
-            friction: Friction model; ``None``: none.
-            facing: ``"projected"``: a face counts with the area that it turns to the other surface.
-                ``"all"``: with all of it, whichever way it looks.
-            sides: ``"first"``: the faces of ``surface_a`` feel ``surface_b``. ``"average"``: the faces of each
-                feel the other, with half the force each.
-            quadrature: Points per face: 1, 3, 6 or 7, exact for fields of order 1, 2, 4 or 5 over a face.
-            damping_ramp: Depth within the range over which damping sets in [m]; 0: at once.
+            friction: Friction model. Default: none.
+            facing: ``"projected"``: the area of a face is projected onto the normal n, if the face faces the other
+                surface. ``"all"``: the full area is used for any orientation.
+            sides: ``"first"``: the faces of ``surface_a`` have quadrature points. ``"average"``: the faces of both
+                surfaces, with half the force each.
+            quadrature: Number of points per face: 1, 3, 6 or 7, exact for polynomials of degree 1, 2, 4 or 5.
+            damping_ramp: Depth in the range over which the damping increases to its full value [m]. Default: 0, full
+                damping in the whole range.
             search: ``"whole"`` or ``"active"``, as in ``add_contact``.
-            boundary: ``"off"``: a face beyond an open boundary is not held; ``"outer"``: the boundary itself is.
-            enabled: Whether it acts.
-            name: Name in parameters and sensors; made up if not given. Its contacts are ``<name>_first`` and,
-                with two sides, ``<name>_second``.
-            color: Colour of its arrows, RGB in 0…1.
-            visible: Whether its arrows are drawn.
+            boundary: ``"off"``: no force on points beyond the boundary of an open surface. ``"outer"``: also the
+                boundary repels.
+            enabled: Whether the coupling is enabled.
+            name: Name in parameters and sensors. Default: generated. Its contacts are ``<name>_first`` and,
+                for ``"average"``, ``<name>_second``.
+            color: Color of the force arrows, RGB in 0…1.
+            visible: Whether the force arrows are drawn.
 
         Raises:
-            ValueError: If a value is out of range; the message names it, and the scene is as before.
+            ValueError: If a value is out of range; the message names it. The scene is unchanged then.
         """
         from warpcontact.scene.contact_coupling import add_contact_coupling
 
@@ -298,7 +299,7 @@ class Couplings:
         return coupling
 
     def _check_ends(self, name: str, point_a: Points, point_b: Points) -> None:
-        """Raises ``ValueError`` if these are not two points of this scene, on different bodies."""
+        """Raises ``ValueError`` unless both are single points of this scene, on different bodies."""
         for key, point in (("point_a", point_a), ("point_b", point_b)):
             if not isinstance(point, Points) or self._elements.get(point.name) is not point:
                 raise ValueError(
@@ -318,7 +319,7 @@ class Couplings:
 
 
 def place_of(point: Points) -> Array:
-    """Returns where a point is in the scene, world [m]."""
+    """Returns the initial position of a point, world (3,) [m]."""
     place = point.places
     if point.body is not None:
         place = transform_points(place, point.body.position, point.body.orientation)

@@ -1,4 +1,4 @@
-"""How particle contacts are added to a scene. All input is checked here."""
+"""Method of ``Scene`` that adds particle contacts; it checks all input."""
 
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -16,13 +16,13 @@ from warpcontact.scene.shapes import Shape
 from warpcontact.validation import checks
 from warpcontact.validation.checks import limits
 
-# Of the mean radius: lists that are longer are made less often.
+# Default skin relative to the mean radius. A larger skin gives longer neighbor lists that are rebuilt less often.
 SKIN = 0.3
 
 
 @explain_keywords_of
 class ParticleContacts:
-    """The particle contacts of a ``Scene``, and how to add them."""
+    """The particle contacts of a ``Scene``."""
 
     particle_contacts: list[ParticleContact]
     _elements: dict[str, Any]
@@ -44,32 +44,33 @@ class ParticleContacts:
         color: ArrayLike | None = None,
         visible: bool = True,
     ) -> ParticleContact:
-        """Lets every two of many spheres and capsules touch, but for those on one body.
+        """Adds particle contact: contact between all pairs of spheres and capsules on different bodies.
 
-        Shapes are numbered in the order in which they are given. Of two that touch, the first is the one with the
-        lower number: normals point towards it, and forces are those on its body.
+        A particle is a rigid sphere or capsule with six degrees of freedom. Particles are numbered in the given
+        order. In a pair, the first particle is the one with the lower number: the normal points towards it, and
+        forces are those on its body.
 
         Args:
-            shapes: From ``add_shape``, spheres and capsules on bodies, one each or on every body of a set. Two
-                touch if each is in a group that the mask of the other has.
-            material: Law and friction. R of rolling and of patches of contact is that of the pair,
+            shapes: Spheres and capsules from ``add_shape``, on bodies or on sets of bodies. Two particles can be in
+                contact if each is in a group of the mask of the other.
+            material: Contact material. R of rolling and of the contact patch is that of the pair,
                 1/R = 1/R₁ + 1/R₂.
-            exclude: Pairs of ``shapes`` that do not touch. Of a set that is each of its shapes, and a set paired
-                with itself has none that touch.
-            skin: Shapes closer than this are remembered as partners, and looked for again when one has moved by
-                half of it [m]; ``None``: 0.3 mean radii. It changes no result.
-            max_neighbors: Most partners of one shape; ``None``: as many of the smallest shapes as there is room for
-                around it. There is no such limit for up to 32 shapes.
-            kappa: Where the force acts: K = P₂ + κ (P₁ − P₂), from 0 at the surface of the second shape to 1 at
-                that of the first.
-            max_depth: Deepest penetration that still counts as contact [m]; ``None``: any.
-            torsion_radius: Arm at which the material's torsion acts [m]; ``None``: that of the overlap of a
-                sphere of radius R under the pressure of Hertz, (3π/16) √(R δ).
-            force_scale: Factor on forces and couples.
-            enabled: Whether it acts.
-            name: Name in parameters and sensors; made up if not given.
-            color: Colour of its arrows, RGB in 0…1.
-            visible: Whether its arrows are drawn.
+            exclude: Pairs of ``shapes`` without contact. A set stands for all of its shapes; a set paired with itself
+                has no contact among its shapes.
+            skin: Extra distance of the neighbor lists, which are rebuilt when a particle has moved by half of it [m].
+                Default: 0.3 mean radii. Does not change results.
+            max_neighbors: Maximum number of neighbors of a particle. Default: the number of smallest particles that
+                fit around it. Not limited for up to 32 particles.
+            kappa: κ of the contact point K = P₂ + κ (P₁ − P₂), with the closest points P₁ and P₂ of the surfaces of
+                the first and second particle.
+            max_depth: Maximum penetration of a contact [m]. Default: unlimited.
+            torsion_radius: Lever arm of torsional friction [m]. Default: (3π/16) √(R δ), for a sphere of radius R
+                with Hertzian pressure.
+            force_scale: Factor on forces and torques.
+            enabled: Whether the contact is enabled.
+            name: Name in parameters and sensors. Default: generated.
+            color: Color of the force arrows, RGB in 0…1.
+            visible: Whether the force arrows are drawn.
 
         Raises:
             ValueError: If a value is out of range, or a shape is not a sphere or capsule on a body.

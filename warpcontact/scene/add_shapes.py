@@ -1,4 +1,4 @@
-"""How shapes and shape contacts are added to a scene. All input is checked here."""
+"""Methods of ``Scene`` that add shapes and shape contacts; they check all input."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, cast
@@ -18,13 +18,13 @@ from warpcontact.validation.checks import Array, limits
 if TYPE_CHECKING:
     from warpcontact.scene.scene import Scene
 
-# What a shape has in a model beside the parameters of its form.
+# Parameters of a shape in addition to those of its form.
 _OWN = ("position", "orientation")
 
 
 @explain_keywords_of
 class ShapeContacts:
-    """The shapes and shape contacts of a ``Scene``, and how to add them."""
+    """The shapes and shape contacts of a ``Scene``."""
 
     shapes: list[Shape]
     shape_contacts: list[ShapeContact]
@@ -43,24 +43,23 @@ class ShapeContacts:
         color: ArrayLike | None = None,
         visible: bool = True,
     ) -> Shape:
-        """Adds a shape of analytic form. By itself it touches nothing.
+        """Adds an analytic shape. Contacts are added separately.
 
         Args:
-            body: Body that carries it; ``None``: the world. Of a set of bodies each carries one.
-            form: What it is, of ``wc.shapes``, or your own ``wc.ParametricSurface``. For a set of bodies one for all, or a
-                list of one class with one for each.
+            body: Body to which it is fixed; ``None``: the world. A set of bodies gets one shape per body.
+            form: Geometry, of ``wc.shapes`` or a custom ``wc.ParametricSurface``. For a set of bodies one for all, or
+                a list with one per body, all of the same class.
             position: Origin of its frame in the frame of the body [m]; for a set one for all, or (n, 3).
-            orientation: Rotation of its frame to that of the body, quaternion (x, y, z, w); for a set one for
-                all, or (n, 4).
-            name: Name in parameters and sensors; made up if not given.
-            group: Bits of the groups that it is in, for contacts that are not given pair by pair.
-            mask: Bits of the groups that it touches there. Two shapes touch if each is in a group that the mask
-                of the other has.
-            color: Display colour, RGB in 0…1.
+            orientation: Rotation shape → body, quaternion (x, y, z, w); for a set one for all, or (n, 4).
+            name: Name in parameters and sensors. Default: generated.
+            group: Bits of the groups of the shape, for particle contacts.
+            mask: Bits of the groups with which it can be in contact. Two shapes can be in contact if each is in a
+                group of the mask of the other.
+            color: Display color, RGB in 0…1.
             visible: Whether it is drawn.
 
         Raises:
-            TypeError: If ``form`` is no shape.
+            TypeError: If ``form`` is not a shape of ``wc.shapes``.
             ValueError: If a value is out of range; the message names it.
         """
         name = checks.new_name("shape", name, self._elements)
@@ -101,30 +100,30 @@ class ShapeContacts:
         color: ArrayLike | None = None,
         visible: bool = True,
     ) -> ShapeContact:
-        """Adds the contact of two shapes, with the exact gap, normal and curvatures of their surfaces.
+        """Adds contact of two shapes, with the exact gap, normal and curvatures of their surfaces.
 
-        Of the shapes of a set with one other, or with those of a set of as many, it is a contact each, and its
-        sensors have one more axis, ``item``.
+        A set of shapes with one other shape, or with a set of the same size, gives one contact per shape, and sensors
+        have an additional axis, ``item``.
 
         Args:
             shape: From ``add_shape``.
-            other_shape: From ``add_shape``, on another body. Normals point out of it.
-            material: Law and friction. R of rolling and of patches of contact is 1/k, k the largest curvature of
-                the gap between the surfaces where they meet: the radius of a sphere or cylinder on a plane.
-            kappa: Where the force acts: K = P_b + κ (P_a − P_b), from 0 at the point P_b of ``other_shape`` to 1
-                at P_a of ``shape``.
-            max_depth: Deepest penetration that still counts as contact [m]; ``None``: any.
-            torsion_radius: Arm at which the material's torsion acts [m]; ``None``: that of the overlap of a
-                sphere of radius R under the pressure of Hertz, (3π/16) √(R δ).
-            force_scale: Factor on the forces and couples of this contact.
-            enabled: Whether it acts.
-            name: Name in parameters and sensors; made up if not given.
-            color: Colour of its arrows, RGB in 0…1.
-            visible: Whether its arrows are drawn.
+            other_shape: From ``add_shape``, on another body. The normal points out of it.
+            material: Contact material. R of rolling and of the contact patch is 1/k, with the largest curvature k of
+                the gap at the contact: the radius of a sphere or cylinder on a plane.
+            kappa: κ of the contact point K = P_b + κ (P_a − P_b), with the closest points P_a of ``shape`` and P_b
+                of ``other_shape``.
+            max_depth: Maximum penetration of a contact [m]. Default: unlimited.
+            torsion_radius: Lever arm of torsional friction [m]. Default: (3π/16) √(R δ), for a sphere of radius R
+                with Hertzian pressure.
+            force_scale: Factor on forces and torques of this contact.
+            enabled: Whether the contact is enabled.
+            name: Name in parameters and sensors. Default: generated.
+            color: Color of the force arrows, RGB in 0…1.
+            visible: Whether the force arrows are drawn.
 
         Raises:
-            ValueError: If a value is out of range, both shapes are fixed to the same body, or nothing is known
-                of how two such shapes meet.
+            ValueError: If a value is out of range, both shapes are fixed to the same body, or contact of these
+                classes of shapes is not supported.
         """
         name = checks.new_name("shape_contact", name, self._elements)
         for key, one in (("shape", shape), ("other_shape", other_shape)):
@@ -137,7 +136,7 @@ class ShapeContacts:
             raise ValueError(f"{name}: both shapes are fixed to {where}; one must move")
         if not shape.single and not other_shape.single and shape.count != other_shape.count:
             raise ValueError(
-                f"{name}: two sets of shapes must be of one size, got {shape.count} of {shape.name!r} and "
+                f"{name}: two sets of shapes must have the same size, got {shape.count} of {shape.name!r} and "
                 f"{other_shape.count} of {other_shape.name!r}"
             )
         check_material(name, material, torsion_radius)
@@ -155,11 +154,11 @@ class ShapeContacts:
 
 
 def check_material(name: str, material: ContactMaterial, torsion_radius: float | None) -> None:
-    """Raises an error unless contacts of shapes can have ``material`` and a torsion radius.
+    """Checks ``material`` and torsion radius of a contact of shapes.
 
     Raises:
-        TypeError: If it is no material.
-        ValueError: If it has no torsion, and a radius is given, or if it needs an area.
+        TypeError: If ``material`` is not a contact material.
+        ValueError: If a torsion radius is given for a material without torsion, or the material needs an area.
     """
     if not isinstance(material, ContactMaterial):
         raise TypeError(f"material of {name!r} must be a wc.ContactMaterial, got {material!r}")
@@ -174,8 +173,8 @@ def check_material(name: str, material: ContactMaterial, torsion_radius: float |
 
 
 def _check_pair(name: str, kind: type[Form], other: type[Form], material: ContactMaterial) -> None:
-    """Raises ``ValueError`` if it is not known how two shapes meet, or what a material takes of them."""
-    # With their solvers, which only shape contacts need.
+    """Raises ``ValueError`` if contact of two classes of shapes, or their curvature if needed, is not supported."""
+    # Imported on demand, because only shape contacts need the solvers.
     from warpcontact.kernels.shapes.curvature import pair_curvature
     from warpcontact.kernels.shapes.force import uses_curvature
     from warpcontact.kernels.shapes.pair_dispatch import pair_function
@@ -191,11 +190,11 @@ def _check_pair(name: str, kind: type[Form], other: type[Form], material: Contac
 def _sizes_of(
     name: str, form: Form | Sequence[Form], count: int, single: bool
 ) -> tuple[type[Form], dict[str, Array]]:
-    """Returns the class of a form and its parameters, (count, …) each."""
+    """Returns the class of a form, and its parameters (count, …) by name."""
     several = isinstance(form, list | tuple)
     forms: list[Any] = list(form) if isinstance(form, list | tuple) else [form]
     if several and (single or len(forms) != count):
-        wanted = "one form, as it is one shape" if single else f"one form or {count}, one for each body"
+        wanted = "one form for one shape" if single else f"one form or {count}, one for each body"
         raise ValueError(f"form of {name!r} must be {wanted}, got a list of {len(forms)}")
     for one in forms:
         if not isinstance(one, Form):
@@ -207,14 +206,14 @@ def _sizes_of(
             )
     kind = type(forms[0])
     if taken := [key for key in kind.varying() if key in _OWN]:
-        raise ValueError(f"{kind.__name__} has a parameter {taken[0]!r}, which every shape has already")
+        raise ValueError(f"{kind.__name__} has a parameter {taken[0]!r}, a reserved name of all shapes; rename it")
     values = [one.parameters() for one in forms]
     sizes = {key: np.array([one[key] for one in values], dtype=np.float64) for key in values[0]}
     return kind, {key: rows if several else np.repeat(rows, count, axis=0) for key, rows in sizes.items()}
 
 
 def _each(name: str, value: ArrayLike, count: int, single: bool, width: int) -> Array:
-    """Returns ``value``, one for all or one for each of a set, as (count, width)."""
+    """Returns ``value``, one for all or one per item, with shape (count, width)."""
     shape = checks.shape_of(name, value)
     full = (width,) if single or shape != (count, width) else (count, width)
     values = checks.numbers(name, value, full, limits("m") if width == 3 else checks.FINITE)

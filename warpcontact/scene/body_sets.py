@@ -1,4 +1,4 @@
-"""Sets of rigid bodies as one element: what is given for all of them or for each, checked."""
+"""Creates sets of rigid bodies as one element from values for all bodies or for each, and checks them."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -12,7 +12,7 @@ from warpcontact.scene.elements import MASS, Body
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array, limits
 
-#: How the bodies of a set may move: all in the same way, without a place or a function of time of their own.
+#: Motions of bodies of a set: the same for all bodies, without anchors or functions of time.
 KINDS = (FREE, FIXED, TRANSLATION, PLANAR, SLIDER, PRESCRIBED)
 
 
@@ -31,14 +31,14 @@ def body_set(
     """Returns a set of bodies.
 
     Args:
-        name: Its name.
-        index: Of its first body on the device.
-        positions: Initial positions (n, 3).
-        mass: One for all or (n,).
-        inertia: Moments (3,) or a tensor (3, 3) for all, or (n, 3) or (n, 3, 3).
-        orientation: One for all or (n, 4).
-        motion: How each may move.
-        color: Of all.
+        name: Name of the set.
+        index: Index of its first body on the device.
+        positions: Initial positions (n, 3), world [m].
+        mass: One for all or (n,) [kg].
+        inertia: Moments (3,) or a tensor (3, 3) for all, or (n, 3) or (n, 3, 3) [kg·m²].
+        orientation: One quaternion for all or (n, 4).
+        motion: Motion of each body.
+        color: Color of all bodies.
         **vectors: Velocities, forces and torques, one for all or (n, 3).
 
     Raises:
@@ -51,9 +51,9 @@ def body_set(
     if isinstance(motion, Motion) and motion.kind not in KINDS:
         raise ValueError(
             f"{name}.motion must be Free, Fixed, Translation, Planar, Slider or Prescribed for a set of bodies, "
-            f"got {type(motion).__name__}, with an anchor or a function of time of each body; use add_body"
+            f"got {type(motion).__name__}, which needs an anchor or a function of time per body; use add_body"
         )
-    # Of each vector what it is called as an argument, and its unit.
+    # Argument name and unit of each vector.
     words = {
         "linear_velocity": ("linear_velocities", "m/s"),
         "angular_velocity": ("angular_velocities", "rad/s"),
@@ -83,7 +83,7 @@ def body_set(
 def _each(
     name: str, value: ArrayLike, count: int, tail: tuple[int, ...], allowed: Mapping[str, Any] = checks.FINITE
 ) -> Array:
-    """Returns ``value``, one for all or one for each of ``count`` bodies, as (count, *tail)."""
+    """Returns ``value``, one for all or one per body, with shape (count, *tail)."""
     shape = checks.shape_of(name, value, checks.describe_shape(tail))
     if shape not in (tail, (count, *tail)):
         raise ValueError(f"{name} must have shape {tail} or {(count, *tail)}, one per body, got {shape}")
@@ -91,11 +91,11 @@ def _each(
 
 
 def _tensors(name: str, value: ArrayLike, count: int) -> Array:
-    """Returns principal moments or tensors, for all or for each, as checked tensors (count, 3, 3)."""
+    """Returns principal moments or tensors, one for all or one per body, as checked tensors (count, 3, 3)."""
     shape = checks.shape_of(name, value)
     if count == 3 and shape == (3, 3):
         raise ValueError(
-            f"{name} of shape (3, 3) may be one tensor or the moments of each of 3 bodies; give it in full, "
+            f"{name} of shape (3, 3) is ambiguous: one tensor, or the moments of each of 3 bodies; use shape "
             "(3, 3, 3)"
         )
     if shape not in ((3,), (3, 3), (count, 3), (count, 3, 3)):

@@ -1,4 +1,7 @@
-"""Contact couplings: the faces of a body are kept off another surface by a force per area within a range."""
+"""Contact couplings: repulsive pressure between two surfaces within a range.
+
+``add_contact_coupling`` creates them from point contacts at quadrature points of the faces.
+"""
 
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -24,16 +27,16 @@ FACINGS = ("projected", "all")
 
 @dataclass(frozen=True, eq=False)
 class ContactCoupling:
-    """Two surfaces that are kept apart. Made by ``Scene.add_contact_coupling``.
+    """Repulsion between two surfaces. Created by ``Scene.add_contact_coupling``.
 
     Attributes:
-        name: Its name.
-        surface_a: The surface of which the faces feel the other.
-        surface_b: The other.
-        range: The coefficients as they were given.
+        name: Name of the coupling.
+        surface_a: Surface whose faces have quadrature points.
+        surface_b: The other surface.
+        range: Coefficients of the pressure.
         facing: ``"projected"`` or ``"all"``.
         sides: ``"first"`` or ``"average"``.
-        contacts: What it is made of: points of ``surface_a`` on ``surface_b``, and with two sides the reverse.
+        contacts: Its contacts: points of ``surface_a`` with ``surface_b``, and for ``"average"`` also the reverse.
     """
 
     name: str
@@ -46,12 +49,12 @@ class ContactCoupling:
 
     @staticmethod
     def from_impact(**impact: Any) -> ContactRange:
-        """Returns the range that stops an impact; see ``ContactRange.from_impact``."""
+        """Returns coefficients that stop an expected impact; see ``ContactRange.from_impact``."""
         refuse_unknown("ContactCoupling.from_impact", impact, keywords_of(ContactRange.from_impact))
         return ContactRange.from_impact(**impact)
 
     def report(self, model: "Environments") -> "CouplingReport":
-        """Returns how close the surfaces of each environment came since its reset, and over which area."""
+        """Returns minimum distance and effective area of each environment since its reset."""
         from warpcontact.forces.contact_coupling.report import report
 
         return report(self, model)
@@ -72,7 +75,10 @@ def add_contact_coupling(
     color: ArrayLike | None,
     **options: Any,
 ) -> ContactCoupling:
-    """Adds what ``Scene.add_contact_coupling`` promises, or nothing; ``options`` are those of ``add_contact``."""
+    """Implements ``Scene.add_contact_coupling``; ``options`` are those of ``add_contact``.
+
+    If it raises an error, the scene is unchanged.
+    """
     name = scene.new_name("coupling", name)
     checks.choice(f"{name}.facing", facing, FACINGS)
     checks.choice(f"{name}.sides", sides, SIDES)
@@ -84,7 +90,7 @@ def add_contact_coupling(
             )
     if surface_a.body is None:
         raise ValueError(
-            f"{name}.surface_a must be on a body, got {surface_a.name!r} on the world; what is fixed is surface_b"
+            f"{name}.surface_a must be on a body, got {surface_a.name!r} on the world; use it as surface_b"
         )
     if surface_a.body is surface_b.body:
         raise ValueError(f"{name}: both surfaces are fixed to body {surface_a.body.name!r}; one must move")
@@ -120,7 +126,7 @@ def add_contact_coupling(
 
 
 def check_quadrature(label: str, number: Any) -> int:
-    """Returns ``number`` if there is a rule of so many points per face, or raises ``ValueError``."""
+    """Returns ``number`` if there is a quadrature rule with this number of points; else raises ``ValueError``."""
     if isinstance(number, bool) or not isinstance(number, int) or number not in ORDERS:
         rules = ", ".join(map(str, ORDERS))
         raise ValueError(f"{label} must be a number of points per face, one of {rules}, got {number!r}")
@@ -131,7 +137,7 @@ _WORDS = {"search": ("whole", "active"), "boundary": ("off", "outer")}
 
 
 def _named(name: str, key: str, value: Any) -> Any:
-    """Returns an option, checked under the name of the coupling where its contacts have names of their own."""
+    """Returns an option; checks it here, so that messages name the coupling and not its contacts."""
     if key in ("enabled", "visible"):
         return checks.switch(f"{name}.{key}", value)
     return checks.choice(f"{name}.{key}", value, _WORDS[key]) if key in _WORDS else value
@@ -144,9 +150,7 @@ def _template(name: str, contact_range: ContactRange, friction: Friction | None,
     if not isinstance(friction, Friction):
         raise TypeError(f"{name}.friction must be an instance of wc.Friction, got {friction!r}")
     if friction.needs_radius:
-        raise ValueError(
-            f"{name}.friction, {type(friction).__name__}, is one of spheres, and faces have no radius"
-        )
+        raise ValueError(f"{name}.friction, {type(friction).__name__}, needs a radius, and faces have none")
     law = laws.ContactRange(k1=contact_range.k1, k2=contact_range.k2, ramp=depth)
     return ContactMaterial(law=law, friction=friction)
 
@@ -154,8 +158,8 @@ def _template(name: str, contact_range: ContactRange, friction: Friction | None,
 def _points_of(name: str, surface: Surface, number: int) -> Any:
     if len(surface.meshes) > 1:
         raise ValueError(
-            f"{name}: {surface.name!r} has {len(surface.meshes)} meshes, and faces are of one; let it be the "
-            "surface_b of sides='first'"
+            f"{name}: {surface.name!r} must have one mesh, got {len(surface.meshes)}; use it as surface_b with "
+            "sides='first'"
         )
     if not surface.active_faces.any():
         raise ValueError(f"{name}: {surface.name!r} has no active face")

@@ -1,4 +1,4 @@
-"""How a contact coupling repels: its coefficients, and those that stop an expected impact in time."""
+"""Coefficients of a contact coupling, given directly or computed from an expected impact."""
 
 import math
 from dataclasses import dataclass
@@ -16,15 +16,15 @@ DAMPING_RATIO = limits("-", at_least=0.0)
 
 @dataclass(frozen=True, kw_only=True)
 class ExpectedImpact:
-    """The impact that a range was made for.
+    """The expected impact from which a range was computed.
 
     Attributes:
-        mass: Of the body [kg].
-        other_mass: Of the body that it meets [kg]; ``None``: it meets what is fixed.
-        area: Of the contact, as it was estimated [m²].
-        speed: Normal speed at which the range is entered [m/s].
-        closest: Distance at which the bodies were to stop, without damping [m].
-        damping_ratio: Damping as a part of the critical one.
+        mass: Mass of the body [kg].
+        other_mass: Mass of the other body [kg]; ``None``: fixed.
+        area: Estimated contact area [m²].
+        speed: Normal speed at the beginning of the range [m/s].
+        closest: Distance at which the bodies stop without damping [m].
+        damping_ratio: Damping relative to critical damping.
     """
 
     mass: float
@@ -43,8 +43,8 @@ class ContactRange:
     Args:
         k1: Elastic coefficient [N/m³], positive.
         k2: Damping coefficient [N·s/m³].
-        effective_range: Distance d₀ at which it begins [m], positive.
-        impact: The impact that it was made for, see ``from_impact``; ``None``: not said.
+        effective_range: Distance d₀ at which repulsion begins [m], positive.
+        impact: The impact from which the coefficients were computed, see ``from_impact``; ``None``: not specified.
 
     Raises:
         ValueError: If a value is out of range; the message names it.
@@ -79,19 +79,19 @@ class ContactRange:
         closest: float,
         damping_ratio: float = 0.0,
     ) -> "ContactRange":
-        """Returns the range that stops an impact at a given distance.
+        """Returns coefficients that stop an impact at a given distance.
 
-        From the energy ½ m v² = ½ A k₁ (d₀ − d_min)² and k₂ = 2ς √(m k₁/A), with the reduced mass m. With damping
-        the bodies stop earlier, and short of that distance.
+        From the energy ½ m v² = ½ A k₁ (d₀ − d_min)² and k₂ = 2ς √(m k₁/A), with the reduced mass m. With damping,
+        the bodies stop at a larger distance.
 
         Args:
-            mass: Of the body [kg].
-            other_mass: Of the body that it meets [kg]; ``None``: it meets what is fixed.
-            area: Estimated area of the contact A [m²].
+            mass: Mass of the body [kg].
+            other_mass: Mass of the other body [kg]; ``None``: fixed.
+            area: Estimated contact area A [m²].
             speed: Expected normal speed v at the distance d₀ [m/s].
             effective_range: Distance d₀ at which the force begins [m].
-            closest: Distance d_min at which the bodies are to stop [m], at least 0 and below d₀.
-            damping_ratio: Damping ς as a part of the critical one; weak damping is meant.
+            closest: Distance d_min at which the bodies stop [m], at least 0 and below d₀.
+            damping_ratio: Damping ς relative to critical damping; intended for weak damping.
 
         Raises:
             ValueError: If a value is out of range; the message names it.
@@ -121,14 +121,14 @@ class ContactRange:
         return cls(k1=k1, k2=k2, effective_range=distance, impact=impact)
 
     def time_scale(self, mass: float, area: float, other_mass: float | None = None) -> float:
-        """Returns the time τ = (π/2) √(m/(A k₁)) from entering the range to standing still, without damping [s].
+        """Returns the time τ = (π/2) √(m/(A k₁)) from the beginning of the range to standstill, without damping [s].
 
-        A step dt ≤ τ/20 stops the bodies at the right distance within a thousandth of the way.
+        With dt ≤ τ/20, the stopping distance is accurate to 0.1 % of the distance traveled in the range.
 
         Args:
-            mass: Of the body [kg].
-            area: Of the contact [m²].
-            other_mass: Of the body that it meets [kg]; ``None``: it meets what is fixed.
+            mass: Mass of the body [kg].
+            area: Contact area [m²].
+            other_mass: Mass of the other body [kg]; ``None``: fixed.
         """
         mass = float(checks.numbers("mass", mass, (), MASS))
         other = None if other_mass is None else float(checks.numbers("other_mass", other_mass, (), MASS))
@@ -137,5 +137,5 @@ class ContactRange:
 
 
 def reduced_mass(mass: float, other: float | None) -> float:
-    """Returns the mass that an impact of two bodies feels [kg]; ``None``: the other one is fixed."""
+    """Returns the reduced mass of two bodies [kg]; ``other`` is ``None``: the other one is fixed."""
     return mass if other is None else mass * other / (mass + other)

@@ -1,4 +1,4 @@
-"""The couplings of a scene, and the ranges of their values."""
+"""Couplings of a scene, and the ranges of their values."""
 
 from dataclasses import dataclass
 
@@ -32,25 +32,25 @@ class Coupling:
 
     @property
     def bodies(self) -> tuple[Body | None, Body | None]:
-        """What its ends are fixed to; ``None``: the world."""
+        """Bodies of its ends; ``None``: the world."""
         return self.point_a.body, self.point_b.body
 
     @property
     def formulas(self) -> dict[str, Formula]:
-        """Its formulas by the name of their part."""
+        """Formulas by name of the part."""
         return {}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SpringDamper(Coupling):
-    """A spring and a damper side by side, along the line between two points."""
+    """A spring and a damper in parallel, along the line between two points."""
 
     spring: Spring
     damper: Damper
     rest_length: Array
     tension_only: Array
     break_force: Array
-    # Whether stiffness and damping were given as numbers, and are called so in a model.
+    # Whether stiffness and damping were given as numbers, and are parameters of these names.
     plain_spring: bool
     plain_damper: bool
 
@@ -62,7 +62,7 @@ class SpringDamper(Coupling):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Catenary(Coupling):
-    """An elastic line under its own weight."""
+    """An elastic cable under its own weight."""
 
     length: Array  # unstretched [m]
     mass_per_length: Array  # [kg/m]

@@ -34,19 +34,19 @@ ENABLED = limits("-", at_least=0.0, at_most=1.0)
 @explain_keywords_of
 @dataclass(frozen=True, kw_only=True)
 class ContactMaterial:
-    """The force of a contact: a normal-force law and up to three friction models; any number of contacts share it.
+    """Material of a contact (not of a body): a normal force law and up to three friction models.
 
-    A friction model says what opposes a velocity under the normal force N. Sliding, that is the tangential
-    velocity at the point K where the force acts. Rolling, it is the velocity R (ω₁ − ω₂) × n at which the point
-    of contact of a sphere of radius R travels, and the model's F acts as the couple R n × F: its coefficient is
-    the rolling resistance μ_r, of which M = μ_r R N. In torsion it is r_t (ω₁ − ω₂)·n, with the couple r_t F; see
+    Several contacts can share a material. A friction model gives the force F that opposes a velocity under the normal
+    force N. For sliding it is the tangential velocity at the contact point K. For rolling it is the velocity
+    R (ω₁ − ω₂) × n of the contact point of a sphere of radius R, and F gives the torque R n × F: its coefficient is
+    the rolling resistance μ_r in M = μ_r R N. For torsion it is r_t (ω₁ − ω₂)·n, with the torque r_t F; see
     ``torsion_radius`` of ``add_contact``.
 
     Args:
-        law: Normal-force law, an instance of a class of ``wc.laws`` or of your own ``wc.Law``.
-        friction: Friction model, of ``wc.friction`` or your own ``wc.Friction``; ``None``: frictionless.
-        rolling: Friction model of the resistance to rolling; ``None``: none.
-        torsion: Friction model of the resistance to spinning about the normal; ``None``: none.
+        law: Normal force law, an instance of a class of ``wc.laws`` or of a custom ``wc.Law``.
+        friction: Friction model of ``wc.friction`` or a custom ``wc.Friction``. Default: frictionless.
+        rolling: Friction model of rolling resistance. Default: none.
+        torsion: Friction model of torsional (spinning) friction. Default: none.
     """
 
     law: Law
@@ -65,23 +65,23 @@ class ContactMaterial:
                 )
         if self.torsion.directional:
             raise ValueError(
-                f"ContactMaterial.torsion must be a friction without directions, got {type(self.torsion).__name__}: "
-                "there is one axis to spin about"
+                f"ContactMaterial.torsion must be an isotropic friction model, got {type(self.torsion).__name__}; "
+                "torsion has only one axis"
             )
 
     @property
     def formulas(self) -> dict[str, Formula]:
-        """The law and the friction models by the name of their part."""
+        """The law and the friction models, by name of the part."""
         return {name: getattr(self, name) for name in ContactModel._fields}
 
     @property
     def parts(self) -> ContactModel:
-        """Their classes: contacts that agree in them are computed by the same code."""
+        """The contact model: classes of law and friction models, for which a kernel is compiled."""
         return ContactModel(*(type(formula) for formula in self.formulas.values()))
 
 
 def needs_radius(material: ContactMaterial, has_torsion_radius: bool) -> str | None:
-    """Returns the part of ``material`` that a contact without a radius cannot have; ``None``: there is none."""
+    """Returns the name of a part of ``material`` that requires a radius; ``None``: no part does."""
     if material.law.needs_curvature:
         return "law"
     if material.friction.needs_radius:
@@ -96,13 +96,13 @@ def needs_radius(material: ContactMaterial, has_torsion_radius: bool) -> str | N
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A rigid body, or a set of them that is one element. The frame of each sits at its centre of mass.
+    """A rigid body, or a set of bodies as one element. The origin of the body frame is the center of mass.
 
-    Of a set the values of the state, mass and inertia have a first axis, one entry for each of its bodies.
+    For a set, state, mass and inertia have a first axis with one entry per body.
     """
 
     name: str
-    index: int  # of the first on the device
+    index: int  # of the first body on the device
     mass: Array
     inertia: Array  # (3, 3), body axes
     position: Array
@@ -111,25 +111,25 @@ class Body:
     angular_velocity: Array
     external_force: Array
     external_torque: Array
-    motion: Motion  # of a set: that of each of its bodies
+    motion: Motion  # for a set: the motion of each body
     color: Array | None
     count: int = 1  # number of bodies
     single: bool = True  # made by add_body: no item axis
 
     @property
     def items(self) -> slice:
-        """Where its bodies are among those of an environment."""
+        """Index range of its bodies in an environment."""
         return slice(self.index, self.index + self.count)
 
     def rows(self, key: str) -> Array:
-        """Returns a value of each of its bodies, such as ``"mass"``, (n, …)."""
+        """Returns an attribute, such as ``"mass"``, with one row per body (n, …)."""
         values: Array = getattr(self, key)
         return values[None] if self.single else values
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """An oriented mesh, or one of several, fixed to a body or to the world."""
+    """An oriented mesh, or several alternative meshes, fixed to a body or to the world."""
 
     name: str
     index: int
@@ -144,20 +144,20 @@ class Surface:
 
     @property
     def mesh(self) -> Mesh:
-        """Its mesh, the first if there are several."""
+        """The mesh, or the first one of several."""
         return self.meshes[0]
 
     @property
     def active_faces(self) -> NDArray[np.bool_]:
-        """Mask (F,) of the faces of that mesh that can touch."""
+        """Mask (F,) of the active faces of ``mesh``."""
         return self.active[0]
 
     @property
     def centre(self) -> Array:
-        """Where kernels see its meshes from, in their frame.
+        """Origin of the mesh coordinates in kernels, in the mesh frame (3,) [m].
 
-        The middle of meshes that lie far from the origin of their frame, where coordinates are coarse. Of others
-        the origin: what was modelled at zero stays there, to the last digit.
+        For meshes far from the origin of their frame it is their center, because float32 coordinates are coarse
+        there. For others it is the origin, so that coordinates are not rounded.
         """
         bounds = np.array([mesh.bounds for mesh in self.meshes])
         return seen_from(bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0))
@@ -165,18 +165,18 @@ class Surface:
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """One point, or a set of them, fixed to a body or to the world, or to a surface and moved with that.
+    """One point, or a set of points, fixed to a body, to a surface or to the world.
 
-    On a set of bodies they are one point on each, in the order of the bodies.
+    On a set of bodies there is one point per body, in the order of the bodies.
     """
 
     name: str
     start: int  # index of the first
     body: Body | None
     surface: Surface | None
-    positions: Array  # (n, 3), frame of the surface's mesh if they are fixed to one, else of the body [m]
-    areas: Array | None  # (n,) the area that each stands for, in the mesh's frame like their positions [m²]
-    normals: Array | None  # (n, 3) unit, out of the surface that they are of, in the same frame
+    positions: Array  # (n, 3), in the mesh frame if fixed to a surface, else in the body frame [m]
+    areas: Array | None  # (n,) area weights, in the same frame as the positions [m²]
+    normals: Array | None  # (n, 3) outward unit normals of the sampled surface, in the same frame
     single: bool  # made by add_point: no item axis
 
     @property
@@ -186,18 +186,18 @@ class Points:
 
     @property
     def spread(self) -> bool:
-        """Whether each is on a body of its own."""
+        """Whether each point is on a separate body of a set."""
         return self.body is not None and not self.body.single
 
     @property
     def body_numbers(self) -> NDArray[np.int32]:
-        """Body of each on the device (n,), or ``WORLD``."""
+        """Body index of each point on the device (n,), or ``WORLD``."""
         first = WORLD if self.body is None else self.body.index
         return np.int32(first) + np.arange(self.count, dtype=np.int32) * np.int32(self.spread)
 
     @property
     def places(self) -> Array:
-        """Where they are in the frame of the body, or of the world, (n, 3) [m]."""
+        """Positions in the frame of the body, or of the world, (n, 3) [m]."""
         if self.surface is None:
             return self.positions
         scaled = self.surface.scale * self.positions
@@ -205,7 +205,7 @@ class Points:
 
 
 class ContactOptions(TypedDict, total=False):
-    """Keywords of ``Scene.add_contact`` that ``Scene.add_surface_contact`` takes, too."""
+    """Keywords of ``Scene.add_contact`` that ``Scene.add_surface_contact`` also accepts."""
 
     radius: ArrayLike
     kappa: float
@@ -224,16 +224,16 @@ class ContactOptions(TypedDict, total=False):
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """Points (with a radius: spheres) that touch a surface.
+    """Contact of points (with a radius: spheres) with a surface.
 
-    On the device they are a set, which moves as one; of points on a set of bodies each is a set of its own.
+    On the device the points are one point set, which moves rigidly. Points on a set of bodies are one set each.
     """
 
     name: str
     points: Points
     surface: Surface
     material: ContactMaterial
-    radius: Array  # of all, or one per point (n,) [m]
+    radius: Array  # one value, or one per point (n,) [m]
     kappa: Array
     max_depth: Array
     search_radius: Array
@@ -246,17 +246,17 @@ class Contact:
     boundary: str
     color: Array | None
     visible: bool
-    # Of a contact coupling: "all" or "projected", and the force acts at the points; None of an ordinary contact.
+    # "all" or "projected" for a contact coupling, whose force acts at the points; None for an ordinary contact.
     facing: str | None = None
 
     @property
     def bodies(self) -> tuple[Body | None, Body | None]:
-        """What points and surface are fixed to; ``None``: the world."""
+        """Bodies of the points and of the surface; ``None``: the world."""
         return self.points.body, self.surface.body
 
     @property
     def code(self) -> tuple[ContactModel, bool]:
-        """What its force kernel is chosen by: law and friction models, and whether it weighs by normals."""
+        """Key of the force kernel: contact model, and whether area weights are projected onto the contact normal."""
         return self.material.parts, self.facing == "projected"
 
     @property
@@ -266,13 +266,13 @@ class Contact:
 
     @property
     def set_count(self) -> int:
-        """Number of sets on the device that move as one each."""
+        """Number of point sets on the device."""
         return self.count if self.points.spread else 1
 
     def parameters(self, part: str) -> dict[str, Any]:
-        """Returns the values of the parameters of one part of the material, one number each or one per point."""
+        """Returns the parameters of one part of the material, one value or one per point."""
         return self.material.formulas[part].parameters(area=self.points.areas)
 
     def area_carrier(self, part: str) -> Surface | None:
-        """Returns the surface whose scale enlarges the area of one part of the material, if any."""
+        """Returns the surface whose scale affects the area of one part of the material, if any."""
         return self.points.surface if self.material.formulas[part].takes_area else None

@@ -1,4 +1,4 @@
-"""Checks of what a scene is given that take more than one value: meshes and their active faces, arms and areas."""
+"""Checks of arguments of a scene: options of contacts, meshes with active faces, lever arms and areas."""
 
 import math
 from collections.abc import Sequence
@@ -33,7 +33,7 @@ def options_of(
     color: ArrayLike | None,
     visible: bool,
 ) -> dict[str, Any]:
-    """Returns the options that contacts of all kinds have, checked; arguments are those of ``add_contact``.
+    """Returns the checked options that all kinds of contacts have; arguments are those of ``add_contact``.
 
     Raises:
         ValueError: If a value is out of range; the message names it.
@@ -53,7 +53,7 @@ def options_of(
 
 
 def check_arms(name: str, material: ContactMaterial, radius: Array, torsion_radius: float | None) -> None:
-    """Raises ``ValueError`` if a friction of the material would have no arm to act at."""
+    """Raises ``ValueError`` if a part of the material has no radius or lever arm."""
     if torsion_radius is not None and isinstance(material.torsion, Frictionless):
         raise ValueError(f"{name}.torsion_radius is given, but its material has no torsion")
     part = needs_radius(material, torsion_radius is not None)
@@ -64,18 +64,18 @@ def check_arms(name: str, material: ContactMaterial, radius: Array, torsion_radi
 
 
 def check_areas(name: str, material: ContactMaterial, points: Points) -> None:
-    """Raises ``ValueError`` if a part of the material takes the areas of points that have none."""
+    """Raises ``ValueError`` if a part of the material needs areas and the points have none."""
     for part, formula in material.formulas.items():
         if points.areas is None and formula.takes_area:
             raise ValueError(
                 f"{name}: the {part} of its material, {type(formula).__name__}, was given no area [m²], and the "
-                f"points {points.name!r} have none; make them with wc.sample_surface, give add_points areas, or "
+                f"points {points.name!r} have none; create them with wc.sample_surface, pass areas to add_points, or "
                 f"give the {part} an area"
             )
 
 
 def active_of_each(label: str, choices: Any, meshes: Sequence[Mesh]) -> list[NDArray[np.bool_]]:
-    """Returns the mask of each of several meshes; ``choices`` is a list with one choice for each, or ``None``."""
+    """Returns the mask of each of several meshes; ``choices`` has one entry per mesh, or is ``None``."""
     if choices is None:
         choices = [None] * len(meshes)
     listed = isinstance(choices, list | tuple) or getattr(choices, "ndim", 0) > 0
@@ -89,7 +89,7 @@ def active_of_each(label: str, choices: Any, meshes: Sequence[Mesh]) -> list[NDA
 
 
 def mesh_of(name: str, mesh: Any) -> Mesh:
-    """Returns the mesh of surface ``name``, checked."""
+    """Returns the checked mesh of surface ``name``."""
     if isinstance(mesh, Mesh):
         return mesh
     if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):

@@ -15,17 +15,17 @@ from warpcontact.validation.checks import Array
 
 @dataclass(frozen=True, eq=False)
 class ParticleContact:
-    """The contact of every two of many spheres and capsules.
+    """Contact between all pairs of spheres and capsules (particles).
 
-    Its shapes are numbered in the order in which they are given, those of a set one by one.
+    Particles are numbered in the order of ``shapes``, those of a set consecutively.
     """
 
     name: str
     shapes: tuple[Shape, ...]
     material: ContactMaterial
     excluded: tuple[tuple[Shape, Shape], ...]
-    skin: float  # shapes closer than this are partners [m]
-    max_neighbors: int | None  # most of one shape; None: as many as there is room for around it
+    skin: float  # extra distance of the neighbor lists [m]
+    max_neighbors: int | None  # maximum number of neighbors; None: the number that fits around a particle
     kappa: Array
     max_depth: Array
     torsion_radius: Array | None
@@ -33,7 +33,7 @@ class ParticleContact:
     enabled: Array
     color: Array | None
     visible: bool
-    # Where the shapes of each element are among all.
+    # Number of the first particle of each element of ``shapes``, and the total number.
     starts: tuple[int, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -42,7 +42,7 @@ class ParticleContact:
 
     @property
     def count(self) -> int:
-        """Number of shapes."""
+        """Number of particles."""
         return self.starts[-1]
 
     @property
@@ -52,17 +52,17 @@ class ParticleContact:
 
     @property
     def formulas(self) -> dict[str, Formula]:
-        """The law and the friction models by the name of their part."""
+        """The law and the friction models, by name of the part."""
         return self.material.formulas
 
     @cached_property
     def bodies(self) -> NDArray[np.int32]:
-        """The body of each shape on the device (n,)."""
+        """Body index of each particle on the device (n,)."""
         return np.concatenate([shape.body_numbers for shape in self.shapes])
 
     @cached_property
     def kinds(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """A kind for each shape (n,), and whether shapes of two kinds touch, 0 or 1 (kinds, kinds)."""
+        """A kind for each particle (n,), and whether two kinds can be in contact, 0 or 1 (kinds, kinds)."""
         named = {shape for pair in self.excluded for shape in pair}
         keys = [(shape.group, shape.mask, shape if shape in named else None) for shape in self.shapes]
         number = {key: i for i, key in enumerate(dict.fromkeys(keys))}
@@ -78,7 +78,7 @@ class ParticleContact:
         return np.repeat(np.array(each, dtype=np.int32), counts), allowed.astype(np.int32)
 
     def label(self, number: int) -> str:
-        """Returns what to call a shape by its number: its name, and its item if it is one of a set."""
+        """Returns the label of a particle by its number: the name of its shape, with the item for a set."""
         which = int(np.searchsorted(self.starts, number, side="right")) - 1
         shape = self.shapes[which]
         return shape.name if shape.single else f"{shape.name}[{number - self.starts[which]}]"

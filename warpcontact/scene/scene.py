@@ -1,4 +1,8 @@
-"""What there is: bodies, surfaces, points and contacts, as a user says them. All input is checked here."""
+"""The scene: bodies, surfaces, points, shapes, contacts and couplings of one environment; checks all user input.
+
+``Scene`` combines the mixins of ``add_bodies.py``, ``add_couplings.py``, ``add_shapes.py`` and ``add_particles.py``.
+``model/build.py`` builds models from it.
+"""
 
 import copy
 import math
@@ -57,7 +61,7 @@ _LISTS = (
 )
 
 
-#: What an environment may do before it is put into quarantine.
+#: Limits beyond which an environment is quarantined.
 MAX_SPEED = limits("m/s", above=0.0, may_be_infinite=True)
 MAX_DISTANCE = limits("m", above=0.0, may_be_infinite=True)
 
@@ -65,18 +69,18 @@ MAX_DISTANCE = limits("m", above=0.0, may_be_infinite=True)
 @explain_renamed
 @explain_keywords_of
 class Scene(Bodies, Couplings, ShapeContacts, ParticleContacts):
-    """Bodies, surfaces, shapes, points, contacts and couplings of one environment; ``build`` makes many of it.
+    """Bodies, surfaces, shapes, points, contacts and couplings of one environment; ``build`` creates many of them.
 
     Args:
         gravity: Acceleration of gravity, world axes [m/s²].
-        max_speed: A centre of mass that gets faster fails the step, and the environment is put into quarantine
-            [m/s].
-        max_distance: Likewise one that gets farther from the origin [m].
+        max_speed: Maximum speed of centers of mass [m/s]. If exceeded, the environment is quarantined.
+        max_distance: Maximum distance of centers of mass from the origin [m]. If exceeded, the environment is
+            quarantined.
 
     Attributes:
-        import_warnings: What to know of how a USD stage was read, see ``from_usd``.
-        suggested_dt: Time step that the NewtonSceneAPI of that stage requests [s]; ``None``: none.
-        suggested_iterations: Likewise the largest number of iterations of a solver in a step.
+        import_warnings: Warnings about the import of a USD stage, see ``from_usd``.
+        suggested_dt: Time step that the NewtonSceneAPI of the imported stage requests [s]; ``None``: none.
+        suggested_iterations: Maximum number of solver iterations per step that it requests; ``None``: none.
     """
 
     def __init__(
@@ -112,8 +116,8 @@ class Scene(Bodies, Couplings, ShapeContacts, ParticleContacts):
             "contacts": [*self.contacts, *self.shape_contacts, *self.particle_contacts, *self.contact_couplings],
             "couplings": self.couplings,
         }
-        told = [f"{kind}: {', '.join(one.name for one in some)}" for kind, some in kinds.items() if some]
-        return f"<Scene of {textwrap.shorten('; '.join(told) or 'nothing yet', 200, placeholder=' …')}>"
+        texts = [f"{kind}: {', '.join(one.name for one in some)}" for kind, some in kinds.items() if some]
+        return f"<Scene of {textwrap.shorten('; '.join(texts) or 'nothing yet', 200, placeholder=' …')}>"
 
     @classmethod
     def from_usd(
@@ -128,27 +132,28 @@ class Scene(Bodies, Couplings, ShapeContacts, ParticleContacts):
         trusted: bool = False,
         limits: "Limits | None" = None,
     ) -> "Scene":
-        """Returns the scene of a USD stage: one that ``export_usd`` wrote, or one of UsdPhysics.
+        """Returns the scene of a USD stage: one that ``export_usd`` wrote, or any stage with UsdPhysics.
 
-        Of a stage of ours it is the scene that was simulated, to the bit. Of others rigid bodies, masses,
-        colliders, physics materials, gravity and collision groups are read, in SI units with z up;
-        ``docs/usd.md`` says how, and which contacts are made. The file is read in a process of its own, as by
-        ``wc.load_mesh``.
+        A stage of ``export_usd`` gives the scene that was simulated, bitwise identical. From other stages, rigid
+        bodies, masses, colliders, physics materials, gravity and collision groups are read and converted to SI units
+        with z up; ``docs/usd.md`` describes the rules and the contacts that are created. The file is read in a
+        sandboxed process, as by ``wc.load_mesh``.
 
         Args:
             path: A .usd, .usda, .usdc or .usdz file.
-            custom_types: Laws, friction models, springs, motions and shapes of one's own that a stage of ours was made with.
-            material: Of a stage of others, law and friction of all contacts; ``None``: what its materials say.
-            contact_time: Time that an impact takes there, which the stiffness of contacts follows from [s].
-            samples: How points of meshes that touch meshes are made there, as for ``add_surface_contact``.
-            skip_unsupported: Whether to leave out what there is no counterpart for, such as joints, and list it in
-                ``import_warnings``; otherwise it is an error.
-            trusted: Whether to read the file in this process, and files out of its folder that it refers to.
-            limits: Memory, time and size of its meshes.
+            custom_types: User-defined classes of laws, friction models, springs, motions and shapes that a stage of
+                ``export_usd`` refers to.
+            material: Contact material of all contacts of other stages. Default: from the physics materials.
+            contact_time: Duration of an impact in other stages, from which the contact stiffness is computed [s].
+            samples: Sampling of meshes in contact with meshes in other stages, see ``add_surface_contact``.
+            skip_unsupported: Whether to skip unsupported prims, such as joints, and list them in
+                ``import_warnings``. Default: they raise an error.
+            trusted: Whether to read the file in this process, including referenced files outside of its folder.
+            limits: Limits of memory, time and mesh size.
 
         Raises:
-            UsdError: If it cannot be read, something in it makes no sense, or there is no counterpart for it.
-                Everything that is in the way is listed, with the path of its prim.
+            UsdError: If the file cannot be read, is invalid, or has unsupported prims. The message lists all
+                problems with their prim paths.
             ValueError: If another argument is out of range; the message names it.
         """
         from warpcontact.usd.importing.scene_from_stage import scene_from_usd
@@ -178,26 +183,25 @@ class Scene(Bodies, Couplings, ShapeContacts, ParticleContacts):
         color: ArrayLike | None = None,
         visible: bool = True,
     ) -> Surface:
-        """Adds an oriented surface: its outer side is where the faces run counter-clockwise.
+        """Adds an oriented surface. From its outer side, the vertices of faces run counter-clockwise.
 
         Args:
-            mesh: A ``wc.Mesh``, or an object with ``vertices`` (V, 3) [m] and ``faces`` (F, 3). A list of them:
-                ``model["<surface>.mesh"]`` then says by number which one an environment has.
-            body: Body that carries it, from ``add_body``; ``None``: the world.
-            position: Origin of the mesh's frame in the frame of the body [m].
+            mesh: A ``wc.Mesh``, or an object with ``vertices`` (V, 3) [m] and ``faces`` (F, 3). With a list of
+                meshes, ``model["<surface>.mesh"]`` is the index of the mesh of each environment.
+            body: Body to which it is fixed, from ``add_body``; ``None``: the world.
+            position: Origin of the mesh frame in the frame of the body [m].
             orientation: Rotation mesh → body, quaternion (x, y, z, w).
-            scale: Factor by which the mesh is enlarged about the origin of its frame.
-            flip: Whether to turn the outer side over.
-            active_faces: The part that can touch: a mask (F,) or face numbers; the name of a group of the mesh,
-                or a list of names; or a function that is given the centroids (F, 3) [m], in the frame of the
-                mesh, and returns a mask; ``None``: all. For a list of meshes, a list
-                with one of these for each.
-            name: Name in parameters and sensors; made up if not given.
-            color: Display colour, RGB in 0…1.
+            scale: Scale factor of the mesh about the origin of its frame.
+            flip: Whether to reverse the orientation of the faces.
+            active_faces: Faces that can be in contact: a mask (F,) or face numbers; the name of a group of the mesh,
+                or a list of names; or a function that gets the centroids (F, 3) [m], in the mesh frame, and returns
+                a mask. Default: all. With a list of meshes, a list with one entry per mesh.
+            name: Name in parameters and sensors. Default: generated.
+            color: Display color, RGB in 0…1.
             visible: Whether it is drawn.
 
         Raises:
-            MeshError: If the mesh cannot carry contact; every defect is named.
+            MeshError: If the mesh is not valid for contact; the message names all defects.
             ValueError: If a value is out of range; the message names it.
         """
         name = checks.new_name("surface", name, self._elements)
@@ -234,8 +238,8 @@ class Scene(Bodies, Couplings, ShapeContacts, ParticleContacts):
     def add_point(self, body: Body | Surface | None, position: ArrayLike, *, name: str | None = None) -> Points:
         """Adds a point fixed to ``body`` (``None``: the world) at ``position`` in its frame [m].
 
-        On a surface it is in the frame of the mesh, and moves with that. On a set of bodies it is one point on
-        each of them, at the same place of all, and sensors of its contacts have one more axis, ``item``.
+        On a surface, the position is in the mesh frame and the point moves with the surface. On a set of bodies, one
+        point at this position is added to each body, and sensors of its contacts have an additional axis, ``item``.
         """
         name = checks.new_name("point", name, self._elements)
         place = checks.numbers(f"{name}.position", position, (3,), limits("m"))
@@ -251,16 +255,16 @@ class Scene(Bodies, Couplings, ShapeContacts, ParticleContacts):
         areas: ArrayLike | None = None,
         name: str | None = None,
     ) -> Points:
-        """Adds a set of points. Sensors of its contacts have one more axis, ``item``.
+        """Adds a set of points. Sensors of its contacts have an additional axis, ``item``.
 
         Args:
-            body: What carries them: a body, ``None`` for the world, or a surface, with which they move; a set of
-                bodies, which are given one each.
-            positions: Where they are in its frame, (n, 3) [m], of a surface in that of its mesh; or points with
-                their areas, from ``wc.sample_surface``.
-            areas: The area that each stands for, (n,) [m²], for laws that leave it to the points; on a surface
-                that in its mesh, to which the square of its scale comes.
-            name: Name in parameters and sensors; made up if not given.
+            body: Body or surface to which the points are fixed; ``None``: the world. A set of bodies gets one point
+                per body.
+            positions: Positions (n, 3) [m] in the frame of the body, or in the mesh frame of the surface; or samples
+                from ``wc.sample_surface``, which include areas and normals.
+            areas: Area weights (n,) [m²], for laws with an area. On a surface they are areas in the mesh frame and
+                are multiplied by the square of its scale.
+            name: Name in parameters and sensors. Default: generated.
 
         Raises:
             ValueError: If a value is out of range; the message names it.
@@ -331,33 +335,34 @@ class Scene(Bodies, Couplings, ShapeContacts, ParticleContacts):
         color: ArrayLike | None = None,
         visible: bool = True,
     ) -> Contact:
-        """Adds the contact of points, or spheres about them, with a surface (EULER's ``contactPS2``).
+        """Adds contact of points, or spheres around them, with a surface (EULER's ``contactPS2``).
 
         Args:
             points: From ``add_point`` or ``add_points``.
             surface: From ``add_surface``, on another body.
-            material: Law and friction.
-            radius: Radius of the sphere about each point [m]; 0: a point. Of a set of points one for all, or (n,).
-            kappa: Where the force acts: K = S + κ (D − S), from 0 on the surface to 1 at the deepest point D.
-            search: ``"whole"``: the nearest point of the whole surface must be active; ``"active"``: the
-                nearest point of the active part.
-            entry: ``"literal"``: any point on the inner side is in contact; ``"latched"``: only one that came
-                from the outer side, held by the part of the surface that it touched.
-            swept: Whether to look for points that cross the surface within a step, which are then held by the
-                face that they crossed, through however thin a plate.
-            max_depth: Deepest penetration that still counts as contact [m]; ``None``: any.
-            boundary: ``"off"``: nothing touches beyond an open boundary; ``"outer"``: a sphere touches the boundary while
-                its centre is on the outer side.
-            search_radius: Surfaces farther than this from a point are not seen [m]; its gap then is this
-                bound less the radius.
-            torsion_radius: Arm r_t at which the material's torsion acts [m]: 2/3 of the radius of a patch under
-                uniform pressure. ``None``: that of the overlap of a sphere under the pressure of Hertz,
-                (3π/16) √(R δ).
-            force_scale: Factor on the forces and couples of this contact: ½ each for two that describe the same touch.
-            enabled: Whether it acts.
-            name: Name in parameters and sensors; made up if not given.
-            color: Colour of its arrows, RGB in 0…1.
-            visible: Whether its arrows are drawn.
+            material: Contact material.
+            radius: Radius of the sphere around each point [m]; 0: a point. For a set of points one value, or (n,).
+            kappa: κ of the contact point K = S + κ (D − S): 0 is the closest point S of the surface, 1 the deepest
+                point D of the sphere.
+            search: ``"whole"``: the closest point of the whole surface is used, and must be on an active face.
+                ``"active"``: the closest point on the active faces is used.
+            entry: ``"literal"``: any point on the inner side is in contact. ``"latched"``: only points that came from
+                the outer side; their contact tracks the part of the surface where they entered.
+            swept: Whether to detect points that cross the surface within a step. They stay in contact with the face
+                that they crossed, so that thin plates of any thickness hold them.
+            max_depth: Maximum penetration of a contact [m]. Default: unlimited.
+            boundary: ``"off"``: no contact beyond the boundary of an open surface. ``"outer"``: a sphere contacts the
+                boundary while its center is on the outer side.
+            search_radius: Distance beyond which surfaces are ignored [m]; the gap is then this distance minus the
+                radius.
+            torsion_radius: Lever arm r_t of torsional friction [m]: 2/3 of the radius of a contact patch with uniform
+                pressure. Default: (3π/16) √(R δ), for a sphere with Hertzian pressure.
+            force_scale: Factor on forces and torques of this contact; for example ½ each for two contacts that
+                describe the same pair of surfaces.
+            enabled: Whether the contact is enabled.
+            name: Name in parameters and sensors. Default: generated.
+            color: Color of the force arrows, RGB in 0…1.
+            visible: Whether the force arrows are drawn.
 
         Raises:
             ValueError: If a value is out of range, or both sides are fixed to the same body.
@@ -409,30 +414,30 @@ class Scene(Bodies, Couplings, ShapeContacts, ParticleContacts):
         name: str | None = None,
         **options: Unpack[ContactOptions],
     ) -> tuple[Contact, ...]:
-        """Adds the contact of two surfaces: points of one, with the area that each stands for, touch the other.
+        """Adds contact of two surfaces by sample points with area weights.
 
-        The points are those of the active faces, fixed to their surface. Whatever the bookkeeping of sides, both
-        bodies get the same force at the same point.
+        The points are on the active faces and fixed to their surface. Both bodies get equal and opposite forces at the
+        same point, for any value of ``sides``.
 
         Args:
             surface_a: From ``add_surface``.
             surface_b: From ``add_surface``, on another body.
-            material: Law and friction. Laws with an area, such as ``ElasticFoundation`` and ``ContactRange``, take
-                that of each point; the force then does not depend on how many there are.
-            samples: Number of points, spread evenly, or ``"vertices"`` or ``"centroids"``: see
-                ``wc.sample_surface``. With two sides a pair gives each its own.
-            seed: Of the random numbers that spread them.
-            sides: ``"first"``: points of ``surface_a`` touch ``surface_b``. ``"average"``: points of each touch
-                the other, in two contacts with the share ½.
-            name: Name of the contact; of two, ``<name>_first`` and ``<name>_second``. The points are called like
-                their contact, with ``_points`` behind. Made up if not given.
-            **options: Others of ``add_contact``: ``radius``, ``kappa``, ``search``, ``max_depth``, …
+            material: Contact material. Laws with an area, such as ``ElasticFoundation`` and ``ContactRange``, use the
+                area weight of each point; the total force then does not depend on the number of points.
+            samples: Number of points, distributed evenly, or ``"vertices"`` or ``"centroids"``; see
+                ``wc.sample_surface``. With ``sides="average"``, a pair sets each surface separately.
+            seed: Seed of the random distribution of points.
+            sides: ``"first"``: points of ``surface_a`` contact ``surface_b``. ``"average"``: points of each surface
+                contact the other one, as two contacts with half the ``force_scale``.
+            name: Name of the contact, or prefix of ``<name>_first`` and ``<name>_second``. The name of the points is
+                that of the contact with the suffix ``_points``. Default: generated.
+            **options: Further options of ``add_contact``: ``radius``, ``kappa``, ``search``, ``max_depth``, …
 
         Returns:
-            The contacts, one or two: that of the points of ``surface_a`` is the first.
+            One or two contacts; the first is that of the points of ``surface_a``.
 
         Raises:
-            ValueError: If a value is out of range; the message names it, and the scene is as before.
+            ValueError: If a value is out of range; the message names it. The scene is unchanged then.
         """
         from warpcontact.scene.surface_contact import add_surface_contact
 
@@ -443,7 +448,7 @@ class Scene(Bodies, Couplings, ShapeContacts, ParticleContacts):
     def build(
         self, envs: int = 1, device: str | Sequence[str] = "auto", precision: str = "float32"
     ) -> "Model | SplitModel":
-        """Builds ``envs`` environments of this scene on a device or several; see ``warpcontact.model.build.build``."""
+        """Builds ``envs`` environments of this scene on one or several devices; see ``warpcontact.model.build.build``."""
         from warpcontact.model.build import build
 
         return build(self, envs=envs, device=device, precision=precision)
@@ -453,30 +458,30 @@ class Scene(Bodies, Couplings, ShapeContacts, ParticleContacts):
         return tuple(self._elements)
 
     def elements(self) -> tuple[Any, ...]:
-        """Returns all elements in the order in which they were added."""
+        """Returns all elements in the order of their creation."""
         return tuple(self._elements.values())
 
     def new_name(self, kind: str, name: str | None) -> str:
-        """Returns ``name`` if an element can have it, or one made from ``kind`` if it is ``None``."""
+        """Returns ``name`` if it is valid and not in use, or a name generated from ``kind`` if it is ``None``."""
         return checks.new_name(kind, name, self._elements)
 
     def include(self, coupling: "ContactCoupling") -> None:
-        """Adds a contact coupling, whose contacts are there."""
+        """Adds a contact coupling, whose contacts were already added."""
         self.contact_couplings.append(coupling)
         self._elements[coupling.name] = coupling
 
     def exchange(self, contact: Contact, other: Contact) -> None:
-        """Puts ``other``, of the same name, in the place of ``contact``."""
+        """Replaces ``contact`` by ``other``, which has the same name."""
         self.contacts[self.contacts.index(contact)] = other
         self._elements[other.name] = other
 
     def restore(self, earlier: "Scene") -> None:
-        """Takes back what was added since the snapshot ``earlier``."""
+        """Removes all elements that were added since the snapshot ``earlier``."""
         for name in (*_LISTS, "_elements"):
             setattr(self, name, getattr(earlier, name))
 
     def snapshot(self) -> "Scene":
-        """Returns a copy that what is added to this scene later does not change."""
+        """Returns a shallow copy; elements that are added to this scene later are not in it."""
         copied = copy.copy(self)
         for name in _LISTS:
             setattr(copied, name, list(getattr(self, name)))
@@ -489,7 +494,7 @@ class Scene(Bodies, Couplings, ShapeContacts, ParticleContacts):
         return surface
 
     def owned_body(self, name: str, body: Body | None) -> Body | None:
-        """Returns ``body`` if it is one of this scene, or ``None``; ``name`` is what an error calls it."""
+        """Returns ``body`` if it belongs to this scene or is ``None``; ``name`` is used in the error message."""
         if body is not None and (not isinstance(body, Body) or self._elements.get(body.name) is not body):
             raise ValueError(f"{name} must be a body of this scene or None (the world), got {body!r}")
         return body

@@ -19,15 +19,15 @@ ALL = 0xFFFFFFFF
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A shape of analytic form fixed to a body or to the world, or one on each body of a set.
+    """An analytic shape fixed to a body or to the world, or one shape on each body of a set.
 
-    Positions, orientations and sizes have one entry for each, (n, …).
+    Positions, orientations and sizes have one entry per shape, (n, …).
     """
 
     name: str
     body: Body | None
     kind: type[Form]
-    sizes: dict[str, Array]  # the parameters of its form by name
+    sizes: dict[str, Array]  # parameters of its form by name
     positions: Array  # (n, 3) origin of its frame in the frame of the body [m]
     orientations: Array  # (n, 4) rotation of its frame to that of the body, quaternion
     group: int  # bits
@@ -42,22 +42,22 @@ class Shape:
 
     @property
     def single(self) -> bool:
-        """Whether it is one, without an item axis."""
+        """Whether it is a single shape, without an item axis."""
         return self.body is None or self.body.single
 
     @property
     def body_numbers(self) -> NDArray[np.int32]:
-        """Body of each on the device (n,), or ``WORLD``."""
+        """Body index of each shape on the device (n,), or ``WORLD``."""
         if self.body is None:
             return np.full(1, WORLD, dtype=np.int32)
         return np.arange(self.body.items.start, self.body.items.stop, dtype=np.int32)
 
     def may_touch(self, other: "Shape") -> bool:
-        """Whether groups and masks let it touch ``other``: each is in a group that the mask of the other has."""
+        """Returns whether groups and masks allow contact: each shape is in a group of the mask of the other."""
         return bool(self.group & other.mask) and bool(other.group & self.mask)
 
     def form(self, item: int = 0) -> Form:
-        """Returns the form of one of them."""
+        """Returns the form of one item."""
         return self.kind(**{key: _plain(values[item]) for key, values in self.sizes.items()})
 
 
@@ -67,7 +67,7 @@ def _plain(value: Array) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class ShapeContact:
-    """The contact of two shapes, or of the shapes of a set with one or with those of another set."""
+    """Contact of two shapes, or of the shapes of a set with one shape or with those of another set."""
 
     name: str
     shape: Shape
@@ -83,12 +83,12 @@ class ShapeContact:
 
     @property
     def kinds(self) -> tuple[type[Form], type[Form]]:
-        """The classes of its shapes: contacts that agree in them share the code that finds where they meet."""
+        """Classes of its forms, for which the narrow phase is compiled."""
         return self.shape.kind, self.other_shape.kind
 
     @property
     def parts(self) -> ContactModel:
-        """The classes of its law and friction models: contacts that agree in them share the code of their forces."""
+        """The contact model: classes of law and friction models, for which a kernel is compiled."""
         return self.material.parts
 
     @property
@@ -98,7 +98,7 @@ class ShapeContact:
 
     @property
     def single(self) -> bool:
-        """Whether it is one, without an item axis."""
+        """Whether it is a single contact, without an item axis."""
         return self.shape.single and self.other_shape.single
 
     @property
@@ -108,10 +108,10 @@ class ShapeContact:
 
     @property
     def bodies(self) -> tuple[Body | None, Body | None]:
-        """What its shapes are fixed to; ``None``: the world."""
+        """Bodies of its shapes; ``None``: the world."""
         return self.shape.body, self.other_shape.body
 
     @property
     def formulas(self) -> dict[str, Formula]:
-        """Its law and friction models by the name of their part."""
+        """Its law and friction models, by name of the part."""
         return self.material.formulas

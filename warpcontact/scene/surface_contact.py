@@ -1,4 +1,4 @@
-"""Surfaces against surfaces: points made of one or of both, and the contacts that they need."""
+"""Contact of two surfaces by sample points on one or both of them."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -11,7 +11,7 @@ from warpcontact.scene.scene import Contact, ContactMaterial, Scene, Surface
 from warpcontact.validation import checks
 
 SIDES = ("first", "average")
-#: Ways to make points that know how many there are.
+#: Sampling methods with a fixed number of points.
 COUNTED = ("vertices", "centroids")
 
 
@@ -27,7 +27,7 @@ def add_surface_contact(
     name: str | None,
     options: ContactOptions,
 ) -> tuple[Contact, ...]:
-    """Adds what ``Scene.add_surface_contact`` promises, or nothing."""
+    """Implements ``Scene.add_surface_contact``. If it raises an error, the scene is unchanged."""
     before = scene.snapshot()
     try:
         return _add(scene, surface_a, surface_b, material, samples, seed, sides, name, options)
@@ -71,23 +71,23 @@ def _add(
 
 
 def sample_points(surface: Surface, amount: Any, seed: int, label: str) -> SurfaceSamples:
-    """Returns points of the active faces of a surface, in the frame of its mesh.
+    """Returns sample points on the active faces of a surface, in the mesh frame.
 
     Args:
         surface: The surface.
-        amount: Their number, or one of ``COUNTED``.
-        seed: Of the random numbers that spread them.
-        label: What to call ``amount`` in messages.
+        amount: Number of points, or one of ``COUNTED``.
+        seed: Seed of the random distribution.
+        label: Name of ``amount`` in messages.
     """
     amount = check_amount(label, amount)
     if len(surface.meshes) > 1:
         raise ValueError(
-            f"{label}: {surface.name!r} has {len(surface.meshes)} meshes, and points are of one. Let it be the "
-            "surface that is touched; or make points of each mesh with wc.sample_surface and add_points, with a "
-            f"contact each, and set <contact>.enabled to 1 where {surface.name}.mesh is that mesh, to 0 elsewhere"
+            f"{label}: {surface.name!r} must have one mesh, got {len(surface.meshes)}. Sample the other surface "
+            "instead; or create points of each mesh with wc.sample_surface and add_points, add a contact for each, "
+            f"and set <contact>.enabled to 1 if {surface.name}.mesh is that mesh, else to 0"
         )
     if not surface.active_faces.any():
-        raise ValueError(f"{label}: {surface.name!r} has no active face to make points of")
+        raise ValueError(f"{label}: {surface.name!r} has no active face to sample")
     if isinstance(amount, str):
         return sample_surface(surface.mesh, method=amount, faces=surface.active_faces)
     return sample_surface(surface.mesh, amount, seed=seed, faces=surface.active_faces)

@@ -234,11 +234,11 @@ def test_invalid_impact_raises(changes, message):
             "keep.surface_a must be on a body, got 'plate' on the world",
         ),
         ({"surface_b": "deck"}, "keep: both surfaces are fixed to body 'block'; one must move"),
-        ({"surface_a": "several"}, "keep: 'several' has 2 meshes, and faces are of one"),
+        ({"surface_a": "several"}, "keep: 'several' must have one mesh, got 2"),
         ({"surface_a": "idle"}, "keep: 'idle' has no active face"),
         (
             {"friction": wc.friction.Mindlin(mu_static=0.3, mu_dynamic=0.3, shear_modulus=1e9)},
-            "keep.friction, Mindlin, is one of spheres",
+            "keep.friction, Mindlin, needs a radius",
         ),
         ({"enabled": "no"}, "keep.enabled must be True or False, got 'no'"),
         ({"color": (2, 0, 0)}, "keep.color[0] must be at least 0 and at most 1, got 2"),

@@ -202,7 +202,7 @@ def test_torsion_radius_without_torsion_is_refused():
 
 def test_anisotropic_torsion_is_refused():
     with pytest.raises(
-        ValueError, match=r"ContactMaterial\.torsion must be a friction without directions, got Elliptic"
+        ValueError, match=r"ContactMaterial\.torsion must be an isotropic friction model, got Elliptic"
     ):
         wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1.0), torsion=F.Elliptic(mu_1=0.1, mu_2=0.2))
 

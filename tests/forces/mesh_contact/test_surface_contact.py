@@ -366,9 +366,9 @@ def test_invalid_surface_contact_leaves_scene_unchanged():
         (
             (either, ground),
             {},
-            "press.samples: 'either' has 2 meshes, and points are of one. Let it be the surface",
+            "press.samples: 'either' must have one mesh, got 2. Sample the other surface",
         ),
-        ((ground, either), {"sides": "average"}, "press.samples: 'either' has 2 meshes"),
+        ((ground, either), {"sides": "average"}, "press.samples: 'either' must have one mesh, got 2"),
         ((None, ground), {}, "press.surface_a must come from add_surface of this scene, got None"),
     ]
     for pair, options, message in cases:

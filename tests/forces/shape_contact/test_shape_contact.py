@@ -510,7 +510,7 @@ def test_invalid_shape_input_is_refused_with_its_name():
         scene.add_shape(body, wc.shapes.Sphere(0.1), name="x", mask=-1)
     with pytest.raises(ValueError, match="both shapes are fixed to body 'body'"):
         scene.add_shape_contact(ball, scene.add_shape(body, wc.shapes.Plane()), material)
-    with pytest.raises(ValueError, match="two sets of shapes must be of one size, got 3"):
+    with pytest.raises(ValueError, match="two sets of shapes must have the same size, got 3"):
         scene.add_shape_contact(several, few, material)
     with pytest.raises(
         ValueError, match=r"other_shape of 'x' must come from add_shape of this scene, got Body 'body'"
