@@ -16,7 +16,7 @@ def far_apart():
 
 @pytest.mark.parametrize(("search", "first"), [("whole", 24), ("active", 30)])
 def test_face_without_area_in_float32_is_named_by_its_index(search, first, device):
-    message = rf"surface: face {first} has no area left in float32, .* coordinates of up to 900000 m\."
+    message = rf"surface: face {first} is degenerate in float32, .* coordinates of up to 900000 m\."
     with pytest.raises(ValueError, match=message):
         probe(far_apart(), (0.0, 0.0, 1.0), active_faces=[12, 13, 30, 31], search=search, device=device)
 

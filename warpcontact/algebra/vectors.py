@@ -1,7 +1,7 @@
-"""Products and bounds of vectors of three on the host, of any real type, component by component.
+"""Products, norms and bounds of 3-vectors on the host, for any real type, computed by component.
 
-NumPy is slow along a last axis of three: of thousands of vectors its ``norm`` takes two to five times as long and
-bounds five to nine times, its ``cross`` twice as long of few. Norms and products are the same to the last digit.
+NumPy is slow along a last axis of length 3: for thousands of vectors, its ``norm`` takes 2–5 times and bounds 5–9
+times as long; for few vectors, its ``cross`` takes twice as long. Norms and products are bitwise identical.
 """
 
 from typing import Any
@@ -29,6 +29,6 @@ def norm(vectors: NDArray[Any]) -> NDArray[Any]:
 
 
 def bounds(places: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Returns the lowest and the highest of each component (3,) of places (…, 3), one at least."""
+    """Returns the minimum and maximum of each component (3,) of at least one position (…, 3)."""
     axes = [places[..., k] for k in range(3)]
     return np.array([along.min() for along in axes]), np.array([along.max() for along in axes])

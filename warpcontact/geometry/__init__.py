@@ -1,1 +1,1 @@
-"""Tables for queries of meshes: BVH, face grid, contact clusters, clearance."""
+"""Tables for mesh queries: BVH, face grids, contact clusters, side regions."""

@@ -1,7 +1,8 @@
-"""A tree over the faces of a patch, eight branches at each node; ``kernels/narrowphase/bvh8_traversal.py`` goes through it.
+"""Bounding volume hierarchy (BVH) over the faces of a query mesh, with eight branches per node.
 
-What bounds a branch, or a face, is a disk of some thickness across the mean normal of its faces: on a smooth
-surface that is as thin as the surface is flat, where boxes along the axes are as thick as it is steep.
+A bounding volume is a flat cylinder ("disk") whose axis is the mean normal of its faces. On smooth surfaces it is
+thin, unlike axis-aligned boxes on inclined surfaces. ``kernels/narrowphase/bvh8_traversal.py`` searches the BVH on a
+CPU; GPUs use Warp's BVH.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,27 +16,26 @@ from numpy.typing import NDArray
 from warpcontact.storage.allocation_plan import AllocationPlan
 from warpcontact.validation.checks import Array
 
-#: Branches of a node.
+#: Branches per node.
 BRANCHES = 8
-#: Numbers that bound a branch: centre, radius, unit normal, half the thickness.
+#: Numbers of a bounding disk: center (3), radius, unit normal (3), half the thickness.
 BOUND = 8
-# Points with which a branch is bounded; one with more by the corners of boxes about parts of it.
+# Maximum number of points to bound a branch with; with more, the corners of boxes around its parts are used.
 MAX_POINTS = 24
-# Branches that are bounded together: what they take stays in a cache.
+# Number of branches bounded together, so that temporary arrays fit into the cache.
 BATCH = 4096
 
 
 @dataclass(frozen=True)
 class FaceBvh:
-    """A tree of which all branches are equally long.
+    """A complete BVH: all leaves are at the same depth.
 
     Attributes:
-        width: Branches of the root, at most 8. Nodes are counted from there, one level after the other: with the
-            root's they are the next, and those of node i are 8 i + width − 7 and the following. Beyond the last
-            node that means faces.
-        faces: Their numbers, as many as there is room for, which is less than twice as many as there are; those
-            from the number of faces on are none.
-        bounds: (nodes, 8 numbers, 8 branches); NaN where there is no branch.
+        width: Number of branches of the root, at most 8. Nodes are numbered level by level from the root. The
+            branches of node i are 8 i + width − 7 and following; numbers beyond the last node are leaves (faces).
+        faces: Face numbers of the leaves, less than twice the number of faces. Entries not below the number of faces
+            are empty.
+        bounds: Bounding disks (nodes, 8 numbers, 8 branches); NaN for empty branches.
     """
 
     width: int
@@ -44,19 +44,19 @@ class FaceBvh:
 
 
 def node_count(faces: int) -> int:
-    """Returns how many nodes a tree over that many faces has."""
+    """Returns the number of nodes of a BVH over a number of faces."""
     width, levels = _shape(faces)
     return 1 + width * (BRANCHES**levels - 1) // (BRANCHES - 1)
 
 
 def face_capacity(faces: int) -> int:
-    """Returns for how many faces a tree over that many has room."""
+    """Returns the number of leaves of a BVH over a number of faces."""
     width, levels = _shape(faces)
     return width * BRANCHES**levels
 
 
 def _shape(faces: int) -> tuple[int, int]:
-    """Returns the branches of the root, and how many levels of nodes are below."""
+    """Returns the number of branches of the root, and the number of node levels below it."""
     levels = 0
     while BRANCHES ** (levels + 1) < faces:
         levels += 1
@@ -64,19 +64,19 @@ def _shape(faces: int) -> tuple[int, int]:
 
 
 def build_bvh(corner: NDArray[np.float64], normal: NDArray[np.float64]) -> FaceBvh:
-    """Returns the tree over faces with corners (F, 3, 3) and unit normals (F, 3)."""
+    """Returns the BVH over faces with vertices ``corner`` (F, 3, 3) and unit normals (F, 3)."""
     count = len(corner)
     width, levels = _shape(count)
     order = _split_faces(((corner[:, 0] + corner[:, 1] + corner[:, 2]) / 3.0).T, width, levels)
     empty, filled = order >= count, order.clip(max=count - 1)
-    # What a table of corners in float32 may be off.
+    # Error bound of vertices in float32.
     off = 2.0 * float(np.finfo(np.float32).eps) * float(np.abs(corner).max())
     points = np.ascontiguousarray(corner[filled].transpose(2, 1, 0))  # (3, K, N)
     normals = np.ascontiguousarray(normal[filled].T)  # (3, N)
     bounds: list[NDArray[np.float32]] = []
     while len(bounds) <= levels:
         if bounds:
-            # One level up: eight branches are one.
+            # One level up: merge eight branches.
             points = (
                 points.reshape(3, points.shape[1], -1, BRANCHES)
                 .swapaxes(2, 3)
@@ -101,19 +101,19 @@ def build_bvh(corner: NDArray[np.float64], normal: NDArray[np.float64]) -> FaceB
 
 
 def _split_faces(middle: Array, width: int, levels: int) -> NDArray[np.intp]:
-    """Returns numbers of faces with middles (3, F), and beyond, in the order of the branches.
+    """Returns face numbers in the order of the leaves, for faces with centroids ``middle`` (3, F).
 
-    Each branch has those on one side of a median, along the axis along which they lie farthest apart.
+    Branches are split at the median along the axis of largest extent. Empty leaves have numbers from F on.
     """
     count = middle.shape[1]
     order = np.arange(width * BRANCHES**levels)
-    # Those that are not there are as the last, and so about it.
+    # Empty leaves get the position of the last face, so that they are close to it.
     middle = np.ascontiguousarray(middle[:, order.clip(max=count - 1)].astype(np.float32))
     parts = 1
-    # In which order the branches of a last node come is all the same.
+    # The order of branches in a node of the last level does not matter, so it is not sorted.
     for branches in (width, *[2] * (3 * (levels - 1))) if levels else ():
         own = middle[:, order].reshape(3, parts, -1)
-        # Few numbers of many parts: NumPy takes the least of all parts at once, but not of few in a row.
+        # NumPy reduces along the first axis of many short parts faster than along a short last axis.
         across = np.ascontiguousarray(own.swapaxes(1, 2))
         axis = np.ptp(across, axis=1).argmax(axis=0)
         along = own[axis, np.arange(parts)]
@@ -126,10 +126,10 @@ def _split_faces(middle: Array, width: int, levels: int) -> NDArray[np.intp]:
 
 
 def _bounding_disks(points: Array, normals: Array, off: float, boxed: bool) -> tuple[NDArray[np.float32], Array]:
-    """Returns what bounds points (3, K, N), (8, N), and if asked the corners (3, 8, N) of boxes about them."""
+    """Returns bounding disks (8, N) of points (3, K, N) and, if ``boxed``, corners (3, 8, N) of bounding boxes."""
     length = np.sqrt((normals**2).sum(axis=0))
     normal = np.where(length > 0.0, normals / np.where(length > 0.0, length, 1.0), [[0.0], [0.0], [1.0]])
-    # Two more axes, across the one along which the normal has least.
+    # Two axes perpendicular to the normal, from the coordinate axis with its smallest component.
     first = np.cross(normal, np.eye(3)[np.abs(normal).argmin(axis=0)].T, axis=0)
     first /= np.sqrt((first**2).sum(axis=0))
     axes = (first, np.cross(normal, first, axis=0), normal)
@@ -146,12 +146,12 @@ def _bounding_disks(points: Array, normals: Array, off: float, boxed: bool) -> t
     height = _dot(away, normal)
     lateral = np.sqrt(np.maximum(_dot(away, away) - height**2, 0.0).max(axis=0))
     widened = [(1.0 + 1e-6) * bound + off for bound in (lateral, np.abs(height).max(axis=0))]
-    # Of the normal it is rounding alone, which who goes through the tree allows for.
+    # The normal is not widened; the traversal accounts for its rounding.
     return np.concatenate([centre, widened[:1], normal, widened[1:]]).astype(np.float32), corners
 
 
 def _dot(points: Array, axis: Array) -> Array:
-    """Returns points (3, K, N) along axes (3, N), or (3, K, N)."""
+    """Returns dot products (K, N) of points (3, K, N) with axes (3, N) or (3, K, N)."""
     return np.asarray(sum(points[i] * axis[i] for i in range(3)))
 
 
@@ -162,14 +162,14 @@ def declare_bvhs(
     model: Any,
     layout: AllocationPlan,
 ) -> None:
-    """Declares the trees of the patches of ``model``, on a CPU; a GPU has none.
+    """Declares the BVHs of the query meshes of ``model``, on a CPU; empty arrays on a GPU.
 
     Args:
-        counts: Number of faces of each mesh.
-        build: Returns the tree of each.
-        search_meshes: For each patch, the number of its mesh.
-        model: What is to have them.
-        layout: Where it lies.
+        counts: Number of faces of each search mesh.
+        build: Returns the BVH of each search mesh.
+        search_meshes: For each query mesh, the number of its search mesh.
+        model: Struct that gets the arrays.
+        layout: Allocation plan to which they are added.
     """
     if not layout.device.is_cpu:
         counts = ()

@@ -1,4 +1,4 @@
-"""Contacts in blocks that are near each other: what a thread works on, and leaves alone while all are far away."""
+"""Clusters: groups of at most 16 neighboring contacts that are culled together and processed by one thread."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,21 +14,21 @@ from warpcontact.storage.allocation_plan import AllocationPlan
 from warpcontact.storage.parameters import Parameters
 from warpcontact.validation.checks import Array
 
-# Contacts of a block: so few that looking through them costs little, so many that a block is worth it.
+# Maximum number of contacts per cluster. More contacts cost more if one is active; fewer gain less by culling.
 MAX_CLUSTER_SIZE = 16
 
 
 @dataclass(frozen=True)
 class ContactClusters:
-    """The blocks of all contacts.
+    """The clusters of all contacts. A point set moves rigidly and has one or several clusters.
 
     Attributes:
         set_contact: First contact of each set, and the end, (sets + 1,).
-        set_start: First block of each set of contacts, and the end, (sets + 1,).
-        start: First place of each block in the list of contacts, and the end, (blocks + 1,).
-        contact: Contacts by block, (contacts,).
-        body_cluster_start: First entry of each body in the next, and the end, (bodies + 1,).
-        body_clusters: The blocks of each body, each 2 × block + 0 as the points' body, 1 as the surface's.
+        set_start: First cluster of each set, and the end, (sets + 1,).
+        start: First entry of each cluster in ``contact``, and the end, (clusters + 1,).
+        contact: Contacts, ordered by cluster, (contacts,).
+        body_cluster_start: First entry of each body in ``body_clusters``, and the end, (bodies + 1,).
+        body_clusters: Clusters of each body, as 2 × cluster + side; side 0: body of the points, 1: of the surface.
     """
 
     set_contact: NDArray[np.int32]
@@ -40,40 +40,40 @@ class ContactClusters:
 
     @property
     def count(self) -> int:
-        """Number of blocks."""
+        """Number of clusters."""
         return len(self.start) - 1
 
     @property
     def width(self) -> int:
-        """Contacts that a block has room for: the next power of two after the largest."""
+        """Size of the largest cluster, rounded up to a power of two."""
         return 1 << int(np.diff(self.start).max(initial=1) - 1).bit_length()
 
     @property
     def max_per_body(self) -> int:
-        """ContactClusters of the body that has the most of them."""
+        """Maximum number of clusters of a body."""
         return int(np.diff(self.body_cluster_start).max(initial=0))
 
     @property
     def set_count(self) -> int:
-        """Number of sets: what moves as one."""
+        """Number of point sets."""
         return len(self.set_start) - 1
 
     @property
     def set_of_cluster(self) -> NDArray[np.int32]:
-        """Set of each block, (blocks,)."""
+        """Set of each cluster, (clusters,)."""
         return np.repeat(np.arange(self.set_count, dtype=np.int32), np.diff(self.set_start))
 
     def range_of_contacts(self, first: int, count: int) -> tuple[int, int]:
-        """Returns the first block, and the number of blocks, of contacts side by side that make up whole sets."""
+        """Returns the first cluster and the number of clusters of consecutive contacts that form complete sets."""
         return _between(self.start, first, count)
 
     def set_range_of_contacts(self, first: int, count: int) -> tuple[int, int]:
-        """Returns the first set, and the number of sets, of such contacts."""
+        """Returns the first set and the number of sets of consecutive contacts that form complete sets."""
         return _between(self.set_contact, first, count)
 
 
 def make_clusters(contacts: list[Contact], body_count: int) -> ContactClusters:
-    """Returns the blocks of contacts in the order of the device, among so many bodies."""
+    """Returns the clusters of ``contacts``, which are in device order, for ``body_count`` bodies."""
     empty = [np.zeros(0, dtype=np.intp)]
     members, sizes, clusters_of_sets, sets = list(empty), list(empty), list(empty), list(empty)
     first = 0
@@ -109,12 +109,12 @@ def _between(starts: NDArray[np.int32], first: int, count: int) -> tuple[int, in
 
 
 def _starts(counts: NDArray[np.integer]) -> NDArray[np.int32]:
-    """Returns where each of some lists begins that lie one behind the other, and where the last ends."""
+    """Returns the start of each of several consecutive lists, and the end of the last one."""
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
 
 
 def _split_spatially(positions: Array) -> list[NDArray[np.intp]]:
-    """Cuts points across their longest direction until few enough are together; indices ascend in each."""
+    """Splits points across their longest extent into clusters; indices ascend in each."""
     pending = [np.arange(len(positions))]
     finished: list[NDArray[np.intp]] = []
     while pending:
@@ -124,7 +124,7 @@ def _split_spatially(positions: Array) -> list[NDArray[np.intp]]:
             continue
         along = int(np.ptp(positions[indices], axis=0).argmax())
         order = indices[np.argsort(positions[indices, along], kind="stable")]
-        # Halves of whole blocks, so that most are full.
+        # Split at a multiple of the cluster size, so that most clusters are full.
         center = MAX_CLUSTER_SIZE * -(-len(order) // (2 * MAX_CLUSTER_SIZE))
         pending += [order[center:], order[:center]]
     return finished
@@ -139,19 +139,19 @@ def upload_clusters(
     t: Any,
     point_positions: Callable[[], Array],
 ) -> list[Any]:
-    """Fills the sets and blocks of ``model``.
+    """Declares the arrays of sets and clusters of ``model``.
 
     Args:
-        clusters: What ``make_clusters`` returned for ``contacts``.
-        contacts: The contacts in the order of the device.
-        model: The struct.
-        layout: For what is the same in all environments.
-        parameters: For the middle and extent of the sets, which follow the points.
-        t: Structs.
-        point_positions: Returns where all points are in their bodies, (1 or envs, points, 3).
+        clusters: Clusters of ``contacts``.
+        contacts: The contacts in device order.
+        model: Struct that gets the arrays.
+        layout: Allocation plan for the index arrays.
+        parameters: Gets the device fields of centers and extents, which depend on the points.
+        t: Warp structs of the precision.
+        point_positions: Returns the positions of all points in their bodies, (1 or envs, points, 3).
 
     Returns:
-        The uploads that have to follow when points are moved.
+        The device fields to upload when points are moved.
     """
 
     def add_constant(name: str, values: Any) -> None:
@@ -183,7 +183,7 @@ def upload_clusters(
             return np.zeros((1, 0))
         center = np.repeat(centers(by_set, firsts), sizes, axis=1)
         distances = np.linalg.norm(point_positions()[:, by_set] - center, axis=2)
-        # A little more, for the rounding of both.
+        # Enlarged for rounding of points and centers.
         return np.asarray((1.0 + 1.0e-5) * np.maximum.reduceat(distances, firsts, axis=1), dtype=np.float64)
 
     return [
@@ -196,9 +196,9 @@ def upload_clusters(
 def _clusters_by_body(
     cluster_counts: NDArray[np.intp], contacts: list[Contact], body_count: int
 ) -> tuple[NDArray[np.int32], NDArray[np.intp]]:
-    """Returns where the blocks of each body start in a list (bodies + 1), and the list of 2 × block + side.
+    """Returns ``body_cluster_start`` and ``body_clusters``, see ``ContactClusters``.
 
-    ``cluster_counts`` is how many blocks each set has.
+    ``cluster_counts`` is the number of clusters of each set.
     """
     empty = np.zeros(0, dtype=np.int32)
     on_points = [

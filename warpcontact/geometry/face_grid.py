@@ -1,4 +1,8 @@
-"""Grids about the meshes that points touch: where they lie, how fine they are, and what they take."""
+"""Face grids: size and resolution of the uniform grids around query meshes, used on GPUs.
+
+Each cell stores its clearance and the faces that may be nearest to a point in it. The grids are filled by
+``kernels/narrowphase/fill_face_grid.py``.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,33 +22,33 @@ from warpcontact.storage.allocation_plan import AllocationPlan
 if TYPE_CHECKING:
     from warpcontact.geometry.query_mesh import QueryMesh, QueryMeshes
 
-# Size of a cell, as part of a usual edge: the finest first, the coarsest last. Measured.
+# Cell size relative to the median edge length: smallest and largest. Measured.
 FINEST, COARSEST = 0.25, 1.25
-# Cells beside those near the patch, where there is room for them.
+# Width of the margin around the mesh, in cells, if memory permits.
 MARGIN_CELLS = 8.0
-# Spheres that come to touch may be so much larger later, by their parameters; or so, where there is less room.
+# Growth of sphere radii (parameters can change) that the grid allows for; the second if memory is short.
 RADIUS_GROWTHS = (2.0, 1.25)
-# Room for the faces of a list on average, and so many more times the area of a cell in squares of a usual edge:
-# measured. Where it runs out, cells have none.
+# Average length of a face list: LIST_BASE + LIST_PER_AREA · (cell size/median edge length)². Measured. If the memory
+# for lists is full, cells have no list.
 LIST_BASE, LIST_PER_AREA = 4.5, 11.0
-# Faces about a point from which on there are too many to tell them apart.
+# Maximum number of candidate faces around a point for which a grid is useful.
 MAX_CANDIDATES = 120
-# What the cells of a patch may take, its lists, and all that of all patches [bytes].
+# Maximum size of the cells of a query mesh, of its lists, and of all grids together [bytes].
 CELL_BYTES, LIST_BYTES, MAX_BYTES = 384 * 2**20, 640 * 2**20, 1024 * 2**20
 
 
 @dataclass(frozen=True)
 class FaceGrid:
-    """A grid about a patch, in the mesh's frame and unit.
+    """A grid around a query mesh, in the frame and unit of the mesh.
 
     Attributes:
-        origin: Its lowest corner (3,).
-        counts: Cells along the axes.
-        size: Size of a cell.
-        margin: From its boundary to the patch.
-        places: Room for the faces that its cells list.
-        radius: How far points on the outer side are that may come to touch.
-        bytes: What it takes.
+        origin: Corner with the lowest coordinates (3,).
+        counts: Number of cells along each axis.
+        size: Edge length of a cell.
+        margin: Distance from the boundary of the grid to the mesh.
+        places: Capacity of the face lists of all cells, in faces.
+        radius: Distance from the mesh within which points on the outer side can be in contact.
+        bytes: Memory [bytes].
     """
 
     origin: NDArray[np.float64]
@@ -57,15 +61,14 @@ class FaceGrid:
 
     @property
     def cells(self) -> int:
-        """How many there are."""
+        """Number of cells."""
         return int(np.prod(self.counts))
 
 
 def make_grids(made: "QueryMeshes", device: wp.Device, t: SimpleNamespace) -> list[FaceGrid] | None:
-    """Returns the grids about all patches; ``None`` where not all have one, or nothing is gained.
+    """Returns the grids of all query meshes; ``None`` if one cannot have a grid, or grids are not faster.
 
-    On a CPU a search waits for little. Points beside a surface of several sheets, and those that are swept, are
-    better remembered.
+    Grids are not used on a CPU, for swept contacts, and for meshes without a side region; the face cache is then used.
     """
     if not device.is_cuda or any(contact.swept for contact in made.first_of_contact):
         return None
@@ -75,7 +78,7 @@ def make_grids(made: "QueryMeshes", device: wp.Device, t: SimpleNamespace) -> li
         if grid is None:
             return None
         grids.append(grid)
-        # A list is told by a number.
+        # Lists are addressed by an int32.
         places = sum(one.places for one in grids)
         if sum(one.bytes for one in grids) > MAX_BYTES or places // LIST_ALIGNMENT * LIST_STRIDE >= 2**31:
             return None
@@ -83,12 +86,12 @@ def make_grids(made: "QueryMeshes", device: wp.Device, t: SimpleNamespace) -> li
 
 
 def make_grid(query_mesh: "QueryMesh", radius: float, t: SimpleNamespace) -> FaceGrid | None:
-    """Returns the grid about a patch; ``None`` where it would take too much, or help too little.
+    """Returns the grid of a query mesh; ``None`` if it would need too much memory or have too many candidates.
 
     Args:
-        query_mesh: The patch.
-        radius: Radius of the largest sphere that touches it, in the unit of the mesh.
-        t: The structs of kernels.
+        query_mesh: The query mesh.
+        radius: Radius of the largest sphere in contact with it, in the unit of the mesh.
+        t: Warp structs of the precision.
     """
     if query_mesh.side_region.kind == SIDE_KNOWN_NOWHERE:
         return None
@@ -97,12 +100,12 @@ def make_grid(query_mesh: "QueryMesh", radius: float, t: SimpleNamespace) -> Fac
     of_cell = wp.types.type_size_in_bytes(t.Cell)
     size = FINEST * query_mesh.edge
     while size <= COARSEST * query_mesh.edge:
-        # Faces that may be nearest before any other is held against them lie in a disk about the point.
+        # Candidates for the nearest face lie in a disk around the point, with r² ≈ size (2 radius + size).
         crowd = np.pi * size * (2.0 * radius + size) * len(corner) / query_mesh.area
         if crowd > MAX_CANDIDATES:
             return None
         list_size = LIST_BASE + LIST_PER_AREA * (size / query_mesh.edge) ** 2
-        # Cells beyond those that have a list tell how far it is.
+        # Cells in the outer margin have no list and store only their clearance.
         for radius_growth, margin_size in product(
             RADIUS_GROWTHS, (MARGIN_CELLS, MARGIN_CELLS / 2.0, MARGIN_CELLS / 4.0, 1.0)
         ):
@@ -110,7 +113,7 @@ def make_grid(query_mesh: "QueryMesh", radius: float, t: SimpleNamespace) -> Fac
             margin = far + query_mesh.skin + margin_size * size
             counts = np.ceil((high - low + 2.0 * margin) / size)
             cells = float(np.prod(counts))
-            # Cells that have one lie within this of the area, a third more about a bend or beside a rim.
+            # Cells with a list lie within this height of the surface; 1/3 more at bends and along the boundary.
             height = far + 2.0 * query_mesh.skin + 3.0 * size
             lists = min(1.35 * query_mesh.area * height / size**3 + 1000.0, cells)
             places = LIST_ALIGNMENT * int(list_size * lists / LIST_ALIGNMENT)
@@ -126,7 +129,7 @@ def make_grid(query_mesh: "QueryMesh", radius: float, t: SimpleNamespace) -> Fac
 def declare_grids(
     grids: Sequence[FaceGrid] | None, query_meshes: int, model: Any, layout: AllocationPlan, t: SimpleNamespace
 ) -> None:
-    """Declares the grids of the patches of ``model``, to be filled when they are made."""
+    """Declares the grids of the query meshes of ``model``; they are filled when they are allocated."""
     rows = grids or [FaceGrid(np.zeros(3), (0, 0, 0), 1.0, 0.0, 0, 0.0, 0)] * query_meshes
     first_cell = np.cumsum([0] + [grid.cells for grid in rows]).tolist()
     first_place = np.cumsum([0] + [grid.places for grid in rows]).tolist()
@@ -135,7 +138,7 @@ def declare_grids(
     origins = np.array([grid.origin for grid in rows]).reshape(-1, 3)
     layout.constant("surfaces", model, "query_mesh_grid_origin", origins, t.vec3)
     layout.constant("surfaces", model, "query_mesh_cell_size", [grid.size for grid in rows], t.real)
-    # Rounding of the boundary, which is of single precision, takes none of it.
+    # Reduced by the rounding error of the float32 boundary of the grid.
     margins = [grid.margin * (1.0 - 1e-4) - 1e-6 * float(np.abs(grid.origin).max()) for grid in rows]
     layout.constant("surfaces", model, "query_mesh_grid_margin", margins, t.real)
 
@@ -145,7 +148,7 @@ def declare_grids(
         model.cell_face = wp.empty(first_place[-1], dtype=wp.int32, device=device)
         if grids is None:
             return
-        # Warp parses functions as they are made: only where there are any.
+        # Imported on demand, because Warp parses kernel functions on import.
         from warpcontact.kernels.narrowphase import fill_face_grid
 
         used = wp.zeros(len(grids), dtype=wp.int32, device=device)

@@ -1,4 +1,7 @@
-"""Which contacts start clear of their surface, as bounds of both tell: nothing has to be searched for there."""
+"""Bounds that prove that a contact has no initial penetration, without a closest-point search.
+
+Used by the warnings about initial penetration (``forces/mesh_contact/step_warnings.py``).
+"""
 
 from typing import TYPE_CHECKING
 
@@ -13,15 +16,15 @@ if TYPE_CHECKING:
     from warpcontact.scene.elements import Body, Surface
     from warpcontact.scene.scene import Contact
 
-# Of all coordinates on the way, together: more than float32 loses of them.
+# Relative to the sum of all coordinates in the chain of transforms; above their rounding error in float32.
 ROUNDING = 1.0e-5
 
 
 def starts_clear(model: "Environments", contact: "Contact", envs: int) -> bool:
-    """Returns whether no point of ``contact`` can be inside of its surface, in the first ``envs`` environments.
+    """Returns whether bounds prove that no point of ``contact`` is inside its surface, in the first ``envs`` environments.
 
-    It is so above the whole of a terrain or bowl, over its boundary, and beside the box about a solid. Of points that
-    move together the ball about them is asked.
+    This is so above a whole terrain or bowl (within its boundary), and outside of the bounding box of a solid. Points
+    of a rigid set are bounded by a sphere.
     """
     return all(
         _starts_clear_on(part, contact, min(envs - own.start, part.envs))
@@ -33,7 +36,7 @@ def starts_clear(model: "Environments", contact: "Contact", envs: int) -> bool:
 def _starts_clear_on(part: "Model", contact: "Contact", envs: int) -> bool:
     points, surface = contact.points, contact.surface
 
-    # All that follows is (1 or envs, items, …).
+    # All arrays have shape (1 or envs, items, …).
     def values(name: str) -> Array:
         return part.parameters[name].values[:envs]
 
@@ -66,21 +69,21 @@ def _starts_clear_on(part: "Model", contact: "Contact", envs: int) -> bool:
 
 
 def _max_coordinate(places: Array) -> Array:
-    """Returns the largest coordinate of each place."""
+    """Returns the largest absolute coordinate of each position."""
     return np.asarray(np.abs(places).max(axis=-1))
 
 
 def _pose(part: "Model", body: "Body", envs: int) -> list[Array]:
-    """Returns where a body is now, or those of a set are, and how they are turned, (envs, n, …)."""
+    """Returns the current positions and orientations of a body or set of bodies, (envs, n, …)."""
     whole = part.state.body_position, part.state.body_orientation
     return [array[:envs, body.items].numpy().astype(np.float64) for array in whole]
 
 
 def _to_parent_frame(places: Array, position: Array, orientation: Array) -> Array:
-    """Returns places of a frame, one of each, in the frame in which it has this pose."""
+    """Returns positions (…, 3), one per frame, transformed from a frame to its parent frame."""
     return transform_points(places[..., None, :], position, orientation)[..., 0, :]
 
 
 def _to_local_frame(places: Array, position: Array, orientation: Array) -> Array:
-    """Returns places in a frame, one in each, that has this pose where they are given."""
+    """Returns positions (…, 3), one per frame, transformed from the parent frame to a frame."""
     return _to_parent_frame(places - position, np.zeros(3), inverse(orientation))

@@ -1,7 +1,7 @@
-"""What the closest-point search reads: meshes, and the pseudonormals, activity and boundaries of their features.
+"""Tables for closest-point queries: meshes, and pseudonormals, active flags and boundary flags of their features.
 
-The angle-weighted pseudonormal of the feature that is nearest to a point tells the side of the point without
-error (Bærentzen & Aanæs, IEEE TVCG 11 (2005) 243); a face normal, or Warp's own sign, does not.
+The sign of the distance is determined by the angle-weighted pseudonormal of the closest feature, which is exact
+(Bærentzen & Aanæs, IEEE TVCG 11 (2005) 243). Face normals and Warp's sign are not. Kernels: ``kernels/narrowphase``.
 """
 
 import math
@@ -27,52 +27,52 @@ from warpcontact.scene.scene import Contact
 from warpcontact.storage.allocation_plan import AllocationPlan
 from warpcontact.validation.checks import Array
 
-# Warp's queries skip triangles slimmer than the limit, which they compute in float32.
+# Warp's queries skip triangles slimmer than the limit, evaluated in float32.
 MIN_SLENDERNESS = 1.2 * SLIVER_LIMIT
-# Of the length of a usual edge: a list of few faces that serves for many steps.
+# Skin of the face cache relative to the median edge length: few faces, valid for many steps.
 SKIN = 0.35
-# Faces that are remembered of a contact on a CPU; measured. More last longer, but take more of a cache.
+# Number of cached faces of a contact on a CPU; measured. More faces are valid longer, but need more CPU cache.
 MIN_CACHED_FACES, MAX_CACHED_FACES = 16, 48
-# Faces of a mesh that, with its tree, is larger than what cores have of caches; measured.
+# Number of faces above which a mesh and its BVH do not fit into the CPU caches; measured.
 LARGE_MESH_FACES = 150_000
 
 
 @dataclass(frozen=True)
 class QueryMesh:
-    """A set of faces to search, with its tables. Features: the face, edges 0-1, 1-2, 2-0, corners 0, 1, 2."""
+    """Faces to search, with their tables. Features: the face, edges 0-1, 1-2, 2-0, vertices 0, 1, 2."""
 
-    corner: NDArray[np.float64]  # (F, 3, 3), in the mesh's axes and unit, from the centre of the surface
+    corner: NDArray[np.float64]  # (F, 3, 3) vertices, axes and unit of the mesh, relative to ``Surface.centre``
     normal: NDArray[np.float64]  # (F, 7, 3) unit pseudonormals
     flags: NDArray[np.uint8]  # (F, 7) FEATURE_* bits
-    neighbor: NDArray[np.int32]  # (F, 3) 3 × face + edge across each edge; −1: none, or not one alone
-    edge: float  # length of a usual edge
-    area: float  # of all faces together
+    neighbor: NDArray[np.int32]  # (F, 3) 3 × face + edge across each edge; −1: none, or several
+    edge: float  # median edge length
+    area: float  # total area of the faces
     side_region: SideRegion
 
     @cached_property
     def bvh(self) -> FaceBvh:
-        """The tree that is searched on a CPU."""
+        """The BVH that is searched on a CPU."""
         return build_bvh(self.corner, self.normal[:, 0])
 
     @property
     def skin(self) -> float:
-        """How much farther faces are remembered than the nearest."""
+        """Skin of the face cache: faces up to this much farther than the nearest one are cached."""
         return SKIN * self.edge
 
     def faces_within(self, radius: float) -> float:
-        """Returns about how many faces lie within ``radius``, in the unit of the mesh, of one of them."""
+        """Returns an estimate of the number of faces within ``radius`` (unit of the mesh) of a face."""
         disk = min(radius / np.sqrt(self.area), 1.0)
         return max(1.0, min(np.pi * disk**2, 1.0) * len(self.corner))
 
 
 def make_query_mesh(mesh: Mesh, active: NDArray[np.bool_], centre: Array, *, only_active: bool) -> QueryMesh:
-    """Returns the tables of a mesh, or of its active part as an open surface of its own.
+    """Returns the query mesh of a mesh, or of its active faces as a separate open surface.
 
     Args:
         mesh: The mesh; coincident vertices count as one.
-        active: Mask (F,) of the faces that can touch.
-        centre: Origin of the tables in the mesh's frame.
-        only_active: Whether to leave the other faces out.
+        active: Mask (F,) of the active faces.
+        centre: Origin of the tables in the mesh frame.
+        only_active: Whether to omit the other faces.
     """
     faces = mesh.faces[active] if only_active else mesh.faces
     active = np.ones(len(faces), dtype=bool) if only_active else active
@@ -83,18 +83,18 @@ def make_query_mesh(mesh: Mesh, active: NDArray[np.bool_], centre: Array, *, onl
     twice_area = norm(areas)[:, None]
     face_normal = areas / twice_area
 
-    # Edges: both faces meet them with the angle π, so the weights are equal.
+    # Edges: both faces have the angle π there, so the weights are equal.
     ends = np.stack([welded, np.roll(welded, -1, axis=1)], axis=2)  # (F, 3, 2)
     count = int(welded.max()) + 1
     low, high = (end(ends[..., 0], ends[..., 1]).astype(np.int64) for end in (np.minimum, np.maximum))
-    _, edge = np.unique(count * low + high, return_inverse=True)  # many times as fast as of rows
+    _, edge = np.unique(count * low + high, return_inverse=True)  # scalar keys are many times faster than rows
     edge = edge.reshape(-1, 3)
     face_count = np.bincount(edge.ravel())
     edge_sum = _sum_over(edge, np.repeat(face_normal[:, None], 3, axis=1), len(face_count))
     boundary = face_count == 1
     edge_active = np.bincount(edge.ravel(), weights=np.repeat(active, 3)) > 0
 
-    # Corners: weighted with the angle of the face there.
+    # Vertices: weighted with the angle of the face.
     corner_sum = _sum_over(welded, angles(corner)[..., None] * face_normal[:, None], count)
     on_boundary = np.zeros(count, dtype=bool)
     on_boundary[ends[boundary[edge]].ravel()] = True
@@ -122,20 +122,21 @@ def make_query_mesh(mesh: Mesh, active: NDArray[np.bool_], centre: Array, *, onl
     )
 
 
-#: Patches by their mesh, its active faces, the origin of the tables, and whether the other faces are left out.
+#: Query meshes by mesh, active faces, origin of the tables, and ``only_active``.
 QueryMeshCache = dict[tuple[Mesh, bytes, bytes, bool], QueryMesh]
 
 
 @dataclass(frozen=True)
 class QueryMeshes:
-    """The patches of all surfaces; contacts that search the same faces share one.
+    """The query meshes of all surfaces; contacts that search the same faces share one.
 
     Attributes:
-        query_meshes: All of them, one for each mesh of a surface that is searched in one way.
-        surfaces: Index of the surface of each.
-        search_meshes: For each, the number of its mesh for queries: patches that differ in what is active share one.
-        corners: Of the faces (F, 3, 3) of each of these meshes, in float32.
-        first_of_contact: First patch of each contact.
+        query_meshes: The query meshes, one per mesh of a surface and value of ``only_active``.
+        surfaces: Index of the surface of each query mesh.
+        search_meshes: Number of the search mesh of each query mesh. Query meshes that differ only in active flags
+            share a search mesh.
+        corners: Vertices of the faces (F, 3, 3) of each search mesh, float32.
+        first_of_contact: First query mesh of each contact.
     """
 
     query_meshes: list[QueryMesh]
@@ -145,7 +146,7 @@ class QueryMeshes:
     first_of_contact: dict[Contact, int]
 
     def max_radii(self) -> NDArray[np.float64]:
-        """Returns the radius of the largest sphere that touches each patch, in the unit of its mesh."""
+        """Returns the largest sphere radius of contacts with each query mesh, in the unit of its mesh."""
         radius = np.zeros(len(self.query_meshes))
         for contact, first in self.first_of_contact.items():
             own = slice(first, first + len(contact.surface.meshes))
@@ -153,7 +154,7 @@ class QueryMeshes:
         return radius
 
     def side_regions(self) -> dict[Contact, list[SideRegion]]:
-        """Returns where the surface of each contact keeps its sides apart, mesh by mesh."""
+        """Returns the side regions of the surface of each contact, one per mesh."""
         return {
             contact: [
                 query_mesh.side_region
@@ -164,13 +165,13 @@ class QueryMeshes:
 
     @property
     def face_count(self) -> int:
-        """Number of rows of the tables of faces."""
+        """Total number of faces of all query meshes."""
         return sum(len(query_mesh.corner) for query_mesh in self.query_meshes)
 
     def faces_read(self) -> int:
-        """Returns about how many faces an environment reads, in some steps, of meshes too large for caches.
+        """Returns an estimate of the number of faces that an environment reads from meshes too large for caches.
 
-        Those around each body as far as its points and their radii reach, as they are in the scene.
+        Counted are faces within the extent of the points and radii of each contact, as in the scene.
         """
         face_total = 0.0
         for contact, first in self.first_of_contact.items():
@@ -179,7 +180,7 @@ class QueryMeshes:
             radius = float(contact.radius.max())
             if not points.spread:
                 radius += 0.5 * scale * float(np.linalg.norm(np.ptp(points.positions, axis=0)))
-            # Divided first: squares of what is accepted may overflow.
+            # Divide before squaring, because squares of valid radii may overflow.
             radius /= float(contact.surface.scale.min())
             query_meshes = self.query_meshes[first : first + len(contact.surface.meshes)]
             large = [query_mesh for query_mesh in query_meshes if len(query_mesh.corner) > LARGE_MESH_FACES]
@@ -190,10 +191,10 @@ class QueryMeshes:
         return round(face_total)
 
     def cached_face_count(self) -> int:
-        """Returns how many faces are worth remembering of each contact on a CPU: of that with the most.
+        """Returns the number of cached faces per contact on a CPU: the maximum over all contacts.
 
-        Those that are farther from the middle of a sphere, where it touches a plane, than that by no more
-        than the skin lie in a disk. As many more as fill up several at once.
+        For a sphere on a plane, the faces within radius + skin of its center lie in a disk. The number of faces in
+        this disk is rounded up to a multiple of the SIMD width.
         """
         max_count = float(MIN_CACHED_FACES)
         for query_mesh, radius in zip(self.query_meshes, self.max_radii(), strict=True):
@@ -203,14 +204,14 @@ class QueryMeshes:
 
 
 def make_query_meshes(contacts: list[Contact], mesh_cache: QueryMeshCache | None = None) -> QueryMeshes:
-    """Returns the patches of ``contacts``.
+    """Returns the query meshes of ``contacts``.
 
     Args:
         contacts: The contacts.
-        mesh_cache: Patches that are there already; those that are made here are added.
+        mesh_cache: Existing query meshes; new ones are added.
 
     Raises:
-        ValueError: If a face has no area left in float32, in which queries search.
+        ValueError: If a face is degenerate in float32, the precision of the search.
     """
     mesh_cache = {} if mesh_cache is None else mesh_cache
     rows: dict[tuple[int, bool], int] = {}
@@ -231,7 +232,7 @@ def make_query_meshes(contacts: list[Contact], mesh_cache: QueryMeshCache | None
                     )
                 meshes_of_contacts.query_meshes.append(query_mesh)
                 meshes_of_contacts.surfaces.append(surface.index)
-                # Meshes that differ in what is active alone are searched as one.
+                # Query meshes that differ only in active flags share a search mesh.
                 faces = (id(mesh), active.tobytes() if only_active else b"", surface.centre.tobytes())
                 if faces not in numbers:
                     numbers[faces] = len(meshes_of_contacts.corners)
@@ -249,11 +250,11 @@ def upload_query_meshes(
     layout: AllocationPlan,
     t: SimpleNamespace,
 ) -> list[wp.Mesh]:
-    """Declares the patches of ``model``, with cells if there are ``grids``.
+    """Declares the query meshes of ``model``, with face grids if there are ``grids``.
 
     Returns:
-        The meshes, a list that is filled when they are made: a kernel holds only their ids, so somebody has to
-        keep them.
+        The Warp meshes, a list that is filled on allocation. The caller must keep it alive, because kernels store
+        only mesh ids.
     """
     query_meshes = meshes_of_contacts.query_meshes
     meshes: list[wp.Mesh] = []
@@ -283,7 +284,7 @@ def upload_query_meshes(
     add_constant("wall_normal", np.concatenate([none, *(own.normal for own in regions)]), t.vec3)
     add_constant("wall_offset", np.concatenate([none[:, 0], *(own.offset for own in regions)]), t.real)
     if query_meshes:
-        # With its normal a face is in one place of the memory, which is what a search waits for.
+        # Vertices and normal of a face are contiguous, because the search is limited by memory latency.
         shapes = [
             np.concatenate([query_mesh.corner, query_mesh.normal[:, :1]], axis=1) for query_mesh in query_meshes
         ]
@@ -303,19 +304,19 @@ def upload_query_meshes(
         declare_bvhs(
             counts, lambda: [query_mesh.bvh for query_mesh in own], meshes_of_contacts.search_meshes, model, layout
         )
-        # Last, as they are filled from all of this.
+        # Last, because the grids are filled from these arrays.
         declare_grids(grids, len(query_meshes), model, layout, t)
     return meshes
 
 
 def _median(values: Array) -> float:
-    """Returns the median of numbers (n,), without the masked arrays that NumPy imports for that."""
+    """Returns the median of numbers (n,); ``np.median`` would import ``numpy.ma``."""
     middle = [(len(values) - 1) // 2, len(values) // 2]
     return float(np.partition(values, middle)[middle].mean())
 
 
 def _face_frames(query_mesh: QueryMesh) -> Array:
-    """Returns the axes of the faces in their planes, and where their corners are there: ``Model.face_frame``."""
+    """Returns in-plane axes of the faces and in-plane coordinates of their vertices, see ``Model.face_frame``."""
     a, b, c = query_mesh.corner.swapaxes(0, 1)
     edges = np.roll(query_mesh.corner, -1, axis=1) - query_mesh.corner
     squares = dot(edges, edges)
@@ -329,33 +330,33 @@ def _face_frames(query_mesh: QueryMesh) -> Array:
 def _search_corners(
     name: str, query_mesh: QueryMesh, face_numbers: NDArray[np.integer[Any]]
 ) -> NDArray[np.float32]:
-    """Returns the corners (F, 3, 3) that queries search; ``face_numbers`` are the numbers of the faces in their mesh."""
-    # The mesh is sound in float64; only float32 can still spoil it.
+    """Returns the vertices (F, 3, 3) of a search mesh in float32; ``face_numbers`` are those of the mesh."""
+    # The mesh is valid in float64, but rounding to float32 can make faces degenerate.
     corner = query_mesh.corner.astype(np.float32)
     lost = np.flatnonzero(slenderness(corner.astype(np.float64)) < MIN_SLENDERNESS)
     if len(lost):
         far = np.abs(query_mesh.corner[lost[0]]).max()
         raise ValueError(
-            f"{name}: face {face_numbers[lost[0]]} has no area left in float32, in which surfaces are searched "
+            f"{name}: face {face_numbers[lost[0]]} is degenerate in float32, the precision of the search "
             f"({len(lost)} such faces): it is too slim, or too small for coordinates of up to {far:g} m. Remove "
-            "it, or make parts that lie far apart surfaces of their own"
+            "it, or split distant parts of the mesh into separate surfaces"
         )
     return corner
 
 
 def _search_mesh(corner: NDArray[np.float32], device: wp.Device) -> wp.Mesh:
-    """Returns the mesh that queries search."""
+    """Returns the Warp mesh for queries."""
     return wp.Mesh(
         points=wp.array(corner.reshape(-1, 3), dtype=wp.vec3f, device=device),
         indices=wp.array(np.arange(3 * len(corner), dtype=np.int32), dtype=wp.int32, device=device),
-        bvh_constructor="sah",  # the same tree on every device
+        bvh_constructor="sah",  # gives the same BVH on every device
     )
 
 
 def _mesh_bytes(faces: int, device: wp.Device) -> int:
-    """Returns what such a mesh takes: corners and their numbers, then what Warp adds, boxes and tree."""
+    """Returns the bytes of such a mesh: vertices and indices, and Warp's bounding boxes and BVH."""
     corners, boxes = 3 * (12 + 4) * faces, 2 * 12 * faces
-    # Of each node two corners with a number, its parent and, on a GPU, how many were visited; numbers of faces.
+    # Per BVH node: two corners with an index, the parent and, on a GPU, a visit counter; then face indices.
     nodes = max(0, 2 * faces - 1)
     return corners + boxes + nodes * (2 * 16 + 4 + 4 * device.is_cuda) + 4 * faces
 
@@ -369,11 +370,11 @@ def _sum_over(index: NDArray[np.integer[Any]], values: NDArray[np.float64], coun
 
 
 def _neighbors(edge: NDArray[np.integer[Any]], ends: NDArray[np.integer[Any]]) -> NDArray[np.int32]:
-    """Returns what lies across each edge: 3 × face + edge, −1 where no one face of the same winding does.
+    """Returns the neighbor across each edge, 3 × face + edge; −1 unless there is exactly one, with equal orientation.
 
     Args:
         edge: Number of each edge (F, 3).
-        ends: Its ends in the order of the face (F, 3, 2).
+        ends: Vertices of each edge in the order of the face (F, 3, 2).
     """
     flat = edge.ravel()
     order = np.argsort(flat, kind="stable")
@@ -381,7 +382,7 @@ def _neighbors(edge: NDArray[np.integer[Any]], ends: NDArray[np.integer[Any]]) -
     size = np.diff(first, append=len(flat))
     pairs = first[size == 2]
     a, b = order[pairs], order[pairs + 1]
-    # Neighbours of one winding run along their edge in opposite directions.
+    # Faces with the same orientation traverse their common edge in opposite directions.
     start = ends.reshape(-1, 2)[:, 0]
     opposite = start[a] != start[b]
     neighbor = np.full(len(flat), -1, dtype=np.int32)
@@ -390,9 +391,10 @@ def _neighbors(edge: NDArray[np.integer[Any]], ends: NDArray[np.integer[Any]]) -
 
 
 def _query_error(query_mesh: QueryMesh) -> tuple[float, float]:
-    """Returns how far the float32 query may be off, and the longest edge of the faces where this is not rounding.
+    """Returns the distance error of float32 queries, and the longest edge of faces whose error exceeds rounding.
 
-    The query's areas lose ε (length/height)² of the length along a triangle, and at most its height in distance.
+    The areas in Warp's query have the error ε (length/height)² · length along a triangle; the error in distance is at
+    most the height of the triangle.
     """
     corner = query_mesh.corner
     edges = np.roll(corner, -1, axis=1) - corner

@@ -1,7 +1,8 @@
-"""Where a point keeps the side of a surface that it is on, as long as it does not come through the surface.
+"""Side regions: regions in which a point stays on the same side of a surface unless it passes through it.
 
-The side of a point is that of the nearest face. Of surfaces in general it can change without a touch, where two
-faces are equally near and show different sides; of those told here it cannot.
+The side of a point is that of the nearest face. In general it can change without contact, where two faces with
+different sides are equally near. In a side region it cannot, so cached sides stay valid. Closed surfaces have such a
+region everywhere, height fields within walls over their boundary.
 """
 
 import math
@@ -17,23 +18,23 @@ from warpcontact.meshes.overlap import MOST_FACES
 from warpcontact.meshes.topology import area_vectors, components
 from warpcontact.validation.checks import Array
 
-# Of areas: far above their rounding, far below a face.
+# Relative tolerance of areas: far above rounding, far below the area of a face.
 _TOLERANCE = 1.0e-9
-# Of the size of a rim: far above the rounding of its places, far below what a wall in more parts would tell.
+# Tolerance of collinearity relative to the size of the boundary: far above rounding, far below a real bend.
 _STRAIGHT = 1.0e-13
 
 
 @dataclass(frozen=True)
 class SideRegion:
-    """Where a surface keeps its sides apart.
+    """Region in which the side of a surface changes only by passing through the surface.
 
     Attributes:
-        kind: One of SIDES_*.
-        normal: Unit normals of the walls of the region, into it, (n, 3), axes of the mesh.
-        offset: Where they are along their normals, (n,), unit of the mesh, from the origin of the corners.
-        outer_normal: Unit normals of planes with the whole surface behind them, (m, 3): within the walls all that is
-            before one of them is on the outer side.
-        outer_offset: Where these are along their normals, (m,).
+        kind: One of ``SIDE_KNOWN_*``.
+        normal: Unit normals of the walls of the region, pointing inwards, (n, 3), axes of the mesh.
+        offset: Offsets of the walls along their normals, (n,), unit and origin of ``QueryMesh.corner``.
+        outer_normal: Unit normals of planes with the whole surface behind them, (m, 3). Within the walls, points in
+            front of any of these planes are on the outer side.
+        outer_offset: Offsets of these planes along their normals, (m,).
     """
 
     kind: int = SIDE_KNOWN_NOWHERE
@@ -43,10 +44,10 @@ class SideRegion:
     outer_offset: Array = field(default_factory=lambda: np.zeros(0))
 
     def clearance(self, places: Array) -> Array:
-        """Returns how far about places all is on the outer side, at least; negative if that is not known.
+        """Returns lower bounds of the radius around positions that is on the outer side; negative if unknown.
 
         Args:
-            places: In axes and unit of the mesh, from the origin of the corners, (…, 3).
+            places: Positions (…, 3), axes, unit and origin of ``QueryMesh.corner``.
         """
         before = (places @ self.outer_normal.T - self.outer_offset).max(axis=-1, initial=-np.inf)
         within = (places @ self.normal.T - self.offset).min(axis=-1, initial=np.inf)
@@ -54,10 +55,10 @@ class SideRegion:
 
 
 def bounds_region(mesh: Mesh) -> bool:
-    """Returns whether a mesh parts space into two regions, of which one sees its outer sides only, the other none.
+    """Returns whether a mesh divides space into an outer and an inner region, consistent with its orientation.
 
-    That is so of closed surfaces that do not cut themselves, each part of which faces the other way than the part
-    that it lies in. Large ones that were not examined for cuts may be, and are not told.
+    This holds for closed surfaces without self-intersections whose nested components have alternating orientation.
+    Returns false for large meshes that were not checked for self-intersections.
     """
     report = mesh.report
     parts = report.components
@@ -80,16 +81,16 @@ def bounds_region(mesh: Mesh) -> bool:
 
 
 def height_field_region(corner: Array, ends: NDArray[np.integer], neighbor: NDArray[np.int32]) -> SideRegion:
-    """Returns where an open surface keeps its sides apart: above it, if it has one height over each place.
+    """Returns the side region of an open surface: the prism over its boundary, if it is a height field.
 
-    Seen along some direction it has to cover a convex region once, as terrains, plates and bowls do. From a point
-    within the walls over the rim, and above it, the way to the nearest face does not leave these walls, nor cross
-    the surface, and so arrives on the outer side.
+    The projection along the mean normal must cover a convex region once, as for terrains, plates and bowls. From a
+    point within the walls over the boundary and above the surface, the line to the closest point neither leaves the
+    walls nor crosses the surface, so it arrives on the outer side.
 
     Args:
-        corner: Corners of each face, (F, 3, 3).
-        ends: Numbers of the vertices at the ends of each edge, in the order of the face, (F, 3, 2).
-        neighbor: What lies across each edge, as in ``Patch``, (F, 3).
+        corner: Vertices of each face, (F, 3, 3).
+        ends: Vertex numbers of each edge, in the order of the face, (F, 3, 2).
+        neighbor: Neighbor across each edge, see ``QueryMesh``, (F, 3).
     """
     areas = area_vectors(corner)
     up = areas.sum(axis=0)
@@ -102,7 +103,7 @@ def height_field_region(corner: Array, ends: NDArray[np.integer], neighbor: NDAr
     if steep.any() or components(links, len(corner))[0] != 1:
         return SideRegion()
 
-    # Its rim, corner by corner: one loop.
+    # The vertices of the boundary in order; it must be a single loop.
     rim = np.argwhere(neighbor < 0)
     start, end = ends[rim[:, 0], rim[:, 1]].T
     if not len(start) or np.bincount(start).max() > 1:
@@ -127,7 +128,7 @@ def height_field_region(corner: Array, ends: NDArray[np.integer], neighbor: NDAr
     after = np.roll(hull, -1, axis=0) - hull
     inward = np.column_stack([-after[:, 1], after[:, 0]]) / np.linalg.norm(after, axis=1, keepdims=True)
     offset = (inward * hull).sum(axis=1)
-    # Whichever way round: the distance of the rim from the walls over the hull of it.
+    # Distance of the boundary vertices from the walls over their convex hull.
     beside = (inward @ flat.T - offset[:, None]).min(axis=0)
     covered = 0.5 * float((areas @ up).sum())
     equal = np.allclose([within, covered], _area(hull), rtol=_TOLERANCE, atol=0.0)
@@ -139,28 +140,28 @@ def height_field_region(corner: Array, ends: NDArray[np.integer], neighbor: NDAr
 
 
 def _area(loop: Array) -> float:
-    """Returns the area that a loop of corners (n, 2) goes round counterclockwise."""
+    """Returns the signed area of a polygon (n, 2), positive if counterclockwise."""
     x, y = (loop - loop[0]).T
     return 0.5 * float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
 
 
 def _hull(points: Array, straight: float) -> Array:
-    """Returns the corners (m, 2) of the convex hull of points (n, 2), counterclockwise.
+    """Returns the vertices (m, 2) of the convex hull of points (n, 2), counterclockwise (Andrew's monotone chain).
 
     Args:
         points: The points.
-        straight: A corner that is no farther than that from the line between those beside it is none.
+        straight: Vertices within this distance of the line through their neighbors are omitted.
     """
     ordered = points[np.lexsort(points.T[::-1])].tolist()
     around = [place for half in (ordered, ordered[::-1]) for place in _left_turns(half, 0.0)[:-1]]
-    # What is straight goes only now: of points in a line but for rounding, their order says nothing. The way
-    # begins at a corner for sure.
+    # Remove nearly collinear vertices in a second pass, because rounding makes their sorted order unreliable. It
+    # starts at the vertex farthest from the mean, which is certainly a vertex of the hull.
     first = int(np.argmax(np.linalg.norm(np.array(around) - points.mean(axis=0), axis=1)))
     return np.array(_left_turns([*around[first:], *around[: first + 1]], straight)[:-1])
 
 
 def _left_turns(places: list[list[float]], straight: float) -> list[list[float]]:
-    """Returns those of ``places`` where the way along them turns left, by more than ``straight``, and its ends."""
+    """Returns the ends of a path and its points with a left turn of more than ``straight``."""
     way: list[list[float]] = []
     for x, y in places:
         while len(way) > 1:
@@ -176,7 +177,7 @@ def _left_turns(places: list[list[float]], straight: float) -> list[list[float]]
 def side_region_of(
     mesh: Mesh, corner: Array, ends: NDArray[np.integer], neighbor: NDArray[np.int32], *, whole: bool
 ) -> SideRegion:
-    """Returns where a mesh, or with ``whole`` false a part of it that has these faces, keeps its sides apart."""
+    """Returns the side region of a mesh or, with ``whole`` false, of a part of it with these faces."""
     if whole and bounds_region(mesh):
         if mesh.report.orientation != "outward":
             return SideRegion(SIDE_KNOWN_EVERYWHERE)

@@ -1,1 +1,1 @@
-"""What a user declares: bodies, surfaces, points, shapes, contacts, materials and couplings, validated."""
+"""Elements that the user declares: bodies, surfaces, points, shapes, contacts, materials and couplings, validated."""

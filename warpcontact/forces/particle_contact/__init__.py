@@ -1,1 +1,1 @@
-"""Piles: many spheres and capsules that all touch each other."""
+"""Particle contact: contact between all pairs of many spheres and capsules."""

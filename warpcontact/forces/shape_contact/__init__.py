@@ -1,1 +1,1 @@
-"""Shapes of analytic form, and the contacts of two of them."""
+"""Analytic shapes, and contact of two shapes."""
