@@ -91,7 +91,7 @@ def test_surface_on_surface_example_converges_to_closed_forms(device, capsys):
 
 def test_pendulum_example_rebounds_from_the_outer_side_only(device, tmp_path):
     experiment = wc.Experiment.from_toml(FOLDER / "pendulum.toml")
-    with pytest.warns(wc.ContactWarning, match=r"literal_touch: starts 0.342 m deep .* 108 m/s"):
+    with pytest.warns(wc.ContactWarning, match=r"literal_touch: initial penetration is 0.342 m .* 108 m/s"):
         data = experiment.run(tmp_path / "out", device=device).recording
     start, e = np.radians(20.0), np.linspace(0.2, 1.0, 9)
     struck = np.argmax(data["outer_touch.normal_force"].values[:, 0] > 0.0)

@@ -259,9 +259,9 @@ def test_catenary_end_far_below_seabed_warns(device):
     model["line.floor"] = [0.5, 52.0]
     with pytest.warns(wc.ContactWarning) as caught:
         wc.Simulation(model, dt=1e-3).step()
-    assert [str(one.message).partition(" in environment 1, and is")[0] for one in caught] == [
-        "line: its point_a 'anchor' lies 52 m below its floor",
-        "line: its point_b 'point' lies 3 m below its floor",
+    assert [str(one.message).partition(" in environment 1 and is")[0] for one in caught] == [
+        "line: its point_a 'anchor' is 52 m below the floor",
+        "line: its point_b 'point' is 3 m below the floor",
     ]
 
 
@@ -417,9 +417,7 @@ def test_too_long_step_for_taut_catenary_warns(device):
         warnings.simplefilter("error")
         sim.step()
     sim = wc.Simulation(hung((50.0, 0, 0), device=device), dt=0.0201)
-    with pytest.warns(
-        wc.ContactWarning, match="line: dt = 0.0201 s is too long where the line is taut: .* 0.063 s"
-    ):
+    with pytest.warns(wc.ContactWarning, match="line: dt = 0.0201 s is too long for the taut cable: .* 0.063 s"):
         sim.step()
 
 

@@ -294,7 +294,7 @@ def test_contact_duration_estimate_uses_the_mobility_of_a_jointed_body(device):
         wall = scene.add_surface(square(5.0), position=(0, 0, -0.5))
         tip = scene.add_point(door, (-0.4, 0, 0))
         scene.add_contact(tip, wall, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=1e4)), name="touch")
-        with pytest.warns(wc.ContactWarning, match="a contact takes (.*) s in") as caught:
+        with pytest.warns(wc.ContactWarning, match="a contact lasts (.*) s in") as caught:
             wc.Simulation(scene.build(device=device), dt=0.02).step()
         return float(str(caught[0].message).partition("takes ")[2].partition(" s")[0])
 

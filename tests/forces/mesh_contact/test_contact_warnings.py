@@ -27,9 +27,7 @@ def test_deep_initial_overlap_warns_with_ejection_speed(device):
     position[2, 2] = -0.4
     model["ball.position"] = position
     # ½ k δ² = ½ m v² with δ = 0.5 m: 50 m/s.
-    with pytest.warns(
-        wc.ContactWarning, match=r"touch: starts 0.5 m deep in the surface in environment 2.* 50 m/s"
-    ):
+    with pytest.warns(wc.ContactWarning, match=r"touch: initial penetration is 0.5 m in environment 2.* 50 m/s"):
         wc.Simulation(model, dt=1e-4).step()
 
 
@@ -84,7 +82,7 @@ def test_contact_duration_estimate_shares_mass_among_simultaneous_points(scale, 
     model = scene.build(device=device, precision="float64")
     exact = np.pi * np.sqrt(2.0 / (1e6 * 0.12 * scale**2))
     (found,) = warnings_of_first_step(
-        wc.Simulation(model, dt=exact / 19), r"touch: dt = .* a contact takes (\S+) s"
+        wc.Simulation(model, dt=exact / 19), r"touch: dt = .* a contact lasts (\S+) s"
     )
     # Points of the sides come on top, down to the 8 mm or 4 mm that it sinks.
     assert 0.8 * exact < float(found.group(1)) < 1.01 * exact
@@ -103,7 +101,7 @@ def test_contact_duration_estimate_ignores_points_outside_the_contact_area(devic
     bed = wc.ContactMaterial(law=wc.laws.ElasticFoundation(stiffness=1e8))
     scene.add_contact(scene.add_points(ground, wc.sample_surface(ground.mesh, 2000)), skin, bed, name="touch")
     model = scene.build(device=device)
-    (found,) = warnings_of_first_step(wc.Simulation(model, dt=1e-2), r"a contact takes (\S+) s")
+    (found,) = warnings_of_first_step(wc.Simulation(model, dt=1e-2), r"a contact lasts (\S+) s")
     # One point stands for 500 cm²; the ball covers at most 0.1 m × 0.1 m or as much as that.
     assert float(found.group(1)) > 0.9 * np.pi * np.sqrt(1.0 / (1e8 * 0.1))
 
@@ -114,7 +112,7 @@ def test_ejection_speed_estimate_sums_energy_of_all_points(device):
     body = scene.add_body(1.0, [1.0] * 3, (0, 0, 0), name="body")
     feet = scene.add_points(body, [(0.1, 0.1, -0.5), (0.1, -0.2, -0.5), (-0.1, 0.1, -0.5), (-0.1, -0.2, -0.5)])
     scene.add_contact(feet, ground, wc.ContactMaterial(law=wc.laws.Hooke(stiffness=2500.0)), name="touch")
-    with pytest.warns(wc.ContactWarning, match=r"touch: starts 0.5 m deep .* 50 m/s"):
+    with pytest.warns(wc.ContactWarning, match=r"touch: initial penetration is 0.5 m .* 50 m/s"):
         wc.Simulation(scene.build(device=device), dt=1e-4).step()
 
 
@@ -128,7 +126,7 @@ def test_swept_contact_warns_if_max_depth_is_smaller_than_distance_per_step(radi
     scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, spring, **options)
     model = scene.build(envs=2, device=device)
     model["ball.linear_velocity"] = [(0, 0, -1), (0, 0, -10)]
-    match = r"touch: swept, .* max_depth = 0\.02 m is less than the 0\.1 m of a step at 10 m/s in environment 1;"
+    match = r"touch: max_depth = 0\.02 m .* distance per step \(0\.1 m at 10 m/s, environment 1\)\."
     sim = wc.Simulation(model, dt=1e-2)
     assert warnings_of_first_step(sim, match)
     sim.step(30)
@@ -137,7 +135,7 @@ def test_swept_contact_warns_if_max_depth_is_smaller_than_distance_per_step(radi
     model["touch.max_depth"] = 0.5
     model.reset()
     sim = wc.Simulation(model, dt=1e-2)
-    assert not warnings_of_first_step(sim, "let through")
+    assert not warnings_of_first_step(sim, "can be lost")
     sim.step(30)
     assert model.sensor("ball.linear_velocity")[1, 2] > 0
 
@@ -219,11 +217,11 @@ def two_balls(gap, device):
 
 def test_particle_contact_warns_of_too_long_step_and_deep_initial_overlap(device):
     """Of the two lightest bodies, 0.75 kg: π √(m/k) is 27.2 ms; ½ k δ² = ½ m v² with δ = 0.1 m is 11.5 m/s."""
-    text = r"pile: dt = 0.003 s is too long: .* 0.027 s in environment 0, 9.1 steps; take dt ≤ 0.0027 s for 10"
+    text = r"pile: dt = 0.003 s is too long: .* 0.027 s in environment 0, 9.1 steps. Use dt ≤ 0.0027 s for 10"
     assert len(warnings_of_first_step(wc.Simulation(two_balls(0.01, device), dt=3e-3), text)) == 1
     assert warnings_of_first_step(wc.Simulation(two_balls(0.01, device), dt=2.7e-3), ".*") == []
     messages = warnings_of_first_step(wc.Simulation(two_balls(-0.1, device), dt=1e-3), ".*")
     assert [found[0] for found in messages] == [
-        "pile: starts 0.1 m deep in the surface in environment 0 and will be thrown out at about 11.5 m/s; start "
-        "outside, or set max_depth"
+        "pile: initial penetration is 0.1 m in environment 0. The contact force will eject the body at about 11.5 m/s. "
+        "Start outside, or set max_depth"
     ]

@@ -199,10 +199,10 @@ def test_neighbor_list_overflow_raises(device):
     """Partners that do not fit are missed by no one: the next look says so, and what helps."""
     model = scene(skin=0.15, max_neighbors=2).build(device=device)
     with pytest.raises(
-        RuntimeError, match=r"pile: a shape had \d+ partners more.*larger max_neighbors=.*smaller skin"
+        RuntimeError, match=r"pile: a particle had \d+ neighbors more.*Increase max_neighbors.*reduce skin"
     ):
         model.sensor("pile.contacts")
-    with pytest.raises(RuntimeError, match="partners more"):
+    with pytest.raises(RuntimeError, match="neighbors more"):
         wc.Simulation(model, dt=DT).run(2 * DT)
 
 
@@ -212,7 +212,7 @@ def test_radii_beyond_neighbor_capacity_are_refused(device):
     radii = model["shape.radius"]
     smaller = radii.copy()
     smaller[0, :40] = 0.02
-    with pytest.raises(ValueError, match=r"pile: with these radii 'shape\[\d+\]' may have \d+ partners.*room for"):
+    with pytest.raises(ValueError, match=r"pile: with these radii 'shape\[\d+\]' can have \d+ neighbors.*entries"):
         model["shape.radius"] = smaller
     np.testing.assert_array_equal(model["shape.radius"], radii)
 

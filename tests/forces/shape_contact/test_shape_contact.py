@@ -399,8 +399,8 @@ def test_shape_contact_warns_of_too_long_step_and_initial_overlap():
     with pytest.warns(wc.ContactWarning) as said:
         wc.Simulation(model, dt=5e-3).step(1)
     texts = [str(one.message) for one in said]
-    assert any("touch: dt = 0.005 s is too long: a contact takes" in text for text in texts)
-    assert any("touch: starts 0.02 m deep in the surface in environment 1" in text for text in texts)
+    assert any("touch: dt = 0.005 s is too long: a contact lasts" in text for text in texts)
+    assert any("touch: initial penetration is 0.02 m in environment 1" in text for text in texts)
 
 
 def test_hertz_stiffness_of_crossed_cylinder_shapes_matches_closed_form(device):

@@ -1,4 +1,4 @@
-"""The contact couplings of a scene on the device: which contacts they have, their parameters, and what is kept."""
+"""Device data of contact couplings: their contacts, parameters and extremes."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,18 +19,18 @@ from warpcontact.validation.checks import Array
 if TYPE_CHECKING:
     from warpcontact.scene.contact_coupling import ContactCoupling
 
-# Parameters of the law under the names that they have in a coupling; those of its friction keep theirs.
+# Law parameter → name in the coupling. Parameters of friction models keep their names.
 _OF_LAW = {"k1": "k1", "k2": "k2", "ramp": "damping_ramp"}
 
 
 @dataclass(frozen=True)
 class ContactCouplings:
-    """All contact couplings, in the order of the device: that of their contacts.
+    """All contact couplings, in the device order of their contacts.
 
     Attributes:
         all: The couplings.
-        of: The coupling of each contact that is part of one.
-        contacts: All contacts of the scene in the order of the device.
+        of: Coupling of each contact that belongs to one.
+        contacts: All contacts of the scene in device order.
     """
 
     all: tuple["ContactCoupling", ...]
@@ -44,12 +44,12 @@ class ContactCouplings:
         return cls(tuple(dict.fromkeys(of[contact] for contact in contacts if contact in of)), of, contacts)
 
     def range_of_contacts(self, contacts: Sequence[Contact]) -> tuple[int, int]:
-        """Returns the first coupling of ``contacts``, which lie side by side, and how many they are."""
+        """Returns the index of the first coupling and the number of couplings of consecutive ``contacts``."""
         found = list(dict.fromkeys(self.of[contact] for contact in contacts if contact in self.of))
         return (self.all.index(found[0]) if found else 0), len(found)
 
     def share(self, fields: Mapping[Contact, dict[str, Field]]) -> set[Field]:
-        """Lets the contacts of a coupling have one field for each parameter but the area; returns these fields."""
+        """Makes the contacts of a coupling share one field per parameter, except the area; returns these fields."""
         shared: dict[tuple[ContactCoupling, str], Field] = {}
         for contact, own in fields.items():
             if contact not in self.of:
@@ -61,7 +61,7 @@ class ContactCouplings:
         return set(shared.values())
 
     def aliases(self, contact: Contact, part: str, name: str) -> list[str]:
-        """Returns what else a parameter of a law or friction of ``contact`` is called."""
+        """Returns the alternative names of a parameter of law or friction model of ``contact``."""
         coupling = self.of.get(contact)
         if coupling is None or contact is not coupling.contacts[0]:
             return []
@@ -76,7 +76,7 @@ class ContactCouplings:
         parameters: Parameters,
         device_field: DeviceField,
     ) -> None:
-        """Adds what couplings say once for all of their contacts, whose ``fields`` are there."""
+        """Adds the parameters that all contacts of a coupling share; their ``fields`` must exist."""
         for coupling in self.all:
             first, last = coupling.contacts[0], coupling.contacts[-1]
             items = slice(start_of[first], start_of[last] + last.count)
@@ -91,7 +91,7 @@ class ContactCouplings:
             )
 
     def declare(self, arrays: SimpleNamespace, layout: AllocationPlan, t: SimpleNamespace) -> None:
-        """Declares what is kept of couplings, and which contacts they have; nothing if there are none."""
+        """Declares the arrays of extremes and of the contacts of couplings, if there are couplings."""
         arrays.coupling_extremes, arrays.coupling_contacts, arrays.contact_couplings = None, None, None
         if not self.all:
             return
@@ -105,7 +105,7 @@ class ContactCouplings:
         layout.constant("contacts", arrays.coupling_contacts, "count", counts, wp.int32)
 
     def upload_normals(self, model: object, point_count: int, parameters: Parameters, t: SimpleNamespace) -> None:
-        """Adds the normals of all points, in their bodies, if some contact is weighed by them."""
+        """Adds the device field of point normals, in their bodies, if a contact has ``facing="projected"``."""
         weighed = [
             (points, points.normals, parameters.by_name[f"{points.surface.name}.orientation"])
             for points in (contact.points for contact in self.contacts if contact.facing == "projected")

@@ -1,4 +1,4 @@
-"""What became of a contact coupling: how close the surfaces came, and over which area they repelled each other."""
+"""Report of a contact coupling: minimum distance of the surfaces and largest area in range."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -15,23 +15,23 @@ if TYPE_CHECKING:
     from warpcontact.scene.contact_coupling import ContactCoupling
     from warpcontact.scene.contact_range import ExpectedImpact
 
-# Environments that are named one by one.
+# Maximum number of environments that are listed.
 NAMED = 8
-# Error of the stopping distance in steps of τ/20, as a part of the way.
+# Error of the stopping distance with steps of τ/20, relative to the distance traveled in the range.
 PART_OF_STEPS = 1.0e-3
 
 
 @dataclass(frozen=True)
 class CouplingReport:
-    """How close the surfaces of a coupling came in each environment since its reset; ``print`` tells it.
+    """Minimum distance and effective area of a coupling in each environment since reset; can be printed.
 
     Attributes:
         name: Name of the coupling.
-        effective_area: Largest area in range so far, (env,) [m²].
-        minimum_distance: Smallest distance of a face in range so far, (env,) [m]; negative: it went into the other
-            surface; NaN: none was in range.
+        effective_area: Largest area in range, (env,) [m²].
+        minimum_distance: Smallest distance of a face in range, (env,) [m]; negative: penetration of the other
+            surface; NaN: no face was in range.
         effective_range: Distance at which the force begins, (env,) [m].
-        impact: The impact that the range was made for; ``None``: not said.
+        impact: The impact from which the range was computed; ``None``: not specified.
         first_env: Number of the first environment.
     """
 
@@ -44,19 +44,19 @@ class CouplingReport:
 
     @property
     def in_range(self) -> NDArray[np.bool_]:
-        """Whether any face came into range, (env,)."""
+        """Whether any face was in range, (env,)."""
         return ~np.isnan(self.minimum_distance)
 
     @property
     def touched(self) -> NDArray[np.bool_]:
-        """Whether the surfaces met, (env,)."""
+        """Whether the surfaces touched, (env,)."""
         return self.minimum_distance <= 0.0
 
     @property
     def passed(self) -> NDArray[np.bool_]:
-        """Whether the closest distance of the expected impact was passed, (env,); none if nothing was expected.
+        """Whether the distance fell below ``closest`` of the expected impact, (env,); false if there is no impact.
 
-        By more than a thousandth of the way there: so much is a matter of the time step.
+        A tolerance of 0.1 % of the distance traveled allows for the error of the time step.
         """
         if self.impact is None:
             return np.zeros(len(self.minimum_distance), dtype=bool)
@@ -87,7 +87,7 @@ class CouplingReport:
 
 
 def report(coupling: "ContactCoupling", model: "Environments") -> CouplingReport:
-    """Returns what ``ContactCoupling.report`` promises."""
+    """Implements ``ContactCoupling.report``."""
     return CouplingReport(
         name=coupling.name,
         effective_area=model.sensor(f"{coupling.name}.effective_area").astype(np.float64),
@@ -98,7 +98,7 @@ def report(coupling: "ContactCoupling", model: "Environments") -> CouplingReport
     )
 
 
-#: What is kept of a coupling among the outcomes of a run.
+#: Sensors of a coupling that are stored as outcomes of a run.
 OUTCOMES = ("effective_area", "minimum_distance")
 
 

@@ -1,4 +1,4 @@
-"""Warnings about contact couplings: steps too long for them, and what lets bodies come closer than was meant."""
+"""Warnings about contact couplings: too long time steps, and conditions that reduce the stopping distance."""
 
 import math
 from typing import TYPE_CHECKING
@@ -18,22 +18,22 @@ if TYPE_CHECKING:
     from warpcontact.scene.contact_coupling import ContactCoupling
     from warpcontact.scene.elements import Contact
 
-# Steps of the time τ to a stop: the stopping distance is then right to a thousandth of the way.
+# Minimum number of steps in the time τ to standstill: the stopping distance is then accurate to 0.1 %.
 MIN_STEPS = 20.0
-# How much of the way to the closest distance a steady load may add before anything is said.
+# Maximum overshoot by a steady load without a warning, relative to the stopping distance.
 MAX_OVERSHOOT = 0.01
-# Faces whose normals are tried as the side that meets the other surface, the largest.
+# Number of largest faces whose normals are tried as impact direction.
 MAX_FACES = 64
 
 
 def contact_coupling_warnings(model: "Environments", coupling: "ContactCoupling", dt: float) -> list[str]:
-    """Returns what to say about a contact coupling, a sentence for each of its problems.
+    """Returns the warnings about a contact coupling.
 
-    Contacts are those of the start. Masses are those of the bodies, without their rotation; the area is the
-    largest that the faces can bring into range at once.
+    Contacts are those of the initial state. Masses are those of the bodies, without rotation. The area is the largest
+    one that can be in range simultaneously.
 
     Args:
-        model: The model, evaluated at its start.
+        model: The model, evaluated at its initial state.
         coupling: One of its couplings.
         dt: Time step [s].
     """
@@ -55,10 +55,10 @@ def contact_coupling_warnings(model: "Environments", coupling: "ContactCoupling"
 
 
 def attainable_area(model: "Environments", coupling: "ContactCoupling", reach: Array) -> Array:
-    """Returns the largest area that the faces of a coupling can bring into range of a plane, (env,) [m²].
+    """Returns the largest area of a coupling that can be in range of a plane, (env,) [m²].
 
-    The plane is tried along the axes of the mesh and across its largest faces. Faces of the other surface that add
-    up to less have no more in range.
+    Planes perpendicular to the axes of the mesh and parallel to its largest faces are tried. The area is limited by
+    the total area of the other surface.
     """
     sides = []
     for contact in coupling.contacts:
@@ -93,7 +93,7 @@ def _face_areas(mesh: object) -> Array:
 
 
 def _mass_and_speed(model: "Environments", coupling: "ContactCoupling", envs: int) -> tuple[Array, Array]:
-    """Returns the reduced mass [kg], as bodies may move, and their speed at the start [m/s], (env,)."""
+    """Returns the reduced mass [kg], including joints, and the initial relative speed [m/s], (env,)."""
     mobility, velocity = np.zeros(envs), np.zeros((envs, 3))
     for body, sign in ((coupling.surface_a.body, 1.0), (coupling.surface_b.body, -1.0)):
         if body is not None:
@@ -106,14 +106,14 @@ def _step_length_warnings(
     model: "Environments", coupling: "ContactCoupling", frequency: Array, ratio: Array, dt: float
 ) -> list[str]:
     tau = 0.5 * math.pi / frequency
-    # Strong damping takes shorter steps to be stable at all.
+    # Strong damping requires shorter steps for stability.
     limit = np.minimum(tau / MIN_STEPS, 2.0 / frequency * (np.sqrt(1.0 + ratio**2) - ratio))
     worst = int(np.argmin(limit))
     if dt <= limit[worst] * (1.0 + 1.0e-9):
         return []
     return [
         f"{coupling.name}: dt = {dt:g} s is too long: a body stops within {tau[worst]:.2g} s in environment "
-        f"{model.first_env + worst}, {tau[worst] / dt:.1f} steps; take dt ≤ {limit[worst]:.2g} s"
+        f"{model.first_env + worst}, {tau[worst] / dt:.1f} steps. Use dt ≤ {limit[worst]:.2g} s"
     ]
 
 
@@ -121,16 +121,15 @@ def _area_warnings(
     model: "Environments", coupling: "ContactCoupling", impact: ExpectedImpact, area: Array, reach: Array
 ) -> list[str]:
     worst = int(np.argmin(area))
-    # Faces add up to a sum with its rounding.
+    # The tolerance allows for rounding of the sum over faces.
     if area[worst] >= impact.area * (1.0 - MAX_OVERSHOOT):
         return []
     distance = reach[worst] - impact.closest
     stop = reach[worst] - distance * math.sqrt(impact.area / area[worst])
-    result = f"it stops at {stop:.3g} m" if stop > 0.0 else "the surfaces meet"
+    result = f"it stops at {stop:.3g} m" if stop > 0.0 else "the surfaces touch"
     return [
-        f"{coupling.name}: no more than {area[worst]:.3g} m² come into range at once in environment "
-        f"{model.first_env + worst}, of {impact.area:.3g} m² that the range was made for: {result} instead of "
-        f"{impact.closest:.3g} m"
+        f"{coupling.name}: at most {area[worst]:.3g} m² can be in range in environment {model.first_env + worst}, "
+        f"less than the expected {impact.area:.3g} m²: {result} instead of {impact.closest:.3g} m"
     ]
 
 
@@ -143,7 +142,7 @@ def _load_warnings(
     mass: Array,
 ) -> list[str]:
     if coupling.surface_b.body is not None:
-        return []  # bodies that fall together have no weight towards each other
+        return []  # gravity does not press two falling bodies together
     contact = coupling.contacts[0]
     envs = np.arange(len(reach))
     gap = model.last_value(f"{contact.name}.gap")[: len(reach)]
@@ -158,8 +157,9 @@ def _load_warnings(
     if free[worst] - stop[worst] <= MAX_OVERSHOOT * distance[worst] or stop[worst] >= impact.closest:
         return []
     return [
-        f"{coupling.name}: gravity presses the body on in environment {model.first_env + worst}: undamped, at "
-        f"{impact.speed:.3g} m/s, it stops at {stop[worst]:.3g} m instead of {impact.closest:.3g} m"
+        f"{coupling.name}: gravity presses the body towards the surface in environment {model.first_env + worst}: "
+        f"without damping, at {impact.speed:.3g} m/s, it stops at {stop[worst]:.3g} m instead of "
+        f"{impact.closest:.3g} m"
     ]
 
 
@@ -174,27 +174,30 @@ def _start_warnings(
             area = area * model[f"{carrier.name}.scale"][: len(k1), None] ** 2
         initial_overlap = model.last_value(f"{contact.name}.penetration")[: len(k1)].astype(np.float64)
         if contact.facing == "projected":
-            # What is looked away from the surface has no force, whatever its depth.
+            # Faces that face away from the surface have no force at any depth.
             initial_overlap = np.where(
                 model.last_value(f"{contact.name}.normal_force")[: len(k1)] > 0.0, initial_overlap, 0.0
             )
         squares += (area * initial_overlap**2).sum(axis=1)
         depth = np.maximum(depth, initial_overlap.max(axis=1))
-    # The energy of all faces in range, as speed.
+    # Speed that corresponds to the elastic energy of all faces in range.
     ejection_speed = np.sqrt(k1 * squares / mass)
     worst = int(np.argmax(ejection_speed - 2.0 * speed))
     if ejection_speed[worst] <= 2.0 * speed[worst]:
         return []
     return [
-        f"{coupling.name}: starts {depth[worst]:.3g} m within its range in environment "
-        f"{model.first_env + worst} and will be thrown off at about {ejection_speed[worst]:.3g} m/s; start farther away"
+        f"{coupling.name}: starts {depth[worst]:.3g} m within its range in environment {model.first_env + worst}. "
+        f"The force will eject the body at about {ejection_speed[worst]:.3g} m/s. Start farther away"
     ]
 
 
 def _friction_warnings(
     model: "Environments", coupling: "ContactCoupling", force: Array, mass: Array, speed: Array, dt: float
 ) -> list[str]:
-    """Under the largest force of an impact at the given speed; friction_advice looks at the weight."""
+    """Returns a warning about friction under the largest force of an impact at ``speed``.
+
+    ``friction_warnings`` checks friction under the weight.
+    """
     contact = coupling.contacts[0]
     kind = type(contact.material.friction)
     if kind is Frictionless or contact.points.areas is None:
@@ -210,7 +213,7 @@ def _friction_warnings(
     if dt <= limit[worst]:
         return []
     return [
-        f"{coupling.name}: dt = {dt:g} s is too long for its friction, {kind.__name__}, which overshoots in "
+        f"{coupling.name}: dt = {dt:g} s is too long for its friction, {kind.__name__}: it is unstable in "
         f"steps of more than {limit[worst]:.2g} s in environment {model.first_env + worst} under the "
-        f"{force[worst]:.3g} N of an impact at {speed[worst]:.3g} m/s"
+        f"{force[worst]:.3g} N of an impact at {speed[worst]:.3g} m/s. Reduce dt"
     ]

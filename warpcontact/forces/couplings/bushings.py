@@ -1,4 +1,4 @@
-"""Bushings on a device."""
+"""Device data of bushings."""
 
 from collections.abc import Mapping
 from types import SimpleNamespace
@@ -38,23 +38,27 @@ class BushingSet(CouplingSet):
 
     couplings: list[Bushing]
     quantities: ClassVar[Mapping[str, tuple[str, str, str]]] = {
-        "displacement": ("displacement", "m", "of the second end from the first, axes of the bushing"),
-        "rotation": ("rotation", "rad", "of the second body from rest, rotation vector, axes of the bushing"),
+        "displacement": (
+            "displacement",
+            "m",
+            "displacement of the second end from the first, axes of the bushing",
+        ),
+        "rotation": ("rotation", "rad", "rotation vector of the second body from rest, axes of the bushing"),
         "force": ("force", "N", "force on the second body, axes of the bushing"),
-        "torque": ("torque", "N·m", "couple on the second body, axes of the bushing"),
+        "torque": ("torque", "N·m", "torque on the second body, axes of the bushing"),
         "status": ("status", "-", "state of the coupling"),
     }
 
     @property
     def results(self) -> Any:
-        """What was measured last."""
+        """Results of the last evaluation."""
         return self._bushings
 
     def _make(self, layout: "AllocationPlan", parameters: "Parameters") -> None:
         t = bushing.bushing_structs(self.types.real)
         self._bushings = layout.struct("couplings", t.Bushings, per_env(self.count), transient=True)
         self._owner = SimpleNamespace(settings=None)
-        # From the frame of the first body to that of the second at rest, which is how they stand in the scene.
+        # Rotation from the first body to the second at rest, which is their relative orientation in the scene.
         rest = np.array(
             [product(inverse(_orientation(one.bodies[1])), _orientation(one.bodies[0])) for one in self.couplings]
         )
@@ -66,7 +70,7 @@ class BushingSet(CouplingSet):
         self._add_settings(parameters, self._owner, t.Settings, _RANGES, computed)
 
     def force_stages(self, plan: "ExecutionPlan", state: Any, status: wp.array) -> list[wp.Launch]:
-        """Returns the launch of the forces of its bushings."""
+        """Returns the launch that computes the forces of the bushings."""
         a, kernel = plan.model.arrays, bushing.kernel(self.types.real)
         inputs = [status, a.model, state, self.first, self._owner.settings, self._bushings, a.coupling_wrenches]
         return plan.prepare(kernel, self.count, inputs)

@@ -1,4 +1,4 @@
-"""Catenaries on a device."""
+"""Device data of catenaries."""
 
 from collections.abc import Mapping
 from types import SimpleNamespace
@@ -40,13 +40,17 @@ class CatenarySet(CouplingSet):
     quantities: ClassVar[Mapping[str, tuple[str, str, str]]] = {
         "tension_a": ("tension_a", "N", "tension at end a"),
         "tension_b": ("tension_b", "N", "tension at end b"),
-        "horizontal_tension": ("horizontal_tension", "N", "horizontal part of the tension, the same throughout"),
-        "dip": ("dip", "m", "depth of the lowest point of the line below end a"),
-        "stretched_length": ("stretched_length", "m", "length of the line as it is stretched"),
-        "grounded_length": ("grounded_length", "m", "unstretched length of what rests on the floor"),
-        "iterations": ("iterations", "-", "evaluations of the span of the line"),
-        "status": ("status", "-", "state of the line"),
-        "failures": ("failures", "-", "steps in which no solution was found, since reset"),
+        "horizontal_tension": (
+            "horizontal_tension",
+            "N",
+            "horizontal component of the tension, constant along the cable",
+        ),
+        "dip": ("dip", "m", "depth of the lowest point of the cable below end a"),
+        "stretched_length": ("stretched_length", "m", "stretched length of the cable"),
+        "grounded_length": ("grounded_length", "m", "unstretched length of the part on the floor"),
+        "iterations": ("iterations", "-", "number of evaluations of the cable's span by the solver"),
+        "status": ("status", "-", "status of the catenary"),
+        "failures": ("failures", "-", "number of steps in which the solver did not converge, since reset"),
     }
     codes = CatenaryStatus
 
@@ -62,7 +66,7 @@ class CatenarySet(CouplingSet):
 
     @property
     def results(self) -> Any:
-        """What was measured last."""
+        """Results of the last evaluation."""
         return self._lines
 
     def _make(self, layout: "AllocationPlan", parameters: "Parameters") -> None:
@@ -79,7 +83,7 @@ class CatenarySet(CouplingSet):
         self._add_settings(parameters, self._owner, catenary.Settings, ranges)
 
     def force_stages(self, plan: "ExecutionPlan", state: Any, status: wp.array) -> list[wp.Launch]:
-        """Returns the launch of the forces of its lines."""
+        """Returns the launch that computes the forces of the catenaries."""
         a, kernel = plan.model.arrays, catenary.kernel(self.types.real, self.floored)
         inputs = [
             *(status, a.model, state, self.first, self._owner.settings),
@@ -88,20 +92,20 @@ class CatenarySet(CouplingSet):
         return plan.prepare(kernel, self.count, inputs)
 
     def accept_stages(self, plan: "ExecutionPlan") -> list[wp.Launch]:
-        """Returns the launch that remembers where the next search starts, and what failed."""
+        """Returns the launch that stores the solution as warm start and counts failures."""
         a, kernel = plan.model.arrays, catenary.accept(self.types.real)
         return plan.prepare(
             kernel, self.count, [a.status, self._trial_solution, self._accepted_solution, self._lines]
         )
 
     def reset_state(self, chosen: wp.array, envs: int) -> None:
-        """Starts its lines anew."""
+        """Clears warm starts and failures in the environments of the mask ``chosen`` [env]."""
         kernel, inputs = catenary.reset(self.types.real), [chosen, self._accepted_solution, self._lines]
         wp.launch(kernel, dim=(envs, self.count), inputs=inputs, device=chosen.device)
 
     @shared_capture_lock()
     def shape(self, model: "Model", item: int, count: int) -> NDArray[np.float64]:
-        """Returns where points of a line were when it was computed last, (envs, count, 3), world [m]."""
+        """Returns points on a catenary at its last evaluation, (envs, count, 3), world [m]."""
         points = wp.zeros((model.envs, count), dtype=wp.vec3d, device=model.device)
         kernel = line_measures.shapes(self.types.real, self.floored)
         self._measure(model, kernel, item, points)
@@ -109,7 +113,7 @@ class CatenarySet(CouplingSet):
 
     @shared_capture_lock()
     def stiffness(self, model: "Model", item: int) -> NDArray[np.float64]:
-        """Returns the derivatives of the force on end b by its place likewise, (envs, 3, 3), world [N/m]."""
+        """Returns the derivative of the force on end b by its position, (envs, 3, 3), world [N/m]."""
         rates = wp.zeros(model.envs, dtype=wp.mat33d, device=model.device)
         kernel = line_measures.stiffness(self.types.real, self.floored)
         self._measure(model, kernel, item, rates)
@@ -121,5 +125,5 @@ class CatenarySet(CouplingSet):
         wp.launch(kernel, dim=target.shape, inputs=inputs, outputs=[target], device=model.device)
 
     def failures(self, item: int) -> NDArray[np.int32]:
-        """Returns in how many steps since reset no solution of a line was found, (envs,)."""
+        """Returns the number of steps since reset in which a catenary did not converge, (envs,)."""
         return self._lines.failures.numpy()[:, item]

@@ -1,4 +1,4 @@
-"""Couplings of equal code side by side on a device: what the step, resets and sensors need of them."""
+"""Base class of the device data of couplings that are computed by the same kernel."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from warpcontact.storage.allocation_plan import AllocationPlan
     from warpcontact.storage.parameters import Parameters
 
-# Values that are not taken as they are given.
+# Conversions of parameters that are not stored as given.
 _CONVERTED = {
     "enabled": checks.switches,
     "tension_only": checks.switches,
@@ -32,19 +32,19 @@ _ENDS = (("a", 0), ("b", 1))
 
 
 class CouplingSet(ABC):
-    """Couplings that are computed by the same code, made of their elements.
+    """Device data of couplings that are computed by the same kernel.
 
     Args:
-        couplings: The couplings, of one key.
-        first: Number of the first among all; the ends of number i are 2 i and 2 i + 1.
-        layout: Where to declare arrays.
-        parameters: Where to add parameters.
-        types: Structs of the precision.
+        couplings: The couplings; all have the same ``key``.
+        first: Number of the first one among all couplings; coupling i has the ends 2 i and 2 i + 1.
+        layout: Allocation plan to which the arrays are added.
+        parameters: Parameters to which their parameters are added.
+        types: Warp structs of the precision.
     """
 
-    #: What the sensors of all kinds tell, and of this kind alone: quantity → (array, unit, meaning).
+    #: Sensors of this kind, in addition to the end forces: quantity → (array, unit, meaning).
     quantities: ClassVar[Mapping[str, tuple[str, str, str]]]
-    #: What the numbers of the quantity ``status`` stand for.
+    #: Enumeration of the values of ``status``.
     codes: ClassVar[type[IntEnum]] = CouplingStatus
 
     def __init__(
@@ -62,20 +62,20 @@ class CouplingSet(ABC):
 
     @staticmethod
     def key(coupling: Any) -> Any:
-        """Returns what couplings of this kind must agree in to be computed by the same code."""
+        """Returns the key of the kernel: couplings of this kind with equal keys use the same kernel."""
         return None
 
     @property
     def count(self) -> int:
-        """Number of its couplings."""
+        """Number of couplings."""
         return len(self.couplings)
 
     def end_points(self) -> list[int]:
-        """Returns the points of its ends, two for each coupling."""
+        """Returns the point indices of the ends, two per coupling."""
         return [point.start for one in self.couplings for point in (one.point_a, one.point_b)]
 
     def end_bodies(self) -> list[int]:
-        """Returns what its ends are fixed to likewise, bodies by number or ``WORLD``."""
+        """Returns the body indices of the ends, or ``WORLD``, two per coupling."""
         return [WORLD if body is None else body.index for one in self.couplings for body in one.bodies]
 
     def _add_settings(
@@ -86,17 +86,17 @@ class CouplingSet(ABC):
         ranges: Mapping[str, Mapping[str, Any]],
         computed: Callable[[dict[str, Array]], dict[str, Array]] = lambda values: values,
     ) -> dict[str, Field]:
-        """Adds what couplings of this kind have as attributes, and the array ``owner.settings`` of ``struct``.
+        """Adds attributes of the couplings as parameters, and the device field ``owner.settings``.
 
         Args:
-            parameters: Where to add them.
-            owner: What the array is an attribute of.
-            struct: What it is made of.
-            ranges: What is allowed, by attribute.
-            computed: Returns the columns of the array from their values.
+            parameters: Parameters to which they are added.
+            owner: Object that gets the array.
+            struct: Warp struct of the array elements.
+            ranges: Allowed values, by attribute.
+            computed: Returns the columns of the array for the values of the attributes.
 
         Returns:
-            Their fields, by attribute.
+            The fields, by attribute.
         """
         fields = {key: Field(np.array([getattr(one, key) for one in self.couplings])) for key in ranges}
 
@@ -124,34 +124,34 @@ class CouplingSet(ABC):
     @property
     @abstractmethod
     def results(self) -> Any:
-        """The struct of arrays [env, coupling of the set] that its sensors are in."""
+        """Struct of the arrays of sensors [env, coupling of the set]."""
 
     @abstractmethod
     def force_stages(self, plan: "ExecutionPlan", state: Any, status: wp.array) -> list[wp.Launch]:
-        """Returns the launches that compute the forces at its ends in ``state``; they change no history.
+        """Returns the launches that compute the forces at the ends in ``state``, without changing history.
 
-        ``status`` [env] says which environments are active.
+        ``status`` [env]: environments that are not active are skipped.
         """
 
     def accept_stages(self, plan: "ExecutionPlan") -> list[wp.Launch]:
-        """Returns the launches that remember what an accepted step led to."""
+        """Returns the launches that advance the history after an accepted step."""
         return []
 
-    def reset_state(self, chosen: wp.array, envs: int) -> None:  # noqa: B027  nothing, if nothing is remembered
-        """Empties what the environments of the mask ``chosen`` [env] remember."""
+    def reset_state(self, chosen: wp.array, envs: int) -> None:  # noqa: B027  optional, for history only
+        """Clears the history in the environments of the mask ``chosen`` [env]."""
 
-    def compile(self, device: wp.Device) -> None:  # noqa: B027  only a user's formula can be wrong
-        """Compiles its kernels, so that a mistake in a user's formula shows at once.
+    def compile(self, device: wp.Device) -> None:  # noqa: B027  only user-defined formulas are compiled early
+        """Compiles kernels with user-defined formulas, to report errors early.
 
         Raises:
-            TypeError: If one does not compile.
+            TypeError: If a formula does not compile.
         """
 
     def sensors(self) -> Iterator[Sensor]:
-        """Iterates over what can be measured."""
+        """Yields the sensors of the couplings."""
         for item, coupling in enumerate(self.couplings):
             for end, place in _ENDS:
-                meaning = f"force on what end {end} is fixed to, world"
+                meaning = f"force on the body of end {end}, world"
                 array = _column_of_ends(2 * (self.first + item) + place)
                 name = f"{coupling.name}.force_{end}"
                 yield Sensor(name, "N", meaning, array, needs=("contacts",), shape=(3,))

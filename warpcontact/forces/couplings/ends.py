@@ -1,4 +1,4 @@
-"""The ends of couplings and shape contacts on a device, listed by the bodies that they act on."""
+"""Ends of couplings and shape contacts on the device, listed by body."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -20,7 +20,7 @@ def add_ends(
     model: Any,
     layout: "AllocationPlan",
 ) -> None:
-    """Declares where the ends of couplings and shape contacts are, and lists them by their bodies."""
+    """Declares the points of the ends of couplings, and the lists of ends of each body."""
     points = np.array([point for one in couplings for point in one.end_points()], dtype=np.int32)
     numbers = [np.array([n for one in couplings for n in one.end_bodies()], dtype=np.int32)]
     numbers += [one.bodies.reshape(-1) for one in shape_contact_sets]
@@ -30,9 +30,9 @@ def add_ends(
 
 
 def ends_of_bodies(numbers: NDArray[np.int32], bodies: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Returns where the ends of each body start in a list (bodies + 1), and the list, in the order of the ends.
+    """Returns the start of each body in a list of ends (bodies + 1), and the list, in ascending order per body.
 
-    ``numbers`` are the bodies of all ends, or ``WORLD``.
+    ``numbers`` are the body indices of all ends, or ``WORLD``.
     """
     held = np.flatnonzero(numbers >= 0)
     order = np.argsort(numbers[held], kind="stable")

@@ -1,4 +1,4 @@
-"""All couplings of a scene on a device, sorted by kind and code."""
+"""Creates the device data of all couplings of a scene, grouped by kind and kernel."""
 
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def set_of(kind: type[Coupling]) -> type[CouplingSet]:
-    """Returns what couplings of a kind are on a device, imported for them alone: Warp parses its kernels then."""
+    """Returns the set class for a kind of coupling; imported on demand, because Warp then parses its kernels."""
     if kind is SpringDamper:
         from warpcontact.forces.couplings.springs import SpringSet
 
@@ -31,7 +31,7 @@ def set_of(kind: type[Coupling]) -> type[CouplingSet]:
 def make_sets(
     scene: "Scene", layout: "AllocationPlan", parameters: "Parameters", types: SimpleNamespace
 ) -> list[CouplingSet]:
-    """Declares the arrays of all couplings, and adds their parameters."""
+    """Declares the arrays of all couplings and adds their parameters."""
     sorted_: dict[tuple[type[Coupling], Any], list[Coupling]] = {}
     for coupling in scene.couplings:
         kind = type(coupling)

@@ -1,4 +1,4 @@
-"""Spring-dampers on a device."""
+"""Device data of spring-dampers."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -36,29 +36,29 @@ _RANGES = {
 
 
 class SpringSet(CouplingSet):
-    """Spring-dampers that share the code of their elastic part and damping."""
+    """Device data of spring-dampers with the same classes of spring and damper."""
 
     couplings: list[SpringDamper]
     quantities: ClassVar[Mapping[str, tuple[str, str, str]]] = {
-        "length": ("length", "m", "distance of its ends"),
-        "rate": ("rate", "m/s", "rate of the length, positive apart"),
-        "force": ("force", "N", "force, positive where it pulls its ends together"),
+        "length": ("length", "m", "distance of the ends"),
+        "rate": ("rate", "m/s", "rate of change of the length"),
+        "force": ("force", "N", "force, positive in tension"),
         "status": ("status", "-", "state of the coupling"),
     }
 
     @staticmethod
     def key(coupling: SpringDamper) -> SpringModel:
-        """Returns the classes of elastic part and damping."""
+        """Returns the classes of spring and damper."""
         return SpringModel(type(coupling.spring), type(coupling.damper))
 
     @property
     def parts(self) -> SpringModel:
-        """The classes of elastic part and damping."""
+        """The classes of spring and damper."""
         return self.key(self.couplings[0])
 
     @property
     def results(self) -> Any:
-        """What was measured last."""
+        """Results of the last evaluation."""
         return self._springs
 
     def _make(self, layout: "AllocationPlan", parameters: "Parameters") -> None:
@@ -92,7 +92,7 @@ class SpringSet(CouplingSet):
         return owner
 
     def _add_formula(self, parameters: "Parameters", part: str, rest: Field) -> None:
-        """Adds the parameters of one part, and the array of its coefficients."""
+        """Adds the parameters of one part and the device field of its coefficients."""
         real = self.types.real
         formulas = [getattr(one, part) for one in self.couplings]
         struct = coefficient_struct(type(formulas[0]), real)
@@ -134,7 +134,7 @@ class SpringSet(CouplingSet):
                 parameters.by_name[f"{one.name}.rest_length"].device_fields.append(device_field)
 
     def force_stages(self, plan: "ExecutionPlan", state: Any, status: wp.array) -> list[wp.Launch]:
-        """Returns the launch of the forces of its springs."""
+        """Returns the launch that computes the forces of the spring-dampers."""
         a = plan.model.arrays
         inputs = [
             status,
@@ -149,17 +149,17 @@ class SpringSet(CouplingSet):
         return plan.prepare(self.kernel, self.count, inputs)
 
     def accept_stages(self, plan: "ExecutionPlan") -> list[wp.Launch]:
-        """Returns the launch that remembers what broke, and where its springs point."""
+        """Returns the launch that stores which springs broke, and their directions."""
         a, kernel = plan.model.arrays, spring.accept(self.types.real)
         return plan.prepare(kernel, self.count, [a.status, self._springs])
 
     def reset_state(self, chosen: wp.array, envs: int) -> None:
-        """Mends its springs."""
+        """Clears the broken flags and directions in the environments of the mask ``chosen`` [env]."""
         kernel, device = spring.reset(self.types.real), chosen.device
         wp.launch(kernel, dim=(envs, self.count), inputs=[chosen, self._springs], device=device)
 
     def compile(self, device: wp.Device) -> None:
-        """Compiles the force kernel of a user's formulas, so that a mistake in them shows at once.
+        """Compiles the force kernel if it has user-defined formulas, to report errors early.
 
         Raises:
             TypeError: If a formula does not compile.
@@ -168,10 +168,10 @@ class SpringSet(CouplingSet):
             return
         stretch = spring.spring_structs(self.types.real).Stretch
         present = {part: formula for part, formula in self.parts._asdict().items() if formula is not Undamped}
-        said = (
-            "\nConstants, also those that a variable starts with, take the precision of the simulation when "
-            "written as type(s.length)(1.5)."
+        constants = (
+            "\nWrite constants and initial values of variables in the precision of the simulation: "
+            "type(s.length)(1.5)."
         )
-        results = "\nThe force is a number of the precision of the simulation."
-        with explain_compile_errors(present, self.types.real, lambda _: ("s", stretch), said, results):
+        results = "\nThe force is a number in the precision of the simulation."
+        with explain_compile_errors(present, self.types.real, lambda _: ("s", stretch), constants, results):
             load(self.kernel, device)

@@ -1,4 +1,4 @@
-"""Warnings about couplings that run and give nonsense: too long steps, and lines that end below their floor."""
+"""Warnings about couplings that run but give wrong results: too long time steps, catenary ends below the floor."""
 
 from typing import TYPE_CHECKING
 
@@ -13,19 +13,19 @@ if TYPE_CHECKING:
     from warpcontact.model.environments import Environments
     from warpcontact.scene.elements import Points
 
-# Steps per period from which on a spring swings as in closed form, to about a hundredth.
+# Minimum number of steps per period of a spring: oscillations are then accurate to about 1 %.
 MIN_STEPS_PER_PERIOD = 20.0
-# What a damper may take of a velocity in a step: from twice this on it turns it round, ever faster.
+# Maximum relative change of velocity by a damper in a step; above twice this value, integration is unstable.
 MAX_DAMPING = 1.0
-# Part of the length of a line by which an end may lie below its floor: an anchor may be buried a little.
+# Depth of an end below the floor without a warning, relative to the length: an anchor may be slightly buried.
 MAX_BURIED_DEPTH = 0.01
 
 
 def coupling_warnings(model: "Environments", dt: float) -> list[str]:
-    """Returns what to say about the start of a model, a sentence or two per coupling.
+    """Returns the warnings about the couplings of a model and the time step.
 
-    Estimates from stiffness and damping at the initial length and at rest, and from the masses that both bodies
-    oppose to a force along the line between the points; nothing is said of formulas that do not tell them.
+    Periods are estimated from stiffness and damping at the initial length and at rest, and from the effective mass
+    along the line between the points. Formulas without a slope are not checked.
     """
     sentences = []
     for coupling in model.scene.couplings:
@@ -47,17 +47,17 @@ def _spring_warnings(model: "Environments", coupling: SpringDamper, dt: float) -
         if turning[worst] * dt * MIN_STEPS_PER_PERIOD > 2.0 * np.pi:
             period = 2.0 * np.pi / turning[worst]
             sentences.append(
-                f"{coupling.name}: dt = {dt:g} s is too long: a period takes {period:.2g} s in environment "
-                f"{model.first_env + worst}, {period / dt:.1f} steps; take dt ≤ {period / MIN_STEPS_PER_PERIOD:.2g} s for "
-                f"{MIN_STEPS_PER_PERIOD:g}"
+                f"{coupling.name}: dt = {dt:g} s is too long: a period is {period:.2g} s in environment "
+                f"{model.first_env + worst}, {period / dt:.1f} steps. Use dt ≤ {period / MIN_STEPS_PER_PERIOD:.2g} s for "
+                f"{MIN_STEPS_PER_PERIOD:g} steps"
             )
     if damping is not None:
         rate = damping * mobility
         worst = int(np.argmax(rate))
         if rate[worst] * dt > MAX_DAMPING:
             sentences.append(
-                f"{coupling.name}: dt = {dt:g} s is too long for its damping, which takes {rate[worst] * dt:.2g} "
-                f"times a velocity in a step in environment {model.first_env + worst}; take dt ≤ "
+                f"{coupling.name}: dt = {dt:g} s is too long for its damping, which changes the velocity by "
+                f"{rate[worst] * dt:.2g} times its value per step in environment {model.first_env + worst}. Use dt ≤ "
                 f"{0.1 * MAX_DAMPING / rate[worst]:.2g} s"
             )
     return sentences
@@ -71,9 +71,9 @@ def _catenary_warnings(model: "Environments", line: Catenary, dt: float) -> list
         return []
     period = 2.0 * np.pi / turning[worst]
     return [
-        f"{line.name}: dt = {dt:g} s is too long where the line is taut: a period takes {period:.2g} s then in "
-        f"environment {model.first_env + worst}, {period / dt:.1f} steps; take dt ≤ {period / MIN_STEPS_PER_PERIOD:.2g} s "
-        f"for {MIN_STEPS_PER_PERIOD:g}"
+        f"{line.name}: dt = {dt:g} s is too long for the taut cable: a period is {period:.2g} s in "
+        f"environment {model.first_env + worst}, {period / dt:.1f} steps. Use dt ≤ {period / MIN_STEPS_PER_PERIOD:.2g} s "
+        f"for {MIN_STEPS_PER_PERIOD:g} steps"
     ]
 
 
@@ -87,19 +87,19 @@ def _floor_warnings(model: "Environments", line: Catenary) -> list[str]:
     sentences = []
     for key, point in (("point_a", line.point_a), ("point_b", line.point_b)):
         height = (_place_and_arm(model, point)[0] * upright).sum(axis=1)
-        depth = np.where(size > 0.0, floor - height, 0.0)  # without gravity nothing is below anything
+        depth = np.where(size > 0.0, floor - height, 0.0)  # without gravity, depth is undefined
         worst = int(np.argmax(depth / length))
         if depth[worst] > MAX_BURIED_DEPTH * length[worst]:
             sentences.append(
-                f"{line.name}: its {key} {point.name!r} lies {depth[worst]:.3g} m below its floor in environment "
-                f"{model.first_env + worst}, and is taken to be on it; floor = {floor[worst]:g} m is a height "
+                f"{line.name}: its {key} {point.name!r} is {depth[worst]:.3g} m below the floor in environment "
+                f"{model.first_env + worst} and is treated as on the floor. floor = {floor[worst]:g} m is the height "
                 "above the origin, negative below it"
             )
     return sentences
 
 
 def _along(model: "Environments", coupling: Coupling) -> tuple[Array, Array]:
-    """Returns the distance of the ends at the start [m], and the mobility along the line between them [1/kg]."""
+    """Returns the initial distance of the ends [m], and the total mobility along the line between them [1/kg]."""
     points = (coupling.point_a, coupling.point_b)
     (position_a, arm_a), (position_b, arm_b) = (_place_and_arm(model, point) for point in points)
     apart = position_b - position_a
@@ -110,7 +110,7 @@ def _along(model: "Environments", coupling: Coupling) -> tuple[Array, Array]:
 
 
 def _slope(model: "Environments", coupling: SpringDamper, part: str, rest: Array, length: Array) -> Array | None:
-    """Returns the greater slope of a part at rest and at the initial length, (envs,); ``None``: unknown."""
+    """Returns the larger slope of a part at rest and at the initial length, (envs,); ``None``: not available."""
     formula = coupling.formulas[part]
     plain = coupling.plain_spring if part == "spring" else coupling.plain_damper
     prefix = coupling.name if plain else f"{coupling.name}.{part}"
@@ -123,7 +123,7 @@ def _slope(model: "Environments", coupling: SpringDamper, part: str, rest: Array
 
 
 def _place_and_arm(model: "Environments", point: "Points") -> tuple[Array, Array]:
-    """Returns where a point is at the start, and from its body's centre of mass, (envs, 3), world [m]."""
+    """Returns the initial position of a point, and its arm from the center of mass, (envs, 3), world [m]."""
     place = model[f"{point.name}.position"][:, None]
     if point.surface is not None:
         scale, position, orientation = (
@@ -138,7 +138,7 @@ def _place_and_arm(model: "Environments", point: "Points") -> tuple[Array, Array
 
 
 def _mobility(model: "Environments", point: "Points", arm: Array, direction: Array) -> Array:
-    """Returns the inverse of the mass that a point opposes to a force along ``direction``, (envs,) [1/kg]."""
+    """Returns the mobility of a point along ``direction``, (envs,) [1/kg]."""
     if point.body is None:
         return np.zeros(model.envs)
     return mobility_along(model, point.body, arm, direction)

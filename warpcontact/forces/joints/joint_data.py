@@ -1,4 +1,4 @@
-"""How bodies may move, on its way to the device: parameters of motions, and functions of time by class."""
+"""Device data of joints and prescribed motions: parameters, and functions of time grouped by class."""
 
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -19,18 +19,18 @@ from warpcontact.system.compilation import load
 from warpcontact.validation.checks import Array
 from warpcontact.validation.custom_law_errors import compile_error_text, has_user_code
 
-#: What a joint may call its axis.
+#: Names of axis parameters of joints.
 _AXES = ("axis", "normal")
 
 
 @dataclass(frozen=True)
 class PrescribedMotionSet:
-    """Bodies that follow functions of time of one class.
+    """Bodies with prescribed motion of one class.
 
     Attributes:
-        motion: The class.
-        count: Number of its bodies.
-        arrays: ``members``, their numbers; ``coefficients`` [env, member]; ``samples``, rows for all of them.
+        motion: Class of the motion.
+        count: Number of bodies.
+        arrays: ``members``: body indices; ``coefficients`` [env, member]; ``samples``: table rows of all members.
     """
 
     motion: type[Motion]
@@ -39,14 +39,14 @@ class PrescribedMotionSet:
 
     @property
     def inputs(self) -> list[wp.array]:
-        """What kernels are told of it."""
+        """Kernel arguments: members, coefficients, samples."""
         return [self.arrays.members, self.arrays.coefficients, self.arrays.samples]
 
     def compile(self, device: wp.Device, real: type) -> None:
-        """Compiles the step of a user's motion, so that a mistake in it shows at once.
+        """Compiles the step kernel of a user-defined motion, to report errors early.
 
         Raises:
-            TypeError: If it does not compile.
+            TypeError: If the motion does not compile.
         """
         if not has_user_code([self.motion]):
             return
@@ -55,7 +55,7 @@ class PrescribedMotionSet:
         except Exception as error:
             text = compile_error_text(error, [self.motion])
             names = ", ".join(self.motion.device_names() or ("nothing",))
-            hint = "\nConstants are float64 when written as wp.float64(1.5), and results are wp.vec3d."
+            hint = "\nWrite constants as wp.float64(1.5). Functions return wp.vec3d."
             raise TypeError(
                 f"motion {self.motion.__name__} does not compile: {text}\nIn the motion, p has {names}.{hint}"
             ) from error
@@ -64,7 +64,7 @@ class PrescribedMotionSet:
 def add_motions(
     scene: Scene, arrays: SimpleNamespace, layout: AllocationPlan, parameters: Parameters
 ) -> list[PrescribedMotionSet]:
-    """Adds the motions of the bodies of ``scene``, nothing if all are free; returns the functions of time."""
+    """Adds joints and motions of the bodies, if any body is not free; returns the prescribed motions."""
     bodies = scene.bodies
     if all(body.motion.kind == FREE for body in bodies):
         return []
@@ -75,13 +75,13 @@ def add_motions(
     axis = Field(np.zeros((sum(counts), 3)))
     anchor = Field(np.zeros((sum(counts), 3)))
     anchored = np.repeat([_has_world_anchor(body.motion) for body in bodies], counts)
-    # One field of all bodies.
+    # All bodies share these fields.
     position, orientation = (
         parameters.by_name[f"{bodies[0].name}.{key}"].field for key in ("position", "orientation")
     )
 
     def content() -> NDArray[Any]:
-        # As the state has it, to the last bit of its remainder.
+        # Rounded as in the state, including the remainder, so that both are bitwise identical.
         start = np.add(*split("body_position", position.values, parameters.real))
         columns = {
             "kind": kinds,
@@ -125,12 +125,12 @@ def add_motions(
 
 
 def _has_world_anchor(motion: Motion) -> bool:
-    """Whether a point of the world is given that the body turns about."""
+    """Returns whether the motion has an anchor, a point in the world about which the body rotates."""
     return "anchor" in motion.parameters() and motion.limits("anchor")["shape"] == (3,)
 
 
 def _fields_of(body: Body, axis: Field, anchor: Field) -> dict[str, tuple[Field, slice]]:
-    """Returns where the values of the parameters of a motion are; fills in those of the scene."""
+    """Returns field and items of each parameter of a motion; sets the values of the scene."""
     shared = {"anchor": anchor}
     if body.motion.kind != TIME_FUNCTION:
         shared |= dict.fromkeys(_AXES, axis)
@@ -155,11 +155,11 @@ def _add_prescribed_motions(
     layout: AllocationPlan,
     parameters: Parameters,
 ) -> tuple[PrescribedMotionSet, DeviceField]:
-    """Adds the bodies that follow functions of one class."""
+    """Adds the bodies with prescribed motion of one class."""
     arrays = SimpleNamespace(members=None, coefficients=None, samples=None)
     struct = driven.coefficients_struct(motion)
     layout.constant("state", arrays, "members", [body.index for body in fields], wp.int32)
-    # What may be left out is zero then.
+    # Optional parameters that are omitted are zero.
     optional = {name: motion.limits(name)["shape"] for name in motion.varying()}
     tables = [body.motion.samples() for body in fields]
     starts = np.cumsum([0] + [len(table) for table in tables])

@@ -1,4 +1,7 @@
-"""Warnings about time steps in which a friction would overshoot, measured on the friction itself."""
+"""Warnings about time steps that are too long for a friction model, from the Jacobian of its force.
+
+With dashpot slope c and spring slope k, explicit integration is stable for dt ≤ min(2 m/c, 2 √(m/k)).
+"""
 
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
@@ -19,17 +22,17 @@ if TYPE_CHECKING:
 
 KernelFactory = Callable[[type[Formula], type], wp.Kernel]
 
-# Environments that are looked at, so that a warning does not take longer than the run.
+# Maximum number of environments that are checked, to limit the time of the checks.
 MAX_CHECKED_ENVS = 4096
-# Impact speed that estimates assume of bodies that start slower [m/s].
+# Impact speed that estimates assume for bodies with a lower initial speed [m/s].
 TYPICAL_SPEED = 1.0
 
 
 def friction_warnings(model: "Environments", contact: "Contact", dt: float) -> list[str]:
-    """Returns what to say about the friction models of a contact, a sentence for each whose step is too long.
+    """Returns a warning for each friction model of a contact for which the time step is too long.
 
-    Under its share of the weight, and the pull-off force of a law that pulls, with the mass that slip, rolling or
-    twist sees.
+    The load is the weight per contact, plus the pull-off force of an adhesive law; the mass is the effective mass
+    for sliding, rolling or torsion.
 
     Args:
         model: The model.
@@ -46,9 +49,9 @@ def friction_warnings(model: "Environments", contact: "Contact", dt: float) -> l
         return []
     mobility = {name: values[:envs] for name, values in _mobilities(model, contact).items()}
     if (mobility["load"] < MIN_MOBILITY).any():
-        return []  # nothing rests here by its weight
+        return []  # immovable bodies carry no weight here
     gravity = np.linalg.norm(model["scene.gravity"][:envs], axis=1)[:, None]
-    # Each body of a set rests on its one contact.
+    # Each body of a set has one contact.
     bearing = 1 if contact.points.spread else contact.count
     load = np.broadcast_to(gravity / mobility["load"] / bearing, (envs, contact.count))
     radius = np.broadcast_to(_radius(model, contact)[:envs], load.shape)
@@ -57,7 +60,7 @@ def friction_warnings(model: "Environments", contact: "Contact", dt: float) -> l
         mass = np.broadcast_to(1.0 / mobility["load"], load.shape)
         (tension,) = _run_kernel(model, contact, "law", pull_off.kernel, (mass, radius), outputs=1)
         load, under = load + tension, "its weight and pull-off force"
-    # A sphere's patch under that load is a matter of the law; a depth of a thousandth of the radius is usual.
+    # The radius of the contact patch depends on the law; assume a typical penetration of R/1000: √(R δ).
     patch = np.sqrt(1.0e-3) * radius
     sentences = []
     for part, kind in parts.items():
@@ -69,9 +72,9 @@ def friction_warnings(model: "Environments", contact: "Contact", dt: float) -> l
         worst = int(np.argmin(shortest))
         if dt > shortest[worst]:
             sentences.append(
-                f"{contact.name}: dt = {dt:g} s is too long for its {part}, {kind.__name__}, which overshoots in "
+                f"{contact.name}: dt = {dt:g} s is too long for its {part}, {kind.__name__}: it is unstable in "
                 f"steps of more than {shortest[worst]:.2g} s in environment {model.first_env + worst} under "
-                f"{under}"
+                f"{under}. Reduce dt"
             )
     return sentences
 
@@ -79,14 +82,14 @@ def friction_warnings(model: "Environments", contact: "Contact", dt: float) -> l
 def steepest_slopes(
     model: "Environments", contact: "Contact", part: str, load: Array, patch: Array
 ) -> tuple[Array, Array]:
-    """Returns the steepest dashpot [N·s/m] and the spring [N/m] of a part, (env, item).
+    """Returns the maximum dashpot slope [N·s/m] and the spring slope [N/m] of a friction model, (env, item).
 
     Args:
         model: The model.
         contact: One of its contacts.
-        part: Which of its friction_models.
-        load: Normal force of the first environments, (env, item) [N].
-        patch: Radius of the patch of a sphere, likewise [m].
+        part: Name of the part: ``"friction"``, ``"rolling"`` or ``"torsion"``.
+        load: Normal force in the first environments, (env, item) [N].
+        patch: Radius of the contact patch of a sphere in the first environments, (env, item) [m].
     """
     dashpot, spring = _run_kernel(model, contact, part, friction_jacobian.kernel, (load, patch), outputs=2)
     return dashpot, spring
@@ -100,15 +103,15 @@ def _run_kernel(
     inputs: Sequence[Array],
     outputs: int,
 ) -> list[Array]:
-    """Returns what a kernel measures on a part of a contact in the first environments, each (env, item).
+    """Returns the outputs of a kernel for a part of a contact in the first environments, each (env, item).
 
     Args:
         model: The model.
         contact: One of its contacts.
-        part: Which of its parts.
-        kernel: Returns the kernel, by formula and precision.
-        inputs: Its arrays after the coefficients, of the first environments, (env, item).
-        outputs: Number of arrays that it writes.
+        part: Name of the part.
+        kernel: Returns the kernel for a formula and precision.
+        inputs: Its arguments after the coefficients, for the first environments, (env, item).
+        outputs: Number of output arrays.
     """
     measured = [
         _run_kernel_on(one, contact, part, kernel, [values[own] for values in inputs], outputs)
@@ -121,7 +124,7 @@ def _run_kernel(
 def _run_kernel_on(
     model: "Model", contact: "Contact", part: str, kernel: KernelFactory, inputs: Sequence[Array], outputs: int
 ) -> list[Array]:
-    """Returns the same for the first environments of one device."""
+    """Returns the outputs of ``_run_kernel`` for the first environments of one device."""
     real, device, shape = model.types.real, model.device, inputs[0].shape
     group, first = model.group_of(contact)
     coefficients = getattr(group.coefficients, part)[: shape[0], first : first + contact.count]
@@ -138,9 +141,9 @@ def _run_kernel_on(
 
 
 def _mobilities(model: "Environments", contact: "Contact") -> dict[str, Array]:
-    """Returns the inverse masses that slip, rolling and twist see, and that of the load, (env, 1) [1/kg].
+    """Returns the mobilities for sliding, rolling, torsion and load, (env, 1) [1/kg].
 
-    Of points on a set of bodies (env, item).
+    For points on a set of bodies, (env, item).
     """
     radius = _radius(model, contact)
     name = f"{contact.name}.torsion_radius"

@@ -1,4 +1,7 @@
-"""Warnings about scenes that run and give nonsense: steps too long for a contact, starts in deep overlap."""
+"""Warnings about scenes that run but give wrong results: too long time steps, initial penetration.
+
+``scene_warnings`` collects the warnings of all elements; it is called by ``Simulation.check`` and at the first step.
+"""
 
 import sys
 from typing import TYPE_CHECKING
@@ -22,14 +25,14 @@ if TYPE_CHECKING:
     from warpcontact.scene.scene import Contact
     from warpcontact.scene.shapes import ShapeContact
 
-# Steps per contact time from which on the restitution of a smooth law is kept to about 1e-3.
+# Minimum number of steps per contact duration: the restitution of a smooth law is then accurate to about 1e-3.
 MIN_STEPS_PER_CONTACT = 20.0
-# Likewise in a pile, to about 1e-2: its impacts are many, and single ones matter less.
+# The same for particle contact, accurate to about 1e-2: single impacts matter less.
 MIN_STEPS_PER_PARTICLE_CONTACT = 10.0
 
 
 def caller_stacklevel() -> int:
-    """Returns the ``stacklevel`` with which its caller warns of what was called from outside this package."""
+    """Returns the ``stacklevel`` for a warning in the caller that refers to the code outside of this package."""
     level, frame = 1, sys._getframe(1)
     while frame.f_back is not None and frame.f_globals["__name__"].partition(".")[0] == "warpcontact":
         level, frame = level + 1, frame.f_back
@@ -39,9 +42,9 @@ def caller_stacklevel() -> int:
 def contacts_to_evaluate(
     model: "Environments", nonsmooth: "NonsmoothContacts | None"
 ) -> "frozenset[Contact] | None":
-    """Returns the contacts of points that ``advice`` searches for overlap; ``None``: it evaluates nothing at all.
+    """Returns the point contacts whose initial penetration must be evaluated; ``None``: no evaluation is needed.
 
-    Left out are those that bounds tell to be clear, and those whose overlap is all the same.
+    Contacts are omitted if bounds prove that they start clear, or if initial penetration does not matter.
     """
     scene = model.scene
     found = frozenset(
@@ -49,13 +52,13 @@ def contacts_to_evaluate(
         for contact in scene.contacts
         if (envs := _evaluated_envs(model, contact, nonsmooth)) and not starts_clear(model, contact, envs)
     )
-    # A sensor of a pile is one of the contacts of points as well.
+    # Sensors of particle contacts evaluate the point contacts as well.
     evaluated = scene.shape_contacts or scene.contact_couplings or (scene.particle_contacts and scene.contacts)
     return found if found or evaluated else None
 
 
 def _evaluated_envs(model: "Environments", contact: "Contact", nonsmooth: "NonsmoothContacts | None") -> int:
-    """Returns in how many environments the overlap at the start is looked at."""
+    """Returns the number of environments in which the initial penetration is checked."""
     if contact.facing is not None:
         return 0
     if nonsmooth is not None and not nonsmooth.is_compliant(contact.name):
@@ -64,16 +67,16 @@ def _evaluated_envs(model: "Environments", contact: "Contact", nonsmooth: "Nonsm
 
 
 def scene_warnings(model: "Environments", dt: float, nonsmooth: "NonsmoothContacts | None") -> list[str]:
-    """Returns what to say about the start of a model, a sentence or two per contact or coupling.
+    """Returns the warnings about the initial state of a model and the time step.
 
-    Estimates from the elastic part of a law and the masses of the bodies, without their rotation, and from how
-    steeply a friction rises; nothing is said of laws that do not tell their elastic part. Of a set of points as
-    many are taken to touch at once as do in a fall on a plane across an axis of their body: see ``_simultaneous_stiffness``.
+    Contact durations are estimated from the elastic part of a law and the masses of the bodies, without rotation, and
+    for friction from the slope of its force. Laws without an elastic part are not checked. For a set of points, the
+    number of simultaneous contacts is estimated by ``_simultaneous_stiffness``.
 
     Args:
         model: The model.
         dt: Time step [s].
-        nonsmooth: The contacts that have no force; of these all that matters is whether they start in overlap.
+        nonsmooth: The nonsmooth contacts, which are checked for initial penetration only.
     """
 
     def has_force(name: str) -> bool:
@@ -125,7 +128,7 @@ def scene_warnings(model: "Environments", dt: float, nonsmooth: "NonsmoothContac
         energy = stiffness * depth ** (exponent + 1.0) / (exponent + 1.0)
         if not contact.points.spread:
             energy = energy.sum(axis=1, keepdims=True)
-        # The energy of all overlaps of a body, as speed.
+        # Speed that corresponds to the elastic energy of all penetrations of a body.
         sentences += _overlap_warnings(model, contact.name, depth, np.sqrt(2.0 * energy / mass), speed)
     for shape_contact in model.scene.shape_contacts:
         if has_force(shape_contact.name):
@@ -141,7 +144,7 @@ def scene_warnings(model: "Environments", dt: float, nonsmooth: "NonsmoothContac
 
 
 def _shape_contact_advice(model: "Environments", contact: "ShapeContact", dt: float) -> list[str]:
-    """Returns what to say about the start of a shape contact, each of its items alone."""
+    """Returns the warnings about a shape contact, evaluated per item."""
     name, law = contact.name, contact.material.law
     elastic = law.elastic({key: _column(model, f"{name}.law.{key}") for key in law.parameters()})
     if elastic is None:
@@ -156,12 +159,12 @@ def _shape_contact_advice(model: "Environments", contact: "ShapeContact", dt: fl
 
 
 def _particle_contact_warnings(model: "Environments", contact: "ParticleContact", dt: float) -> list[str]:
-    """Returns what to say about the start of a particle contact: of two of its bodies that are easiest to move."""
+    """Returns the warnings about a particle contact, for the two bodies with the largest mobility."""
     name, law = contact.name, contact.material.law
     elastic = law.elastic({key: _column(model, f"{name}.law.{key}") for key in law.parameters()})
     if elastic is None:
         return []
-    # A body with several shapes is one.
+    # A body with several shapes counts once.
     bodies = dict.fromkeys(shape.body for shape in contact.shapes if shape.body is not None)
     mobilities = np.concatenate([mobility_of(model, contact, body).linear for body in bodies], axis=1)
     group_stiffness = np.sort(mobilities, axis=1)[:, -2:].sum(axis=1, keepdims=True)
@@ -179,18 +182,18 @@ def _particle_contact_warnings(model: "Environments", contact: "ParticleContact"
 def _simultaneous_stiffness(
     contact: "Contact", stiffness: Array, exponent: Array, mass: Array, speed: Array
 ) -> Array:
-    """Returns the stiffness of the points that may touch at once, (envs, 1); (envs, items) on a set of bodies.
+    """Returns the total stiffness of simultaneous contacts, (envs, 1); (envs, items) on a set of bodies.
 
-    The set falls on a plane, along each axis of its body in turn, both ways; the points down to which it then
-    sinks act together, all as deep as the first. Where they spread wider than the surface that they touch, their
-    share of it counts. It is never less than that of one point. Mesh and places are those of the scene.
+    Assumes an impact of the point set on a plane along each axis of its body, in both directions. All points within
+    the largest penetration count, with the penetration of the first one. If they spread wider than the surface, the
+    covered fraction counts. The result is at least the stiffness of one point. Mesh and points are those of the scene.
 
     Args:
         contact: The contact.
-        stiffness: Of every point (envs, items).
-        exponent: Of the law, likewise.
+        stiffness: Stiffness K of each point (envs, items) [N/mⁿ].
+        exponent: Exponent n of the law (envs, items).
         mass: Reduced mass of the bodies (envs, 1) [kg].
-        speed: Impact speed to expect (envs, 1) [m/s].
+        speed: Expected impact speed (envs, 1) [m/s].
     """
     if contact.points.spread:
         return stiffness
@@ -220,9 +223,9 @@ def _max_depth_warnings(model: "Environments", contact: "Contact", speed: Array,
     if speed[worst, item] * dt <= deepest[worst, item]:
         return []
     return [
-        f"{contact.name}: swept, but what crosses may be let through: max_depth = {deepest[worst, item]:.3g} m is "
-        f"less than the {speed[worst, item] * dt:.2g} m of a step at {speed[worst, item]:.3g} m/s in environment "
-        f"{model.first_env + worst}; take a larger max_depth, or none, or a shorter dt"
+        f"{contact.name}: max_depth = {deepest[worst, item]:.3g} m is smaller than the distance per step "
+        f"({speed[worst, item] * dt:.2g} m at {speed[worst, item]:.3g} m/s, environment {model.first_env + worst}). "
+        "Swept contacts can be lost. Increase or omit max_depth, or reduce dt"
     ]
 
 
@@ -234,45 +237,45 @@ def _step_length_warnings(
     if shortest[worst] >= enough * dt:
         return []
     return [
-        f"{name}: dt = {dt:g} s is too long: a contact takes {shortest[worst]:.2g} s in environment "
-        f"{model.first_env + worst}, {shortest[worst] / dt:.1f} steps; take dt ≤ "
-        f"{shortest[worst] / enough:.2g} s for {enough:g}"
+        f"{name}: dt = {dt:g} s is too long: a contact lasts {shortest[worst]:.2g} s in environment "
+        f"{model.first_env + worst}, {shortest[worst] / dt:.1f} steps. Use dt ≤ "
+        f"{shortest[worst] / enough:.2g} s for {enough:g} steps"
     ]
 
 
 def _overlap_warnings(
     model: "Environments", name: str, depth: Array, ejection_speed: Array, speed: Array, *, latched: bool = True
 ) -> list[str]:
-    """Returns what to say about starts in overlap; ``latched`` says whether the contact can begin so."""
+    """Returns a warning about initial penetration; ``latched``: whether the contact supports ``entry="latched"``."""
     excess = ejection_speed - 2.0 * speed
     worst, body = np.unravel_index(int(np.argmax(excess)), excess.shape)
     if excess[worst, body] <= 0.0:
         return []
     item = int(np.argmax(depth[worst])) if excess.shape[1] == 1 else body
     return [
-        f"{name}: starts {depth[worst, item]:.3g} m deep in the surface in environment {model.first_env + worst} "
-        f"and will be thrown out at about {ejection_speed[worst, body]:.3g} m/s; start outside, or set max_depth"
-        + (" or entry='latched'" if latched else "")
+        f"{name}: initial penetration is {depth[worst, item]:.3g} m in environment {model.first_env + worst}. The "
+        f"contact force will eject the body at about {ejection_speed[worst, body]:.3g} m/s. Start outside, or set "
+        "max_depth" + (" or entry='latched'" if latched else "")
     ]
 
 
 def _nonsmooth_overlap_warnings(model: "Environments", name: str, dt: float) -> list[str]:
-    """Returns what to say about a nonsmooth contact that starts deeper than bodies sink in within a step."""
+    """Returns a warning if the initial penetration of a nonsmooth contact exceeds the displacement per step."""
     depth = model.sensor(name).reshape(model.envs, -1).max(axis=1)
     worst = int(np.argmax(depth))
     if depth[worst] <= TYPICAL_SPEED * dt:
         return []
     return [
-        f"{name.rpartition('.')[0]}: starts {depth[worst]:.3g} m deep in environment {model.first_env + worst}, "
-        "and stays so: impulses keep bodies from coming closer, and do not drive them apart; start outside, or "
-        "give MoreauJean a recovery_time"
+        f"{name.rpartition('.')[0]}: initial penetration is {depth[worst]:.3g} m in environment "
+        f"{model.first_env + worst}. It will remain, because impulses do not separate bodies. Start outside, or set "
+        "recovery_time of MoreauJean"
     ]
 
 
 def _mass_and_speed(model: "Environments", contact: "Contact | ShapeContact") -> tuple[Array, Array]:
-    """Returns the reduced mass [kg], as bodies may move, and an impact speed to expect [m/s], (envs, 1).
+    """Returns the reduced mass [kg], including joints, and the expected impact speed [m/s], (envs, 1).
 
-    Of points on a set of bodies (envs, items).
+    For points on a set of bodies, (envs, items).
     """
     mobility = np.zeros((model.envs, 1))
     speed = np.full((model.envs, 1), TYPICAL_SPEED)
@@ -280,12 +283,12 @@ def _mass_and_speed(model: "Environments", contact: "Contact | ShapeContact") ->
         if body is not None:
             mobility = mobility + mobility_of(model, contact, body).linear
             speed = np.maximum(speed, _speed(model, body))
-    # Of bodies that no force moves a mass that nothing stops.
+    # Immovable bodies get a very large finite mass.
     return 1.0 / np.maximum(mobility, MIN_MOBILITY), speed
 
 
 def _speed(model: "Environments", body: "Body") -> Array:
-    """Returns the speed of a body, or a usual one if that is higher, (envs, 1), or (envs, n) of a set [m/s]."""
+    """Returns the speed of a body, at least ``TYPICAL_SPEED``, (envs, 1), or (envs, n) for a set [m/s]."""
     velocity = np.linalg.norm(model[f"{body.name}.linear_velocity"], axis=-1)
     return np.maximum(velocity.reshape(model.envs, body.count), TYPICAL_SPEED)
 

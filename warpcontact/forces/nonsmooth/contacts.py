@@ -1,4 +1,9 @@
-"""Nonsmooth contacts of a model on its device: the rows of a step, what is remembered, and what the step launches."""
+"""Nonsmooth contacts of a model: device arrays, launches and sensors.
+
+In each step, closed contacts are collected as rows (``build_rows``), a solver computes their impulses
+(``stepping/integrators/moreau_jean.py``), and an accepted step stores impulses for warm starts and statistics
+(``save_impulses``). Kernels: ``kernels/nonsmooth``.
+"""
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -41,12 +46,12 @@ PURPOSE = "nonsmooth contacts"
 
 @dataclass
 class _ItemList:
-    """Which of the items of some arrays are hard.
+    """List of the nonsmooth items of an array of contacts.
 
     Attributes:
-        first: Number of the contact of the first item.
-        numbers: The items that are hard.
-        items: These, on the device.
+        first: Contact number of the first item of the array.
+        numbers: Indices of the nonsmooth items.
+        items: These indices, on the device.
     """
 
     first: int
@@ -55,44 +60,44 @@ class _ItemList:
 
     @property
     def count(self) -> int:
-        """Number of items that are hard."""
+        """Number of nonsmooth items."""
         return len(self.numbers)
 
 
 class NonsmoothContacts:
-    """What stepping nonsmooth contacts takes beside a model.
+    """Device data of nonsmooth contacts, in addition to the model.
 
-    Contacts are numbered: those with meshes as they lie on the device, then smooth ones, then the records of pairs
-    of particle contacts that are hard. Materials likewise, but one for all pairs of a particle contact.
+    Contacts are numbered: mesh contacts in device order, then shape contacts, then pair records of nonsmooth particle
+    contacts. Materials are numbered in the same order, with one material per particle contact.
 
     Args:
-        model: The model, or what is drawn up of it.
-        compliant: Names of the contacts that are not hard, beside those of contact couplings.
-        scratch: For each solver, by its name, what returns the struct of what it keeps of a row, by precision and
-            whether anything opposes rolling or spinning.
-        tolerance: Of a solve.
-        recovery: Share of an overlap that is taken back in a second [1/s].
-        layout: Where to declare arrays.
-        sequential: Whether impacts come one after the other.
+        model: The model, or its plan.
+        compliant: Names of compliant contacts. Contact couplings are always compliant.
+        scratch: By name of the solver, a function that returns the struct of its working memory per row, for a
+            precision and whether there is rolling or torsional friction.
+        tolerance: Tolerance of the relative residual.
+        recovery: Fraction of the penetration that is removed per second [1/s].
+        layout: Allocation plan to which the arrays are added.
+        sequential: Whether simultaneous impacts are computed sequentially.
 
     Attributes:
-        compliant: Names of the contacts that are not hard.
-        tolerance: Of a solve.
-        recovery: Share of an overlap that is taken back in a second [1/s].
-        monitored: Whether every step is looked at, so that none is left out.
-        capacity: Most rows of an environment.
+        compliant: Names of compliant contacts, including contact couplings.
+        tolerance: Tolerance of the relative residual.
+        recovery: Fraction of the penetration that is removed per second [1/s].
+        monitored: Whether a monitor evaluates every step; steps of sleeping environments are then not skipped.
+        capacity: Maximum number of rows of an environment.
         half_step_state: State at half a step.
-        rows: The closed contacts of a step.
-        body_response: The bodies under impulses.
-        solve_result: How the last solve went.
-        velocity_change: What impulses have changed of these.
-        impact_rows: What impacts one after the other work in; ``None``: they are simultaneous.
-        restitution_limit: How far restitution was lowered in the last step.
-        stored_impulses: Of each contact, from the last step in which it was closed.
-        statistics: Of each environment, since reset.
-        displayed: What sensors show.
-        reactions: Mean wrenches of the last step on the bodies.
-        material: [env, material].
+        rows: Constraint rows: the closed contacts of a step.
+        body_response: Response of bodies to impulses.
+        solve_result: Result of the last solve: number of rows, iterations, residual, convergence.
+        velocity_change: Velocity changes of bodies by the impulses.
+        impact_rows: Working memory of sequential impacts; ``None``: impacts are simultaneous.
+        restitution_limit: Reduction of restitution in the last step.
+        stored_impulses: Impulse of each contact from the last step in which it was closed, for warm starts.
+        statistics: Statistics of each environment since reset.
+        displayed: Values of sensors.
+        reactions: Mean wrenches of the contact impulses on bodies in the last step.
+        material: Materials [env, material].
     """
 
     def __init__(
@@ -124,7 +129,7 @@ class NonsmoothContacts:
         }
         self._mesh = self._item_list(0, meshes, layout)
         self._mesh_blocks = self._item_list(0, self._blocks_of, layout)
-        # What sensors show of single contacts.
+        # Range of sensor values of each mesh or shape contact.
         self._displayed: dict[Contact | ShapeContact, slice] = dict(meshes.items())
         self._shape_contact_sets: list[tuple[ShapeContactSet, _ItemList]] = []
         for one in model.shape_contact_sets:
@@ -138,7 +143,7 @@ class NonsmoothContacts:
         self._first_records: dict[ParticleContact, int] = {}
         self._particle_contact_sets: list[
             tuple[ParticleContactSet, int]
-        ] = []  # those that are hard, with their material
+        ] = []  # nonsmooth ones, with the number of their material
         for pile in model.particle_contact_sets:
             if not self.is_compliant(pile.contact.name):
                 self._particle_contact_sets.append((pile, count + len(self._particle_contact_sets)))
@@ -194,18 +199,18 @@ class NonsmoothContacts:
         self._materials += [NonsmoothSource(one, one.formulas, 1) for one in self._first_records]
 
     def _item_list(self, first: int, items: Mapping[Any, slice], layout: AllocationPlan) -> _ItemList:
-        """Declares the list of those of ``items``, by contact, that are hard."""
+        """Declares the list of the nonsmooth ones of ``items``, given by contact."""
         nonsmooth = [
             np.arange(own.start, own.stop) for contact, own in items.items() if not self.is_compliant(contact.name)
         ]
         numbers = np.concatenate([np.zeros(0, np.int64), *nonsmooth])
         made = _ItemList(first, numbers)
-        # No array is empty.
+        # Warp needs at least one element.
         layout.constant(PURPOSE, made, "items", numbers if len(numbers) else [0], wp.int32)
         return made
 
     def material_need(self, parameters: Mapping[str, Parameter], envs: int, varied: Collection[str]) -> MemoryItem:
-        """Returns what the materials of ``envs`` environments take; ``varied`` are to have a value in each."""
+        """Returns the memory of the materials; parameters ``varied`` have separate values per environment."""
         device_field = self._upload or material_upload(self, self._materials, parameters, self._device, self._real)
         fields = {id(parameters[name].field) for name in varied}
         own = any(
@@ -215,15 +220,15 @@ class NonsmoothContacts:
         return MemoryItem(PURPOSE, str(self._device), *device_field.size(envs, own))
 
     def attach_simulation(self, model: "Model", step: wp.array) -> None:
-        """Takes what is allocated: the model, and the length of a step [env, 0] [s]."""
+        """Attaches the allocated model and the step length [env, 0] [s]."""
         self.check_shares(model.parameters)
         self._bodies, self._step = model.body_count, step
         self._upload = material_upload(self, self._materials, model.parameters, model.device, self._real)
 
     def activate(self, model: "Model") -> None:
-        """Lets restitution and coefficients of friction follow their parameters; no contact remembers anything.
+        """Activates nonsmooth contact: materials follow their parameters, and stored impulses are cleared.
 
-        Losses and counts go on.
+        Dissipated energies and counts are kept.
         """
         for parameter in parameters_of(self._materials, model.parameters):
             if self._upload not in parameter.device_fields:
@@ -234,7 +239,7 @@ class NonsmoothContacts:
         self._reset_laws(model)
 
     def deactivate(self, model: "Model") -> None:
-        """Follows the parameters no longer."""
+        """Deactivates nonsmooth contact: materials no longer follow their parameters."""
         self._reset_laws(model)
         self._set_contact_gap(model, 0.0)
         for parameter in parameters_of(self._materials, model.parameters):
@@ -251,7 +256,7 @@ class NonsmoothContacts:
         model.upload([one.device_field for one, _ in closed], [one.device_field.content() for one, _ in closed])
 
     def _reset_laws(self, model: "Model") -> None:
-        """Lets laws and friction models of nonsmooth contacts begin anew should they act again: none has been going on."""
+        """Clears entry speeds and approach speeds of nonsmooth contacts, whose laws were not evaluated meanwhile."""
         history, contacts = model.arrays.history, model.arrays.contacts
         if self._mesh.count:
             nonsmooth = self._mesh.items.numpy()
@@ -262,31 +267,31 @@ class NonsmoothContacts:
 
     @property
     def scratch(self) -> dict[str, Any]:
-        """What each solver, by its name, works in [env, row]."""
+        """Working memory of each solver, by name [env, row]."""
         return vars(self._scratch)
 
     def is_compliant(self, name: str) -> bool:
-        """Whether the contact ``name`` acts by the force of its law."""
+        """Returns whether the contact ``name`` is compliant."""
         return name in self.compliant
 
     def first_record_of(self, contact: ParticleContact) -> int:
-        """Returns the number of the first record of a particle contact that is hard."""
+        """Returns the number of the first record of a nonsmooth particle contact."""
         return self._first_records[contact]
 
     @property
     def names(self) -> frozenset[str]:
-        """Names of the contacts that are hard."""
+        """Names of the nonsmooth contacts."""
         return frozenset(contact.name for contact in self._nonsmooth)
 
     @property
     def rolls(self) -> bool:
-        """Whether anything opposes rolling or spinning of a nonsmooth contact."""
+        """Whether any nonsmooth contact has rolling or torsional friction."""
         return any(
             contact.material.parts.has_rolling or contact.material.parts.has_torsion for contact in self._nonsmooth
         )
 
     def has_restitution(self, parameters: Mapping[str, Parameter]) -> bool:
-        """Whether any nonsmooth contact has a restitution now: impacts may then bring energy."""
+        """Returns whether any nonsmooth contact has a restitution; impacts can then add energy."""
         names = [f"{one.name}.law.restitution" for one in self._nonsmooth]
         return any(bool(parameters[name].field.values.any()) for name in names if name in parameters)
 
@@ -294,7 +299,7 @@ class NonsmoothContacts:
         """Checks that no nonsmooth contact has the share 0: it would act in spite of that.
 
         Raises:
-            ValueError: If one has; names the contact.
+            ValueError: If one has; the message names the contact.
         """
         for one in self._nonsmooth:
             own = parameters.get(f"{one.name}.force_scale")
@@ -302,7 +307,7 @@ class NonsmoothContacts:
                 self.check_share(own.name, own.values)
 
     def check_share(self, name: str, values: NDArray[np.float64]) -> None:
-        """Raises the same error if ``values`` of parameter ``name`` are shares of a nonsmooth contact with a 0."""
+        """Raises ``ValueError`` if ``name`` is the ``force_scale`` of a nonsmooth contact and a value is 0."""
         element, _, quantity = name.rpartition(".")
         if quantity == "force_scale" and element in self.names and not values.all():
             raise ValueError(
@@ -311,18 +316,18 @@ class NonsmoothContacts:
             )
 
     def compliant_clusters(self, group: ContactGroup) -> list[tuple[int, int]]:
-        """Returns the blocks of the contacts of ``group`` that are not hard: the first and their number."""
+        """Returns ranges (first, count) of the clusters of compliant contacts of ``group``."""
         last = group.first_cluster + group.cluster_count
         return self.compliant_items(
             {contact: own for contact, own in self._blocks_of.items() if group.first_cluster <= own.start < last}
         )
 
     def compliant_items(self, items: Mapping[Any, slice]) -> list[tuple[int, int]]:
-        """Returns where those of ``items``, by contact, are that are not hard: the first and how many follow."""
+        """Returns ranges (first, count) of the compliant ones of ``items``, given by contact."""
         return _runs(own for contact, own in items.items() if self.is_compliant(contact.name))
 
     def collect_stages(self, plan: "ExecutionPlan") -> list[wp.Launch]:
-        """Returns the launches that list the closed contacts of the middle of the step."""
+        """Returns the launches that collect the closed contacts at half a step as rows."""
         a, real = plan.model.arrays, self._real
         outputs = [
             self.recovery,
@@ -374,9 +379,9 @@ class NonsmoothContacts:
         return launches
 
     def sleep_stages(self, plan: "ExecutionPlan", step: wp.array) -> list[wp.Launch]:
-        """Returns the launch that leaves environments at rest out of a step, none where that may be wrong.
+        """Returns the launch that skips a step of sleeping environments; none if skipping could change results.
 
-        Only contacts with surfaces do the same in every step in which nothing moves.
+        Sleeping is exact only if all contacts are mesh contacts, without latches, joints, couplings and monitors.
         """
         model = plan.model
         others = (
@@ -394,16 +399,16 @@ class NonsmoothContacts:
 
     @shared_capture_lock()
     def wake(self) -> None:
-        """Lets no environment rest: something may have been changed from outside."""
+        """Wakes all environments, because the user may have changed state or parameters."""
         self.statistics.unchanged_steps.zero_()
 
     @shared_capture_lock()
     def reset_residuals(self) -> None:
-        """Sets the largest residuals of unsolved problems to 0."""
+        """Sets the largest residuals of steps without convergence to 0."""
         self.statistics.largest_residual.zero_()
 
     def accept_stages(self, plan: "ExecutionPlan", step: wp.array) -> list[wp.Launch]:
-        """Returns the launch that remembers what an accepted step led to; ``step`` [env, 0] [s]."""
+        """Returns the launch that stores impulses and statistics of an accepted step; ``step`` [env, 0] [s]."""
         inputs = [plan.model.arrays.status, step, self.tolerance, plan.model.body_count]
         inputs += [self.half_step_state, self.rows, self.body_response]
         inputs += [
@@ -416,7 +421,7 @@ class NonsmoothContacts:
         return plan.prepare(save_impulses.kernel(self._real, plan.model.has_joints, self.rolls), 1, inputs)
 
     def reset_state(self, chosen: wp.array) -> None:
-        """Empties what the environments of the mask ``chosen`` [env] remember."""
+        """Clears stored impulses and statistics in the environments of the mask ``chosen`` [env]."""
         self._reset(chosen, all_statistics=True)
 
     def _reset(self, chosen: wp.array, all_statistics: bool) -> None:
@@ -424,9 +429,9 @@ class NonsmoothContacts:
         wp.launch(save_impulses.reset(self._real), dim=len(chosen), inputs=inputs, device=self._device)
 
     def show_stages(self, plan: "ExecutionPlan", status: wp.array) -> list[wp.Launch]:
-        """Returns the launches that put the last step where sensors of contacts look, but for those of piles.
+        """Returns the launches that copy the last step to the sensor arrays of mesh and shape contacts.
 
-        ``status`` [env] says which environments are active.
+        ``status`` [env]: environments that are not active are skipped.
         """
         a, real = plan.model.arrays, self._real
         targets = [(self._mesh, save_impulses.display_contacts(real, self._contacts), a.contacts)]
@@ -454,8 +459,8 @@ class NonsmoothContacts:
         return launches
 
     def show(self, model: "Model") -> None:
-        """Puts the last step where sensors look; forces are the mean over it."""
-        from warpcontact.forces.execution_plan import ExecutionPlan
+        """Copies the last step to the sensor arrays of all contacts and bodies; forces are means over the step."""
+        from warpcontact.stepping.execution_plan import ExecutionPlan
 
         a, device, real = model.arrays, self._device, self._real
         for launch in self.show_stages(
@@ -480,7 +485,7 @@ class NonsmoothContacts:
         )
 
     def sensors(self) -> Iterator[Sensor]:
-        """Iterates over what can be measured of nonsmooth contacts."""
+        """Yields the sensors of nonsmooth contacts."""
         for contact, numbers in self._displayed.items():
             if self.is_compliant(contact.name):
                 continue
@@ -494,48 +499,53 @@ class NonsmoothContacts:
             text = f"impulse of the last step on {on}, world"
             yield Sensor(name, "N·s", text, array, needs=("contacts",), items=several, shape=(3,))
             name, array = f"{contact.name}.mode", _displayed("mode", own)
-            text = "whether it stuck or slipped in the last step"
+            text = "contact mode in the last step"
             yield Sensor(name, "-", text, array, needs=("contacts",), items=several, codes=ContactMode)
         for key, (part, attribute, unit, meaning) in OF_SCENE.items():
             yield Sensor(f"scene.{key}", unit, meaning, _of_scene(part, attribute))
 
 
-# name: (struct, array, unit, what it is)
+# name: (struct, array, unit, meaning)
 OF_SCENE = {
-    "closed_contacts": ("solve_result", "count", "-", "nonsmooth contacts that were closed in the last step"),
-    "solve_residual": ("solve_result", "residual", "-", "what is left of the contact problem of the last step"),
-    "solve_iterations": ("solve_result", "iterations", "-", "iterations of its solver"),
-    "solve_converged": ("solve_result", "converged", "-", "1: to its tolerance"),
-    "solve_failures": ("statistics", "failures", "-", "steps that were not solved to it, since reset"),
+    "closed_contacts": ("solve_result", "count", "-", "number of closed nonsmooth contacts in the last step"),
+    "solve_residual": (
+        "solve_result",
+        "residual",
+        "-",
+        "relative residual of the contact problem of the last step",
+    ),
+    "solve_iterations": ("solve_result", "iterations", "-", "number of solver iterations in the last step"),
+    "solve_converged": ("solve_result", "converged", "-", "1: the solver converged in the last step"),
+    "solve_failures": ("statistics", "failures", "-", "number of steps without convergence, since reset"),
     "restitution_limited": (
         "statistics",
         "restitution_limited",
         "-",
-        "steps in which restitution was lowered to bring no energy",
+        "number of steps in which restitution was reduced, so that impacts add no energy",
     ),
     "friction_dissipation": (
         "statistics",
         "friction_dissipation",
         "J",
-        "energy that friction of nonsmooth contacts took, since reset",
+        "energy dissipated by friction of nonsmooth contacts, since reset",
     ),
     "impact_dissipation": (
         "statistics",
         "impact_dissipation",
         "J",
-        "energy that impacts of nonsmooth contacts took, since reset",
+        "energy dissipated by impacts of nonsmooth contacts, since reset",
     ),
 }
 
 
 def is_nonsmooth_sensor(name: str) -> bool:
-    """Whether a sensor is one of nonsmooth contacts alone, by its name."""
+    """Returns whether a sensor, given by name, exists only with nonsmooth contact."""
     element, _, quantity = name.rpartition(".")
     return quantity in OF_SCENE if element == "scene" else quantity in ("impulse", "mode")
 
 
 def sensor_hint(name: str, stored_count: Collection[str], scene: Scene) -> str:
-    """Returns the end of a message about an unknown sensor: the integrator that has it, or similar names."""
+    """Returns the end of a message about an unknown sensor: the required integrator, or similar names."""
     element = name.rpartition(".")[0]
     contacts = {contact.name for contact in scene.contacts} | {contact.name for contact in scene.shape_contacts}
     if is_nonsmooth_sensor(name) and (element == "scene" or element in contacts):
@@ -556,7 +566,7 @@ def _slice(first: int, count: int) -> slice:
 
 
 def _runs(ranges: Iterable[slice]) -> list[tuple[int, int]]:
-    """Returns what lies side by side of some ranges in order, as the first and how many."""
+    """Returns ascending ranges as (first, count), with adjacent ones merged."""
     runs: list[tuple[int, int]] = []
     for own in ranges:
         if runs and sum(runs[-1]) == own.start:

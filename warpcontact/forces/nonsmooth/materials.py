@@ -1,4 +1,4 @@
-"""What nonsmooth contacts take from their materials: Newton's restitution and the coefficients of Coulomb's cone."""
+"""Materials of nonsmooth contacts: restitution and coefficients of friction from their contact materials."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,35 +14,35 @@ from warpcontact.kernels.friction import Friction, Frictionless
 from warpcontact.kernels.laws import Law
 from warpcontact.storage.parameters import DeviceField, Parameter, pack
 
-#: Gaps below this are closed [m], by precision: more than rounding leaves of bodies of a few meters.
+#: Contacts with a gap below this are closed [m], by precision; above the rounding error for scenes of a few meters.
 CONTACT_GAP = {wp.float32: 1.0e-6, wp.float64: 1.0e-9}
-#: Laws of multiple impacts: how contacts that are hit together bounce.
+#: Laws of simultaneous impacts.
 IMPACT_LAWS = ("simultaneous", "sequential")
 
 
 class NamedContact(Protocol):
-    """A contact of a scene, of whatever kind."""
+    """A contact of a scene, of any kind."""
 
     @property
     def name(self) -> str:
-        """Its name."""
+        """Name of the contact."""
 
 
 def cone_coefficients(friction: Any) -> tuple[str, str] | None:
-    """Returns the names of the coefficients at rest and in motion; ``None``: there is no friction."""
+    """Returns the names of the static and dynamic coefficients of friction; ``None``: there is no friction."""
     return None if isinstance(friction, Frictionless) else friction.cone_coefficients()
 
 
 def check_rigid(name: str, formulas: Mapping[str, Formula], remedy: str) -> None:
-    """Checks that law and friction of a contact have a meaning between rigid bodies.
+    """Checks that law and friction models of a contact can be used for nonsmooth contact.
 
     Args:
         name: Name of the contact.
-        formulas: Its law and friction models by the name of their part.
-        remedy: Ends the message: what to use instead.
+        formulas: Its law and friction models, by name of the part.
+        remedy: End of the message: an alternative.
 
     Raises:
-        ValueError: If the law pulls, or a friction model has no coefficient of friction; names the contact.
+        ValueError: If the law is adhesive, or a friction model has no coefficient. The message names the contact.
     """
     for part, formula in formulas.items():
         kind = type(formula).__name__
@@ -64,12 +64,12 @@ def check_rigid(name: str, formulas: Mapping[str, Formula], remedy: str) -> None
 
 @dataclass(frozen=True)
 class NonsmoothSource:
-    """A contact that is hard, and how many materials it has on the device.
+    """A nonsmooth contact as source of materials.
 
     Attributes:
         contact: The contact.
-        formulas: Its law and friction models by the name of their part.
-        count: Number of its items; 1 for all pairs of a particle contact.
+        formulas: Its law and friction models, by name of the part.
+        count: Number of its materials: one per item; 1 for a particle contact.
     """
 
     contact: NamedContact
@@ -77,7 +77,7 @@ class NonsmoothSource:
     count: int
 
     def parameter_paths(self) -> dict[str, tuple[str, str] | None]:
-        """Returns the part and the parameter that each number of the material is taken from, ``None``: it is 0."""
+        """Returns part and parameter of each entry of the material; ``None``: the entry is 0."""
         table: dict[str, tuple[str, str] | None] = {"restitution": None}
         if "restitution" in self.formulas["law"].parameters():
             table["restitution"] = ("law", "restitution")
@@ -88,7 +88,7 @@ class NonsmoothSource:
         return table
 
     def resolved(self, parameters: Mapping[str, Parameter]) -> dict[str, Parameter | None]:
-        """Returns the parameter that each number of the material is taken from."""
+        """Returns the parameter of each entry of the material; ``None``: the entry is 0."""
         return {
             key: None if source is None else parameters[f"{self.contact.name}.{source[0]}.{source[1]}"]
             for key, source in self.parameter_paths().items()
@@ -98,7 +98,7 @@ class NonsmoothSource:
 def parameters_of(
     nonsmooth: Sequence[NonsmoothSource], parameters: Mapping[str, Parameter]
 ) -> Iterator[Parameter]:
-    """Iterates over the parameters that the materials of all contacts are taken from."""
+    """Yields the parameters from which the materials of all contacts are computed."""
     tables = (one.resolved(parameters).values() for one in nonsmooth)
     return (parameter for table in tables for parameter in table if parameter is not None)
 
@@ -110,7 +110,7 @@ def material_upload(
     device: wp.Device,
     real: type,
 ) -> DeviceField:
-    """Returns what puts the materials of all contacts into ``target.material``."""
+    """Returns the device field ``target.material`` with the materials of all contacts."""
     struct = record_structs(real).NonsmoothMaterial
     own = [one.resolved(parameters) for one in nonsmooth]
 

@@ -1,4 +1,4 @@
-"""Which shapes of a pile touch now, as a labelled data set."""
+"""Pairs of a particle contact that are in contact, as a labeled data set; see ``Model.contact_pairs``."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -16,19 +16,19 @@ if TYPE_CHECKING:
 _AXES = ["x", "y", "z"]
 _MEANINGS = {
     "gap": ("m", "signed distance, negative in overlap"),
-    "point": ("m", "point K where the force acts, world"),
-    "normal": ("-", "unit normal out of the second shape, towards the first, world"),
+    "point": ("m", "contact point K, world"),
+    "normal": ("-", "unit normal out of the second particle, towards the first, world"),
     "normal_force": ("N", "normal force"),
-    "friction_force": ("N", "friction force on the body of the first shape, world"),
+    "friction_force": ("N", "friction force on the body of the first particle, world"),
     "approach_speed": ("m/s", "rate of penetration at K"),
 }
 
 
 def contact_pairs(parts: "Sequence[tuple[Model, int, ParticleContactSet]]") -> xr.Dataset:
-    """Returns the pairs that touch in the state that forces were computed of last.
+    """Returns the pairs in contact at the last evaluated state.
 
     Args:
-        parts: The models, each with the number of its first environment and the pile.
+        parts: The models, each with the number of its first environment and its particle contact set.
     """
     columns = [_pairs_of_model(model, first, pile) for model, first, pile in parts]
     together = {name: np.concatenate([own[name] for own in columns]) for name in columns[0]}
@@ -67,7 +67,7 @@ def _pairs_of_model(model: "Model", first_env: int, pile: ParticleContactSet) ->
     shape_index = owner[slots]
     other = neighbors[envs, pile.particles.entry_start.numpy()[shape_index] + offset[slots]]
     shape_1, shape_2 = np.minimum(shape_index, other), np.maximum(shape_index, other)
-    # The pairs of an environment by their shapes, whoever owns them.
+    # Sort the pairs of an environment by particle numbers, independent of which particle owns the record.
     order = np.lexsort((shape_2, shape_1, envs))
     envs, slots, shape_1, shape_2 = envs[order], slots[order], shape_1[order], shape_2[order]
     records = {

@@ -1,4 +1,7 @@
-"""A particle contact on a device: what the step, resets and sensors need of it."""
+"""Device data of a particle contact: neighbor lists, pair records, launches and sensors.
+
+Kernels: ``kernels/particles``.
+"""
 
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
@@ -44,7 +47,7 @@ if TYPE_CHECKING:
     from warpcontact.forces.execution_plan import ExecutionPlan
     from warpcontact.scene.scene import Scene
 
-# What a step takes of the cache of a core: of an entry, and of a shape with the records of its touches.
+# Bytes in the CPU cache per entry of a neighbor list, and per particle with the records of its contacts.
 ENTRY_BYTES = 8
 SHAPE_BYTES = 300
 
@@ -56,37 +59,37 @@ _RANGES = {
     "enabled": limits_of.ENABLED,
 }
 _TOTALS = {
-    "contacts": ("contacts", "-", "number of pairs that touch"),
+    "contacts": ("contacts", "-", "number of pairs in contact"),
     "normal_force": ("normal_force", "N", "sum of the normal forces of all pairs"),
-    "max_penetration": ("max_penetration", "m", "deepest penetration of a pair, 0 without contact"),
+    "max_penetration": ("max_penetration", "m", "largest penetration of a pair, 0 without contact"),
     "max_normal_force": ("max_normal_force", "N", "largest normal force of a pair"),
 }
 _PER_PARTICLE = {
-    "coordination": ("coordination", "-", "number of shapes that touch each shape"),
-    "force": ("force", "N", "force of the others on each shape, world"),
+    "coordination": ("coordination", "-", "number of particles in contact with each particle"),
+    "force": ("force", "N", "contact force on each particle, world"),
 }
 
 
 class ParticleContactSet:
-    """A particle contact on a device.
+    """Device data of a particle contact.
 
     Args:
         contact: The particle contact.
-        scene: What it is in.
-        layout: Where to declare arrays.
-        parameters: Where to add parameters; those of the shapes are there.
-        types: Structs of the precision.
+        scene: Its scene.
+        layout: Allocation plan to which the arrays are added.
+        parameters: Parameters to which its parameters are added; those of the shapes must exist.
+        types: Warp structs of the precision.
 
     Attributes:
         contact: The particle contact.
-        fixed: Whether its lists are those of all pairs.
-        entries: Entries of all lists of an environment.
-        slots: Records of an environment.
-        particles: Its shapes, lists and records on the device, and what lists are made with.
-        lists: See there.
-        pair_records: See there.
-        cell_list: See there.
-        measured: What sensors are measured into.
+        all_pairs: Whether the neighbor lists are fixed and contain all pairs.
+        entries: Number of entries of all neighbor lists of an environment.
+        slots: Number of pair records of an environment.
+        particles: Geometry and bodies of the particles.
+        neighbor_lists: The neighbor lists.
+        pair_records: Contact state and history of the pairs in the lists.
+        cell_list: Cell list from which the neighbor lists are built.
+        measured: Arrays of the sensors.
     """
 
     def __init__(
@@ -142,17 +145,17 @@ class ParticleContactSet:
             force=per_env(count),
         )
         moves = self._parts.law.needs_mass and any(body.motion.kind != FREE for body in scene.bodies)
-        # Of the CPU, where a slice of the environments has one thread at a time.
+        # On a CPU one thread steps a slice, so wrenches can be added directly.
         self._single_thread = layout.device.is_cpu
         self._kernel = force.kernel(self._parts, self._traits, self.real, moves, self._single_thread)
 
     @property
     def _detection_kernel(self) -> wp.Kernel:
-        """The kernel that finds touches that have no force."""
+        """The kernel that detects nonsmooth contacts without computing forces."""
         return force.kernel(self._parts, self._traits, self.real, moves=False, single_thread=True, nonsmooth=True)
 
     def _make_lists(self, layout: AllocationPlan, parameters: Parameters) -> NDArray[np.int_] | None:
-        """Declares the lists; returns how many partners each shape may have, ``None`` if they are all pairs."""
+        """Declares the neighbor lists; returns the maximum number of neighbors per particle; ``None``: all pairs."""
         contact = self.contact
         count = contact.count
         if self.all_pairs:
@@ -180,7 +183,7 @@ class ParticleContactSet:
             else:
                 capacity = np.full(count, min(contact.max_neighbors, count - 1))
             starts, slots = (np.cumsum([0, *most]) for most in (capacity, owned_records(capacity)))
-            # Kept, as the history of a pair is found by them; after a checkpoint they are made again.
+            # Stored in checkpoints, because pair history is indexed by them; they are rebuilt after loading.
             ranges = {
                 "owned": (0, np.diff(slots)),
                 "count": (0, np.diff(starts)),
@@ -221,11 +224,11 @@ class ParticleContactSet:
         )
 
     def _sizes(self) -> tuple[Array, Array]:
-        """Returns radii and half lengths of all shapes, (1 or envs, n) each."""
+        """Returns radii and half lengths of all particles, (1 or envs, n) each."""
         return self._column("radius"), self._column("half_length")
 
     def _column(self, key: str) -> Array:
-        """Returns a quantity of all shapes, (1 or envs, n, …); 0 where it is none of a shape."""
+        """Returns a quantity of all particles, (1 or envs, n, …); 0 for shapes without this quantity."""
         columns = [
             np.zeros((1, shape.count)) if one is None else one.field.values[:, one.items]
             for one, shape in zip(self._pose[key], self.contact.shapes, strict=True)
@@ -234,7 +237,7 @@ class ParticleContactSet:
         return np.concatenate([np.broadcast_to(c, (envs, *c.shape[1:])) for c in columns], axis=1)
 
     def _add_shapes(self, layout: AllocationPlan, parameters: Parameters, body_count: int) -> None:
-        """Adds where the shapes are and how large they are, and which bodies have them."""
+        """Adds positions, sizes and bodies of the particles."""
         contact, particles, vec3 = self.contact, self.particles, self._types.vec3
         kinds, allowed = contact.kinds
         for name, numbers in (("body", contact.bodies), ("kind", kinds), ("allowed", allowed)):
@@ -242,7 +245,7 @@ class ParticleContactSet:
         order = np.argsort(contact.bodies, kind="stable")
         bodies, starts = np.unique(contact.bodies[order], return_index=True)
         self._owners = len(bodies)
-        # Side by side in the order of their bodies, a shape is its own carrier.
+        # One particle per body, in the order of the bodies: the index of a particle is that of its body.
         self._one_per_body = np.array_equal(bodies, contact.bodies)
         particle_of_body = np.full(body_count, NO_INDEX)
         particle_of_body[contact.bodies] = np.arange(contact.count)
@@ -279,24 +282,24 @@ class ParticleContactSet:
                     one.device_fields.extend(device_fields)
 
     def _offsets(self) -> Array:
-        """Returns where the shapes are on their bodies, (1 or envs, n, 3).
+        """Returns positions of the particles in their bodies, (1 or envs, n, 3).
 
         Raises:
-            ValueError: If one has moved away from the centre of its body, and the kernels look for none elsewhere.
+            ValueError: If one is not at the center of mass and the kernels were compiled without offsets.
         """
         offsets = self._column("position")
         if not self._traits.has_offsets and offsets.any():
             raise ValueError(
-                f"{self.contact.name}: its shapes were all at the centre of mass of their body when the model was "
-                "built; give one another position in add_shape to let them be elsewhere"
+                f"{self.contact.name}: all shapes were at the center of mass of their body when the model was "
+                "built, so positions cannot be changed; set another position in add_shape"
             )
         return offsets
 
     def _radii(self) -> Array:
-        """Returns the radii of all shapes, (1 or envs, n), if there is room for as many partners as they may have.
+        """Returns the radii of all particles, (1 or envs, n).
 
         Raises:
-            ValueError: If there is not.
+            ValueError: If particles can have more neighbors than their lists can hold.
         """
         radius, half = self._sizes()
         if self._capacity is not None and self.contact.max_neighbors is None:
@@ -304,17 +307,17 @@ class ParticleContactSet:
             if (needed > self._capacity).any():
                 shape = int((needed - self._capacity).max(axis=0).argmax())
                 raise ValueError(
-                    f"{self.contact.name}: with these radii {self.contact.label(shape)!r} may have "
-                    f"{needed[:, shape].max()} partners, and there is room for {self._capacity[shape]}; build the "
-                    "scene with the largest and smallest radii that are to come, or give add_particle_contact "
-                    "max_neighbors="
+                    f"{self.contact.name}: with these radii {self.contact.label(shape)!r} can have "
+                    f"{needed[:, shape].max()} neighbors, but its list has {self._capacity[shape]} entries. Build the "
+                    "scene with the largest and smallest radii that occur, or set max_neighbors in "
+                    "add_particle_contact"
                 )
         return radius
 
     def _add_settings(self, parameters: Parameters) -> None:
         contact = self.contact
         struct = particle_structs(self.real).ParticleContactSettings
-        # A torsion radius that is not given follows from the overlap.
+        # A torsion radius of −1 stands for one computed from the penetration.
         values = {key: getattr(contact, key) for key in _RANGES}
         fields = {key: Field(np.array([-1.0 if value is None else value])) for key, value in values.items()}
         fields["closed"] = Field(np.zeros(1))
@@ -344,13 +347,13 @@ class ParticleContactSet:
                 )
 
     def _add_formulas(self, layout: AllocationPlan, parameters: Parameters) -> None:
-        """Adds the parameters of law and friction models, the same for all pairs, and what these remember."""
+        """Adds the parameters of law and friction models, the same for all pairs, and their history arrays."""
         Coefficients, Memory = group_structs(self._parts, self.real)
         self._coefficients, self._memory, self._history_out = Coefficients(), Memory(), Memory()
         for part, formula in self.contact.formulas.items():
             self._add_formula(part, formula, parameters)
             for target in (self._memory, self._history_out):
-                # Never looked at if the formula remembers nothing.
+                # A dummy array if the formula has no history variables.
                 shape = per_env(self.slots) if formula.memories else fixed(1, 1)
                 transient = target is self._history_out or not formula.memories
                 struct = memory_struct(type(formula), self.real)
@@ -374,28 +377,28 @@ class ParticleContactSet:
 
     @property
     def bytes_per_step(self) -> int:
-        """About what a step reads and writes of it in an environment [bytes]."""
+        """Estimate of the memory that a step accesses per environment [bytes]."""
         return ENTRY_BYTES * self.entries + SHAPE_BYTES * self.contact.count
 
     def compile(self, device: wp.Device) -> None:
-        """Compiles the force kernel of a user's law, so that a mistake in it shows at once.
+        """Compiles the force kernel if it has user-defined formulas, to report errors early.
 
         Raises:
-            TypeError: If a law or friction does not compile.
+            TypeError: If a law or friction model does not compile.
         """
         compile_force_kernel(self._parts, lambda: self._kernel, device, self.real)
 
     @property
     def sums_by_body(self) -> bool:
-        """Whether who integrates a body may add its touches up: of one shape, and not added as they are found."""
+        """Whether the integrator can sum the contacts of a body: one particle per body, and not summed directly."""
         return self._one_per_body and not self._single_thread
 
     def force_stages(
         self, plan: "ExecutionPlan", state: Any, step: wp.array, status: wp.array, *, by_cluster: bool = False
     ) -> list[wp.Launch]:
-        """Returns the launches that add what its shapes do to each other to the wrenches of ``state``.
+        """Returns the launches that add the contact forces of the particles to the wrenches of ``state``.
 
-        Arguments are those of ``schedule.force_stages``. Of hard pairs, those that find where they touch.
+        Arguments are those of ``execution_plan.force_stages``. For nonsmooth contact, only pairs are detected.
         """
         model = plan.model.arrays.model
         count, wrenches = self.contact.count, plan.model.arrays.wrenches
@@ -429,7 +432,7 @@ class ParticleContactSet:
         return launches
 
     def _list_stages(self, plan: "ExecutionPlan", state: Any, status: wp.array) -> list[wp.Launch]:
-        """Returns the launches that make the lists anew where they do not hold."""
+        """Returns the launches that rebuild the neighbor lists of environments in which they are no longer valid."""
         count, buckets, real, traits = self.contact.count, self._buckets, self.real, self._traits
         particles, neighbor_lists, pair_records, cell_list = (
             self.particles,
@@ -467,7 +470,7 @@ class ParticleContactSet:
         ]
 
     def accept_stages(self, plan: "ExecutionPlan") -> list[wp.Launch]:
-        """Returns the launch that remembers what an accepted step led to."""
+        """Returns the launch that advances the pair history after an accepted step."""
         status = plan.model.arrays.status
         inputs = [status, self.particles, self.neighbor_lists, self.pair_records, self._history_out, self._memory]
         kernel = history.accept(self._parts, self.real, self._is_nonsmooth(plan))
@@ -477,7 +480,7 @@ class ParticleContactSet:
         return plan.nonsmooth is not None and not plan.nonsmooth.is_compliant(self.contact.name)
 
     def reset_state(self, chosen: wp.array, envs: int) -> None:
-        """Empties what the environments of the mask ``chosen`` [env] remember."""
+        """Clears the pair history in the environments of the mask ``chosen`` [env]."""
         inputs = [
             chosen,
             self.pair_records.flags,
@@ -491,21 +494,21 @@ class ParticleContactSet:
         )
 
     def invalidate_lists(self) -> None:
-        """Lets all lists be made anew: they may not hold for other radii or places."""
+        """Invalidates all neighbor lists, because radii or positions may have changed."""
         self.cell_list.valid.zero_()
 
     def overflow_message(self) -> str | None:
-        """Returns what is wrong if a list was too short since reset; waits for the device."""
+        """Returns an error message if a neighbor list was too short since reset, else ``None``; waits for the device."""
         most = int(self.cell_list.overflow.numpy().max(initial=0))
         if most == 0:
             return None
         return (
-            f"{self.contact.name}: a shape had {most} partners more than there is room for, and their forces are "
-            f"missing; give add_particle_contact a larger max_neighbors=, or a smaller skin than {self.contact.skin:g} m"
+            f"{self.contact.name}: a particle had {most} neighbors more than its list can hold, and their forces are "
+            f"missing. Increase max_neighbors in add_particle_contact, or reduce skin (now {self.contact.skin:g} m)"
         )
 
     def measure(self, envs: int, device: wp.Device) -> None:
-        """Measures what its sensors are, of the forces computed last."""
+        """Computes its sensors from the last computed forces."""
         inputs = [self.particles, self.neighbor_lists, self.pair_records]
         outputs = [self.measured]
         count = self.contact.count
@@ -515,7 +518,7 @@ class ParticleContactSet:
         wp.launch(kernel, dim=envs, inputs=[count, *inputs], outputs=outputs, device=device)
 
     def sensors(self) -> Iterator[Sensor]:
-        """Iterates over what can be measured."""
+        """Yields the sensors of the particle contact."""
         name, count = self.contact.name, self.contact.count
         for quantity, (attribute, unit, meaning) in _TOTALS.items():
             array, shape = self._array(attribute), shape_in(self.measured, attribute)
@@ -535,12 +538,12 @@ def _constant(values: list[int]) -> Callable[[], NDArray[Any]]:
 
 
 def _parameter(parameters: Parameters, shape: Shape, key: str) -> Parameter | None:
-    """Returns a parameter of a shape, ``None`` if it has none of this name."""
+    """Returns a parameter of a shape; ``None`` if it does not exist."""
     return parameters.by_name.get(f"{shape.name}.{key}")
 
 
 def particle_arrays(pile: ParticleContactSet | None, real: type) -> list[Any]:
-    """Returns shapes, lists and touches of a pile, as kernels take them; of none those that are not looked at."""
+    """Returns the kernel arguments of a particle contact; empty structs if there is none."""
     if pile is not None:
         return [pile.particles, pile.neighbor_lists, pile.pair_records]
     t = particle_structs(real)

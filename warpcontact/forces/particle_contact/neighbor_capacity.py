@@ -1,27 +1,27 @@
-"""How many partners a shape of a pile may have: as many as there is room for around it."""
+"""Capacity of neighbor lists: upper bounds on the number of neighbors of a particle."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.validation.checks import Array
 
-#: Up to so many shapes the lists are those of all pairs.
+#: Maximum number of particles for which the lists contain all pairs.
 ALL_PAIRS_LIMIT = 32
-# No packing of equal spheres fills more of a large space than π/√18; soft ones overlap.
+# The densest packing of equal spheres has the fraction π/√18; compliant spheres overlap, hence the factor.
 MAX_PACKING_FRACTION = np.pi / np.sqrt(18.0)
 OVERLAP_FACTOR = 1.15
-# Of the partners of a shape, what it may own, and some more: of few it may own most.
+# Number of pair records of a particle: a fraction of its neighbors, plus a constant for short lists.
 OWNED_FRACTION = 0.6
 OWNED_EXTRA = 3
 
 
 def max_neighbors(radius: Array, half_length: Array, skin: float) -> NDArray[np.int_]:
-    """Returns how many of the smallest shapes have room around each.
+    """Returns an upper bound on the number of neighbors of each particle: the smallest particles that fit around it.
 
     Args:
         radius: Radii (…, n) [m].
-        half_length: Half lengths of their axes, 0 for spheres, in the same shape [m].
-        skin: How far apart partners are at most [m].
+        half_length: Half lengths of the axes (…, n), 0 for spheres [m].
+        skin: Maximum gap of neighbors [m].
     """
     smallest = radius.min(axis=-1, keepdims=True)
 
@@ -34,14 +34,14 @@ def max_neighbors(radius: Array, half_length: Array, skin: float) -> NDArray[np.
 
 
 def owned_records(partners: NDArray[np.int_]) -> NDArray[np.int_]:
-    """Returns how many records there are for a shape with room for so many partners."""
+    """Returns the number of pair records of particles with lists for ``partners`` neighbors."""
     return np.minimum(np.ceil(OWNED_FRACTION * partners).astype(np.int64) + OWNED_EXTRA, partners)
 
 
 def all_pair_lists(
     bodies: NDArray[np.int32], kinds: NDArray[np.int32], allowed: NDArray[np.int32]
 ) -> tuple[list[list[int]], list[list[int]]]:
-    """Returns the partners that each shape owns, and its others, if it is every one that it may touch."""
+    """Returns, for lists of all pairs, the neighbors whose records each particle owns, and its other neighbors."""
     count = len(bodies)
     touching = (bodies[:, None] != bodies) & (allowed[kinds[:, None], kinds] != 0)
     numbers = np.arange(count)

@@ -1,4 +1,7 @@
-"""Shape contacts on a device, sorted by the code of their forces, and within by the kinds of their shapes."""
+"""Device data of shape contacts, grouped by contact model, and within a group by the kinds of the two shapes.
+
+The narrow phase is compiled per pair of kinds, the force kernel per contact model. Kernels: ``kernels/shapes``.
+"""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import SimpleNamespace
@@ -54,34 +57,34 @@ _STRUCTS = {
     "shape_curvatures": measures.Curvatures,
     "shape_gradients": measures.Gradients,
 }
-# name: (array, unit, what it is), beside those of every contact
+# name: (array, unit, meaning), in addition to the sensors of all contacts
 _READINGS = {
-    "iterations": ("iterations", "-", "iterations in the search of where the surfaces meet"),
-    "residual": ("residual", "-", "what is left of its equations"),
-    "converged": ("converged", "-", "1: where they meet was found; 0: it was not, and no force acts"),
-    "failures": ("failures", "-", "steps in which it was not found, since reset"),
+    "iterations": ("iterations", "-", "number of iterations of the narrow phase"),
+    "residual": ("residual", "-", "residual of the narrow phase"),
+    "converged": ("converged", "-", "1: the narrow phase converged; 0: it did not, and no force is applied"),
+    "failures": ("failures", "-", "number of steps in which it did not converge, since reset"),
 }
-# name: (measure, array, unit, what it is)
+# name: (measure, array, unit, meaning)
 _MEASURES = {
-    "point": ("shape_points", "point", "m", "point K where the force acts, world"),
-    "point_a": ("shape_points", "point_a", "m", "where the first surface meets the other, world"),
-    "point_b": ("shape_points", "point_b", "m", "where the other surface meets the first, world"),
+    "point": ("shape_points", "point", "m", "contact point K, world"),
+    "point_a": ("shape_points", "point_a", "m", "contact point on the first surface, world"),
+    "point_b": ("shape_points", "point_b", "m", "contact point on the other surface, world"),
 }
-# Likewise, where the curvatures of both shapes are known
+# The same, if the curvatures of both shapes are available.
 _CURVATURES = {
     "curvature_1": ("shape_curvatures", "curvature_1", "1/m", "smaller principal curvature of the gap"),
     "curvature_2": ("shape_curvatures", "curvature_2", "1/m", "larger principal curvature of the gap"),
 }
 
 
-# Of what by what, and the units by positions [1/m of it] and rotations
+# Quantity: units of its derivatives with respect to positions and rotations.
 _DERIVED = {"gap": ("-", "m"), "normal": ("1/m", "-"), "point_a": ("-", "m"), "point_b": ("-", "m")}
 _GRADIENTS = {
     f"{what}_by_{by}_{side}": (
         "shape_gradients",
         f"{what}_by_{by}_{side}",
         units[by == "rotation"],
-        f"derivative by the {by} of what carries the {which} shape, world axes",
+        f"derivative with respect to the {by} of the body of the {which} shape, world axes",
     )
     for what, units in _DERIVED.items()
     for by in ("position", "rotation")
@@ -90,23 +93,23 @@ _GRADIENTS = {
 
 
 class ShapeContactSet:
-    """Shape contacts that share the code of law and friction models.
+    """Device data of shape contacts with the same contact model.
 
     Args:
-        contacts: The contacts; those of the same kinds of shapes side by side.
+        contacts: The contacts, ordered by the kinds of their shapes.
         first: Number of the first item among all shape contacts of the scene.
-        first_end: Number of its first end; of a contact of the set with number i they are two from
-            ``first_end`` + 2 i on, that of ``shape`` first.
+        first_end: Number of the first coupling end. Contact i of the set has the ends ``first_end`` + 2 i (body of
+            ``shape``) and ``first_end`` + 2 i + 1 (body of ``other_shape``).
         shapes: The shapes of the scene by kind.
-        layout: Where to declare arrays.
-        parameters: Where to add parameters.
-        real: Precision.
-        moves: Whether any body of the scene is not free.
+        layout: Allocation plan to which the arrays are added.
+        parameters: Parameters to which its parameters are added.
+        real: Warp type of a real number.
+        moves: Whether any body of the scene has a joint or prescribed motion.
 
     Attributes:
-        parts: The classes of law and friction models.
+        parts: The contact model: classes of law and friction models.
         kernel: The force kernel.
-        count: Number of contacts, items of sets each.
+        count: Number of contacts, counting all items.
     """
 
     def __init__(
@@ -135,7 +138,7 @@ class ShapeContactSet:
             force.uses_curvature(self.parts),
             self.parts.needs_surface_axes,
         )
-        # Only a mass depends on how bodies may move.
+        # Joints affect only the effective mass.
         self.kernel = force.kernel(self.parts, real, moves and self.parts.law.needs_mass)
         self._declare(layout)
         self._add_settings(parameters)
@@ -172,7 +175,7 @@ class ShapeContactSet:
         self.coefficients, self.memory, self.history_out = Coefficients(), Memory(), Memory()
         for part, formula in self.parts._asdict().items():
             for target in (self.memory, self.history_out):
-                # Never looked at if the formula remembers nothing.
+                # A dummy array if the formula has no history variables.
                 shape = each if formula.memories else nothing
                 transient = target is self.history_out or not formula.memories
                 struct = memory_struct(formula, self.real)
@@ -183,7 +186,7 @@ class ShapeContactSet:
 
     def _add_settings(self, parameters: "Parameters") -> None:
         self.settings: Any = None
-        # A torsion radius that is not given follows from the overlap.
+        # A torsion radius of −1 stands for one computed from the penetration.
         fields = {
             key: Field(
                 np.concatenate(
@@ -213,7 +216,7 @@ class ShapeContactSet:
                     )
 
     def _add_formula(self, parameters: "Parameters", part: str, formula: type[Formula]) -> None:
-        """Adds the parameters of one part, and the array of its coefficients."""
+        """Adds the parameters of one part and the device field of its coefficients."""
         struct = coefficient_struct(formula, self.real)
         fields = {
             contact: {
@@ -246,17 +249,16 @@ class ShapeContactSet:
                 parameters.add(full, field, items, formula.limits(name), [device_field], single=contact.single)
 
     def memories(self) -> Iterator[tuple[type[Formula], wp.array, wp.array]]:
-        """Iterates over (formula, memory, kept) of the parts that remember anything."""
+        """Yields (formula, history_in, history_out) of the parts with history variables."""
         for part, formula in self.parts._asdict().items():
             if formula.memories:
                 yield formula, getattr(self.memory, part), getattr(self.history_out, part)
 
     def force_stages(self, plan: "ExecutionPlan", state: Any, step: wp.array, status: wp.array) -> list[wp.Launch]:
-        """Returns the launches that find where its shapes meet in ``state``, and the forces at its ends.
+        """Returns the launches of narrow phase and contact forces in ``state``; nonsmooth contacts have no force.
 
-        Nonsmooth contacts have none.
-
-        ``step`` [env, 0] is what these act over [s]; ``status`` [env] says which environments are active.
+        ``step`` [env, 0] is the time over which forces act [s]; ``status`` [env]: environments that are not active
+        are skipped.
         """
         a, settings = plan.model.arrays, self.settings
         launches = []
@@ -284,7 +286,7 @@ class ShapeContactSet:
         return launches
 
     def accept_stages(self, plan: "ExecutionPlan") -> list[wp.Launch]:
-        """Returns the launches that remember what an accepted step led to."""
+        """Returns the launches that store warm starts and advance the history after an accepted step."""
         status = plan.model.arrays.status
         inputs = [status, self.new_warm_starts, self.warm_starts, self.shape_contacts]
         launches = plan.prepare(history.accept(self.real), self.count, inputs)
@@ -295,7 +297,7 @@ class ShapeContactSet:
         return launches
 
     def reset_state(self, chosen: wp.array, envs: int) -> None:
-        """Empties what the environments of the mask ``chosen`` [env] remember."""
+        """Clears warm starts and history in the environments of the mask ``chosen`` [env]."""
         shape, device = (envs, self.count), chosen.device
         wp.launch(
             history.reset(self.real),
@@ -307,10 +309,10 @@ class ShapeContactSet:
             wp.launch(reset.memory(formula, self.real), dim=shape, inputs=[chosen, memory], device=device)
 
     def compile(self, device: wp.Device) -> None:
-        """Compiles kernels of users' laws and shapes, so that a mistake in them shows at once.
+        """Compiles kernels with user-defined laws and shapes, to report errors early.
 
         Raises:
-            TypeError: If a law, a friction or a shape does not compile.
+            TypeError: If a law, friction model or shape does not compile.
         """
         for kinds, _ in self.ranges:
             if not has_user_code(kinds):
@@ -325,17 +327,17 @@ class ShapeContactSet:
                 )
                 raise TypeError(
                     f"shape {kinds[0].__name__} with shape {kinds[1].__name__} does not compile: {text}\n{given}\n"
-                    "All of a shape is in float64: constants are written as wp.float64(1.5)."
+                    "Functions of a shape use float64: write constants as wp.float64(1.5)."
                 ) from error
         compile_force_kernel(self.parts, lambda: self.kernel, device, self.real)
 
     def failures(self, contact: ShapeContact) -> NDArray[np.int32]:
-        """Returns in how many steps since reset it was not found where ``contact`` is, (envs, items)."""
+        """Returns the number of steps since reset in which ``contact`` did not converge, (envs, items)."""
         values: NDArray[np.int32] = self.shape_contacts.failures.numpy()[:, self.items[contact]]
         return values
 
     def sensors(self) -> Iterator[Sensor]:
-        """Iterates over what can be measured."""
+        """Yields the sensors of the shape contacts."""
         for contact, items in self.items.items():
             own: int | slice = items.start if contact.single else items
             several = 0 if contact.single else contact.count
@@ -365,11 +367,11 @@ class ShapeContactSet:
                     yield Sensor(f"{contact.name}.{part}.{key}", memory.unit, meaning, array, **options)
 
     def _by_sizes(self, contact: ShapeContact, items: int | slice, several: int) -> Iterator[Sensor]:
-        """Iterates over the derivatives of the gap by the sizes of both shapes."""
+        """Yields the sensors of derivatives of the gap with respect to the sizes of both shapes."""
         for side, shape in (("a", contact.shape), ("b", contact.other_shape)):
             first = 0
             for size, width in measures.size_widths(shape.kind):
-                meaning = f"derivative of the gap by {size} of {shape.name}"
+                meaning = f"derivative of the gap with respect to {size} of {shape.name}"
                 array = _part(f"gap_by_sizes_{side}", first, width, items)
                 name = f"{contact.name}.gap_by_{size}_{side}"
                 options: dict[str, Any] = {"items": several, "shape": () if width == 1 else (width,)}
@@ -388,7 +390,7 @@ def _measured(measure: str, attribute: str, items: int | slice) -> Callable[[Sim
 
 
 def _part(attribute: str, first: int, width: int, items: int | slice) -> Callable[[SimpleNamespace], wp.array]:
-    """Returns what gives ``width`` of the numbers of each entry of an array, from ``first`` on, as a view."""
+    """Returns a function that returns a view of ``width`` components, from ``first`` on, of each array entry."""
 
     def part(arrays: SimpleNamespace) -> wp.array:
         whole = getattr(arrays.shape_gradients, attribute)
@@ -413,7 +415,7 @@ def _each(numbers: NDArray[np.int32], contact: ShapeContact) -> NDArray[np.int32
 
 
 def _ranges(items: Mapping[ShapeContact, slice]) -> list[tuple[tuple[type[Form], type[Form]], slice]]:
-    """Returns the contacts of each pair of kinds, which lie side by side."""
+    """Returns the range of contacts of each pair of kinds; these contacts are consecutive."""
     ranges: list[tuple[tuple[type[Form], type[Form]], slice]] = []
     for contact, own in items.items():
         if ranges and ranges[-1][0] == contact.kinds:
@@ -424,7 +426,7 @@ def _ranges(items: Mapping[ShapeContact, slice]) -> list[tuple[tuple[type[Form],
 
 
 def sorted_contacts(scene: "Scene") -> list[list[ShapeContact]]:
-    """Returns the shape contacts of a scene by the code of their forces, and within by kinds, as they appear."""
+    """Returns the shape contacts of a scene grouped by contact model, and ordered by kinds within a group."""
     sets: dict[ContactModel, dict[Any, list[ShapeContact]]] = {}
     for contact in scene.shape_contacts:
         sets.setdefault(contact.parts, {}).setdefault(contact.kinds, []).append(contact)
@@ -439,7 +441,7 @@ def make_shape_contact_sets(
     real: type,
     moves: bool,
 ) -> list[ShapeContactSet]:
-    """Declares the arrays of all shape contacts, and adds their parameters. Their ends follow the couplings'."""
+    """Declares arrays and parameters of all shape contacts. Their ends are numbered after those of couplings."""
     sets: list[ShapeContactSet] = []
     first = 0
     for own in sorted_contacts(scene):

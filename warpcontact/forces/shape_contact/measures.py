@@ -1,4 +1,4 @@
-"""What is measured of shape contacts only when it is asked for."""
+"""Measures of shape contacts that are computed on request: points, curvatures and gradients."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def measure(name: str, model: "Model") -> None:
-    """Computes the measure ``name`` of all shape contacts, as they were computed last."""
+    """Computes the measure ``name`` of all shape contacts from their last evaluation."""
     for own in model.shape_contact_sets:
         for kinds, items in own.ranges:
             if name == "shape_points":
@@ -29,7 +29,7 @@ def measure(name: str, model: "Model") -> None:
 
 
 def has_curvatures(kinds: tuple[type[Form], type[Form]]) -> bool:
-    """Whether the curvatures of a pair of kinds are known, which those of a user's own shape need not be."""
+    """Returns whether curvatures of a pair of kinds are available; custom shapes may not have them."""
     try:
         pair_curvature(*kinds)
     except TypeError:

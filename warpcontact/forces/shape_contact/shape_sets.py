@@ -1,4 +1,4 @@
-"""Shapes on a device, sorted by kind."""
+"""Device data of shapes, grouped by kind."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
 
 
 class ShapeSet:
-    """All shapes of one kind, side by side on the device.
+    """All shapes of one kind, in consecutive order on the device.
 
     Args:
         shapes: The shapes, of one class.
-        parameters: Where to add their sizes and places.
+        parameters: Parameters to which their sizes and poses are added.
 
     Attributes:
-        kind: Their class.
+        kind: Class of the shapes.
         arrays: Struct of arrays [env, shape]: ``coefficients`` and ``pose``, in float64.
     """
 
@@ -43,7 +43,7 @@ class ShapeSet:
         self._add_sizes(parameters)
 
     def numbers(self, shape: Shape) -> NDArray[np.int32]:
-        """Returns where each of ``shape`` is in the arrays, (n,)."""
+        """Returns the indices of the items of ``shape`` in the arrays, (n,)."""
         items = self._items[shape]
         return np.arange(items.start, items.stop, dtype=np.int32)
 

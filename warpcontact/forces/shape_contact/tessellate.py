@@ -1,4 +1,4 @@
-"""Shapes as triangles, to draw them."""
+"""Triangulation of shapes, for drawing and for estimates."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -19,7 +19,7 @@ from warpcontact.system.capture_lock import shared_capture_lock
 from warpcontact.system.devices import find_device
 from warpcontact.validation.checks import Array
 
-# Of a convex shape: halvings of an icosahedron; of a patch and a torus: steps along each parameter.
+# Subdivisions of an icosahedron for convex shapes; steps per parameter for parametric surfaces and tori.
 LEVEL = 4
 STEPS = 48
 
@@ -27,12 +27,12 @@ Faces = NDArray[np.signedinteger[Any]]
 
 
 def tessellate(kind: type[Form], sizes: Mapping[str, Array], reach: float = 1.0) -> tuple[Array, Faces]:
-    """Returns the surface of a shape as points (n, 3) [m], in its frame, and triangles (m, 3), outer side out.
+    """Returns the surface of a shape as points (n, 3) [m], in its frame, and triangles (m, 3), oriented outwards.
 
     Args:
-        kind: Its class.
-        sizes: Its parameters.
-        reach: Half the side of the square that is drawn of a half-space [m].
+        kind: Class of the shape.
+        sizes: Parameters of the shape.
+        reach: Half the side of the square that represents a half-space [m].
     """
     if issubclass(kind, Plane):
         corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
@@ -66,7 +66,7 @@ def _computed(
 
 
 def _grid(u: tuple[float, float], v: tuple[float, float], closed: tuple[bool, bool]) -> tuple[Array, Faces]:
-    """Returns parameters (n, 2) in steps along two ranges, and the triangles between them."""
+    """Returns a grid of parameters (n, 2) over two ranges, and its triangles (m, 3)."""
     lines = [
         np.linspace(*ends, STEPS + 1)[: STEPS + (not periodic)]
         for ends, periodic in zip((u, v), closed, strict=True)
