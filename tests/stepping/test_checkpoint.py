@@ -158,7 +158,7 @@ def test_checkpoint_of_another_scene_is_refused_with_the_difference(device, tmp_
     with pytest.raises(wc.CheckpointError, match=r"another simulation: .*integrator|dt"):
         simulation("impulses", device).load(tmp_path / "state.npz")
     other = wc.Simulation(everything("floor").build(envs=3, device=device), 5e-4, crossing_substeps=3)
-    with pytest.raises(wc.CheckpointError, match=r"parameters: it has 'ground\.\w+' and has no 'floor"):
+    with pytest.raises(wc.CheckpointError, match=r"parameters: the file has 'ground\.\w+' and has no 'floor"):
         other.load(tmp_path / "state.npz")
 
 

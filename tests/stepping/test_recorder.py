@@ -288,13 +288,13 @@ def test_restarted_recorder_begins_with_an_empty_block(device):
     sim = falling(device)
     recorder = Recorder(sim.model, WATCHED, 2, poses=False)
     frames = {name: np.zeros((1, *values.shape[1:])) for name, values in recorder.frames().items()}
-    with pytest.raises(RuntimeError, match="room for 0 of 2 frames"):
+    with pytest.raises(RuntimeError, match="0 of 2 frames free"):
         recorder.continue_from(frames, np.zeros(1))
     for _ in range(2):
         recorder.start()
         assert (recorder.taken, recorder.free_frames) == (0, 2)
         recorder.take(0.0)
-    with pytest.raises(RuntimeError, match="room for 2 of 2 frames, not for 3 more"):
+    with pytest.raises(RuntimeError, match="2 of 2 frames free, but 3 are required"):
         recorder.continue_from(frames, np.zeros(3))
 
 
@@ -310,7 +310,7 @@ def test_frames_beyond_recorder_capacity_are_refused(device):
         record_frames(sim, recorder, 3, 1, 0.0, 0, follows_frame=False)
     assert (sim.steps, recorder.taken) == (0, 1)
     done = []
-    with pytest.raises(RuntimeError, match=r"room for 0 of 3 frames, not for 1 more"):
+    with pytest.raises(RuntimeError, match=r"0 of 3 frames free, but 1 are required"):
         done += sim.advance(recorder, 11, 1, start=0.0, taken=1)
     assert (sim.steps, recorder.taken) == (2, 3)
     for name, values in frames.items():

@@ -96,7 +96,7 @@ def add_contact_coupling(
         raise ValueError(f"{name}: both surfaces are fixed to body {surface_a.body.name!r}; one must move")
     if not isinstance(contact_range, ContactRange):
         raise TypeError(f"{name}.range must be a wc.ContactRange, got {contact_range!r}")
-    material = _template(name, contact_range, friction, damping_ramp)
+    material = _material(name, contact_range, friction, damping_ramp)
     pairs = [(surface_a, surface_b, f"{name}_first")]
     if sides == "average":
         pairs.append((surface_b, surface_a, f"{name}_second"))
@@ -143,7 +143,7 @@ def _named(name: str, key: str, value: Any) -> Any:
     return checks.choice(f"{name}.{key}", value, _WORDS[key]) if key in _WORDS else value
 
 
-def _template(name: str, contact_range: ContactRange, friction: Friction | None, ramp: float) -> ContactMaterial:
+def _material(name: str, contact_range: ContactRange, friction: Friction | None, ramp: float) -> ContactMaterial:
     depth = float(checks.numbers(f"{name}.damping_ramp", ramp, (), laws.ContactRange.limits("ramp")))
     if friction is None:
         friction = Frictionless()

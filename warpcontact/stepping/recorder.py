@@ -71,7 +71,7 @@ def item_dimension(scene: Scene, element: str) -> str:
     sizes = {points.count for points in scene.points if not points.single}
     sizes |= {body.count for body in scene.bodies if not body.single}
     # A particle contact has one item per particle; its particles may be those of several sets.
-    sizes |= {pile.count for pile in scene.particle_contacts if pile.name == element}
+    sizes |= {contact.count for contact in scene.particle_contacts if contact.name == element}
     return "item" if len(sizes) == 1 else f"{element}.item"
 
 

@@ -198,7 +198,7 @@ def test_incomplete_nonsmooth_solve_is_counted_and_warns(device):
         assert (model.sensor("scene.solve_iterations") <= 1).all()
         missed = np.where(steps["scene.solve_converged"] == 0, steps["scene.solve_residual"], 0.0).max(axis=0)
         np.testing.assert_array_equal(model.largest_residuals(), missed)
-        assert f"The largest residual was {missed.max():.1e}, " in str(caught[0].message)
+        assert f"The largest residual is {missed.max():.1e}, " in str(caught[0].message)
         worst.append(missed.max())
     assert worst[1] < worst[0]
     simulation.reset()

@@ -132,7 +132,7 @@ def scene_warnings(model: "Environments", dt: float, nonsmooth: "NonsmoothContac
         sentences += _overlap_warnings(model, contact.name, depth, np.sqrt(2.0 * energy / mass), speed)
     for shape_contact in model.scene.shape_contacts:
         if has_force(shape_contact.name):
-            sentences += _shape_contact_advice(model, shape_contact, dt)
+            sentences += _shape_contact_warnings(model, shape_contact, dt)
         else:
             sentences += overlap_warnings(f"{shape_contact.name}.penetration")
     for particle_contact in model.scene.particle_contacts:
@@ -143,7 +143,7 @@ def scene_warnings(model: "Environments", dt: float, nonsmooth: "NonsmoothContac
     return sentences + coupling_warnings(model, dt)
 
 
-def _shape_contact_advice(model: "Environments", contact: "ShapeContact", dt: float) -> list[str]:
+def _shape_contact_warnings(model: "Environments", contact: "ShapeContact", dt: float) -> list[str]:
     """Returns the warnings about a shape contact, evaluated per item."""
     name, law = contact.name, contact.material.law
     elastic = law.elastic({key: _column(model, f"{name}.law.{key}") for key in law.parameters()})

@@ -144,13 +144,13 @@ class NonsmoothContacts:
         self._particle_contact_sets: list[
             tuple[ParticleContactSet, int]
         ] = []  # nonsmooth ones, with the number of their material
-        for pile in model.particle_contact_sets:
-            if not self.is_compliant(pile.contact.name):
-                self._particle_contact_sets.append((pile, count + len(self._particle_contact_sets)))
-                self._first_records[pile.contact] = stored_count
-                stored_count += pile.slots
+        for particle_set in model.particle_contact_sets:
+            if not self.is_compliant(particle_set.contact.name):
+                self._particle_contact_sets.append((particle_set, count + len(self._particle_contact_sets)))
+                self._first_records[particle_set.contact] = stored_count
+                stored_count += particle_set.slots
         self.capacity = self._mesh.count + sum(own.count for _, own in self._shape_contact_sets)
-        self.capacity += sum(pile.slots for pile, _ in self._particle_contact_sets)
+        self.capacity += sum(particle_set.slots for particle_set, _ in self._particle_contact_sets)
         everything = (*self._displayed, *self._first_records)
         self._nonsmooth = [contact for contact in everything if not self.is_compliant(contact.name)]
 
@@ -250,7 +250,7 @@ class NonsmoothContacts:
         """Sets the gap below which the nonsmooth contacts are closed [m]."""
         closed = [(model.arrays.closed, self._mesh.numbers)] if self._mesh.count else []
         closed += [(one.closed, own.numbers) for one, own in self._shape_contact_sets if own.count]
-        closed += [(pile.closed, np.arange(1)) for pile, _ in self._particle_contact_sets]
+        closed += [(particle_set.closed, np.arange(1)) for particle_set, _ in self._particle_contact_sets]
         for one, items in closed:
             one.assign(items, gap)
         model.upload([one.device_field for one, _ in closed], [one.device_field.content() for one, _ in closed])
@@ -364,15 +364,15 @@ class NonsmoothContacts:
                 launches += plan.prepare(
                     build_rows.shape_rows(real, one.needs_curvature), 1, [*inputs, one.shape_contacts, *outputs]
                 )
-        for pile, material in self._particle_contact_sets:
-            contact = pile.contact
+        for particle_set, material in self._particle_contact_sets:
+            contact = particle_set.contact
             inputs = [
                 a.status,
                 self.half_step_state,
                 contact.count,
-                pile.particles,
-                pile.neighbor_lists,
-                pile.pair_records,
+                particle_set.particles,
+                particle_set.neighbor_lists,
+                particle_set.pair_records,
             ]
             inputs += [self._first_records[contact], material]
             launches += plan.prepare(build_rows.particle_rows(real), 1, [*inputs, *outputs])
@@ -468,16 +468,16 @@ class NonsmoothContacts:
         ):
             launch.launch()
         stored_count = [self.stored_impulses, self.statistics]
-        for pile, _ in self._particle_contact_sets:
+        for particle_set, _ in self._particle_contact_sets:
             inputs = [
                 self._step,
-                self._first_records[pile.contact],
-                pile.particles,
-                pile.neighbor_lists,
+                self._first_records[particle_set.contact],
+                particle_set.particles,
+                particle_set.neighbor_lists,
                 *stored_count,
-                pile.pair_records,
+                particle_set.pair_records,
             ]
-            shape = (model.envs, pile.contact.count)
+            shape = (model.envs, particle_set.contact.count)
             wp.launch(save_impulses.display_particles(real), dim=shape, inputs=inputs, device=device)
         shape = (model.envs, model.body_count)
         wp.launch(

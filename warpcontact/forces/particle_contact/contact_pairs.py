@@ -30,7 +30,7 @@ def contact_pairs(parts: "Sequence[tuple[Model, int, ParticleContactSet]]") -> x
     Args:
         parts: The models, each with the number of its first environment and its particle contact set.
     """
-    columns = [_pairs_of_model(model, first, pile) for model, first, pile in parts]
+    columns = [_pairs_of_model(model, first, particle_set) for model, first, particle_set in parts]
     together = {name: np.concatenate([own[name] for own in columns]) for name in columns[0]}
     contact = parts[0][2].contact
     labels = np.array([contact.label(number) for number in range(contact.count)], dtype=object)
@@ -56,25 +56,27 @@ def contact_pairs(parts: "Sequence[tuple[Model, int, ParticleContactSet]]") -> x
     return result
 
 
-def _pairs_of_model(model: "Model", first_env: int, pile: ParticleContactSet) -> dict[str, Array]:
-    count = pile.contact.count
-    starts = pile.particles.slot_start.numpy()
+def _pairs_of_model(model: "Model", first_env: int, particle_set: ParticleContactSet) -> dict[str, Array]:
+    count = particle_set.contact.count
+    starts = particle_set.particles.slot_start.numpy()
     owner = np.repeat(np.arange(count), np.diff(starts))
     offset = np.arange(len(owner)) - starts[owner]
-    owned, neighbors = (array.numpy() for array in (pile.neighbor_lists.owned, pile.neighbor_lists.neighbor))
-    flags = pile.pair_records.flags.numpy()[:, : len(owner)]
+    owned, neighbors = (
+        array.numpy() for array in (particle_set.neighbor_lists.owned, particle_set.neighbor_lists.neighbor)
+    )
+    flags = particle_set.pair_records.flags.numpy()[:, : len(owner)]
     envs, slots = np.nonzero((flags & IN_CONTACT != 0) & (offset < owned[:, owner]))
     shape_index = owner[slots]
-    other = neighbors[envs, pile.particles.entry_start.numpy()[shape_index] + offset[slots]]
+    other = neighbors[envs, particle_set.particles.entry_start.numpy()[shape_index] + offset[slots]]
     shape_1, shape_2 = np.minimum(shape_index, other), np.maximum(shape_index, other)
     # Sort the pairs of an environment by particle numbers, independent of which particle owns the record.
     order = np.lexsort((shape_2, shape_1, envs))
     envs, slots, shape_1, shape_2 = envs[order], slots[order], shape_1[order], shape_2[order]
     records = {
-        name: getattr(pile.pair_records, name).numpy()[envs, slots]
+        name: getattr(particle_set.pair_records, name).numpy()[envs, slots]
         for name in ("gap", "normal", "normal_force", "force", "approach_speed", "arm")
     }
-    body = pile.contact.bodies[shape_1]
+    body = particle_set.contact.bodies[shape_1]
     state = model.arrays.state
     centre = state.body_position.numpy()[envs, body].astype(np.float64)
     centre += state.body_position_remainder.numpy()[envs, body]

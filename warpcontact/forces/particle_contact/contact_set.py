@@ -542,10 +542,10 @@ def _parameter(parameters: Parameters, shape: Shape, key: str) -> Parameter | No
     return parameters.by_name.get(f"{shape.name}.{key}")
 
 
-def particle_arrays(pile: ParticleContactSet | None, real: type) -> list[Any]:
+def particle_arrays(particle_set: ParticleContactSet | None, real: type) -> list[Any]:
     """Returns the kernel arguments of a particle contact; empty structs if there is none."""
-    if pile is not None:
-        return [pile.particles, pile.neighbor_lists, pile.pair_records]
+    if particle_set is not None:
+        return [particle_set.particles, particle_set.neighbor_lists, particle_set.pair_records]
     t = particle_structs(real)
     return [t.Particles(), t.NeighborLists(), t.PairRecords()]
 

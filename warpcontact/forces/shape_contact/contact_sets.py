@@ -58,7 +58,7 @@ _STRUCTS = {
     "shape_gradients": measures.Gradients,
 }
 # name: (array, unit, meaning), in addition to the sensors of all contacts
-_READINGS = {
+_CONTACT_SENSORS = {
     "iterations": ("iterations", "-", "number of iterations of the narrow phase"),
     "residual": ("residual", "-", "residual of the narrow phase"),
     "converged": ("converged", "-", "1: the narrow phase converged; 0: it did not, and no force is applied"),
@@ -341,7 +341,7 @@ class ShapeContactSet:
         for contact, items in self.items.items():
             own: int | slice = items.start if contact.single else items
             several = 0 if contact.single else contact.count
-            for key, (attribute, unit, meaning) in (CONTACT_SENSORS | _READINGS).items():
+            for key, (attribute, unit, meaning) in (CONTACT_SENSORS | _CONTACT_SENSORS).items():
                 text = meaning.replace("the point's body", "the body of its first shape")
                 text = text.replace("out of the surface", "out of its other shape")
                 codes = ContactStatus if key == "status" else None

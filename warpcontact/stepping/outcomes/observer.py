@@ -93,7 +93,7 @@ class Monitor:
         self.settings = settings
         self._real, self._device = model.types.real, layout.device
         self._model: Model | None = None
-        self._hard = nonsmooth
+        self._nonsmooth = nonsmooth
         resolver = SourceResolver(model, nonsmooth)
         self.outcome_states = [
             OutcomeState(name, outcome, sources_of(resolver, f"outcomes[{name!r}]", outcome))
@@ -194,8 +194,8 @@ class Monitor:
     def _sensor_stages(self, plan: "ExecutionPlan", status: wp.array, state: Any) -> list[wp.Launch]:
         """Returns the launches that compute the sensors of the sources."""
         launches = sensor_stages(plan, self._step_needs, state, status)
-        if self._has_nonsmooth and self._hard is not None:
-            launches += self._hard.show_stages(plan, status)
+        if self._has_nonsmooth and self._nonsmooth is not None:
+            launches += self._nonsmooth.show_stages(plan, status)
         return launches
 
     def _form_and_view(self, sources: ResolvedSource, state: Any) -> tuple[SourceForm, Any]:
@@ -204,7 +204,7 @@ class Monitor:
         if self._model is None:
             return form, None
         view = sources.view(
-            SimpleNamespace(**{**vars(self._model.arrays), "state": state, "nonsmooth": self._hard})
+            SimpleNamespace(**{**vars(self._model.arrays), "state": state, "nonsmooth": self._nonsmooth})
         )
         return form._replace(dtype=view.dtype), view
 

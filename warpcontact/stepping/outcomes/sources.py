@@ -94,11 +94,11 @@ class SourceResolver:
     def __init__(self, model: "Model | DeviceModelPlan", nonsmooth: "NonsmoothContacts | None") -> None:
         self._sensors: Mapping[str, Sensor] = model.sensors
         self._scene = model.scene
-        self._hard: Collection[str] = frozenset()
+        self._nonsmooth: Collection[str] = frozenset()
         if nonsmooth is not None:
             own = {one.name: one for one in nonsmooth.sensors()}
             self._sensors = {**model.sensors, **own}
-            self._hard = nonsmooth.names
+            self._nonsmooth = nonsmooth.names
         self._mesh_contacts = {contact.name for contact in model.scene.contacts}
         self._single_contacts = [contact.name for contact in model.scene.contacts]
         self._single_contacts += [contact.name for contact in model.scene.shape_contacts]
@@ -108,7 +108,7 @@ class SourceResolver:
     @property
     def nonsmooth(self) -> frozenset[str]:
         """Names of the nonsmooth contacts."""
-        return frozenset(self._hard)
+        return frozenset(self._nonsmooth)
 
     def resolve(self, owner: str, source: Source) -> ResolvedSource:
         """Returns the resolved ``source``.
@@ -139,7 +139,7 @@ class SourceResolver:
             sensor,
             in_every_step=self._in_every_step(source.name),
             needs_all_distances=element in self._mesh_contacts and quantity in NEAR_ONLY,
-            is_nonsmooth=element in self._hard,
+            is_nonsmooth=element in self._nonsmooth,
             owner=owner,
         )
 
@@ -184,7 +184,7 @@ class SourceResolver:
         Raises:
             ValueError: If it is no contact, or a particle contact, whose pairs have no fixed numbers.
         """
-        quantity = "mode" if contact in self._hard else "penetration"
+        quantity = "mode" if contact in self._nonsmooth else "penetration"
         name = f"{contact}.{quantity}"
         if contact not in self._single_contacts:
             what = "not a contact"
@@ -201,6 +201,6 @@ class SourceResolver:
         """
         sensor: Any = self._sensors.get(name)
         element, _, quantity = name.rpartition(".")
-        if self._hard and element in self._bodies and quantity in ("force", "torque"):
+        if self._nonsmooth and element in self._bodies and quantity in ("force", "torque"):
             return False
         return sensor is not None and len(sensor.shape) < 2 and SLICE_NEEDS.issuperset(sensor.needs)
