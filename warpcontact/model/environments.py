@@ -230,7 +230,7 @@ class Environments(
         """Returns the sensor with this name or alias; its array is that of the first part.
 
         Raises:
-            KeyError: If there is none; the message suggests the closest name.
+            KeyError: If the sensor does not exist; the message suggests the closest name.
         """
         from warpcontact.forces.nonsmooth.contacts import sensor_hint
 

@@ -381,7 +381,8 @@ class NonsmoothContacts:
     def sleep_stages(self, plan: "ExecutionPlan", step: wp.array) -> list[wp.Launch]:
         """Returns the launch that skips a step of sleeping environments; none if skipping could change results.
 
-        Sleeping is exact only if all contacts are mesh contacts, without latches, joints, couplings and monitors.
+        Sleeping is exact only if all contacts are nonsmooth mesh contacts, and there are no latched contacts, joints,
+        couplings or monitors.
         """
         model = plan.model
         others = (

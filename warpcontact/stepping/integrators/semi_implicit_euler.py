@@ -49,7 +49,7 @@ class SemiImplicitEuler(Integrator):
                     )
 
     def can_accept(self, plan: ExecutionPlan) -> bool:
-        """Returns whether the plan is one of a single-body environment whose step can be accepted in place."""
+        """Returns whether the fused step or the integration kernel can accept the step."""
         return plan.fuses_step or plan.accepts_in_integrator
 
     def step_stages(
