@@ -88,7 +88,7 @@ def test_law_with_fixed_restitution_is_plotted_and_labeled(device):
         text.get_text() for part in figure.subfigs for legend in part.legends for text in legend.get_texts()
     ]
     assert legends[:2] == ["plastic, e = 0.5", "hc"]
-    for title in ("effective restitution (dotted: as asked for)", "over speed, e = 0.6 at 1 m/s"):
+    for title in ("effective restitution (dotted: prescribed)", "over speed, e = 0.6 at 1 m/s"):
         np.testing.assert_allclose(drawn[title].lines[0].get_ydata(), 0.5, atol=2e-3)
     # Its loop is in none of the colours that stand for a restitution.
     (loop,) = drawn["plastic, e = 0.5"].lines
@@ -114,13 +114,11 @@ def test_plot_labels_include_class_and_source_of_depth(device):
     soft = L.HuntCrossley(stiffness=1.5e6, restitution=0.5)
     figure = compare.plot_laws({"soft": soft, "Hertz": L.Hertz}, device=device)
     note, first, second = footnotes(figure)
-    assert note == "sphere of 1 kg on a plate at 1 m/s, 0.003701 m deep if nothing is lost, as on soft"
+    assert note == "sphere of 1 kg on a plate at 1 m/s, undamped penetration 0.003701 m, as for soft"
     assert first.startswith("soft (HuntCrossley): stiffness 1.5e+06")
     assert second.startswith("Hertz: stiffness 1.5e+06")
     other = compare.plot_laws({"soft": soft, "Hertz": L.Hertz}, depth=2e-3, device=device)
-    assert footnotes(other)[0].endswith(
-        "0.002 m deep if nothing is lost; on soft as deep as the given stiffness has it"
-    )
+    assert footnotes(other)[0].endswith("undamped penetration 0.002 m; for soft as given by the stiffness")
     assert compare.plot_laws({"soft": soft}, device=device).get_suptitle().startswith("soft\xa0(HuntCrossley):")
     skate = compare.plot_friction_models({"skate": F.Elliptic}, device=device)
     assert skate.get_suptitle().startswith("skate\xa0(Elliptic):")
@@ -148,17 +146,17 @@ def test_static_friction_is_marked_if_steady_slip_does_not_show_it(kind, device)
         (mark,) = [line for line in panels(figure)[title].lines if line.get_linestyle() == "-."]
         np.testing.assert_allclose(mark.get_ydata(), 0.5, rtol=5e-3)
         assert panels(figure)[title].get_ylim()[1] > 0.5
-    assert "dash-dotted: greatest force on a slow way from rest to steady slip" in footnotes(figure)
-    assert "on the way from rest: 0.5" in texts(compare.plot_friction_models(kind, device=device))
+    assert "dash-dotted: breakaway coefficient, the largest in slow slip from rest" in footnotes(figure)
+    assert "breakaway: 0.5" in texts(compare.plot_friction_models(kind, device=device))
 
 
 @pytest.mark.slow
 def test_plot_labels_include_slip_direction_and_chosen_values(device):
     figure = compare.plot_friction_models([F.Elliptic, F.Tanh], load=20.0, device=device)
     note, along = footnotes(figure)[:2]
-    assert note == "pressed on a plate with 20 N; where nothing else was given: mu = mu_1 = 0.4, mu_2 = 0.2"
+    assert note == "pressed on a plate with 20 N; default values: mu = mu_1 = 0.4, mu_2 = 0.2"
     assert along == "slip is along the x axis of the surface; for Elliptic other directions differ"
-    assert {"steady slip along x", "steady slip along x, logarithmic", "slip to and fro along x"} <= set(
+    assert {"steady slip along x", "steady slip along x, logarithmic", "oscillating slip along x"} <= set(
         panels(figure)
     )
     plain = compare.plot_friction_models([F.Tanh(mu=0.2), functools.partial(F.Dahl, mu=0.3)], device=device)

@@ -195,7 +195,7 @@ def test_quantile_fan_drops_missing_values_on_request():
     run.series["ball.height"][2, 4] = np.nan
     run.outcome = xr.Dataset({"status": ("env", np.eye(10, dtype=int)[7], STATUS)}, coords={"env": np.arange(10)})
     with pytest.raises(
-        ValueError, match=r"in 2 of 10 environments: 4 \(not finite\), 7 \(frozen\); missing='drop'"
+        ValueError, match=r"in 2 of 10 environments: 4 \(not finite\), 7 \(frozen\); pass missing='drop'"
     ):
         wc.quantile_fan(run, "ball.height")
     fan = wc.quantile_fan(run, "ball.height", missing="drop")
@@ -291,7 +291,7 @@ def test_analysis_raises_for_invalid_arguments():
     for call, message in (
         (
             lambda: wc.sensitivity(run, "peak"),
-            "needs a run with sampling.method = 'saltelli' .* this one has 'random'",
+            "needs a run with sampling.method = 'saltelli' .* got 'random'",
         ),
         (
             lambda: wc.sensitivity(saltelli, "peek"),
@@ -312,7 +312,7 @@ def test_analysis_raises_for_invalid_arguments():
         ),
         (
             lambda: wc.sensitivity(Run(saltelli.settings, run.outcome), "peak"),
-            "'peak' must be of all 10 environments, got 4",
+            "'peak' must have values of all 10 environments, got 4",
         ),
         (
             lambda: wc.quantile_fan(fan, "ball.hight"),
@@ -323,18 +323,21 @@ def test_analysis_raises_for_invalid_arguments():
             r"quantiles must be numbers from 0 to 1, got \(0.5, 1.1\)",
         ),
         (lambda: wc.quantile_fan(fan, "ball.height", ()), r"quantiles must be numbers from 0 to 1, got \(\)"),
-        (lambda: wc.quantile_fan(fan, "ball.height", (0.5, 0.1)), r"quantiles must rise, got \(0.5, 0.1\)"),
+        (
+            lambda: wc.quantile_fan(fan, "ball.height", (0.5, 0.1)),
+            r"quantiles must be strictly ascending, got \(0.5, 0.1\)",
+        ),
         (
             lambda: wc.convergence(sampled(np.zeros(0)), "peak"),
-            "outcome 'peak' is of no environment yet: none is finished; resume the run",
+            "outcome 'peak' has no values yet, because no environment is finished; resume the run",
         ),
         (
             lambda: wc.sensitivity(with_outcome(saltelli.settings, np.zeros((0, 3)), ("env", "axis")), "peak"),
-            "outcome 'peak' is of no environment yet: none is finished",
+            "outcome 'peak' has no values yet, because no environment is finished",
         ),
         (
             lambda: wc.quantile_fan(Run(fan.settings, series=fan.series.isel(env=[])), "ball.height"),
-            "sensor 'ball.height' is of no environment yet: none is begun",
+            "sensor 'ball.height' has no values yet, because no environment is started",
         ),
         (lambda: wc.quantile_fan(run, "x"), "sensor must be one of the run, got 'x'; there are: none"),
         (
@@ -347,7 +350,7 @@ def test_analysis_raises_for_invalid_arguments():
         (lambda: wc.convergence(ordered, "peak"), 'variation."touch.force_scale".linspace gives them an order'),
         (
             lambda: wc.convergence(sampled(np.array([1.0, np.nan])), "peak", missing="drop"),
-            "of at least 2 env.* got 1",
+            "at least 2 usable env.* got 1",
         ),
     ):
         with pytest.raises(ValueError, match=message):

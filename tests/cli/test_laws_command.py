@@ -84,7 +84,7 @@ def test_laws_command_with_a_name_prints_that_entry_only(capsys):
         (["--compare", "Hooke", "Herz", "--plot", "a.svg"], "no law or friction 'Herz'; did you mean 'Hertz'?"),
         (
             ["--plot", "a.svg", "--compare", *(law.__name__ for law in wc.laws.CATALOGUE[:9])],
-            "a picture shows at most 8 laws, got 9: Hooke, Hertz,",
+            "a plot shows at most 8 laws, got 9: Hooke, Hertz,",
         ),
         (["Hooke", "--mass", "2"], "--mass is of the picture: say where it goes by --plot FILE"),
         (["Tanh", "--mass", "2", "--plot", "a.svg"], "--mass is an option of laws, and not of Tanh"),

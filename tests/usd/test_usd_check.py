@@ -105,14 +105,14 @@ DEFECTS = {
     "an extent that is too small": (
         set_to(FLOOR, "extent", [(0, 0, 0), (1, 1, 0)]),
         FLOOR,
-        "extent must hold",
+        "extent must enclose",
     ),
     "an animated extent that is too small": (
         set_to(ENSEMBLE, "extent", [(0, 0, 0), (1, 1, 0)], 5.0),
         ENSEMBLE,
-        "extent at time 5 must hold",
+        "extent at time 5 must enclose",
     ),
-    "no extent": (no_extent, "/World/extra", "extent must be there"),
+    "no extent": (no_extent, "/World/extra", "extent must be authored"),
     "a face of a point that is not there": (
         set_to(FLOOR, "faceVertexIndices", [0, 1, 2, 0, 2, 4]),
         FLOOR,
@@ -285,7 +285,7 @@ def test_non_finite_time_sample_is_reported(valid_stage, tmp_path):
 
 
 def test_invalid_stage_file_is_refused(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"missing\.usda is no file"):
+    with pytest.raises(FileNotFoundError, match=r"missing\.usda is not a file"):
         wc.check_usd(tmp_path / "missing.usda")
     (tmp_path / "broken.usdc").write_bytes(b"PXR-USDC" + bytes(80))
     with pytest.raises(OSError, match=r"cannot read .*broken\.usdc"):

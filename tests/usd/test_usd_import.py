@@ -342,7 +342,7 @@ def test_mesh_collider_follows_its_approximation(tmp_path, approximation):
         assert scene.shapes[0].form().radius == pytest.approx(np.sqrt(3.0))
     else:
         assert scene.surfaces[0].mesh.report.volume == pytest.approx(8.0)
-    assert any("sdf is not carried out" in remark for remark in scene.import_warnings) == (approximation == "sdf")
+    assert any("sdf is not applied" in remark for remark in scene.import_warnings) == (approximation == "sdf")
 
 
 @pytest.mark.parametrize("scale", [(1, 1, 1), (-1, 1, 1), (-1, -1, -1)])
@@ -383,7 +383,7 @@ def test_render_only_shapes_and_disabled_colliders_are_reported(tmp_path):
     off = prim("Sphere", "off", COLLIDER, "double radius = 1\nbool physics:collisionEnabled = 0")
     scene = read(tmp_path, body(content=WEIGHT + "\n" + look + off))
     assert any("1 shapes without CollisionAPI" in remark for remark in scene.import_warnings)
-    assert any("/body/off: its collision is not enabled" in remark for remark in scene.import_warnings)
+    assert any("/body/off: physics:collisionEnabled is off" in remark for remark in scene.import_warnings)
     assert not scene.shapes
 
 

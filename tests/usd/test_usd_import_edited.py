@@ -42,7 +42,7 @@ def edit(path, change):
     scene = wc.Scene.from_usd(path, skip_unsupported=True)
     assert [one.name for one in scene.bodies] == ["ball-1", "box"]
     assert len(scene.import_warnings) == len(raised.value.problems)
-    assert all(remark.startswith("left out: ") for remark in scene.import_warnings)
+    assert all(remark.startswith("omitted: ") for remark in scene.import_warnings)
     return raised.value.problems
 
 
@@ -72,8 +72,7 @@ def added(opened, path):
 def test_added_body_is_reported(path, place):
     problems = edit(path, lambda opened: added(opened, place))
     assert problems == tuple(
-        f"{place}: {what}, which the description does not have (not supported)"
-        for what in ("a rigid body", "a collider")
+        f"{place}: {what}, missing in the description (not supported)" for what in ("a rigid body", "a collider")
     )
 
 

@@ -42,10 +42,10 @@ WRONG = {
     "inertia of no body": (weighing("float3 physics:diagonalInertia = (1, 1, 5)"), "no principal moment may"),
     "centre not a number": (weighing("point3f physics:centerOfMass = (nan, 0, 0)"), "must be 3 finite numbers"),
     "velocity not a number": (weighing("vector3f physics:velocity = (nan, 0, 0)"), "physics:velocity must be"),
-    "no mass at all": (body(), "/body: it has neither physics:mass nor colliders with a volume"),
-    "mass without a size": (body(content="float physics:mass = 1"), "it has neither physics:diagonalInertia nor"),
+    "no mass at all": (body(), "/body: physics:mass must be authored"),
+    "mass without a size": (body(content="float physics:mass = 1"), "physics:diagonalInertia must be authored"),
     "a place not a number": (body(content=WEIGHT, pose=moved("nan", 0, 0).replace("'", "")), "must be finite"),
-    "flat": (body(content=BALL, pose=moved(0, 0, 0, scale=(1, 1, 0))), "must not flatten it"),
+    "flat": (body(content=BALL, pose=moved(0, 0, 0, scale=(1, 1, 0))), "must be invertible"),
     "points not numbers": (part(CUBE.replace("1,1,1", "1,nan,1")), "/body/part: points["),
     "an index too large": (part(indices=SIDES.replace("7", "9")), "must be from 0 to 7, got 9"),
     "a negative index": (part(indices=SIDES.replace("7", "-2")), "must be from 0 to 7, got -2"),
@@ -54,7 +54,7 @@ WRONG = {
     "a flat hull": (
         body(content=WEIGHT + "\n" + prim("Mesh", "part", COLLIDER.replace("]", ', "PhysicsMeshCollisionAPI"]'),
              mesh("(0,0,0), (1,0,0), (1,1,0), (0,1,0)", "0,1,2,3", "4", HULL))),
-        "/body/part: the convex hull of its points has no volume",
+        "/body/part: the points must not be coplanar",
     ),
     "a negative radius": (body(content=BALL.replace("= 1", "= -1")), "/body/ball: radius must be greater than 0"),
     "friction": (
@@ -103,24 +103,24 @@ UNSUPPORTED = {
     "a deformable": (
         prim("Mesh", "cloth", 'prepend apiSchemas = ["PhysxDeformableBodyAPI"]'), "/cloth: a deformable body"
     ),
-    "a prim of another program": (prim("MjcActuator", "motor"), "/motor: MjcActuator, of another program"),
+    "a prim of another program": (prim("MjcActuator", "motor"), "/motor: MjcActuator, a type of another program"),
     "an instancer": (
         prim("PointInstancer", "many", "", body("prototype", BALL) + "rel prototypes = </many/prototype>"),
-        "/many/prototype: physics of a PointInstancer",
+        "/many/prototype: physics in a PointInstancer",
     ),
     "two scenes": (
-        prim("PhysicsScene", "one") + prim("PhysicsScene", "two"), "/two: a scene beside /one"
+        prim("PhysicsScene", "one") + prim("PhysicsScene", "two"), "/two: a scene in addition to /one"
     ),
     "curves": (prim("BasisCurves", "wire", COLLIDER), "/wire: a collider of type BasisCurves"),
     "a group that collides": (prim("Xform", "group", COLLIDER), "/group: a collider of type Xform"),
     "a sheared box": (
         prim("Xform", "outer", "", moved(0, 0, 0, scale=(1, 2, 1))
              + prim("Cube", "box", COLLIDER, "double size = 1\n" + moved(0, 0, 0, turn=(0, 0, 30)))),
-        "/outer/box: a box that is sheared",
+        "/outer/box: a sheared box",
     ),
     "an uneven capsule": (
         prim("Capsule", "pill", COLLIDER, "double radius = 1\n" + moved(0, 0, 0, scale=(1, 2, 1))),
-        "/pill: a capsule that is scaled unevenly",
+        "/pill: a capsule with unequal scales",
     ),
     "a body that is led": (
         body("led", KINEMATIC + "double3 xformOp:translate.timeSamples = {0: (0,0,0), 1: (1,0,0)}\n"
@@ -139,7 +139,7 @@ def test_unsupported_prim_is_refused_or_skipped_with_a_warning(tmp_path, what):
     assert found.endswith("(not supported)")
     scene = wc.Scene.from_usd(path, skip_unsupported=True, trusted=True)
     assert [one.name for one in scene.bodies] == ["body"]
-    assert any(remark.startswith("left out: ") and message in remark for remark in scene.import_warnings)
+    assert any(remark.startswith("omitted: ") and message in remark for remark in scene.import_warnings)
 
 
 def test_all_import_problems_are_listed(tmp_path):
@@ -231,7 +231,7 @@ def test_invalid_import_arguments_are_refused(tmp_path, options, error, message)
 
 def test_stage_with_several_descriptions_is_refused(tmp_path):
     scopes = "".join(prim("Scope", name, "", "custom int64 warpcontact:schema = 2") for name in "ab")
-    assert "a stage describes one scene, got descriptions at /a, /b" in problems(stage(tmp_path, scopes))[0]
+    assert "a stage must have one description, got descriptions at /a, /b" in problems(stage(tmp_path, scopes))[0]
 
 
 @pytest.mark.slow

@@ -104,7 +104,7 @@ def test_torsional_friction_is_the_torsion_radius(tmp_path):
 def test_rolling_friction_without_radius_is_reported(tmp_path, one, other, radius):
     found, scene = pair(tmp_path, material(newton_rollingFriction=0.01), one=one, other=other)
     named = [
-        remark for remark in scene.import_warnings if "newton:rollingFriction is not used in 1 contacts" in remark
+        remark for remark in scene.import_warnings if "newton:rollingFriction is ignored in 1 contacts" in remark
     ]
     if radius is None:
         assert isinstance(found.rolling, wc.friction.Frictionless)
@@ -151,10 +151,10 @@ def test_each_value_without_a_counterpart_is_reported(tmp_path):
     _, scene = pair(tmp_path, material(**given), one=skin)
     warnings_text = "\n".join(scene.import_warnings)
     for sentence in (
-        "/m: newton:contactFrictionGain 1000 is not used",
-        "/m: newton:contactAdhesion 0.001 is not used",
-        "/ball/skin: newton:contactMargin 0.002 is not used",
-        "1 contacts take newton:contactDamping and not physics:restitution",
+        "/m: newton:contactFrictionGain 1000 is ignored",
+        "/m: newton:contactAdhesion 0.001 is ignored",
+        "/ball/skin: newton:contactMargin 0.002 is ignored",
+        "1 contacts use newton:contactDamping and ignore physics:restitution",
     ):
         assert sentence in warnings_text
 

@@ -31,7 +31,7 @@ SCENES = {
     "examples/assets/humanoid.usda": "/nv_humanoid/torso: an articulation",
     "examples/assets/mpm_sand.usda": "/World/Sand: a deformable body",
     "examples/assets/sensor_contact_scene.usda": "/env/Hinge: a joint, PhysicsRevoluteJoint",
-    "tests/assets/actuator_test.usda": "/World/Robot/Joint1Actuator: NewtonActuator, of another program",
+    "tests/assets/actuator_test.usda": "/World/Robot/Joint1Actuator: NewtonActuator, a type of another program",
     "tests/assets/deformables_mixed.usda": "/World/CableA: PhysicsDeformableBodyAPI",
     "tests/assets/kamino/basics/box_pendulum.usda": "/box_pendulum/Joints/grounding: a joint",
     "tests/assets/kamino/testing/joints/test_joint_fixed.usda": "a joint, PhysicsFixedJoint",

@@ -235,7 +235,7 @@ def test_parameter_of_a_set_is_a_color_source_if_its_items_are_equal(recording, 
 
 def test_color_source_with_reserved_name_is_refused(recording, tmp_path):
     number = xr.DataArray(np.arange(4.0), coords={"env": recording["env"]}, name="environment")
-    with pytest.raises(ValueError, match="another name than 'environment', which instances have already"):
+    with pytest.raises(ValueError, match="another name than 'environment', which is reserved"):
         export(recording, tmp_path, color_by=number)
 
 

@@ -154,7 +154,7 @@ ELEMENTS = "/World/Description/Elements"
         ("touching", "Elements/ball.warpcontact:kind", "build", "kind must be one of body, bodies"),
         ("touching", "Elements/touch_1.warpcontact:entry", "all", "touch-1.entry must be one of"),
         ("touching", "Elements/touch_1.warpcontact:points", [f"{ELEMENTS}/ball"], "must come from add_point"),
-        ("touching", "Elements/touch_1.warpcontact:points", [f"{ELEMENTS}/nobody"], "that come before"),
+        ("touching", "Elements/touch_1.warpcontact:points", [f"{ELEMENTS}/nobody"], "earlier prims"),
         ("touching", "Elements/touch_1.warpcontact:points", [], "points must have one target, got 0"),
         ("touching", "Materials/material_0/law.warpcontact:type", "os.system", "there is no law 'os.system'"),
         ("touching", "Materials/material_0/law.warpcontact:type", "Formula", "there is no law 'Formula'"),
@@ -172,7 +172,7 @@ def test_changed_description_is_refused_with_the_attribute(name, path, value, me
 def test_custom_law_class_must_be_passed_to_the_reader():
     stage = written(scenes.custom_law_scene())
     with pytest.raises(
-        wc.UsdError, match=r"Materials/material_0: 'Cubic' is a law of one's own.*custom_types=\[Cubic\]"
+        wc.UsdError, match=r"Materials/material_0: 'Cubic' is a law not in the library.*custom_types=\[Cubic\]"
     ):
         read_description(stage)
     with pytest.raises(TypeError, match="custom_types must be classes derived from"):

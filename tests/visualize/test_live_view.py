@@ -146,7 +146,7 @@ def test_view_waits_for_the_first_commit(tmp_path):
     assert code == -signal.SIGKILL, err
     with viewing(folder) as show:
         assert show.picker.env is None
-        assert "nothing is committed" in show._status.content
+        assert "no committed data" in show._status.content
         show.post(show.toggle)
         show.post(show._frame_bodies)
         show.post(lambda: show.picker._select("Next"))
@@ -193,7 +193,7 @@ def test_recording_is_replayed():
         wait_for_thread(show)
         assert not arrows.visible
         assert show.problem == ""
-    with pytest.raises(ValueError, match="does not know its scene"):
+    with pytest.raises(ValueError, match="has no scene"):
         wc.view(recording.isel(env=[0]), port=0, block=False)
 
 
@@ -448,7 +448,7 @@ def test_missing_view_extra_is_reported_with_install_command(run, monkeypatch, c
         (["--port", "70000"], "--port must be a whole number from 0 to 65535, got 70000"),
         (["--speed", "0"], "--speed must be from 0.001 to 1000, got 0"),
         (["--speed", "nan"], "--speed must be from 0.001 to 1000, got nan"),
-        (["--envs", "3"], "--envs is of an experiment, got 3"),
+        (["--envs", "3"], "--envs applies to experiments only, got 3"),
     ],
 )
 def test_invalid_view_arguments_are_reported(run, words, expected_error, capsys):

@@ -39,7 +39,7 @@ def run(tmp_path_factory):
 
 def ready(page):
     """Waits until the page shows what it is of, without notes of the browser over it."""
-    page.wait_for("document.querySelector('canvas') !== null && document.body.innerText.includes('Look at the')")
+    page.wait_for("document.querySelector('canvas') !== null && document.body.innerText.includes('Frame the')")
     # It comes when the first picture was drawn; software renderers take their time.
     page.wait_for(f"{NOTE} !== null || performance.now() > 15000")
     if page.evaluate(f"{NOTE} !== null"):

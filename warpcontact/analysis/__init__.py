@@ -1,4 +1,4 @@
-"""What the results of many environments tell: indices of sensitivity, quantiles over time, convergence."""
+"""Analysis of the results of many environments: sensitivity indices, quantiles over time, convergence."""
 
 from warpcontact.analysis.fan import quantile_fan
 from warpcontact.analysis.picture import write_fan

@@ -1,4 +1,4 @@
-"""Quantiles over the environments at each time."""
+"""Quantiles of a sensor over the environments at each time."""
 
 from collections.abc import Sequence
 
@@ -21,9 +21,9 @@ from warpcontact.kernels.catalogue.device_model import as_numbers
 from warpcontact.kernels.catalogue.keywords import explain_keywords
 from warpcontact.validation import checks
 
-# Times are taken together up to this size of what they are computed from [bytes].
+# Largest size of the values that are read in one block [bytes].
 BLOCK = 256 * 2**20
-# By which part a clock may differ from the time of a record; one step of the longest run is more.
+# Relative tolerance between a clock and the time of a record; less than one step of the longest run.
 ROUNDING = 1.0e-9
 
 
@@ -38,23 +38,23 @@ def quantile_fan(
 ) -> xr.DataArray:
     """Returns quantiles of a sensor over the environments, at each time.
 
-    Some times are read at once, so that the series of a large run need not fit into memory.
+    Records are read in blocks, so the series of a large run need not fit into memory.
 
     Args:
-        run: A run with a series of the sensor.
-        sensor: Its name.
-        quantiles: From 0 to 1, rising.
-        missing: What becomes of environments that are frozen or, at a time, without a finite value: ``"refuse"``
-            them, or ``"drop"`` the frozen ones, and others at those times.
-        stopped: What becomes of environments after a stop condition held them: ``"hold"`` them as they were, which
-            is what the series has of them, or ``"drop"`` them, so that each counts up to its stop only.
+        run: Run with a series of the sensor.
+        sensor: Name of the sensor.
+        quantiles: Levels from 0 to 1, ascending.
+        missing: Policy for environments that are frozen or have a non-finite value at some time. ``"refuse"``: raise
+            an error. ``"drop"``: ignore frozen environments, and others at the times without a finite value.
+        stopped: Policy for environments after their stop condition. ``"hold"``: use the values held since the stop,
+            which the series contains. ``"drop"``: use an environment up to its stop only.
 
     Returns:
-        Quantiles (quantile, time, …), NaN where no environment is left, with the attributes of the sensor. The
-        attribute ``stopped`` is the argument, and ``stopped_environments`` how many a condition held.
+        Quantiles (quantile, time, …), NaN if no environment is left, with the attributes of the sensor. Further
+        attributes: ``stopped``, the argument, and ``stopped_environments``, the number of stopped environments.
 
     Raises:
-        ValueError: If there is no such series, the quantiles are none, or some environments cannot be used.
+        ValueError: If there is no such series, the quantiles are invalid, or some environments cannot be used.
     """
     checks.choice("missing", missing, MISSING)
     checks.choice("stopped", stopped, STOPPED)
@@ -63,7 +63,7 @@ def quantile_fan(
     if levels.ndim != 1 or not levels.size or not (levels >= 0.0).all() or not (levels <= 1.0).all():
         raise ValueError(f"quantiles must be numbers from 0 to 1, got {quantiles!r}")
     if (np.diff(levels) <= 0.0).any():
-        raise ValueError(f"quantiles must rise, got {quantiles!r}")
+        raise ValueError(f"quantiles must be strictly ascending, got {quantiles!r}")
     array = variable(run.series, sensor, "sensor", "time", "env")
     envs = numbers(array)
     halted = np.isin(envs, frozen(run.outcome))
@@ -71,18 +71,18 @@ def quantile_fan(
     dims, shape, coords = remaining_dims(array, "env")
     found = np.empty((len(levels), *shape))
     one_time = array.sizes["env"] * int(np.prod(shape[1:])) * found.itemsize
-    some = max(1, BLOCK // max(1, one_time))
-    # Whole pieces of a store, none of which is read twice then.
-    piece = int(array.encoding.get("preferred_chunks", {}).get("time", 1))
-    some = some // piece * piece or some
-    for first in range(0, array.sizes["time"], some):
-        times = slice(first, first + some)
+    block = max(1, BLOCK // max(1, one_time))
+    # Read whole chunks of the store, so that none is read twice.
+    chunk = int(array.encoding.get("preferred_chunks", {}).get("time", 1))
+    block = block // chunk * chunk or block
+    for first in range(0, array.sizes["time"], block):
+        times = slice(first, first + block)
         values = array.isel(time=times).values.astype(np.float64)
         finite = np.isfinite(values)
         always = np.asarray(finite.all(axis=(0, *range(2, values.ndim))))
         check_usable(envs, halted, always, str(array.name), missing)
         if stopped == "drop":
-            # The record of the very moment at which it was stopped counts, however the clocks were rounded.
+            # Includes the record at the stop time itself; the tolerance allows for rounding of the clocks.
             late = array["time"].values[times, None] > ends * (1.0 + ROUNDING)
             finite &= ~late.reshape(*late.shape, *(1,) * (values.ndim - 2))
         values[~finite] = np.nan
@@ -94,3 +94,20 @@ def quantile_fan(
         name=array.name,
         attrs=array.attrs | {"stopped": stopped, "stopped_environments": int(np.isfinite(ends).sum())},
     )
+
+
+def quantiles_over(values: Array, levels: ArrayLike) -> Array:
+    """Returns quantiles (level, time, …) of the values (time, env, …), ignoring NaN; NaN if all are NaN."""
+    levels = np.asarray(levels)
+    found = np.full((len(levels), len(values), *values.shape[2:]), np.nan)
+    if not values.shape[1]:
+        return found
+    complete = ~np.isnan(values).any(axis=tuple(range(1, values.ndim)))
+    if complete.any():
+        found[:, complete] = np.quantile(values[complete], levels, axis=1)
+    # ``nanquantile`` is much slower, so it is called for incomplete times only.
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "All-NaN slice", RuntimeWarning)
+        if not complete.all():
+            found[:, ~complete] = np.nanquantile(values[~complete], levels, axis=1)
+    return found

@@ -1,4 +1,4 @@
-"""The picture of a quantile fan."""
+"""Plot of a quantile fan."""
 
 from os import PathLike
 
@@ -10,15 +10,15 @@ from warpcontact.kernels.catalogue.keywords import explain_keywords
 
 @explain_keywords
 def write_fan(path: str | PathLike[str], fan: xr.DataArray, title: str | None = None) -> None:
-    """Draws a quantile fan: a band between each quantile and its counterpart from the other end, and the median.
+    """Draws a quantile fan: bands between symmetric quantiles, and the median.
 
     Args:
         path: The .svg or .png file.
-        fan: From ``quantile_fan``, (quantile, time); of a vector one component, such as ``fan.sel(axis="z")``.
+        fan: Result of ``quantile_fan``, (quantile, time); for a vector, one component: ``fan.sel(axis="z")``.
         title: Title; ``None``: the name of the sensor.
 
     Raises:
-        ValueError: If the fan has more dimensions, or there can be no such file.
+        ValueError: If the fan has more dimensions, or the file cannot be written.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

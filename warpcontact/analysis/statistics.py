@@ -1,4 +1,4 @@
-"""How a statistic of an outcome settles as environments are added."""
+"""Convergence of a statistic of an outcome with the number of environments."""
 
 import numpy as np
 import xarray as xr
@@ -11,7 +11,7 @@ from warpcontact.validation import checks
 from warpcontact.validation.checks import Array
 
 STATISTICS = ("mean", "quantile")
-# What gives the environments an order, so that the first ones are no sample of all.
+# Variations that order the environments, so that the first ones are not a representative sample.
 _ORDERED = ("linspace", "grid")
 
 
@@ -26,29 +26,29 @@ def convergence(
     confidence: float = 0.95,
     missing: str = "refuse",
 ) -> xr.Dataset:
-    """Returns a statistic of an outcome of the first n environments, for growing n, with confidence intervals.
+    """Returns a statistic of an outcome over the first n environments, for growing n, with confidence intervals.
 
-    Of a mean the interval is that of Student's t. Of a quantile it is between two values in order whose ranks
-    follow from the binomial distribution: it holds for any continuous distribution, with at least that confidence.
-    Both take the environments to be independent; those of a Latin hypercube or of Sobol' points estimate better
-    than the intervals say.
+    The interval of a mean uses Student's t distribution. The interval of a quantile lies between two order statistics
+    whose ranks follow from the binomial distribution: it holds for any continuous distribution, with at least the
+    given confidence. Both assume independent environments. Latin hypercube and Sobol' sampling converge faster than
+    the intervals indicate.
 
     Args:
-        run: A run whose environments are drawn alike.
-        outcome: The name of an outcome; one with several numbers has estimates for each.
+        run: Run whose environments are identically distributed.
+        outcome: Name of an outcome; if it has several components, each has its own estimates.
         statistic: ``"mean"`` or ``"quantile"``.
-        q: Which quantile, between 0 and 1.
-        points: At how many n, at most; they are evenly spaced in the logarithm, from 2 to all.
-        confidence: Of the intervals.
-        missing: ``"refuse"`` environments that are frozen or without a finite value, or ``"drop"`` them.
+        q: Quantile level, between 0 and 1.
+        points: Largest number of values of n, logarithmically spaced from 2 to the number of environments.
+        confidence: Confidence level of the intervals, between 0 and 1.
+        missing: Policy for environments that are frozen or without a finite value: ``"refuse"`` raises an error,
+            ``"drop"`` ignores them.
 
     Returns:
-        ``estimate``, ``low`` and ``high`` (n, …), with the attributes of the outcome; the ends of an interval for
-        which there are too few environments are NaN.
+        ``estimate``, ``low`` and ``high`` (n, …), with the attributes of the outcome. Ends of an interval that needs
+        more environments are NaN.
 
     Raises:
-        ValueError: If there is no such outcome, the first environments are no sample of all, or some cannot be
-            used.
+        ValueError: If there is no such outcome, the environments are ordered or dependent, or some cannot be used.
     """
     checks.choice("statistic", statistic, STATISTICS)
     for name, value in (("q", q), ("confidence", confidence)):
@@ -59,9 +59,9 @@ def convergence(
     values, good = usable_outcome(run, array, missing)
     values = values[good]
     if len(values) < 2:
-        raise ValueError(f"outcome {outcome!r} must be of at least 2 environments, got {len(values)}")
+        raise ValueError(f"outcome {outcome!r} must have at least 2 usable environments, got {len(values)}")
     counts = np.unique(np.geomspace(2, len(values), points).round().astype(int))
-    counts[-1] = len(values)  # one point is that of all
+    counts[-1] = len(values)  # with one point, use all environments
     found = (
         _means(values, counts, confidence) if statistic == "mean" else _quantiles(values, counts, q, confidence)
     )
@@ -78,8 +78,8 @@ def convergence(
 
 
 def _check_sample(settings: Settings) -> None:
-    """Raises ``ValueError`` if the first environments of an experiment are no sample of all."""
-    advice = "convergence needs environments that are drawn alike, of which the first ones are a sample"
+    """Raises ``ValueError`` if the first environments of an experiment are not a sample of all."""
+    advice = "convergence needs independent, identically distributed environments"
     if settings.sampling.method == "saltelli":
         raise ValueError(f"{advice}; those of sampling.method = 'saltelli' are not independent")
     for name, entry in settings.variation.items():
@@ -88,21 +88,22 @@ def _check_sample(settings: Settings) -> None:
 
 
 def _means(values: Array, counts: Array, confidence: float) -> tuple[Array, Array, Array]:
-    """Returns estimates and ends of intervals (n, numbers) of the mean of ``values`` (envs, numbers)."""
+    """Returns mean and interval ends, (n, number) each, of ``values`` (env, number)."""
     from scipy.special import stdtrit
 
-    centre = values.mean(axis=0)
-    sums = np.cumsum(values - centre, axis=0)[counts - 1]
-    squares = np.cumsum((values - centre) ** 2, axis=0)[counts - 1]
+    # Subtracting the mean of all environments reduces cancellation.
+    center = values.mean(axis=0)
+    sums = np.cumsum(values - center, axis=0)[counts - 1]
+    squares = np.cumsum((values - center) ** 2, axis=0)[counts - 1]
     n = counts[:, None].astype(np.float64)
     variance = np.maximum(squares - sums**2 / n, 0.0) / (n - 1.0)
     half = stdtrit(n - 1.0, 0.5 * (1.0 + confidence)) * np.sqrt(variance / n)
-    mean = centre + sums / n
+    mean = center + sums / n
     return mean, mean - half, mean + half
 
 
 def _quantiles(values: Array, counts: Array, q: float, confidence: float) -> tuple[Array, Array, Array]:
-    """Returns the same of a quantile."""
+    """Returns quantile and interval ends, (n, number) each, of ``values`` (env, number)."""
     from scipy.stats import binom
 
     tail = 0.5 * (1.0 - confidence)
@@ -110,7 +111,7 @@ def _quantiles(values: Array, counts: Array, q: float, confidence: float) -> tup
     for i, n in enumerate(counts):
         ordered = np.sort(values[:n], axis=0)
         found[0, i] = np.quantile(ordered, q, axis=0)
-        # Ranks from 1: more than ``low`` values lie below the quantile but for the tail, and fewer than ``high``.
+        # 1-based ranks of the order statistics that enclose the quantile, each end up to probability ``tail``.
         low, high = int(binom.ppf(tail, n, q)), int(binom.ppf(1.0 - tail, n, q)) + 1
         if low >= 1:
             found[1, i] = ordered[low - 1]

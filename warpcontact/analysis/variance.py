@@ -1,4 +1,4 @@
-"""Sobol' indices: which part of the variance of an outcome comes from which parameter."""
+"""Sobol' sensitivity indices: share of the variance of an outcome due to each parameter."""
 
 import numpy as np
 import xarray as xr
@@ -9,7 +9,7 @@ from warpcontact.kernels.catalogue.keywords import explain_keywords
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array
 
-# So many resamples are averaged at once.
+# Number of resamples averaged in one matrix product.
 AT_ONCE = 64
 
 
@@ -23,27 +23,27 @@ def sensitivity(
     seed: int = 0,
     missing: str = "refuse",
 ) -> xr.Dataset:
-    """Returns Sobol' indices of an outcome, of first order and total, for each number that was drawn.
+    """Returns first-order and total Sobol' indices of an outcome, for each sampled number.
 
-    The estimates are those of ``scipy.stats.sobol_indices`` (Saltelli et al. 2010); the intervals are between
-    quantiles of a bootstrap over the rows of the design.
+    Estimators as in ``scipy.stats.sobol_indices`` (Saltelli et al. 2010). Confidence intervals are quantiles of a
+    bootstrap over the rows of the design.
 
     Args:
-        run: A run of an experiment with ``sampling.method = "saltelli"``.
-        outcome: The name of an outcome; one with several numbers has indices for each.
-        confidence: Of the intervals.
-        resamples: Of the bootstrap.
-        seed: Of the bootstrap.
-        missing: What becomes of environments that are frozen or without a finite value: ``"refuse"`` them, or
-            ``"drop"`` each row of the design that has one.
+        run: Run of an experiment with ``sampling.method = "saltelli"``.
+        outcome: Name of an outcome; if it has several components, each has its own indices.
+        confidence: Confidence level of the intervals, between 0 and 1.
+        resamples: Number of bootstrap resamples.
+        seed: Seed of the bootstrap.
+        missing: Policy for environments that are frozen or without a finite value. ``"refuse"``: raise an error.
+            ``"drop"``: ignore each row of the design that contains one.
 
     Returns:
-        ``first_order`` and ``total_order`` (parameter, …), with ``_low`` and ``_high`` added to their names the
-        ends of the intervals; of an outcome that is the same in all environments NaN. The attribute ``rows`` is
-        the number of rows of the design that were used, and ``dropped`` that of the others.
+        ``first_order`` and ``total_order`` (parameter, …), and the interval ends with ``_low`` and ``_high`` added to
+        their names. NaN if the outcome is constant. Attributes: ``rows``, the number of rows of the design used, and
+        ``dropped``, the number of rows ignored.
 
     Raises:
-        ValueError: If the run is none of such an experiment, or some environments cannot be used.
+        ValueError: If the sampling method of the run is another one, or some environments cannot be used.
     """
     probability("confidence", confidence)
     checks.integer("resamples", resamples, 1)
@@ -52,7 +52,7 @@ def sensitivity(
     if settings.sampling.method != "saltelli":
         raise ValueError(
             "sensitivity needs a run with sampling.method = 'saltelli' and envs = n (d + 2), with n a power of "
-            f"two and d the number of numbers that are drawn; this one has {settings.sampling.method!r}"
+            f"two and d the number of sampled numbers; got {settings.sampling.method!r}"
         )
     array = variable(run.outcome, outcome, "outcome", "env")
     names = [
@@ -61,15 +61,15 @@ def sensitivity(
     ]
     if array.sizes["env"] != settings.envs:
         raise ValueError(
-            f"outcome {outcome!r} must be of all {settings.envs} environments, got {array.sizes['env']}"
+            f"outcome {outcome!r} must have values of all {settings.envs} environments, got {array.sizes['env']}"
         )
     values, good = usable_outcome(run, array, missing)
     rows = settings.envs // (len(names) + 2)
     complete_rows = good.reshape(-1, rows).all(axis=0)
     if complete_rows.sum() < 2:
         left = f"got {complete_rows.sum()} of {rows}"
-        raise ValueError(f"outcome {outcome!r} must have 2 rows of the design without missing values, {left}")
-    # A, B, and A with each column of B.
+        raise ValueError(f"outcome {outcome!r} must have at least 2 complete rows of the design, {left}")
+    # Order of the design: A, B, then A with each column taken from B.
     design = values.reshape(len(names) + 2, rows, -1)[:, complete_rows]
     terms = _Terms(design[0], design[1], design[2:])
     rng = np.random.default_rng(seed)
@@ -96,31 +96,31 @@ def sensitivity(
 
 
 class _Terms:
-    """The terms of the estimators, row by row, so that a resample is an average with other weights.
+    """Terms of the estimators, per row of the design, so that a resample is a weighted average.
 
     Args:
         a: Outcome on the rows of A, (n, outcomes).
-        b: Likewise.
-        ab: Outcome on A with a column of B, (parameters, n, outcomes).
+        b: Outcome on the rows of B, (n, outcomes).
+        ab: Outcome on A with one column taken from B, (parameters, n, outcomes).
     """
 
     def __init__(self, a: Array, b: Array, ab: Array) -> None:
-        # Without the mean both estimators vary less (Sobol' and Levitan 1999).
+        # Subtracting the mean reduces the variance of both estimators (Sobol' and Levitan 1999).
         mean = 0.5 * (a.mean(axis=0) + b.mean(axis=0))
         a, b, ab = a - mean, b - mean, ab - mean
         self.rows, self.outcomes = a.shape
-        # All as columns of one matrix (n, columns): the moments of A and B, then a column for each parameter.
+        # One matrix (n, columns): first and second moments of A and B, then the terms of each parameter.
         first, total = b * (ab - a), 0.5 * (a - ab) ** 2
         terms = [0.5 * (a + b)[None], 0.5 * (a**2 + b**2)[None], first, total]
         self.columns = np.concatenate(terms).swapaxes(0, 1).reshape(self.rows, -1)
 
     def indices(self) -> tuple[Array, Array]:
-        """Returns first and total order (parameters, outcomes)."""
+        """Returns first-order and total indices, (parameters, outcomes) each."""
         first, total = self._indices(np.full((1, self.rows), 1.0 / self.rows))
         return first[0], total[0]
 
     def resampled(self, rng: np.random.Generator, count: int) -> tuple[Array, Array]:
-        """Returns first and total order of so many resamples (count, parameters, outcomes)."""
+        """Returns the indices of ``count`` bootstrap resamples, (count, parameters, outcomes) each."""
         chosen = rng.integers(self.rows, size=(count, self.rows))
         weights = np.stack([np.bincount(rows, minlength=self.rows) for rows in chosen]) / self.rows
         return self._indices(weights)

@@ -1,4 +1,4 @@
-"""USD: recordings written as animated stages. ``pxr`` is imported on first use, never on import."""
+"""USD: exports recordings as animated stages and checks stages. ``pxr`` is imported on first use only."""
 
 from warpcontact.usd.check import check_usd
 from warpcontact.usd.export import export_usd

@@ -1,4 +1,4 @@
-"""Forces as arrows: a shaft and a head for each, as instances of a cylinder and a cone."""
+"""Force arrows of a stage: a shaft and a head each, as instances of a cylinder and a cone."""
 
 import math
 from typing import Any
@@ -12,24 +12,24 @@ from warpcontact.usd.author import Samples, integers, long_integers, quaternions
 from warpcontact.usd.geometry import set_color
 from warpcontact.validation.checks import Array
 
-# Radius of a shaft, in sizes of the largest body; of a head, and its length, in radii of the shaft.
+# Radius of a shaft, as a multiple of the drawing size. Radius and length of a head, in shaft radii.
 SHAFT = 0.012
 HEAD = 2.5
 HEAD_LENGTH = 7.0
-# A short arrow is a smaller one: the head is at most this part of it.
+# Largest length of the head, as a fraction of the arrow. Shorter arrows are scaled down.
 MAX_HEAD = 0.5
 
 
 def define_arrows(stage: Any, path: str, count: int, color: ArrayLike, meaning: str, scale: float) -> None:
-    """Writes what arrows have in common in all environments.
+    """Defines an instancer of arrows with everything that does not change over time.
 
     Args:
-        stage: The stage.
-        path: Where to.
+        stage: Stage to write to.
+        path: Path of the new prim.
         count: Number of arrows.
         color: RGB in 0…1.
-        meaning: What they are, in a sentence.
-        scale: Their length [m/N].
+        meaning: Description of the forces, a sentence.
+        scale: Arrow length per force [m/N].
     """
     from pxr import UsdGeom
 
@@ -48,7 +48,7 @@ def define_arrows(stage: Any, path: str, count: int, color: ArrayLike, meaning: 
 
 
 def write_arrows(prim: Any, samples: Samples, lines: ForceLines, row: int, scale: float, size: float) -> None:
-    """Writes the arrows of environment number ``row``, ``scale`` metres per newton long; without force none."""
+    """Writes the arrows of environment ``row`` of the export, ``scale`` m/N long; hidden where the force is 0."""
     from pxr import UsdGeom
 
     start, vector = lines.start[:, row], scale * lines.force[:, row]
@@ -60,7 +60,7 @@ def write_arrows(prim: Any, samples: Samples, lines: ForceLines, row: int, scale
     samples.write(arrows.CreateScalesAttr(), [vectors(frame) for frame in scales])
     masked = [long_integers(np.flatnonzero(frame)) for frame in hidden]
     samples.write(arrows.CreateInvisibleIdsAttr(), masked)
-    # Corners of the boxes about heads, which turn with them.
+    # Heads rotate; this is the half-diagonal of the bounding square of a head.
     reach = math.sqrt(2.0) * HEAD * SHAFT * size
     ends = np.concatenate([start, start + vector], axis=1)
     extents = np.stack([ends.min(axis=1) - reach, ends.max(axis=1) + reach], axis=1)
@@ -71,9 +71,9 @@ def _shapes(start: Array, vector: Array, radius: float) -> tuple[tuple[Array, Ar
     """Returns positions, orientations and scales of shafts and heads, (time, 2 n, …), and which are hidden.
 
     Args:
-        start: Where arrows begin, (time, n, 3) [m].
-        vector: Whither they lead from there, likewise.
-        radius: Radius of the shaft of a long one [m].
+        start: Starting points of the arrows, world, (time, n, 3) [m].
+        vector: Vectors from start to tip, world, (time, n, 3) [m].
+        radius: Shaft radius of an arrow that is not scaled down [m].
     """
     length = np.linalg.norm(vector, axis=-1, keepdims=True)
     hidden = length <= 0.0
@@ -88,7 +88,7 @@ def _shapes(start: Array, vector: Array, radius: float) -> tuple[tuple[Array, Ar
     scales = np.concatenate([shafts, heads], axis=1)
     orientations = shortest_rotations((0.0, 0.0, 1.0), along)
     both = np.concatenate([hidden, hidden], axis=1)
-    # What nobody sees is the same from frame to frame, which files keep once.
+    # Hidden arrows are equal in all frames, so that files store them once.
     return (np.where(both, 0.0, middles), np.concatenate([orientations, orientations], axis=1), scales), both[
         ..., 0
     ]

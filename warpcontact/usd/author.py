@@ -1,4 +1,4 @@
-"""How values and names are written: NumPy arrays to USD types, element names to prim names."""
+"""Conversion of values and names: NumPy arrays to USD types, element names to prim names."""
 
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-# What NumPy holds → what the types of Sdf and Vt are called, for numbers, and the suffix of their vectors.
+# NumPy type → name of the scalar type in Sdf and Vt, and suffix of the vector types.
 _NUMBERS = {
     "float32": ("Float", "f"),
     "float64": ("Double", "d"),
@@ -17,18 +17,18 @@ _NUMBERS = {
 
 
 def identifiers(names: Iterable[str], reserved: Iterable[str] = ()) -> dict[str, str]:
-    """Returns a prim name for each of ``names``, no two alike and none of them in ``reserved``.
+    """Returns a distinct prim name for each of ``names``; none of them is in ``reserved``.
 
-    A name that is valid in USD stays as it is; ``-`` becomes ``_``, and a number tells apart what would
-    otherwise fall together.
+    A name that is valid in USD is unchanged. In others, invalid characters such as ``-`` become ``_``. A number is
+    appended to names that would coincide.
     """
     from pxr import Tf
 
     taken = set(reserved)
     table: dict[str, str] = {}
-    # The last number that was given to what falls together.
+    # Last number appended to each base name.
     last: dict[str, int] = {}
-    # Valid names first, so that they keep theirs whatever the order.
+    # Valid names first, so that they are unchanged in any order.
     for name in sorted(names, key=lambda name: not Tf.IsValidIdentifier(name)):
         identifier = base = Tf.MakeValidIdentifier(name)
         number = last.get(base, 0)
@@ -42,7 +42,7 @@ def identifiers(names: Iterable[str], reserved: Iterable[str] = ()) -> dict[str,
 
 
 def store_element_name(prim: Any, name: str) -> None:
-    """Keeps the name that an element has in the scene on its prim."""
+    """Stores the element's name of the scene on its prim."""
     prim.SetCustomDataByKey("warpcontact:name", name)
     if prim.GetName() != name:
         prim.SetDisplayName(name)
@@ -57,7 +57,7 @@ def attribute_name(quantity: str) -> str:
         identifier = Tf.MakeValidIdentifier(part)
         first, *others = identifier.split("_")
         word = first + "".join(other.capitalize() for other in others)
-        # Without its underscores nothing, or a number, may be left.
+        # Without underscores, the word may be empty or begin with a digit.
         parts.append(word if Tf.IsValidIdentifier(word) else identifier)
     return ":".join(["warpcontact", *parts])
 
@@ -66,10 +66,10 @@ def attribute_type(dtype: np.dtype[Any], kind: str, is_array: bool, role: str = 
     """Returns the Sdf type of a quantity.
 
     Args:
-        dtype: Type of its numbers; floating-point numbers keep their precision.
+        dtype: Type of its numbers. The precision of floating-point numbers is preserved.
         kind: ``"number"``, ``"vector"`` or ``"quaternion"``.
         is_array: Whether there is one value per item of a set.
-        role: ``"Vector3"``, ``"Point3"`` or ``"Normal3"``, what a vector stands for.
+        role: Role of a vector: ``"Vector3"``, ``"Point3"`` or ``"Normal3"``.
     """
     from pxr import Sdf
 
@@ -93,7 +93,7 @@ def series(values: NDArray[Any], kind: str, is_array: bool) -> list[Any]:
 
 
 def plain(values: NDArray[Any]) -> NDArray[Any]:
-    """Returns ``values`` in a type that ``series`` takes, without loss."""
+    """Returns ``values`` in a type accepted by ``series``, without loss."""
     if values.dtype.name in _NUMBERS:
         return values
     if values.dtype.kind == "f":
@@ -102,14 +102,14 @@ def plain(values: NDArray[Any]) -> NDArray[Any]:
 
 
 class Samples:
-    """Where values over time go, and what of them.
+    """Destination of values over time.
 
     Args:
         codes: Time codes of the records.
-        layer: Receives a time sample for each record.
-        defaults: Whether the first value is to be the default of an attribute as well: a program that does not
-            look at time, as most importers of physics do not, then sees the start.
-        declared: Receives what is written, without values.
+        layer: Layer for the time samples; ``None``: writes none.
+        defaults: Whether to set the first value as the default of an attribute. Most physics importers ignore time
+            samples and read the default.
+        declared: Layer in which the attributes are declared without values, such as a clip manifest.
     """
 
     def __init__(
@@ -121,7 +121,7 @@ class Samples:
         self.declared = declared
 
     def write(self, attribute: Any, values: Sequence[Any]) -> None:
-        """Writes one value per record of an attribute of the stage."""
+        """Writes one value per record to an attribute of the stage."""
         from pxr import Sdf
 
         path = attribute.GetPath()
@@ -133,14 +133,14 @@ class Samples:
                     layer, path, attribute.GetTypeName(), isCustom=attribute.IsCustom()
                 )
         if self.layer is not None:
-            # The layer takes samples three times as fast as the stage, and faster where nobody is told of each.
+            # Writing to the layer is three times as fast as to the stage. The block suppresses notifications.
             with Sdf.ChangeBlock():
                 for code, value in zip(self.codes, values, strict=True):
                     self.layer.SetTimeSample(path, code, value)
 
 
 def vectors(rows: NDArray[Any]) -> Any:
-    """Returns ``rows`` (n, 3) as an array of single-precision vectors, what USD has points in."""
+    """Returns ``rows`` (n, 3) as an array of single-precision vectors, the type of points in USD."""
     from pxr import Vt
 
     return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(rows, dtype=np.float32))
@@ -154,46 +154,46 @@ def add_pose(xformable: Any, position: NDArray[Any], orientation: NDArray[Any]) 
         position: Origin in the frame of the parent [m].
         orientation: Rotation to the frame of the parent, quaternion (x, y, z, w).
     """
-    turn, move = add_pose_operations(xformable)
-    move.Set(series(position[None], "vector", False)[0])
-    turn.Set(series(orientation[None], "quaternion", False)[0])
+    orient, translate = add_pose_operations(xformable)
+    translate.Set(series(position[None], "vector", False)[0])
+    orient.Set(series(orientation[None], "quaternion", False)[0])
 
 
 def add_pose_operations(xformable: Any) -> tuple[Any, Any]:
     """Adds the operations of a pose to a prim and returns their attributes ``orient`` and ``translate``.
 
-    USD makes a matrix of a quaternion by the arc cosine of w: single precision would lose turns below 0.02
-    degrees altogether, so ``orient`` is a quatd.
+    ``orient`` is a quatd: USD computes the rotation angle with the arc cosine of w, which in single precision loses
+    rotations below 0.02 degrees.
     """
     from pxr import UsdGeom
 
-    move = xformable.AddTranslateOp(UsdGeom.XformOp.PrecisionDouble).GetAttr()
-    return xformable.AddOrientOp(UsdGeom.XformOp.PrecisionDouble).GetAttr(), move
+    translate = xformable.AddTranslateOp(UsdGeom.XformOp.PrecisionDouble).GetAttr()
+    return xformable.AddOrientOp(UsdGeom.XformOp.PrecisionDouble).GetAttr(), translate
 
 
 def integers(values: NDArray[Any]) -> Any:
-    """Returns whole numbers (n,) as an array of 32 bits."""
+    """Returns integers (n,) as an array of 32 bits."""
     from pxr import Vt
 
     return Vt.IntArray.FromNumpy(np.ascontiguousarray(values, dtype=np.int32))
 
 
 def long_integers(values: NDArray[Any]) -> Any:
-    """Returns whole numbers (n,) as an array of 64 bits, what USD has ids in."""
+    """Returns integers (n,) as an array of 64 bits, the type of ids in USD."""
     from pxr import Vt
 
     return Vt.Int64Array.FromNumpy(np.ascontiguousarray(values, dtype=np.int64))
 
 
 def quaternions(rows: NDArray[Any]) -> Any:
-    """Returns quaternions (n, 4), x, y, z, w, in single precision: half of it is off by up to 0.04 degrees."""
+    """Returns quaternions (n, 4), x, y, z, w, in single precision; half precision is off by up to 0.04 degrees."""
     from pxr import Vt
 
     return Vt.QuatfArray.FromNumpy(np.ascontiguousarray(rows, dtype=np.float32))
 
 
 def write_box(prim: Any, low: NDArray[Any], high: NDArray[Any]) -> None:
-    """Says what space a model takes in its own frame at all times, for viewers that would rather not look [m]."""
+    """Writes the bounding box of a model at all times, in its own frame [m], which saves viewers computing it."""
     from pxr import UsdGeom
 
     UsdGeom.ModelAPI.Apply(prim).SetExtentsHint(vectors(np.array([low, high])))

@@ -1,4 +1,4 @@
-"""Sets of bodies on a stage: what moves with each of them, as one prim."""
+"""Sets of bodies on a stage: one prim for the points or spheres on all bodies of a set."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ from warpcontact.usd.geometry import set_color
 
 
 def define_body_set(stage: Any, path: str, body_set: BodySet, width: float) -> None:
-    """Writes what they have in common in all environments; ``width`` is that of points [m]."""
+    """Writes what is constant over time; ``width`` is the diameter of points [m]."""
     from pxr import UsdGeom, Vt
 
     if body_set.are_points:
@@ -34,7 +34,7 @@ def define_body_set(stage: Any, path: str, body_set: BodySet, width: float) -> N
 
 
 def write_body_set(prim: Any, samples: Samples, body_set: BodySet, row: int) -> None:
-    """Writes where they are in environment number ``row`` of the export."""
+    """Writes the positions over time in environment ``row`` of the export."""
     from pxr import UsdGeom
 
     places, reach = body_set.places[:, row], body_set.radii[row][:, None]

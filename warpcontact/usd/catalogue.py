@@ -1,4 +1,4 @@
-"""The classes that a file may name: those of the library, and those that a user hands in."""
+"""Classes that a USD file may name: those of the library and custom ones passed by the caller."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -13,7 +13,7 @@ from warpcontact.kernels.laws import Law
 from warpcontact.kernels.shapes import shapes
 from warpcontact.kernels.shapes.base import Shape
 
-#: Classes of the library by what they are.
+#: Classes of the library, by base class.
 LIBRARY: Mapping[type[Formula], tuple[type[Any], ...]] = {
     Law: (*laws.CATALOGUE, *laws.RIGID),
     Friction: (*friction.CATALOGUE, *friction.RIGID),
@@ -26,7 +26,7 @@ _ALL = frozenset(kind for kinds in LIBRARY.values() for kind in kinds)
 
 
 def is_custom(kind: type[Formula]) -> bool:
-    """Whether a class is none of the library."""
+    """Returns whether a class does not belong to the library."""
     return kind not in _ALL
 
 
@@ -34,11 +34,11 @@ class Catalogue:
     """Classes by name.
 
     Args:
-        custom_types: Those of a user.
+        custom_types: Custom classes of the caller.
 
     Raises:
-        TypeError: If one of them is no class of a kind that scenes are made of.
-        ValueError: If two of them have one name.
+        TypeError: If one of them is not derived from a base class in ``LIBRARY``.
+        ValueError: If two of them have the same name.
     """
 
     def __init__(self, custom_types: Iterable[type[Formula]] = ()) -> None:
@@ -50,24 +50,24 @@ class Catalogue:
                     f"wc.ParametricSurface, got {kind!r}"
                 )
             if self._custom_types.setdefault(kind.__name__, kind) is not kind:
-                raise ValueError(f"custom_types has two classes of the name {kind.__name__!r}")
+                raise ValueError(f"custom_types must have distinct names, got two classes named {kind.__name__!r}")
 
     def find(self, base: type[Formula], name: str, custom_types: bool) -> type[Formula]:
-        """Returns the class of a name.
+        """Returns the class with a name.
 
         Args:
-            base: What it must be.
-            name: Its name.
-            custom_types: Whether it is one of a user.
+            base: Required base class.
+            name: Name of the class.
+            custom_types: Whether to search the custom classes instead of the library.
 
         Raises:
-            LookupError: If there is none; the message says what there is.
+            LookupError: If there is no such class; the message lists those that exist.
         """
         if custom_types:
             kind = self._custom_types.get(name)
             if kind is None or not issubclass(kind, base):
                 raise LookupError(
-                    f"{name!r} is a {base.__name__.lower()} of one's own; hand the class in: custom_types=[{name}]"
+                    f"{name!r} is a {base.__name__.lower()} not in the library; pass the class: custom_types=[{name}]"
                 )
             return kind
         table = {kind.__name__: kind for kind in LIBRARY[base]}

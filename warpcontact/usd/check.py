@@ -1,7 +1,7 @@
-"""Whether a stage is sound: what the validators of USD find, and what they do not look at.
+"""Validation of a USD stage: the validators of USD, and checks that they omit.
 
-These find missing metadata and wrong schemas; they pass a stage with points that are not finite, faces without
-points, negative masses and rigid bodies in rigid bodies.
+The validators find missing metadata and wrong schemas. They accept non-finite points, faces without points, negative
+masses, and rigid bodies inside rigid bodies.
 """
 
 from collections.abc import Callable, Iterator
@@ -13,31 +13,31 @@ from numpy.typing import NDArray
 
 from warpcontact.kernels.catalogue.keywords import explain_keywords
 
-# Rounding of single precision, in sizes of what is compared.
+# Rounding of single precision, relative to the compared values.
 ROUNDING = 1.0e-5
-# More of one kind on one prim tell nothing new.
+# Largest number of findings that one check reports for one prim.
 MOST = 3
 
 
 @explain_keywords
 def check_usd(path: str | Path) -> list[str]:
-    """Returns what is wrong with a stage, in sentences that begin with the path of a prim; none: it is sound.
+    """Returns the defects of a stage, as sentences that begin with the path of a prim; empty if it is valid.
 
-    All time samples are looked at: points, poses, extents and masses must be finite, quaternions of unit length,
-    indices in range, extents around what they are of, principal moments those of a body, rigid bodies in one
-    another only with a reset transform; and none of the validators that come with USD must find anything.
+    Checks all time samples. Points, poses, extents and masses must be finite, quaternions of unit length, and
+    indices in range. Extents must enclose their geometry, and principal moments must be those of a body. A rigid body
+    inside another must reset its transform. All validators of USD must pass.
 
     Args:
-        path: A ``.usd``, ``.usda``, ``.usdc`` or ``.usdz`` file of one's own: reading a hostile file may end the
+        path: A ``.usd``, ``.usda``, ``.usdc`` or ``.usdz`` file from a trusted source: a malicious file may crash the
             process.
 
     Raises:
-        OSError: If it cannot be read.
+        OSError: If the file cannot be read.
     """
     from pxr import Tf, Usd, UsdValidation
 
     if not Path(path).is_file():
-        raise FileNotFoundError(f"{path} is no file")
+        raise FileNotFoundError(f"{path} is not a file")
     try:
         stage = Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
@@ -46,7 +46,7 @@ def check_usd(path: str | Path) -> list[str]:
     messages = UsdValidation.ValidationContext(validators).Validate(stage)
     found = [f"{_site(error)}: {error.GetMessage()}" for error in messages]
     for layer in stage.GetUsedLayers(includeClipLayers=True):
-        # USD keeps them sorted, and has no place for those at times that are none.
+        # USD keeps time samples sorted, which non-finite times cannot be.
         bad = [code for code in layer.ListAllTimeSamples() if not np.isfinite(code)]
         found += [
             f"/: time samples must be at finite times, got {code} in {layer.GetDisplayName()}" for code in bad
@@ -65,7 +65,7 @@ def _site(error: Any) -> str:
 
 
 def _samples(attribute: Any) -> Iterator[tuple[str, Any]]:
-    """Iterates over the default value and the time samples of an attribute, with where they are in words."""
+    """Iterates over the default value and the time samples of an attribute, each with its time as text."""
     from pxr import Usd
 
     if attribute.HasAuthoredValue():
@@ -79,7 +79,7 @@ def _samples(attribute: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _numbers(value: Any) -> NDArray[Any] | None:
-    """Returns a value as an array of reals; quaternions as (…, 4), the real part last; ``None``: it is none."""
+    """Returns a value as a float array, quaternions as (…, 4) with the real part last; ``None`` if not numeric."""
     from pxr import Gf
 
     if isinstance(value, Gf.Quatd | Gf.Quatf | Gf.Quath):
@@ -94,7 +94,7 @@ def _numbers(value: Any) -> NDArray[Any] | None:
 def _finite(prim: Any) -> Iterator[str]:
     for attribute in prim.GetAttributes():
         name = attribute.GetName()
-        # What was recorded may be unknown; a limit and a force at which something breaks may be infinite.
+        # Recorded sensors may be NaN. Limits and breaking forces may be infinite.
         if name.startswith(("warpcontact:", "primvars:warpcontact:")) or attribute.GetTypeName() == "asset":
             continue
         may_be_infinite = "Limit" in name or "break" in name.lower() or name.startswith("limit:")
@@ -120,7 +120,7 @@ def _quaternions(prim: Any) -> Iterator[str]:
             if numbers is None or numbers.size == 0:
                 continue
             length = np.linalg.norm(numbers.astype(np.float64).reshape(-1, 4), axis=1)
-            # No principal axes are said by a quaternion of zeros, which is the fallback of UsdPhysics.
+            # A zero quaternion means that principal axes are not given; it is the fallback of UsdPhysics.
             if attribute.GetName() == "physics:principalAxes" and not length.any():
                 continue
             off = np.abs(length - 1.0)
@@ -130,9 +130,9 @@ def _quaternions(prim: Any) -> Iterator[str]:
 
 
 def _values_over_time(*attributes: Any) -> Iterator[tuple[str, list[Any]]]:
-    """Iterates over the values of attributes at their defaults and all times of any, with where that is in words.
+    """Iterates over the values of attributes at the default time and all sample times, each with the time as text.
 
-    What has no value is empty. An attribute with time samples alone has no default that goes with the others.
+    A missing value is empty. If an attribute has time samples only, the default time is omitted.
     """
     from pxr import Usd
 
@@ -146,7 +146,7 @@ def _values_over_time(*attributes: Any) -> Iterator[tuple[str, list[Any]]]:
 
 
 def _out_of_range(values: Any, count: int) -> NDArray[Any]:
-    """Returns the indices that are not from 0 to before ``count``."""
+    """Returns the indices outside 0 … ``count`` − 1."""
     indices = np.array(values, dtype=np.int64)
     return indices[(indices < 0) | (indices >= count)]
 
@@ -187,7 +187,7 @@ def _curves(prim: Any) -> Iterator[str]:
         return
     curves = UsdGeom.Curves(prim)
     if prim.IsAbstract() and not curves.GetPointsAttr().HasAuthoredValue():
-        return  # a class says what its curves have in common; where they are, who refers to it
+        return  # points are authored by the prims that refer to the class
     for where, (counts, points) in _values_over_time(curves.GetCurveVertexCountsAttr(), curves.GetPointsAttr()):
         total = np.array(counts, dtype=np.int64).sum()
         if total != len(points):
@@ -241,7 +241,7 @@ def _extent(prim: Any) -> Iterator[str]:
     attribute = boundable.GetExtentAttr()
     if not attribute.HasAuthoredValue():
         if prim.IsA(UsdGeom.Gprim) or prim.IsA(UsdGeom.PointInstancer):
-            yield "extent must be there"
+            yield "extent must be authored"
         return
     for code in attribute.GetTimeSamples() or [Usd.TimeCode.Default()]:
         found = np.array(attribute.Get(code), dtype=np.float64)
@@ -254,12 +254,12 @@ def _extent(prim: Any) -> Iterator[str]:
         slack = ROUNDING * (1.0 + np.abs(needed).max())
         if (found[0] > needed[0] + slack).any() or (found[1] < needed[1] - slack).any():
             where = "" if code == Usd.TimeCode.Default() else f" at time {code:g}"
-            yield f"extent{where} must hold {needed.tolist()}, got {found.tolist()}"
+            yield f"extent{where} must enclose {needed.tolist()}, got {found.tolist()}"
             return
 
 
 def _required_extent(prim: Any, boundable: Any, code: Any) -> NDArray[Any] | None:
-    """Returns the corners of what a prim takes of space, (2, 3), or ``None`` if nobody can say."""
+    """Returns the bounding box of a prim, (2, 3), or ``None`` if USD cannot compute it."""
     from pxr import UsdGeom
 
     if prim.IsA(UsdGeom.PointInstancer):
@@ -276,7 +276,7 @@ def _mass(prim: Any) -> Iterator[str]:
     if not prim.HasAPI(UsdPhysics.MassAPI):
         return
     api = UsdPhysics.MassAPI(prim)
-    # Of UsdPhysics zeros, which are the fallbacks, say that others are to tell.
+    # In UsdPhysics, 0 is the fallback and means "not given".
     for name, attribute in (("mass", api.GetMassAttr()), ("density", api.GetDensityAttr())):
         for where, value in _samples(attribute):
             if not (np.isfinite(value) and value >= 0.0):

@@ -1,14 +1,13 @@
-"""Long recordings as value clips: files of some records each, written one after the other and picked up again.
+"""Writes long recordings as USD value clips: files of some records each, written one by one and resumable.
 
-    run.usdc                          metadata, and which clip holds which time
-    run.usdc.clips/topology.usdc      all that does not change over time, and the first record as default values
-    run.usdc.clips/manifest.usdc      which attributes are in clips
-    run.usdc.clips/clip_000000.usdc   time samples of a block of records, and of the one behind it
-    run.usdc.clips/clips.json         of which stage they are, which are whole, and of what
+    run.usdc                          metadata, and the clip of each time
+    run.usdc.clips/topology.usdc      all that is constant over time, and the first record as default values
+    run.usdc.clips/manifest.usdc      attributes stored in clips
+    run.usdc.clips/clip_000000.usdc   time samples of a block of records, and of the next record
+    run.usdc.clips/clips.json         name of the stage, complete clips, and digests of their inputs
 
-No more than a block of records is in memory at once. A clip holds the first record of the next one, too, so that
-viewers interpolate across the seam as within a clip. The stage is removed before what it refers to changes, and
-comes last: where it is, all of it is.
+One block of records is in memory at a time. A clip also holds the first record of the next one, so that viewers
+interpolate between clips. The stage is removed before its clips change and written last: if it exists, it is complete.
 """
 
 import hashlib
@@ -39,10 +38,10 @@ Range = tuple[int, int]
 
 
 def check_frames(value: Any, path: Path) -> int:
-    """Returns the number of records of a clip.
+    """Returns the number of records per clip.
 
     Raises:
-        ValueError: If it is none, or ``path`` is of a package, which holds no clips.
+        ValueError: If it is not a positive integer, or ``path`` is a package, which cannot hold clips.
     """
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
         raise ValueError(f"clip_frames must be a whole number of records, at least 1, got {value!r}")
@@ -55,9 +54,9 @@ class Clips:
     """Writes an export as clips.
 
     Args:
-        export: What to write.
-        path: The stage.
-        frames: Number of records of a clip.
+        export: Export to write.
+        path: Path of the stage.
+        frames: Number of records per clip.
     """
 
     def __init__(self, export: Export, path: Path, frames: int) -> None:
@@ -70,10 +69,10 @@ class Clips:
         self._inputs: list[str] = []
 
     def write(self, report_progress: ProgressCallback) -> None:
-        """Writes what is not there yet.
+        """Writes the clips that do not exist yet, then the stage.
 
         Raises:
-            OSError: If a file cannot be written, or the folder is of another stage; names it.
+            OSError: If a file cannot be written, or the folder belongs to another stage; the message names it.
         """
         from pxr import Sdf, Usd
 
@@ -96,19 +95,19 @@ class Clips:
             "topology": _sha(topology),
             "codes": _digest(np.array(self.export.replay.codes)),
         }
-        known = self._reusable(about)
+        reusable = self._reusable(about)
         done: list[dict[str, Any]] = []
         for number, (block, given) in enumerate(zip(self.blocks, self._inputs, strict=True)):
             file = self.folder / _name(number)
             entry = {"file": file.name, "records": list(block), "input": given}
-            earlier = known.get(file.name, {})
+            earlier = reusable.get(file.name, {})
             if {**entry, "sha256": earlier.get("sha256")} == earlier and _sha(file) == earlier["sha256"]:
                 report_progress((block[1] - block[0]) * len(self.export.replay.envs))
             else:
                 self._write_clip(stage, file, block, ranges.coils, report_progress)
             done.append({**entry, "sha256": _sha(file)})
-            # Those of an earlier attempt that come later may be whole as well.
-            later = [known[name] for name in sorted(known) if name > file.name]
+            # Later clips of an earlier attempt may be complete as well.
+            later = [reusable[name] for name in sorted(reusable) if name > file.name]
             write_json(self.folder / RECORD, {**about, "clips": [*done, *later]})
         write_json(self.folder / RECORD, {**about, "clips": done})
         for name in self.folder.names():
@@ -131,7 +130,7 @@ class Clips:
         return Content.of(self.export.replay.part(*records), coils)
 
     def _input(self, content: Content, records: Range) -> str:
-        """Returns the SHA-256 of all values that a clip shows."""
+        """Returns the SHA-256 of all values shown in a clip."""
         data = content.replay.data
         values = [np.ascontiguousarray(data[name].values) for name in sorted(map(str, data.data_vars))]
         ensemble, coloring = self.export.ensemble, self.export.coloring
@@ -143,7 +142,7 @@ class Clips:
         return _digest(*values)
 
     def _reusable(self, about: dict[str, str]) -> dict[str, dict[str, Any]]:
-        """Returns the clips of an earlier attempt that are of the same export, by the names of their files."""
+        """Returns the clips of an earlier attempt at the same export, by file name."""
         manifest = self._read_manifest()
         try:
             same = all(manifest[key] == value for key, value in about.items())
@@ -152,7 +151,7 @@ class Clips:
             return {}
 
     def _read_manifest(self) -> dict[str, Any]:
-        """Returns what the folder says of itself; nothing if that cannot be read."""
+        """Returns the content of ``clips.json``; empty if it cannot be read."""
         try:
             manifest = json.loads((self.folder / RECORD).read())
         except UnsafeFileError:
@@ -176,7 +175,7 @@ class Clips:
         save_layer(layer, file)
 
     def _root(self, topology: Any) -> Any:
-        """Returns the layer that shows the topology with the clips."""
+        """Returns the root layer, which refers to the topology and the clips."""
         from pxr import Sdf, Usd, UsdGeom, UsdPhysics
 
         layer, given = Sdf.Layer.CreateAnonymous(".usdc"), topology.GetRootLayer()
@@ -196,8 +195,8 @@ class Clips:
         clips.SetClipPrimPath(WORLD)
         clips.SetClipActive([(codes[first], number) for number, (first, _) in enumerate(self.blocks)])
         clips.SetClipTimes([(codes[0], codes[0]), (codes[-1], codes[-1])])
-        # By a reference: clips are weaker than default values of the layer that names them. Without a stage, which
-        # would look for it from where there is no file yet.
+        # As a reference, because clips are weaker than default values in the layer that names them. Without a stage,
+        # which would search for the file before it exists.
         del stage, world, clips
         reference = Sdf.Reference(f"{below}/topology.usdc", WORLD)
         layer.GetPrimAtPath(WORLD).referenceList.prependedItems.append(reference)
@@ -209,7 +208,7 @@ def _name(number: int) -> str:
 
 
 def _sha(path: RunPath) -> str:
-    """Returns the SHA-256 of a file; of none an empty text."""
+    """Returns the SHA-256 of a file, or an empty text if it cannot be read."""
     try:
         with path.open_binary() as file:
             return hashlib.file_digest(file, "sha256").hexdigest()

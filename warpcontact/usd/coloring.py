@@ -1,4 +1,4 @@
-"""Colours of environments by a number that each has."""
+"""Colors environments by one number each."""
 
 from typing import Any
 
@@ -15,7 +15,8 @@ def named_number(recording: xr.Dataset, name: str, outcome: xr.Dataset | None = 
     """Returns a variable of a recording.
 
     Raises:
-        ValueError: If there is none; says what there is with a number for each environment, also of ``outcome``.
+        ValueError: If there is none; the message lists the variables with one number per environment, including
+            those of ``outcome``.
     """
     if stored_name(name) in recording:
         return recording[stored_name(name)]
@@ -28,22 +29,22 @@ def named_number(recording: xr.Dataset, name: str, outcome: xr.Dataset | None = 
 
 
 def _could_color(array: xr.DataArray) -> bool:
-    """Whether it may have a number for each environment, decided without evaluating it."""
+    """Returns whether a variable may have one number per environment, judged without loading it."""
     return "env" in array.dims and array.dtype.kind in "biuf" and "axis" not in array.dims
 
 
 class Coloring:
-    """A number for each environment, in all records or in each, and the colours of it.
+    """One number per environment, constant or per record, and its color.
 
     Args:
-        color_by: Name of a variable of the recording, or values (env,) or (time, env) with that coordinate.
-        recording: The recording.
+        color_by: Name of a variable of the recording, or values (env,) or (time, env) with these coordinates.
+        recording: Recording that is exported.
 
     Attributes:
         name: Name of the variable.
-        unit: Its unit.
-        is_time_dependent: Whether there is a number in each record.
-        scale: The colours of all numbers that were looked through.
+        unit: Unit of the variable.
+        is_time_dependent: Whether there is one number per record.
+        scale: Color scale over all numbers scanned so far.
     """
 
     def __init__(self, color_by: str | xr.DataArray, recording: xr.Dataset) -> None:
@@ -54,9 +55,9 @@ class Coloring:
         else:
             raise TypeError(f"color_by must be a name or an xarray.DataArray, got {type(color_by).__name__}")
         self.name = str(values.name or "color")
-        # Instances of sets have the number of their environment under this name.
+        # Instances of sets store the number of their environment under this name.
         if attribute_name(self.name) == attribute_name("environment"):
-            raise ValueError(f"color_by must have another name than {self.name!r}, which instances have already")
+            raise ValueError(f"color_by must have another name than {self.name!r}, which is reserved")
         found = per_environment_number(values)
         if found is None:
             raise ValueError(
@@ -74,7 +75,7 @@ class Coloring:
         self.scale = Scale()
 
     def of(self, envs: list[int], first: int, stop: int) -> Array:
-        """Returns the numbers of environments in a range of records, (time or 1, env); NaN where there is none."""
+        """Returns the numbers of environments in a range of records, (time or 1, env); NaN if missing."""
         chosen = self._values.isel(time=slice(first, stop)) if self.is_time_dependent else self._values
         recorded = chosen["env"].values
         values = np.full((chosen.sizes["time"] if self.is_time_dependent else 1, len(envs)), np.nan)
@@ -85,11 +86,11 @@ class Coloring:
         return values
 
     def scan_records(self, envs: list[int], first: int, stop: int) -> None:
-        """Widens the range to the numbers of a range of records."""
+        """Extends the color scale to the numbers of a range of records."""
         self.scale = self.scale.widened(self.of(envs, first, stop))
 
     def legend(self) -> dict[str, Any]:
-        """Returns what the colours mean."""
+        """Returns the legend of the colors: variable, unit, color map and range."""
         legend: dict[str, Any] = {"colorBy": self.name, "unit": self.unit, "colormap": COLORMAP}
         if self.scale.low <= self.scale.high:
             legend |= {"low": self.scale.low, "high": self.scale.high}

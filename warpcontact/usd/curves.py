@@ -1,4 +1,4 @@
-"""Curves of a stage that move: polylines with one width and one colour."""
+"""Moving curves of a stage: polylines with one width and one color."""
 
 from typing import Any
 
@@ -9,20 +9,20 @@ from warpcontact.usd.author import Samples, vectors
 from warpcontact.usd.geometry import set_color
 from warpcontact.validation.checks import Array
 
-#: Width of curves, in sizes of the largest body.
+#: Width of curves, as a multiple of the drawing size.
 WIDTH = 0.03
 
 
 def define_curves(stage: Any, path: str, counts: list[int], width: float, color: ArrayLike, meaning: str) -> Any:
-    """Writes polylines without their points, and returns their prim.
+    """Defines polylines without their points, and returns their prim.
 
     Args:
-        stage: The stage.
-        path: Where to.
-        counts: Number of points of each.
-        width: Width of all [m].
+        stage: Stage to write to.
+        path: Path of the new prim.
+        counts: Number of points of each polyline.
+        width: Width of all polylines [m].
         color: RGB in 0…1.
-        meaning: What they are, in a sentence.
+        meaning: Description of the curves, a sentence.
     """
     from pxr import UsdGeom, Vt
 
@@ -37,14 +37,14 @@ def define_curves(stage: Any, path: str, counts: list[int], width: float, color:
 
 
 def write_curves(prim: Any, samples: Samples, points: Array, shown: list[bool], width: float) -> None:
-    """Writes where polylines are over time.
+    """Writes the points of polylines over time.
 
     Args:
-        prim: Their prim.
-        samples: Receives it.
-        points: All points of them, (time, n, 3) [m].
-        shown: Whether they are seen, for each record.
-        width: Their width [m].
+        prim: Prim of the polylines.
+        samples: Destination of the values.
+        points: Points of all polylines, (time, n, 3) [m].
+        shown: Visibility in each record.
+        width: Width of the polylines [m].
     """
     from pxr import UsdGeom
 

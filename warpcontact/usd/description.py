@@ -1,8 +1,8 @@
-"""The whole scene as attributes ``warpcontact:*`` of a stage, of which the same simulation can be made to the bit.
+"""Writes and reads the whole scene as attributes ``warpcontact:*`` of a stage.
 
-``docs/usd.md`` says what is written. Positions of UsdGeom are single precision and its schemas know neither laws
-nor springs, so the description holds all that a scene says on its own, in double precision, beside what others
-read.
+A simulation of the scene read back is bitwise identical. Attributes are listed in ``docs/usd.md``. The description
+duplicates what UsdGeom and UsdPhysics hold, because positions of UsdGeom are single precision and the schemas have no
+force laws or springs.
 """
 
 import dataclasses
@@ -24,21 +24,21 @@ from warpcontact.usd.importing.records import SCHEMA
 from warpcontact.usd.serialize import ElementCall, ShapeParameters, element_calls
 from warpcontact.validation.checks import Array
 
-#: Where exports have the description.
+#: Path of the description in exports.
 ROOT = "/World/Description"
 
 
 def write_description(stage: Any, scene: Scene, names: Mapping[str, str], root: str = ROOT) -> None:
-    """Writes all that a scene says.
+    """Writes the description of a scene.
 
     Args:
-        stage: The stage; the description goes into its edit target.
-        scene: The scene.
-        names: Name of a prim for each element of the scene.
-        root: Path of a new prim for the description.
+        stage: Stage; the description is written to its edit target.
+        scene: Scene to describe.
+        names: Prim name of each element of the scene.
+        root: Path of the new prim of the description.
 
     Raises:
-        ValueError: If two of the names, or of the parameters of a class, are alike as names in USD.
+        ValueError: If two prim names, or two parameter names of a class, coincide in USD.
     """
     from pxr import Sdf
 
@@ -50,8 +50,8 @@ def read_description(stage: Any, custom_types: Iterable[type[Formula]] = ()) -> 
     """Returns the scene that a stage describes; ``None`` if it has no description.
 
     Args:
-        stage: The stage.
-        custom_types: Classes of one's own that the scene was made with.
+        stage: Stage to read.
+        custom_types: Custom classes that the scene uses.
 
     Raises:
         UsdError: If the description is damaged, or a class is missing; the message names the prims.
@@ -64,19 +64,19 @@ def read_description(stage: Any, custom_types: Iterable[type[Formula]] = ()) -> 
 
 
 class _Description:
-    """Writes one description; prims and attributes are specified at once, without a stage that composes them."""
+    """Writes one description. Specs are created in the layer directly, without composing a stage."""
 
     def __init__(self, layer: Any, scene: Scene, names: Mapping[str, str], root: str) -> None:
         self.layer = layer
         self.scene = scene
         self.root = root
         self.paths = {name: f"{root}/Elements/{names[name]}" for name in scene.element_names()}
-        # Materials and meshes that elements share; each is kept beside its path, so that no other gets its id.
+        # Shared materials and meshes with their paths. Keeping the object prevents reuse of its id.
         self.shared_paths: dict[tuple[int, int], tuple[Any, str]] = {}
         self.counts = {"Materials": 0, "Meshes": 0}
 
     def write(self) -> None:
-        """Writes the scene, its elements, and what they share."""
+        """Writes the scene, its elements, and the materials and meshes that they share."""
         calls = element_calls(self.scene)
         self._prim(self.root)
         self._value(self.root, "schema", SCHEMA)
@@ -98,19 +98,19 @@ class _Description:
             self._argument(path, name, value, name in call.rows)
 
     def _argument(self, path: str, name: str, value: Any, rows: bool) -> None:
-        """Writes one argument of an element, as what it is."""
+        """Writes one argument of an element, by its type."""
         match value:
             case ContactMaterial() | Mesh():
                 self._targets(path, name, [self._shared_path(value)])
             case tuple() if isinstance(value[0], Mesh):
-                # A relationship has each of its targets once: a mesh that comes again is written again.
+                # A relationship lists each target once, so a repeated mesh is written again as a copy.
                 copy_index = [sum(mesh is other for other in value[:i]) for i, mesh in enumerate(value)]
                 self._targets(
                     path, name, [self._shared_path(*each) for each in zip(value, copy_index, strict=True)]
                 )
             case tuple():
                 self._targets(path, name, [self.paths[one.name] for one in value])
-            case list():  # a mask for each mesh
+            case list():  # one mask per mesh
                 self._value(path, name, np.concatenate(value), rows=True)
             case ShapeParameters():
                 self._formula(f"{path}/{name}", value.kind, value.sizes, each=True)
@@ -124,7 +124,7 @@ class _Description:
                 self._value(path, name, value, rows)
 
     def _shared_path(self, shared: Any, copy_index: int = 0) -> str:
-        """Returns the path of a material or mesh, written when first used; ``copy_index``: of a copy."""
+        """Returns the path of a material or mesh, which is written at first use; ``copy_index`` selects a copy."""
         if (id(shared), copy_index) not in self.shared_paths:
             folder, word = ("Materials", "material") if isinstance(shared, ContactMaterial) else ("Meshes", "mesh")
             path = f"{self.root}/{folder}/{word}_{self.counts[folder]}"
@@ -149,13 +149,13 @@ class _Description:
             self._value(
                 path,
                 "group_sizes",
-                np.array([len(custom_types) for custom_types in members], dtype=np.int32),
+                np.array([len(faces) for faces in members], dtype=np.int32),
                 rows=True,
             )
             self._value(path, "group_faces", np.concatenate(members), rows=True)
 
     def _formula(self, path: str, kind: type[Formula], values: Mapping[str, Any], each: bool = False) -> None:
-        """Writes a law, friction, spring, damper, motion or shape; ``each``: values have one entry per shape."""
+        """Writes a law, friction model, spring, damper, motion or shape; ``each``: one entry per shape."""
         self._prim(path)
         self._value(path, "type", kind.__name__)
         if is_custom(kind):
@@ -181,7 +181,7 @@ class _Description:
         from pxr import Sdf
 
         if self.layer.GetPrimAtPath(path):
-            raise ValueError(f"there is a prim {path} already; names of elements must differ as names in USD")
+            raise ValueError(f"the prim {path} exists already; element names must differ as USD names")
         spec = Sdf.CreatePrimInLayer(self.layer, path)
         spec.specifier, spec.typeName = Sdf.SpecifierDef, "Scope"
 
@@ -207,12 +207,12 @@ def _formula_values(formula: Formula) -> dict[str, Any]:
     return {name: value for name, value in values.items() if value is not None}
 
 
-# What one row of an array of doubles is in USD, by its shape.
+# USD type of one row of an array of doubles, by its shape.
 _ROWS = {(): "Double", (2,): "Double2", (3,): "Double3", (4,): "Double4", (3, 3): "Matrix3d"}
 
 
 def _usd_value(value: Any, rows: bool) -> tuple[Any, Any]:
-    """Returns the type of a value in USD, and what is written of it; ``rows``: its first axis counts."""
+    """Returns the USD type and the USD value; ``rows``: the first axis counts rows."""
     from pxr import Sdf, Vt
 
     types = Sdf.ValueTypeNames
@@ -242,8 +242,8 @@ def _numbers(array: Array, rows: bool) -> tuple[Any, Any]:
 
     shape = array.shape[1:] if rows else array.shape
     name = _ROWS[shape]
-    custom_types = {"Double2": "Vec2d", "Double3": "Vec3d", "Double4": "Vec4d"}.get(name, name)
+    vector_type = {"Double2": "Vec2d", "Double3": "Vec3d", "Double4": "Vec4d"}.get(name, name)
     if rows:
-        return getattr(Sdf.ValueTypeNames, f"{name}Array"), getattr(Vt, f"{custom_types}Array").FromNumpy(array)
+        return getattr(Sdf.ValueTypeNames, f"{name}Array"), getattr(Vt, f"{vector_type}Array").FromNumpy(array)
     plain = array.reshape(-1).tolist()
-    return getattr(Sdf.ValueTypeNames, name), plain[0] if shape == () else getattr(Gf, custom_types)(*plain)
+    return getattr(Sdf.ValueTypeNames, name), plain[0] if shape == () else getattr(Gf, vector_type)(*plain)

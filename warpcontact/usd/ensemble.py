@@ -1,4 +1,4 @@
-"""All environments as instances to be looked at, without physics: one ``UsdGeom.PointInstancer`` per element."""
+"""All environments as instances for display, without physics: one ``UsdGeom.PointInstancer`` per body element."""
 
 import math
 from typing import Any
@@ -27,21 +27,21 @@ from warpcontact.validation.checks import Array
 
 
 def define_ensemble(stage: Any, ensemble: Ensemble, layout: Layout, coloring: Coloring | None) -> None:
-    """Writes how all environments look.
+    """Defines the instances of all environments, as far as they are constant over time.
 
     Args:
-        stage: The stage.
-        ensemble: The environments.
-        layout: Where things are; the environments in it are there with physics, and not to be seen twice.
-        coloring: What colours them; ``None``: the colours of the elements.
+        stage: Stage to write to.
+        ensemble: Environments to show.
+        layout: Layout of the stage. Its environments have their own prims with physics; their instances are hidden.
+        coloring: Coloring of the environments; ``None``: colors of the elements.
     """
     from pxr import Kind, Usd, UsdGeom, Vt
 
     root = UsdGeom.Xform.Define(stage, ENSEMBLE).GetPrim()
     Usd.ModelAPI(root).SetKind(Kind.Tokens.group)
     root.SetDocumentation(
-        "All environments, to be looked at. Ids are their numbers; of a set of bodies, number times bodies of the "
-        "set plus item. Those that are prims of their own are masked by invisibleIds."
+        "All environments, for display. Ids are their numbers; in a set of bodies, number times bodies of the "
+        "set plus item. Those with their own prims are masked by invisibleIds."
     )
     root.SetCustomDataByKey("warpcontact:environments", Vt.IntArray(ensemble.replay.envs))
     if ensemble.left_out:
@@ -85,12 +85,12 @@ def _define(
 def _define_appearance(
     stage: Any, path: str, appearance: BodyAppearance, row: int, item: int, layout: Layout, *, color: bool
 ) -> None:
-    """Writes one body as it is in one environment; without ``color`` it has that of its instance."""
+    """Writes one body as in one environment; without ``color`` it takes the color of its instance."""
     from pxr import UsdGeom
 
     UsdGeom.Xform.Define(stage, path)
     small = 0.5 * POINT * layout.size
-    # Of a set of bodies each has one sphere of its own.
+    # In a set of bodies, each body has one sphere.
     spheres = {
         f"{layout.names[group.name]}.{number}": (group, number)
         for group in appearance.spheres
@@ -98,7 +98,7 @@ def _define_appearance(
     }
     surfaces = {layout.names[placement.surface.name]: placement for placement in appearance.surfaces}
     forms = {layout.names[form.shape.name]: form for form in appearance.forms}
-    # Elements keep their names; a sphere whose name one of them has gets another.
+    # Elements keep their names; a sphere with the same name gets another one.
     names = identifiers([*surfaces, *forms, *spheres])
     for name, placement in surfaces.items():
         write_surface(stage, f"{path}/{names[name]}", placement, row, physics=False, color=color)
@@ -134,7 +134,7 @@ def write_ensemble(
     samples: Samples,
     records: tuple[int, int],
 ) -> None:
-    """Writes where all bodies are in the records from the first of ``records`` to before the second."""
+    """Writes the poses of all bodies in the records from ``records[0]`` up to, not including, ``records[1]``."""
     from pxr import UsdGeom
 
     for appearance in ensemble.appearances:
@@ -142,14 +142,14 @@ def write_ensemble(
         instancer = UsdGeom.PointInstancer(stage.GetPrimAtPath(f"{ENSEMBLE}/{layout.names[body.name]}"))
         positions, orientations = ensemble.poses(body, *records)
         places = positions.reshape(len(positions), -1, 3)
-        turns = orientations.reshape(len(places), -1, 4)
-        # USD takes the corners of the boxes that instances fill in their own frames.
+        rotations = orientations.reshape(len(places), -1, 4)
+        # Instances rotate; this is the half-diagonal of their bounding box in their own frame.
         reach = (math.sqrt(3.0) * appearance.scales * max(appearance.reach, 0.5 * POINT * layout.size)).reshape(
             -1, 1
         )
         extents = np.stack([(places - reach).min(axis=1), (places + reach).max(axis=1)], axis=1)
         samples.write(instancer.CreatePositionsAttr(), [vectors(frame) for frame in places])
-        samples.write(instancer.CreateOrientationsfAttr(), [quaternions(frame) for frame in turns])
+        samples.write(instancer.CreateOrientationsfAttr(), [quaternions(frame) for frame in rotations])
         samples.write(instancer.CreateExtentAttr(), [vectors(frame) for frame in extents])
         if coloring is not None and (coloring.is_time_dependent or samples.defaults):
             _color(instancer, ensemble, coloring, body.count, samples, records)
@@ -163,7 +163,7 @@ def _color(
     samples: Samples,
     records: tuple[int, int],
 ) -> None:
-    """Writes the colours, and the numbers that they stand for, of each instance."""
+    """Writes the color of each instance and the number that it represents."""
     from pxr import Sdf, UsdGeom, Vt
 
     values = np.repeat(coloring.of(ensemble.replay.envs, *records), count, axis=1)

@@ -1,4 +1,4 @@
-"""The chosen environments of a stage, with full physics: what is fixed in each, and what moves."""
+"""Environments of a stage with full physics: constant parts and animation of each."""
 
 from collections.abc import Callable
 from typing import Any
@@ -27,12 +27,12 @@ from warpcontact.validation.checks import Array
 def layout_of(
     content: Content, ranges: SceneRanges, spacing: Array, force_scale: float, materials: UsdMaterials
 ) -> Layout:
-    """Returns where things are; what differs between environments is in each of them."""
-    apart = bool(spacing.any())
+    """Returns the layout of the stage; elements that differ between environments get one prim in each."""
+    spaced = bool(spacing.any())
 
     def differs(kind: str, element: Any, shared: bool) -> bool:
-        # What is fixed to the world and made of something else in each environment is not one thing.
-        return not shared or (element.body is None and not apart and materials.differ(kind, element.name))
+        # An element on the world with a different material per environment cannot be one shared prim.
+        return not shared or (element.body is None and not spaced and materials.differ(kind, element.name))
 
     surfaces = content.placements.values()
     found = [one.surface.name for one in surfaces if differs("surface", one.surface, one.shared)]
@@ -48,13 +48,13 @@ def layout_of(
 
 
 class Environments:
-    """Writes the chosen environments.
+    """Writes the environments that have full physics.
 
     Args:
-        stage: The stage, with its root prim.
-        content: Some records, the first among them.
-        layout: Where things are.
-        materials: What surfaces are made of.
+        stage: Stage with its root prim.
+        content: Some records, including the first.
+        layout: Layout of the stage.
+        materials: Physics materials of the colliders.
     """
 
     def __init__(self, stage: Any, content: Content, layout: Layout, materials: UsdMaterials) -> None:
@@ -66,7 +66,7 @@ class Environments:
         self.one_gravity = bool((self.gravity == self.gravity[0]).all())
 
     def define(self, content: Content, ranges: SceneRanges) -> None:
-        """Writes what does not change over time; ``content`` begins with the first record."""
+        """Writes what is constant over time; ``content`` begins with the first record."""
         layout = self.layout
         scene_path = f"{WORLD if self.one_gravity else PROTOTYPE}/PhysicsScene"
         sensors = sensors_of(content.replay)
@@ -140,7 +140,7 @@ class Environments:
             set_material(self.stage.GetPrimAtPath(path), material, row)
 
     def _space(self, content: Content, ranges: SceneRanges) -> Array:
-        """Returns the corners of the space of environments, arrows included, (env, 2, 3), in their frames [m]."""
+        """Returns bounding boxes of the environments in their frames, with arrows, (env, 2, 3) [m]."""
         longest = ranges.peak * self.layout.force_scale + self.layout.size
         low, high = ranges.low - longest, ranges.high + longest
         fixed = [one.corners for one in content.placements.values() if one.surface.body is None]
@@ -150,7 +150,7 @@ class Environments:
         return np.stack([low, high], axis=1)
 
     def animate(self, content: Content, samples: Samples, report_progress: Callable[[int], None]) -> None:
-        """Writes what changes over time, of the records in ``content``; calls ``report_progress``."""
+        """Writes what changes over the records in ``content``; calls ``report_progress(1)`` per environment."""
         sensors = sensors_of(content.replay)
         for row in range(len(self.layout.envs)):
             self._animate_environment(content, sensors, samples, row)
@@ -174,7 +174,7 @@ class Environments:
             write_shape_set(own, samples, moving, row)
         for body_set in content.body_sets:
             write_body_set(stage.GetPrimAtPath(layout.body_set(path, body_set)), samples, body_set, row)
-        for name in (one.name for one in _touching(replay)):
+        for name in (one.name for one in _contact_elements(replay)):
             sensors[name].write(stage.GetPrimAtPath(layout.contact(path, name)), samples, row)
         for lines in (*content.lines, *content.resultants):
             prim = stage.GetPrimAtPath(f"{layout.contact(path, lines.name)}/force")
@@ -188,18 +188,18 @@ class Environments:
 
     def _move(self, prim: Any, content: Content, body: Body, samples: Samples, row: int) -> None:
         positions, orientations = content.poses[body.name]
-        move, turn = prim.GetAttribute("xformOp:translate"), prim.GetAttribute("xformOp:orient")
-        samples.write(move, series(positions[:, row], "vector", False))
-        samples.write(turn, series(orientations[:, row], "quaternion", False))
+        translate, orient = prim.GetAttribute("xformOp:translate"), prim.GetAttribute("xformOp:orient")
+        samples.write(translate, series(positions[:, row], "vector", False))
+        samples.write(orient, series(orientations[:, row], "quaternion", False))
 
 
-def _touching(replay: Replay) -> list[Any]:
+def _contact_elements(replay: Replay) -> list[Any]:
     scene = replay.scene
     return [*scene.contacts, *scene.contact_couplings, *scene.shape_contacts, *scene.particle_contacts]
 
 
 def sensors_of(replay: Replay) -> dict[str, Sensors]:
-    """Returns what was recorded of the scene and its elements, by their names."""
+    """Returns the recorded sensors of the scene and its elements, by element name."""
     scene = replay.scene
-    named: list[Any] = [*scene.bodies, *scene.couplings, *_touching(replay)]
+    named: list[Any] = [*scene.bodies, *scene.couplings, *_contact_elements(replay)]
     return {name: Sensors(replay, name) for name in ("scene", *(element.name for element in named))}

@@ -1,4 +1,4 @@
-"""Recordings as animated USD stages."""
+"""Export of recordings as animated USD stages."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -30,42 +30,39 @@ def export_usd(
     clip_frames: int | None = None,
     progress: bool | None = None,
 ) -> Path:
-    """Writes a recording as an animated USD stage: Z up, metres, kilograms, one time code per record.
+    """Writes a recording as an animated USD stage: Z up, meters, kilograms, one time code per record.
 
-    ``/World/env_<number>`` is an environment with full physics, by the schemas of UsdPhysics; ``/World/Ensemble``
-    shows all others as instances. What is where, and what of it is read from which variable of the recording, is
-    described in ``docs/usd.md``.
+    ``/World/env_<number>`` is an environment with full physics in the schemas of UsdPhysics. ``/World/Ensemble``
+    shows all others as instances. ``docs/usd.md`` lists all prims and the variables of the recording they show.
 
     Args:
-        recording: What ``Simulation.run`` returned, or the same data set loaded from a file.
-        path: File to write, ``.usda`` (text), ``.usdc`` or ``.usd`` (binary), or ``.usdz`` (a package of one
-            binary file); replaced if it exists, once the new one is whole, and with ``clip_frames`` removed
+        recording: Result of ``Simulation.run``, or the same data set loaded from a file.
+        path: File to write: ``.usda`` (text), ``.usdc`` or ``.usd`` (binary), or ``.usdz`` (a package of one binary
+            file). An existing file is replaced when the new one is complete; with ``clip_frames`` it is removed
             before its clips change.
         envs: Numbers of the environments with full physics, as in the coordinate ``env``; ``None``: the first 16.
-        scene: What was simulated; ``None``: what the recording remembers.
-        spacing: Distance along x and y between neighbouring environments on a grid [m], each with surfaces
-            of its own; 0 along both: all in place, with common surfaces.
-        force_scale: Length of arrows [m/N]; ``None``: the largest force is 1.5 times the largest body.
-        ensemble: Whether all environments of the recording are shown; ``"auto"``: where there are more than
-            ``envs``, and in place, and of very many some that are evenly spread over all.
-        color_by: What colours the ensemble, from low to high by viridis: name of a parameter or sensor of the
-            recording with one number for each environment, or one for all items of a set in it, or values with
-            the coordinate ``env``, such as an outcome, or with ``time`` and ``env``. ``None``: the colours of the
-            bodies.
-        clip_frames: For long recordings: number of records of a value clip. The file then refers to a folder
-            beside it, ``<file name>.clips``, with one file for so many records; these are written one after the
-            other, with no more than that in memory, and an export that was interrupted goes on behind those that
-            are whole. ``None``: one file.
-        progress: Whether to show a progress bar; ``None``: on exports of over a second, in a terminal.
+        scene: Scene of the recording; ``None``: the scene stored with the recording.
+        spacing: Distance along x and y between neighboring environments on a grid [m], each with its own surfaces.
+            0 along both: all environments in place, with common surfaces.
+        force_scale: Arrow length per force [m/N]; ``None``: the largest force is 1.5 times the largest body.
+        ensemble: Whether to show all environments of the recording. ``"auto"``: if there are more than ``envs`` and
+            ``spacing`` is 0; a large ensemble is reduced to an evenly spaced subset.
+        color_by: Quantity that colors the ensemble, from low to high in viridis: the name of a parameter or sensor
+            of the recording with one number per environment, or one equal for all items of a set; or values with
+            the coordinate ``env``, such as an outcome, or with ``time`` and ``env``. ``None``: colors of the bodies.
+        clip_frames: Number of records per value clip, for long recordings. The file then refers to the folder
+            ``<file name>.clips`` next to it, with one file per clip. Clips are written one by one, with one clip in
+            memory, and an interrupted export resumes after the complete ones. ``None``: one file.
+        progress: Whether to show a progress bar; ``None``: in a terminal, for exports that take over a second.
 
     Returns:
         The path.
 
     Raises:
-        ValueError: If the suffix, an environment, the spacing, the scale or what colours is not allowed, the
-            recording lacks its scene or the pose of a body, or a pose is not finite; the message names it.
-        TypeError: If an argument is of another type.
-        OSError: If the file cannot be written, or the folder of its clips is that of another; names it.
+        ValueError: If the suffix, an environment, the spacing, the scale or ``color_by`` is invalid, the recording
+            lacks its scene or the pose of a body, or a pose is not finite; the message names it.
+        TypeError: If an argument has the wrong type.
+        OSError: If the file cannot be written, or the clip folder belongs to another stage; the message names it.
     """
     from tqdm import tqdm
 
@@ -92,7 +89,7 @@ def export_usd(
 
 
 def _write(export: Export, path: Path, report_progress: ProgressCallback) -> None:
-    """Writes a single file."""
+    """Writes a single file, without clips."""
     from pxr import Usd
 
     stage = Usd.Stage.CreateInMemory()

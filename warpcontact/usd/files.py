@@ -1,4 +1,4 @@
-"""Files of stages: there as a whole or not at all."""
+"""Atomic writing of stage files: complete or not at all."""
 
 import contextlib
 import tempfile
@@ -8,13 +8,13 @@ from typing import Any
 
 from warpcontact.files.run_folder import PARTIAL, RunPath, place_of
 
-#: What a stage can be written to.
+#: Suffixes of stage files.
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 _PACKAGE = ".usdz"
 
 
 def check_path(path: str | Path) -> Path:
-    """Returns ``path``.
+    """Returns ``path`` as a ``Path``.
 
     Raises:
         ValueError: If its suffix is not one of ``SUFFIXES``.
@@ -34,20 +34,20 @@ def save_stage(stage: Any, path: Path) -> None:
 
 
 def save_layer(layer: Any, path: Path | RunPath) -> None:
-    """Writes a layer; until it is whole, what was there before stays.
+    """Writes a layer. An existing file is replaced when the new one is complete.
 
     Raises:
-        OSError: If the file cannot be written; names it.
+        OSError: If the file cannot be written; the message names it.
     """
     with _atomic_replace(path) as partial:
         layer.Export(str(partial))
 
 
 def remove_file(path: Path) -> None:
-    """Removes a file if it is there, from the disk before anything that follows.
+    """Removes a file if it exists, and syncs the folder, so that the removal precedes later writes on disk.
 
     Raises:
-        OSError: If it cannot be removed; names it.
+        OSError: If the file cannot be removed; the message names it.
     """
     place = place_of(path)
     try:
@@ -63,17 +63,17 @@ def _save_package(stage: Any, path: Path) -> None:
 
     with (
         _atomic_replace(path) as partial,
-        tempfile.TemporaryDirectory(prefix=f".{path.stem}.", dir=path.parent) as own,
+        tempfile.TemporaryDirectory(prefix=f".{path.stem}.", dir=path.parent) as folder,
     ):
-        content = Path(own) / f"{path.stem}.usdc"
+        content = Path(folder) / f"{path.stem}.usdc"
         stage.GetRootLayer().Export(str(content))
         if not UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(str(content)), str(partial)):
-            raise OSError("the package could not be made")
+            raise OSError("the package could not be created")
 
 
 @contextlib.contextmanager
 def _atomic_replace(path: Path | RunPath) -> Iterator[Path]:
-    """Yields the name of a file that takes the place of ``path`` when the block ends without an error."""
+    """Yields the name of a temporary file that replaces ``path`` if the block ends without an error."""
     from pxr import Sdf, Tf
 
     place = place_of(path)
@@ -86,13 +86,13 @@ def _atomic_replace(path: Path | RunPath) -> Iterator[Path]:
     except (Tf.ErrorException, OSError) as error:
         reason = error.strerror or str(error) if isinstance(error, OSError) else _first_sentence(str(error))
         raise OSError(f"cannot write {path}: {reason}") from error
-    # Who has an earlier version of the file open sees the new one: USD keeps open files by name.
+    # USD caches open files by name, so reload an earlier version that is open.
     opened = Sdf.Layer.Find(str(path.resolve()))
     if opened:
         opened.Reload(force=True)
 
 
 def _first_sentence(message: str) -> str:
-    """Returns the first sentence of an error of USD, without the places in its source."""
+    """Returns the first sentence of a USD error, without source locations."""
     parts = [line.partition(" : ")[2].strip(" '") for line in message.strip().splitlines()]
     return next(filter(None, parts), message.strip())

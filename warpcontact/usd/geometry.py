@@ -1,4 +1,4 @@
-"""Shapes of a stage: contact points as spheres or points, and colours."""
+"""Contact points of a stage as spheres or points, and display colors."""
 
 from typing import Any
 
@@ -10,14 +10,14 @@ from warpcontact.usd.author import store_element_name, vectors
 
 
 def set_color(gprim: Any, color: ArrayLike) -> None:
-    """Gives a shape one colour, RGB in 0…1."""
+    """Sets the display color of a prim, RGB in 0…1."""
     gprim.CreateDisplayColorAttr(vectors(np.atleast_2d(color)))
 
 
 def define_spheres(stage: Any, path: str, group: Spheres, point_width: float) -> None:
-    """Writes spheres that collide, as they are in the first environment, or points.
+    """Writes contact points: colliding spheres, as in the first environment, or points without radius.
 
-    A single one becomes a prim at ``path``; a set has a child ``item_<number>`` per sphere, or is one
+    A single sphere becomes a prim at ``path``. A set has a child ``item_<number>`` per sphere. Points are one
     ``UsdGeom.Points``.
     """
     from pxr import UsdGeom, UsdPhysics, Vt
@@ -43,7 +43,7 @@ def define_spheres(stage: Any, path: str, group: Spheres, point_width: float) ->
 
 
 def set_spheres(stage: Any, path: str, group: Spheres, row: int) -> None:
-    """Gives the spheres or points at ``path`` size and place of environment number ``row`` of the export."""
+    """Sets radii and positions of the spheres or points at ``path`` to those of environment ``row`` of the export."""
     from pxr import Gf, UsdGeom
 
     places = group.places[row]

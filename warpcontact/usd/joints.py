@@ -12,18 +12,18 @@ from warpcontact.scene.scene import Body
 from warpcontact.usd.author import store_element_name
 from warpcontact.validation.checks import Array
 
-#: Freedoms that a joint without a schema of its own takes away, in its frame, whose x axis is that of the motion.
+#: Locked degrees of freedom of joints without a UsdPhysics schema, in the joint frame; its x axis is the motion's.
 _LOCKED = {PLANAR: ("transX", "rotY", "rotZ"), TRANSLATION: ("rotX", "rotY", "rotZ")}
 _SCHEMAS = {HINGE: "RevoluteJoint", SLIDER: "PrismaticJoint", BALL: "SphericalJoint"}
 
 
 def is_joint(body: Body) -> bool:
-    """Whether the motion of a body is a joint; others are free or kinematic."""
+    """Returns whether the motion of a body is written as a joint; other bodies are free or kinematic."""
     return body.single and body.motion.kind in (*_SCHEMAS, *_LOCKED)
 
 
 def define_joint(stage: Any, path: str, body: Body, body_path: str) -> None:
-    """Writes a joint, without its place."""
+    """Defines a joint without its frames."""
     from pxr import UsdPhysics
 
     kind = body.motion.kind
@@ -33,7 +33,7 @@ def define_joint(stage: Any, path: str, body: Body, body_path: str) -> None:
         joint.CreateAxisAttr(UsdPhysics.Tokens.x)
     for freedom in _LOCKED.get(kind, ()):
         limit = UsdPhysics.LimitAPI.Apply(joint.GetPrim(), freedom)
-        # Locked, as UsdPhysics has it: the lower limit is above the upper one.
+        # In UsdPhysics, a lower limit above the upper one means locked.
         limit.CreateLowAttr(1.0)
         limit.CreateHighAttr(-1.0)
     store_element_name(joint.GetPrim(), body.name)
@@ -41,15 +41,15 @@ def define_joint(stage: Any, path: str, body: Body, body_path: str) -> None:
 
 
 def write_joint(prim: Any, replay: Replay, body: Body, pose: tuple[Array, Array], row: int, offset: Any) -> None:
-    """Writes where a joint is in environment number ``row`` of the export, which is ``offset`` off [m].
+    """Writes the frames of a joint in environment ``row`` of the export.
 
     Args:
-        prim: The joint.
-        replay: What is exported.
-        body: Its body.
+        prim: Prim of the joint.
+        replay: Replay that is exported.
+        body: Body of the joint.
         pose: Position (3,) [m] and orientation (4,) of the body in the first record.
-        row: The environment.
-        offset: Where it is on the grid, (3,) [m].
+        row: Index of the environment in the export.
+        offset: Position of the environment on the grid, (3,) [m].
     """
     from pxr import Gf, UsdPhysics
 
@@ -61,14 +61,14 @@ def write_joint(prim: Any, replay: Replay, body: Body, pose: tuple[Array, Array]
     axis = values.get("axis", values.get("normal"))
     place = values.get("anchor", position)
     along = np.array([1.0, 0.0, 0.0]) if axis is None else unit_vectors("axis", axis)
-    turn = shortest_rotations((1.0, 0.0, 0.0), along)
-    back = inverse(orientation)
-    inside = transform_points((place - position)[None], np.zeros(3), back)[0]
+    rotation = shortest_rotations((1.0, 0.0, 0.0), along)
+    to_body = inverse(orientation)
+    local = transform_points((place - position)[None], np.zeros(3), to_body)[0]
     joint = UsdPhysics.Joint(prim)
     joint.CreateLocalPos0Attr(Gf.Vec3f(*(place + np.asarray(offset)).tolist()))
-    joint.CreateLocalRot0Attr(_quaternion(turn))
-    joint.CreateLocalPos1Attr(Gf.Vec3f(*inside.tolist()))
-    joint.CreateLocalRot1Attr(_quaternion(product(back, turn)))
+    joint.CreateLocalRot0Attr(_quaternion(rotation))
+    joint.CreateLocalPos1Attr(Gf.Vec3f(*local.tolist()))
+    joint.CreateLocalRot1Attr(_quaternion(product(to_body, rotation)))
 
 
 def _quaternion(values: Array) -> Any:

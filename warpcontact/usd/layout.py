@@ -1,4 +1,4 @@
-"""Where things are on a stage: paths of prims, and places of environments."""
+"""Layout of a stage: paths of prims and positions of environments."""
 
 import math
 from dataclasses import dataclass
@@ -10,12 +10,12 @@ from warpcontact.scene.scene import Body
 from warpcontact.validation.checks import Array
 
 WORLD = "/World"
-#: The class that environments refer to.
+#: Class prim that environments refer to.
 PROTOTYPE = f"{WORLD}/Prototype"
-#: The class with meshes of surfaces that differ between environments.
+#: Class prim with the surface meshes that differ between environments.
 SHAPES = f"{WORLD}/Shapes"
 ENSEMBLE = f"{WORLD}/Ensemble"
-#: Children of an environment, and of a body, that no element may take the name of.
+#: Names of children of an environment or body that elements must not take.
 RESERVED = (
     "contacts",
     "couplings",
@@ -30,15 +30,15 @@ RESERVED = (
 
 @dataclass(frozen=True)
 class Layout:
-    """Where things are.
+    """Layout of a stage.
 
     Attributes:
-        names: Names of prims by those of elements.
+        names: Prim names by element name.
         envs: Numbers of the environments.
-        spacing: Distances of environments on a grid along x and y [m]; 0: all in place.
-        size: Length of the largest body [m].
-        force_scale: Length of arrows [m/N].
-        own_surfaces: Names of the surfaces on the world that are in each environment, as they differ there.
+        spacing: Grid spacing of environments along x and y [m]; 0: all in place.
+        size: Size of the drawing, the length of the largest body [m].
+        force_scale: Arrow length per force [m/N].
+        own_surfaces: Names of surfaces and shapes that have one prim per environment, because they differ.
     """
 
     names: dict[str, str]
@@ -50,27 +50,27 @@ class Layout:
 
     @property
     def apart(self) -> bool:
-        """Whether environments lie side by side."""
+        """Whether environments are spread on a grid."""
         return bool(self.spacing.any())
 
     @property
     def surfaces(self) -> str:
-        """Path of what is fixed to the world and common to all environments."""
+        """Path of the surfaces fixed to the world and common to all environments."""
         return f"{PROTOTYPE if self.apart else WORLD}/Surfaces"
 
     def place(self, row: int) -> tuple[float, float, float]:
-        """Returns where on the grid an environment is; the first is at the origin."""
+        """Returns the position of an environment on the grid [m]; the first is at the origin."""
         x, y = self.spacing.tolist()
         count = len(self.envs)
         columns = count if y == 0.0 else 1 if x == 0.0 else math.ceil(math.sqrt(count))
         return row % columns * x, row // columns * y, 0.0
 
     def env(self, row: int) -> str:
-        """Returns the path of environment number ``row`` of the export."""
+        """Returns the path of environment ``row`` of the export."""
         return f"{WORLD}/env_{self.envs[row]}"
 
     def body(self, env: str, body: Body | None) -> str:
-        """Returns the path of a body, or of what points on the world are in."""
+        """Returns the path of a body, or, for ``None``, of the scope of points fixed to the world."""
         return f"{env}/{'FixedPoints' if body is None else self.names[body.name]}"
 
     def body_set(self, env: str, body_set: BodySet) -> str:
@@ -98,5 +98,5 @@ class Layout:
         return f"{env}/couplings/{self.names[name]}"
 
     def joint(self, env: str, body: Body) -> str:
-        """Returns the path of the joint that a motion is."""
+        """Returns the path of the joint of a body."""
         return f"{env}/joints/{self.names[body.name]}"

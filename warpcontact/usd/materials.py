@@ -14,30 +14,30 @@ from warpcontact.usd.layout import WORLD
 from warpcontact.usd.rolling import rolling_radius
 from warpcontact.validation.checks import Array
 
-#: Of a friction: parameters that are its static coefficient, and its dynamic one; the first group it has.
+#: Parameters of a friction model that give its static and dynamic coefficient: the first group that it has.
 STATIC = (("mu_static",), ("mu",), ("mu_1", "mu_2"))
 DYNAMIC = (("mu_dynamic",), ("mu",), ("mu_1", "mu_2"))
 # Schema attributes by the names of the coefficients.
 _ATTRIBUTES = {"static": "StaticFriction", "dynamic": "DynamicFriction", "restitution": "Restitution"}
-# Those of NewtonMaterialAPI, all of type float.
+# Attributes of NewtonMaterialAPI, all of type float.
 _NEWTON_ATTRIBUTES = {
     "stiffness": "newton:contactStiffness",
     "damping": "newton:contactDamping",
     "rolling": "newton:rollingFriction",
     "torsion": "newton:torsionalFriction",
 }
-# Units of stiffness and damping in laws whose force is linear; those of others have no counterpart.
+# Units of stiffness and damping of laws with linear force; other laws have no counterpart.
 _LINEAR = {"stiffness": "N/m", "damping": "N·s/m"}
 
 
 @dataclass(frozen=True, eq=False)
 class UsdMaterial:
-    """What a contact says of what touches in it; ``None``: nothing.
+    """Material properties given by a contact; properties without a counterpart are missing.
 
     Attributes:
-        name: Name of the first contact that has it.
-        values: By ``"static"``, ``"dynamic"``, ``"restitution"``: coefficients, (env,); by ``"stiffness"`` [N/m],
-            ``"damping"`` [N·s/m], ``"rolling"`` and ``"torsion"`` [m]: values of NewtonMaterialAPI.
+        name: Name of the first contact with this material.
+        values: Coefficients ``"static"``, ``"dynamic"`` and ``"restitution"``, and the values of NewtonMaterialAPI
+            ``"stiffness"`` [N/m], ``"damping"`` [N·s/m], ``"rolling"`` [m] and ``"torsion"`` [m], each (env,).
     """
 
     name: str
@@ -45,19 +45,20 @@ class UsdMaterial:
 
     @property
     def shared(self) -> bool:
-        """Whether it is the same in all environments."""
+        """Whether the material is the same in all environments."""
         return all(bool((values == values[0]).all()) for values in self.values.values())
 
     @property
     def key(self) -> tuple[tuple[str, bytes], ...]:
-        """Equal for materials that are."""
+        """Hashable value that is equal for equal materials."""
         return tuple((name, values.tobytes()) for name, values in self.values.items())
 
 
 class UsdMaterials:
-    """The material of everything that collides: that of the first of its contacts that has one.
+    """Materials of all colliders. A collider has the material of its first contact that gives one.
 
-    UsdPhysics has friction by material, and simulators take the mean of two; both sides of a contact get the same.
+    UsdPhysics assigns friction to materials, and simulators combine two materials, for example by their mean. Both
+    sides of a contact get the same material.
     """
 
     def __init__(self, replay: Replay) -> None:
@@ -72,11 +73,11 @@ class UsdMaterials:
         self.all = [one for one in found.values() if id(one) in used]
 
     def of(self, kind: str, name: str) -> UsdMaterial | None:
-        """Returns that of ``"points"``, a ``"surface"`` or a ``"shape"`` by its name."""
+        """Returns the material of a collider; ``kind`` is ``"points"``, ``"surface"`` or ``"shape"``."""
         return self._by_collider.get((kind, name))
 
     def differ(self, kind: str, name: str) -> bool:
-        """Whether something has others in other environments."""
+        """Returns whether the material of a collider differs between environments."""
         material = self.of(kind, name)
         return material is not None and not material.shared
 
@@ -85,10 +86,10 @@ def _contacts(replay: Replay) -> Iterator[tuple[Any, list[tuple[str, str]]]]:
     scene = replay.scene
     for contact in scene.contacts:
         yield contact, [("points", contact.points.name), ("surface", contact.surface.name)]
-    for smooth in scene.shape_contacts:
-        yield smooth, [("shape", shape.name) for shape in smooth.shapes]
-    for mutual in scene.particle_contacts:
-        yield mutual, [("shape", shape.name) for shape in mutual.shapes]
+    for shape_contact in scene.shape_contacts:
+        yield shape_contact, [("shape", shape.name) for shape in shape_contact.shapes]
+    for particle_contact in scene.particle_contacts:
+        yield particle_contact, [("shape", shape.name) for shape in particle_contact.shapes]
 
 
 def _material(replay: Replay, contact: Any) -> UsdMaterial:
@@ -107,7 +108,9 @@ def _material(replay: Replay, contact: Any) -> UsdMaterial:
         if value is not None and law.limits(name)["unit"] == _LINEAR[name]:
             values[name] = _values(replay, f"{contact.name}.law.{name}", value)
     if "stiffness" in values and {"restitution", "damping"}.isdisjoint(law.parameters()):
-        values["damping"] = np.zeros(len(replay.envs))  # elastic; no value would stand for a default damping
+        values["damping"] = np.zeros(
+            len(replay.envs)
+        )  # elastic; without a value, importers use their default damping
     for name, arm_of in (("rolling", _rolling_arm), ("torsion", _torsion_arm)):
         if not isinstance(formulas[name], Frictionless):
             found, arm = _coefficient(replay, contact.name, name, formulas[name], DYNAMIC), arm_of(replay, contact)
@@ -119,7 +122,7 @@ def _material(replay: Replay, contact: Any) -> UsdMaterial:
 def _coefficient(
     replay: Replay, contact: str, part: str, friction: Friction, groups: tuple[tuple[str, ...], ...]
 ) -> Array | None:
-    """Returns a coefficient of friction, rolling or torsion of a contact, (env,); ``None``: it has none."""
+    """Returns a coefficient of friction, rolling or torsion of a contact, (env,), or ``None`` if it has none."""
     if isinstance(friction, Frictionless):
         return np.zeros(len(replay.envs))
     group = next((one for one in groups if all(hasattr(friction, key) for key in one)), None)
@@ -130,7 +133,7 @@ def _coefficient(
 
 
 def _rolling_arm(replay: Replay, contact: Any) -> Array | None:
-    """Returns the radius of rolling of a contact, (env,) [m]; ``None``: it has none, or it is not one number."""
+    """Returns the rolling radius of a contact, (env,) [m], or ``None`` if it is not a single number."""
     count = len(replay.envs)
     if isinstance(contact, Contact):
         radii = replay.radii(contact)
@@ -148,14 +151,14 @@ def _rolling_arm(replay: Replay, contact: Any) -> Array | None:
 
 
 def _torsion_arm(replay: Replay, contact: Any) -> Array | None:
-    """Returns the arm of torsion of a contact, (env,) [m]; ``None``: it depends on the overlap."""
+    """Returns the torsion radius of a contact, (env,) [m], or ``None`` if it depends on the penetration."""
     if contact.torsion_radius is None:
         return None
     return _values(replay, f"{contact.name}.torsion_radius", contact.torsion_radius)
 
 
 def _values(replay: Replay, name: str, default: float) -> Array:
-    """Returns a coefficient as recorded, or as in the scene, (env,); of a set whose items differ the mean."""
+    """Returns a coefficient, recorded or from the scene, (env,); for a set, the mean over its items."""
     count = len(replay.envs)
     if name not in replay.data:
         return np.full(count, float(default))
@@ -164,12 +167,12 @@ def _values(replay: Replay, name: str, default: float) -> Array:
 
 
 def material_path(material: UsdMaterial, names: dict[str, str], env: str) -> str:
-    """Returns where a material is: common to all environments, or in each."""
+    """Returns the path of a material: below the world if shared, else below the environment ``env``."""
     return f"{WORLD if material.shared else env}/PhysicsMaterials/{names[material.name]}"
 
 
 def define_material(stage: Any, path: str, material: UsdMaterial, row: int) -> None:
-    """Writes a material as in environment number ``row`` of the export."""
+    """Writes a material as in environment ``row`` of the export."""
     from pxr import UsdGeom, UsdPhysics, UsdShade
 
     UsdGeom.Scope.Define(stage, path.rpartition("/")[0])
@@ -182,7 +185,7 @@ def define_material(stage: Any, path: str, material: UsdMaterial, row: int) -> N
 
 
 def set_material(prim: Any, material: UsdMaterial, row: int) -> None:
-    """Gives a material the coefficients of environment number ``row``."""
+    """Sets the coefficients of a material to those of environment ``row``."""
     from pxr import Sdf, UsdPhysics
 
     api = UsdPhysics.MaterialAPI(prim)
@@ -194,7 +197,7 @@ def set_material(prim: Any, material: UsdMaterial, row: int) -> None:
 
 
 def bind_material(prim: Any, path: str) -> None:
-    """Lets what collides have the material at ``path``."""
+    """Binds the material at ``path`` to a collider."""
     from pxr import UsdShade
 
     material = UsdShade.Material(prim.GetStage().GetPrimAtPath(path))

@@ -1,4 +1,4 @@
-"""What physics programs read: gravity, rigid bodies, mass, velocity, and who can touch whom."""
+"""Physics of a stage for other simulators: gravity, rigid bodies, mass, velocity and collision groups."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -11,7 +11,7 @@ from warpcontact.scene.scene import Body
 from warpcontact.usd.author import Samples, vectors
 from warpcontact.validation.checks import Array
 
-# Recordings have the time step in single precision.
+# Relative tolerance, because recordings store the time step in single precision.
 _SINGLE = 1.0e-6
 
 
@@ -25,25 +25,25 @@ def define_gravity(stage: Any, path: str, gravity: Array) -> None:
     direction = gravity / magnitude if magnitude > 0.0 else np.array([0.0, 0.0, -1.0])
     scene.CreateGravityDirectionAttr(Gf.Vec3f(*direction.tolist()))
     scene.CreateGravityMagnitudeAttr(magnitude)
-    # Readers of the description tell by it whether somebody changed these since.
+    # By this value, readers of the description detect later changes of the gravity attributes.
     scene.GetPrim().SetCustomDataByKey("warpcontact:gravity", Gf.Vec3d(*gravity.tolist()))
 
 
 def write_stepping(scene: Any, dt: float, iterations: int | None) -> None:
-    """Writes the settings of the solver into a PhysicsScene, as NewtonSceneAPI.
+    """Writes solver settings into a PhysicsScene, with the schema NewtonSceneAPI.
 
-    A time step that is not a whole fraction of a second cannot be written.
+    A time step whose inverse is not an integer is omitted.
 
     Args:
-        scene: The prim of the PhysicsScene.
+        scene: Prim of the PhysicsScene.
         dt: Time step [s].
-        iterations: Largest number of iterations of the solver in a step; ``None``: its default.
+        iterations: Maximum number of solver iterations per step; ``None``: the reader's default.
     """
     from pxr import Sdf
 
     rate = round(1.0 / dt)
-    whole = rate >= 1 and abs(rate * dt - 1.0) < _SINGLE
-    values = {"timeStepsPerSecond": rate if whole else None, "maxSolverIterations": iterations}
+    is_integer = rate >= 1 and abs(rate * dt - 1.0) < _SINGLE
+    values = {"timeStepsPerSecond": rate if is_integer else None, "maxSolverIterations": iterations}
     for name, value in values.items():
         if value is not None:
             scene.AddAppliedSchema("NewtonSceneAPI")
@@ -52,9 +52,10 @@ def write_stepping(scene: Any, dt: float, iterations: int | None) -> None:
 
 
 def apply_rigid_body(prim: Any, body: Body, scene: str | None) -> None:
-    """Makes a prim a rigid body whose centre of mass is its origin, as that of every ``Body`` is.
+    """Makes a prim a rigid body whose center of mass is its origin, as for every ``Body``.
 
-    One that no force moves is kinematic. ``scene``: path of the physics scene that it is in, of several.
+    Fixed bodies and bodies with prescribed motion are kinematic. ``scene``: path of its physics scene, needed if
+    there are several.
     """
     from pxr import Gf, UsdPhysics
 
@@ -67,10 +68,10 @@ def apply_rigid_body(prim: Any, body: Body, scene: str | None) -> None:
 
 
 class Masses:
-    """Masses and inertias of the bodies in all environments, as far as they are known.
+    """Masses and inertias of the bodies in all environments, as far as they are available.
 
-    They are where they were recorded, or where the recording says that they are those of the scene. Elsewhere
-    these would be wrong wherever a study varied them, and nothing in a stage would tell.
+    They are used if they were recorded, or if the recording states that they equal those of the scene. Otherwise the
+    study may have varied them, and the values of the scene could be wrong.
     """
 
     def __init__(self, replay: Replay) -> None:
@@ -86,7 +87,7 @@ class Masses:
         return None if inertia is None else [principal(tensor) for tensor in inertia]
 
     def write(self, prim: Any, body: Body, row: int) -> None:
-        """Writes those of a body in environment number ``row`` of the export."""
+        """Writes mass and inertia of a body in environment ``row`` of the export."""
         from pxr import Gf, UsdPhysics
 
         api, (mass, inertia) = UsdPhysics.MassAPI(prim), self._by_body[body.name]
@@ -96,14 +97,14 @@ class Masses:
             moments, axes = inertia[row]
             api.CreateDiagonalInertiaAttr(Gf.Vec3f(*moments.tolist()))
             # Gf multiplies row vectors from the left: its rotation matrix is the transpose of ours.
-            turn = Gf.Matrix3d(*axes.T.reshape(-1).tolist()).ExtractRotation().GetQuat()
-            api.CreatePrincipalAxesAttr(Gf.Quatf(turn))
+            rotation = Gf.Matrix3d(*axes.T.reshape(-1).tolist()).ExtractRotation().GetQuat()
+            api.CreatePrincipalAxesAttr(Gf.Quatf(rotation))
 
 
 def principal(inertia: Array) -> tuple[Array, Array]:
-    """Returns the principal moments and the rotation (3, 3) principal axes → body of a tensor.
+    """Returns the principal moments and the rotation matrix (3, 3) from principal axes to body frame of a tensor.
 
-    Moments of a tensor that is diagonal already keep their order.
+    The moments of a diagonal tensor keep their order.
     """
     if not (inertia - np.diag(np.diag(inertia))).any():
         return np.diag(inertia).copy(), np.eye(3)
@@ -114,10 +115,10 @@ def principal(inertia: Array) -> tuple[Array, Array]:
 
 
 def write_velocity(prim: Any, samples: Samples, replay: Replay, body: Body, row: int) -> None:
-    """Writes the recorded velocities of a body, so that a simulator can go on from any record.
+    """Writes the recorded velocities of a body, so that a simulator can start from any record.
 
-    UsdPhysics has them in the frame that the body's pose is in, whose axes are the world's here, and the
-    angular one in degrees per second.
+    UsdPhysics expects them in the frame of the body's pose, whose axes are those of the world here, and the angular
+    velocity in degrees per second.
     """
     from pxr import UsdPhysics
 
@@ -132,13 +133,13 @@ def write_velocity(prim: Any, samples: Samples, replay: Replay, body: Body, row:
 
 
 def define_collision_groups(stage: Any, path: str, envs: Sequence[str], shared: str | None) -> None:
-    """Keeps environments apart: what is in one collides with itself and with what all share.
+    """Defines collision groups: an environment collides with itself and with the shared surfaces only.
 
     Args:
-        stage: The stage.
-        path: Where the groups go.
+        stage: Stage to write to.
+        path: Path of the scope of the groups.
         envs: Paths of the environments.
-        shared: Path of the surfaces that all environments share, if they do.
+        shared: Path of the shared surfaces; ``None`` if there are none.
     """
     from pxr import UsdGeom, UsdPhysics
 
@@ -149,9 +150,9 @@ def define_collision_groups(stage: Any, path: str, envs: Sequence[str], shared: 
         group.GetCollidersCollectionAPI().CreateIncludesRel().AddTarget(prim_path)
         return group
 
-    everyone = [] if shared is None else [group_of(shared).GetPath()]
+    shared_groups = [] if shared is None else [group_of(shared).GetPath()]
     for env in envs:
         group = group_of(env)
-        # Inverted, the list grows with the number of environments and not with its square.
+        # Inverted, the total size of the lists is linear in the number of environments, not quadratic.
         group.CreateInvertFilteredGroupsAttr(True)
-        group.CreateFilteredGroupsRel().SetTargets([group.GetPath(), *everyone])
+        group.CreateFilteredGroupsRel().SetTargets([group.GetPath(), *shared_groups])

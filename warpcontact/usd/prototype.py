@@ -1,4 +1,4 @@
-"""What all environments have in common: the class that they refer to."""
+"""Prototype of the environments: the class prim with everything that they have in common."""
 
 from typing import Any
 
@@ -22,15 +22,15 @@ from warpcontact.usd.surfaces import define_shapes, define_surfaces, write_surfa
 
 
 class Prototype:
-    """Writes it.
+    """Writes the prototype.
 
     Args:
-        stage: The stage.
-        content: What is exported.
-        layout: Where things are.
-        materials: What surfaces are made of.
-        sensors: What was recorded of the elements, by their names.
-        physics_scene: Path of the physics scene of an environment; ``None``: all have the same.
+        stage: Stage to write to.
+        content: Content of the export.
+        layout: Layout of the stage.
+        materials: Physics materials of the colliders.
+        sensors: Recorded sensors by element name.
+        physics_scene: Path of the physics scene of an environment; ``None``: all environments share one.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class Prototype:
         self.physics_scene = physics_scene
 
     def write(self) -> None:
-        """Writes all of it."""
+        """Writes the complete prototype."""
         prim = self.stage.CreateClassPrim(PROTOTYPE)
         prim.SetTypeName("Xform")
         self.sensors["scene"].declare(prim)
@@ -65,14 +65,14 @@ class Prototype:
         self._couplings()
 
     def bind(self, path: str, kind: str, name: str, env: str) -> None:
-        """Gives what collides at ``path`` in an environment its material, if it has one."""
+        """Binds the material of a collider, if it has one, to its prim at ``path``."""
         material = self.materials.of(kind, name)
         if material is not None:
             where = material_path(material, self.layout.names, env)
             bind_material(self.stage.GetPrimAtPath(path), where)
 
     def _surfaces(self) -> None:
-        """Writes what is fixed to the world, or carried, and the same in all environments."""
+        """Writes surfaces and shapes on the world that are the same in all environments, and shared meshes."""
         from pxr import Kind, Usd, UsdGeom
 
         layout, placements = self.layout, self.content.placements

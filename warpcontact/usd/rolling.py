@@ -1,4 +1,4 @@
-"""Radius of rolling of two shapes, which relates Newton's coefficient of rolling friction, a length, to ours."""
+"""Rolling radius of two shapes, the ratio of Newton's rolling friction coefficient [m] to that of warpcontact."""
 
 from warpcontact.kernels.shapes import shapes
 from warpcontact.kernels.shapes.base import Shape as Form
@@ -7,9 +7,9 @@ _FLAT = (shapes.Plane, shapes.RoundedBox)
 
 
 def rolling_radius(form: Form, other: Form) -> float | None:
-    """Returns the radius R of rolling of two shapes [m], see ``add_shape_contact``.
+    """Returns the rolling radius R of two shapes [m]; see ``Scene.add_shape_contact``.
 
-    ``None``: R depends on where they touch. The edges of boxes and the end faces of cylinders are ignored, because
+    ``None`` if R depends on the contact point. Edges of boxes and end faces of cylinders are ignored, because
     nothing rolls on them.
     """
     for one, two in ((form, other), (other, form)):

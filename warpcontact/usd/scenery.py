@@ -1,4 +1,4 @@
-"""What lets any viewer show something at once: a camera that sees everything, lights, and colours."""
+"""Camera, lights and display material of a stage, so that any viewer shows it without setup."""
 
 import math
 from typing import Any
@@ -7,27 +7,27 @@ import numpy as np
 
 from warpcontact.validation.checks import Array
 
-# From where to look, as a direction; and how much wider than what is framed the picture is.
+# Direction from the scene to the camera, and margin around the scene.
 _FROM = np.array([0.55, -0.75, 0.42])
-_ROOM = 1.15
-# A camera of 36 mm film, as in USD in tenths of a millimetre of a stage in centimetres: only ratios count.
+_MARGIN = 1.15
+# 36 mm film. The unit (0.1 mm if the stage is in cm) does not matter: only ratios are used.
 _FILM = (36.0, 20.25)
 _FOCAL = 35.0
 
 
 def define_camera(stage: Any, path: str, low: Array, high: Array) -> None:
-    """Writes a camera that has the box between two corners (3,) [m] in view."""
+    """Writes a camera with the box between two corners (3,) [m] in view."""
     from pxr import Gf, UsdGeom
 
-    centre, radius = 0.5 * (low + high), max(0.5 * float(np.linalg.norm(high - low)), 1.0e-3)
-    # The sphere about the box has to fit into the smaller angle.
+    center, radius = 0.5 * (low + high), max(0.5 * float(np.linalg.norm(high - low)), 1.0e-3)
+    # The bounding sphere of the box must fit into the smaller (vertical) angle of view.
     half_angle = math.atan(0.5 * _FILM[1] / _FOCAL)
-    distance = _ROOM * radius / math.sin(half_angle)
+    distance = _MARGIN * radius / math.sin(half_angle)
     back = _FROM / np.linalg.norm(_FROM)
     right = np.cross((0.0, 0.0, 1.0), back)
     right /= np.linalg.norm(right)
     up = np.cross(back, right)
-    rows = [[*right, 0.0], [*up, 0.0], [*back, 0.0], [*(centre + distance * back), 1.0]]
+    rows = [[*right, 0.0], [*up, 0.0], [*back, 0.0], [*(center + distance * back), 1.0]]
     camera = UsdGeom.Camera.Define(stage, path)
     camera.AddTransformOp().Set(Gf.Matrix4d(*np.array(rows).reshape(-1).tolist()))
     camera.CreateProjectionAttr(UsdGeom.Tokens.perspective)
@@ -37,16 +37,16 @@ def define_camera(stage: Any, path: str, low: Array, high: Array) -> None:
     camera.CreateFocusDistanceAttr(distance)
     near = max(0.01 * distance, distance - 20.0 * radius)
     camera.CreateClippingRangeAttr(Gf.Vec2f(near, distance + 100.0 * radius))
-    camera.GetPrim().SetDocumentation("Has all bodies of the environments in view, at all times.")
+    camera.GetPrim().SetDocumentation("All bodies of the environments are in view at all times.")
 
 
 def define_lights(stage: Any, path: str) -> None:
-    """Writes a sun from above one side, and a sky."""
+    """Writes a distant light (sun) and a dome light (sky)."""
     from pxr import Gf, UsdGeom, UsdLux
 
     UsdGeom.Scope.Define(stage, path)
     sun = UsdLux.DistantLight.Define(stage, f"{path}/Sun")
-    # Of a small angle: this is about the light of a day, to a camera that sees white at 1.
+    # The small angle gives about daylight, for a camera with white at 1.
     sun.CreateIntensityAttr(35000.0)
     sun.CreateAngleAttr(0.53)
     sun.AddRotateXYZOp().Set(Gf.Vec3f(40.0, 25.0, 0.0))
@@ -55,9 +55,9 @@ def define_lights(stage: Any, path: str) -> None:
 
 
 def define_display_material(stage: Any, scope: str, prim: Any) -> None:
-    """Writes a material that shows ``displayColor`` into ``scope`` and binds it to ``prim`` and all below.
+    """Writes a material that shows ``displayColor`` into ``scope`` and binds it to ``prim`` and its descendants.
 
-    Renderers other than Hydra's own draw only what a material says.
+    Most renderers other than Hydra's built-in one ignore ``displayColor`` without a material.
     """
     from pxr import Sdf, UsdGeom, UsdShade
 

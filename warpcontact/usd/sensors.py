@@ -1,4 +1,4 @@
-"""What was recorded of an element, as custom attributes."""
+"""Recorded sensors of an element as custom attributes."""
 
 from typing import Any
 
@@ -11,16 +11,16 @@ from warpcontact.usd.author import Samples, attribute_name, attribute_type, plai
 
 _KINDS = {"axis": "vector", "component": "quaternion"}
 _ROLES = {"point": "Point3", "normal": "Normal3"}
-# These move the prims themselves.
+# Poses are written as transforms of the prims.
 _POSES = ("position", "orientation")
 
 
 class Sensors:
-    """Everything numeric that was recorded of one element, ready to be written to a prim per environment.
+    """Numeric sensors recorded for one element, ready to be written to a prim per environment.
 
     Args:
-        replay: What to export.
-        element: Name of a body or contact, or ``"scene"``.
+        replay: Replay that is exported.
+        element: Name of an element, or ``"scene"``.
     """
 
     def __init__(self, replay: Replay, element: str) -> None:
@@ -41,7 +41,7 @@ class Sensors:
             self.found.append((quantity, data, values, kind, items == 1))
 
     def declare(self, prim: Any) -> None:
-        """Adds the attributes to a prim, with unit and meaning, without values."""
+        """Declares the attributes on a prim, with unit and meaning, without values."""
         for quantity, data, values, kind, is_array in self.found:
             role = _ROLES.get(quantity, "Vector3")
             attribute = prim.CreateAttribute(
@@ -57,11 +57,11 @@ class Sensors:
             attribute.SetCustomDataByKey("warpcontact:unit", unit)
 
     def write(self, prim: Any, samples: Samples, row: int) -> None:
-        """Writes the values of environment number ``row`` of the export."""
+        """Writes the values of environment ``row`` of the export."""
         for quantity, data, values, kind, is_array in self.found:
             attribute = prim.GetAttribute(attribute_name(quantity))
-            own = series(values[:, row], kind, is_array)
+            env_values = series(values[:, row], kind, is_array)
             if "time" in data.dims:
-                samples.write(attribute, own)
+                samples.write(attribute, env_values)
             elif samples.defaults:
-                attribute.Set(own[0])
+                attribute.Set(env_values[0])

@@ -1,7 +1,7 @@
-"""A scene in words: each element as the call that adds it, with the arguments that make it anew.
+"""Serializes a scene: each element as the call of ``Scene`` that adds it.
 
-An element keeps what it was given, checked. Its words are the arguments of its function of ``Scene``, in the order
-in which elements were added: called again they make the same scene, to the bit.
+An element stores its checked arguments. The calls are listed in the order in which elements were added; repeating them
+creates a bitwise identical scene. Used by ``description.py``.
 """
 
 import functools
@@ -20,7 +20,7 @@ from warpcontact.scene.scene import Scene
 from warpcontact.scene.shapes import Shape, ShapeContact
 from warpcontact.validation.checks import Array
 
-#: The function of ``Scene`` that adds an element, by its kind.
+#: Method of ``Scene`` that adds an element, by its kind.
 ADDERS = {
     "body": "add_body",
     "bodies": "add_bodies",
@@ -36,21 +36,21 @@ ADDERS = {
     "shape_contact": "add_shape_contact",
     "particle_contact": "add_particle_contact",
 }
-#: What an element keeps as 0 or 1 and is given as false or true.
+#: Arguments that are booleans but stored as 0 or 1.
 SWITCHES = ("enabled", "tension_only")
-# Arguments that say what another one says already: the faces of the meshes of a surface are turned.
+# Arguments that are contained in another one: the meshes of a surface are stored as flipped.
 _DERIVED_ARGUMENTS = {"surface": ("flip",)}
 
 
 @dataclass(frozen=True)
 class ElementCall:
-    """An element as the call that adds it.
+    """Element as the call that adds it.
 
     Attributes:
         kind: One of ``ADDERS``.
         name: Name of the element.
-        arguments: By name, those that have their default left out. Numbers are Python's, or arrays.
-        rows: Names of those that have one entry for each of a set.
+        arguments: Arguments by name, without those equal to their default. Numbers are Python numbers or arrays.
+        rows: Names of the arguments with one entry per item of a set.
     """
 
     kind: str
@@ -61,11 +61,11 @@ class ElementCall:
 
 @dataclass(frozen=True)
 class ShapeParameters:
-    """The form of a shape, or those of a set of shapes.
+    """Parameters of one or several shapes of one class.
 
     Attributes:
-        kind: Their class.
-        sizes: Their parameters by name, one entry for each (n, …).
+        kind: Class of the shapes.
+        sizes: Parameters by name, one entry per shape, (n, …).
     """
 
     kind: type
@@ -74,7 +74,7 @@ class ShapeParameters:
 
 @functools.cache
 def argument_names(kind: str) -> tuple[str, ...]:
-    """Returns the names of the arguments that elements of a kind have; points may have ``normals``, too."""
+    """Returns the argument names of elements of a kind; ``points`` can have ``normals`` as well."""
     names = tuple(inspect.signature(getattr(Scene, ADDERS[kind])).parameters)[1:]
     names_without_derived = tuple(
         name for name in names if name != "name" and name not in _DERIVED_ARGUMENTS.get(kind, ())
@@ -84,13 +84,13 @@ def argument_names(kind: str) -> tuple[str, ...]:
 
 @functools.cache
 def required_names(kind: str) -> tuple[str, ...]:
-    """Returns the names of the arguments that elements of a kind cannot be made without."""
+    """Returns the names of the required arguments of elements of a kind."""
     parameters = inspect.signature(getattr(Scene, ADDERS[kind])).parameters.values()
     return tuple(one.name for one in parameters if one.default is inspect.Parameter.empty)[1:]
 
 
 def element_calls(scene: Scene) -> list[ElementCall]:
-    """Returns all elements in the order in which they were added; parts of a contact coupling are left to it."""
+    """Returns all elements in the order in which they were added; parts of a contact coupling are omitted."""
     parts = set[str]()
     for coupling in scene.contact_couplings:
         for contact in coupling.contacts:
@@ -117,7 +117,7 @@ def _defaults(kind: str) -> dict[str, Any]:
 
 
 def _is_default(value: Any, default: Any) -> bool:
-    """Whether a value is the default of its argument, to the bit."""
+    """Returns whether a value is bitwise identical to the default of its argument."""
     if isinstance(value, np.ndarray):
         return isinstance(default, tuple) and value.tobytes() == np.array(default, dtype=np.float64).tobytes()
     return (
@@ -134,7 +134,7 @@ def _plain(name: str, value: Any) -> Any:
 
 
 def _call_arguments(element: Any) -> tuple[str, dict[str, Any], tuple[str, ...]]:
-    """Returns the kind of an element, the arguments that are not attributes of their name, and those in rows."""
+    """Returns kind, the arguments that differ from the attributes of the same name, and names of those in rows."""
     match element:
         case Body(single=True):
             return "body", {"motion": _motion(element)}, ()
@@ -187,11 +187,11 @@ def _call_arguments(element: Any) -> tuple[str, dict[str, Any], tuple[str, ...]]
         case ShapeContact():
             return "shape_contact", _max_depth(element), ()
         case ParticleContact():
-            # By numbers: a relationship has each of its targets once.
+            # Pairs by index, because a relationship lists each target once.
             pairs = [[element.shapes.index(shape) for shape in pair] for pair in element.excluded]
             excluded = np.array(pairs, dtype=np.int32) if pairs else None
             return "particle_contact", {"exclude": excluded, **_max_depth(element)}, ("exclude",)
-    raise TypeError(f"{element.name!r} is a {type(element).__name__}, which has no words")
+    raise TypeError(f"{element.name!r} is a {type(element).__name__} and cannot be serialized")
 
 
 def _motion(body: Body) -> Motion | None:
@@ -199,14 +199,14 @@ def _motion(body: Body) -> Motion | None:
 
 
 def _max_depth(contact: Contact | ShapeContact | ParticleContact) -> dict[str, Any]:
-    """Returns the greatest depth; ``None``: any."""
+    """Returns the argument ``max_depth``; ``None``: no limit."""
     return {"max_depth": contact.max_depth if np.isfinite(contact.max_depth) else None}
 
 
 def _coupling_arguments(coupling: ContactCoupling) -> dict[str, Any]:
     first = coupling.contacts[0]
     law: Any = first.material.law
-    # As many points for each active face.
+    # Number of points per active face.
     quadrature = first.points.count // int(np.count_nonzero(coupling.surface_a.active_faces))
     return {
         "friction": first.material.friction,

@@ -1,4 +1,4 @@
-"""Shapes of analytic form on a stage: as the primitives that USD has, or as meshes."""
+"""Analytic shapes on a stage, as UsdGeom primitives or as meshes."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -30,17 +30,17 @@ def write_shape(
     physics: bool = True,
     color: bool = True,
 ) -> None:
-    """Writes a shape as in environment number ``row``.
+    """Writes a shape as in environment ``row`` of the export.
 
     Args:
-        stage: The stage.
-        path: Where to.
-        form: The shape.
-        row: The environment.
-        size: That of the scene [m].
-        item: Which one of a set.
-        physics: Whether it collides.
-        color: Whether it has a colour of its own.
+        stage: Stage to write to.
+        path: Path of the new prim.
+        form: Shape with its poses and sizes.
+        row: Index of the environment.
+        size: Size of the drawing [m], for planes.
+        item: Index within a set of shapes.
+        physics: Whether the shape collides.
+        color: Whether to set the display color.
     """
     from pxr import Usd, UsdGeom, UsdPhysics
 
@@ -81,7 +81,7 @@ def _sphere(stage: Any, path: str, sizes: Mapping[str, Array]) -> Any:
 
 
 def _about_axis(schema: str, reach: Callable[[Mapping[str, Array]], tuple[float, float]]) -> Callable[..., Any]:
-    """Returns what writes a primitive about the z axis; ``reach`` tells its height and how far its extent goes."""
+    """Returns a writer of a primitive about the z axis; ``reach`` returns its height and half its extent along z."""
 
     def write(stage: Any, path: str, sizes: Mapping[str, Array]) -> Any:
         from pxr import UsdGeom
@@ -112,9 +112,9 @@ _PRIMITIVES: dict[type[Form], Callable[..., Any]] = {
 
 
 def define_shape(stage: Any, path: str, kind: type[Form], sizes: Mapping[str, Array], reach: float) -> Any:
-    """Writes a shape without its pose; without sizes a sphere of 1 m. Returns its ``UsdGeom.Gprim``.
+    """Writes a shape without its pose and returns its ``UsdGeom.Gprim``; without sizes, a unit sphere (1 m radius).
 
-    An ellipsoid is a mesh: a sphere that is scaled unevenly cannot collide on a stage.
+    An ellipsoid becomes a mesh, because UsdPhysics does not support collisions of nonuniformly scaled spheres.
     """
     from pxr import UsdGeom, Vt
 
@@ -141,7 +141,7 @@ def define_shape(stage: Any, path: str, kind: type[Form], sizes: Mapping[str, Ar
 
 
 def define_shape_set(stage: Any, path: str, body_set: ShapeSet, size: float) -> None:
-    """Writes what they have in common in all environments."""
+    """Defines an instancer of a set of shapes with everything that is constant over time."""
     from pxr import Sdf, UsdGeom
 
     shape, items = body_set.placement.shape, body_set.placement.positions.shape[1]
@@ -160,11 +160,11 @@ def define_shape_set(stage: Any, path: str, body_set: ShapeSet, size: float) -> 
 
 
 def write_shape_set(prim: Any, samples: Samples, body_set: ShapeSet, row: int) -> None:
-    """Writes where they are in environment number ``row`` of the export."""
+    """Writes poses, scales and extents of a set of shapes in environment ``row`` of the export."""
     from pxr import UsdGeom
 
     instancer, sizes = UsdGeom.PointInstancer(prim), body_set.placement.sizes
-    # USD takes the corners of the boxes that instances fill in their own frames.
+    # Instances rotate; this is the half-diagonal of their bounding box in their own frame.
     reach = math.sqrt(3.0) * body_set.placement.reach
     if samples.defaults:
         numbers = np.zeros_like(body_set.numbers[row]) if body_set.scaled else body_set.numbers[row]
@@ -175,6 +175,6 @@ def write_shape_set(prim: Any, samples: Samples, body_set: ShapeSet, row: int) -
     places = body_set.places[:, row]
     extents = np.stack([places.min(axis=1) - reach, places.max(axis=1) + reach], axis=1)
     samples.write(instancer.CreatePositionsAttr(), [vectors(entry) for entry in places])
-    turns = [quaternions(entry) for entry in body_set.turns[:, row]]
-    samples.write(instancer.CreateOrientationsfAttr(), turns)
+    rotations = [quaternions(entry) for entry in body_set.turns[:, row]]
+    samples.write(instancer.CreateOrientationsfAttr(), rotations)
     samples.write(instancer.CreateExtentAttr(), [vectors(entry) for entry in extents])

@@ -1,4 +1,4 @@
-"""What is asked of an export, and how it gets onto a stage."""
+"""Options of a USD export and the writing of a complete stage."""
 
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
@@ -24,9 +24,9 @@ from warpcontact.usd.scenery import define_camera, define_display_material, defi
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array, limits
 
-#: Goes up when what is on a stage is to be read in another way.
+#: Schema of the stage metadata. Increases when a stage must be read differently.
 SCHEMA = 1
-# What recordings say of themselves, and what a stage calls it.
+# Attributes of recordings → metadata keys of the stage.
 _METADATA_KEYS = {
     "source": "source",
     "name": "name",
@@ -35,17 +35,17 @@ _METADATA_KEYS = {
     "integrator": "integrator",
     "fingerprint": "fingerprint",
 }
-#: Is told how much more is done.
+#: Called with the number of items written since the last call.
 ProgressCallback = Callable[[int], None]
 
 
 class Export:
-    """What is asked for, and how it gets onto a stage; arguments and errors are those of ``export_usd``.
+    """Export of one recording; arguments and errors as for ``export_usd``.
 
     Attributes:
-        replay: The environments with full physics.
-        ensemble: All that are shown; ``None``: no others.
-        coloring: What colours these.
+        replay: Environments with full physics.
+        ensemble: All environments shown as instances; ``None`` if there are none.
+        coloring: Coloring of the instances; ``None``: colors of the bodies.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class Export:
         self._environments: Environments | None = None
 
     def ranges(self, blocks: Iterable[tuple[tuple[int, int], Content]]) -> SceneRanges:
-        """Returns what has to be known of all records, given as ranges with what is in them."""
+        """Returns the ranges over all records, which are given as blocks of (range of records, content)."""
 
         def contents() -> Iterator[Content]:
             for records, content in blocks:
@@ -91,7 +91,7 @@ class Export:
         return ranges
 
     def define(self, stage: Any, content: Content, ranges: SceneRanges) -> None:
-        """Writes all that does not change over time; ``content`` begins with the first record."""
+        """Writes all that is constant over time; ``content`` begins with the first record."""
         from pxr import Kind, Usd, UsdGeom
 
         materials = UsdMaterials(self.replay)
@@ -124,11 +124,11 @@ class Export:
         """Writes what changes over time in a range of records.
 
         Args:
-            stage: The stage, after ``define``.
-            content: What is in these records.
-            samples: Receives it.
-            records: The first of them, and the one behind the last.
-            report_progress: Called with the number of environments that are done.
+            stage: Stage, after ``define``.
+            content: Content of these records.
+            samples: Destination of the values.
+            records: Range of records; the end is exclusive.
+            report_progress: Called with the number of environments finished.
         """
         assert self._environments is not None
         assert self._layout is not None
@@ -137,7 +137,7 @@ class Export:
             write_ensemble(stage, self.ensemble, self._layout, self.coloring, samples, records)
 
     def _write_extents(self, world: Any, low: Array, high: Array) -> None:
-        """Says what space all takes at all times; of an ensemble nobody knows it before all records are read."""
+        """Writes the extent of the world at all times. Skipped with an ensemble, whose extent needs all records."""
         from pxr import Usd, UsdGeom
 
         if self.ensemble is not None:

@@ -1,4 +1,4 @@
-"""Surfaces of a stage: as they are in all environments, or in each its own pose, size and mesh."""
+"""Surfaces of a stage: shared by all environments, or with pose, scale and mesh per environment."""
 
 from collections.abc import Collection, Mapping
 from typing import Any
@@ -21,16 +21,16 @@ def write_surface(
     physics: bool = True,
     color: bool = True,
 ) -> None:
-    """Writes it as in environment number ``row``.
+    """Writes a surface as in environment ``row`` of the export.
 
     Args:
-        stage: The stage.
-        path: Where to.
-        placement: The surface.
-        row: The environment.
-        mesh: A prim to refer to for its shape.
-        physics: Whether it collides.
-        color: Whether it has colours of its own.
+        stage: Stage to write to.
+        path: Path of the new prim.
+        placement: Surface with its poses, scales and meshes.
+        row: Index of the environment.
+        mesh: Path of a prim to refer to for the mesh; ``None``: writes the mesh.
+        physics: Whether the surface collides.
+        color: Whether to set the display colors.
     """
     from pxr import Gf, Kind, Usd, UsdGeom
 
@@ -49,7 +49,7 @@ def write_surface(
 
 
 def define_surfaces(stage: Any, path: str, placements: Mapping[str, Placement], names: Mapping[str, str]) -> None:
-    """Writes surfaces below ``path`` as they are in the first environment."""
+    """Writes surfaces below ``path`` as in the first environment."""
     for name, placement in placements.items():
         write_surface(stage, f"{path}/{names[name]}", placement, 0)
 
@@ -69,9 +69,9 @@ def define_shapes(
 def define_mesh(
     stage: Any, path: str, surface: Surface, index: int, *, physics: bool = True, color: bool = True
 ) -> Any:
-    """Writes mesh number ``index`` of a surface in its own frame, and returns its prim.
+    """Writes mesh ``index`` of a surface in its own frame, and returns its prim.
 
-    With ``physics`` it collides; with ``color`` it has colours of its own.
+    ``physics`` and ``color`` as for ``write_surface``.
     """
     from pxr import UsdGeom, UsdPhysics, Vt
 
@@ -97,7 +97,7 @@ def define_mesh(
 
 
 def _color_faces(mesh: Any, surface: Surface, index: int) -> None:
-    """Colours the active faces, dims the others, and names the active ones as a subset."""
+    """Sets the color of active faces, dims the others, and defines the active ones as a subset."""
     from pxr import UsdGeom, Vt
 
     color = surface_color(surface)
@@ -115,4 +115,4 @@ def _color_faces(mesh: Any, surface: Surface, index: int) -> None:
         Vt.IntArray.FromNumpy(np.flatnonzero(active).astype(np.int32)),
         "warpcontact",
         UsdGeom.Tokens.unrestricted,
-    ).GetPrim().SetDocumentation("Faces that can touch.")
+    ).GetPrim().SetDocumentation("Active faces, which can be in contact.")

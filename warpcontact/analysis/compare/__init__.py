@@ -1,4 +1,4 @@
-"""Laws and friction models side by side, measured in the engine: data sets, and pictures to choose by."""
+"""Comparison of normal laws and of friction models, measured with the simulator: data sets and plots."""
 
 from warpcontact.analysis.compare.figures import check_path
 from warpcontact.analysis.compare.friction_picture import plot_friction_models

@@ -1,7 +1,7 @@
-"""Drops spheres on a plate: a scene of one body per law, run by the engine in float64.
+"""Drop tests: impacts of a sphere on a plate, with one body per law, simulated in float64.
 
-The elastic parameter of a class and the damping that returns a restitution are found by measuring forces and
-rebounds of the very same scene, so that nothing about a formula has to be known here.
+The elastic parameter of a law class, and the damping for a given restitution, are found by measuring forces and rebounds
+in the same scene. The method needs no knowledge of the formula of a law.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,27 +23,27 @@ from warpcontact.stepping.simulation import Simulation
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array
 
-# An undamped contact takes 2.6 to 3.14 δ/v, by the exponent.
+# Contact time as a multiple of δ/v. Undamped contacts take 2.6 to 3.14 δ/v, depending on the exponent.
 CONTACT_TIME = 3.0
-# Steps per contact time: what is off in laws that jump at the greatest depth is about one part in this.
+# Steps per contact time. The error of laws with a jump at the largest penetration is about 1/STEPS.
 STEPS = 1000
-# A series of dampings only has to lead to the right one.
+# Steps per contact time in the series of dampings, which needs less accuracy.
 COARSE_STEPS = 250
 # Steps between records, a divisor of both.
 STRIDE = 2
-# Contact times after which a sphere is given up: e = 0.01 of two stiffnesses takes 51.
+# Largest duration in contact times. Restitution 0.01 with two stiffnesses takes 51.
 MAX_CONTACT_TIMES = 60
-# Dampings in terms of ``samples.damping_scale``: restitution falls from 0.999 to below 0.05.
+# Dampings as multiples of ``samples.damping_scale``: restitution falls from 0.999 to below 0.05.
 DAMPINGS = np.geomspace(1.0e-3, 30.0, 61)
-# Depths at which elastic forces are read, in terms of the depth that the impact is to have.
+# Penetrations at which elastic forces are evaluated, as multiples of the target penetration.
 DEPTHS = np.geomspace(1.0e-4, 1.0e2, 1201)
-# Depth of the undamped impact if neither a depth nor a law with an elastic parameter of its own is given [m].
+# Penetration of the undamped impact if neither a depth nor a law with a given elastic parameter defines it [m].
 DEFAULT_DEPTH = 1.0e-3
-# Sphere in terms of the greatest depth: its centre has to stay above the plate.
+# Radius of the sphere as a multiple of the largest penetration; its center must stay above the plate.
 RADIUS = 50.0
-# Of laws whose force depends on the curvature, every sphere has this radius [m].
+# Radius of the sphere for laws whose force depends on the curvature [m].
 CURVED_RADIUS = 0.1
-#: What the values of an impact may be.
+#: Allowed values of the fields of ``Impact``.
 LIMITS = {
     "mass": checks.limits("kg", above=0.0),
     "speed": checks.limits("m/s", above=0.0),
@@ -54,13 +54,13 @@ SENSORS = ("penetration", "approach_speed", "normal_force")
 
 @dataclass(frozen=True)
 class Impact:
-    """What all laws are compared in.
+    """Impact in which laws are compared.
 
     Attributes:
         mass: Mass of the sphere [kg].
-        speed: Its speed at touch [m/s].
-        depth: Depth of the undamped impact that the elastic parameters of classes are set to [m]; ``None``: that
-            of the first law whose elastic parameter is given, if there is one.
+        speed: Impact speed [m/s].
+        depth: Penetration of the undamped impact [m], to which the elastic parameters of classes are fitted;
+            ``None``: that of the first law with a given elastic parameter, or ``DEFAULT_DEPTH``.
         device: Warp device.
     """
 
@@ -77,19 +77,19 @@ class Impact:
 
     @property
     def energy(self) -> float:
-        """Kinetic energy at touch [J]."""
+        """Kinetic energy before the impact [J]."""
         return 0.5 * self.mass * self.speed**2
 
 
 @dataclass(frozen=True)
 class LawCase:
-    """A law in the impact.
+    """Law with its parameters in the impact.
 
     Attributes:
-        law: The law.
-        depth: Depth of its undamped impact [m]; NaN if that is too deep to be found.
-        given: Whether its elastic parameter was given, not chosen for that depth.
-        varied: The parameter that decides what an impact loses; ``None`` if there is none, or it was given.
+        law: Instance of the law.
+        depth: Penetration of its undamped impact [m]; NaN if it exceeds the evaluated range.
+        given: Whether the elastic parameter was given instead of fitted to ``depth``.
+        varied: Name of the dissipation parameter that is varied; ``None`` if there is none, or if it was given.
     """
 
     law: Law
@@ -100,12 +100,12 @@ class LawCase:
 
 @dataclass(frozen=True)
 class Run:
-    """What was measured of all laws: of a law by its label.
+    """Measurements of all laws.
 
     Attributes:
-        time: Time since touch at the common speed (frame,) [s].
+        time: Time since first contact at the common speed (frame,) [s].
         sensors: By label and name of the sensor, (frame, env).
-        rebound: By label, speed away from the plate over the impact speed (env,); NaN where it did not leave.
+        rebound: By label, separation speed over impact speed (env,); NaN if the sphere did not leave the plate.
     """
 
     time: Array
@@ -114,14 +114,14 @@ class Run:
 
 
 def cases(laws: Any, impact: Impact) -> dict[str, LawCase]:
-    """Returns instances of ``laws`` by their labels.
+    """Returns instances of ``laws`` by label.
 
-    The elastic parameter of a class is chosen for the depth of ``impact``, or for that of the first law whose
-    elastic parameter is given.
+    The elastic parameter of a class is fitted to the depth of ``impact``, or to that of the first law with a given
+    elastic parameter.
 
     Raises:
-        TypeError: If a law is none.
-        ValueError: If a class needs values that only its author knows.
+        TypeError: If an entry is not a law.
+        ValueError: If a class has parameters for which no value can be chosen.
     """
     given = samples.named(Law, laws)
     with_modulus = {label: entry for label, entry in given.items() if samples.is_modulus_given(entry)}
@@ -152,9 +152,10 @@ def cases(laws: Any, impact: Impact) -> dict[str, LawCase]:
 
 
 def dissipation_values(chosen: Mapping[str, LawCase], restitution: Array, impact: Impact) -> dict[str, Array]:
-    """Returns by label the values of what is varied that give each ``restitution``; nothing for elastic laws.
+    """Returns, by label, the values of the varied parameter for each ``restitution``; no entry for elastic laws.
 
-    A damping is interpolated in a series of runs; where none in the series is enough, the largest useful one.
+    A damping is interpolated in a series of runs. If no damping of the series suffices, the largest useful one is
+    returned.
     """
     values = {label: restitution for label, case in chosen.items() if case.varied == "restitution"}
     damped = {label: case for label, case in chosen.items() if case.varied is not None and label not in values}
@@ -171,13 +172,13 @@ def dissipation_values(chosen: Mapping[str, LawCase], restitution: Array, impact
     )
     for label, damping in series.items():
         rebound = run.rebound[label]
-        # The falling part of the curve; NaN where the sphere crept out too slowly to wait for.
+        # Decreasing part of the curve; NaN if the sphere did not leave in time.
         falling = rebound < np.append(np.inf, np.fmin.accumulate(rebound)[:-1])
         rising = rebound[falling][::-1]
         found = np.zeros_like(restitution)
         if len(rising) > 1:
             found = PchipInterpolator(rising, damping[falling][::-1])(np.clip(restitution, rising[0], rising[-1]))
-        # Less than the smallest damping that makes a difference is none.
+        # Dampings below the resolution of the series are set to zero.
         values[label] = np.where(found < 0.1 * damping[1], 0.0, found)
     return values
 
@@ -192,22 +193,22 @@ def drop(
     max_contact_times: int = MAX_CONTACT_TIMES,
     record: bool = True,
 ) -> Run:
-    """Runs all impacts until every sphere has left, or for ``max_contact_times`` contact times.
+    """Simulates all impacts until every sphere has left the plate, or for ``max_contact_times`` contact times.
 
     Args:
-        chosen: The laws.
-        values: By label, values of what is varied (env,).
-        speeds: Impact speed of every environment (env,) [m/s].
+        chosen: Laws by label.
+        values: By label, values of the varied parameter (env,).
+        speeds: Impact speed of each environment (env,) [m/s].
         impact: Mass and device.
         steps: Steps per contact time of the stiffest law.
-        max_contact_times: Contact times of the softest law to wait for.
-        record: Whether to keep sensors over time.
+        max_contact_times: Largest duration, in contact times of the softest law.
+        record: Whether to record sensors over time.
     """
     deepest = max(map(_undamped_depth, chosen.values()))
     shortest = min(map(_undamped_depth, chosen.values())) / speeds.max()
     longest = deepest / speeds.min()
     dt = CONTACT_TIME * shortest / steps
-    # Touch falls into the middle of a step, whatever the speed, and some steps after the start.
+    # At any speed, first contact is in the middle of a step, some steps after the start.
     height = (2 * STRIDE + 0.5) * dt * speeds
     model = _model({label: case.law for label, case in chosen.items()}, height, speeds, deepest, impact)
     for label, value in values.items():
@@ -218,7 +219,7 @@ def drop(
     has_left = np.zeros((len(chosen), len(speeds)), dtype=bool)
     for _ in range(int(np.ceil(max_contact_times * longest / shortest))):
         recording = sim.run(steps * dt, names, every=STRIDE * dt, poses=False, progress=False)
-        # A run begins with the frame that the one before ended with.
+        # The first frame of a run repeats the last frame of the previous run.
         first = 1 if parts else 0
         parts.append({name: recording[name].values[first:] for name in (*names, "time")})
         has_left = _has_left(model, list(chosen.values()))
@@ -242,48 +243,48 @@ def _index(chosen: Mapping[str, Any], label: str) -> int:
 
 
 def _has_left(model: Environments, chosen: Sequence[LawCase]) -> NDArray[np.bool_]:
-    """Returns which spheres are free and on their way out, (law, env)."""
+    """Returns which spheres are out of contact and moving away, (law, env)."""
     has_left = []
     for k, case in enumerate(chosen):
         in_contact = model.sensor(f"touch_{k}.status") == ContactStatus.CONTACT
         if not case.law.pulls:
-            # Behind a force that was cut at zero a sphere flies free before its depth is zero.
+            # Where the force is cut off at zero, a sphere flies freely before its penetration is zero.
             in_contact &= model.sensor(f"touch_{k}.normal_force") != 0.0
         has_left.append(~in_contact & (model.sensor(f"ball_{k}.linear_velocity")[:, 2] > 0.0))
     return np.array(has_left)
 
 
 def _undamped_depth(case: LawCase) -> float:
-    """Returns the depth of an undamped impact, as far as it is known [m]."""
+    """Returns the penetration of the undamped impact [m], or the default if it is NaN."""
     return case.depth if case.depth > 0.0 else DEFAULT_DEPTH
 
 
 def _static_work(laws: Mapping[str, Law], depths: Array, impact: Impact) -> dict[str, Array]:
-    """Returns by label the work of the force at rest up to each of ``depths``, one environment per depth [J]."""
+    """Returns, by label, the work of the static force up to each of ``depths`` [J]; one environment per depth."""
     if not laws:
         return {}
     model = _model(laws, -depths, np.zeros_like(depths), float(depths.max()), impact)
     works = {}
     for k, label in enumerate(laws):
         force = model.sensor(f"touch_{k}.normal_force")
-        # Below the first depth the force is taken as linear; there is 1e-8 of the energy or less.
+        # Below the first depth the force is assumed linear; this part is at most 1e-8 of the energy.
         works[label] = cumulative_trapezoid(force, depths, initial=0.0) + 0.5 * force[0] * depths[0]
     return works
 
 
 def _model(laws: Mapping[str, Law], height: Array, speeds: Array, depth: float, impact: Impact) -> Environments:
-    """Returns spheres for impacts of ``depth``, lowest points at ``height``, going down at ``speeds`` (env,)."""
+    """Builds spheres with lowest points at ``height`` (env,) [m], moving down at ``speeds`` (env,) [m/s]."""
     radius = RADIUS * depth
     scene = Scene(gravity=(0.0, 0.0, 0.0))
-    # Lowest points at the origin, where numbers are finest.
+    # Contact at the origin, where floating-point positions have the finest resolution.
     plate = scene.add_surface(grid((10.0 * radius, 10.0 * radius)), position=(0.0, 0.0, -radius), name="plate")
     for k, law in enumerate(laws.values()):
         inertia = [0.4 * impact.mass * radius**2] * 3
         ball = scene.add_body(impact.mass, inertia, name=f"ball_{k}")
-        own = CURVED_RADIUS if law.needs_curvature else radius
-        # Their lowest points are in one place.
-        centre = scene.add_point(ball, (0.0, 0.0, own - radius))
-        scene.add_contact(centre, plate, ContactMaterial(law=law), radius=own, name=f"touch_{k}")
+        contact_radius = CURVED_RADIUS if law.needs_curvature else radius
+        # The lowest points of all spheres coincide.
+        center = scene.add_point(ball, (0.0, 0.0, contact_radius - radius))
+        scene.add_contact(center, plate, ContactMaterial(law=law), radius=contact_radius, name=f"touch_{k}")
     model = scene.build(envs=len(height), device=impact.device, precision="float64")
     zero = np.zeros_like(height)
     for k in range(len(laws)):

@@ -1,4 +1,4 @@
-"""What all pictures of laws and friction models share: a sheet with a heading, colours, and the file it goes to."""
+"""Shared parts of the plots of laws and friction models: figure with heading, colors, legends, file check."""
 
 import re
 import textwrap
@@ -15,28 +15,28 @@ from warpcontact.files.picture_file import check_path, save
 
 __all__ = ["check_path", "save"]  # and what follows
 
-#: More laws or friction models than this in one picture cannot be told apart.
+#: Largest number of laws or friction models that can be distinguished in one plot.
 MOST = 8
-#: Panels beside each other.
+#: Number of panels per row.
 COLUMNS = 4
 DPI = 120
-# Room that a legend takes for a letter, and for a line beside its text [in].
+# Width of a legend per letter, and of the line sample of an entry [in].
 LETTER, LINE = 0.085, 0.7
-# Characters per inch of the heading and of what stands at the foot.
+# Characters per inch of the heading and of the footer.
 HEADING, FOOT = 8.0, 13.0
 
 
 def check_count(kind: str, labels: Sequence[str]) -> None:
-    """Raises ``ValueError`` if there are more ``labels`` than one picture can show."""
+    """Raises ``ValueError`` if there are more ``labels`` than one plot can show."""
     if len(labels) > MOST:
-        raise ValueError(f"a picture shows at most {MOST} {kind}, got {len(labels)}: {', '.join(labels)}")
+        raise ValueError(f"a plot shows at most {MOST} {kind}, got {len(labels)}: {', '.join(labels)}")
 
 
 def sheet(width: float, height: float, heading: Sequence[str], footer: Sequence[str]) -> Figure:
-    """Returns an empty figure of ``width`` and ``height`` [in] with lines above and below, wrapped to fit."""
+    """Returns an empty figure of ``width`` × ``height`` [in] with wrapped heading and footer."""
     figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
-    # A formula is broken between its parts only, not inside of one.
+    # Break formulas between their parts only.
     tied = [re.sub(r"(?<![,;:]) (?! )", "\N{NO-BREAK SPACE}", line) for line in heading]
     lines = [part for line in tied for part in textwrap.wrap(line, int(HEADING * width))]
     below = [part for line in footer if line for part in textwrap.wrap(line, int(FOOT * width))]
@@ -46,37 +46,37 @@ def sheet(width: float, height: float, heading: Sequence[str], footer: Sequence[
 
 
 def heading(label: str, formula: str) -> list[str]:
-    """Returns the heading of one law or friction: its name, and the formula if it says one."""
+    """Returns the heading of one law or friction model: its name, and its formula if there is one."""
     return [f"{label}:  {formula}" if formula else label]
 
 
 def parts(figure: Figure, *heights: float) -> list[Any]:
-    """Returns parts of a figure of relative ``heights``; a legend below one stays clear of what is at the foot."""
+    """Returns subfigures of relative ``heights``; a legend below one does not overlap the footer."""
     made: Any = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)
     return list(made[:, 0])
 
 
 def shades(count: int) -> Any:
-    """Returns ``count`` colours in order, dark to light; none so light that it is lost on white."""
+    """Returns ``count`` colors from dark to light, all visible on white."""
     return mpl.colormaps["plasma"](np.linspace(0.0, 0.85, count))
 
 
 def color(index: int) -> str:
-    """Returns the colour of law or friction ``index``."""
+    """Returns the color of law or friction model ``index``."""
     return f"C{index}"
 
 
 def width(index: int, count: int) -> float:
-    """Returns the width of line ``index``: one below another shows at both sides of it."""
+    """Returns the width of line ``index``; lower lines are wider, so that coincident lines stay visible."""
     return 1.2 + min(0.9, 2.4 / max(count - 1, 1)) * (count - 1 - index)
 
 
 def legend_below(figure: Any, colors: Sequence[Any], names: Sequence[str]) -> None:
-    """Puts a legend of lines below all panels of ``figure``, in as few rows as it fits into."""
+    """Adds a legend below all panels of ``figure``, with as few rows as fit."""
     lines = [Line2D([], [], color=shade) for shade in colors]
     widest = LETTER * max(map(len, names)) + LINE
     most = max(1, int(figure.bbox.width / figure.dpi / widest))
-    # As even as it gets: five in two rows are three and two, not four and one.
+    # Balance the rows: five entries in two rows are three and two, not four and one.
     columns = -(-len(names) // -(-len(names) // most))
     figure.legend(lines, names, loc="outside lower center", ncols=columns, frameon=False)
 
@@ -90,12 +90,12 @@ def label_axes(axes: Any, title: str, x: str, y: str) -> None:
 
 
 def panel_grid(figure: Any, count: int) -> Any:
-    """Returns ``count`` panels with common axes, in rows."""
+    """Returns ``count`` panels with common axes, in rows of ``COLUMNS``."""
     rows = -(-count // COLUMNS)
     panels = figure.subplots(rows, min(count, COLUMNS), squeeze=False, sharex=True, sharey=True).ravel()
     for axes in panels[count:]:
         axes.set_visible(False)
     for axes in panels[:count]:
-        # Also where the panel below is not there.
+        # Show tick labels also if the panel below is missing.
         axes.xaxis.set_tick_params(labelbottom=True)
     return panels[:count]

@@ -1,4 +1,4 @@
-"""Pictures of friction models: the coefficient over slip speed, and loops of a slip that swings to and fro."""
+"""Plots of friction models: coefficient over slip speed, and loops under oscillating slip."""
 
 from typing import Any
 
@@ -12,16 +12,16 @@ from warpcontact.analysis.compare.labels import number, prefixed, titled
 from warpcontact.kernels.catalogue.keywords import explain_keywords
 from warpcontact.kernels.friction.base import Friction
 
-# Slip speeds of the linear panel, in terms of the highest that a friction names.
+# Largest slip speed of the linear panel, as a multiple of the largest speed parameter.
 LINEAR = 4.0
-# Directions in which a friction that tells them apart is slid [°], and how they are drawn.
+# Slip directions shown for anisotropic friction models [°], and their line styles.
 DIRECTIONS = {0: "-", 45: "--", 90: ":"}
-# A friction that holds more at rest than it ever does in steady slip, by this factor, is shown with what it holds.
+# The breakaway coefficient is shown if it exceeds the largest coefficient in steady slip by this factor.
 HOLDS = 1.02
 HELD = "-."
-# Room about the curves.
+# Relative margin around the curves.
 ROOM = 0.08
-# Coefficients are shown at least up to this: no friction at all is a line at zero, not noise.
+# Smallest upper end of the coefficient axis, so that a frictionless model appears as zero.
 LEAST = 0.1
 
 
@@ -29,12 +29,12 @@ LEAST = 0.1
 def plot_friction_models(
     friction_models: Any, path: Any = None, *, load: float = 10.0, device: str = "cpu"
 ) -> Figure:
-    """Draws one friction, or several side by side; see ``slips`` and ``swings``.
+    """Plots one friction model, or compares several; see ``slips`` and ``swings``.
 
     Args:
-        friction_models: A friction, several, or a mapping from labels to friction models; instances, or classes with or
-            without values.
-        path: The .svg or .png file; ``None``: none is written.
+        friction_models: A friction model, several, or a mapping from labels to friction models; instances, or classes
+            with or without values.
+        path: The .svg or .png file; ``None``: writes none.
         load: Normal force [N].
         device: Warp device.
 
@@ -42,15 +42,15 @@ def plot_friction_models(
         The matplotlib figure.
 
     Raises:
-        TypeError: If a friction is none.
-        ValueError: If a value is out of range, the file cannot be written there, or there are too many friction models.
+        TypeError: If an entry is not a friction model.
+        ValueError: If a value is out of range, the file cannot be written, or there are more than ``MOST`` models.
     """
     file = None if path is None else figures.check_path(path)
     given = instances.named(Friction, friction_models)
     figures.check_count("friction models", list(given))
     options: dict[str, Any] = {"load": load, "device": device}
     swinging = swings(given, **options)
-    # Close together where speeds are shown from zero, too.
+    # Linear spacing for the panel with a linear speed axis.
     near_zero = np.linspace(0.0, LINEAR * friction_speeds(given, load)[1], 301)[1:]
     held = breakaway_coefficients(given, load, device)
     kinds = [instances.class_of(entry) for entry in given.values()]
@@ -63,7 +63,7 @@ def plot_friction_models(
         figure = _one(kinds[0], evenly, steadily, swinging, held)
     else:
         chosen = instances.coefficients_chosen(given.values())
-        note = _slip(swinging) + (f"; where nothing else was given: {chosen}" if chosen else "")
+        note = _slip(swinging) + (f"; default values: {chosen}" if chosen else "")
         steered = [label for label, kind in zip(given, kinds, strict=True) if kind.directional]
         figure = _several(
             note, slips(given, near_zero, **options), slips(given, **options), swinging, held, steered
@@ -80,7 +80,7 @@ def _one(
     swinging: xr.Dataset,
     held: dict[str, float],
 ) -> Figure:
-    """Draws one friction, whose steady slip was measured in one direction or in all of ``DIRECTIONS``."""
+    """Plots one friction model, with steady slip in one direction or in all of ``DIRECTIONS``."""
     footer = [_slip(swinging), *swinging["settings"].values, f"valid: {kind.validity}" if kind.validity else ""]
     sheet = figures.sheet(15.0, 5.6, figures.heading(_titles(swinging)[0], kind.formula), footer)
     (figure,) = figures.parts(sheet, 1.0)
@@ -92,7 +92,7 @@ def _one(
     for greatest in _holding(held, steady).values():
         for axes in panels[:2]:
             line = axes.axhline(greatest, color=figures.color(0), linestyle=HELD)
-            axes.legend([line], [f"on the way from rest: {greatest:.2g}"], loc="lower right", fontsize="small")
+            axes.legend([line], [f"breakaway: {greatest:.2g}"], loc="lower right", fontsize="small")
     if len(even) > 1:
         panels[1].legend(title="direction of slip", loc="upper left", fontsize="small")
     colors = figures.shades(swinging.sizes["amplitude"])
@@ -110,18 +110,18 @@ def _several(
     held: dict[str, float],
     directional: list[str],
 ) -> Figure:
-    """Draws friction models over each other, and the loops of each beside each other; ``directional`` slide along x."""
+    """Plots friction models together, and the loops of each in its own panel; ``directional`` ones slip along x."""
     labels = steady["friction"].values.tolist()
     rows = -(-len(labels) // figures.COLUMNS)
     holding = _holding(held, [steady])
     footer = [note, *_lines(swinging)]
     if holding:
-        footer.insert(1, "dash-dotted: greatest force on a slow way from rest to steady slip")
+        footer.insert(1, "dash-dotted: breakaway coefficient, the largest in slow slip from rest")
     if directional:
         names = " and ".join(directional)
         footer.insert(1, f"slip is along the x axis of the surface; for {names} other directions differ")
     height = 5.6 + 3.2 * rows + 0.15 * len(footer)
-    sheet = figures.sheet(16.0, height, ["The same slip:  " + ", ".join(labels)], footer)
+    sheet = figures.sheet(16.0, height, ["Same slip:  " + ", ".join(labels)], footer)
     upper, lower = figures.parts(sheet, 4.2, 0.6 + 3.2 * rows)
     panels = upper.subplots(1, 3)
     colors = [figures.color(k) for k in range(len(labels))]
@@ -147,7 +147,7 @@ def _several(
 
 
 def _draw_swings(axes: Any, friction: xr.Dataset, colors: Any, **style: Any) -> None:
-    """Draws the loops of one friction, small ones over large ones."""
+    """Draws the loops of one friction model, small ones above large ones."""
     factor, _ = prefixed(float(friction["amplitude"].max()), "m")
     for k in reversed(range(friction.sizes["amplitude"])):
         swing = friction.isel(amplitude=k)
@@ -155,7 +155,7 @@ def _draw_swings(axes: Any, friction: xr.Dataset, colors: Any, **style: Any) -> 
 
 
 def _holding(held: dict[str, float], steady: list[xr.Dataset]) -> dict[str, float]:
-    """Returns what friction models hold at rest, of those for which it is more than ever in steady slip."""
+    """Returns the breakaway coefficients that exceed the largest coefficient in steady slip by factor ``HOLDS``."""
     most = {label: max(float(data["coefficient"].sel(friction=label).max()) for data in steady) for label in held}
     return {label: greatest for label, greatest in held.items() if greatest > HOLDS * most[label]}
 
@@ -175,11 +175,11 @@ def _finish(
     panels[0].set(xlim=(0.0, float(even[0]["speed"].max())), ylim=(-0.02 * top, top))
     panels[0].locator_params(axis="x", nbins=6)
     panels[1].set(xscale="log", ylim=(-0.02 * top, top))
-    # Of one friction that tells directions apart, the steady slip is shown in several.
+    # A single anisotropic model is shown in several slip directions.
     steadily = "steady slip" + (along if len(even) == 1 else "")
     figures.label_axes(panels[0], steadily, "slip speed [m/s]", y)
     figures.label_axes(panels[1], f"{steadily}, logarithmic", "slip speed [m/s]", y)
-    _finish_swings(panels[2], swinging, f"slip to and fro{along}")
+    _finish_swings(panels[2], swinging, f"oscillating slip{along}")
 
 
 def _finish_swings(axes: Any, swinging: xr.Dataset, title: str) -> None:
@@ -204,7 +204,7 @@ def _titles(data: xr.Dataset) -> list[str]:
 
 
 def _lines(data: xr.Dataset) -> list[str]:
-    """Returns a line of parameters for every friction that has some."""
+    """Returns one line of parameters for each friction model that has some."""
     return [f"{title}: {text}" for title, text in zip(_titles(data), data["settings"].values, strict=True) if text]
 
 

@@ -1,8 +1,8 @@
-"""Friction models under a prescribed slip: what they answer to a steady one, and to one that swings to and fro.
+"""Friction tests: response of friction models to prescribed steady and oscillating slip.
 
-A sphere per friction is pressed on a plate, in float64, one environment per case. It is so heavy that nothing
-slows or turns it, and lies in balance between its spring and gravity, so slip and load are as prescribed; the
-force is what the engine finds in the contact, whatever a friction remembers of the slip before.
+A sphere per friction model is pressed on a plate, in float64, one environment per case. Its mass is so large that forces
+do not change its velocity, and its weight balances the normal force, so slip and load are as prescribed. The friction
+force, including history effects, is evaluated by the simulator.
 """
 
 from collections.abc import Mapping
@@ -25,25 +25,25 @@ from warpcontact.stepping.simulation import Simulation
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array
 
-# Mass of a sphere [kg]: 10 N for 1000 s change its speed by 1e-8 m/s.
+# Mass of a sphere [kg]: 10 N during 1000 s change its speed by 1e-8 m/s.
 SPHERE_MASS = 1.0e12
-# Radius of the spheres, and how deep they lie in the plate [m].
+# Radius of the spheres, and their penetration [m].
 RADIUS, DEPTH = 0.05, 1.0e-5
-# Slip speeds that are shown of friction models that have none of their own [m/s].
+# Range of slip speeds for friction models without a speed parameter [m/s].
 DEFAULT_SPEEDS = (1.0e-3, 1.0e-1)
-# Amplitude of a swing for friction models that follow the slip speed at once [m].
+# Amplitude of oscillating slip for friction models without history [m].
 DEFAULT_AMPLITUDE = 1.0e-3
-# Swings in terms of the largest one.
+# Amplitudes as multiples of the largest one.
 RELATIVE_AMPLITUDES = (0.1, 0.3, 1.0)
-# The largest swing in terms of the distance after which a friction that remembers yields.
+# Largest amplitude as a multiple of the yield distance of a friction model with history.
 AMPLITUDE_RATIO = 6.0
-# Slip distances that a friction may need to yield [m], and the growth from step to step.
+# Range of yield distances that is searched [m], and growth factor of the distance per step.
 SHORTEST, LONGEST, GROWTH = 1.0e-9, 1.0e-1, 1.2
-# Growth where the greatest force is looked for, and from and up to where, in terms of the distance to yield.
+# Growth factor in the search for the breakaway coefficient, and its range as multiples of the yield distance.
 FINE_GROWTH, BEFORE, BEYOND = 1.005, 0.3, 5.0
-#: What a normal force may be.
+#: Allowed normal forces.
 LOAD = checks.limits("N", above=0.0)
-# Steps per swing, and number of swings.
+# Steps per period, and number of periods.
 SWING_STEPS = 1000
 PERIODS = 2.0
 
@@ -60,21 +60,21 @@ def slips(
     """Measures the coefficient of friction in steady slip, one environment per speed.
 
     Args:
-        friction_models: A friction, several, or a mapping from labels to friction models; each an instance, or a class,
-            which then slides with 0.4, and holds with μ_s = 0.5. With some of its values,
-            ``functools.partial(Class, mu=0.3)``, these are kept and the rest is chosen.
-        speeds: Slip speeds [m/s]; around those that the friction models name if not given.
-        direction: Direction of the slip, from the surface's x axis about its normal [rad].
+        friction_models: A friction model, several, or a mapping from labels to friction models; each an instance or a
+            class. A class gets the coefficients 0.4 in slip and μ_s = 0.5 in stick. With given values,
+            ``functools.partial(Class, mu=0.3)``, only the others are chosen.
+        speeds: Slip speeds [m/s]; default: a range around the speed parameters of the friction models.
+        direction: Direction of slip, angle from the surface's x axis about its normal [rad].
         load: Normal force [N].
         device: Warp device.
 
     Returns:
-        A data set with ``coefficient``, F/N against the slip [-], over (friction, speed), and over friction
+        A data set with ``coefficient``, F/N against the slip [-], over (friction, speed), and, over friction,
         ``class`` and ``settings``, the parameters.
 
     Raises:
-        TypeError: If a friction is none.
-        ValueError: If a value is out of range, or a class needs values that only its author knows.
+        TypeError: If an entry is not a friction model.
+        ValueError: If a value is out of range, or a class has parameters for which no value can be chosen.
     """
     chosen, load = _chosen(friction_models, load)
     if speeds is None:
@@ -103,16 +103,16 @@ def swings(
     load: float = 10.0,
     device: str = "cpu",
 ) -> xr.Dataset:
-    """Measures friction in a slip that swings to and fro, one environment per amplitude.
+    """Measures friction under oscillating slip, one environment per amplitude.
 
-    It begins at rest where the swing turns, so what a friction remembers starts from nothing.
+    The displacement is −A cos(ω t): the motion starts at rest at a turning point, with empty history.
 
     Args:
         friction_models: As for ``slips``.
-        amplitude: Amplitudes of the displacement [m]; if not given, one that takes every friction well beyond
-            where it yields, and two smaller ones.
-        speed: Greatest slip speed of the largest amplitude [m/s]; above those that the friction models name if not
-            given. All swing with the same period.
+        amplitude: Amplitudes A of the displacement [m]; default: one well beyond the yield distance of every friction
+            model, and two smaller ones.
+        speed: Largest slip speed of the largest amplitude [m/s]; default: above the speed parameters of the friction
+            models. All amplitudes have the same period.
         load: Normal force [N].
         device: Warp device.
 
@@ -121,8 +121,8 @@ def swings(
         time), and ``displacement`` [m] over (amplitude, time).
 
     Raises:
-        TypeError: If a friction is none.
-        ValueError: If a value is out of range, or a class needs values that only its author knows.
+        TypeError: If an entry is not a friction model.
+        ValueError: If a value is out of range, or a class has parameters for which no value can be chosen.
     """
     chosen, load = _chosen(friction_models, load)
     fast = 3.0 * friction_speeds(chosen, load)[1] if speed is None else speed
@@ -146,7 +146,7 @@ def swings(
     for frame in range(len(displacements)):
         if frame:
             simulation.step()
-        # Place and speed of this frame, as a step with that speed would have made them.
+        # Position and velocity of this frame, as a step with this velocity gives them.
         state[0, ..., 0], state[1, ..., 0] = (
             (sizes * displacements[frame])[:, None],
             (sizes * speeds[frame])[:, None],
@@ -184,9 +184,9 @@ def _chosen(friction_models: Any, load: float) -> tuple[dict[str, Friction], flo
 
 
 def breakaway_coefficients(friction_models: Any, load: float, device: str) -> dict[str, float]:
-    """Returns by label the greatest coefficient on a slow way from rest, of friction models that do not yield at once.
+    """Returns, by label, the largest coefficient in slow slip from rest, for friction models with a yield distance.
 
-    What holds a body at rest does not show in steady slip.
+    It can exceed the coefficient in steady slip.
     """
     chosen, load = _chosen(friction_models, load)
     yield_distances = _yield_distances(chosen, load, device)
@@ -201,22 +201,21 @@ def breakaway_coefficients(friction_models: Any, load: float, device: str) -> di
 
 
 def friction_speeds(friction_models: Any, load: float) -> tuple[float, float]:
-    """Returns the lowest and the highest slip speed that friction models have as parameters [m/s]."""
+    """Returns the lowest and the highest speed parameter of the friction models [m/s], or the defaults."""
     chosen, _ = _chosen(friction_models, load)
-    own = [
+    speeds = [
         value
         for friction in chosen.values()
         for name, value in friction.parameters().items()
         if friction.limits(name)["unit"] == "m/s" and value > 0.0
     ]
-    return (min(own), max(own)) if own else DEFAULT_SPEEDS
+    return (min(speeds), max(speeds)) if speeds else DEFAULT_SPEEDS
 
 
 def _from_rest(chosen: Mapping[str, Friction], load: float, device: str, distances: Array) -> Array:
-    """Returns the coefficients of friction models that have slid ``distances`` [m] from rest, (distance, friction).
+    """Returns the coefficients after slip ``distances`` [m] from rest, (distance, friction).
 
-    The slip is slow against the speeds that the friction models name, but for those that follow it at once it does not
-    matter how slow.
+    The slip speed is the lowest speed parameter of the models. Models without history do not depend on the distance.
     """
     speed = friction_speeds(chosen, load)[0]
     model = _model(chosen, load, np.array([[speed, 0.0, 0.0]]), device)
@@ -228,7 +227,7 @@ def _from_rest(chosen: Mapping[str, Friction], load: float, device: str, distanc
 
 
 def _yield_distances(chosen: Mapping[str, Friction], load: float, device: str) -> dict[str, float]:
-    """Returns by label the slip from rest after which a friction reaches 2/3 of its force; 0: it does at once."""
+    """Returns, by label, the slip from rest at which 2/3 of the largest force is reached [m]; 0 without history."""
     distances = SHORTEST * GROWTH ** np.arange(np.log(LONGEST / SHORTEST) / np.log(GROWTH))
     yield_distances = {}
     for label, force in zip(chosen, _from_rest(chosen, load, device, distances).T, strict=True):
@@ -243,7 +242,7 @@ def _settling(chosen: Mapping[str, Friction], load: float, device: str) -> float
 
 
 def _slide(model: Environments, duration: float, fastest: float) -> None:
-    """Slides for ``duration`` [s], in steps that grow from what is short at the highest speed [m/s]."""
+    """Slides for ``duration`` [s] with growing steps, starting with a slip of ``SHORTEST`` at ``fastest`` [m/s]."""
     time = SHORTEST / fastest
     Simulation(model, time).step()
     while time < duration:
@@ -253,7 +252,7 @@ def _slide(model: Environments, duration: float, fastest: float) -> None:
 
 
 def _model(chosen: Mapping[str, Friction], load: float, velocity: Array, device: str) -> Environments:
-    """Returns spheres pressed on a plate with ``load`` [N] that slide with ``velocity`` (env, 3) [m/s]."""
+    """Builds spheres pressed on a plate with ``load`` [N] that slide with ``velocity`` (env, 3) [m/s]."""
     scene = Scene(gravity=(0.0, 0.0, -load / SPHERE_MASS))
     plate = scene.add_surface(grid((1.0e4, 1.0e4)), name="plate")
     for k, friction in enumerate(chosen.values()):
@@ -261,8 +260,8 @@ def _model(chosen: Mapping[str, Friction], load: float, velocity: Array, device:
             SPHERE_MASS, [SPHERE_MASS] * 3, position=(0.0, 0.0, RADIUS - DEPTH), name=f"ball_{k}"
         )
         material = ContactMaterial(law=Hooke(stiffness=load / DEPTH), friction=friction)
-        centre = scene.add_point(ball, (0.0, 0.0, 0.0))
-        scene.add_contact(centre, plate, material, radius=RADIUS, name=f"touch_{k}")
+        center = scene.add_point(ball, (0.0, 0.0, 0.0))
+        scene.add_contact(center, plate, material, radius=RADIUS, name=f"touch_{k}")
     model = scene.build(envs=len(velocity), device=device, precision="float64")
     for k in range(len(chosen)):
         model[f"ball_{k}.linear_velocity"] = velocity

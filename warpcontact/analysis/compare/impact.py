@@ -1,4 +1,4 @@
-"""Laws in the same impact: loops, restitutions, and how they depend on speed, as data sets."""
+"""Impacts of the same sphere with several laws: loops, restitution and its dependence on speed, as data sets."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -13,11 +13,11 @@ from warpcontact.kernels.catalogue.keywords import explain_keywords
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array
 
-#: Restitutions that are asked for if none are given.
+#: Default restitutions.
 RESTITUTIONS = tuple(round(0.05 * k, 2) for k in range(1, 21))
-# Laws whose depths are within this factor are run together where nothing is recorded over time.
+# Largest ratio of depths of laws that are simulated together if nothing is recorded over time.
 MAX_DEPTH_RATIO = 2.0
-# As the laws have it.
+# Allowed restitutions, as in the laws.
 ALLOWED = checks.limits("-", at_least=0.01, at_most=1.0)
 
 
@@ -31,34 +31,34 @@ def impacts(
     depth: float | None = None,
     device: str = "cpu",
 ) -> xr.Dataset:
-    """Runs the same impact of a sphere on a plate with every law, one environment per restitution.
+    """Simulates the same impact of a sphere on a plate with each law, one environment per restitution.
 
     Args:
-        laws: A law, several, or a mapping from labels to laws; each an instance, or a class, whose elastic
-            parameter is then set so that the undamped impact has the depth ``depth``. With some of its values,
-            ``functools.partial(Class, stiffness=1e6)``, these are kept and the rest is chosen.
-        restitution: Coefficients of restitution to ask for [-]. A law without this parameter gets the damping
-            that returns it, as far as it can. An elastic law, one that loses by what it remembers, and a class
-            with a restitution or damping of its own are the same in every environment.
+        laws: A law, several, or a mapping from labels to laws; each an instance or a class. The elastic parameter of
+            a class is fitted so that the undamped impact has the penetration ``depth``. With given values,
+            ``functools.partial(Class, stiffness=1e6)``, only the others are chosen.
+        restitution: Prescribed coefficients of restitution [-]. A law without this parameter gets the damping that
+            reaches it, if possible. An elastic law, a plastic law, and a class with a given restitution or damping
+            are the same in all environments.
         mass: Mass of the sphere [kg].
-        speed: Its speed at touch [m/s].
-        depth: Greatest depth of the undamped impact on a law that is given as a class [m]; if not given, that
-            of the first instance, or 1 mm.
+        speed: Impact speed [m/s].
+        depth: Largest penetration of the undamped impact for laws given as a class [m]; default: that of the first
+            instance, or 1 mm.
         device: Warp device.
 
     Returns:
         A data set with ``penetration`` [m], ``approach_speed`` [m/s] and ``normal_force`` [N] over (law,
-        restitution, time), time 0 at touch, and over (law, restitution): ``effective_restitution`` [-] (NaN if
-        the sphere did not leave), ``contact_time`` [s] until the force is zero for good,
+        restitution, time), with time 0 at first contact, and over (law, restitution): ``effective_restitution`` [-]
+        (NaN if the sphere did not leave the plate), ``contact_time`` [s] until the force stays zero,
         ``greatest_penetration`` [m], ``greatest_force`` [N], ``energy_loss`` [J], the area of the loop, and
-        ``parameter``, the value of what was varied. Coordinates of the laws are ``varied``, the name of that
-        parameter (empty if there is none), its ``unit``, ``class``, and ``settings``, the parameters that all
-        runs share. Attributes are ``mass``, ``speed``, ``depth``, that of undamped impacts on classes, and
-        ``depth_of``, the law that it is of (empty if of none).
+        ``parameter``, the value of the varied parameter. Coordinates over laws: ``varied``, the name of that
+        parameter (empty if there is none), its ``unit``, ``class``, and ``settings``, the other parameters.
+        Attributes: ``mass``, ``speed``, ``depth``, the penetration to which classes are fitted, and ``depth_of``, the
+        law that defines it (empty if none does).
 
     Raises:
-        TypeError: If a law is none.
-        ValueError: If a value is out of range, or a class needs values that only its author knows.
+        TypeError: If an entry is not a law.
+        ValueError: If a value is out of range, or a class has parameters for which no value can be chosen.
     """
     impact = Impact(mass, speed, depth, device)
     restitutions = check_restitutions(restitution)
@@ -79,25 +79,25 @@ def rebounds(
     depth: float | None = None,
     device: str = "cpu",
 ) -> xr.Dataset:
-    """Runs impacts of different speeds: does the restitution depend on the speed?
+    """Simulates impacts of several speeds, to measure the dependence of restitution on speed.
 
     Args:
         laws: As for ``impacts``.
-        restitution: Coefficients of restitution to ask for at the speed ``speed`` [-].
-        speeds: Impact speeds [m/s]; from a tenth of ``speed`` to ten times that if not given.
+        restitution: Prescribed coefficients of restitution at ``speed`` [-].
+        speeds: Impact speeds [m/s]; default: from ``speed`` / 10 to 10 ``speed``.
         mass: Mass of the sphere [kg].
         speed: Speed for which elastic parameters and dampings are chosen [m/s].
-        depth: Greatest depth of the undamped impact at ``speed`` on a law that is given as a class [m]; if not
-            given, that of the first instance, or 1 mm.
+        depth: Largest penetration of the undamped impact at ``speed`` for laws given as a class [m]; default: that of
+            the first instance, or 1 mm.
         device: Warp device.
 
     Returns:
         A data set with ``effective_restitution`` [-] over (law, restitution, speed), NaN if the sphere did not
-        leave.
+        leave the plate.
 
     Raises:
-        TypeError: If a law is none.
-        ValueError: If a value is out of range, or a class needs values that only its author knows.
+        TypeError: If an entry is not a law.
+        ValueError: If a value is out of range, or a class has parameters for which no value can be chosen.
     """
     impact = Impact(mass, speed, depth, device)
     restitutions = check_restitutions(restitution)
@@ -124,7 +124,7 @@ def rebounds(
         },
         coords={
             "law": list(chosen),
-            "restitution": ("restitution", restitutions, notes("-", "restitution asked for")),
+            "restitution": ("restitution", restitutions, notes("-", "prescribed restitution")),
             "speed": ("speed", speed_values, notes("m/s", "impact speed")),
         },
         attrs={"source": f"warpcontact {__version__}", "mass": impact.mass, "reference_speed": impact.speed},
@@ -132,12 +132,12 @@ def rebounds(
 
 
 def check_restitutions(given: Any) -> Array:
-    """Returns coefficients of restitution as an array, checked."""
+    """Returns coefficients of restitution as an array, after validation."""
     return checks.row("restitution", given, ALLOWED)
 
 
 def _by_depth(chosen: Mapping[str, LawCase]) -> list[dict[str, LawCase]]:
-    """Returns ``chosen`` in parts of similar depth: the stiffest decides on the step, the softest on the end."""
+    """Splits ``chosen`` into parts of similar depth; the stiffest law sets the step, the softest the duration."""
     parts: list[dict[str, LawCase]] = []
     for label, case in sorted(chosen.items(), key=lambda item: item[1].depth):
         if not parts or not case.depth <= MAX_DEPTH_RATIO * next(iter(parts[-1].values())).depth:
@@ -166,7 +166,7 @@ def _dataset(
             np.array([run.rebound[label] for label in chosen]),
             notes("-", "effective restitution"),
         ),
-        "contact_time": (over_cases, run.time[last], notes("s", "time from touch until the force ends")),
+        "contact_time": (over_cases, run.time[last], notes("s", "time from first contact until the force ends")),
         "greatest_penetration": (over_cases, delta.max(axis=-1), notes("m", "greatest penetration")),
         "greatest_force": (over_cases, force.max(axis=-1), notes("N", "greatest normal force")),
         "energy_loss": (
@@ -177,7 +177,7 @@ def _dataset(
         "parameter": (
             over_cases,
             np.array([values.get(label, no_value) for label in chosen]),
-            {"long_name": "value of the parameter that was varied; its name and unit are coordinates"},
+            {"long_name": "value of the varied parameter; its name and unit are coordinates"},
         ),
     }
     varied = [case.varied or "" for case in chosen.values()]
@@ -187,8 +187,8 @@ def _dataset(
         variables,
         coords={
             "law": list(chosen),
-            "restitution": ("restitution", restitutions, notes("-", "restitution asked for")),
-            "time": ("time", run.time, notes("s", "time since touch")),
+            "restitution": ("restitution", restitutions, notes("-", "prescribed restitution")),
+            "time": ("time", run.time, notes("s", "time since first contact")),
             "varied": ("law", np.array(varied, object)),
             "unit": ("law", np.array(units, object)),
             "class": ("law", np.array([type(case.law).__name__ for case in chosen.values()], object)),
@@ -205,7 +205,7 @@ def _dataset(
 
 
 def _depth(chosen: Mapping[str, LawCase], impact: Impact) -> dict[str, Any]:
-    """Returns the depth that the elastic parameters of classes were chosen for, and the law that it is of."""
+    """Returns the depth to which elastic parameters of classes are fitted, and the law that defines it."""
     depth = next((case.depth for case in chosen.values() if not case.given), np.nan)
     if impact.depth is not None or np.isnan(depth):
         return {"depth": depth, "depth_of": ""}
@@ -214,9 +214,9 @@ def _depth(chosen: Mapping[str, LawCase], impact: Impact) -> dict[str, Any]:
 
 
 def _area(force: Array, delta: Array) -> Array:
-    """Returns the area of loops over the last axis."""
+    """Returns the area of loops along the last axis [J]."""
     before, after = force[..., :-1], force[..., 1:]
-    # A force that jumps at touch or at release keeps its size up to there.
+    # If the force jumps at first contact or at release, keep its magnitude up to there.
     before = np.where(delta[..., :-1] > 0.0, before, after)
     after = np.where(delta[..., 1:] > 0.0, after, before)
     return np.asarray((0.5 * (before + after) * np.diff(delta, axis=-1)).sum(axis=-1))

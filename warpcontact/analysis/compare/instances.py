@@ -1,6 +1,6 @@
-"""Laws and friction models to look at: instances are taken as they are, classes get values that suit the experiment.
+"""Instances of laws and friction models for comparisons: classes get values suited to the test.
 
-A class may come with some of its values, as ``functools.partial``: these are kept, and only the rest is chosen.
+Instances are used unchanged. A class can come with some values, as ``functools.partial``; only the others are chosen.
 """
 
 import dataclasses
@@ -12,49 +12,49 @@ from warpcontact.kernels.catalogue.device_model import Formula
 from warpcontact.kernels.friction.base import Friction
 from warpcontact.kernels.laws.base import Law
 
-# Parameters in proportion to which the elastic force grows.
+# Elastic parameters, to which the elastic force is proportional.
 MODULI = ("stiffness", "modulus", "k1")
-# Damping of unit size makes damping and elastic force alike at half depth and half speed: it is this, in terms
-# of mass m, speed v and depth δ of the impact. A parameter with such a unit that may be zero is the damping.
+# Units of damping parameters. With a damping of one ``damping_scale``, built from mass m, speed v and depth δ of the
+# impact, damping and elastic force are equal at half depth and half speed. A parameter with such a unit and lower
+# limit 0 is the damping.
 DAMPING_UNITS = ("N·s/m", "N·s/m³", "s/m", "s")
-# A ratio has no unit to be known by.
+# A damping ratio is recognized by its name, because it has no unit.
 DAMPING_RATIO = "ratio"
 
-# What classes of friction are shown with [-].
-# All slide, along x, with the same.
+# Default coefficients of friction classes [-]. All have the same coefficient in slip along x.
 COEFFICIENTS = {"mu": 0.4, "mu_dynamic": 0.4, "mu_1": 0.4, "mu_static": 0.5, "mu_2": 0.2}
-# Slip after which a tangential spring, of whatever unit, would pull as much as the load [m].
+# Slip at which the force of a tangential spring equals the load [m].
 STRETCH = 1.0e-4
-# Slip speed at which a drag would be as large as the load, and speed of a parameter without a default [m/s].
+# Slip speed at which a viscous force equals the load, and default of speed parameters [m/s].
 DRAG_SPEED, SPEED = 0.2, 1.0e-2
-# A sphere may stand for a piece of a pad [m²].
+# Area of the contact for laws per area [m²].
 AREA = 1.0e-4
 
 
 class MissingValues(ValueError):
-    """A class that needs values which only its author knows.
+    """Class with parameters for which no value can be chosen.
 
     Attributes:
-        kind: Its name.
+        kind: Name of the class.
         parameters: Names of the parameters.
     """
 
     def __init__(self, kind: str, parameters: Sequence[str]) -> None:
         self.kind, self.parameters = kind, parameters
         needed = " and ".join(parameters)
-        super().__init__(f"{kind} needs {needed}: give an instance with its values, not the class")
+        super().__init__(f"{kind} needs {needed}: pass an instance with its values instead of the class")
 
 
 def named(kind: type[Formula], given: Any) -> dict[str, Any]:
-    """Returns what is to be compared by its label.
+    """Returns the entries to compare, by label.
 
     Args:
         kind: ``Law`` or ``Friction``.
         given: One instance, class or ``functools.partial`` of a class, several, or a mapping from labels to them.
 
     Raises:
-        TypeError: If one is something else.
-        ValueError: If there is none, one has no force, or two have one label.
+        TypeError: If an entry is something else.
+        ValueError: If there are no entries, one is for nonsmooth contact, or two have the same label.
     """
     word = kind.__name__.lower()
     if isinstance(given, Mapping):
@@ -67,52 +67,54 @@ def named(kind: type[Formula], given: Any) -> dict[str, Any]:
         if not issubclass(class_of(entry), kind) or class_of(entry) is kind:
             raise TypeError(f"a {word} must be a class or an instance of wc.{kind.__name__}, got {entry!r}")
         if class_of(entry).rigid:
-            raise ValueError(f"{class_of(entry).__name__} is for nonsmooth contact, and has no force to compare")
+            raise ValueError(f"{class_of(entry).__name__} is for nonsmooth contact and has no force to compare")
         if label in result:
-            raise ValueError(f"two {word}s are called {label!r}: give them as a dict, {{'first': …, 'second': …}}")
+            raise ValueError(
+                f"labels must be distinct, got two {word}s {label!r}: pass a dict, {{'first': …, 'second': …}}"
+            )
         result[label] = entry
     if not result:
-        raise ValueError(f"there is no {word} to compare")
+        raise ValueError(f"got no {word} to compare")
     return result
 
 
 def class_of(entry: Any) -> Any:
-    """Returns the class of an instance, of a ``functools.partial`` of a class, or the class that it is itself."""
+    """Returns a class itself, or the class of an instance or of a ``functools.partial``."""
     if isinstance(entry, functools.partial):
         return entry.func if isinstance(entry.func, type) else type(entry)
     return entry if isinstance(entry, type) else type(entry)
 
 
 def values_of(entry: Any) -> dict[str, Any] | None:
-    """Returns the values that a class comes with, none if it is bare; ``None`` for an instance."""
+    """Returns the values given with a class, empty if there are none; ``None`` for an instance."""
     if isinstance(entry, functools.partial):
         return {name: value for name, value in entry.keywords.items() if value is not None}
     return {} if isinstance(entry, type) else None
 
 
 def is_modulus_given(entry: Any) -> bool:
-    """Returns whether the elastic parameter of a law is given, not to be chosen."""
+    """Returns whether the elastic parameter of a law is given instead of to be chosen."""
     given = values_of(entry)
     return given is None or not any(name in MODULI for name in _default_parameters(class_of(entry), given))
 
 
 def law(entry: Any, modulus: float, depth: float) -> Law:
-    """Returns an instance of a law for impacts of ``depth`` [m]; one that is an instance as it is.
+    """Returns an instance of a law for impacts of ``depth`` [m]; an instance is returned unchanged.
 
     Args:
         entry: Instance, class, or ``functools.partial`` of a class.
-        modulus: Elastic parameter, unless that is given.
-        depth: Depth that lengths among the parameters are to suit.
+        modulus: Elastic parameter, unless it is given.
+        depth: Penetration to which length parameters are adapted [m].
 
     Raises:
-        ValueError: If it has parameters without a default whose meaning cannot be guessed.
+        ValueError: If a parameter has no default and no value can be chosen.
     """
     given = values_of(entry)
     if given is None:
         return _with_area(entry)
     kind = class_of(entry)
     sizes = {
-        # A sphere may stand for the end of a pin; validity asks for depth ≪ clearance.
+        # Area of the end of a pin. The range of validity requires depth ≪ clearance.
         "area": AREA,
         "length": 0.05,
         "clearance": min(10.0 * depth, 1.0e-2),
@@ -127,15 +129,15 @@ def law(entry: Any, modulus: float, depth: float) -> Law:
 
 
 def friction(entry: Any, load: float, patch_radius: float) -> Friction:
-    """Returns an instance of a friction; one that is an instance as it is.
+    """Returns an instance of a friction model; an instance is returned unchanged.
 
     Args:
         entry: Instance, class, or ``functools.partial`` of a class.
         load: Normal force [N].
-        patch_radius: Radius of the patch of contact [m].
+        patch_radius: Radius of the contact patch [m].
 
     Raises:
-        ValueError: If it has parameters without a default whose meaning cannot be guessed.
+        ValueError: If a parameter has no default and no value can be chosen.
     """
     given = values_of(entry)
     if given is None:
@@ -144,7 +146,7 @@ def friction(entry: Any, load: float, patch_radius: float) -> Friction:
     by_unit = {
         "N/m": load / STRETCH,
         "1/m": 1.0 / STRETCH,
-        "Pa": load / STRETCH / (8.0 * patch_radius),  # of a round patch, k = 8 G* a
+        "Pa": load / STRETCH / (8.0 * patch_radius),  # circular patch: k = 8 G* a
         "s/m": 1.0 / DRAG_SPEED,
         "N·s/m": load / DRAG_SPEED,
         "m/s": SPEED,
@@ -155,7 +157,7 @@ def friction(entry: Any, load: float, patch_radius: float) -> Friction:
 
 
 def coefficients_chosen(entries: Iterable[Any]) -> str:
-    """Returns the coefficients that friction models are shown with because none were given, as a text."""
+    """Returns the default coefficients that were used for classes, as text."""
     chosen = {
         name
         for entry in entries
@@ -170,7 +172,7 @@ def coefficients_chosen(entries: Iterable[Any]) -> str:
 
 
 def _default_parameters(kind: type[Formula], given: Mapping[str, Any]) -> list[str]:
-    """Returns the parameters without a value that need one; of those of which one is needed, one."""
+    """Returns the parameters that need a value, including one of each group of which exactly one is required."""
     names = [field.name for field in dataclasses.fields(kind) if field.default is dataclasses.MISSING]
     group = kind.exactly_one_of
     if group and not any(name in given for name in group):
@@ -186,18 +188,18 @@ def _instantiate(kind: Any, values: Mapping[str, float | None]) -> Any:
 
 
 def _with_area(made: Any) -> Any:
-    """Returns ``made`` with an area of its own, if it leaves that to the points."""
+    """Returns ``made`` with area ``AREA`` if its area would be taken from the points."""
     return dataclasses.replace(made, area=AREA) if made.takes_area else made
 
 
 def is_damping(kind: type[Formula], name: str) -> bool:
-    """Returns whether parameter ``name`` is a damping: by its unit, and zero is allowed."""
+    """Returns whether parameter ``name`` is a damping: its unit is one of damping, and zero is allowed."""
     limits = kind.limits(name)
     return limits["at_least"] == 0.0 and (limits["unit"] in DAMPING_UNITS or name == DAMPING_RATIO)
 
 
 def dissipation_parameter(made: Law) -> str | None:
-    """Returns the parameter that decides how much an impact loses: the restitution, else a damping, if any."""
+    """Returns the parameter that sets the energy loss of an impact: the restitution, else a damping, if any."""
     given = made.parameters()
     if "restitution" in given:
         return "restitution"
@@ -205,7 +207,7 @@ def dissipation_parameter(made: Law) -> str | None:
 
 
 def damping_scale(made: Law, name: str, mass: float, speed: float, depth: float) -> float:
-    """Returns the damping ``name`` that makes damping and elastic force alike, in its own unit."""
+    """Returns the damping ``name`` at which damping and elastic force are of equal size, in its own unit."""
     dashpot = mass * speed / depth
     per_unit = {
         "N·s/m": dashpot,

@@ -1,8 +1,8 @@
-"""What data sets and pictures say about their numbers: units, and the parameters that were used."""
+"""Labels of data sets and plots: values with units, and parameter lists."""
 
 from warpcontact.kernels.catalogue.device_model import Formula
 
-# Units are shown with the prefix that leaves the largest number of an axis above this.
+# The unit prefix is chosen so that the largest number on an axis exceeds this.
 LEAST = 0.5
 PREFIXES = {1.0e6: "M", 1.0e3: "k", 1.0: "", 1.0e-3: "m", 1.0e-6: "µ", 1.0e-9: "n"}
 
@@ -13,12 +13,12 @@ def notes(unit: str, meaning: str) -> dict[str, str]:
 
 
 def number(value: float, unit: str) -> str:
-    """Returns a value with its unit."""
+    """Returns a value with its unit as text."""
     return f"{value:.4g}" if unit in ("", "-") else f"{value:.4g} {unit}"
 
 
 def settings(formula: Formula, without: str | None = None) -> str:
-    """Returns the parameters of a law or friction as one reads them, except for one."""
+    """Returns the parameters of a law or friction model as text, except ``without``."""
     return ", ".join(
         f"{name} {number(value, formula.limits(name)['unit'])}"
         for name, value in formula.parameters().items()
@@ -27,11 +27,11 @@ def settings(formula: Formula, without: str | None = None) -> str:
 
 
 def titled(label: str, kind: str) -> str:
-    """Returns a label with the name of the class, where that is another."""
+    """Returns a label, followed by the name of the class if it differs."""
     return label if label == kind else f"{label} ({kind})"
 
 
 def prefixed(largest: float, unit: str) -> tuple[float, str]:
-    """Returns the factor and the unit with a prefix in which ``largest`` is easy to read."""
+    """Returns a factor and a prefixed unit, in which ``largest`` is at least ``LEAST`` if possible."""
     factor = next((factor for factor in PREFIXES if largest >= LEAST * factor), 1.0)
     return 1.0 / factor, PREFIXES[factor] + unit

@@ -1,4 +1,4 @@
-"""Pictures of laws: loops, force over time, and the restitution that comes out."""
+"""Plots of normal laws: loops, force over time, and effective restitution."""
 
 from typing import Any
 
@@ -13,9 +13,9 @@ from warpcontact.analysis.compare.law_panels import Scales
 from warpcontact.kernels.catalogue.keywords import explain_keywords
 from warpcontact.kernels.laws.base import Law
 
-#: Restitutions whose loops are drawn.
+#: Default restitutions whose loops are drawn.
 LOOPS = (0.2, 0.4, 0.6, 0.8, 1.0)
-# Colour of loops that are the same whatever restitution is asked for, and have none of the colours of these.
+# Color of loops that do not depend on the prescribed restitution; different from the colors of restitutions.
 UNVARIED = "0.25"
 
 
@@ -30,25 +30,25 @@ def plot_laws(
     depth: float | None = None,
     device: str = "cpu",
 ) -> Figure:
-    """Draws one law, or several side by side, in the same impact; see ``impacts`` and ``rebounds``.
+    """Plots one law, or compares several, in the same impact; see ``impacts`` and ``rebounds``.
 
     Args:
         laws: A law, several, or a mapping from labels to laws; instances, or classes with or without values.
-        path: The .svg or .png file; ``None``: none is written.
-        restitution: Coefficients of restitution whose loops are drawn [-]; where several laws lie over each
-            other it is the one in the middle.
+        path: The .svg or .png file; ``None``: writes none.
+        restitution: Coefficients of restitution whose loops are drawn [-]. Panels that compare several laws use the
+            middle one.
         mass: Mass of the sphere [kg].
-        speed: Its speed at touch [m/s].
-        depth: Greatest depth of the undamped impact on a law that is given as a class [m]; if not given, that
-            of the first instance, or 1 mm.
+        speed: Impact speed [m/s].
+        depth: Largest penetration of the undamped impact for laws given as a class [m]; default: that of the first
+            instance, or 1 mm.
         device: Warp device.
 
     Returns:
         The matplotlib figure.
 
     Raises:
-        TypeError: If a law is none.
-        ValueError: If a value is out of range, the file cannot be written there, or there are too many laws.
+        TypeError: If an entry is not a law.
+        ValueError: If a value is out of range, the file cannot be written, or there are more than ``MOST`` laws.
     """
     file = None if path is None else figures.check_path(path)
     given = instances.named(Law, laws)
@@ -74,7 +74,7 @@ def plot_laws(
 
 
 def _one(heading: list[str], footer: list[str], law: xr.Dataset, drawn: Any, over_speed: xr.Dataset) -> Figure:
-    """Draws one law with its loops for the restitutions ``drawn``."""
+    """Plots one law with its loops for the restitutions ``drawn``."""
     cases = law.sel(restitution=drawn)
     sheet = figures.sheet(12.0, 9.5, heading, footer)
     (figure,) = figures.parts(sheet, 1.0)
@@ -87,8 +87,8 @@ def _one(heading: list[str], footer: list[str], law: xr.Dataset, drawn: Any, ove
     law_panels.label_loops(panels[0, 0], scales, "force over penetration")
     law_panels.label_forces(panels[0, 1], cases, scales, "force over time")
     law_panels.draw_restitution(panels[1, 0], law, drawn, colors)
-    for shade, asked in zip(colors, over_speed["restitution"].values, strict=False):
-        values = over_speed["effective_restitution"].isel(law=0).sel(restitution=asked)
+    for shade, prescribed in zip(colors, over_speed["restitution"].values, strict=False):
+        values = over_speed["effective_restitution"].isel(law=0).sel(restitution=prescribed)
         law_panels.draw_over_speed(panels[1, 1], values, color=shade)
     law_panels.label_over_speed(panels[1, 1], "restitution over impact speed")
     figures.legend_below(figure, colors, [_case_name(cases.isel(restitution=k)) for k in range(len(colors))])
@@ -98,7 +98,7 @@ def _one(heading: list[str], footer: list[str], law: xr.Dataset, drawn: Any, ove
 def _unvaried(
     heading: list[str], footer: list[str], law: xr.Dataset, drawn: Any, over_speed: xr.Dataset
 ) -> Figure:
-    """Draws one law that is the same whatever is asked for: elastic, or with a restitution of its own."""
+    """Plots one law that does not depend on the prescribed restitution: elastic, or with a given restitution."""
     case = law.sel(restitution=drawn[-1])
     figure = figures.sheet(15.0, 5.6, heading, footer)
     panels = figure.subplots(1, 3)
@@ -113,14 +113,14 @@ def _unvaried(
 
 
 def _several(note: str, data: xr.Dataset, drawn: Any, over_speed: xr.Dataset) -> Figure:
-    """Draws laws over each other for one restitution, and the loops of each beside each other."""
+    """Plots laws together for one restitution, and the loops of each in its own panel."""
     labels = data["law"].values.tolist()
     middle = over_speed["restitution"].item()
     loops, same = data.sel(restitution=drawn), data.sel(restitution=middle)
     rows = -(-len(labels) // figures.COLUMNS)
     footer = [note, *(_settings(loops.isel(law=k), title) for k, title in enumerate(_titles(data)))]
     height = 5.6 + 3.2 * rows + 0.15 * len(footer)
-    figure = figures.sheet(16.0, height, ["The same impact:  " + ", ".join(labels)], footer)
+    figure = figures.sheet(16.0, height, ["Same impact:  " + ", ".join(labels)], footer)
     upper, lower = figures.parts(figure, 4.2, 0.6 + 3.2 * rows)
     panels = upper.subplots(1, 4)
     scales, colors = Scales(loops), [figures.color(k) for k in range(len(labels))]
@@ -142,7 +142,7 @@ def _several(note: str, data: xr.Dataset, drawn: Any, over_speed: xr.Dataset) ->
 
 
 def _draw_families(figure: Any, loops: xr.Dataset, scales: Scales) -> None:
-    """Draws the loops of every law in a panel of its own, all with the same axes."""
+    """Draws the loops of each law in its own panel, all with the same axes."""
     colors = figures.shades(loops.sizes["restitution"])
     for k, axes in enumerate(figures.panel_grid(figure, loops.sizes["law"])):
         law = loops.isel(law=k)
@@ -160,7 +160,7 @@ def _draw_families(figure: Any, loops: xr.Dataset, scales: Scales) -> None:
 
 
 def _case_name(case: xr.Dataset) -> str:
-    """Returns what sets a loop apart: the restitution, and the damping that it took."""
+    """Returns the legend entry of a loop: its restitution, and the damping used."""
     if case["varied"].item() == "restitution":
         return f"e = {case['restitution'].item():g}"
     value = number(case["parameter"].item(), case["unit"].item())
@@ -168,13 +168,13 @@ def _case_name(case: xr.Dataset) -> str:
 
 
 def _effective(case: xr.Dataset) -> str:
-    """Returns the restitution that came out of one impact."""
+    """Returns the effective restitution of one impact as text."""
     value = case["effective_restitution"].item()
     return "no rebound" if np.isnan(value) else f"e = {value:.2g}"
 
 
 def _name(case: xr.Dataset) -> str:
-    """Returns the label of a law, with its restitution if that is always the same."""
+    """Returns the label of a law, with its restitution if that is constant."""
     label = str(case["law"].item())
     return label if case["varied"].item() else f"{label}, {_effective(case)}"
 
@@ -184,7 +184,7 @@ def _titles(data: xr.Dataset) -> list[str]:
 
 
 def _settings(law: xr.Dataset, title: str) -> str:
-    """Returns the parameters of a law, with the dampings of its loops where these were found for them."""
+    """Returns the parameters of a law, with the dampings found for its loops."""
     varied = law["varied"].item()
     texts = [law["settings"].item()]
     if varied and varied != "restitution":
@@ -200,12 +200,12 @@ def _speed(data: xr.Dataset) -> str:
 
 
 def _impact(data: xr.Dataset, stiff: list[str]) -> str:
-    """Returns what all laws have in common; ``stiff`` are those whose elastic parameter was given."""
+    """Returns the common conditions of all laws as text; ``stiff``: laws with a given elastic parameter."""
     text = f"sphere of {number(data.attrs['mass'], 'kg')} on a plate at {_speed(data)}"
     depth, of = data.attrs["depth"], data.attrs["depth_of"]
     if np.isnan(depth):
         return text
-    text += f", {number(depth, 'm')} deep if nothing is lost"
+    text += f", undamped penetration {number(depth, 'm')}"
     if of:
-        return f"{text}, as on {of}"
-    return f"{text}; on {' and '.join(stiff)} as deep as the given stiffness has it" if stiff else text
+        return f"{text}, as for {of}"
+    return f"{text}; for {' and '.join(stiff)} as given by the stiffness" if stiff else text

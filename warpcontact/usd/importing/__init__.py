@@ -1,6 +1,7 @@
-"""USD in: a scene from a stage, one of ours to the bit, one of others as far as UsdPhysics describes it.
+"""USD import: builds a scene from a stage.
 
-What reads files runs in a process of its own, and imports neither Warp nor the rest of the library: ``stage``,
-``records``, ``physics`` and ``colliders``. What makes a scene of what they found runs here: ``restore`` for a
-stage of ours, ``assemble`` for others.
+A stage exported by warpcontact gives a bitwise identical scene; other stages are read as far as UsdPhysics describes
+them. ``stage``, ``records``, ``physics`` and ``colliders`` read files in a sandboxed process and import neither Warp nor
+the rest of the library. The scene is built in the main process: by ``restore`` from a description, by ``assemble``
+from UsdPhysics.
 """

@@ -1,6 +1,6 @@
-"""What is on a stage of ours beside what its description says: bodies, colliders and joints that others added.
+"""Finds bodies, colliders and joints that were added to an exported stage and are missing in its description.
 
-The description alone makes the scene, so that whatever lies elsewhere than an export puts it would be lost.
+The scene is built from the description alone, so these prims would be lost without notice.
 """
 
 import re
@@ -21,37 +21,37 @@ _SINGLE = 1.0e-6
 
 
 def additions(stage: Any, description: Record) -> list[str]:
-    """Returns what a stage has that its description does not have, each with the path of its prim.
+    """Returns what a stage contains in addition to its description, each with the path of its prim.
 
-    That is rigid bodies, colliders, joints and whatever else of physics has no counterpart, unless they lie where
-    an export puts those of an element and have its name; and a gravity that was changed.
+    Lists rigid bodies, colliders, joints and other physics without a counterpart, unless they have the path and the
+    name that an export gives an element; and a changed gravity.
 
     Args:
-        stage: The stage.
-        description: Its description.
+        stage: Stage with the description.
+        description: Record of the description.
     """
     from pxr import Usd, UsdPhysics
 
     expected, time = _Expected(description), Usd.TimeCode.EarliestTime()
     found = []
     for prim in below(stage.GetPseudoRoot()):
-        role, said = expected.role(prim), []
+        role, added = expected.role(prim), []
         if has(prim, "PhysicsRigidBodyAPI") and role != "body":
             enabled = is_on(UsdPhysics.RigidBodyAPI(prim).GetRigidBodyEnabledAttr(), time)
-            said += ["a rigid body"] if enabled else []
+            added += ["a rigid body"] if enabled else []
         if has(prim, "PhysicsCollisionAPI") and role != "collider":
             enabled = is_on(UsdPhysics.CollisionAPI(prim).GetCollisionEnabledAttr(), time)
-            said += ["a collider"] if enabled else []
+            added += ["a collider"] if enabled else []
         if role != "joint":
-            said += reasons(prim)
+            added += reasons(prim)
         if prim.IsA(UsdPhysics.Scene):
-            said += _gravity(stage, prim, description)
-        found += [f"{path_of(prim)}: {what}, which the description does not have" for what in said]
+            added += _gravity(stage, prim, description)
+        found += [f"{path_of(prim)}: {what}, missing in the description" for what in added]
     return found
 
 
 def _gravity(stage: Any, prim: Any, description: Record) -> list[str]:
-    """Returns the gravity of a physics scene in words if it is neither what was exported nor what is described."""
+    """Returns the gravity of a physics scene as text if it is neither the exported nor the described one."""
     written = prim.GetCustomDataByKey("warpcontact:gravity")
     expected = np.array(description["values"].get("gravity") if written is None else written, dtype=np.float64)
     gravity = read_gravity(stage, prim)
@@ -61,7 +61,7 @@ def _gravity(stage: Any, prim: Any, description: Record) -> list[str]:
 
 
 class _Expected:
-    """Where an export puts the elements of a description, beside which it lies."""
+    """Paths at which an export places the elements of a description; the description is their sibling."""
 
     def __init__(self, description: Record) -> None:
         self.world = description["path"].rpartition("/")[0]
@@ -69,7 +69,7 @@ class _Expected:
         elements = {} if folder is None else folder["children"]
         kinds = {prim: str(one["values"].get("kind")) for prim, one in elements.items()}
         self.bodies = {prim for prim, kind in kinds.items() if kind == "body"}
-        # What carries each surface and shape; of others it follows from what they are made of.
+        # Carrier of each surface and shape; "Surfaces" for the world. With target "[]" it is derived elsewhere.
         self.carriers = {
             prim: one["targets"].get("body", ["Surfaces"])[0].rpartition("/")[2]
             for prim, one in elements.items()
@@ -78,7 +78,7 @@ class _Expected:
         self.names = {prim: str(one["values"].get("name")) for prim, one in elements.items()}
 
     def role(self, prim: Any) -> str | None:
-        """Returns whether a prim is a body, collider or joint of the description; ``None``: none of them."""
+        """Returns whether a prim is a body, collider or joint of the description; ``None`` if neither."""
         path = str(prim.GetPath())
         if not path.startswith(f"{self.world}/"):
             return None
@@ -100,15 +100,15 @@ class _Expected:
                 return "collider" if self.carriers.get(name, carrier) == carrier else None
         return None
 
-    def _named(self, prim: str, store_element_name: Any) -> bool:
-        """Whether the name of a prim is that of the element whose name it is marked with."""
+    def _named(self, prim: str, element_name: Any) -> bool:
+        """Returns whether a prim name is that of the element whose name is stored on the prim."""
         from pxr import Tf
 
         if prim in self.names:
-            return self.names[prim] == store_element_name
-        # Contacts that a coupling made are elements which the description does not list.
+            return self.names[prim] == element_name
+        # The contact points of contact couplings are not listed in the description.
         return (
-            isinstance(store_element_name, str)
-            and store_element_name not in self.names.values()
-            and Tf.MakeValidIdentifier(store_element_name) == prim
+            isinstance(element_name, str)
+            and element_name not in self.names.values()
+            and Tf.MakeValidIdentifier(element_name) == prim
         )

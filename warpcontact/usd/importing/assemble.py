@@ -1,4 +1,4 @@
-"""A scene of what UsdPhysics says: rigid bodies with their mass, and colliders that touch."""
+"""Builds a scene from UsdPhysics data: rigid bodies with their mass, colliders and their contacts."""
 
 import re
 from collections.abc import Callable
@@ -19,9 +19,9 @@ from warpcontact.usd.importing.shapes import ColliderShape, collider_shape
 from warpcontact.usd.importing.solids import Weight
 from warpcontact.validation.checks import Array
 
-#: Density where nothing says one [kg/m³].
+#: Default density [kg/m³].
 DENSITY = 1000.0
-# Names are cut to this length.
+# Largest length of element names.
 _LONGEST = 60
 
 
@@ -37,15 +37,15 @@ def build_scene(
     """Returns the scene of a stage.
 
     Args:
-        physics: What ``read_physics`` found.
-        subject: What to call the stage in messages.
-        material: Law and friction of all contacts; ``None``: as materials say.
-        contact_time: Time that an impact takes [s].
-        samples: How points of surfaces are made, of ``add_surface_contact``.
-        skip_unsupported: Whether to leave out what there is no counterpart for.
+        physics: Result of ``read_physics``.
+        subject: Name of the stage in messages.
+        material: Contact material of all contacts; ``None``: from the physics materials.
+        contact_time: Duration of an impact [s].
+        samples: Sampling of surfaces, as for ``add_surface_contact``.
+        skip_unsupported: Whether to omit what has no counterpart instead of raising an error.
 
     Raises:
-        UsdError: If something makes no sense, or has no counterpart; all of it is listed.
+        UsdError: If something is invalid or has no counterpart; lists all problems.
     """
     return _Assembly(physics).scene(subject, material, contact_time, samples, skip_unsupported)
 
@@ -69,7 +69,7 @@ class _Assembly:
         ]
         scene = Scene(self.physics["gravity"])
         bodies: list[Body | None] = []
-        centres = []
+        centers = []
         carried: list[list[tuple[dict[str, Any], ColliderShape]]] = [[] for _ in self.body_names]
         for collider, part in zip(self.physics["colliders"], found, strict=True):
             if collider["body"] >= 0 and part is not None:
@@ -77,15 +77,15 @@ class _Assembly:
         for record, name, geometry in zip(self.physics["bodies"], self.body_names, carried, strict=True):
             made = self._collect_errors(record, partial(self._body, scene, record, name, geometry))
             bodies.append(made)
-            centres.append(np.zeros(3) if made is None else _local(record, made.position))
+            centers.append(np.zeros(3) if made is None else _local(record, made.position))
         self._raise_problems(subject, skip)
         colliders: list[Collider] = []
-        numbers = np.full(len(found), -1)  # among those that are not left out
+        numbers = np.full(len(found), -1)  # indices among the colliders that are not omitted
         for i, ((record, name), one) in enumerate(zip(self._named_colliders(), found, strict=True)):
             if one is None:
                 continue
             carrier = bodies[record["body"]] if record["body"] >= 0 else None
-            shift = centres[record["body"]] if record["body"] >= 0 else np.zeros(3)
+            shift = centers[record["body"]] if record["body"] >= 0 else np.zeros(3)
             numbers[i] = len(colliders)
             colliders.append(self._collider(record, name, carrier, one, shift))
         for one in colliders:
@@ -106,7 +106,7 @@ class _Assembly:
         scene.import_warnings = (
             *self.remarks,
             *contact_builder.remarks,
-            *(f"left out: {one}" for one in self.unsupported),
+            *(f"omitted: {one}" for one in self.unsupported),
         )
         return scene
 
@@ -128,7 +128,7 @@ class _Assembly:
             raise UsdError(subject, problems)
 
     def _part(self, record: dict[str, Any], name: str) -> ColliderShape:
-        """Returns a collider in the frame of its body, the origin of which is that of the prim."""
+        """Returns a collider in the frame of its body, whose origin is that of its prim."""
         shape, placement = record["shape"], record["placement"]
         if record["body"] < 0:
             return collider_shape(shape, placement[:3, :3], placement[:3, 3], name, filled=False)
@@ -159,10 +159,10 @@ class _Assembly:
         )
 
     def _weight(self, record: dict[str, Any], colliders: list[tuple[dict[str, Any], ColliderShape]]) -> Weight:
-        """Returns mass, centre and inertia of a body in its frame.
+        """Returns mass, center of mass and inertia of a body in its frame.
 
-        What MassAPI says of the body comes before what it says of its colliders, and that before what follows
-        from their volumes and densities.
+        Values of MassAPI on the body take precedence over those on its colliders, and these over values computed
+        from volumes and densities.
         """
         parts = [_weight_of(record, one, geometry) for one, geometry in colliders]
         weights = [part for part in parts if part is not None]
@@ -173,7 +173,9 @@ class _Assembly:
             complete = mass > 0.0 and moments is not None
             if not complete and not record["kinematic"]:
                 missing = "physics:mass" if mass == 0.0 else "physics:diagonalInertia"
-                raise InvalidValue(f"it has neither {missing} nor colliders with a volume to take it from")
+                raise InvalidValue(
+                    f"{missing} must be authored, because no collider has a volume to compute it from"
+                )
             origin = np.zeros(3) if centre is None else centre
             weight = Weight(mass or 1.0, origin, np.eye(3))
         if mass > 0.0:
@@ -197,14 +199,14 @@ class _Assembly:
 
 
 def _local(body: dict[str, Any], position: Array) -> Array:
-    """Returns a place of the world in the frame of a body, the origin of which is that of its prim [m]."""
+    """Returns a world position in the frame of a body, whose origin is that of its prim [m]."""
     local: Array = body["turn"].T @ (position - body["placement"][:3, 3])
     return local
 
 
 def _weight_of(body: dict[str, Any], record: dict[str, Any], geometry: ColliderShape) -> Weight | None:
-    """Returns the weight of a collider in the frame of its body; ``None`` if it has none."""
-    # UsdPhysics: the density of a material has the lowest precedence.
+    """Returns mass properties of a collider in the frame of its body; ``None`` if it has no volume."""
+    # In UsdPhysics, the density of a material has the lowest precedence.
     density = record["density"] or body["density"] or (record["material"] or {}).get("density") or DENSITY
     if geometry.solid is None or not geometry.solid.volume > 0.0:
         return None
@@ -218,22 +220,22 @@ def _weight_of(body: dict[str, Any], record: dict[str, Any], geometry: ColliderS
 
 
 def _rotation(linear: Array) -> Array:
-    """Returns the rotation nearest to a transformation."""
+    """Returns the rotation nearest to a linear map (3, 3)."""
     left, _, right = np.linalg.svd(linear)
     rotation: Array = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
     return rotation
 
 
 def _tensor(moments: Array, axes: Array | None) -> Array:
-    """Returns the inertia with these principal moments, about principal axes (quaternion to the body)."""
+    """Returns the inertia tensor with given principal moments; ``axes``: quaternion from principal axes to body."""
     rotation = np.eye(3) if axes is None else Rotation.from_quat(axes).as_matrix()
     return rotation @ np.diag(moments) @ rotation.T
 
 
 def element_names(paths: list[str]) -> list[str]:
-    """Returns a name for each path of a prim: that of the prim, made valid and told apart by a number."""
+    """Returns a distinct valid element name for each prim path: the prim name, with a number if it is repeated."""
     taken = {"scene"}
-    last: dict[str, int] = {}  # number given to each name that several have
+    last: dict[str, int] = {}  # last number appended to each repeated name
     names = []
     for path in paths:
         text = re.sub(r"[^A-Za-z0-9_-]", "_", path.rpartition("/")[2])[:_LONGEST]

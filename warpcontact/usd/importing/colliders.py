@@ -1,4 +1,4 @@
-"""The shapes of colliders as UsdGeom has them, with all corners in place."""
+"""Shapes of colliders as UsdGeom describes them, with validated values."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from warpcontact.meshes.readers.usd import polygons, without_holes
 from warpcontact.usd.importing.findings import InvalidValue, Unsupported, number
 from warpcontact.usd.importing.schemas import has, value_of
 
-# What is done with a mesh, by what the stage asks for; other approximations have no counterpart.
+# Treatment of a mesh, by the authored approximation; other approximations have no counterpart.
 APPROXIMATIONS = {
     "none": "mesh",
     "convexHull": "hull",
@@ -20,7 +20,7 @@ APPROXIMATIONS = {
     "sdf": "mesh",
     "sdfMesh": "mesh",
 }
-#: The axis of a shape about z: how that shape's x, y and z lie in the frame of its prim.
+#: Rotation by the ``axis`` attribute: rows are the x, y and z axes of the shape in the frame of its prim.
 AXES = {
     "X": [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]],
     "Y": [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
@@ -32,12 +32,12 @@ def shape_of(prim: Any, time: Any, most_faces: int) -> dict[str, Any]:
     """Returns the shape of a collider in the frame of its prim, in units of the stage.
 
     ``kind`` is "sphere" (``radius``), "box" (``half``, (3,)), "capsule" or "cylinder" (``radius``, ``half``),
-    "cone" (``radius``, ``half``), "plane", or "mesh" (``vertices`` (V, 3), ``faces`` (F, 3), ``approximation``);
-    all but sphere, box and mesh have ``axes`` (3, 3), of which the rows are their x, y and z axes in that frame.
+    "cone" (``radius``, ``half``), "plane", or "mesh" (``vertices`` (V, 3), ``faces`` (F, 3), ``approximation``).
+    All but sphere, box and mesh have ``axes`` (3, 3), whose rows are the shape's x, y and z axes in that frame.
 
     Raises:
-        InvalidValue: If it makes no sense.
-        Unsupported: If there is no counterpart for it.
+        InvalidValue: If a value is invalid.
+        Unsupported: If the shape has no counterpart.
     """
     from pxr import UsdGeom
 
@@ -56,7 +56,7 @@ def shape_of(prim: Any, time: Any, most_faces: int) -> dict[str, Any]:
     if kind in ("Capsule_1", "Cylinder_1"):
         first, second = (_length(prim, name, time) for name in ("radiusBottom", "radiusTop"))
         if first != second:
-            raise Unsupported(f"a {kind} of two radii, {first:g} and {second:g}, cannot collide here")
+            raise Unsupported(f"a {kind} of two radii, {first:g} and {second:g}, has no counterpart")
         sizes = {"radius": first, "half": 0.5 * _length(prim, "height", time)}
         return {"kind": kind.removesuffix("_1").lower(), **sizes, "axes": _axes(prim, time)}
     raise Unsupported(
@@ -81,7 +81,9 @@ def _mesh(prim: Any, time: Any, most_faces: int) -> dict[str, Any]:
     mesh = UsdGeom.Mesh(prim)
     vertices, counts, corners = polygons(mesh, time)
     if max(counts.sum() - 2 * len(counts), len(vertices) / 3) > most_faces:
-        raise InvalidValue(f"it has {len(counts)} faces or more; allowed: {most_faces} triangles, see Limits")
+        raise InvalidValue(
+            f"the mesh has {len(counts)} faces or more; allowed: {most_faces} triangles, see Limits"
+        )
     bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
     if len(bad):
         raise InvalidValue(f"points[{bad[0]}] must be finite, got {vertices[bad[0]].tolist()}")
@@ -95,9 +97,9 @@ def _mesh(prim: Any, time: Any, most_faces: int) -> dict[str, Any]:
         raise InvalidValue("the mesh has no faces")
     if str(mesh.GetOrientationAttr().Get(time)) == "leftHanded":
         faces = faces[:, ::-1]
-    asked = "none"
+    requested = "none"
     if has(prim, "PhysicsMeshCollisionAPI"):
-        asked = str(value_of(prim.GetAttribute("physics:approximation"), time) or "none")
-    if asked not in APPROXIMATIONS:
-        raise Unsupported(f"the approximation {asked!r}; allowed: {', '.join(APPROXIMATIONS)}")
-    return {"kind": "mesh", "vertices": vertices, "faces": faces, "approximation": asked}
+        requested = str(value_of(prim.GetAttribute("physics:approximation"), time) or "none")
+    if requested not in APPROXIMATIONS:
+        raise Unsupported(f"the approximation {requested!r}; allowed: {', '.join(APPROXIMATIONS)}")
+    return {"kind": "mesh", "vertices": vertices, "faces": faces, "approximation": requested}

@@ -1,26 +1,27 @@
-"""How many points of a body may touch at once: each has a spring and a dashpot, and they add up."""
+"""Scales the force of sample points by the number of points in contact at the same time, so that stiffness is bounded."""
 
 import numpy as np
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from warpcontact.validation.checks import Array
 
-#: So many points may carry in full; of more each carries a part. A dashpot of the least restitution is just within
-#: what a step of a fiftieth of the contact time takes four times.
+#: Number of points that may carry their full force; with more, each carries a fraction. With this number, a dashpot at
+#: the smallest restitution is stable at time steps of 1/50 of the contact time.
 FULL_FORCE_POINTS = 4
-# A part is flat within so much of the size of all.
+# Thickness of a flat part, as a fraction of the size of the point set.
 _FLAT = 0.01
-# Places, and facets, that are tried.
+# Largest number of points and hull facets that are tested.
 _MAX_TRIED = 256
 
 
 def averaged_force_scale(points: Array, reach: float, *, convex: bool) -> float:
-    """Returns the part of its force that each point is given.
+    """Returns the fraction of its force that each point is given.
 
     Args:
-        points: The points (n, 3) [m].
-        reach: Half the size of what they touch [m]: it covers no points that are farther from each other.
-        convex: Whether only those in a flat part of their convex hull touch at once, as of what lies on something.
+        points: Positions of the points (n, 3) [m].
+        reach: Half the size of the opposite body [m], within which points can be in contact simultaneously.
+        convex: Whether only points in one flat part of the convex hull can be in contact simultaneously, as for a
+            body that lies on another.
     """
     tried = points[:: max(1, len(points) // _MAX_TRIED)]
     count = int(KDTree(points).query_ball_point(tried, reach, return_length=True).max())
@@ -30,10 +31,10 @@ def averaged_force_scale(points: Array, reach: float, *, convex: bool) -> float:
 
 
 def _max_coplanar(points: Array) -> int:
-    """Returns how many points lie in one flat part of their convex hull."""
+    """Returns the largest number of points in one flat part of their convex hull."""
     try:
         planes = ConvexHull(points).equations
-    except (QhullError, ValueError):  # all of them do
+    except (QhullError, ValueError):  # the points are coplanar
         return len(points)
     planes = planes[:: max(1, len(planes) // _MAX_TRIED)]
     distance = points @ planes[:, :3].T + planes[:, 3]

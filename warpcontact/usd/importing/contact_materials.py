@@ -1,4 +1,4 @@
-"""Law and friction of the contacts of a stage, from the materials of both sides; ``docs/usd.md`` has the rules."""
+"""Contact materials of imported contacts, from the physics materials of both sides; rules in ``docs/usd.md``."""
 
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
@@ -9,13 +9,13 @@ from warpcontact.kernels.friction import CundallStrack, Friction, Frictionless
 from warpcontact.kernels.laws import KelvinVoigt
 from warpcontact.scene.elements import Body, ContactMaterial
 
-#: Friction where no physics material gives any.
+#: Default coefficient of friction of colliders without one.
 FRICTION = 0.5
-#: Least restitution of the law: at 0 its dashpot would be infinite.
+#: Smallest restitution of the law; at 0 the damping would be infinite.
 LEAST_RESTITUTION = 0.01
-# A spring along the tangent that is this part of the one along the normal has half a period of the same length
-# for a solid sphere; its dashpot has half of the critical damping.
-_ASIDE = 2.0 / 7.0
+# Ratio of tangential to normal stiffness. For a solid sphere, the half periods of both springs are then equal. The
+# tangential dashpot has half the critical damping.
+_TANGENTIAL_RATIO = 2.0 / 7.0
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,8 @@ class PhysicsMaterial:
         restitution: Coefficient of restitution [-].
         stiffness: Stiffness of the contact [N/m].
         damping: Damping of the contact [N·s/m].
-        rolling: Rolling friction: couple over normal force [m].
-        torsion: Torsional friction: couple over normal force [m].
+        rolling: Rolling friction: ratio of torque to normal force [m].
+        torsion: Torsional friction: ratio of torque to normal force [m].
     """
 
     static: float = FRICTION
@@ -42,9 +42,9 @@ class PhysicsMaterial:
 
     @classmethod
     def of(cls, record: dict[str, Any] | None) -> "PhysicsMaterial":
-        """Returns a material as ``read_material`` describes it; ``None``: no material.
+        """Returns a material from the result of ``read_material``; ``None``: the default material.
 
-        A coefficient of friction that is not given is the other one: friction at rest is at least that of sliding.
+        A missing coefficient of friction is set to the other one.
         """
         if record is None:
             return cls()
@@ -59,7 +59,7 @@ class PhysicsMaterial:
         )
 
     def with_other(self, second: "PhysicsMaterial") -> "PhysicsMaterial":
-        """Returns the means of two materials; of a value that only one of them gives, that value."""
+        """Returns the mean of two materials; a value given by only one of them is used as it is."""
         return PhysicsMaterial(
             static=0.5 * (self.static + second.static),
             dynamic=0.5 * (self.dynamic + second.dynamic),
@@ -76,8 +76,8 @@ class Side:
     """One side of a contact.
 
     Attributes:
-        material: Its material.
-        body: Its body; ``None``: it does not move.
+        material: Physics material of the collider.
+        body: Body that forces move; ``None``: fixed or kinematic.
     """
 
     material: PhysicsMaterial
@@ -85,40 +85,40 @@ class Side:
 
     @property
     def mass(self) -> float:
-        """Mass that an impact accelerates [kg]."""
+        """Mass of the body [kg]; infinite without a body."""
         return float("inf") if self.body is None else float(self.body.mass)
 
     @property
     def inertia(self) -> float:
-        """Mean principal moment of inertia [kg·m²]."""
+        """Mean principal moment of inertia [kg·m²]; infinite without a body."""
         return float("inf") if self.body is None else float(self.body.inertia.trace()) / 3.0
 
 
 class ContactMaterials:
-    """Combines the materials of both sides into law and friction, one object for all contacts that are alike.
+    """Combines the physics materials of both sides into contact materials, shared by equal contacts.
 
     Args:
-        given: Law and friction of all contacts; ``None``: from materials.
-        contact_time: Duration of an impact, from which stiffness follows if no material gives it [s].
+        given: Contact material of all contacts; ``None``: from the physics materials.
+        contact_time: Duration of an impact [s], which gives the stiffness if no material does.
     """
 
     def __init__(self, given: ContactMaterial | None, contact_time: float) -> None:
         self.given = given
         self.contact_time = contact_time
         self.made: dict[tuple[float | None, ...], tuple[ContactMaterial, dict[str, Any]]] = {}
-        self._elastic = 0  # contacts that take the damping of a material and not its restitution
-        self._rolling: list[str] = []  # contacts without the rolling friction of a material
+        self._elastic = 0  # number of contacts that use the damping of a material and ignore its restitution
+        self._rolling: list[str] = []  # contacts that ignore the rolling friction of a material
 
     def combine(
         self, label: str, first: Side, second: Side, radius: float | None
     ) -> tuple[ContactMaterial, dict[str, Any]]:
-        """Returns law and friction of a contact, and its options.
+        """Returns the contact material of a contact, and further keyword arguments of the contact.
 
         Args:
-            label: The contact in remarks.
+            label: Name of the contact in remarks.
             first: One side.
-            second: The other one.
-            radius: Radius of rolling [m]; ``None``: none, or it depends on where both touch.
+            second: Other side.
+            radius: Rolling radius [m]; ``None``: there is none, or it depends on the contact point.
         """
         if self.given is not None:
             return self.given, {}
@@ -135,17 +135,17 @@ class ContactMaterials:
         return self.made[key]
 
     def remarks(self) -> Sequence[str]:
-        """Returns remarks on values of materials that contacts do not use."""
+        """Returns remarks on values of physics materials that no contact uses."""
         found = []
         if self._elastic:
             found.append(
-                f"{self._elastic} contacts take newton:contactDamping and not physics:restitution; MoreauJean "
-                "takes a restitution of 0 there"
+                f"{self._elastic} contacts use newton:contactDamping and ignore physics:restitution; MoreauJean "
+                "uses a restitution of 0 there"
             )
         if self._rolling:
             found.append(
-                f"newton:rollingFriction is not used in {len(self._rolling)} contacts, such as "
-                f"{self._rolling[0]}: there is no radius of rolling, or it depends on where both sides touch"
+                f"newton:rollingFriction is ignored in {len(self._rolling)} contacts, such as "
+                f"{self._rolling[0]}: there is no rolling radius, or it depends on the contact point"
             )
         return found
 
@@ -153,12 +153,12 @@ class ContactMaterials:
         self, mixed: PhysicsMaterial, mass: float, inertia: float, radius: float | None
     ) -> ContactMaterial:
         stiffness = mass * (pi / self.contact_time) ** 2 if mixed.stiffness is None else mixed.stiffness
-        aside = _ASIDE * stiffness
+        tangential_stiffness = _TANGENTIAL_RATIO * stiffness
         friction = CundallStrack(
             mu_static=mixed.static,
             mu_dynamic=mixed.dynamic,
-            stiffness=aside,
-            damping=sqrt(_ASIDE * mass * aside),
+            stiffness=tangential_stiffness,
+            damping=sqrt(_TANGENTIAL_RATIO * mass * tangential_stiffness),
         )
         loss = (
             {"restitution": max(mixed.restitution, LEAST_RESTITUTION)}
@@ -172,18 +172,18 @@ class ContactMaterials:
             rolling=_resistance(mixed.rolling / radius, inertia / radius**2, rate)
             if mixed.rolling and radius is not None
             else Frictionless(),
-            # An arm of the coefficient of Newton with a coefficient of 1: the couple is at most torsion × N.
+            # Newton's coefficient is used as torsion radius, with a coefficient of 1: torque ≤ torsion × N.
             torsion=_resistance(1.0, inertia / mixed.torsion**2, rate) if mixed.torsion else Frictionless(),
         )
 
 
 def _resistance(mu: float, mass: float, rate: float) -> Friction:
-    """Returns resistance to rotation that holds at rest.
+    """Returns a friction model with stick for rolling or torsion.
 
     Args:
-        mu: Its coefficient [-].
-        mass: Inertia over the arm squared [kg].
-        rate: Stiffness over mass of the contact along its normal [1/s²]: its spring has the same period.
+        mu: Coefficient [-].
+        mass: Inertia divided by the squared arm [kg].
+        rate: Normal stiffness over mass of the contact [1/s²]; the tangential spring has the same period.
     """
     return CundallStrack(mu_static=mu, mu_dynamic=mu, stiffness=mass * rate, damping=mass * sqrt(rate))
 

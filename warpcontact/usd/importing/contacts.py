@@ -1,4 +1,4 @@
-"""Which colliders touch, and by which contacts; ``docs/usd.md`` says the rules."""
+"""Selects contact pairs of imported colliders and adds their contacts; rules in ``docs/usd.md``."""
 
 from dataclasses import astuple, dataclass
 from itertools import islice
@@ -18,26 +18,30 @@ from warpcontact.usd.importing.pairs import Numbers, group_particles, other_pair
 from warpcontact.usd.importing.shapes import ColliderShape
 from warpcontact.usd.rolling import rolling_radius
 
-#: So many spheres and capsules of one material are a pile, in which partners are looked for.
+#: More than this number of moving spheres and capsules of one material form a particle contact.
 MIN_PARTICLES = 32
-#: Most contacts of one scene, but for piles.
+#: Largest number of contacts of a scene, not counting particle contacts.
 MOST_CONTACTS = 10_000
-#: Most points of what is at rest that look for what moves.
+#: Largest number of vertices of a static surface whose points are tested against moving bodies.
 MOST_POINTS = 2000
 
 
 @dataclass(eq=False)
 class Collider:
-    """A collider of a scene, and what was made of it.
+    """Collider of a scene, and the elements created for it.
 
     Attributes:
         path: Path of its prim.
-        name: Its name.
+        name: Name of its elements.
         body: Body that carries it; ``None``: the world.
-        moves: Whether forces move that.
-        geometry: What it is.
-        material: Its physics material.
+        moves: Whether forces move the body.
+        geometry: Shape or mesh in the frame of the body.
+        material: Physics material.
         visible: Whether it is drawn.
+        shape: Shape element, once added.
+        surface_element: Surface element, once added.
+        centre: Point element at the center, once added.
+        points: Sample points of the surface, once added.
     """
 
     path: str
@@ -54,15 +58,15 @@ class Collider:
 
     @property
     def side(self) -> Side:
-        """Its material and the body that forces move."""
+        """Material and movable body, for the combination of materials."""
         return Side(self.material, self.body if self.moves else None)
 
     def is_a(self, *kinds: type) -> bool:
-        """Whether its form is one of these."""
+        """Returns whether the analytic shape is an instance of one of these classes."""
         return isinstance(self.geometry.form, kinds)
 
     def add(self, scene: Scene) -> None:
-        """Adds its shape, or its surface if it is a mesh."""
+        """Adds the shape, or the surface if the collider is a mesh."""
         if self.geometry.form is None:
             self.surface(scene)
             return
@@ -72,7 +76,7 @@ class Collider:
         )
 
     def surface(self, scene: Scene) -> Surface:
-        """Returns its surface, which is added when it is first asked for."""
+        """Returns the surface, which is added at the first call."""
         if self.surface_element is None:
             mesh, is_mesh = self.geometry.surface(self.name), self.geometry.form is None
             name = self.name if is_mesh else scene.new_name(f"{self.name}_surface", None)
@@ -87,14 +91,14 @@ class Collider:
         return self.surface_element
 
     def center_point(self, scene: Scene) -> Points:
-        """Returns the centre of a sphere as a point."""
+        """Returns the center of a sphere as a point, which is added at the first call."""
         if self.centre is None:
             name = scene.new_name(f"{self.name}_centre", None)
             self.centre = scene.add_point(self.body, self.geometry.position, name=name)
         return self.centre
 
     def sample_points(self, scene: Scene, samples: int | str) -> Points:
-        """Returns points of its surface."""
+        """Returns sample points of the surface, which are added at the first call."""
         if self.points is None:
             surface_element = self.surface(scene)
             method = {"method": samples} if isinstance(samples, str) else {"count": samples}
@@ -109,10 +113,10 @@ class ContactBuilder:
     """Adds the contacts of colliders to a scene.
 
     Args:
-        scene: The scene.
-        material: Law and friction of all contacts; ``None``: as materials say.
-        contact_time: Time that an impact takes, which stiffness follows from [s].
-        samples: Of ``add_surface_contact``.
+        scene: Scene to add to.
+        material: Contact material of all contacts; ``None``: from the physics materials.
+        contact_time: Duration of an impact [s], which gives the stiffness if no material does.
+        samples: Sampling of surfaces, as for ``add_surface_contact``.
     """
 
     def __init__(
@@ -124,11 +128,11 @@ class ContactBuilder:
         self.remarks: list[str] = []
 
     def add(self, colliders: list[Collider], excluded: Numbers) -> None:
-        """Adds all contacts of colliders.
+        """Adds all contacts between colliders.
 
         Args:
-            colliders: The colliders.
-            excluded: Pairs (n, 2) of their numbers that do not touch, the lower number first, ordered.
+            colliders: Colliders of the scene.
+            excluded: Index pairs (n, 2) without contact, each with the lower index first, sorted.
         """
         groups = group_particles([_particle_key(collider) for collider in colliders], MIN_PARTICLES)
         for number, exclude in enumerate(pairs_within_groups(groups, excluded)):
@@ -141,12 +145,12 @@ class ContactBuilder:
         pairs = list(islice(other_pairs(bodies, moves, groups, excluded), MOST_CONTACTS + 1))
         if len(pairs) > MOST_CONTACTS:
             raise InvalidValue(
-                f"more than {MOST_CONTACTS} pairs of colliders may touch; no more are allowed. Keep "
-                "apart what does not touch, with collision groups or filtered pairs"
+                f"more than {MOST_CONTACTS} pairs of colliders can be in contact. Exclude pairs "
+                "with collision groups or filtered pairs"
             )
         for i, j in pairs:
             first, second = colliders[i], colliders[j]
-            # What moves, and no half-space, is the first: normals point towards it.
+            # Normals point towards the first: a moving collider before a static one, and a plane last.
             swap = (first.is_a(shapes.Plane), not first.moves) > (second.is_a(shapes.Plane), not second.moves)
             self._add_pair(*((second, first) if swap else (first, second)))
         self.remarks += self.combiner.remarks()
@@ -165,14 +169,14 @@ class ContactBuilder:
         name = scene.new_name(f"{first.name}_{second.name}", None)
         form, second_form = first.geometry.form, second.geometry.form
         sphere, surface_side = (first, second) if first.is_a(shapes.Sphere) else (second, first)
-        smooth = form is not None and second_form is not None
+        is_shape_contact = form is not None and second_form is not None
         if form is not None and second_form is not None:
             radius = rolling_radius(form, second_form)
         else:
             radius = sphere.geometry.form.radius if sphere.is_a(shapes.Sphere) else None  # type: ignore[union-attr]
         material, common = self.combiner.combine(repr(name), first.side, second.side, radius)
         options: dict[str, Any] = {**common, "name": name}
-        if smooth:
+        if is_shape_contact:
             scene.add_shape_contact(_shape(first), _shape(second), material, **options)
         elif radius is not None:
             scene.add_contact(
@@ -186,7 +190,7 @@ class ContactBuilder:
     def _add_surfaces(
         self, first: Collider, second: Collider, material: ContactMaterial, options: dict[str, Any]
     ) -> None:
-        """Lets points of two surfaces touch the other one; of one at rest only if they are not too many."""
+        """Adds contacts of the points of each surface with the other; a large static surface gets no points."""
         both = second.moves or len(second.surface(self.scene).mesh.vertices) <= MOST_POINTS
         self._add_points(first, second, material, options, 0.5 if both else 1.0)
         if both:
@@ -194,14 +198,14 @@ class ContactBuilder:
             self._add_points(second, first, material, options | {"name": name}, 0.5)
         else:
             self.remarks.append(
-                f"{second.path}: it has more than {MOST_POINTS} vertices and does not move: points of "
-                f"{first.path} touch it, and not the reverse"
+                f"{second.path}: does not move and has more than {MOST_POINTS} vertices: only the points of "
+                f"{first.path} are tested against it, not its points against that mesh"
             )
 
     def _add_points(
         self, first: Collider, second: Collider, material: ContactMaterial, options: dict[str, Any], part: float
     ) -> None:
-        """Lets points of one surface touch the other; ``part``: of the force of the pair."""
+        """Adds contact of points of one surface with the other; ``part``: fraction of the force of the pair."""
         points, surface_element = first.sample_points(self.scene, self.samples), second.surface(self.scene)
         reach = 0.5 * float(np.linalg.norm(np.ptp(surface_element.mesh.bounds, axis=0)))
         force_scale = part * averaged_force_scale(points.positions, reach, convex=first.moves)
@@ -214,7 +218,7 @@ def _shape(first: Collider) -> Shape:
 
 
 def _particle_key(first: Collider) -> tuple[float | None, ...] | None:
-    """Returns what spheres and capsules of a pile have in common; ``None``: it is in none."""
+    """Returns the key that particles of one particle contact share; ``None``: not a particle."""
     if first.moves and first.is_a(shapes.Sphere, shapes.Capsule):
         return astuple(first.material)
     return None

@@ -1,19 +1,19 @@
-"""Why no scene could be made of a stage."""
+"""Error of a stage that cannot be imported."""
 
 from collections.abc import Iterable
 
 from warpcontact.validation import safe_text
 
-# So many problems are written out, and so many characters of each.
+# Largest number of problems listed in the message, and characters of each.
 _LISTED = 50
 _LENGTH = 600
 
 
 class UsdError(ValueError):
-    """A USD stage of which no scene can be made.
+    """USD stage that cannot be imported as a scene.
 
     Attributes:
-        problems: What is in the way, each with the path of its prim.
+        problems: All problems, each with the path of its prim.
     """
 
     def __init__(self, subject: str, problems: Iterable[str]) -> None:
@@ -29,5 +29,5 @@ class UsdError(ValueError):
 
 
 def shortened(text: object, most: int = 120) -> str:
-    """Returns a text in one line, its middle left out if it is longer than ``most``, for paths end in names."""
+    """Returns a text as one line of at most ``most`` characters; shortens the middle, because paths end in names."""
     return safe_text.truncate(safe_text.single_line(text), most, middle=True)

@@ -1,4 +1,4 @@
-"""Which colliders of a stage do not touch each other: collision groups and filtered pairs."""
+"""Pairs of colliders without contact: collision groups and filtered pairs of a stage."""
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from typing import Any
@@ -8,23 +8,23 @@ import numpy.typing as npt
 
 from warpcontact.usd.importing.findings import InvalidValue
 
-# Pairs beyond this number are no scene that anyone wrote.
+# Largest number of excluded pairs, a limit against malicious files.
 _MOST_PAIRS = 5_000_000
 
 
 def excluded_pairs(
     stage: Any, paths: Sequence[str], owners: Sequence[str | None], rigid: Collection[Any]
 ) -> npt.NDArray[np.int64]:
-    """Returns the pairs of colliders that do not touch, (n, 2), by their numbers among ``paths``.
+    """Returns the pairs of colliders without contact, (n, 2), as indices into ``paths``.
 
     Args:
-        stage: The stage.
+        stage: Stage with the colliders.
         paths: Paths of the colliders.
         owners: Paths of their bodies; ``None``: the world.
         rigid: Paths of all rigid bodies.
 
     Raises:
-        InvalidValue: If there are too many.
+        InvalidValue: If there are more than 5 000 000 pairs.
     """
     from pxr import Sdf, Usd, UsdPhysics
 
@@ -40,7 +40,7 @@ def excluded_pairs(
         _add(found, members[first.GetPath()], ungrouped if second is None else members[second.GetPath()])
 
     def below(root: Any) -> list[int]:
-        # A body stands for its own colliders, without those of bodies that are nested in it.
+        # A body represents its own colliders, without those of nested bodies.
         if root in rigid:
             return [i for i, owner in enumerate(owners) if owner == str(root)]
         return [i for i, path in enumerate(colliders) if path.HasPrefix(root)]
@@ -53,10 +53,10 @@ def excluded_pairs(
 
 
 def _excluded_groups(groups: Sequence[Any]) -> Iterator[tuple[Any, Any | None]]:
-    """Iterates over the pairs of groups that do not touch; a group may be one of a pair with itself.
+    """Iterates over the pairs of groups without contact, which include pairs of a group with itself.
 
-    The second is ``None`` for the colliders that are in no group, which an inverted group does not touch.
-    ``UsdPhysics.CollisionGroup.ComputeCollisionGroupTable`` takes a filtered group that there is not for another.
+    The second is ``None`` for the colliders in no group, which do not collide with an inverted group. Replaces
+    ``UsdPhysics.CollisionGroup.ComputeCollisionGroupTable``, which mistakes a missing filtered group for another one.
     """
     merged = [str(group.GetMergeGroupNameAttr().Get() or group.GetPath()) for group in groups]
     named = {group.GetPath(): key for group, key in zip(groups, merged, strict=True)}

@@ -1,4 +1,4 @@
-"""What was found while a stage was read, and checked values of its attributes."""
+"""Findings collected while reading a stage, and validated values of attributes."""
 
 from dataclasses import dataclass, field
 from math import inf
@@ -13,12 +13,12 @@ from warpcontact.usd.importing.schemas import value_of
 
 @dataclass
 class Findings:
-    """What there is to say of a stage, each with the path of its prim.
+    """Problems and remarks of a stage, each with the path of its prim.
 
     Attributes:
-        wrong: What makes no sense: no scene can be made.
-        unsupported: What there is no counterpart for.
-        remarks: What to know of how the rest was read.
+        wrong: Invalid values, which prevent the import.
+        unsupported: Items without a counterpart.
+        remarks: Notes on how other items were read.
     """
 
     wrong: list[str] = field(default_factory=list)
@@ -26,24 +26,24 @@ class Findings:
     remarks: list[str] = field(default_factory=list)
 
     def add_invalid(self, prim: Any, reason: object) -> None:
-        """Notes that a prim makes no sense."""
+        """Records an invalid prim."""
         self.wrong.append(f"{path_of(prim)}: {reason}")
 
     def add_unsupported(self, prim: Any, reason: object) -> None:
-        """Notes that there is no counterpart for a prim."""
+        """Records a prim without a counterpart."""
         self.unsupported.append(f"{path_of(prim)}: {reason}")
 
     def remark(self, prim: Any, text: object) -> None:
-        """Notes how a prim was read."""
+        """Records a note on how a prim was read."""
         self.remarks.append(f"{path_of(prim)}: {text}")
 
 
 class InvalidValue(ValueError):
-    """A value of a prim that makes no sense, in words; the prim is known."""
+    """Invalid value of a prim; the caller adds the path of the prim."""
 
 
 class Unsupported(ValueError):
-    """Something of a prim that there is no counterpart for, in words; the prim is known."""
+    """Item of a prim without a counterpart; the caller adds the path of the prim."""
 
 
 def path_of(prim: Any) -> str:
@@ -60,18 +60,18 @@ def number(
     most: float = inf,
     fallback: float = 0.0,
 ) -> float:
-    """Returns the value of an attribute.
+    """Returns the number in an attribute.
 
     Args:
-        attribute: The attribute.
-        time: When.
-        least: The value must be at least this.
-        above: It must be greater than this.
-        most: It must be at most this.
-        fallback: What a value is that is nowhere given.
+        attribute: Attribute to read.
+        time: Time code.
+        least: Smallest allowed value.
+        above: Exclusive lower bound.
+        most: Largest allowed value.
+        fallback: Value if the attribute has none.
 
     Raises:
-        InvalidValue: If it is not finite or out of range.
+        InvalidValue: If the value is not finite or out of range.
     """
     value = float(value_of(attribute, time, fallback))
     if not (-inf < value < inf and least <= value <= most and value > above):
@@ -85,10 +85,10 @@ def number(
 
 
 def vector(attribute: Any, time: Any, size: int = 3) -> npt.NDArray[np.float64]:
-    """Returns the numbers of an attribute, zero if it has no value.
+    """Returns the vector in an attribute; zeros if it has no value.
 
     Raises:
-        InvalidValue: If one of them is not finite.
+        InvalidValue: If the size is wrong or a component is not finite.
     """
     values = np.array(value_of(attribute, time, np.zeros(size)), dtype=np.float64)
     if values.shape != (size,) or not np.isfinite(values).all():

@@ -11,7 +11,7 @@ from warpcontact.usd.importing.findings import InvalidValue, number, vector
 from warpcontact.usd.importing.schemas import has, is_authored, value_of
 
 Array = npt.NDArray[np.float64]
-# A principal moment below zero by this fraction of the largest one is rounding.
+# Negative principal moments up to this fraction of the largest one are attributed to rounding.
 _ROUNDING = 1.0e-9
 
 
@@ -19,16 +19,15 @@ def read_mass(prim: Any, placement: Array, time: Any, metres: float, kilograms: 
     """Returns the authored mass properties of a body or collider.
 
     Args:
-        prim: The prim.
-        placement: Matrix (4, 4) from the prim to the world [m], for columns.
+        prim: Prim of the body or collider.
+        placement: Matrix (4, 4) from prim to world [m], for column vectors.
         time: Time code to read at.
-        metres: Size of the stage's unit of length [m].
-        kilograms: Size of its unit of mass [kg].
+        metres: Length unit of the stage [m].
+        kilograms: Mass unit of the stage [kg].
 
     Returns:
-        ``mass`` [kg] and ``density`` [kg/m³], 0 if not given; ``moments`` (3,) [kg·m²], ``axes`` (4,), the
-        quaternion (x, y, z, w) from the principal axes to the prim, and ``centre`` (3,), world [m], ``None`` if
-        not given.
+        ``mass`` [kg] and ``density`` [kg/m³], 0 if not given; and, ``None`` if not given, ``moments`` (3,) [kg·m²],
+        ``axes`` (4,), quaternion (x, y, z, w) from principal axes to prim, and ``centre`` (3,), world [m].
 
     Raises:
         InvalidValue: If a value is out of range.
@@ -48,7 +47,7 @@ def read_mass(prim: Any, placement: Array, time: Any, metres: float, kilograms: 
         if (moments < 0.0).any():
             raise InvalidValue(f"physics:diagonalInertia must be positive, got {moments.tolist()}")
         found["moments"], found["axes"] = kilograms * metres**2 * moments, axes
-    # The fallback, -inf in all components, means that it is not given.
+    # The fallback, -inf in all components, means "not given".
     if value_of(api.GetCenterOfMassAttr(), time, (-inf,) * 3) != (-inf,) * 3:
         centre = vector(api.GetCenterOfMassAttr(), time)
         found["centre"] = placement[:3, :3] @ centre + placement[:3, 3]
@@ -60,11 +59,11 @@ def _axes(api: Any, time: Any) -> Array | None:
     axes = value_of(api.GetPrincipalAxesAttr(), time)
     if axes is None:
         return None
-    turn = np.array([*axes.GetImaginary(), axes.GetReal()], dtype=np.float64)
-    length = float(np.linalg.norm(turn))
+    quaternion = np.array([*axes.GetImaginary(), axes.GetReal()], dtype=np.float64)
+    length = float(np.linalg.norm(quaternion))
     if not isfinite(length):
-        raise InvalidValue(f"physics:principalAxes must be finite, got {turn.tolist()}")
-    return turn / length if length > 0.0 else None
+        raise InvalidValue(f"physics:principalAxes must be finite, got {quaternion.tolist()}")
+    return quaternion / length if length > 0.0 else None
 
 
 def _tensor(prim: Any, time: Any) -> tuple[Array | None, Array | None]:

@@ -13,24 +13,24 @@ NEWTON = {
     "rolling": ("newton:rollingFriction", 1, 0),
     "torsion": ("newton:torsionalFriction", 1, 0),
 }
-# Attributes without a counterpart; they have an effect if they are greater than 0.
+# Unsupported attributes; they would have an effect if greater than 0.
 _UNUSED = {
-    "newton:contactFrictionGain": "friction sticks by a spring that follows from the stiffness",
-    "newton:contactAdhesion": "the contact does not attract",
+    "newton:contactFrictionGain": "the tangential stiffness follows from the normal stiffness",
+    "newton:contactAdhesion": "contacts do not attract",
 }
 
 
 def read_material(prim: Any, time: Any, metres: float, kilograms: float, findings: Findings) -> dict[str, Any]:
     """Returns the authored values of a material.
 
-    Fallbacks of the schemas are not values of the material: unauthored friction would be zero, and rolling and
-    torsional friction would depend on whether the plug-in of Newton's schemas is loaded.
+    Fallbacks of the schemas are ignored: unauthored friction would be zero, and rolling and torsional friction would
+    depend on whether the plug-in of Newton's schemas is loaded.
 
     Args:
-        prim: The prim of the material.
+        prim: Prim of the material.
         time: Time code to read at.
-        metres: Size of the stage's unit of length [m].
-        kilograms: Size of its unit of mass [kg].
+        metres: Length unit of the stage [m].
+        kilograms: Mass unit of the stage [kg].
         findings: Receives remarks.
 
     Returns:
@@ -63,10 +63,10 @@ def read_material(prim: Any, time: Any, metres: float, kilograms: float, finding
         attribute = prim.GetAttribute(name)
         value = value_of(attribute, time, -inf) if is_authored(attribute) else -inf
         if value > 0.0:
-            findings.remark(prim, f"{name} {value:g} is not used: {reason}")
+            findings.remark(prim, f"{name} {value:g} is ignored: {reason}")
     if found["static"] is None and found["dynamic"] is None:
         findings.remark(
-            prim, "the material has no authored friction: that of colliders without a material is taken"
+            prim, "the material has no authored friction: the default of colliders without a material is used"
         )
     return found
 

@@ -1,4 +1,4 @@
-"""Nested plain values with arrays in them, as a header of plain values and flat arrays, and back."""
+"""Serialization of nested dictionaries, lists and arrays into a plain header and flat arrays, and back."""
 
 from math import prod
 from typing import IO, Any
@@ -8,7 +8,7 @@ import numpy as np
 from warpcontact.meshes.isolation import Limits, array_of, header_of, unexpected_answer
 from warpcontact.meshes.readers.unreadable import Unreadable
 
-# No name of USD: what stands for an array in the header.
+# Key of an array in the header; not a valid name in USD.
 _ARRAY = "*"
 _TYPES = ("<f8", "<i8", "|b1")
 
@@ -18,11 +18,11 @@ def pack(value: Any) -> tuple[dict[str, Any], list[Any]]:
     arrays: list[Any] = []
     described: list[Any] = []
 
-    def taken(value: Any) -> Any:
+    def packed(value: Any) -> Any:
         if isinstance(value, dict):
-            return {key: taken(one) for key, one in value.items()}
+            return {key: packed(one) for key, one in value.items()}
         if isinstance(value, list):
-            return [taken(one) for one in value]
+            return [packed(one) for one in value]
         if isinstance(value, np.ndarray):
             kind = {"f": "<f8", "i": "<i8", "b": "|b1"}[value.dtype.kind]
             if value.size:
@@ -31,16 +31,16 @@ def pack(value: Any) -> tuple[dict[str, Any], list[Any]]:
             return {_ARRAY: len(described) - 1}
         return value
 
-    tree = taken(value)
+    tree = packed(value)
     return {"tree": tree, "arrays": described}, arrays
 
 
 def unpack(output: IO[bytes], limits: Limits) -> Any:
-    """Returns the value that a process wrote; sizes are checked before memory is taken for them.
+    """Returns the value written by a process; checks sizes before allocating memory.
 
     Raises:
-        EOFError: If it ends early.
-        Unreadable: If it is a reason instead, or makes no sense.
+        EOFError: If the output ends early.
+        Unreadable: If the output is an error report, or invalid.
     """
     try:
         header = header_of(output, limits)
@@ -51,12 +51,14 @@ def unpack(output: IO[bytes], limits: Limits) -> Any:
             raise unexpected_answer("more than is allowed")
         arrays = [array_of(output, prod(shape), kind).reshape(shape) for kind, shape in shapes]
 
-        def put(value: Any) -> Any:
+        def restore(value: Any) -> Any:
             if isinstance(value, dict):
-                return arrays[value[_ARRAY]] if _ARRAY in value else {key: put(one) for key, one in value.items()}
-            return [put(one) for one in value] if isinstance(value, list) else value
+                return (
+                    arrays[value[_ARRAY]] if _ARRAY in value else {key: restore(one) for key, one in value.items()}
+                )
+            return [restore(one) for one in value] if isinstance(value, list) else value
 
-        return put(header["tree"])
+        return restore(header["tree"])
     except (Unreadable, EOFError):
         raise
     except (ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError, RecursionError) as error:

@@ -1,4 +1,4 @@
-"""Which pairs of colliders may touch, found without a list of all pairs there are."""
+"""Selects the pairs of colliders that can be in contact; memory is linear in the number of colliders."""
 
 from collections.abc import Hashable, Iterator, Sequence
 from itertools import pairwise
@@ -10,11 +10,11 @@ Numbers = npt.NDArray[np.int64]
 
 
 def group_particles(keys: Sequence[Hashable | None], min_count: int) -> Numbers:
-    """Returns the number of the pile that each item is in (n,); −1: none.
+    """Returns the index of the particle contact of each item (n,); −1: none.
 
     Args:
-        keys: Items with the same one are alike; those with ``None`` are in no pile.
-        min_count: More than so many that are alike are a pile; they are numbered as they come.
+        keys: Items with equal keys belong together; those with ``None`` to no particle contact.
+        min_count: A group needs more than this number of items. Groups are numbered by their first item.
     """
     alike: dict[Hashable, list[int]] = {}
     for i, key in enumerate(keys):
@@ -27,7 +27,7 @@ def group_particles(keys: Sequence[Hashable | None], min_count: int) -> Numbers:
 
 
 def pairs_within_groups(groups: Numbers, pairs: Numbers) -> list[Numbers]:
-    """Returns those of some pairs (n, 2) of which both are in the same pile, for each pile."""
+    """Returns, for each particle contact, those of the pairs (n, 2) whose items both belong to it."""
     first, second = groups[pairs[:, 0]], groups[pairs[:, 1]]
     same_group = np.flatnonzero((first == second) & (first >= 0))
     same_group = same_group[np.argsort(first[same_group], kind="stable")]
@@ -38,13 +38,13 @@ def pairs_within_groups(groups: Numbers, pairs: Numbers) -> list[Numbers]:
 def other_pairs(
     bodies: Numbers, moves: npt.NDArray[np.bool_], groups: Numbers, excluded: Numbers
 ) -> Iterator[tuple[int, int]]:
-    """Iterates over the pairs that may touch but for those within a pile, in order; memory grows with n only.
+    """Iterates over the pairs of colliders that can be in contact, except those within a particle contact, in order.
 
     Args:
-        bodies: What carries each collider (n,): two on the same do not touch.
-        moves: Whether that moves (n,): of two that touch one does.
-        groups: Number of its pile (n,), −1: none.
-        excluded: Pairs that are kept apart (m, 2), the lower number first, ordered.
+        bodies: Index of the carrier of each collider (n,); colliders of the same carrier are not paired.
+        moves: Whether forces move the carrier (n,); at least one of a pair must move.
+        groups: Index of the particle contact (n,); −1: none.
+        excluded: Index pairs without contact (m, 2), each with the lower index first, sorted.
     """
     starts = np.searchsorted(excluded[:, 0], np.arange(len(bodies) + 1))
     for i in range(len(bodies)):

@@ -1,6 +1,6 @@
-"""What UsdPhysics says on a stage: gravity, rigid bodies, colliders and what they are made of, in SI units, Z up.
+"""Reads UsdPhysics from a stage: gravity, rigid bodies, colliders and materials, in SI units, Z up.
 
-Everything that is not understood is noted: see ``Findings``.
+Everything that is invalid, unsupported or read with a change is recorded in ``Findings``.
 """
 
 from dataclasses import asdict
@@ -22,33 +22,33 @@ from warpcontact.usd.importing.stepping import NOTHING, Stepping, has_gravity, r
 
 Array = npt.NDArray[np.float64]
 
-#: Gravity where a stage says none, or less than nothing [m/s²].
+#: Default gravity, used if a stage gives none or a negative magnitude [m/s²].
 GRAVITY = 9.81
-#: Most rigid bodies, and most colliders, of one stage.
+#: Largest number of rigid bodies, and of colliders, of a stage.
 MOST = 50_000
-# Turns Y up into Z up.
+# Rotates Y up to Z up.
 _Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
 def read_physics(stage: Any, most_faces: int) -> dict[str, Any]:
-    """Returns what a stage says of physics.
+    """Returns the physics of a stage.
 
     Args:
-        stage: The stage.
-        most_faces: Number of triangles that a mesh may have.
+        stage: Stage to read.
+        most_faces: Largest number of triangles per mesh.
 
     Returns:
         ``gravity`` (3,) [m/s²]; ``stepping``, see ``Stepping``; ``bodies`` and ``colliders``, see ``_Reader``;
-        ``excluded_pairs``, pairs of numbers of colliders that do not touch (n, 2); and the ``Findings``.
+        ``apart``, index pairs of colliders without contact (n, 2); and ``findings``, the fields of ``Findings``.
 
     Raises:
-        Unreadable: If it has too many rigid bodies or colliders.
+        Unreadable: If the stage has too many rigid bodies or colliders.
     """
     return _Reader(stage, most_faces).read()
 
 
 def read_gravity(stage: Any, scene: Any) -> Array:
-    """Returns the gravity (3,) that the prim of a physics scene says [m/s²]; NaN if it makes no sense."""
+    """Returns the gravity (3,) of the prim of a physics scene [m/s²]; NaN if it is invalid."""
     reader = _Reader(stage, 0)
     reader.metres, reader.kilograms, reader.up = reader._units()
     gravity = reader._gravity([scene])
@@ -58,14 +58,14 @@ def read_gravity(stage: Any, scene: Any) -> Array:
 class _Reader:
     """Reads one stage.
 
-    Of a body: ``path``; ``placement``, the matrix (4, 4) from its prim to the world [m], for columns; ``turn``
-    (3, 3), its axes without scale; ``kinematic``; ``velocity`` and ``angular_velocity``, world [m/s, rad/s]; and
-    what MassAPI says, 0 or ``None`` where it says nothing: ``mass`` [kg], ``density`` [kg/m³], ``moments`` (3,)
-    [kg·m²], ``axes`` (4,), quaternion (x, y, z, w) of the principal axes to its prim, ``centre`` (3,), world [m].
+    Record of a body: ``path``; ``placement``, matrix (4, 4) from prim to world [m], for column vectors; ``turn``
+    (3, 3), its rotation without scale; ``kinematic``; ``velocity`` and ``angular_velocity``, world [m/s, rad/s]; and
+    the values of MassAPI, 0 or ``None`` if not given: ``mass`` [kg], ``density`` [kg/m³], ``moments`` (3,) [kg·m²],
+    ``axes`` (4,), quaternion (x, y, z, w) from principal axes to prim, and ``centre`` (3,), world [m].
 
-    Of a collider: ``path``; ``body``, the number of its body, −1: none; ``placement``; ``shape``; ``mass``,
-    ``density``, ``moments``, ``axes`` and ``centre`` as of a body; ``material``, ``None`` or as ``read_material``
-    returns it; ``visible``.
+    Record of a collider: ``path``; ``body``, index of its body, −1: none; ``placement``; ``shape``; ``mass``,
+    ``density``, ``moments``, ``axes`` and ``centre`` as for a body; ``material``, ``None`` or the result of
+    ``read_material``; ``visible``.
     """
 
     def __init__(self, stage: Any, most_faces: int) -> None:
@@ -77,19 +77,19 @@ class _Reader:
         self.time = Usd.TimeCode.EarliestTime()
         self.places = UsdGeom.XformCache(self.time)
         self.rigid: set[Any] = set()  # paths of all rigid bodies
-        self.numbers: dict[Any, int] = {}  # of those that are read, by path
-        self.wrong: set[Any] = set()  # paths of prims that are errors
-        # Bodies whose transform includes that of another one, with that one.
+        self.numbers: dict[Any, int] = {}  # indices of the bodies that were read, by path
+        self.wrong: set[Any] = set()  # paths of invalid prims
+        # Bodies whose transform includes that of another body, with the outer body.
         self.nested: list[tuple[Any, Any]] = []
         self.materials: dict[Any, Any] = {}
-        self.moving: dict[Any, bool] = {}  # whether a prim, or one that carries it, is animated
+        self.moving: dict[Any, bool] = {}  # whether a prim, or an ancestor, is animated
 
     def read(self) -> dict[str, Any]:
         self.metres, self.kilograms, self.up = self._units()
         prims = prim_types.find_prims(self.stage, self.findings)
         for what, count in (("rigid bodies", len(prims.bodies)), ("colliders", len(prims.colliders))):
             if count > MOST:
-                raise Unreadable(f"it has {count} {what}; allowed: {MOST}")
+                raise Unreadable(f"the stage has {count} {what}; allowed: {MOST}")
         self.rigid = {prim.GetPath() for prim in prims.bodies}
         bodies = [found for prim in prims.bodies if (found := self._collect_errors(prim, self._body)) is not None]
         colliders = [
@@ -126,7 +126,7 @@ class _Reader:
         return None
 
     def _units(self) -> tuple[float, float, Array]:
-        """Returns metres and kilograms per unit, and the turn (3, 3) to Z up."""
+        """Returns length unit [m], mass unit [kg], and the rotation (3, 3) to Z up."""
         from pxr import UsdGeom, UsdPhysics
 
         found = []
@@ -139,14 +139,12 @@ class _Reader:
                 self.findings.wrong.append(f"{name} must be positive and finite, got {value:g}")
             found.append(float(value) if positive else 1.0)
         if not UsdGeom.StageHasAuthoredMetersPerUnit(self.stage):
-            self.findings.remarks.append(
-                "the stage does not say metersPerUnit, so its unit is 0.01 m, as USD has it"
-            )
+            self.findings.remarks.append("metersPerUnit is not authored: the unit is 0.01 m, the default of USD")
         up = str(UsdGeom.GetStageUpAxis(self.stage))
         if up not in ("Y", "Z"):
             self.findings.wrong.append(f"upAxis must be Y or Z, got {up!r}")
         if up == "Y":
-            self.findings.remarks.append("the up axis is Y: all was turned, so that z is up")
+            self.findings.remarks.append("the up axis is Y: everything was rotated to Z up")
         return found[0], found[1], _Z_UP if up == "Y" else np.eye(3)
 
     def _gravity(self, scenes: list[Any]) -> Array:
@@ -154,10 +152,12 @@ class _Reader:
 
         down = np.array([0.0, 0.0, -1.0])
         if not scenes:
-            self.findings.remarks.append(f"there is no PhysicsScene: gravity is {GRAVITY} m/s² down")
+            self.findings.remarks.append(f"no PhysicsScene: gravity is {GRAVITY} m/s² down")
             return GRAVITY * down
         for other in scenes[1:]:
-            self.findings.add_unsupported(other, f"a scene beside {path_of(scenes[0])}; one file is one scene")
+            self.findings.add_unsupported(
+                other, f"a scene in addition to {path_of(scenes[0])}; a file must have one scene"
+            )
         scene = UsdPhysics.Scene(scenes[0])
         found = self._collect_errors(scenes[0], lambda prim: vector(scene.GetGravityDirectionAttr(), self.time))
         direction = np.zeros(3) if found is None else self.up @ found
@@ -166,11 +166,11 @@ class _Reader:
             self.findings.remark(scenes[0], "newton:gravityEnabled is off: there is no gravity")
             return np.zeros(3)
         magnitude = value_of(scene.GetGravityMagnitudeAttr(), self.time, -inf)
-        if not magnitude < inf:  # nor NaN
+        if not magnitude < inf:  # rejects NaN as well
             self.findings.add_invalid(scenes[0], f"physics:gravityMagnitude must be a number, got {magnitude:g}")
             return down
-        own = GRAVITY if magnitude < 0.0 else float(magnitude) * self.metres
-        return own * (direction / length if length > 0.0 else down)
+        acceleration = GRAVITY if magnitude < 0.0 else float(magnitude) * self.metres
+        return acceleration * (direction / length if length > 0.0 else down)
 
     def _stepping(self, scenes: list[Any]) -> Stepping:
         found: Stepping | None = None
@@ -179,19 +179,19 @@ class _Reader:
         return NOTHING if found is None else found
 
     def _remark_nested(self) -> None:
-        """Adds one remark on bodies that are nested in others, of which converters make one for each link."""
+        """Adds one remark for all nested rigid bodies; converters create one for each link of a robot."""
         if self.nested:
             prim, carrier = self.nested[0]
             more = f" and {len(self.nested) - 1} more" if len(self.nested) > 1 else ""
             self.findings.remark(
                 prim,
                 f"the rigid body is nested in the rigid body {path_of(carrier)} without !resetXformStack!{more}: "
-                "each is a body of its own, placed as the stage composes it, and does not follow the outer one",
+                "each becomes a separate body at its composed pose and does not follow the outer one",
             )
 
     def _placement(self, prim: Any) -> Array:
-        """Returns the matrix from a prim to the world, for columns [m]."""
-        # Gf multiplies rows.
+        """Returns the matrix (4, 4) from a prim to the world [m], for column vectors."""
+        # Gf uses row vectors.
         placement = np.array(self.places.GetLocalToWorldTransform(prim)).T
         placement[:3] = self.metres * self.up @ placement[:3]
         if not np.isfinite(placement).all():
@@ -199,7 +199,7 @@ class _Reader:
         sizes = np.linalg.svd(placement[:3, :3], compute_uv=False)
         if sizes[2] <= 1.0e-9 * sizes[0]:
             raise InvalidValue(
-                f"its transformation must not flatten it, got scales {(sizes / self.metres).tolist()}"
+                f"its transformation must be invertible, got scales {(sizes / self.metres).tolist()}"
             )
         return placement
 
@@ -220,9 +220,9 @@ class _Reader:
         if self._animated(prim):
             if kinematic:
                 raise Unsupported("a kinematic body whose pose is animated")
-            self.findings.remark(prim, "its pose is animated; what it starts with is taken")
+            self.findings.remark(prim, "its pose is animated; the first pose is used")
         if value_of(api.GetStartsAsleepAttr(), self.time, False):
-            self.findings.remark(prim, "starts asleep on the stage; it is awake here")
+            self.findings.remark(prim, "physics:startsAsleep is ignored")
         outer = prim.GetParent()
         reset = UsdGeom.Xformable(prim).GetResetXformStack() or not outer or outer.IsPseudoRoot()
         frame = self.metres * self.up if reset else self._placement(outer)[:3, :3]
@@ -241,9 +241,9 @@ class _Reader:
         return body
 
     def _rigid_of(self, prim: Any) -> Any:
-        """Returns the nearest rigid body that a prim is part of, itself or one above; ``None``: the world.
+        """Returns the rigid body that a prim belongs to, itself or the nearest ancestor; ``None``: the world.
 
-        As the parser of UsdPhysics has it, also if a prim between them resets its transform.
+        As in the parser of UsdPhysics, a reset transform in between does not matter.
         """
         while prim and not prim.IsPseudoRoot():
             if prim.GetPath() in self.rigid:
@@ -252,7 +252,7 @@ class _Reader:
         return None
 
     def _outer_of(self, prim: Any) -> Any:
-        """Returns the rigid body whose transform that of another rigid body includes; ``None``: none."""
+        """Returns the rigid body whose transform is included in that of another rigid body, or ``None``."""
         from pxr import UsdGeom
 
         while not (prim.IsA(UsdGeom.Xformable) and UsdGeom.Xformable(prim).GetResetXformStack()):
@@ -262,17 +262,17 @@ class _Reader:
         return None
 
     def _animated(self, prim: Any) -> bool:
-        """Whether the pose of a prim, or of one that carries it, changes in time."""
+        """Returns whether the pose of a prim, or of an ancestor that moves it, varies in time."""
         from pxr import UsdGeom
 
         if not prim or prim.IsPseudoRoot():
             return False
         path = prim.GetPath()
         if path not in self.moving:
-            place = UsdGeom.Xformable(prim) if prim.IsA(UsdGeom.Xformable) else None
-            own = place is not None and place.TransformMightBeTimeVarying()
-            outer = place is None or not place.GetResetXformStack()
-            self.moving[path] = own or (outer and self._animated(prim.GetParent()))
+            xformable = UsdGeom.Xformable(prim) if prim.IsA(UsdGeom.Xformable) else None
+            varies = xformable is not None and xformable.TransformMightBeTimeVarying()
+            inherits = xformable is None or not xformable.GetResetXformStack()
+            self.moving[path] = varies or (inherits and self._animated(prim.GetParent()))
         return self.moving[path]
 
     def _collider(self, prim: Any) -> dict[str, Any] | None:
@@ -281,8 +281,8 @@ class _Reader:
         carrier = self._rigid_of(prim)
         if carrier is not None and carrier.GetPath() not in self.numbers:
             if carrier.GetPath() in self.wrong:
-                return None  # the body is an error already
-            raise Unsupported(f"it is part of the rigid body {path_of(carrier)}, which is left out")
+                return None  # the body is already reported
+            raise Unsupported(f"part of the rigid body {path_of(carrier)}, which is omitted")
         if carrier is None and self._animated(prim):
             raise Unsupported("a collider of the world whose pose is animated")
         placement = self._placement(prim)
@@ -298,7 +298,7 @@ class _Reader:
         }
 
     def _note_unused(self, prim: Any) -> None:
-        """Notes attributes of NewtonCollisionAPI and NewtonMassAPI of a collider that have no counterpart."""
+        """Records authored attributes of NewtonCollisionAPI and NewtonMassAPI without a counterpart."""
         margin, model, most = (
             value_of(attribute, self.time) if is_authored(attribute) else None
             for attribute in map(
@@ -306,28 +306,29 @@ class _Reader:
             )
         )
         if margin is not None and margin > 0.0:
-            self.findings.remark(prim, f"newton:contactMargin {margin:g} is not used: the surface itself touches")
-        if most is not None and most >= 0:
             self.findings.remark(
-                prim, f"newton:maxHullVertices {most} is not used: a convex hull has all vertices"
+                prim, f"newton:contactMargin {margin:g} is ignored: contact starts at the surface"
             )
+        if most is not None and most >= 0:
+            self.findings.remark(prim, f"newton:maxHullVertices {most} is ignored: convex hulls keep all vertices")
         if model == "shell":
-            self.findings.add_unsupported(prim, "newton:massModel shell; its mass is that of a solid")
+            self.findings.add_unsupported(prim, "newton:massModel shell; the mass of a solid is used")
 
     def _mass(self, prim: Any, placement: Array) -> dict[str, Any]:
         return read_mass(prim, placement, self.time, self.metres, self.kilograms)
 
     def _material(self, prim: Any) -> dict[str, Any] | None:
-        """Returns the physics material that is bound to a collider."""
+        """Returns the physics material bound to a collider, or ``None``."""
         from pxr import UsdShade
 
         material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
         if not material or not is_material(material.GetPrim()):
             return None
-        own = material.GetPrim()
-        if own.GetPath() not in self.materials:
-            self.materials[own.GetPath()] = self._collect_errors(
-                own, lambda prim: read_material(prim, self.time, self.metres, self.kilograms, self.findings)
+        material_prim = material.GetPrim()
+        if material_prim.GetPath() not in self.materials:
+            self.materials[material_prim.GetPath()] = self._collect_errors(
+                material_prim,
+                lambda prim: read_material(prim, self.time, self.metres, self.kilograms, self.findings),
             )
-        found: dict[str, Any] | None = self.materials[own.GetPath()]
+        found: dict[str, Any] | None = self.materials[material_prim.GetPath()]
         return found

@@ -1,4 +1,4 @@
-"""Which prims of a stage are of physics, and of which kind."""
+"""Finds the prims of a stage that describe physics, and classifies them."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -7,7 +7,7 @@ from typing import Any
 from warpcontact.usd.importing.findings import Findings
 from warpcontact.usd.importing.schemas import applied, has, is_on
 
-# Parts of names of applied schemas of other libraries that say what moves how, not how well it is computed.
+# Parts of schema names of other libraries that define dynamics; other schemas hold only solver settings.
 _ESSENTIAL = {
     "Deformable": "a deformable body",
     "SoftBody": "a deformable body",
@@ -23,9 +23,9 @@ _ESSENTIAL = {
     "Trigger": "a trigger",
     "Buoyancy": "buoyancy",
 }
-# Of typed prims, which a stage has for what it describes: nothing of another library can be left out unsaid.
+# Prefixes of type names of other libraries. Typed prims define dynamics, so none may be omitted silently.
 _FOREIGN = ("Physx", "Newton", "Mjc", "OmniPhysics", "Isaac")
-# Applied schemas of UsdPhysics that are read, or are about joints, which are not.
+# Applied schemas of UsdPhysics that are read.
 _READ = (
     "PhysicsRigidBodyAPI",
     "PhysicsMassAPI",
@@ -34,7 +34,7 @@ _READ = (
     "PhysicsMaterialAPI",
     "PhysicsFilteredPairsAPI",
 )
-# Schemas of Newton that are read; each attribute of them without a counterpart has a remark of its own.
+# Schemas of Newton that are read; attributes without a counterpart get their own remarks.
 _READ_OF_NEWTON = (
     "NewtonSceneAPI",
     "NewtonMassAPI",
@@ -45,7 +45,7 @@ _READ_OF_NEWTON = (
 
 @dataclass
 class Prims:
-    """Prims of physics, in the order of the stage."""
+    """Prims with physics, in the order of the stage."""
 
     scenes: list[Any] = field(default_factory=list)
     bodies: list[Any] = field(default_factory=list)
@@ -53,7 +53,7 @@ class Prims:
 
 
 def find_prims(stage: Any, findings: Findings) -> Prims:
-    """Returns the prims of physics of a stage, instances as well; notes those that there is no counterpart for."""
+    """Returns the prims of a stage with physics, including instances; records those without a counterpart."""
     from pxr import Usd, UsdGeom, UsdPhysics
 
     prims, tuning, attributes = Prims(), Counter[str](), 0
@@ -64,7 +64,7 @@ def find_prims(stage: Any, findings: Findings) -> Prims:
         if prim.GetPath() in instanced or prim.IsA(UsdGeom.PointInstancer):
             physical = next((one for one in below(prim) if _is_physical(one)), None)
             if physical is not None:
-                findings.add_unsupported(physical, "physics of a PointInstancer")
+                findings.add_unsupported(physical, "physics in a PointInstancer")
             walk.PruneChildren()
             continue
         for reason in reasons(prim):
@@ -76,29 +76,29 @@ def find_prims(stage: Any, findings: Findings) -> Prims:
             if is_on(UsdPhysics.RigidBodyAPI(prim).GetRigidBodyEnabledAttr(), time):
                 prims.bodies.append(prim)
             else:
-                findings.remark(prim, "its rigid body is not enabled: it is part of what carries it")
+                findings.remark(prim, "physics:rigidBodyEnabled is off: it is part of its parent")
         if has(prim, "PhysicsCollisionAPI"):
             if not is_on(UsdPhysics.CollisionAPI(prim).GetCollisionEnabledAttr(), time):
-                findings.remark(prim, "its collision is not enabled: it touches nothing and has no mass")
+                findings.remark(prim, "physics:collisionEnabled is off: it has neither contacts nor mass")
             elif prim.IsA(UsdGeom.Gprim):
                 prims.colliders.append(prim)
             elif any(has(one, "PhysicsCollisionAPI") for one in list(below(prim))[1:]):
-                findings.remark(prim, "it has no shape to collide with; those below it that collide are read")
+                findings.remark(prim, "it has no shape; colliders below it are read")
             else:
                 kind = prim.GetTypeName() or "no type"
-                findings.add_unsupported(prim, f"a collider of type {kind}, which has no shape of its own")
+                findings.add_unsupported(prim, f"a collider of type {kind}, which has no shape")
         elif prim.IsA(UsdGeom.Gprim):
             attributes += 1
     if attributes and (prims.bodies or prims.colliders):
-        findings.remarks.append(f"{attributes} shapes without CollisionAPI are for looks and were left out")
+        findings.remarks.append(f"{attributes} shapes without CollisionAPI are visual only and were omitted")
     if tuning:
         listed = ", ".join(f"{count} {name}" for name, count in sorted(tuning.items()))
-        findings.remarks.append(f"settings of other programs were not looked at: {listed}")
+        findings.remarks.append(f"solver settings of other programs were ignored: {listed}")
     return prims
 
 
 def _prototypes(stage: Any) -> set[Any]:
-    """Returns the paths of the prototypes of all PointInstancers, which are not where they are."""
+    """Returns the paths of the prototypes of all PointInstancers, which are not drawn where they are defined."""
     from pxr import UsdGeom
 
     instancers = [UsdGeom.PointInstancer(prim) for prim in stage.Traverse() if prim.IsA(UsdGeom.PointInstancer)]
@@ -106,7 +106,7 @@ def _prototypes(stage: Any) -> set[Any]:
 
 
 def below(prim: Any) -> Any:
-    """Returns a range of a prim and all below, those of instances as well."""
+    """Returns a range of a prim and its descendants, including instances."""
     from pxr import Usd
 
     return Usd.PrimRange(prim, Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate))
@@ -117,13 +117,13 @@ def _is_physical(prim: Any) -> bool:
 
 
 def reasons(prim: Any) -> list[str]:
-    """Returns why there is no counterpart for a prim, in words, if there is none."""
+    """Returns the reasons why a prim has no counterpart; empty if it has one."""
     from pxr import UsdPhysics
 
     kind = str(prim.GetTypeName())
     if prim.IsA(UsdPhysics.Joint):
         return [f"a joint, {kind}"]
-    found = [f"{kind}, of another program"] if kind.startswith(_FOREIGN) else []
+    found = [f"{kind}, a type of another program"] if kind.startswith(_FOREIGN) else []
     for name in applied(prim):
         if name == "PhysicsArticulationRootAPI":
             found.append("an articulation")

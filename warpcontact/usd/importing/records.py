@@ -1,4 +1,4 @@
-"""The description of a scene on a stage as plain records: values, targets and children of each of its prims."""
+"""Reads the description of a scene on a stage as plain records: values, targets and children of each prim."""
 
 from typing import Any, TypedDict
 
@@ -6,25 +6,25 @@ import numpy as np
 
 from warpcontact.usd.importing.errors import shortened
 
-#: Schema of descriptions. It increases when a default of an argument changes, or a name.
+#: Schema version of descriptions. It increases when a default value or a name changes.
 SCHEMA = 2
 _PREFIX = "warpcontact:"
-# Types of attributes, as Sdf calls them: single values, rows of numbers, arrays.
+# Allowed types of attributes, by their names in Sdf: single values, rows of numbers, arrays.
 _PLAIN = ("bool", "int64", "double", "string")
 _FIXED = ("double2", "double3", "double4", "matrix3d")
 _ARRAYS = ("bool[]", "int[]", "int2[]", "int3[]", "double[]", "double2[]", "double3[]", "double4[]", "matrix3d[]")
-# A description has elements with a range with an impact.
+# Largest nesting depth. Descriptions need element → range → impact.
 _DEEPEST = 8
 
 
 class Record(TypedDict):
-    """A prim of a description.
+    """Prim of a description.
 
     Attributes:
-        path: Its path.
-        values: Its attributes ``warpcontact:*`` without the prefix: bool, int, float, str, lists or arrays.
-        targets: Its relationships likewise, as paths.
-        children: The prims below by name.
+        path: Path of the prim.
+        values: Attributes ``warpcontact:*`` by name without the prefix: bool, int, float, str, lists or arrays.
+        targets: Relationships ``warpcontact:*`` by name without the prefix, as lists of paths.
+        children: Child prims by name.
     """
 
     path: str
@@ -34,22 +34,22 @@ class Record(TypedDict):
 
 
 def read_records(stage: Any) -> Record | None:
-    """Returns the description of a stage; ``None`` if it has none, or one of an earlier schema.
+    """Returns the description of a stage; ``None`` if it has none, or one with an earlier schema.
 
     Raises:
-        ValueError: If there are several, or one has what descriptions do not have; the message names the prim.
+        ValueError: If there are several, or one has invalid content; the message names the prim.
     """
     roots = [prim for prim in _roots(stage) if not _is_earlier(prim)]
     if not roots:
         return None
     if len(roots) > 1:
         listed = ", ".join(shortened(prim.GetPath()) for prim in roots[:5])
-        raise ValueError(f"a stage describes one scene, got descriptions at {listed}")
+        raise ValueError(f"a stage must have one description, got descriptions at {listed}")
     return _record(roots[0], 0)
 
 
 def earlier_description(stage: Any) -> str | None:
-    """Returns a warning if a stage has a description of an earlier schema, which is not read; else ``None``."""
+    """Returns a warning if a stage has a description with an earlier schema, which is ignored; else ``None``."""
     for prim in filter(_is_earlier, _roots(stage)):
         version = prim.GetAttribute(f"{_PREFIX}version").Get()
         return (
@@ -71,7 +71,7 @@ def _is_earlier(prim: Any) -> bool:
 def _record(prim: Any, depth: int) -> Record:
     path = str(prim.GetPath())
     if depth > _DEEPEST:
-        raise ValueError(f"{shortened(path)} lies deeper than anything in a description")
+        raise ValueError(f"{shortened(path)} exceeds the nesting depth of a description")
     values = {}
     for attribute in prim.GetAttributes():
         name = str(attribute.GetName())

@@ -1,4 +1,4 @@
-"""From the description of a scene to the scene: every element is added anew, with all checks of its arguments."""
+"""Restores a scene from its description by adding each element again, with all checks of its arguments."""
 
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping
@@ -31,7 +31,7 @@ _FORMULAS: dict[str, type[Formula]] = {
     "friction": Friction,
     "form": ShapeParameters,
 }
-# Arguments that are elements of the scene; the first is none if it is the world.
+# Arguments that refer to an element of the scene; ``body`` has no target if it is the world.
 _ELEMENTS = ("body", "points", "surface", "surface_a", "surface_b", "point_a", "point_b", "shape", "other_shape")
 _ALWAYS_GIVEN = {"point": ("body",), "points": ("body",), "shape": ("body",)}
 
@@ -42,12 +42,12 @@ def restore_scene(
     """Returns the scene of a description.
 
     Args:
-        records: The description.
-        custom_types: Classes of one's own that it may name.
-        subject: What to call it in messages.
+        records: Record of the description.
+        custom_types: Custom classes that the description may name.
+        subject: Name of the description in messages.
 
     Raises:
-        UsdError: If it cannot be made; every prim that is in the way is named.
+        UsdError: If the scene cannot be restored; the message names the prims.
     """
     return _Restoration(records, Catalogue(custom_types), subject).scene()
 
@@ -81,7 +81,7 @@ class _Restoration:
             raise self._error(self.problems)
         for path in order:
             record = elements[path]
-            # One that could not be added would only be missed by those after it.
+            # Stop at the first error, because later elements may need the missing one.
             self.objects[path] = self._collect_errors(record, partial(self._element, scene, record))
             if self.problems:
                 raise self._error(self.problems)
@@ -118,7 +118,7 @@ class _Restoration:
             for key, value in values.items():
                 if key not in allowed:
                     available = ", ".join(allowed)
-                    raise ValueError(f"{key[:80]!r} is no argument of {ADDERS[kind]}; there are: {available}")
+                    raise ValueError(f"{key[:80]!r} is not an argument of {ADDERS[kind]}; there are: {available}")
                 given[key] = read(key, value)
         if missing := [key for key in required_names(kind) if key not in given]:
             raise ValueError(f"{missing[0]} is missing")
@@ -138,7 +138,7 @@ class _Restoration:
     def _named(self, key: str, paths: list[str]) -> Any:
         for path in paths:
             if self.objects.get(path) is None:
-                raise ValueError(f"{key} must be prims of the description that come before, got {shortened(path)}")
+                raise ValueError(f"{key} must be earlier prims of the description, got {shortened(path)}")
         found = [self.objects[path] for path in paths]
         if key == "shapes" or (key == "mesh" and len(found) > 1):
             return found
@@ -151,12 +151,12 @@ class _Restoration:
             return self._formula(_FORMULAS[key], record, each=key == "form")
         if key == "range":
             return self._range(record)
-        raise ValueError(f"{key} is no prim of its own")
+        raise ValueError(f"{key} must not be a prim")
 
     def _contact_material(self, record: Record) -> ContactMaterial:
         missing = [part for part in ContactModel._fields if part not in record["children"]]
         if missing:
-            raise ValueError(f"a material has a {missing[0]}, which is missing")
+            raise ValueError(f"the material must have a {missing[0]}, which is missing")
         parts = {
             part: self._formula(Law if part == "law" else Friction, record["children"][part])
             for part in ContactModel._fields
@@ -168,14 +168,14 @@ class _Restoration:
         names, sizes = values.get("group_names", []), values.get("group_sizes", [])
         members = values.get("group_faces", np.empty(0, dtype=np.int64))
         if len(names) != len(sizes) or np.min(sizes, initial=0) < 0 or np.sum(sizes) != len(members):
-            raise ValueError("group_names, group_sizes and group_faces do not go together")
+            raise ValueError("group_names, group_sizes and group_faces must have consistent lengths")
         ends = np.cumsum([0, *sizes]).astype(np.int64)
         groups = {name: members[ends[i] : ends[i + 1]] for i, name in enumerate(names)}
         vertices, faces = (values.get(key, np.empty((0, 3))) for key in ("vertices", "faces"))
         return Mesh(vertices, faces, name=values.get("name", "mesh"), groups=groups)
 
     def _formula(self, base: type[Formula], record: Record, each: bool = False) -> Any:
-        """Returns an instance, or for shapes, ``each``, one for each row of the parameters."""
+        """Returns an instance of a class; with ``each``, one per row of the parameters, or one if all are equal."""
         values = dict(record["values"])
         name, custom_types = values.pop("type", None), values.pop("own", False)
         if not isinstance(name, str):
@@ -201,10 +201,10 @@ class _Restoration:
 
     def _range(self, record: Record) -> ContactRange:
         impact = record["children"].get("impact")
-        objects = None
+        expected = None
         if impact is not None:
-            objects = ExpectedImpact(**{"other_mass": None, **impact["values"]})
-        return ContactRange(**record["values"], impact=objects)
+            expected = ExpectedImpact(**{"other_mass": None, **impact["values"]})
+        return ContactRange(**record["values"], impact=expected)
 
 
 def _error_text(error: Exception) -> str:
@@ -212,14 +212,14 @@ def _error_text(error: Exception) -> str:
 
 
 def _tuple(value: Any) -> Any:
-    """Returns numbers as formulas keep them, which are compared and hashed."""
+    """Returns arrays as nested tuples, which are hashable and comparable."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     return tuple(_tuple(one) for one in value) if isinstance(value, list) else value
 
 
 def _split_mask(given: dict[str, Any]) -> None:
-    """Cuts the mask over the faces of several meshes into one for each."""
+    """Splits a mask over the faces of several meshes into one mask per mesh."""
     meshes, mask = given.get("mesh"), given.get("active_faces")
     if isinstance(meshes, list) and mask is not None:
         counts = [len(mesh.faces) for mesh in meshes]
@@ -229,23 +229,23 @@ def _split_mask(given: dict[str, Any]) -> None:
 
 
 def _pairs(numbers: Any, shapes: list[Any]) -> list[tuple[Any, Any]]:
-    """Returns the pairs of shapes that are excluded, which are given by their numbers among all."""
+    """Returns the excluded pairs of shapes from their index pairs."""
     pairs = np.asarray(numbers)
     if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.dtype.kind != "i":
-        raise ValueError(f"exclude must be pairs of numbers of shapes, got {shortened(numbers)}")
+        raise ValueError(f"exclude must be pairs of shape indices, got {shortened(numbers)}")
     if pairs.size and not 0 <= pairs.min() <= pairs.max() < len(shapes):
-        raise ValueError(f"exclude must be numbers of shapes from 0 to {len(shapes) - 1}, got {pairs.max()}")
+        raise ValueError(f"exclude must be shape indices from 0 to {len(shapes) - 1}, got {pairs.max()}")
     return [(shapes[i], shapes[j]) for i, j in pairs.tolist()]
 
 
 def _samples(given: dict[str, Any]) -> SurfaceSamples:
-    """Returns points that have normals as those of a surface."""
+    """Returns points with normals as surface samples."""
     positions, areas, normals = (np.asarray(given.pop(key, None)) for key in ("positions", "areas", "normals"))
     shape = positions.shape
     if normals.shape != shape or areas.shape != shape[:1] or normals.dtype.kind != "f":
         raise ValueError(
             f"normals and areas must be those of {shape} positions, got {normals.shape}, {areas.shape}"
         )
-    if not (np.abs(np.linalg.norm(normals, axis=-1) - 1.0) <= 1.0e-6).all():  # false of NaN
-        raise ValueError("normals must be of length 1")
+    if not (np.abs(np.linalg.norm(normals, axis=-1) - 1.0) <= 1.0e-6).all():  # rejects NaN as well
+        raise ValueError("normals must have unit length")
     return SurfaceSamples(positions, areas, normals, np.zeros(len(positions), dtype=np.int64))

@@ -1,4 +1,4 @@
-"""``Scene.from_usd``: the file, read apart from this process, and the scene of what is in it."""
+"""Implements ``Scene.from_usd``: reads the file in a sandboxed process and builds the scene."""
 
 import os
 from collections.abc import Iterable
@@ -32,7 +32,7 @@ def scene_from_usd(
     trusted: bool,
     limits: Limits | None,
 ) -> Scene:
-    """Returns what ``Scene.from_usd`` promises."""
+    """Returns the scene of a USD file; arguments and errors as for ``Scene.from_usd``."""
     if material is not None and not isinstance(material, ContactMaterial):
         raise TypeError(f"material must be a wc.ContactMaterial or None, got {material!r}")
     if limits is not None and not isinstance(limits, Limits):
@@ -48,7 +48,7 @@ def scene_from_usd(
         scene = restore_scene(found["description"], custom_types, subject)
         scene.suggested_dt = found["stepping"]["dt"]
         scene.suggested_iterations = found["stepping"]["iterations"]
-        scene.import_warnings = tuple(f"left out: {one}" for one in found["additions"])
+        scene.import_warnings = tuple(f"omitted: {one}" for one in found["additions"])
         return scene
     return build_scene(
         found["physics"],
@@ -64,7 +64,7 @@ def _read(path: Path, subject: str, trusted: bool, limits: Limits) -> Any:
     try:
         if path.suffix.lower() not in USD_SUFFIXES:
             raise Unreadable(f"the extension {path.suffix!r} is not one of {', '.join(USD_SUFFIXES)}")
-        if not path.is_file():  # a directory, or a pipe, which would be waited for
+        if not path.is_file():  # excludes pipes, on which reading would block
             raise Unreadable("it is not a regular file" if path.exists() else "it does not exist")
         file = os.path.abspath(path)
         if trusted:

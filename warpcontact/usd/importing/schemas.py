@@ -1,8 +1,8 @@
-"""Applied schemas of prims and authored values of attributes, without the plug-ins that define the schemas."""
+"""Applied schemas and authored attribute values, without the plug-ins that define the schemas."""
 
 from typing import Any
 
-#: Schemas that those of Newton include. USD adds them only if the plug-in of ``newton-usd-schemas`` is loaded.
+#: Schemas included by those of Newton. USD adds them only if the plug-in of ``newton-usd-schemas`` is loaded.
 INCLUDED = {
     "NewtonArticulationRootAPI": ("PhysicsArticulationRootAPI",),
     "NewtonMassAPI": ("PhysicsMassAPI",),
@@ -14,7 +14,7 @@ INCLUDED = {
 
 
 def applied(prim: Any) -> list[str]:
-    """Returns the names of the applied schemas of a prim in order, without those of instances and repetitions."""
+    """Returns the names of the applied schemas of a prim in order, without instance names and repetitions."""
     names: dict[str, None] = {}
     for full in prim.GetPrimTypeInfo().GetAppliedAPISchemas():
         name = str(full).partition(":")[0]
@@ -23,7 +23,7 @@ def applied(prim: Any) -> list[str]:
 
 
 def has(prim: Any, schema: str) -> bool:
-    """Returns whether a schema is applied to a prim, also as a part of another one."""
+    """Returns whether a schema is applied to a prim, directly or included by another one."""
     return schema in applied(prim)
 
 
@@ -34,10 +34,10 @@ def value_of(attribute: Any, time: Any, fallback: Any = None) -> Any:
 
 
 def is_on(attribute: Any, time: Any) -> bool:
-    """Returns a switch of UsdPhysics; all are on if no value is given."""
+    """Returns a boolean attribute of UsdPhysics that is true by default."""
     return bool(value_of(attribute, time, True))
 
 
 def is_authored(attribute: Any) -> bool:
-    """Returns whether a layer gives an attribute a value, other than the fallback of its schema."""
+    """Returns whether an attribute has an authored value, other than the fallback of its schema."""
     return bool(attribute) and attribute.HasAuthoredValue()

@@ -1,4 +1,4 @@
-"""Colliders as what can touch here: shapes of analytic form and meshes, in the frame of their body."""
+"""Converts colliders to analytic shapes or meshes in the frame of their body."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -17,25 +17,25 @@ from warpcontact.usd.importing.colliders import APPROXIMATIONS
 from warpcontact.usd.importing.findings import InvalidValue, Unsupported
 from warpcontact.validation.checks import Array
 
-# Scales, and right angles between axes, are equal but for so much: more than rounding to float32.
+# Relative tolerance of scales and right angles, larger than rounding to float32.
 _EQUAL = 1.0e-5
-# Segments around what is made of triangles.
+# Number of segments around the axis in tessellations.
 _AROUND = 32
-# Half the side of the square that stands for a half-space where meshes touch it [m].
+# Half the side of the square that represents a plane in contact with a mesh [m].
 REACH = 1000.0
 
 
 @dataclass(frozen=True)
 class ColliderShape:
-    """A collider in the frame of its body, or of the world.
+    """Collider in the frame of its body, or of the world.
 
     Attributes:
-        form: Its analytic form; ``None``: it is a mesh.
-        mesh: Its mesh, in its frame; ``None``: it has a form.
-        position: Origin of its frame (3,) [m].
-        orientation: Rotation out of its frame, quaternion (x, y, z, w).
-        solid: What it encloses, in the frame of its body; ``None``: nothing.
-        remarks: What to know of it.
+        form: Analytic shape; ``None`` if the collider is a mesh.
+        mesh: Mesh in the collider's frame; ``None`` if the collider is a shape.
+        position: Origin of the collider's frame in the frame of the body (3,) [m].
+        orientation: Rotation from the collider's frame to that of the body, quaternion (x, y, z, w).
+        solid: Enclosed solid in the frame of the body; ``None`` if there is none.
+        remarks: Notes on the conversion.
     """
 
     form: Form | None
@@ -46,7 +46,7 @@ class ColliderShape:
     remarks: tuple[str, ...] = ()
 
     def surface(self, name: str) -> Mesh:
-        """Returns its surface as a mesh, in its frame."""
+        """Returns the surface as a mesh in the collider's frame."""
         if self.mesh is not None:
             return self.mesh
         assert self.form is not None
@@ -56,18 +56,18 @@ class ColliderShape:
 def collider_shape(
     shape: dict[str, Any], linear: Array, position: Array, name: str, *, filled: bool
 ) -> ColliderShape:
-    """Returns what a collider is.
+    """Returns the shape or mesh of a collider.
 
     Args:
-        shape: As ``colliders.shape_of`` returns it.
-        linear: From its prim to the frame of its body, (3, 3), with all scales [m].
-        position: Origin of its prim in that frame (3,) [m].
-        name: For its mesh.
-        filled: Whether it is sure to be a solid, and no room.
+        shape: Result of ``colliders.shape_of``.
+        linear: Linear map from prim to body frame, (3, 3), including scale and units [m].
+        position: Origin of the prim in the body frame (3,) [m].
+        name: Name of the mesh.
+        filled: Whether a closed mesh is a solid, not a cavity.
 
     Raises:
-        InvalidValue: If its mesh cannot carry contact.
-        Unsupported: If its transformation makes no shape of it.
+        InvalidValue: If the mesh cannot be used for contact.
+        Unsupported: If the transformation distorts the shape into one without a counterpart.
     """
     kind = shape["kind"]
     if kind == "mesh":
@@ -84,7 +84,7 @@ def collider_shape(
 
 
 def _rotation_from_axes(u: Array, w: Array) -> Array:
-    """Returns the rotation whose x and z axes are along two directions at right angles."""
+    """Returns the rotation whose x and z axes are along two orthogonal directions, as a quaternion."""
     x, z = u / np.linalg.norm(u), w / np.linalg.norm(w)
     return Rotation.from_matrix(np.column_stack([x, np.cross(z, x), z])).as_quat()
 
@@ -114,7 +114,7 @@ def _box(half: Array, linear: Array, position: Array) -> ColliderShape:
 
 def _check_square(axes: Array, kind: str) -> None:
     if np.abs(axes.T @ axes - np.eye(3)).max() > _EQUAL:
-        raise Unsupported(f"a {kind} that is sheared")
+        raise Unsupported(f"a sheared {kind}")
 
 
 def _about_axis(shape: dict[str, Any], linear: Array, position: Array) -> ColliderShape:
@@ -123,9 +123,9 @@ def _about_axis(shape: dict[str, Any], linear: Array, position: Array) -> Collid
     lengths = np.linalg.norm(shape_axes, axis=0)
     _check_square(shape_axes / lengths, kind)
     if abs(lengths[0] - lengths[1]) > _EQUAL * lengths[0]:
-        raise Unsupported(f"a {kind} that is scaled unevenly around its axis, by {lengths[:2].tolist()}")
+        raise Unsupported(f"a {kind} with unequal scales across its axis, {lengths[:2].tolist()}")
     if kind == "capsule" and abs(lengths[2] - lengths[0]) > _EQUAL * lengths[0]:
-        raise Unsupported(f"a capsule that is scaled unevenly, by {lengths.tolist()}")
+        raise Unsupported(f"a capsule with unequal scales, {lengths.tolist()}")
     make_solid = {"capsule": solids.capsule, "cylinder": solids.rod, "cone": solids.cone}[kind]
     solid = make_solid(radius, half).transformed(shape_axes, position)
     scaled_radius, scaled_half = radius * float(lengths[0]), half * float(lengths[2])
@@ -146,7 +146,9 @@ def _mesh(shape: dict[str, Any], linear: Array, position: Array, name: str, fill
     if approximation == "box":
         lower, upper = used.min(axis=0), used.max(axis=0)
         if (upper <= lower).any():
-            raise InvalidValue(f"the box around its points must have a volume, got {(upper - lower).tolist()}")
+            raise InvalidValue(
+                f"the bounding box of its points must have a volume, got sizes {(upper - lower).tolist()}"
+            )
         return _box(0.5 * (upper - lower), linear, position + linear @ (0.5 * (lower + upper)))
     points = used @ linear.T
     if approximation == "sphere":
@@ -158,24 +160,24 @@ def _mesh(shape: dict[str, Any], linear: Array, position: Array, name: str, fill
         mesh = hull(points, name)
     else:
         if approximation_name != "none":
-            remarks.append(f"the approximation {approximation_name} is not carried out: the mesh itself touches")
+            remarks.append(f"the approximation {approximation_name} is not applied: the mesh itself is used")
         flipped = faces[:, ::-1] if np.linalg.det(linear) < 0.0 else faces
         mesh = _repaired_if_needed(vertices @ linear.T, flipped, name, remarks)
         if mesh.report.orientation == "inward" and (filled or approximation_name != "none"):
             mesh = mesh.flipped()
-            remarks.append("its faces looked inward and were turned: it is a solid")
+            remarks.append("its faces were oriented inward and were flipped")
     solid = solids.mesh_solid(mesh)
     if solid is None and mesh.report.closed is False:
         try:
             solid = solids.mesh_solid(hull(points, name))
         except InvalidValue:
-            solid = None  # a flat one weighs nothing
+            solid = None  # a flat hull has no mass
     placed = None if solid is None else solid.transformed(np.eye(3), position)
     return ColliderShape(None, mesh, position, np.array([0.0, 0.0, 0.0, 1.0]), placed, tuple(remarks))
 
 
 def _repaired_if_needed(vertices: Array, faces: Any, name: str, remarks: list[str]) -> Mesh:
-    """Returns a mesh as it is, or else repaired."""
+    """Returns a mesh, repaired if it is invalid."""
     try:
         return Mesh(vertices, faces, name=name)
     except MeshError:
@@ -194,15 +196,15 @@ class _Triangles:
 
 
 def hull(points: Array, name: str) -> Mesh:
-    """Returns the convex hull of points (n, 3).
+    """Returns the convex hull of points (n, 3) as a mesh.
 
     Raises:
-        InvalidValue: If they lie in a plane.
+        InvalidValue: If the points are coplanar.
     """
     try:
         found = ConvexHull(points)
     except (QhullError, ValueError) as error:
-        raise InvalidValue("the convex hull of its points has no volume: they lie in a plane") from error
+        raise InvalidValue("the points must not be coplanar, because their convex hull has no volume") from error
     faces, corners = found.simplices, points[found.simplices]
     outward = area_vectors(corners)
     back = (outward * found.equations[:, :3]).sum(axis=1) < 0.0
@@ -212,7 +214,7 @@ def hull(points: Array, name: str) -> Mesh:
 
 
 def triangles(form: Form, name: str) -> Mesh:
-    """Returns the surface of a form as a mesh, in its frame; of a half-space a square."""
+    """Returns the surface of a shape as a mesh in its frame; for a plane, a square of side 2 ``REACH``."""
     match form:
         case shapes.Plane():
             corners = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
@@ -222,26 +224,26 @@ def triangles(form: Form, name: str) -> Mesh:
             return hull(signs * np.array(form.half_extents), name)
         case shapes.Sphere() | shapes.Ellipsoid():
             semi_axes = (form.radius,) * 3 if isinstance(form, shapes.Sphere) else form.semi_axes
-            round_one = icosphere(1.0, 3)
-            return Mesh(round_one.vertices * np.array(semi_axes), round_one.faces, name=name)
+            sphere = icosphere(1.0, 3)
+            return Mesh(sphere.vertices * np.array(semi_axes), sphere.faces, name=name)
         case shapes.Cylinder():
             return hull(_rings([(form.radius, -form.half_length), (form.radius, form.half_length)]), name)
         case shapes.Cone():
             return hull(np.vstack([_rings([(form.radius, 0.0)]), [[0.0, 0.0, form.height]]]), name)
         case shapes.Capsule():
-            bends = np.linspace(0.0, 0.5 * np.pi, _AROUND // 4, endpoint=False)
+            angles = np.linspace(0.0, 0.5 * np.pi, _AROUND // 4, endpoint=False)
             ends = [
-                (form.radius * np.cos(bend), sign * (form.half_length + form.radius * np.sin(bend)))
+                (form.radius * np.cos(angle), sign * (form.half_length + form.radius * np.sin(angle)))
                 for sign in (-1.0, 1.0)
-                for bend in bends
+                for angle in angles
             ]
             tips = [[0.0, 0.0, sign * (form.half_length + form.radius)] for sign in (-1.0, 1.0)]
             return hull(np.vstack([_rings(ends), tips]), name)
-    raise Unsupported(f"a {type(form).__name__} that touches a mesh")
+    raise Unsupported(f"contact of a {type(form).__name__} with a mesh")
 
 
 def _rings(profile: list[tuple[float, float]]) -> Array:
-    """Returns points on circles of radius and height about the z axis."""
+    """Returns points on circles about the z axis, given as pairs of radius and height."""
     angles = np.linspace(0.0, 2.0 * np.pi, _AROUND, endpoint=False)
     return np.concatenate(
         [np.column_stack([r * np.cos(angles), r * np.sin(angles), np.full(_AROUND, z)]) for r, z in profile]

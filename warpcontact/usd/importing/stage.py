@@ -1,4 +1,4 @@
-"""A USD file, read: the description of a scene of ours, or what others say in the words of UsdPhysics."""
+"""Reads a USD file: the description of an exported scene, or the UsdPhysics content of other stages."""
 
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from warpcontact.usd.importing.stepping import stepping_of
 
 
 def answer(task: dict[str, Any]) -> tuple[dict[str, Any], list[Any]]:
-    """Returns what the process that reads answers; ``task`` holds the arguments of ``read_stage``."""
+    """Returns the answer of the reading process; ``task`` holds the arguments of ``read_stage``."""
     from warpcontact.usd.importing.packing import pack
 
     try:
@@ -22,17 +22,17 @@ def answer(task: dict[str, Any]) -> tuple[dict[str, Any], list[Any]]:
 
 
 def read_stage(file: str, most_faces: int, *, confined: bool) -> dict[str, Any]:
-    """Returns ``description``, the records of a scene of ours, or ``physics``, what UsdPhysics says.
+    """Returns ``description``, the records of an exported scene, or ``physics``, the result of ``read_physics``.
 
-    With a description come ``additions``, what the stage has that it does not have, and ``stepping``.
+    A description is accompanied by ``additions``, what the stage contains in addition to it, and ``stepping``.
 
     Args:
         file: Path of the file.
-        most_faces: Number of triangles that a mesh may have.
-        confined: Whether all files that the stage is made of have to lie in the folder of the file or below.
+        most_faces: Largest number of triangles per mesh.
+        confined: Whether all layers of the stage must lie in or below the folder of the file.
 
     Raises:
-        Unreadable: If the file is damaged, or made of files that it may not be made of.
+        Unreadable: If the file is damaged, or refers to files that are not allowed.
     """
     from pxr import Tf, Usd
 

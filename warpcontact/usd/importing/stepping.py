@@ -1,4 +1,4 @@
-"""Settings of a solver on a PhysicsScene: NewtonSceneAPI."""
+"""Solver settings of a PhysicsScene, from NewtonSceneAPI."""
 
 from typing import Any, TypedDict
 
@@ -7,18 +7,18 @@ from warpcontact.usd.importing.schemas import is_authored, value_of
 
 
 class Stepping(TypedDict):
-    """Requested settings of the solver; ``None``: not authored.
+    """Requested solver settings; ``None``: not authored.
 
     Attributes:
         dt: Time step [s].
-        iterations: Largest number of iterations of the solver in a step.
+        iterations: Maximum number of solver iterations per step.
     """
 
     dt: float | None
     iterations: int | None
 
 
-#: A stage without such settings.
+#: Settings of a stage that has none.
 NOTHING: Stepping = {"dt": None, "iterations": None}
 
 
@@ -54,5 +54,5 @@ def stepping_of(stage: Any) -> Stepping:
 
 
 def has_gravity(scene: Any, time: Any) -> bool:
-    """Returns ``newton:gravityEnabled`` of the prim of a PhysicsScene."""
+    """Returns ``newton:gravityEnabled`` of the prim of a PhysicsScene; true if not authored."""
     return bool(value_of(scene.GetAttribute("newton:gravityEnabled"), time, True))

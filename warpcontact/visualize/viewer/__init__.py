@@ -1,4 +1,4 @@
-"""Looking at runs and at simulations that step, on a page in a browser of this machine; needs viser."""
+"""Browser page on this machine that shows runs and steps simulations; needs viser."""
 
 from warpcontact.visualize.viewer.opening import Viewer, view
 

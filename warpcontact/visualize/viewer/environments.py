@@ -1,4 +1,4 @@
-"""Choosing one of many environments on a page."""
+"""Selection of one environment on the page of the viewer."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -11,16 +11,17 @@ if TYPE_CHECKING:
 
 
 class Picker:
-    """What chooses an environment: its number, the next, the one before, the next of those that failed.
+    """Panel that selects an environment: by number, previous, next, or next frozen.
 
     Args:
-        viewer_thread: What it is of.
-        choose: Called with the number of another environment.
+        viewer_thread: Viewer thread of the page.
+        choose: Called with the number of the selected environment.
 
     Attributes:
-        numbers: The environments that there are, in order.
-        env: The number of the chosen one; ``None``: there are none.
-        input: The number on the page.
+        numbers: Numbers of the available environments, ascending.
+        marked: Numbers of the frozen environments, ascending.
+        env: Number of the selected environment; ``None`` if there are no environments yet.
+        input: Number field on the page.
     """
 
     def __init__(self, viewer_thread: "ViewerThread", choose: Callable[[int], None]) -> None:
@@ -37,14 +38,14 @@ class Picker:
             self._text = gui.add_html("")
 
     def set_environments(self, numbers: NDArray[np.int_], marked: NDArray[np.int_]) -> None:
-        """Offers environments; ``marked`` are the numbers of those that failed."""
+        """Sets the numbers of the available and (``marked``) of the frozen environments."""
         self.numbers, self.marked = numbers, marked
 
     def pick(self, env: int) -> None:
-        """Chooses an environment by its number; the problem is told if there is none."""
+        """Selects an environment by its number; shows a problem on the page if it does not exist."""
         if env not in self.numbers:
-            there = f"{self.numbers.min()} to {self.numbers.max()}" if len(self.numbers) else "none yet"
-            self.viewer_thread.show_problem(f"there is no environment {env}; there are {there}")
+            available = f"{self.numbers.min()} to {self.numbers.max()}" if len(self.numbers) else "none yet"
+            self.viewer_thread.show_problem(f"there is no environment {env}; there are {available}")
             return
         self.viewer_thread.show_problem("")
         self.env = int(env)
@@ -52,7 +53,7 @@ class Picker:
         self.choose(self.env)
 
     def describe(self, text: str) -> None:
-        """Writes what is known of the chosen one."""
+        """Writes the number of environments and ``text``, the state of the selected one."""
         failed = f"{len(self.marked)} frozen" if len(self.marked) else "none frozen"
         count = len(self.numbers)
         self.viewer_thread.write(

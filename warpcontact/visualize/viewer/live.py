@@ -1,4 +1,4 @@
-"""The page of a simulation that steps while it is looked at, and whose parameters can be changed meanwhile."""
+"""Page of a simulation that steps while it is shown and whose parameters can be changed meanwhile."""
 
 import tempfile
 import time
@@ -19,15 +19,15 @@ from warpcontact.visualize.viewer.parameters import Parameters
 from warpcontact.visualize.viewer.values import rows_of, value_text
 from warpcontact.visualize.viewer.viewer_thread import FRAME_TIME, ViewerThread
 
-# What is recorded of each contact, to be drawn and read.
+# Sensors recorded for each contact: drawn as arrows and listed as values.
 _CONTACT_SENSORS = ("gap", "normal_force", "normal", "point", "friction_force")
-#: The part of the time from picture to picture that goes into steps.
+#: Fraction of the frame time that is spent in steps.
 STEPPING = 0.7
-#: How much longer arrows become from picture to picture after a large force.
+#: Growth of the arrow scale per frame after a large force.
 FADE = 1.02
-# Of so many contacts sensors are written out.
+# Number of contact sets whose sensors are listed.
 _MAX_CONTACTS = 8
-#: Time between looks at outcomes and at what failed [s].
+#: Time between updates of outcomes and frozen environments [s].
 UPDATE_INTERVAL = 0.5
 
 
@@ -35,15 +35,15 @@ class Live(ViewerThread):
     """Steps a simulation and shows one of its environments.
 
     Args:
-        server: The server of the page.
-        simulation: What is stepped; from now on by this alone.
-        name: What to call it.
-        speed: Simulated time to that on the wall.
-        varied: Names of the parameters that are offered first.
+        server: Server of the page.
+        simulation: Simulation to step. It must not be stepped elsewhere until the page is closed.
+        name: Name shown on the page.
+        speed: Simulated time per wall-clock time.
+        varied: Names of the parameters that have fields on the page.
 
     Attributes:
-        simulation: What is stepped.
-        rate: Simulated time to that on the wall, as of late; it falls behind ``speed`` where steps take longer.
+        simulation: Simulation that is stepped.
+        rate: Simulated time per wall-clock time over about the last second. Below ``speed`` if steps take longer.
     """
 
     def __init__(
@@ -74,12 +74,12 @@ class Live(ViewerThread):
         )
 
     def _set_sensors(self) -> list[str]:
-        """Returns gaps and forces of sets of contacts, of which an experiment records nothing unless asked."""
+        """Returns gap and normal force sensors of contact sets, which experiments do not record by default."""
         contacts = [one for one in self.simulation.model.scene.contacts if not one.points.single]
         return [f"{one.name}.{key}" for one in contacts[:_MAX_CONTACTS] for key in ("gap", "normal_force")]
 
     def add_panel(self) -> None:
-        """Puts all that can be read and done on the page."""
+        """Adds all controls and displays to the page."""
         gui = self.server.gui
         self.add_time()
         self.step_button = self.button("Step", self._step, hint="one time step of all environments")
@@ -97,14 +97,14 @@ class Live(ViewerThread):
         self._notes = gui.add_html("")
 
     def begin(self) -> None:
-        """Compiles what steps, and shows the start."""
+        """Compiles the step kernels and shows the initial state."""
         simulation = self.simulation
         self.show_status("compiling …")
         self._recorder.start()
         if simulation.model.at_start:
             self.write(self._notes, "\n".join(f"Caution: {sentence}" for sentence in simulation.check()))
             simulation.warned_at_start = True
-            # Compiles; whoever made the simulation may have put it into another state than that at the start.
+            # This step compiles. The caller may have changed the state, so restore it afterwards.
             with tempfile.TemporaryDirectory() as folder:
                 state = Path(folder) / "state.npz"
                 simulation.save(state)
@@ -127,7 +127,7 @@ class Live(ViewerThread):
         self._describe()
 
     def _describe(self) -> None:
-        """Tells what became of the environment, and its outcomes so far."""
+        """Shows the status of the selected environment and its current outcomes."""
         env, health = self.picker.env, self._health
         if env is None:
             return
@@ -143,7 +143,7 @@ class Live(ViewerThread):
             self.write_table(self._outcomes, rows_of(self.simulation.outcomes().isel(env=env)))
 
     def tick(self, seconds: float) -> None:
-        """Steps as far as the time on the wall went, if steps are fast enough, and shows the state."""
+        """Steps for ``seconds`` of wall-clock time at most and shows the state."""
         if self.playing:
             self._step_until(seconds)
         if time.monotonic() - self._last_update > UPDATE_INTERVAL and self.picker.env is not None:
@@ -156,11 +156,11 @@ class Live(ViewerThread):
         begin = time.perf_counter()
         before = simulation.steps
         self._pending_steps += self.speed * seconds / simulation.dt
-        # As many at once as take half of what is left of the time, as far as is known.
+        # Take as many steps as fit into half of the remaining time, by the last measured step rate.
         while self._pending_steps >= 1.0:
             remaining = STEPPING * FRAME_TIME - (time.perf_counter() - begin)
             if remaining <= 0.0:
-                # The machine is too slow for this speed: what it owes is let go.
+                # The machine is too slow for this speed: drop the overdue steps.
                 self._pending_steps = 0.0
                 break
             count = int(min(self._pending_steps, max(1.0, 0.5 * remaining * self._steps_per_second)))
@@ -170,12 +170,12 @@ class Live(ViewerThread):
             self._steps_per_second = count / max(time.perf_counter() - start, 1.0e-6)
             self._pending_steps -= count
         done = (simulation.steps - before) * simulation.dt
-        # Of the last second or so.
+        # Moving average over about half a second.
         self.rate += min(1.0, 2.0 * seconds) * (done / max(seconds, 1.0e-6) - self.rate)
         self._capture_state()
 
     def _finish_queued(self) -> None:
-        """Waits for a GPU, which queues steps: the next count is by how long they take."""
+        """Waits for queued GPU steps, because the next step count follows from their run time."""
         import warp as wp
 
         for device in self.simulation.model.devices:
@@ -183,7 +183,7 @@ class Live(ViewerThread):
                 wp.synchronize_device(device)
 
     def _capture_state(self) -> None:
-        """Looks at the state and draws it."""
+        """Evaluates the sensors of the current state and draws it."""
         env = self.picker.env
         if env is None:
             return
@@ -193,7 +193,7 @@ class Live(ViewerThread):
         recording = recorder.finish({})
         self._drawing = drawing = Drawing.of(recording, envs=[env])
         if any(contact.forces.any() for contact in drawing.contact_forces):
-            # Arrows are comparable over some seconds: the longest is of the largest force of late.
+            # Keep arrows comparable for a few seconds: the scale follows the largest recent force.
             self._force_scale = min(self._force_scale * FADE, drawing.force_scale)
         self.redraw()
         own = recording[self._displayed_sensors].isel(time=0).sel(env=env)
@@ -206,7 +206,7 @@ class Live(ViewerThread):
         self.show_status(f"{self.name}\n{simulation.time:.6g} s, step {simulation.steps}{paced}")
 
     def redraw(self) -> None:
-        """Draws the state that was taken last."""
+        """Draws the last evaluated state again."""
         if self._drawing is not None:
             scale = self._force_scale if np.isfinite(self._force_scale) else self._drawing.force_scale
             self.draw(self._drawing, 0, scale)
@@ -226,22 +226,22 @@ class Live(ViewerThread):
         self.refresh()
 
     def refresh(self) -> None:
-        """Shows the state after it was changed other than by steps."""
+        """Shows the state after a change other than a step."""
         self._force_scale = np.inf
         self._capture_state()
         self._update_environments()
         self._describe()
 
     def play(self) -> None:
-        """Lets time go on."""
+        """Starts stepping."""
         self._pending_steps, self.rate = 0.0, 0.0
         super().play()
 
     def pause(self) -> None:
-        """Stops the time."""
+        """Stops stepping."""
         super().pause()
         self._show_state()
 
     def current_drawing(self) -> tuple[Drawing, int] | None:
-        """Returns what is seen, and the record of it."""
+        """Returns the current drawing and the record shown (0), or ``None``."""
         return None if self._drawing is None else (self._drawing, 0)

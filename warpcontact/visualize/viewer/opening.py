@@ -1,4 +1,4 @@
-"""Opens a page on a run, a recording, an experiment or a simulation."""
+"""Opens a viewer page for a run, a recording, an experiment or a simulation."""
 
 import importlib.util
 import math
@@ -20,20 +20,20 @@ if TYPE_CHECKING:
     from warpcontact.visualize.viewer.viewer_thread import ViewerThread
 
 PORT = 8080
-#: Environments of an experiment that is stepped live.
+#: Default number of environments of an experiment that is stepped live.
 ENVS = 16
-# How often it is looked whether somebody wants to end it [s].
-_WAKE = 0.2
+# Interval at which ``Viewer.wait`` checks for Ctrl-C [s].
+_POLL_INTERVAL = 0.2
 
 Target = str | PathLike[str] | Run | Experiment | Simulation | Recording
 
 
 class Viewer:
-    """A page that is served; a context manager that ends it.
+    """Page that is served until it is closed; also a context manager.
 
     Attributes:
-        viewer_thread: What goes on behind it.
-        url: Its address.
+        viewer_thread: Thread that draws the page and runs its commands.
+        url: Address of the page.
     """
 
     def __init__(self, viewer_thread: "ViewerThread") -> None:
@@ -42,23 +42,23 @@ class Viewer:
         self._serves = True
 
     def open(self) -> None:
-        """Opens it in the browser."""
+        """Opens the page in the default browser."""
         import webbrowser
 
         webbrowser.open(self.url)
 
     def wait(self) -> None:
-        """Waits until Ctrl-C is pressed, and ends it."""
+        """Waits until Ctrl-C is pressed, then closes the page."""
         try:
             while self._serves:
-                time.sleep(_WAKE)
+                time.sleep(_POLL_INTERVAL)
         except KeyboardInterrupt:
             pass
         finally:
             self.close()
 
     def close(self) -> None:
-        """Ends the page; a simulation stays as it is then, and may be stepped by others."""
+        """Closes the page. A simulation keeps its current state and can then be stepped by the caller."""
         if self._serves:
             self._serves = False
             self.viewer_thread.close()
@@ -85,30 +85,31 @@ def view(
     device: str | Sequence[str] = "auto",
     trust: Trust = False,
 ) -> Viewer:
-    """Shows a run, a recording, or a simulation that steps, on a page for a browser of this machine.
+    """Shows a run or a recording, or steps a simulation, on a page for a browser of this machine.
 
-    The page is served on 127.0.0.1 alone. That of a run shows what is committed, and follows a run that goes on.
-    That of an experiment or a simulation steps it, and lets parameters be changed meanwhile.
+    The page is served on 127.0.0.1 only. The page of a run shows what is committed and follows a run in progress.
+    The page of an experiment or a simulation steps it. Its parameters can be changed meanwhile.
 
     Args:
-        target: Folder of a run, an experiment file, a ``Run``, an ``Experiment``, a ``Simulation``, which belongs
-            to the page until it is closed, or what ``Simulation.run`` returned.
-        port: Port of the page, or the first that is tried; 0: any that is free.
+        target: Folder of a run, an experiment file, a ``Run``, an ``Experiment``, the recording returned by
+            ``Simulation.run``, or a ``Simulation``, which must not be stepped elsewhere until the page is closed.
+        port: Port of the page. If it is in use, the next free port is taken. 0: any free port.
         block: Whether to wait until Ctrl-C is pressed.
-        open_browser: Whether to open it in the browser.
-        speed: Simulated time to that on the wall.
-        envs: Number of environments of an experiment; ``None``: its own, 16 at most.
-        device: Device of an experiment, as of ``Experiment.model``.
+        open_browser: Whether to open the page in the default browser.
+        speed: Simulated time per wall-clock time, from 0.001 to 1000.
+        envs: Number of environments of an experiment. ``None``: that of the experiment, at most 16.
+        device: Device of an experiment, as for ``Experiment.model``.
         trust: As for ``wc.open_run``, if ``target`` is a folder or file.
 
     Returns:
-        The page; ended already if ``block``.
+        The page; already closed if ``block``.
 
     Raises:
         ImportError: If viser is not installed.
-        ExperimentError: If the folder holds no run, or the file no experiment that is right.
-        RunDataError: If what was committed of a run is not there.
-        ValueError: If an option is not allowed, or nothing was recorded over time.
+        ExperimentError: If the folder contains no run, or the file no valid experiment.
+        RunDataError: If committed data of the run are missing.
+        ValueError: If an option is invalid, or no sensors were recorded over time.
+        TypeError: If ``target`` has another type.
     """
     if importlib.util.find_spec("viser") is None:
         raise ImportError("a live view needs viser, which is not installed: pip install 'warpcontact[view]'")
@@ -119,7 +120,9 @@ def view(
     if isinstance(target, str | PathLike) and not Path(target).is_dir():
         target = Experiment.from_toml(target, trust=trust)
     if envs is not None and not isinstance(target, Experiment):
-        raise ValueError(f"envs is of an experiment, got {envs!r}; the page of a run has all it has")
+        raise ValueError(
+            f"envs applies to experiments only, got {envs!r}; the page of a run shows all environments"
+        )
     viewer = Viewer(_make_viewer_thread(target, port, float(speed), envs, device, trust))
     try:
         viewer.viewer_thread.start()
@@ -136,7 +139,7 @@ def view(
 def _make_viewer_thread(
     target: "Target", port: int, speed: float, envs: int | None, device: str | Sequence[str], trust: Trust
 ) -> "ViewerThread":
-    """Makes what is behind the page; the server is opened when all else is there."""
+    """Makes the viewer thread of the page. The server is opened last, after all input has been read."""
     from warpcontact.visualize.viewer.live import Live
     from warpcontact.visualize.viewer.page import LocalServer
     from warpcontact.visualize.viewer.replay import Replay

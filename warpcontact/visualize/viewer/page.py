@@ -1,4 +1,4 @@
-"""The server of a page on this machine, for those who sit at it, and text on the page that is only text."""
+"""Local web server of the viewer page, with connection checks, and HTML with escaped text."""
 
 import contextlib
 import html
@@ -16,28 +16,28 @@ from warpcontact.drawing.colors import GAPS
 from warpcontact.validation import safe_text
 
 HOST = "127.0.0.1"
-#: Names under which a browser finds it.
+#: Host names accepted in requests of a browser.
 LOCAL = (HOST, "localhost")
-#: What is shown of a name or of a text at most; a page with more of it could not be read.
+#: Largest number of characters shown of a name and of a message, so that the page stays readable.
 LONGEST = 80
 LONGEST_MESSAGE = 2000
 
-# Where the library of its connections says what goes wrong with them.
+# Logger to which the websockets library reports connection errors.
 _LOGGER = logging.getLogger("websockets.server")
 
-# Of a page that is not ours: the policy of it is violated (RFC 6455, 7.4.1).
+# WebSocket close code "policy violation" (RFC 6455, 7.4.1), for connections from foreign pages.
 _REFUSED = 1008
 
 
 class LocalServer(viser.ViserServer):
-    """Serves a page on 127.0.0.1, and to nobody else.
+    """Serves a page on 127.0.0.1 and accepts connections of this page only.
 
     Args:
-        port: Number of the port, or of the first that is tried; 0: any that is free.
-        title: What the page is called.
+        port: Port number. If it is in use, the next free port is taken. 0: any free port.
+        title: Title of the page.
 
     Raises:
-        ValueError: If that is no port.
+        ValueError: If ``port`` is not an integer from 0 to 65535.
     """
 
     def __init__(self, port: int, title: str) -> None:
@@ -48,7 +48,7 @@ class LocalServer(viser.ViserServer):
         thread = self._websock_server._server_thread.ident
 
         def is_reportable(record: logging.LogRecord) -> bool:
-            # Browsers open connections ahead and close them unused, which is no fault of anybody.
+            # Browsers open connections in advance and close them unused, which is not an error.
             error = record.exc_info[1] if record.exc_info else None
             return record.thread != thread or not isinstance(error, InvalidHandshake)
 
@@ -57,11 +57,11 @@ class LocalServer(viser.ViserServer):
         self.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
 
         async def check(connection: Any) -> None:
-            # Pages of others, open in the same browser, reach this machine as well.
+            # Pages from other sites, open in the same browser, can reach this machine as well.
             socket = self._websock_server._live_connections[connection.client_id]
             if not is_own(socket.request.headers.get("Host"), socket.request.headers.get("Origin")):
-                await socket.close(_REFUSED, "this page may not look here")
-                # What it had sent already is not to be taken for what our page says.
+                await socket.close(_REFUSED, "connections from other pages are refused")
+                # Discard messages that were sent before the close, so that they are not processed.
                 with contextlib.suppress(ConnectionClosed):
                     while True:
                         await socket.recv()
@@ -74,45 +74,45 @@ class LocalServer(viser.ViserServer):
         return f"http://{HOST}:{self.get_port()}"
 
     def request_share_url(self, verbose: bool = True) -> None:
-        """Shares nothing: viser would open a tunnel to a server of others for whoever asks on the page."""
+        """Does nothing. viser would open a public tunnel on request of the page."""
 
     def stop(self) -> None:
-        """Ends the server and its connections."""
+        """Stops the server and closes its connections."""
         with _silence():
             super().stop()
         _LOGGER.removeFilter(self._is_reportable)
 
 
 def is_own(host: str | None, origin: str | None) -> bool:
-    """Whether a connection comes from the page itself, or from no browser, by two headers of its request."""
+    """Returns whether the headers ``Host`` and ``Origin`` show a connection from this page or from no browser."""
     if host is None or urlsplit(f"//{host}").hostname not in LOCAL:
         return False
     return origin is None or origin == f"http://{host}"
 
 
 def shortened(text: str, most: int = LONGEST) -> str:
-    """Returns a text in one line of at most ``most`` characters."""
+    """Returns a text as one line of at most ``most`` characters."""
     return safe_text.truncate(safe_text.single_line(text), most)
 
 
 def table(rows: Iterable[tuple[str, str]]) -> str:
-    """Returns HTML of a table of two columns, whatever is in its texts."""
+    """Returns an HTML table of two columns with escaped, shortened texts."""
     cell = '<td style="padding:0 0.6em 0.1em 0;vertical-align:top;overflow-wrap:anywhere">'
     lines = [f"<tr>{''.join(f'{cell}{_escaped(text)}</td>' for text in row)}</tr>" for row in rows]
     return f'<table style="{_STYLE}">{"".join(lines)}</table>'
 
 
 def message(text: str, *, bad: bool = False) -> str:
-    """Returns HTML of lines of text, whatever is in it; red if ``bad``."""
+    """Returns an HTML element with escaped lines of text; red if ``bad``."""
     color = ";color:#d6336c" if bad else ""
     content = html.escape(text if len(text) <= LONGEST_MESSAGE else f"{text[:LONGEST_MESSAGE]}…")
     return f'<div style="{_STYLE};white-space:pre-wrap;overflow-wrap:anywhere{color}">{content}</div>'
 
 
 def gap_legend(deepest: float, far: float) -> str:
-    """Returns HTML of the colours of gaps, from a depth to a distance [m]."""
+    """Returns an HTML legend of the gap colors, from penetration ``deepest`` [m] to distance ``far`` [m]."""
     colors = ", ".join(f"rgb{color}" for _, color in GAPS)
-    bar = f"height:0.6em;boundary-radius:0.3em;background:linear-gradient(to right, {colors})"
+    bar = f"height:0.6em;border-radius:0.3em;background:linear-gradient(to right, {colors})"
     ends = f"<span>−{deepest:.3g} m</span><span>0</span><span>{far:.3g} m</span>"
     line = f'<div style="display:flex;justify-content:space-between">{ends}</div>'
     return f'<div style="{_STYLE}"><div style="{bar}"></div>{line}</div>'
@@ -130,7 +130,7 @@ _silenced = threading.Lock()
 
 @contextlib.contextmanager
 def _silence() -> Iterator[None]:
-    """Keeps viser from printing: the command says where the page is."""
+    """Suppresses the printed output of viser; the command line prints the address of the page itself."""
     console = rich.get_console()
     with _silenced:
         before, console.quiet = console.quiet, True

@@ -1,4 +1,4 @@
-"""Changing parameters of an environment on a page."""
+"""Fields on the page that change parameters of the selected environment."""
 
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
@@ -10,33 +10,32 @@ from warpcontact.visualize.viewer.values import ParameterText
 if TYPE_CHECKING:
     from warpcontact.visualize.viewer.live import Live
 
-#: Parameters that are offered at once; of the others one is chosen.
+#: Largest number of parameters with a permanent field; the others are chosen from a list.
 MOST = 8
 
 
 class Parameters:
-    """Fields of the parameters that vary, and one of any other.
+    """Fields of the varied parameters, and one field for any parameter chosen from a list.
 
-    Values are taken over when Enter is pressed or the button: what is written into a field on the way there counts
-    for nothing.
+    A value is set when Enter or the button is pressed, not while it is typed.
 
     Args:
-        viewer_thread: What they are of.
-        model: The model.
-        first: Names of those that are offered at once.
+        viewer_thread: Viewer thread of the page.
+        model: Model whose parameters are changed.
+        first: Names of the parameters with permanent fields; the first ``MOST`` are used.
 
     Attributes:
-        fields: Text of the parameters that are offered at once, by their names.
-        chosen: Name of the one that was chosen beside them.
-        field: Its text.
-        item: Text of the number of an item of it; empty: all of them.
+        fields: Text fields of the varied parameters, by parameter name.
+        chosen: Name of the parameter chosen from the list.
+        field: Text field of the chosen parameter.
+        item: Text field for the index of an item of the chosen parameter; empty: all items.
     """
 
     def __init__(self, viewer_thread: "Live", model: Environments, first: Sequence[str]) -> None:
         self.viewer_thread = viewer_thread
         self.model = model
         self.fields: dict[str, Any] = {}
-        self._known: dict[str, str] = {}
+        self._displayed: dict[str, str] = {}
         gui = viewer_thread.server.gui
         names = list(first)[:MOST]
         if names:
@@ -45,12 +44,12 @@ class Parameters:
                     self.fields[name] = gui.add_text(shortened(name, 40), "", hint=self._hint(name))
                 self.set_button = viewer_thread.button("Set", lambda: self._set_all(form))
             form.on_submit(lambda event: self._submitted(event, self._set_all))
-        # Names are shown shortened, and are told apart by their number.
+        # Shortened names may coincide; their number makes them unique.
         self._names = {f"{i + 1}. {shortened(name, 60)}": name for i, name in enumerate(model)}
         with gui.add_form("Any parameter", expand_by_default=not names) as form_of_one:
             self.choice = viewer_thread.on_change(gui.add_dropdown("Name", list(self._names)), self._choose)
             self.item = viewer_thread.on_change(
-                gui.add_text("Item", "", hint="its number from 0; empty: all"), self._show_item
+                gui.add_text("Item", "", hint="index from 0; empty: all"), self._show_item
             )
             self.field = gui.add_text("Value", "")
             self.set_one_button = viewer_thread.button("Set", lambda: self._set_one(form_of_one))
@@ -59,24 +58,24 @@ class Parameters:
         self.chosen = next(iter(model))
 
     def _submitted(self, event: Any, command: Callable[[], None]) -> None:
-        # By Enter on the page; what the thread submits was taken.
+        # Only submissions with Enter on the page. ``form.submit()`` of this thread has no client.
         if event.client is not None:
             self.viewer_thread.post(command)
 
     def _hint(self, name: str) -> str:
         text = ParameterText(self.model, name)
         notes = [shortened(name, 200), "" if text.unit == "-" else f"in {text.unit}"]
-        notes.append("from the next reset on" if text.is_initial else "")
+        notes.append("takes effect at the next reset" if text.is_initial else "")
         return ", ".join(filter(None, notes))
 
     def show_env(self, env: int) -> None:
-        """Shows the values of an environment."""
+        """Shows the parameter values of an environment."""
         for name, field in self.fields.items():
             self._write(name, field, ParameterText(self.model, name).read(env))
         self._show_one()
 
     def _write(self, name: str, field: Any, text: str) -> None:
-        self._known[name] = field.value = text
+        self._displayed[name] = field.value = text
 
     def _choose(self, label: str) -> None:
         self.chosen = self._names[label]
@@ -100,12 +99,14 @@ class Parameters:
         if not text.is_set or not written:
             return None
         if not written.isdecimal():
-            raise ValueError(f"the item of {text.name} must be its number, from 0, got {written[:40]!r}")
+            raise ValueError(f"the item of {text.name} must be its index, from 0, got {written[:40]!r}")
         return int(written)
 
     def _set_all(self, form: Any = None) -> None:
-        """Sets those of the fields that are not as they were shown."""
-        changed = {name: field.value for name, field in self.fields.items() if field.value != self._known[name]}
+        """Sets the parameters whose field differs from the displayed value."""
+        changed = {
+            name: field.value for name, field in self.fields.items() if field.value != self._displayed[name]
+        }
         self._set({name: (value, None) for name, value in changed.items()})
         self._acknowledge(form)
 
@@ -115,12 +116,12 @@ class Parameters:
         self._acknowledge(form)
 
     def _acknowledge(self, form: Any) -> None:
-        """Lets the page know that what was written was taken."""
+        """Notifies the page that the input was processed."""
         if form is not None:
             form.submit()
 
     def _set(self, values: dict[str, tuple[str, int | None]]) -> None:
-        """Sets parameters of the environment that is shown; what is wrong with one does not keep the others."""
+        """Sets parameters of the selected environment. An invalid value does not prevent setting the others."""
         env = self.viewer_thread.picker.env
         if env is None:
             return
@@ -137,7 +138,7 @@ class Parameters:
             if name in self.fields:
                 self._write(name, self.fields[name], text.read(env))
         if initial:
-            done.append("(an initial value: it counts from the next reset on)")
+            done.append("(initial value: takes effect at the next reset)")
         self.viewer_thread.write(self._result, f"environment {env}: {'; '.join(done)}" if done else "")
         self.viewer_thread.show_problem("\n".join(wrong))
         if done:

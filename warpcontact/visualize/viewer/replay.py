@@ -1,4 +1,4 @@
-"""The page of a run: its records over time, one environment after another, and of a running one what comes."""
+"""Page of a run or recording: plays the records of one environment and follows a run in progress."""
 
 import math
 import time
@@ -11,20 +11,21 @@ from warpcontact.visualize.viewer.page import LocalServer
 from warpcontact.visualize.viewer.sources import Source
 from warpcontact.visualize.viewer.viewer_thread import ViewerThread
 
-#: Time between looks whether a run has committed more [s].
+#: Time between checks for newly committed data [s].
 UPDATE_INTERVAL = 1.0
 
 
 class Replay(ViewerThread):
-    """Replays a run, or a recording.
+    """Replays a run or a recording.
 
     Args:
-        server: The server of the page.
-        source: What is replayed.
-        speed: Simulated time to that on the wall.
+        server: Server of the page.
+        source: Run or recording.
+        speed: Simulated time per wall-clock time.
 
     Attributes:
-        record: Number of the record that is shown.
+        source: Run or recording.
+        record: Index of the record shown.
     """
 
     def __init__(self, server: LocalServer, source: Source, speed: float) -> None:
@@ -36,7 +37,7 @@ class Replay(ViewerThread):
         self._last_update = 0.0
 
     def add_panel(self) -> None:
-        """Puts all that can be read and done on the page."""
+        """Adds all controls and displays to the page."""
         gui = self.server.gui
         self.add_time()
         self.time_input = self.on_change(gui.add_slider("Time [s]", 0.0, 1.0, 1.0, 0.0), self._seek)
@@ -54,7 +55,7 @@ class Replay(ViewerThread):
         self._update_environments()
 
     def _update_environments(self) -> None:
-        """Offers the environments that there are, and shows the first if none was chosen."""
+        """Updates the available environments; selects the first one if none is selected."""
         frozen = np.array(sorted(self.source.frozen), dtype=np.int_)
         self.picker.set_environments(self.source.envs, frozen)
         if self.picker.env is None and len(self.source.envs):
@@ -63,7 +64,7 @@ class Replay(ViewerThread):
         self._show_state()
 
     def _select_env(self, env: int) -> None:
-        """Shows another environment, at the same time."""
+        """Shows another environment at the same time."""
         self._drawing = self.source.drawing(env)
         self._write_facts(env)
         self._set_time_range(None)
@@ -76,11 +77,11 @@ class Replay(ViewerThread):
             if facts.get(name):
                 self.write_table(handle, facts[name])
             else:
-                self.write(handle, "not known yet" if name in facts else "none")
+                self.write(handle, "not available yet" if name in facts else "none")
         self.picker.describe(self.source.frozen.get(env, ""))
 
     def _set_time_range(self, end: float | None) -> None:
-        """Fits the time to the records; ``end``: the time up to which they were [s], which is followed."""
+        """Fits the time slider to the records; at ``end``, the previous last time [s], moves on to the new last."""
         if self._drawing is None:
             self.stage.clear()
             self._show_state()
@@ -89,7 +90,7 @@ class Replay(ViewerThread):
         slider = self.time_input
         slider.min, slider.max = float(times[0]), float(times[-1])
         step = float(f"{np.diff(times).min():.6g}") if len(times) > 1 else 1.0
-        # The page rounds to so many decimals: two more than tell the steps apart.
+        # The page rounds to this number of decimals. Two more than the step needs keep times distinct.
         slider.step, slider.precision = step, max(0, 2 - math.floor(math.log10(step)))
         if end is not None and self._clock >= end and not self.playing:
             self._clock = float(times[-1])
@@ -97,7 +98,7 @@ class Replay(ViewerThread):
         self.redraw()
 
     def tick(self, seconds: float) -> None:
-        """Goes on in time, and looks whether there is more."""
+        """Advances the time by ``seconds`` · ``speed`` and checks for newly committed data."""
         if time.monotonic() - self._last_update > UPDATE_INTERVAL:
             self._last_update = time.monotonic()
             self._load_committed()
@@ -109,7 +110,7 @@ class Replay(ViewerThread):
                 self.pause()
 
     def _load_committed(self) -> None:
-        """Takes up what was committed meanwhile."""
+        """Loads newly committed data, if any, and updates the page."""
         if not self.source.refresh():
             self._show_state()
             return
@@ -121,11 +122,11 @@ class Replay(ViewerThread):
             self._set_time_range(end)
 
     def redraw(self) -> None:
-        """Draws the record of the time that it is."""
+        """Draws the record at the current time."""
         drawing = self._drawing
         if drawing is None:
             return
-        # The last one that is not later; times are multiples of the step, a slider's are rounded.
+        # The last record that is not later. The slack allows for the rounded times of the slider.
         slack = 1.0e-6 * max(1.0e-9, float(drawing.times[-1] - drawing.times[0]))
         self.record = max(0, int(np.searchsorted(drawing.times, self._clock + slack, side="right")) - 1)
         self.draw(drawing, self.record, drawing.force_scale)
@@ -134,13 +135,13 @@ class Replay(ViewerThread):
 
     def _show_state(self) -> None:
         drawing = self._drawing
-        where = "nothing is committed of it yet"
+        where = "no committed data yet"
         if drawing is not None:
             where = f"record {self.record + 1} of {len(drawing.times)}, at {drawing.times[self.record]:.6g} s"
         self.show_status("\n".join(filter(None, (self.source.state, where))))
 
     def _seek(self, seconds: float) -> None:
-        """Goes to a time [s]: to the record that is nearest."""
+        """Moves to the record nearest to a time [s]."""
         if self._drawing is not None:
             times = self._drawing.times
             self._clock = float(times[int(np.abs(times - seconds).argmin())])
@@ -155,7 +156,7 @@ class Replay(ViewerThread):
         self._seek(float(times[int(np.clip(places[where], 0, len(times) - 1))]))
 
     def play(self) -> None:
-        """Plays on, from the first record if it is at the last."""
+        """Starts playing, from the first record if the last one is shown and the run is finished."""
         drawing = self._drawing
         if drawing is not None and self._clock >= drawing.times[-1] and self.source.state in ("", "finished"):
             self._clock = float(drawing.times[0])
@@ -163,5 +164,5 @@ class Replay(ViewerThread):
         super().play()
 
     def current_drawing(self) -> tuple[Drawing, int] | None:
-        """Returns what is seen, and the record of it."""
+        """Returns the current drawing and the index of the record shown, or ``None``."""
         return None if self._drawing is None else (self._drawing, self.record)

@@ -1,4 +1,4 @@
-"""Where a replay comes from: the folder of a run, finished or not, or a recording."""
+"""Sources of a replay: the folder of a finished or running run, or a recording in memory."""
 
 from abc import ABC, abstractmethod
 from dataclasses import replace
@@ -24,12 +24,12 @@ Facts = dict[str, list[tuple[str, str]]]
 
 
 class Source(ABC):
-    """What is replayed.
+    """Source of a replay.
 
     Attributes:
-        name: What to call it.
+        name: Name shown on the page.
         recording: Sensors and parameters, (time, env, …).
-        scene: What ran.
+        scene: Scene of the recording.
     """
 
     name: str
@@ -37,41 +37,41 @@ class Source(ABC):
     scene: Scene
 
     def refresh(self) -> bool:
-        """Looks whether there is more by now; returns whether there is."""
+        """Loads newly committed data; returns whether there were any."""
         return False
 
     @property
     def state(self) -> str:
-        """How far it is, in a few words; empty: it is whole."""
+        """Progress as text; empty if the source is complete."""
         return ""
 
     @property
     def envs(self) -> NDArray[np.int_]:
-        """Numbers of the environments that there is something of."""
+        """Numbers of the environments with data."""
         return self.recording["env"].values
 
     @property
     @abstractmethod
     def frozen(self) -> dict[int, str]:
-        """What became of the environments that failed, by their numbers."""
+        """Description of each frozen environment, by its number."""
 
     @abstractmethod
     def facts(self, env: int) -> Facts:
-        """Returns parameters and outcomes of an environment, by what they are; empty: they are not known yet."""
+        """Returns tables of parameters and outcomes of an environment, by title; an empty table: not available yet."""
 
     def drawing(self, env: int) -> Drawing | None:
-        """Returns what is seen of an environment over time; ``None``: there is no record of it yet.
+        """Returns the drawing of an environment over time, or ``None`` if it has no records yet.
 
         Raises:
-            ValueError: If its poses were not recorded.
+            ValueError: If poses of its bodies were not recorded.
         """
         env_data = self.recording.sel(env=[env])
         poses = [f"{body.name}.position" for body in self.scene.bodies if f"{body.name}.position" in env_data]
         if poses:
             # Records that are not committed yet are NaN, from some time on.
-            places = env_data[poses[0]].values
-            known = np.isfinite(places).reshape(len(places), -1).all(axis=1)
-            count = len(known) if known.all() else int(known.argmin())
+            positions = env_data[poses[0]].values
+            finite = np.isfinite(positions).reshape(len(positions), -1).all(axis=1)
+            count = len(finite) if finite.all() else int(finite.argmin())
             if not count:
                 return None
             env_data = env_data.isel(time=slice(0, count))
@@ -82,22 +82,20 @@ class RecordingSource(Source):
     """A recording in memory, as ``Simulation.run`` returns it.
 
     Raises:
-        ValueError: If it does not know its scene, or lacks the dimension of environments.
+        ValueError: If the recording has lost its scene, for example by an xarray operation.
     """
 
     def __init__(self, recording: xr.Dataset) -> None:
         scene = getattr(recording, "scene", None)
         if not isinstance(scene, Scene):
-            raise ValueError(
-                "the recording does not know its scene (xarray operations drop it): view the whole one"
-            )
+            raise ValueError("the recording has no scene (xarray operations drop it): pass the original recording")
         self.name = "recording"
         self.recording = recording
         self.scene = scene
 
     @property
     def frozen(self) -> dict[int, str]:
-        """The environments that failed."""
+        """Frozen environments, by number."""
         return {int(env): "frozen" for env in self.recording.attrs.get("frozen_environments", ())}
 
     def facts(self, env: int) -> Facts:
@@ -107,17 +105,17 @@ class RecordingSource(Source):
 
 
 class RunSource(Source):
-    """A folder of a run; what is committed meanwhile is found by ``refresh``.
+    """Folder of a run; ``refresh`` loads data committed since.
 
     Args:
-        folder: The folder.
-        scene: What ran; ``None``: as the folder says.
+        folder: Folder of the run.
+        scene: Scene of the run; ``None``: read from the folder.
         trust: As for ``open_run``.
 
     Raises:
-        ExperimentError: If it holds no run.
-        RunDataError: If what was committed is not there.
-        ValueError: If nothing was recorded over time.
+        ExperimentError: If the folder contains no run.
+        RunDataError: If committed data are missing.
+        ValueError: If no sensors were recorded over time.
     """
 
     def __init__(self, folder: str | PathLike[str], scene: Scene | None = None, trust: Trust = False) -> None:
@@ -126,7 +124,7 @@ class RunSource(Source):
         self._open(open_run(folder, trust=trust), scene)
 
     def _open(self, run: Run, scene: Scene | None) -> None:
-        # To read the scene takes longer than the rest.
+        # Reusing the scene saves most of the time, which is spent on reading it.
         self.run = replace(run, _scene=scene)
         self.scene = self.run.scene
         self.name = str(run.summary["name"])
@@ -136,22 +134,22 @@ class RunSource(Source):
         self._state = run_status(self.folder)
 
     def _signature(self) -> tuple[tuple[str, int, int], ...]:
-        """Returns what changes when anything is committed."""
+        """Returns name, modification time [ns] and size [bytes] of the commit files, which change with each commit."""
         commits = RunPath(self.folder) / COMMITS
         found = []
         for path in (*(commits / name for name in commits.names()), RunPath(self.folder) / SUMMARY):
-            known = path.status()
-            if known is not None:
-                found.append((path.name, known.st_mtime_ns, known.st_size))
+            status = path.status()
+            if status is not None:
+                found.append((path.name, status.st_mtime_ns, status.st_size))
         return tuple(found)
 
     def refresh(self) -> bool:
-        """Opens the folder anew if anything was committed; returns whether it was."""
+        """Opens the folder again if data were committed since; returns whether there were any."""
         if self._state.state == "finished":
             return False
         signature = self._signature()
         if signature == self._last_signature:
-            # What runs and does not commit yet tells how far it is all the same.
+            # A run reports its progress between commits as well.
             self._state = run_status(self.folder)
             return False
         self._open(open_run(self.folder, trust=self.run._trust), self.scene)
@@ -160,7 +158,7 @@ class RunSource(Source):
 
     @property
     def state(self) -> str:
-        """How far the run is."""
+        """State of the run, with the fractions done and committed."""
         status = self._state
         if status.state == "finished":
             return "finished"
@@ -169,11 +167,11 @@ class RunSource(Source):
 
     @property
     def frozen(self) -> dict[int, str]:
-        """The environments that failed, of those that are finished: why, and when."""
+        """Cause and time of failure of each finished environment that is frozen, by number."""
         return self._frozen
 
     def facts(self, env: int) -> Facts:
-        """Returns outcomes and parameters of an environment."""
+        """Returns outcomes and parameters of an environment, as far as they are committed."""
         found: Facts = {"Outcomes": [], "Parameters": []}
         parameters = [str(name) for name in self.run.params.data_vars]
         if env in self._table["env"].values:

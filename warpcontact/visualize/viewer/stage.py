@@ -1,4 +1,4 @@
-"""What is drawn on a page: one environment of a drawing, of which only what moved is sent."""
+"""Draws one environment on the page; sends only the objects that changed."""
 
 import re
 from collections.abc import Iterator
@@ -12,39 +12,39 @@ from warpcontact.drawing.colors import gap_colors, linear
 from warpcontact.drawing.drawing import ContactForces, Curve, Drawing, Figure, Shape
 from warpcontact.validation.checks import Array
 
-# Lights: of all around, grey from below, and from one side.
+# Lights: hemisphere light with gray ground, and one directional light.
 SKY = 1.8
 GROUND = (150, 150, 150)
 SUN = 1.8
 SUN_DIRECTION = (-4.0, -6.0, 10.0)
 
-# Widths in sizes of the largest body.
+# Widths, as multiples of the size of the drawing.
 ARROW = 0.03
 LINE = 0.02
 SPOT = 0.08
-#: Ends of the colours of gaps, in sizes: how deep, and how far away.
+#: Range of the gap colors, as multiples of the size: penetration and distance.
 DEEP, FAR = 0.02, 1.0
 
-# So many copies are drawn in full; of more, those that are far away are drawn with fewer faces.
+# Up to this number of copies, all are drawn in full. With more, distant ones are simplified.
 FEW = 64
-# The camera stands in this direction from what it looks at, so many times its radius away.
+# Direction from the look-at point to the camera, and distance as a multiple of the radius shown.
 CAMERA_DIRECTION = np.array([0.8, -1.5, 0.7]) / np.linalg.norm([0.8, -1.5, 0.7])
 CAMERA_DISTANCE = 2.6
 
 
 def by_color(shape: Shape, color: Array) -> Iterator[tuple[Array, NDArray[Any], Array]]:
-    """Yields the faces of a shape of each colour as (vertices, faces, color)."""
+    """Yields the faces of a shape of each color as (vertices, faces, color)."""
     if shape.colors is None:
         yield shape.vertices, shape.faces, color
         return
     colors, number = np.unique(shape.colors, axis=0, return_inverse=True)
-    for i, own in enumerate(colors):
+    for i, face_color in enumerate(colors):
         used, faces = np.unique(shape.faces[number.reshape(-1) == i], return_inverse=True)
-        yield shape.vertices[used], faces.reshape(-1, 3), own
+        yield shape.vertices[used], faces.reshape(-1, 3), face_color
 
 
 def is_same(a: Shape, b: Shape) -> bool:
-    """Whether two shapes look the same."""
+    """Returns whether two shapes have the same vertices, faces and colors, and both or neither have normals."""
     if a is b:
         return True
     if (a.normals is None) != (b.normals is None) or (a.colors is None) != (b.colors is None):
@@ -57,7 +57,7 @@ def is_same(a: Shape, b: Shape) -> bool:
 
 @dataclass
 class _Drawn:
-    """A figure that is on the page: its nodes, one of each colour."""
+    """Figure on the page, with one node per color."""
 
     shape: Shape
     color: Array
@@ -67,15 +67,15 @@ class _Drawn:
 
 
 class Stage:
-    """The scene of a page.
+    """Three-dimensional scene of a page.
 
     Args:
-        server: The server of the page.
+        server: Server of the page.
 
     Attributes:
-        forces: Whether arrows of forces are drawn.
+        forces: Whether to draw force arrows.
         length: Factor on the length of arrows.
-        gaps: Whether contacts have the colours of their gaps.
+        gaps: Whether to color contacts by their gaps.
         following: Whether the camera moves with the bodies.
     """
 
@@ -89,8 +89,8 @@ class Stage:
         self._curves: list[Any] = []
         self._touches: list[tuple[Any, Any]] = []
         self._names: list[list[str]] = []
-        self._centre: Array | None = None
-        # Those of viser outshine colours.
+        self._center: Array | None = None
+        # The default lights of viser overexpose colors.
         server.scene.configure_environment_map(None)
         server.scene.configure_default_lights(False)
         server.scene.add_light_hemisphere("/lights/sky", ground_color=GROUND, intensity=SKY)
@@ -99,12 +99,12 @@ class Stage:
         )
 
     def show(self, drawing: Drawing, record: int, force_scale: float) -> None:
-        """Shows the first environment of a drawing at one of its records.
+        """Draws one record of the first environment of a drawing.
 
         Args:
-            drawing: The drawing.
-            record: Number of the record.
-            force_scale: Length of arrows [m/N].
+            drawing: Drawing of the environment.
+            record: Index of the record.
+            force_scale: Arrow length per force [m/N].
         """
         with self.server.atomic():
             names = [
@@ -141,7 +141,7 @@ class Stage:
                 self.follow(drawing, record)
 
     def clear(self) -> None:
-        """Takes everything off the page."""
+        """Removes all figures, curves, arrows and spots from the page."""
         for drawn in self._figures:
             for node in drawn.nodes:
                 node.remove()
@@ -150,38 +150,38 @@ class Stage:
         self._figures, self._curves, self._touches, self._names = [], [], [], []
 
     def frame_bodies(self, drawing: Drawing, record: int) -> None:
-        """Puts the cameras where all that moves is seen."""
-        centre, radius = middle(drawing, record)
-        self._centre = centre
-        place = centre + CAMERA_DISTANCE * radius * CAMERA_DIRECTION
+        """Moves the cameras so that all moving bodies are in view."""
+        center, radius = middle(drawing, record)
+        self._center = center
+        position = center + CAMERA_DISTANCE * radius * CAMERA_DIRECTION
         for camera in self._cameras():
-            # In this order: a camera that is moved takes what it looks at along.
-            camera.position, camera.look_at = place, centre
+            # Set the position first: it moves the look-at point along.
+            camera.position, camera.look_at = position, center
         self.server.initial_camera.near = 0.01 * radius
         self.server.initial_camera.far = max(1000.0, 1000.0 * radius)
 
     def follow(self, drawing: Drawing, record: int) -> None:
-        """Moves the cameras along with the bodies, as they look and as far away as they are."""
-        centre, _ = middle(drawing, record)
-        if self._centre is None:
+        """Translates the cameras with the bodies, at constant direction and distance."""
+        center, _ = middle(drawing, record)
+        if self._center is None:
             self.frame_bodies(drawing, record)
             return
-        displacement = centre - self._centre
+        displacement = center - self._center
         if not displacement.any():
             return
-        self._centre = centre
+        self._center = center
         for camera in self._cameras():
             camera.position, camera.look_at = camera.position + displacement, camera.look_at + displacement
 
     def _cameras(self) -> list[Any]:
-        """Returns those of the pages that are open, and of those that will be."""
+        """Returns the cameras of the open pages, and the initial camera of pages opened later."""
         return [self.server.initial_camera, *(one.camera for one in self.server.get_clients().values())]
 
     def _place(self, number: int, figure: Figure, record: int, colors: Array | None) -> None:
-        """Puts a figure where it is; ``colors``: of each item, instead of its own."""
-        there = figure.present[0]
-        positions, orientations = at(figure.positions, record)[there], at(figure.orientations, record)[there]
-        orientations, scales = orientations[:, [3, 0, 1, 2]], figure.scales[0][there]
+        """Draws a figure at a record; ``colors``: one color per item, instead of that of the figure."""
+        present = figure.present[0]
+        positions, orientations = at(figure.positions, record)[present], at(figure.orientations, record)[present]
+        orientations, scales = orientations[:, [3, 0, 1, 2]], figure.scales[0][present]
         previous = self._figures[number] if number < len(self._figures) else None
         if previous is None or not is_same(previous.shape, figure.shape) or (previous.color != figure.color).any():
             for node in [] if previous is None else previous.nodes:
@@ -192,10 +192,10 @@ class Stage:
             ]
             previous = self._figures[number]
         for node, color in zip(previous.nodes, previous.colors, strict=True):
-            node.visible = bool(there.any())
-            if there.any():
+            node.visible = bool(present.any())
+            if present.any():
                 node.batched_positions, node.batched_wxyzs, node.batched_scales = positions, orientations, scales
-                node.batched_colors = _bytes(linear(color if colors is None else colors[there]))
+                node.batched_colors = _bytes(linear(color if colors is None else colors[present]))
 
     def _add_figure(
         self, number: int, figure: Figure, orientations: Array, positions: Array, scales: Array
@@ -262,30 +262,30 @@ class Stage:
 
     def _draw_spots(self, node: Any, contact: ContactForces, record: int, size: float, *, shown: bool) -> None:
         gaps = None if contact.gaps is None else at(contact.gaps, record)
-        # Where two are far from each other there is nothing to see between them.
-        known = np.zeros(0, bool) if gaps is None or not (shown and self.gaps) else gaps < FAR * size
-        if gaps is not None and known.any():
-            # Both at once: a cloud with fewer colours than points is drawn black.
+        # Without spots for large gaps, which would clutter the picture.
+        near = np.zeros(0, bool) if gaps is None or not (shown and self.gaps) else gaps < FAR * size
+        if gaps is not None and near.any():
+            # Update both together: a cloud with fewer colors than points is drawn black.
             with self.server.atomic():
-                node.points = at(contact.points, record)[known].astype(np.float32)
-                node.colors = _bytes(_gap_colors(gaps[known], size))
-        node.visible = bool(known.any())
+                node.points = at(contact.points, record)[near].astype(np.float32)
+                node.colors = _bytes(_gap_colors(gaps[near], size))
+        node.visible = bool(near.any())
 
 
 def at(values: NDArray[Any], record: int) -> NDArray[Any]:
-    """Returns the values (1|time, env, …) of the first environment at a record."""
+    """Returns the values of the first environment at a record from an array (1|time, env, …)."""
     return values[record if len(values) > 1 else 0, 0]
 
 
 def middle(drawing: Drawing, record: int) -> tuple[Array, float]:
-    """Returns the middle of all that moves, world [m], and the radius of what is to be seen around it [m]."""
+    """Returns center of the moving bodies, world [m], and radius to show around it [m]."""
     moving = [figure for figure in drawing.figures if figure.kind != "surface" or len(figure.positions) > 1]
-    places = [at(figure.positions, record)[figure.present[0]] for figure in moving]
-    if not places or not sum(map(len, places)):
-        places = [contact.points[min(record, len(contact.points) - 1), 0] for contact in drawing.contact_forces]
-    if not places or not sum(map(len, places)):
+    positions = [at(figure.positions, record)[figure.present[0]] for figure in moving]
+    if not positions or not sum(map(len, positions)):
+        positions = [contact.points[min(record, len(contact.points) - 1), 0] for contact in drawing.contact_forces]
+    if not positions or not sum(map(len, positions)):
         return np.zeros(3), 5.0 * drawing.size
-    box = np.concatenate(places)
+    box = np.concatenate(positions)
     low, high = box.min(axis=0), box.max(axis=0)
     return 0.5 * (low + high), max(0.6 * float(np.linalg.norm(high - low)), 3.0 * drawing.size)
 
@@ -299,5 +299,5 @@ def _bytes(color: Array) -> NDArray[np.uint8]:
 
 
 def _plain(name: str) -> str:
-    """Returns what of a name of the user's can be part of the name of a node."""
+    """Returns a user's name with only characters that are valid in a node name, at most 40."""
     return re.sub(r"[^A-Za-z0-9._-]+", "_", name)[:40]

@@ -1,4 +1,4 @@
-"""Values as text on a page, and text as values of parameters."""
+"""Conversion of sensor and parameter values to text and of text to parameter values."""
 
 from typing import Any
 
@@ -10,12 +10,12 @@ from warpcontact.drawing.equal_items import merged_items
 from warpcontact.model.environments import Environments
 from warpcontact.validation.checks import Array
 
-# So many numbers are written out; of more, how many they are and from where to where they go.
+# Up to this number of values, all are listed. With more, their number and range are given.
 MOST = 9
 
 
 def value_text(values: Any, flags: dict[str, Any] | None = None) -> str:
-    """Returns a value as text: numbers with commas; codes by their names, as CF attributes tell them."""
+    """Returns a value as text: numbers separated by commas, or names if ``flags`` has CF flag attributes."""
     array = np.asarray(values)
     if flags and "flag_values" in flags:
         names = dict(zip(flags["flag_values"], str(flags["flag_meanings"]).split(), strict=False))
@@ -36,7 +36,7 @@ def _number(value: Any, digits: int = 6) -> str:
 
 
 def rows_of(data: xr.Dataset) -> list[tuple[str, str]]:
-    """Returns each variable of the data of one environment as (name with unit, value)."""
+    """Returns each variable of the data of one environment as (name, value with unit)."""
     rows = []
     for name, array in data.data_vars.items():
         unit = str(array.attrs.get("units", ""))
@@ -46,19 +46,19 @@ def rows_of(data: xr.Dataset) -> list[tuple[str, str]]:
 
 
 def rows_of_parameters(data: xr.Dataset) -> list[tuple[str, str]]:
-    """Returns the rows of parameters of one environment; those of a set have one value if all items are equal."""
+    """Returns the rows of parameters of one environment. A set has a single value if all its items are equal."""
     return rows_of(data.map(merged_items, keep_attrs=True))
 
 
 class ParameterText:
-    """A parameter of one environment as text.
+    """Parameter of a model, read and written as text.
 
     Args:
-        model: The model.
+        model: Model with the parameter.
         name: Name of the parameter.
 
     Raises:
-        KeyError: If there is none.
+        KeyError: If the model has no such parameter.
     """
 
     def __init__(self, model: Environments, name: str) -> None:
@@ -68,24 +68,24 @@ class ParameterText:
 
     @property
     def unit(self) -> str:
-        """Its SI unit."""
+        """SI unit of the parameter."""
         return str(self.parameter.limits["unit"])
 
     @property
     def is_set(self) -> bool:
-        """Whether there is a value of each of several items."""
+        """Whether the parameter has a value for each of several items."""
         return not self.parameter.single
 
     @property
     def is_initial(self) -> bool:
-        """Whether it is of the initial state, which counts from the next reset on."""
+        """Whether the parameter is an initial value, which takes effect at the next reset."""
         return any(part.sets_initial_state(part.parameters[self.name]) for part in self.model.parts)
 
     def read(self, env: int, item: int | None = None) -> str:
-        """Returns the value, or that of an item; of all items if they are the same, else nothing.
+        """Returns the value of an item; without ``item``, the common value of all items, or "" if they differ.
 
         Raises:
-            ValueError: If there is no such item.
+            ValueError: If the item does not exist.
         """
         values = self._values(env)
         if item is None:
@@ -94,19 +94,19 @@ class ParameterText:
         return _exact(values[item])
 
     def write(self, env: int, text: str, item: int | None = None) -> None:
-        """Sets the value of an environment, of an item or of all of them.
+        """Sets the value of one item, or of all items, in one environment.
 
         Raises:
-            ValueError: If the text is no such value, or is not allowed; nothing is changed then.
-            MemoryError: If values of each environment are more than there is room for.
+            ValueError: If the text is not a valid value. The model is unchanged then.
+            MemoryError: If the values of all environments do not fit into memory.
         """
         numbers = self._parse(text)
         if item is not None:
             self._check_item(item)
-        # Of no environments: it is one value, whatever their number.
+        # With 0 environments, ``parse`` reads one value for all of them.
         value = self.parameter.parse(numbers, 0)[0, 0]
-        whole = np.array(self.model[self.name])
-        values = whole[:, None] if self.parameter.single else whole
+        current = np.array(self.model[self.name])
+        values = current[:, None] if self.parameter.single else current
         values[env, slice(None) if item is None else item] = value
         self.model.assign(self.name, values)
 
@@ -135,7 +135,7 @@ class ParameterText:
 
 
 def _exact(values: Array) -> str:
-    """Returns numbers so that they are read as the same; of a diagonal matrix its diagonal."""
+    """Returns numbers as text that is parsed to the same values; a diagonal matrix as its diagonal."""
     if values.shape == (3, 3) and not (values - np.diag(np.diag(values))).any():
         values = np.diag(values)
     return ", ".join(

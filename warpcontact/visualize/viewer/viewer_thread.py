@@ -1,4 +1,4 @@
-"""What goes on behind a page: one thread owns all that is shown, and takes what is done on the page in order."""
+"""Base of the viewer pages: one thread owns all displays and executes the commands of the page in order."""
 
 import queue
 import threading
@@ -12,34 +12,34 @@ from warpcontact.drawing.drawing import Drawing
 from warpcontact.visualize.viewer.page import LocalServer, gap_legend, message, table
 from warpcontact.visualize.viewer.stage import DEEP, FAR, Stage
 
-#: Time from picture to picture, at the least [s].
+#: Shortest time between two pictures [s].
 FRAME_TIME = 1.0 / 30.0
-# Of what nobody plays there is no picture; how often it is looked whether there is anything new [s].
+# Time between two updates while the page is not playing [s].
 IDLE_TIME = 0.1
-#: Speeds that a page offers, of simulated time to that on the wall.
+#: Range of speeds, in simulated time per wall-clock time.
 SLOWEST, FASTEST = 1.0e-3, 1.0e3
 
-# What a user may do wrong, or a machine lack: its message says all there is to say.
+# Errors caused by user input or by lack of resources: the message suffices, without a traceback.
 _REPORTED_ERRORS = (ValueError, KeyError, OSError, MemoryError, RuntimeError)
 
 
 class ViewerThread(ABC):
-    """A page and the thread behind it.
+    """Page with the thread that serves it.
 
-    Everything that is shown belongs to the thread. What happens on the page is put into a queue, which it empties
-    between two pictures, so that nothing on the page waits for it.
+    Only this thread writes to the page. Commands from the page are put into a queue, which the thread empties
+    between two pictures, so that callbacks of the page return immediately.
 
     Args:
-        server: The server of the page.
-        speed: Simulated time to that on the wall.
+        server: Server of the page.
+        speed: Simulated time per wall-clock time.
 
     Attributes:
-        server: The server of the page.
-        stage: What is drawn.
-        speed: Simulated time to that on the wall.
-        playing: Whether time goes on.
-        problem: What went wrong last; empty: nothing.
-        pictures: How often it was looked what there is to show.
+        server: Server of the page.
+        stage: Three-dimensional scene of the page.
+        speed: Simulated time per wall-clock time.
+        playing: Whether time advances.
+        problem: Last problem shown; empty if there is none.
+        pictures: Number of updates so far.
     """
 
     def __init__(self, server: LocalServer, speed: float) -> None:
@@ -55,12 +55,12 @@ class ViewerThread(ABC):
         self._shown: dict[int, str] = {}
 
     def start(self) -> None:
-        """Puts everything on the page and begins."""
+        """Adds the controls to the page and starts the thread."""
         self.add_panel()
         self._thread.start()
 
     def close(self) -> None:
-        """Ends the thread, then the server."""
+        """Stops the thread, then the server."""
         self._ended.set()
         self.post(lambda: None)
         if self._thread.is_alive():
@@ -68,24 +68,24 @@ class ViewerThread(ABC):
         self.server.stop()
 
     def post(self, command: Callable[[], None]) -> None:
-        """Lets the thread do something, after what it was asked before."""
+        """Queues a command for execution by the thread."""
         self._commands.put(command)
 
     @abstractmethod
     def add_panel(self) -> None:
-        """Puts all that can be read and done on the page."""
+        """Adds all controls and displays to the page."""
 
     @abstractmethod
     def begin(self) -> None:
-        """Does what is to be done first."""
+        """Runs once at the start of the thread."""
 
     @abstractmethod
     def tick(self, seconds: float) -> None:
-        """Goes on by so much time on the wall [s], and shows what there is."""
+        """Advances by ``seconds`` of wall-clock time and updates the page."""
 
     @abstractmethod
     def current_drawing(self) -> tuple[Drawing, int] | None:
-        """Returns what is seen, and the record of it; ``None``: nothing."""
+        """Returns the drawing shown and the index of its record, or ``None``."""
 
     def _run(self) -> None:
         self.run_guarded(self.begin)
@@ -98,7 +98,7 @@ class ViewerThread(ABC):
             self.pictures += 1
 
     def _take_commands(self, period: float, last: float) -> None:
-        """Takes commands until the next picture is due."""
+        """Executes queued commands until the next picture is due."""
         while not self._ended.is_set():
             remaining = last + period - time.monotonic()
             try:
@@ -107,10 +107,10 @@ class ViewerThread(ABC):
                 return
             self.run_guarded(command)
             if not self.playing:
-                period = FRAME_TIME  # to show what it did
+                period = FRAME_TIME  # show the result of the command without the idle delay
 
     def run_guarded(self, work: Callable[[], None]) -> None:
-        """Does ``work``; what goes wrong stops the time and is told on the page."""
+        """Calls ``work``. An exception stops the time and is shown on the page."""
         try:
             work()
         except _REPORTED_ERRORS as error:
@@ -120,22 +120,22 @@ class ViewerThread(ABC):
             self.fail(f"{type(error).__name__}: {error}")
 
     def fail(self, text: str) -> None:
-        """Stops the time and tells why."""
+        """Stops the time and shows the reason."""
         self.pause()
         self.show_problem(text)
 
     def show_problem(self, text: str) -> None:
-        """Says on the page what is wrong; empty: nothing."""
+        """Shows a problem on the page; empty: removes it."""
         self.problem = text
         self._problem_text.content = message(text, bad=True) if text else ""
 
-    # What both pages have.
+    # Controls of both pages.
 
     def on_change(self, handle: Any, command: Callable[[Any], None]) -> Any:
-        """Lets the thread do ``command`` with the value of an input, when somebody changes it; returns it."""
+        """Queues ``command`` with the value of an input whenever the user changes it; returns the input."""
 
         def changed(event: Any) -> None:
-            # What the thread itself writes into an input is known to it.
+            # Ignore changes made by the thread itself.
             if threading.current_thread() is not self._thread:
                 value = event.target.value
                 self.post(lambda: command(value))
@@ -144,26 +144,26 @@ class ViewerThread(ABC):
         return handle
 
     def button(self, label: str, command: Callable[[], None], **options: Any) -> Any:
-        """Adds a button that lets the thread do ``command``."""
+        """Adds a button that queues ``command``."""
         handle = self.server.gui.add_button(label, **options)
         handle.on_click(lambda _: self.post(command))
         return handle
 
     def add_time(self) -> None:
-        """Adds what starts and stops the time."""
+        """Adds the status, the play button and the speed field."""
         gui = self.server.gui
         self._status = gui.add_html("")
         self._problem_text = gui.add_html("")
         self.play_button = self.button("Play", self.toggle)
         self.speed_input = self.on_change(
-            gui.add_text("Speed", f"{self.speed:g}", hint="simulated time to that on the wall"), self._set_speed
+            gui.add_text("Speed", f"{self.speed:g}", hint="simulated time per wall-clock time"), self._set_speed
         )
 
     def _set_speed(self, text: str) -> None:
         try:
             speed = float(text)
         except ValueError:
-            return  # not yet written to the end
+            return  # incomplete input
         if SLOWEST <= speed <= FASTEST:
             self.speed = speed
             self.show_problem("")
@@ -171,20 +171,20 @@ class ViewerThread(ABC):
             self.show_problem(f"the speed must be from {SLOWEST:g} to {FASTEST:g}, got {speed:g}")
 
     def add_display_options(self) -> None:
-        """Adds what chooses how things look."""
+        """Adds the display options: forces, gaps, camera."""
         gui = self.server.gui
-        with gui.add_folder("Look"):
+        with gui.add_folder("Display"):
             self.forces_input = self.on_change(
                 gui.add_checkbox("Forces", self.stage.forces, hint="arrows of contact forces"),
                 lambda on: self._set_display_option("forces", on),
             )
             self.length_input = self.on_change(
-                gui.add_slider("Arrows", 0.1, 20.0, 0.1, 1.0, hint="their length, of that of the largest force"),
+                gui.add_slider("Arrows", 0.1, 20.0, 0.1, 1.0, hint="factor on the arrow length"),
                 lambda length: self._set_display_option("length", length),
             )
             self.gaps_input = self.on_change(
                 gui.add_checkbox(
-                    "Gaps", self.stage.gaps, hint="red: inside, pale: in touch, blue: away, grey: unknown"
+                    "Gaps", self.stage.gaps, hint="red: inside, pale: in contact, blue: separated, gray: unknown"
                 ),
                 lambda on: self._set_display_option("gaps", on),
             )
@@ -193,19 +193,19 @@ class ViewerThread(ABC):
                 gui.add_checkbox("Follow", self.stage.following, hint="the camera moves with the bodies"),
                 lambda on: self._set_display_option("following", on),
             )
-            self.button("Look at the bodies", self._frame_bodies)
+            self.button("Frame the bodies", self._frame_bodies)
 
     def _set_display_option(self, name: str, value: Any) -> None:
         setattr(self.stage, name, value)
         self.redraw()
 
     def _frame_bodies(self) -> None:
-        seen = self.current_drawing()
-        if seen is not None:
-            self.stage.frame_bodies(*seen)
+        current = self.current_drawing()
+        if current is not None:
+            self.stage.frame_bodies(*current)
 
     def draw(self, drawing: Drawing, record: int, force_scale: float) -> None:
-        """Draws a record of a drawing, and says what its colours mean; arguments as of ``Stage.show``."""
+        """Draws a record of a drawing and updates the legend of its colors; arguments as for ``Stage.show``."""
         self.stage.show(drawing, record, force_scale)
         legend = ""
         if self.stage.gaps and any(contact.gaps is not None for contact in drawing.contact_forces):
@@ -214,17 +214,17 @@ class ViewerThread(ABC):
 
     @abstractmethod
     def redraw(self) -> None:
-        """Draws what there is once more."""
+        """Draws the current record or state again."""
 
     def toggle(self) -> None:
-        """Plays, or stops."""
+        """Starts the time if it is stopped, and stops it otherwise."""
         if self.playing:
             self.pause()
         else:
             self.play()
 
     def play(self) -> None:
-        """Lets time go on."""
+        """Starts the time."""
         self.show_problem("")
         self.playing = True
         self.play_button.label = "Pause"
@@ -235,13 +235,13 @@ class ViewerThread(ABC):
         self.play_button.label = "Play"
 
     def write(self, handle: Any, text: str) -> None:
-        """Writes text on the page, if it is another."""
+        """Writes text on the page."""
         handle.content = message(text) if text else ""
 
     def write_table(self, handle: Any, rows: list[tuple[str, str]]) -> None:
-        """Writes a table on the page, if it is another."""
+        """Writes a table on the page."""
         handle.content = table(rows) if rows else ""
 
     def show_status(self, text: str) -> None:
-        """Writes where things stand."""
+        """Writes the status text."""
         self.write(self._status, text)
