@@ -13,7 +13,7 @@ import numpy as np
 
 from warpcontact.meshes import Limits, MeshError, isolation, load_mesh
 
-BUGS = ("the process that reads it failed", "the process that reads it answered")
+BUGS = ("the reader process failed", "the reader process answered")
 
 
 class Fork:

@@ -107,14 +107,14 @@ def test_valid_originals_of_malformed_files_load(write, name, content):
         ("a.stl", STL_TEXT + STL_TEXT[: len(STL_TEXT) // 2], "after 6 triangles; is the file cut short?"),
         ("a.stl", STL_TEXT.replace("vertex 1.0", "vertex one", 1),
          "line 6: 3 or more numbers are needed, got 'one 0.0 0.0'"),
-        ("a.stl", STL_TEXT.replace("outer", "inner", 1), "line 3: not valid STL, which has no word 'inner'"),
+        ("a.stl", STL_TEXT.replace("outer", "inner", 1), "line 3: not valid STL, unknown keyword 'inner'"),
         ("a.stl", binary_stl(changed(TETRAHEDRON, (1, 0), np.nan)[OUTWARD]), "3 of 12 vertices are not finite"),
         ("a.stl", bytes(range(256)) * 3, "header announces"),
         ("a.stl", bytes(range(50)), "50 bytes are too few for a binary STL"),
         ("a.obj", bytes(range(256)) * 3, "a.obj"),
-        ("a.ply", bytes(range(256)) * 3, "there is no PLY header"),
-        ("a.off", bytes(range(256)) * 3, "there is no OFF header"),
-        ("a.glb", bytes(range(256)) * 3, "there is no GLB header"),
+        ("a.ply", bytes(range(256)) * 3, "no PLY header"),
+        ("a.off", bytes(range(256)) * 3, "no OFF header"),
+        ("a.glb", bytes(range(256)) * 3, "no GLB header"),
         ("a.obj", OBJ.replace("v 1 0 0", "v nan 0 0"), "1 of 4 vertices is not finite, first: vertex 1"),
         ("a.obj", OBJ.replace("v 1 0 0", "v 1e38 0 0"), "too far away"),
         ("a.obj", OBJ.replace("v 1 0 0", "v 1 x 0"), "line 2: 3 or more numbers are needed, got '1 x 0'"),
@@ -133,7 +133,7 @@ def test_valid_originals_of_malformed_files_load(write, name, content):
         ("a.ply", PLY.replace("3 0 2 1", "3 0 2 -1"), r"face 0 with vertices \(0, 2, -1\)"),
         ("a.ply", PLY[:-8], "announces 8 lines, but there are 7; is the file cut short?"),
         ("a.ply", PLY[:-4], "face 3 lacks values, got '3 0'"),
-        ("a.ply", PLY.replace("end_header", "end"), "there is no PLY header"),
+        ("a.ply", PLY.replace("end_header", "end"), "no PLY header"),
         ("a.ply", PLY.replace("property float x\n", ""), "not valid PLY"),
         ("a.glb", glb()[:-4], "header announces"),
         ("a.glb", glb(lambda t: t["accessors"][0].update(count=2**30)), "not valid GLB"),
@@ -190,7 +190,7 @@ def test_polygons_are_triangulated_with_a_note(write, name, content):
     mesh = load_mesh(write(name, content))
     assert mesh.report.area == pytest.approx(1.5)
     assert len(mesh.faces) == 3
-    assert mesh.report.warnings[0].startswith("2 faces of the file, some with more than three corners, became 3")
+    assert mesh.report.warnings[0].startswith("2 faces of the file, some with more than three vertices, became 3")
 
 
 def test_scene_parts_are_placed_and_mirrored_parts_stay_outward(tmp_path):
@@ -212,7 +212,7 @@ def test_points_and_lines_of_a_scene_are_skipped_with_a_note(write):
 
     mesh = load_mesh(write("a.glb", glb(with_points)))
     assert len(mesh.faces) == 4
-    assert mesh.report.warnings == ("1 of 2 parts are points or lines and were left out",)
+    assert mesh.report.warnings == ("1 of 2 parts are points or lines and were omitted",)
 
 
 def test_invalid_index_of_one_part_does_not_reach_the_next(write):

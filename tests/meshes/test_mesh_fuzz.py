@@ -253,4 +253,4 @@ def test_mesh_fuzzer_detects_invalid_results():
     assert raises(MeshError("it has no faces")) == "refused"
     assert raises(MeshError("")) == "refused without a word"
     assert raises(IndexError("7")) == "IndexError: 7"
-    assert "failed" in raises(MeshError("the process that reads it failed: KeyError"))
+    assert "failed" in raises(MeshError("the reader process failed: KeyError"))

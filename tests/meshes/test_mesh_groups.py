@@ -154,7 +154,7 @@ def test_repair_is_reported_and_repeated_by_the_copied_experiment(tmp_path):
         tmp_path / "out", device="cpu", on_warning=messages.append
     )
     assert "note: mesh file 'wheel.obj': duplicate: 1 face with the corners of an earlier one dropped" in messages
-    assert not any("are taken as one with it" in text or "no face turned" in text for text in messages)
+    assert not any("are treated as one" in text or "no face flipped" in text for text in messages)
     assert json.loads((tmp_path / "out" / "run.json").read_text())["warnings"] == messages
     again = wc.Experiment.from_toml(run.files["experiment"]).scene().surfaces[0]
     assert np.flatnonzero(again.active_faces).tolist() == [1, 2, 3, 5]
@@ -166,7 +166,7 @@ def test_inspect_command_accepts_unit_prim_repair_and_trust(tmp_path, capsys):
     assert main(["inspect", str(path), "--unit", "mm", "--repair", "merge,orient", "--trusted"]) == 0
     out = capsys.readouterr().out
     assert "0.001 × 0.001 × 0 m" in out
-    assert "repairs\n  - merge: no vertices to join\n  - orient: no face turned" in out
+    assert "repairs\n  - merge: no vertices to join\n  - orient: no face flipped" in out
     for words, message in (
         (["--unit", "inch"], "unit must be one of m, dm, cm, mm, um, µm, km, in, ft, got 'inch'"),
         (["--repair", "glue"], "repair must be True, False, or names out of merge"),

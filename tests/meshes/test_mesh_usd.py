@@ -29,7 +29,7 @@ def test_every_usd_format_gives_the_faces_of_the_stage(tetrahedron, tmp_path, su
     np.testing.assert_array_equal(mesh.vertices[mesh.faces], TETRAHEDRON[OUTWARD])
     assert (mesh.name, mesh.report.closed, mesh.report.warnings) == ("copy", True, ())
     assert mesh.groups["hull"].tolist() == [0, 1, 2, 3]
-    assert "the up axis is Z; the mesh is not turned" in mesh.report.notes
+    assert "the up axis is Z; the mesh is not rotated" in mesh.report.notes
 
 
 def test_usd_parts_are_in_meters_and_mirrored_ones_stay_outward(tmp_path):
@@ -68,12 +68,12 @@ def test_invisible_usd_prims_are_skipped_and_unsupported_ones_reported(tmp_path)
     path = save(stage, tmp_path / "a.usda")
     mesh = load_mesh(path)
     assert {name: len(faces) for name, faces in mesh.groups.items()} == {"seen": 4, "render": 4}
-    assert "shapes that are no meshes were left out: 1 PointInstancer, 1 Sphere" in mesh.report.warnings
+    assert "shapes other than meshes were omitted: 1 PointInstancer, 1 Sphere" in mesh.report.warnings
     assert list(load_mesh(path, prim="/World/guide").groups) == ["guide"]
     with pytest.raises(MeshError, match="it has no vertices"):
         load_mesh(path, prim="/World/hidden")
     with pytest.raises(
-        MeshError, match=r"there is no prim '/World/seem'; meshes are at /World/seen, /World/render"
+        MeshError, match=r"the prim '/World/seem' does not exist; meshes: /World/seen, /World/render"
     ):
         load_mesh(path, prim="/World/seem")
     with pytest.raises(MeshError, match="prim must be a path such as '/World/part', got 'World seen'"):
@@ -115,7 +115,9 @@ def test_usd_subsets_holes_and_polygons_are_read(tmp_path):
         "strip": [0, 1, 2, 3, 4, 5],
         "ends": [0, 1, 4, 5],
     }
-    assert loaded.report.warnings[0].startswith("3 faces of the file, some with more than three corners, became 6")
+    assert loaded.report.warnings[0].startswith(
+        "3 faces of the file, some with more than three vertices, became 6"
+    )
     assert any("control meshes of 1 prims" in note for note in loaded.report.notes)
 
 
@@ -137,7 +139,7 @@ def test_missing_usd_unit_is_reported_and_can_be_given(tmp_path):
     path = save(stage, tmp_path / "a.usda")
     report = examine_file(path)
     assert max(report.size) == pytest.approx(0.01)
-    assert "the file does not say metersPerUnit, so its unit is 0.01 m, as USD has it" in report.warnings
+    assert "metersPerUnit is not authored: the unit is 0.01 m, the default of USD" in report.warnings
     assert not any("metersPerUnit" in text for text in examine_file(path, unit="mm").warnings)
     assert max(examine_file(path, unit="in", scale=2).size) == pytest.approx(0.0508)
     for value in (0, -1, np.nan):
@@ -152,8 +154,8 @@ def test_missing_usd_unit_is_reported_and_can_be_given(tmp_path):
     ("attribute", "value", "message"),
     [
         ("faceVertexCounts", [3, 3, 3, 2], r"/World/hull.faceVertexCounts\[3\] must be 3 or more, got 2"),
-        ("faceVertexCounts", [3, 3, 3, 4], "announce 13 corners, but faceVertexIndices has 12"),
-        ("faceVertexCounts", [2**30, 2**30, 2**30, 2**30], "announce 4294967296 corners"),
+        ("faceVertexCounts", [3, 3, 3, 4], "add up to 13 vertices, but faceVertexIndices has 12"),
+        ("faceVertexCounts", [2**30, 2**30, 2**30, 2**30], "add up to 4294967296 vertices"),
         ("faceVertexIndices", [99, *OUTWARD.ravel()[1:].tolist()], "index outside its 4 vertices"),
         ("faceVertexIndices", [-1, *OUTWARD.ravel()[1:].tolist()], "index outside its 4 vertices"),
         ("points", [(np.nan, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], "1 of 4 vertices is not finite"),

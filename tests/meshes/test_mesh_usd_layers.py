@@ -62,7 +62,7 @@ def test_usd_layers_elsewhere_are_refused_unless_trusted(tetrahedron, tmp_path, 
         assert UsdUtils.CreateNewUsdzPackage(str(tetrahedron), str(tmp_path / "part.usdz"))
     path = layered(folder / "a.usda", kind, asset)
     with pytest.raises(
-        MeshError, match=r"it refers to '.*part.*', outside of its folder|link.usda', outside of its"
+        MeshError, match=r"the stage refers to '.*part.*', outside of its folder|link.usda', outside of its"
     ):
         load_mesh(path)
     if kind != "variant":
@@ -72,10 +72,10 @@ def test_usd_layers_elsewhere_are_refused_unless_trusted(tetrahedron, tmp_path, 
 @pytest.mark.parametrize(
     ("asset", "message"),
     [
-        ("/etc/passwd", "it refers to '/etc/passwd', outside of its folder"),
-        ("http://example.org/a.usda", "it refers to 'http://example.org/a.usda', which is no file"),
-        ("./none.usda", "it refers to './none.usda', which does not exist"),
-        ("./text.txt", "it refers to './text.txt'; allowed: files of type .usd"),
+        ("/etc/passwd", "the stage refers to '/etc/passwd', outside of its folder"),
+        ("http://example.org/a.usda", "the stage refers to 'http://example.org/a.usda', which is not a file"),
+        ("./none.usda", "the stage refers to './none.usda', which does not exist"),
+        ("./text.txt", "the stage refers to './text.txt'; allowed: files of type .usd"),
         ("./broken.usda", "not valid USD"),
     ],
 )
@@ -90,7 +90,7 @@ def test_usd_layers_are_not_searched_in_the_current_folder(tetrahedron, tmp_path
     (tmp_path / "inner").mkdir()
     monkeypatch.chdir(tmp_path)  # where USD looks for names that lie beside nothing
     monkeypatch.setenv("PXR_AR_DEFAULT_SEARCH_PATH", str(tmp_path))
-    with pytest.raises(MeshError, match=r"it refers to 'part.usda', outside of its folder"):
+    with pytest.raises(MeshError, match=r"the stage refers to 'part.usda', outside of its folder"):
         load_mesh(layered(tmp_path / "inner" / "a.usda", "sublayer", "part.usda"))
 
 
@@ -164,7 +164,7 @@ def test_value_clips_are_refused_on_any_prim(tmp_path, where, layer):
             if layer == "sublayer"
             else "#usda 1.0\n" + prim("r", metadata="references = @./b.usda@</m>")
         )
-    with pytest.raises(Unreadable, match=f"it has value clips at {re.escape(place)}, which"):
+    with pytest.raises(Unreadable, match=f"value clips at {re.escape(place)} are read"):
         check_layers(path, confined=True)
     check_layers(path, confined=False)
 
@@ -190,12 +190,12 @@ def test_value_clips_in_a_variant_can_read_outside_files_only_if_trusted(tmp_pat
         Usd.ClipsAPI(mesh.GetPrim()).SetClips({"default": clips})
     path = save(stage, tmp_path / "inner" / "a.usda")
     assert load_mesh(path, trusted=True).bounds[1, 0] == 7.0
-    with pytest.raises(MeshError, match=r"it has value clips at /m\{which=far\}"):
+    with pytest.raises(MeshError, match=r"value clips at /m\{which=far\}"):
         load_mesh(path)
 
 
 def test_value_clips_are_refused_unless_trusted(tetrahedron, tmp_path):
     path = layered(tmp_path / "a.usda", "clips", "../elsewhere.usda")
-    with pytest.raises(MeshError, match="it has value clips at /other"):
+    with pytest.raises(MeshError, match="value clips at /other"):
         load_mesh(path)
     assert len(load_mesh(path, trusted=True).faces) == 4

@@ -144,11 +144,11 @@ def test_all_defect_kinds_are_marked_and_in_the_legend(tmp_path):
         "broken:  2.6 × 1 × 1.4 m (x, y, z),  335 faces",
         "outer side",
         "inner side",
-        "closed parts that face inward: 320 faces",
-        "on others with the same corners: 2 faces",
+        "closed parts oriented inward: 320 faces",
+        "duplicate: 2 faces",
         "open boundary: 6 edges",
         "degenerate: 1 face",
-        "2 faces without a finite place not shown",
+        "2 faces without finite vertices not shown",
         "500 mm",
     ):
         assert words in legend
@@ -170,7 +170,7 @@ def test_intersections_pinched_vertices_and_cracks_are_marked(tmp_path):
     legend = "\n".join(re.findall(r"<!-- (.*?) -->", (tmp_path / "parts.svg").read_text()))
     cut = int(defects.cutting.sum())
     for words in (
-        f"cut or overlap others: {cut} faces",
+        f"intersecting or overlapping: {cut} faces",
         "touching in a point only: 1 vertex",
         "cracks: 4 vertices",
     ):

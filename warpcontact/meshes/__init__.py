@@ -1,6 +1,6 @@
-"""Oriented triangle meshes: validated, loaded from files, repaired on request, reported on, generated.
+"""Oriented triangle meshes: validation, loading, repair on request, reports, generation of simple shapes.
 
-Host code only: neither Warp nor SciPy nor what reads files is imported before it is needed.
+Host code only. Warp, SciPy and file readers are imported on first use.
 """
 
 from typing import TYPE_CHECKING
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from warpcontact.meshes.load import examine_file, load_mesh
     from warpcontact.meshes.picture import plot_file
 
-# Where the names live that few need.
+# Modules of rarely used names, imported on first access.
 _HOME = {"Limits": "isolation", "examine_file": "load", "load_mesh": "load", "plot_file": "picture"}
 
 __all__ = [
@@ -43,5 +43,5 @@ __all__ = [
     "sinusoidal_terrain",
 ]
 
-if not TYPE_CHECKING:  # there it would know every name
+if not TYPE_CHECKING:  # a type checker would accept any name
     __getattr__, __dir__ = lazy_names(__name__, _HOME, {})

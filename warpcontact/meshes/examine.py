@@ -1,12 +1,11 @@
-"""Why a triangle mesh cannot be used and what it is like: the one place that knows.
+"""Examination of triangle arrays: all errors, warnings and facts of a mesh.
 
-``wp.Mesh`` accepts anything: an index out of range or an empty mesh ends the process, a NaN vertex or a
-sliver is a hole in the surface without a word. Everything is therefore examined on the host first.
+``wp.Mesh`` accepts any arrays: an index out of range or an empty mesh crashes the process, and a NaN vertex or a sliver
+is silently a hole in the surface. Therefore all arrays are examined on the host first.
 
-Topology is that of the *welded* surface, in which vertices at exactly the same place are one (an STL file
-has no other connectivity), and of its sound faces: those that refer to usable vertices, have three
-different corners and are no copy of an earlier face in the same direction. The figures of a broken mesh
-are those of its sound part.
+Topology is that of the *welded* surface, in which vertices at exactly the same position are one (an STL file has no
+other connectivity), restricted to valid faces: those with usable vertices and three different ones, without copies of
+an earlier face in the same direction.
 """
 
 from collections.abc import Callable
@@ -30,23 +29,23 @@ COORDINATE_LIMIT = 1.0e6
 def examine(
     vertices: npt.ArrayLike, faces: npt.ArrayLike, name: str = "mesh", *, overlaps: bool = False
 ) -> MeshReport:
-    """Examine any vertices and faces; what is wrong ends up in ``errors``, never in an exception.
+    """Examines any vertices and faces. All problems are listed in ``errors``; no exception is raised.
 
     Args:
         vertices: Positions, (V, 3) real numbers [m].
-        faces: Three vertex indices for each triangle, (F, 3) integers.
+        faces: Three vertex indices of each triangle, (F, 3) integers.
         name: Name for the report.
-        overlaps: Whether to look for faces that cut each other, which takes as long as all the rest; not done
-            for more than 100 000 faces.
+        overlaps: Whether to search for intersecting faces, which about doubles the run time. Skipped for more than
+            100 000 faces.
 
     Returns:
-        All facts, with every problem found.
+        Report with all facts and problems.
     """
     v, vertex_error = _array(vertices, "vertices", "(V, 3)", "iuf", "real numbers")
     f, face_error = _array(faces, "faces", "(F, 3)", "iu", "integers")
     if vertex_error or face_error:
         return MeshReport(name, len(v), len(f), errors=vertex_error + face_error)
-    with np.errstate(over="ignore"):  # a longdouble beyond float64 becomes inf, which is refused below
+    with np.errstate(over="ignore"):  # a longdouble beyond float64 becomes inf, which is an error below
         v = v.astype(np.float64)
     finite: npt.NDArray[np.bool] = np.all(np.isfinite(v), axis=1)
     near: npt.NDArray[np.bool] = np.all(np.abs(v) <= COORDINATE_LIMIT, axis=1)  # false for NaN
@@ -60,7 +59,7 @@ def examine(
     lower, upper = box.min(axis=0), box.max(axis=0)
     ratio, ratio32 = np.full(len(f), np.inf), np.full(len(f), np.inf)
     ratio[placed] = slenderness(v[index[placed]])
-    with np.errstate(all="ignore"):  # underflow of float32 is one of the things looked for
+    with np.errstate(all="ignore"):  # float32 underflow is detected below
         ratio32[placed] = slenderness((v[index[placed]] - seen_from(lower, upper)).astype(np.float32))
 
     welded = representatives(v)
@@ -68,12 +67,12 @@ def examine(
     valid_faces = np.flatnonzero(placed & (corners != corners[:, [1, 2, 0]]).all(axis=1))
     original = np.arange(len(f))
     original[valid_faces] = valid_faces[representatives(np.sort(corners[valid_faces], axis=1))]
-    # A copy in the other direction stays: in a folded sheet some of the neighbours belong to it.
+    # Copies in the opposite direction are kept: in a folded sheet, some neighbors belong to each.
     rotated = corners[valid_faces].argmin(axis=1)[:, None] + np.arange(3)
     oriented = representatives(np.take_along_axis(corners[valid_faces], rotated % 3, axis=1))
     valid_faces = valid_faces[oriented == np.arange(len(valid_faces))]
     facts, clash, halves = examine_surface(v, corners[valid_faces])
-    if "components" in facts:  # numbers of faces as given
+    if "components" in facts:  # face numbers of the input
         facts["components"] = tuple(
             replace(part, first_face=int(valid_faces[part.first_face])) for part in facts["components"]
         )
@@ -130,7 +129,7 @@ def examine(
 
 
 def _problem(bad: npt.NDArray[np.bool], noun: str, what: str, describe: Callable[[int], str], allowed: str) -> str:
-    """One sentence on the ``bad`` entries; empty if there is none."""
+    """Returns a sentence about the ``bad`` entries; empty if there are none."""
     count = int(bad.sum())
     if not count:
         return ""
@@ -141,7 +140,7 @@ def _problem(bad: npt.NDArray[np.bool], noun: str, what: str, describe: Callable
 def _array(
     values: npt.ArrayLike, label: str, shape: str, kinds: str, numbers: str
 ) -> tuple[npt.NDArray[Any], tuple[str, ...]]:
-    """``values`` as an (n, 3) array, empty if it is none, and why it is not usable."""
+    """Returns ``values`` as an (n, 3) array, empty if that is impossible, and the error if it is unusable."""
     none = np.empty((0, 3))
     try:
         array = np.asarray(values)

@@ -1,4 +1,4 @@
-"""Meshes of simple shapes, for examples, tests and level ground."""
+"""Generators of simple meshes: rectangle, terrain, box and sphere."""
 
 from math import isfinite, sqrt
 from numbers import Real
@@ -9,14 +9,14 @@ import numpy.typing as npt
 from warpcontact.kernels.catalogue.keywords import explain_keywords
 from warpcontact.meshes.mesh import Mesh, positive
 
-# 20·4⁸ = 1 310 720 faces; one more level would be five million for a sphere already exact to 1e-5.
+# 20·4⁸ = 1 310 720 faces; the sphere is then exact to 1e-5.
 MAX_SUBDIVISIONS = 8
-MAX_CELLS = 100_000_000  # 200 million triangles; more is a slip of the pen
+MAX_CELLS = 100_000_000  # 200 million triangles; larger values are likely mistakes
 
 
 @explain_keywords
 def grid(size: tuple[float, float] = (1.0, 1.0), cells: tuple[int, int] = (1, 1), name: str = "grid") -> Mesh:
-    """A flat rectangle in the plane z = 0, centred at the origin, that faces +z.
+    """Returns a flat rectangle in the plane z = 0, centered at the origin, with outer side +z.
 
     Args:
         size: Lengths along x and y [m], positive.
@@ -40,11 +40,11 @@ def sinusoidal_terrain(
     wavelength: float = 2.5,
     name: str = "terrain",
 ) -> Mesh:
-    """Terrain of height z = amplitude·sin(2πx/λ)·sin(2πy/λ) at the vertices, whose outer side is above.
+    """Returns terrain of height z = amplitude·sin(2πx/λ)·sin(2πy/λ) at the vertices, with its outer side above.
 
     Args:
-        size: Lengths along x and y [m], positive; centred at the origin.
-        cells: Numbers of cells along x and y, at least 1; ten or more for each wavelength look smooth.
+        size: Lengths along x and y [m], positive; centered at the origin.
+        cells: Numbers of cells along x and y, at least 1; at least ten per wavelength give a smooth surface.
         amplitude: Largest height [m], finite.
         wavelength: λ [m], positive.
         name: Name of the mesh.
@@ -66,7 +66,7 @@ def sinusoidal_terrain(
 
 @explain_keywords
 def box(size: tuple[float, float, float] = (1.0, 1.0, 1.0), name: str = "box") -> Mesh:
-    """A closed box along the axes, centred at the origin, that faces outward.
+    """Returns a closed box along the axes, centered at the origin, oriented outward.
 
     Args:
         size: Edge lengths along x, y, z [m], positive.
@@ -86,7 +86,7 @@ def box(size: tuple[float, float, float] = (1.0, 1.0, 1.0), name: str = "box") -
         6.0
     """
     lengths = _lengths(size, 3)
-    # Vertex 4·i + 2·j + k is the corner at (i, j, k).
+    # Vertex 4·i + 2·j + k is at (i, j, k).
     corners = np.array([(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)], dtype=np.float64)
     sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     faces = [triangle for a, b, c, d in sides for triangle in ((a, b, c), (a, c, d))]
@@ -95,26 +95,26 @@ def box(size: tuple[float, float, float] = (1.0, 1.0, 1.0), name: str = "box") -
 
 @explain_keywords
 def icosphere(radius: float = 1.0, subdivisions: int = 3, name: str = "icosphere") -> Mesh:
-    """A sphere about the origin, made of nearly equal triangles, that faces outward.
+    """Returns a sphere about the origin, made of nearly equal triangles, oriented outward.
 
-    The vertices lie on the sphere, so the surface between them lies inside of it.
+    The vertices lie on the sphere, so the rest of the surface is inside the sphere.
 
     Args:
         radius: Distance of the vertices from the origin [m], positive.
-        subdivisions: How often the faces of an icosahedron are divided in four, 0 to 8.
+        subdivisions: Number of subdivisions of the faces of an icosahedron into four, 0 to 8.
         name: Name of the mesh.
 
     Returns:
         A closed mesh of 20·4ⁿ faces.
 
     Raises:
-        ValueError: If the radius is not positive and finite, or the subdivisions no integer from 0 to 8.
+        ValueError: If the radius is not positive and finite, or the number of subdivisions is not an integer from 0 to 8.
     """
     radius = positive("radius", radius)
     levels = _integer("subdivisions", subdivisions, 0, MAX_SUBDIVISIONS)
     g = (1.0 + sqrt(5.0)) / 2.0  # golden ratio: three rectangles 1 : g span the icosahedron
     vertices = np.array([p for s in (-1, 1) for t in (-g, g) for p in ((0, s, t), (s, t, 0), (t, 0, s))])
-    # Each face joins three vertices at the edge length 2; it is turned so that it looks away from the origin.
+    # Faces are the triples of vertices at mutual distance 2, the edge length; they are oriented outward below.
     near = np.isclose(np.linalg.norm(vertices[:, None] - vertices, axis=2), 2.0)
     triples = [
         (a, b, c) for a in range(12) for b in range(a) for c in range(b) if near[a, b] & near[b, c] & near[c, a]
@@ -131,11 +131,11 @@ def icosphere(radius: float = 1.0, subdivisions: int = 3, name: str = "icosphere
 def _divide(
     vertices: npt.NDArray[np.float64], faces: npt.NDArray[np.int64]
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]:
-    """Every face in four, with new vertices in the middle of the edges, on the unit sphere."""
+    """Divides each face into four, with new vertices at the midpoints of edges, moved to the sphere."""
     edges = np.sort(np.stack((faces, np.roll(faces, -1, axis=1)), axis=2), axis=2).reshape(-1, 2)
     pairs, middle = np.unique(edges, axis=0, return_inverse=True)
     points = vertices[pairs].sum(axis=1)
-    # Normalised at every level, so that the triangles stay nearly equal.
+    # Project to the sphere at every level, so that the triangles stay nearly equal.
     points *= np.linalg.norm(vertices[0]) / np.linalg.norm(points, axis=1, keepdims=True)
     a, b, c = faces.T
     ab, bc, ca = (middle.reshape(-1, 3) + len(vertices)).T
@@ -146,7 +146,7 @@ def _divide(
 def _plane(
     size: tuple[float, float], cells: tuple[int, int]
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]:
-    """Vertices and faces of :func:`grid`."""
+    """Returns vertices and faces of :func:`grid`."""
     lengths = _lengths(size, 2)
     counts = _sequence("cells", cells, 2)
     nx, ny = (_integer(f"cells[{i}]", count, 1, MAX_CELLS) for i, count in enumerate(counts))
@@ -166,8 +166,8 @@ def _lengths(size: tuple[float, ...], count: int) -> list[float]:
 
 
 def _sequence(label: str, values: object, count: int) -> list[object]:
-    """``values`` as a list of ``count`` entries."""
-    rows = values.tolist() if isinstance(values, np.ndarray) else values  # of a 0-d array one value
+    """Returns ``values`` as a list of ``count`` entries; raises ``ValueError`` if that is impossible."""
+    rows = values.tolist() if isinstance(values, np.ndarray) else values  # a 0-d array gives a scalar
     entries = list(rows) if isinstance(rows, (tuple, list)) else []
     if len(entries) != count:
         raise ValueError(f"{label} must have {count} entries, got {values!r}")

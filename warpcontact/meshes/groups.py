@@ -1,4 +1,4 @@
-"""Groups of faces: checked, and used to choose a part of a mesh."""
+"""Named groups of faces: validation, and selection of faces."""
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-#: What chooses faces: a mask (F,) or face numbers; names of groups; or a function that is given the centroids
+#: Selection of faces: a mask (F,) or face numbers; names of groups; or a function that takes the centroids
 #: (F, 3) [m], in the frame of the mesh, and returns a mask. ``None``: all.
 FaceChoice = npt.ArrayLike | str | Callable[[npt.NDArray[np.float64]], npt.ArrayLike] | None
 
@@ -25,14 +25,14 @@ class Faces(Protocol):
 
     @property
     def groups(self) -> Mapping[str, npt.NDArray[Any]]:
-        """Face numbers by the name of a group."""
+        """Face numbers by group name."""
 
 
 def checked_groups(groups: Mapping[str, npt.ArrayLike] | None, count: int) -> Mapping[str, npt.NDArray[np.int32]]:
     """Returns groups of a mesh with ``count`` faces as ascending read-only arrays.
 
     Raises:
-        ValueError: If a name is no text or empty, or a face number out of range.
+        ValueError: If a name is not a non-empty string, or a face number is out of range.
     """
     checked: dict[str, npt.NDArray[np.int32]] = {}
     for name, members in (groups or {}).items():
@@ -44,15 +44,15 @@ def checked_groups(groups: Mapping[str, npt.ArrayLike] | None, count: int) -> Ma
 
 
 def face_mask(label: str, choice: FaceChoice, mesh: Faces) -> npt.NDArray[np.bool]:
-    """Returns the mask (F,) of the chosen faces of a mesh.
+    """Returns the mask (F,) of the selected faces of a mesh.
 
     Args:
-        label: What is chosen, for messages.
-        choice: What chooses.
-        mesh: A ``Mesh``, or what was read of a file and may be unusable.
+        label: Name of the argument in messages.
+        choice: Selection of faces.
+        mesh: A ``Mesh``, or the content of a file, which may be invalid.
 
     Raises:
-        ValueError: If it is none of these, a number is out of range, or there is no such group.
+        ValueError: If the selection is invalid, a number is out of range, or a group does not exist.
     """
     count = len(mesh.faces)
     if callable(choice):
@@ -76,7 +76,7 @@ def face_mask(label: str, choice: FaceChoice, mesh: Faces) -> npt.NDArray[np.boo
 
 
 def _centroids(vertices: npt.NDArray[np.float64], faces: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
-    """Returns the centroids (F, 3) of faces, not a number where one has a corner that there is not."""
+    """Returns the centroids (F, 3) of faces; NaN if a vertex index is out of range."""
     in_range = np.all((faces >= 0) & (faces < len(vertices)), axis=1)
     centroids = np.full((len(faces), 3), np.nan)
     centroids[in_range] = vertices[faces[in_range]].mean(axis=1)
@@ -106,5 +106,5 @@ def _numbers(label: str, faces: Any, count: int) -> npt.NDArray[np.int32]:
     if given.min() < 0 or given.max() >= count:
         outside = given[(given < 0) | (given >= count)]
         raise ValueError(f"{label} must be face numbers from 0 to {count - 1}, got {outside[0]}")
-    # Most are in order, and there may be as many groups as faces.
+    # Most numbers are sorted already; sorting each of possibly many groups would be slow.
     return (given if (given[:-1] < given[1:]).all() else np.unique(given)).astype(np.int32)

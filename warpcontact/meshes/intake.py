@@ -1,4 +1,4 @@
-"""From a mesh file to arrays and a report on them, in a process of its own or in that of the caller."""
+"""Reads, repairs and examines a mesh file, in a sandboxed process or in the main process."""
 
 from dataclasses import asdict, dataclass, replace
 from math import inf
@@ -20,17 +20,17 @@ from warpcontact.meshes.units import metres
 
 @dataclass(frozen=True)
 class Task:
-    """What to make of a mesh file, in plain values that were checked.
+    """Task for a mesh file, in plain values that have been validated.
 
     Attributes:
         file: Path of the file.
         title: Name for the report.
         prim: Path of a prim, for USD only.
         scale: Factor on all lengths.
-        unit: Unit of the file, if not what it says itself.
-        steps: Steps of repair.
-        tolerance: Of merging, relative to the largest dimension.
-        faces: Number of triangles that are allowed.
+        unit: Unit of the file; ``None``: the unit given in the file.
+        steps: Names of the repair steps.
+        tolerance: Merging distance, relative to the largest dimension.
+        faces: Largest number of triangles.
     """
 
     file: str
@@ -44,13 +44,13 @@ class Task:
 
 
 class ExaminedMesh(NamedTuple):
-    """What is in a file, empty if it is not readable, and the report on it.
+    """Content of a file, empty if it is unreadable, and its report.
 
     Attributes:
         vertices: Positions, (V, 3) [m].
         faces: Vertex indices of each triangle, (F, 3); they may be out of range.
-        groups: Face numbers by the name of the group.
-        report: What is known of them; it leaves the groups out.
+        groups: Face numbers by group name.
+        report: Report without groups.
     """
 
     vertices: npt.NDArray[Any]
@@ -59,11 +59,11 @@ class ExaminedMesh(NamedTuple):
     report: MeshReport
 
     def active(self, choice: FaceChoice) -> npt.NDArray[np.bool] | None:
-        """Returns the mask (F,) of the chosen faces; ``None`` if nothing is chosen, or there is no face."""
+        """Returns the mask (F,) of the selected faces; ``None`` if nothing is selected or there are no faces."""
         return None if choice is None or not len(self.faces) else face_mask("active_faces", choice, self)
 
     def complete_report(self, active: npt.NDArray[np.bool] | None) -> MeshReport:
-        """Returns the report with the groups, and with the active part if there is a mask (F,) of it."""
+        """Returns the report with the groups, and with number and area of the active faces if a mask (F,) is given."""
         groups = tuple((name, len(members)) for name, members in self.groups.items())
         report = replace(self.report, groups=groups)
         if active is None:
@@ -75,18 +75,18 @@ class ExaminedMesh(NamedTuple):
 
 
 def examine_task(task: Task, *, confined: bool) -> ExaminedMesh:
-    """Reads, repairs and examines a mesh file; what is wrong with it ends up in the report.
+    """Reads, repairs and examines a mesh file; problems are listed in the report.
 
     Args:
-        task: What to do.
-        confined: Whether a USD stage may only be made of files in the folder of the file.
+        task: Task to execute.
+        confined: Whether the layers of a USD stage must lie in or below the folder of the file.
     """
     try:
         content = read(task.file, task.prim, task.faces, confined=confined)
         factor = _factor(task, content)
     except Unreadable as error:
         return unreadable(task.title, error)
-    with np.errstate(over="ignore"):  # infinity is refused by the examination
+    with np.errstate(over="ignore"):  # the examination reports infinity
         vertices = np.asarray(content.vertices, dtype=np.float64) * factor
     try:
         vertices, faces, groups, repairs = repair_arrays(
@@ -107,7 +107,7 @@ def examine_task(task: Task, *, confined: bool) -> ExaminedMesh:
 
 
 def answer(task: dict[str, Any]) -> tuple[dict[str, Any], list[npt.NDArray[Any]]]:
-    """Returns what the process that reads answers: a header, and the arrays that it announces, flat."""
+    """Returns the answer of the reading process: a header, and the flat arrays that it announces."""
     vertices, faces, groups, report = examine_task(Task(**task), confined=True)
     arrays = [
         np.ascontiguousarray(vertices, dtype="<f8"),
@@ -124,26 +124,26 @@ def answer(task: dict[str, Any]) -> tuple[dict[str, Any], list[npt.NDArray[Any]]
 
 
 def unreadable(title: str, error: Unreadable) -> ExaminedMesh:
-    """Returns what there is of a file that cannot be read."""
+    """Returns the empty content and the report of a file that cannot be read."""
     report = MeshReport(title, errors=(str(error),))
     return ExaminedMesh(np.empty((0, 3)), np.empty((0, 3), dtype=np.int64), {}, report)
 
 
 def _about_unit(task: Task, content: Content) -> tuple[list[str], list[str]]:
-    """Returns warnings and notes about the unit that lengths were read in."""
+    """Returns warnings and notes about the length unit used."""
     if task.unit is None and content.unit_warning:
         return [content.unit_warning], []
     scaled = "" if task.scale == 1.0 else f", times {task.scale:g}"
     if task.unit is not None:
         return [], [f"read in {task.unit}, the given unit{scaled}"]
     if content.unit is None:
-        return [], [f"no unit in this file; read as metres{scaled}"]
+        return [], [f"no unit in this file; read in meters{scaled}"]
     return [], [f"read in the unit of the file, {content.unit:g} m{scaled}"]
 
 
 def _factor(task: Task, content: Content) -> float:
-    """Returns metres per unit of the file."""
+    """Returns meters per unit of the file, including the scale."""
     own = content.unit
     if task.unit is None and own is not None and not 0.0 < own < inf:
-        raise Unreadable(f"metersPerUnit must be positive and finite, got {own:g}; give the unit to replace it")
+        raise Unreadable(f"metersPerUnit must be positive and finite, got {own:g}; pass a unit to override it")
     return metres(task.scale, task.unit, own)

@@ -1,9 +1,8 @@
-"""Reads files in a process of their own, which cannot take this one with it.
+"""Reads files in a sandboxed process, with limits on memory and time.
 
-No reader is safe on files from anywhere: those of USD can end the process, compose for hours, or fill the memory;
-and a small file may place one part many times, which takes as much to repair and to examine. The process imports
-what it needs and nothing else, neither the caller's script nor Warp, so that it starts in a fraction of a second
-from wherever it is called.
+No reader is safe with untrusted files: USD readers can crash the process, run for hours or exhaust the memory, and a
+small file can instance one part many times, which is as expensive to repair and examine. The process imports only what
+it needs, neither the caller's script nor Warp, so it starts in a fraction of a second. Protocol: ``reader_process.py``.
 """
 
 import json
@@ -43,18 +42,18 @@ for name, folder in request["packages"].items():
 from warpcontact.meshes.reader_process import main
 main(request)
 """
-# One thread is enough, and each reserves address space; what plug-ins of USD do is not known.
+# One thread suffices, and each thread reserves address space. USD plug-ins from the environment are excluded.
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "PXR_WORK_THREAD_LIMIT")
-# A header holds names, numbers and sentences; as Python objects they take several times its length.
+# Largest header [bytes]. It holds names, numbers and sentences, which take several times its size as Python objects.
 _MOST_HEADER = 2**28
-# A reader that does not use its processor time, such as one that is blocked on a file system, is ended after this
-# multiple of it, but not before this time [s]: other processes can take most of a busy machine.
+# A reader that does not use its processor time, for example because a file system blocks, is ended after this multiple
+# of it, but not before this time [s], because other processes may load the machine.
 _WALL_FACTOR, _LEAST_WALL = 15.0, 60.0
 _ANYWHERE_ELSE = ("PXR_", "USD_", "PYTHON")
 
 
 def _default(name: str, value: float) -> float:
-    """Returns ``value``, or what the environment variable ``name`` says."""
+    """Returns the value of the environment variable ``name``, or ``value`` if it is not set."""
     text = os.environ.get(name, "")
     try:
         number = float(text) if text else value
@@ -68,13 +67,13 @@ def _default(name: str, value: float) -> float:
 @explain_keywords_of
 @dataclass(frozen=True)
 class Limits:
-    """What the process that reads a mesh file may use, with repair and examination.
+    """Limits of the process that reads, repairs and examines a mesh file.
 
     Attributes:
-        memory: Address space of the process that reads [bytes]; 4 GiB, or ``WARPCONTACT_MESH_GIB`` in GiB.
-        seconds: Processor time for all of it [s]; 20, or ``WARPCONTACT_MESH_SECONDS``. The time on the clock is
-            limited to 15 times that, and at least 60 s. On Windows ``seconds`` limits the time on the clock.
-        faces: Number of triangles; 5 million, or ``WARPCONTACT_MESH_FACES``.
+        memory: Address space of the process [bytes]; default 4 GiB, or ``WARPCONTACT_MESH_GIB`` in GiB.
+        seconds: Processor time in total [s]; default 20, or ``WARPCONTACT_MESH_SECONDS``. The wall-clock time is
+            limited to 15 times this value, and at least 60 s. On Windows, ``seconds`` limits the wall-clock time.
+        faces: Number of triangles; default 5 million, or ``WARPCONTACT_MESH_FACES``.
     """
 
     memory: int = field(default_factory=lambda: int(_default("WARPCONTACT_MESH_GIB", 4.0) * 2**30))
@@ -84,21 +83,21 @@ class Limits:
     def __post_init__(self) -> None:
         for name in ("memory", "seconds", "faces"):
             value = getattr(self, name)
-            whole = isinstance(value, int) or (name == "seconds" and isinstance(value, float))
-            if isinstance(value, bool) or not whole or not 0 < value < inf:
+            is_number = isinstance(value, int) or (name == "seconds" and isinstance(value, float))
+            if isinstance(value, bool) or not is_number or not 0 < value < inf:
                 kind = "number" if name == "seconds" else "whole number"
                 raise ValueError(f"Limits.{name} must be a positive finite {kind}, got {value!r}")
 
 
 def examine_task_sandboxed(task: Task, limits: Limits) -> ExaminedMesh:
-    """Reads, repairs and examines a mesh file in a process of its own.
+    """Reads, repairs and examines a mesh file in a sandboxed process.
 
     Args:
-        task: What to do.
-        limits: What it may take.
+        task: Task to execute.
+        limits: Limits of the process.
 
     Raises:
-        Unreadable: If doing so crashes or passes a limit.
+        Unreadable: If the process crashes or exceeds a limit.
     """
     return read_sandboxed("warpcontact.meshes.intake", asdict(task), limits, partial(_answer, limits=limits))
 
@@ -106,16 +105,16 @@ def examine_task_sandboxed(task: Task, limits: Limits) -> ExaminedMesh:
 def read_sandboxed(
     module: str, task: dict[str, Any], limits: Limits, take: Callable[[IO[bytes]], _Answer]
 ) -> _Answer:
-    """Has a file read in a process of its own.
+    """Reads a file in a sandboxed process.
 
     Args:
-        module: Its function ``answer`` is given the task there, and returns a header and flat arrays.
-        task: What to do, in plain values.
-        limits: What it may take.
-        take: Makes the answer of what the process writes, see ``header_of`` and ``array_of``.
+        module: Module whose function ``answer`` the process calls with the task; returns a header and flat arrays.
+        task: Keyword arguments of the task, in plain values.
+        limits: Limits of the process.
+        take: Converts the output of the process to the result; see ``header_of`` and ``array_of``.
 
     Raises:
-        Unreadable: If doing so crashes or passes a limit.
+        Unreadable: If the process crashes or exceeds a limit.
     """
     meshes = Path(__file__).resolve().parent
     folders = {"": meshes.parent, ".meshes": meshes, ".usd": meshes.parent / "usd"}
@@ -137,7 +136,7 @@ def read_sandboxed(
             process.stdin.close()
             return take(output)
         except (EOFError, BrokenPipeError):
-            # Nothing was read, or not all of it: how the process ended says why.
+            # The output is missing or incomplete; the exit code gives the reason.
             output.close()
             messages = errors.read(2000).decode(errors="replace").split("\n")
             code = process.wait()
@@ -145,7 +144,7 @@ def read_sandboxed(
 
 
 def max_wall_time(seconds: float) -> float:
-    """Returns the time on the clock after which a reader is ended [s]; ``seconds``: its processor time."""
+    """Returns the wall-clock limit of a reader [s]; ``seconds``: limit of its processor time."""
     if not LIMITS_PROCESSOR_TIME:
         return min(seconds, threading.TIMEOUT_MAX)
     return min(max(_LEAST_WALL, _WALL_FACTOR * seconds), threading.TIMEOUT_MAX)
@@ -153,11 +152,11 @@ def max_wall_time(seconds: float) -> float:
 
 @contextmanager
 def _process(seconds: float) -> Iterator[tuple[subprocess.Popen[bytes], threading.Event]]:
-    """Starts a process that reads, yields it with whether it was ended on the clock, and ends it."""
+    """Starts a reader process, yields it with an event that is set if the wall-clock limit expired, and ends it."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith(_ANYWHERE_ELSE)}
     environment |= dict.fromkeys(_THREADS, "1") | {"MALLOC_ARENA_MAX": "2"}
     if not sys.executable or getattr(sys, "frozen", False):
-        raise Unreadable("there is no Python to read it apart from this process; allowed: trusted=True")
+        raise Unreadable("no Python executable to start the reader process; allowed: trusted=True")
     try:
         process = subprocess.Popen(
             [sys.executable, "-I", "-B", "-c", _START],
@@ -168,7 +167,7 @@ def _process(seconds: float) -> Iterator[tuple[subprocess.Popen[bytes], threadin
             creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
         )
     except OSError as error:
-        raise Unreadable(f"the process that reads it cannot be started: {error}") from error
+        raise Unreadable(f"the reader process cannot be started: {error}") from error
     expired = threading.Event()
 
     def expire() -> None:
@@ -188,11 +187,11 @@ def _process(seconds: float) -> Iterator[tuple[subprocess.Popen[bytes], threadin
 
 
 def _answer(output: IO[bytes], limits: Limits) -> ExaminedMesh:
-    """Takes the answer apart; sizes are checked before memory is taken for them.
+    """Decodes the answer of a process; checks sizes before allocating memory.
 
     Raises:
-        EOFError: If it ends early.
-        Unreadable: If it is a reason instead of arrays, or makes no sense.
+        EOFError: If the answer ends early.
+        Unreadable: If the answer is an error report, or invalid.
     """
     try:
         header = header_of(output, limits)
@@ -210,10 +209,10 @@ def _answer(output: IO[bytes], limits: Limits) -> ExaminedMesh:
         raise
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
         raise unexpected_answer(f"{type(error).__name__}: {error}") from error
-    # A process that was taken over may say that it has examined what it has not.
+    # A compromised process may report results that do not match its arrays.
     groups = all(0 <= members.min() <= members.max() < faces for members in answer.groups.values() if len(members))
     if not groups or (answer.report.usable and not is_repairable(answer.vertices, answer.faces)):
-        raise unexpected_answer("what is no mesh")
+        raise unexpected_answer("an invalid mesh")
     return answer
 
 
@@ -221,8 +220,8 @@ def header_of(output: IO[bytes], limits: Limits) -> dict[str, Any]:
     """Returns the header of an answer.
 
     Raises:
-        EOFError: If it ends early.
-        ValueError: If it is none; ``Unreadable`` if it is a reason instead.
+        EOFError: If the answer ends early.
+        ValueError: If the header is invalid; ``Unreadable`` if the answer is an error report.
     """
     length = int.from_bytes(_bytes(output, 8), "little")
     if length > min(limits.memory, _MOST_HEADER):
@@ -234,8 +233,8 @@ def header_of(output: IO[bytes], limits: Limits) -> dict[str, Any]:
 
 
 def unexpected_answer(what: str) -> Unreadable:
-    """Returns what is said of a process that answers with what it cannot have been told to."""
-    return Unreadable(f"the process that reads it answered with {' '.join(what.split())[:200]}")
+    """Returns the error for an answer that a correct process cannot give."""
+    return Unreadable(f"the reader process answered with {' '.join(what.split())[:200]}")
 
 
 def _bytes(output: IO[bytes], count: int) -> bytes:
@@ -258,28 +257,28 @@ def array_of(output: Any, count: int, dtype: str) -> Any:
 
 
 def _reason(code: int, expired: bool, limits: Limits, messages: list[str]) -> str:
-    """Why a process ended with ``code`` before it had answered."""
-    allowed, waited = f"{limits.seconds:g} s", f"{max_wall_time(limits.seconds):g} s"
+    """Returns the reason why a process ended with ``code`` before it had answered."""
+    allowed, wall_time = f"{limits.seconds:g} s", f"{max_wall_time(limits.seconds):g} s"
     if expired and LIMITS_PROCESSOR_TIME:
         return (
-            f"reading and examining it did not end within {waited} on the clock, with less than {allowed} of "
+            f"reading and examining it did not end within {wall_time} of wall-clock time, with less than {allowed} of "
             "processor time; the machine is overloaded, or the disk of the file does not answer; see Limits"
         )
     if expired:
-        return f"reading and examining it takes more than {waited}; allowed: {allowed}, see Limits"
+        return f"reading and examining it takes more than {wall_time}; allowed: {allowed}, see Limits"
     if LIMITS_PROCESSOR_TIME and code in (-signal.SIGPROF, -signal.SIGXCPU):
         taken = f"{allowed} of processor time"
         return f"reading and examining it takes more than {taken}; allowed: {allowed}, see Limits"
     if code == OUT_OF_MEMORY:
-        return "it needs more memory than is allowed, see Limits"
-    if code < 0 or code > 255:  # a signal, or what stands for one on Windows
+        return "the file needs more memory than allowed, see Limits"
+    if code < 0 or code > 255:  # a signal, or an exception code on Windows
         try:
             name = signal.Signals(-code).name
         except ValueError:
             name = f"{code:#x}"
         return (
-            f"the reader crashed on it ({name}), in a process of its own with {limits.memory / 2**30:.3g} GiB of "
-            "memory; the file is damaged or hostile, or needs more, see Limits"
+            f"the reader process crashed ({name}), with a limit of {limits.memory / 2**30:.3g} GiB of "
+            "memory; the file is damaged or malicious, or needs more, see Limits"
         )
     last = next((line.strip() for line in reversed(messages) if line.strip()), "no message")
-    return f"the process that reads it failed: {last[:200]}"
+    return f"the reader process failed: {last[:200]}"

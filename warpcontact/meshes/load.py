@@ -1,4 +1,4 @@
-"""Meshes from files: STL, OBJ, PLY, OFF, GLB and USD."""
+"""Loads and examines mesh files: STL, OBJ, PLY, OFF, GLB and USD."""
 
 import os
 from pathlib import Path
@@ -32,30 +32,30 @@ def load_mesh(
 ) -> Mesh:
     """Loads a triangle mesh from a file.
 
-    The file is read, repaired and examined in a process of its own, with limits on memory and time, and no other
-    file out of its folder is opened: a damaged or hostile one ends in an error and nothing else.
+    The file is read, repaired and examined in a sandboxed process, with limits on memory and time. Files outside its
+    folder are not opened. A damaged or malicious file therefore causes an error only.
 
     Args:
         path: An .stl (binary or text), .obj, .ply, .off, .glb, .usd, .usda, .usdc or .usdz file, in upper or lower
-            case. All parts of a scene are joined, each in its place. Axes stay what they are in the file.
-        scale: Factor on all lengths, for instance 0.001 for millimetres; positive. With ``unit`` both apply.
-        unit: Unit of the file: m, dm, cm, mm, um, µm, km, in or ft; by default what the file says (USD), or m.
-        name: Name of the mesh; by default that of the file without its extension.
-        prim: Path of the prim to take from a USD file: a mesh, or a group of which all visible meshes are taken.
-        repair: What to mend: ``True`` for all, or names out of merge, degenerate, duplicate, orient and unused;
-            see ``docs/meshes.md``. By default nothing is. ``report.repairs`` says what changed.
-        tolerance: Distance within which ``merge`` takes vertices for one, relative to the largest dimension.
-        trusted: Whether to do all that in this process, without limits on memory and time, and to read a USD file
-            with whatever it refers to: for files of your own that are slow or large, or spread over folders.
-        limits: Memory, time and size; by default ``Limits()``.
+            case. All parts of a scene are joined, each at its position. Axes are not changed.
+        scale: Factor on all lengths, for example 0.001 for millimeters; positive. Multiplies ``unit`` if both are given.
+        unit: Unit of the file: m, dm, cm, mm, um, µm, km, in or ft. Default: the unit given in the file (USD), or m.
+        name: Name of the mesh. Default: the file name without extension.
+        prim: Path of a prim in a USD file: a mesh, or a group whose visible meshes are loaded.
+        repair: Repair steps: ``True`` for all, or names out of merge, degenerate, duplicate, orient and unused; see
+            ``docs/meshes.md``. Default: none. ``report.repairs`` lists the changes.
+        tolerance: Distance below which ``merge`` joins vertices, relative to the largest dimension.
+        trusted: Whether to read in this process, without limits on memory and time, and to follow all references of a
+            USD file: for files from trusted sources that are large, or spread over folders.
+        limits: Limits on memory, time and size. Default: ``Limits()``.
 
     Returns:
-        The mesh. Its ``report.warnings`` say what to know before using it, its ``groups`` name parts of it.
+        The mesh. Read ``report.warnings`` before using it. ``groups`` name its parts.
 
     Raises:
-        MeshError: If the file cannot be read, is damaged, or is no usable mesh; names the file and every
-            problem found.
-        ValueError: If an option is not allowed; the message names it.
+        MeshError: If the file cannot be read, is damaged, or contains no usable mesh; names the file and all
+            problems.
+        ValueError: If an option is invalid; the message names it.
     """
     if name is not None and (not isinstance(name, str) or not name):
         raise ValueError(f"name must be a non-empty string, got {name!r}")
@@ -76,33 +76,33 @@ def examine_file(
     limits: Limits | None = None,
     active_faces: FaceChoice = None,
 ) -> MeshReport:
-    """Reports on a mesh file, usable or not.
+    """Returns a report on a mesh file, usable or not.
 
     Args:
-        path: The file, and all options, as for :func:`load_mesh`.
+        path: The file; it and the options are as for :func:`load_mesh`.
         scale: Factor on all lengths.
         unit: Unit of the file.
-        prim: Path of the prim to take from a USD file.
-        repair: What to mend first; the report is that of the repaired mesh.
-        tolerance: Distance within which ``merge`` takes vertices for one, relative to the largest dimension.
+        prim: Path of a prim in a USD file.
+        repair: Repair steps applied first; the report describes the repaired mesh.
+        tolerance: Distance below which ``merge`` joins vertices, relative to the largest dimension.
         trusted: Whether to read the file in this process.
-        limits: Memory, time and size.
-        active_faces: Faces of the repaired mesh, as for ``Scene.add_surface``: names of groups, face numbers, a
-            mask (F,), or a function of the centroids. The report then has their number and area.
+        limits: Limits on memory, time and size.
+        active_faces: Active faces of the repaired mesh, as for ``Scene.add_surface``: names of groups, face numbers,
+            a mask (F,), or a function of the centroids. Adds their number and area to the report.
 
     Returns:
-        The report. If :func:`load_mesh` would refuse the content, ``errors`` says why.
+        The report. If :func:`load_mesh` would raise an error, ``errors`` gives the reasons.
 
     Raises:
-        MeshError: If there is nothing to report on: the file is missing, not a file, or may not be read.
-        ValueError: If an option is not allowed, or there is no such face or group.
+        MeshError: If there is no file to report on: it is missing, not a regular file, or unreadable.
+        ValueError: If an option is invalid, or a face or group does not exist.
     """
     found = examined(Path(path), None, Options(scale, unit, prim, repair, tolerance, trusted, limits))
     return found.complete_report(found.active(active_faces))
 
 
 class Options:
-    """Options of loading, checked."""
+    """Validated options of loading."""
 
     def __init__(
         self,
@@ -124,7 +124,7 @@ class Options:
         self.limits = Limits() if limits is None else limits
 
     def task(self, path: Path, title: str) -> Task:
-        """Returns what to make of a file."""
+        """Returns the task for a file."""
         return Task(
             file=os.path.abspath(path),
             title=title,
@@ -138,7 +138,7 @@ class Options:
 
 
 def examined(path: Path, name: str | None, options: Options) -> ExaminedMesh:
-    """Reads, repairs and examines a file, in a process of its own unless it is trusted."""
+    """Reads, repairs and examines a file, in a sandboxed process unless it is trusted."""
     suffix = path.suffix.lower()
     _check_file(path)
     if options.prim is not None and suffix not in USD_SUFFIXES:
@@ -157,7 +157,7 @@ def examined(path: Path, name: str | None, options: Options) -> ExaminedMesh:
 
 
 def _check_file(path: Path) -> None:
-    """Raises ``MeshError`` unless the file can be opened: a process that reads it then follows no refused link."""
+    """Raises ``MeshError`` unless the file can be opened safely, before a reader process opens it."""
     subject = f"mesh file {str(path)!r}"
     try:
         open_file(path).close()

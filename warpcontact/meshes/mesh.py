@@ -1,4 +1,4 @@
-"""An oriented triangle mesh that is safe to hand to Warp."""
+"""Oriented triangle mesh whose arrays are validated, so that Warp can use them safely."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -21,28 +21,28 @@ from warpcontact.validation.safe_text import SafeTextError
 
 
 class MeshError(SafeTextError):
-    """A mesh, or a mesh file, that cannot be used; the message says why, problem by problem."""
+    """Mesh or mesh file that cannot be used; the message lists all problems."""
 
 
 @explain_keywords_of
 class Mesh:
     """An immutable, oriented triangle mesh.
 
-    The outer side of a face is the one from which its corners run counter-clockwise. Open surfaces,
-    several parts, non-manifold edges and inward orientation are allowed and appear in the warnings of
-    :attr:`report`. Everything that would crash Warp, or make it silently skip a face, is refused here.
+    On the outer side of a face, its vertices run counter-clockwise. Open surfaces, several parts, non-manifold edges
+    and inward orientation are allowed and listed in the warnings of :attr:`report`. Everything that would crash Warp,
+    or make it silently skip a face, is an error.
 
     Args:
         vertices: Positions, (V, 3) real numbers [m]; finite, each coordinate within ±1e6 m.
         faces: Vertex indices of each triangle, (F, 3) integers from 0 to V − 1.
         name: Name for messages, reports and scenes.
-        groups: Face numbers, or a mask (F,), by the name of a group of faces; groups may overlap.
+        groups: Face numbers, or a mask (F,), by group name; groups may overlap.
 
     Raises:
-        MeshError: If the arrays do not have these shapes and types, or are empty, or a vertex is not finite
-            or too far away, an index out of range, a face degenerate or a duplicate, or neighbouring faces
-            are wound inconsistently. All problems are listed, each with a count and its first case.
-        ValueError: If the name is not a non-empty string, or a group has a face that there is not.
+        MeshError: If the arrays have wrong shapes or types, or are empty, a vertex is not finite or too far away, an
+            index is out of range, a face is degenerate or a duplicate, or neighboring faces are wound
+            inconsistently. Lists all problems, each with a count and its first case.
+        ValueError: If the name is not a non-empty string, or a group has an invalid face number.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class Mesh:
         report: MeshReport,
         subject: str,
     ) -> None:
-        """Fill the mesh with what ``report`` is about; ``subject`` begins the message of a refusal."""
+        """Sets the arrays described by ``report``; raises ``MeshError``, which begins with ``subject``, if unusable."""
         if len(report.errors) == 1:
             raise MeshError(f"{subject}: {report.errors[0]}")
         if report.errors:
@@ -74,7 +74,7 @@ class Mesh:
         self._groups = checked_groups(groups, report.face_count)
         sizes = tuple((name, len(members)) for name, members in self._groups.items())
         self._report = replace(report, groups=sizes)
-        # Copies: the arrays of the caller stay writeable and may change, these may not.
+        # Copies, because the arrays of the caller may change and these must not.
         self._vertices = np.array(vertices, dtype=np.float64, order="C")
         self._faces = np.array(faces, dtype=np.int32, order="C")
         self._vertices.flags.writeable = False
@@ -89,14 +89,14 @@ class Mesh:
         report: MeshReport,
         subject: str,
     ) -> "Mesh":
-        """Make a mesh of arrays that were examined already."""
+        """Creates a mesh from arrays that were examined already."""
         mesh = cls.__new__(cls)
         mesh._take(vertices, faces, groups, report, subject)
         return mesh
 
     @classmethod
     def from_trimesh(cls, obj: Any, *, name: str = "mesh") -> "Mesh":
-        """Make a mesh of a ``trimesh.Trimesh``, or of anything with ``vertices`` and ``faces``.
+        """Creates a mesh from a ``trimesh.Trimesh``, or from any object with ``vertices`` and ``faces``.
 
         Args:
             obj: The object; its arrays are copied. Nothing is repaired or merged.
@@ -130,14 +130,14 @@ class Mesh:
 
     @property
     def groups(self) -> Mapping[str, npt.NDArray[np.int32]]:
-        """Named groups of faces, ascending face numbers by name, read-only; a face may be in several."""
+        """Groups of faces: ascending face numbers by name, read-only; a face may be in several groups."""
         return self._groups
 
     @cached_property
     def welded(self) -> npt.NDArray[np.int32]:
-        """Index of the first vertex at exactly the same place, for every vertex, (V,), read-only.
+        """Index of the first vertex at exactly the same position, for each vertex, (V,), read-only.
 
-        ``mesh.welded[mesh.faces]`` has the connectivity of the surface also where the file repeats vertices.
+        ``mesh.welded[mesh.faces]`` gives the connectivity of the surface, even if the file repeats vertices.
         """
         welded = weld(self._vertices)
         welded.flags.writeable = False
@@ -145,7 +145,7 @@ class Mesh:
 
     @property
     def report(self) -> MeshReport:
-        """What is known of the mesh: size, topology, orientation, warnings."""
+        """Report on the mesh: size, topology, orientation, warnings."""
         return self._report
 
     @property
@@ -154,19 +154,19 @@ class Mesh:
         return np.array([self._report.lower, self._report.upper])
 
     def flipped(self) -> "Mesh":
-        """The same surface with its outer side inside: the winding of every face reversed.
+        """Returns the same surface with the winding of all faces reversed, so that its sides are exchanged.
 
-        All calls return one mesh.
+        All calls return the same object.
         """
         return self._flipped
 
     @cached_property
     def _flipped(self) -> "Mesh":
-        # What is made of a mesh, such as the tables of its patch, is kept by mesh: scenes made in turn share it.
+        # Data derived from a mesh, such as patch tables, are cached per mesh object and shared by scenes.
         return self._changed(self._vertices, self._faces[:, [0, 2, 1]], flipped(self._report))
 
     def scaled(self, factor: float) -> "Mesh":
-        """The mesh enlarged about its origin, for instance by 0.001 to turn millimetres into metres.
+        """Returns the mesh scaled about its origin, for example by 0.001 from millimeters to meters.
 
         Args:
             factor: Positive finite number [-].
@@ -176,11 +176,11 @@ class Mesh:
 
         Raises:
             ValueError: If the factor is not positive and finite.
-            MeshError: If the result is too large, or so small that faces vanish.
+            MeshError: If the result is too large, or so small that faces become degenerate.
         """
-        with np.errstate(over="ignore"):  # infinity is refused by the examination
+        with np.errstate(over="ignore"):  # the examination reports infinity
             vertices = self._vertices * positive("factor", factor)
-        # Anew: what is too large, or without area, is a matter of size.
+        # Examine again, because some errors depend on the size.
         return self._changed(
             vertices, self._faces, with_inherited_warnings(self._report, examine(vertices, self._faces, self.name))
         )
@@ -189,15 +189,15 @@ class Mesh:
         return Mesh._examined(vertices, faces, self._groups, report, f"mesh {self.name!r}")
 
     def self_intersections(self) -> npt.NDArray[np.int64]:
-        """Finds pairs of faces that cut each other or overlap in a plane, of meshes of any size.
+        """Finds pairs of faces that intersect or overlap in a plane, for meshes of any size.
 
-        Faces that reach less than 1e-6 of the size of the mesh through each other only touch.
+        Faces that penetrate each other by less than 1e-6 of the mesh size do not count.
 
         Returns:
             Face numbers of each pair, the lower one first, (n, 2).
 
         Raises:
-            MeshError: If too many faces lie so close together that all pairs cannot be looked at.
+            MeshError: If too many faces are so close together that not all pairs can be tested.
         """
         from warpcontact.meshes.overlap import intersections
 
@@ -213,17 +213,17 @@ class Mesh:
         active_faces: FaceChoice = None,
         direction: npt.ArrayLike | None = None,
     ) -> None:
-        """Draw the mesh, shaded and with its defects marked, into an .svg or .png file.
+        """Draws the mesh, shaded and with its defects marked, into an .svg or .png file.
 
         Args:
-            path: The picture.
-            active_faces: The part that can touch, as for ``Scene.add_surface``: a mask (F,), face numbers, names
-                of groups, or a function of the centroids; ``None``: all.
-            direction: Where the eye is in the left view, as a vector (3,) from the mesh; the right view is the
-                opposite one. ``None``: where most of the outer side is seen from.
+            path: Picture file to write.
+            active_faces: Active faces, as for ``Scene.add_surface``: a mask (F,), face numbers, names of groups, or a
+                function of the centroids; ``None``: all.
+            direction: Direction from the mesh to the camera in the left view, (3,); the right view is opposite.
+                ``None``: the direction from which most of the outer side is visible.
 
         Raises:
-            ValueError: If the picture cannot be written there, or an argument is not allowed.
+            ValueError: If the picture cannot be written, or an argument is invalid.
         """
         from warpcontact.meshes.picture import plot_arrays
 
@@ -231,7 +231,7 @@ class Mesh:
         plot_arrays(self._vertices, self._faces, self._report, path, active=active, direction=direction)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # NumPy forgets the read-only flag in copies and pickles; the constructor restores it.
+        # NumPy drops the read-only flag in copies and pickles; the constructor sets it again.
         make = partial(Mesh, name=self.name, groups=dict(self._groups))
         return make, (self._vertices, self._faces), {"_report": self._report}
 
@@ -241,7 +241,7 @@ class Mesh:
 
 
 def positive(label: str, value: object) -> float:
-    """``value`` as a float.
+    """Returns ``value`` as a float.
 
     Raises:
         ValueError: If it is not a positive finite real number; the message begins with ``label``.

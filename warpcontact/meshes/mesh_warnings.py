@@ -1,16 +1,16 @@
-"""What to know of a mesh before using it, in sentences made of the facts of its report."""
+"""Warnings and notes about a mesh, as sentences made from the facts of its report."""
 
 from dataclasses import replace
 
 from warpcontact.meshes.report import USUAL_SIZE, MeshReport, counted
 from warpcontact.meshes.topology import Orientation
 
-# So many nested components are named.
+# Largest number of nested components that are listed.
 _NAMED = 5
 
 
 def warnings_of(report: MeshReport) -> tuple[str, ...]:
-    """Returns what to know of a mesh before using it."""
+    """Returns the warnings for a mesh."""
     parts, inward, size = report.component_count, report.inward_component_count, max(report.size)
     boundary, loops = (
         counted(report.boundary_edge_count, "boundary edge"),
@@ -24,19 +24,19 @@ def warnings_of(report: MeshReport) -> tuple[str, ...]:
         f"{report.crack_vertex_count} boundary vertices nearly coincide with another one: cracks, at which "
         'contact is lost; repair="merge" closes them': report.crack_vertex_count > 0,
         "the surface is closed and faces inward, like a container seen from inside; "
-        "flipped() turns it": report.orientation == "inward",
+        "flipped() reverses it": report.orientation == "inward",
         f"{inward} of {parts} components closed and facing inward: cavities, or parts inside out": (
             inward > 0 and parts > 1
         ),
         "the surface is closed but encloses no volume": void,
         f"{counted(report.non_manifold_edge_count, 'edge')} with more than two faces (non-manifold): "
-        "no side of the surface is the outer one there": report.non_manifold_edge_count > 0,
+        "the outer side is ambiguous there": report.non_manifold_edge_count > 0,
         f"{counted(report.non_manifold_vertex_count, 'vertex')} at which parts of the surface touch in a point "
-        "(non-manifold): no side of the surface is the outer one there".replace("vertexs", "vertices"): (
+        "(non-manifold): the outer side is ambiguous there".replace("vertexs", "vertices"): (
             report.non_manifold_vertex_count > 0
         ),
         f"{counted(report.self_intersection_count or 0, 'pair')} of faces cut each other or overlap, first: faces "
-        f"{cut and cut[0]} and {cut and cut[1]}; the side of a point is not certain near them": cut is not None,
+        f"{cut and cut[0]} and {cut and cut[1]}; inside and outside are ambiguous near them": cut is not None,
         f"{parts} separate components": parts > 1,
         _nested(report): bool(report.nested_components),
         f"{report.unreferenced_vertex_count} of {report.vertex_count} vertices used by no face": (
@@ -51,30 +51,30 @@ def warnings_of(report: MeshReport) -> tuple[str, ...]:
 
 
 def notes_of(report: MeshReport) -> tuple[str, ...]:
-    """Returns what is as it has to be: an STL file has every vertex once for each of its faces."""
+    """Returns notes on normal properties: an STL file repeats each vertex for each of its faces."""
     remark = f"{report.coincident_vertex_count} of {report.vertex_count} vertices coincide with another one and "
-    return (f"{remark}are taken as one with it",) if report.coincident_vertex_count else ()
+    return (f"{remark}are treated as one",) if report.coincident_vertex_count else ()
 
 
 def with_inherited_warnings(old: MeshReport, new: MeshReport) -> MeshReport:
-    """Returns report ``new`` of a surface made of that of ``old`` with what else was said of it.
+    """Returns report ``new`` of a surface derived from that of ``old``, with the inherited messages of ``old``.
 
-    That is what the file was like and what was repaired; and intersections, if they were not looked for again.
+    Inherited are repairs, warnings about the file, and intersections, if ``new`` did not examine them.
     """
     if new.self_intersection_count is None:
         cuts, first = old.self_intersection_count, old.first_intersection
         new = replace(new, self_intersection_count=cuts, first_intersection=first)
-    known_warnings, known_notes = warnings_of(old), notes_of(old)
+    old_warnings, old_notes = warnings_of(old), notes_of(old)
     return replace(
         new,
         repairs=old.repairs,
-        warnings=(*(text for text in old.warnings if text not in known_warnings), *warnings_of(new)),
-        notes=(*(text for text in old.notes if text not in known_notes), *notes_of(new)),
+        warnings=(*(text for text in old.warnings if text not in old_warnings), *warnings_of(new)),
+        notes=(*(text for text in old.notes if text not in old_notes), *notes_of(new)),
     )
 
 
 def flipped(report: MeshReport) -> MeshReport:
-    """Returns the report of the same surface with its outer side inside."""
+    """Returns the report of the same surface with its sides exchanged."""
     sides: dict[Orientation, Orientation] = {"outward": "inward", "inward": "outward"}
     turned = replace(
         report,

@@ -1,13 +1,13 @@
-"""Which closed parts of a surface lie inside of which."""
+"""Nesting of closed parts of a surface."""
 
 import numpy as np
 import numpy.typing as npt
 
-# Pairs of a corner and a face that are looked at, beyond which nothing is said: a second or so of work.
+# Largest number of vertex–face pairs that are tested, about a second of work; beyond it, no result is given.
 _BUDGET = 10_000_000
 _MOST_PARTS = 2000
 _SAMPLES = 3
-# What a pair costs besides the faces of its outer part, in faces.
+# Fixed cost of a pair of parts, in faces.
 _OVERHEAD = 100
 
 
@@ -17,19 +17,19 @@ def find_containing_parts(
     part: npt.NDArray[np.integer],
     closed: npt.NDArray[np.bool],
 ) -> dict[int, int]:
-    """Finds the part that each closed part lies in.
+    """Finds the part in which each closed part lies.
 
-    A part lies in another one if its box lies in that of the other, and so do samples of its corners by winding
-    number; parts that cut each other may or may not count.
+    A part lies in another one if its bounding box lies in that of the other, and samples of its vertices have a winding
+    number of ±1. For intersecting parts the result is arbitrary.
 
     Args:
         v: Positions, (V, 3) [m].
         faces: Vertex indices of each triangle, (F, 3).
         part: Part of each triangle, (F,), numbers from 0.
-        closed: Whether each part bounds a volume and its faces agree on the side, (parts,).
+        closed: Whether each part bounds a volume and is consistently wound, (parts,).
 
     Returns:
-        The smallest part around each, for those that lie in one; nothing if there are too many to look at.
+        The smallest enclosing part of each enclosed part; empty if there are too many pairs to test.
     """
     candidates = np.flatnonzero(closed)
     count = len(candidates)
@@ -63,7 +63,7 @@ def find_containing_parts(
 
 
 def _winding(corners: npt.NDArray[np.float64]) -> float:
-    """How often triangles (n, 3, 3) of a closed surface go around the origin (van Oosterom & Strackee 1983)."""
+    """Returns the winding number of closed triangles (n, 3, 3) about the origin (van Oosterom & Strackee 1983)."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     x, y, z = (np.linalg.norm(p, axis=1) for p in (a, b, c))
     ab, bc, ca = (np.einsum("ij,ij->i", p, q) for p, q in ((a, b), (b, c), (c, a)))

@@ -1,4 +1,4 @@
-"""Turns the faces of a surface so that neighbours agree and closed parts face outward."""
+"""Orients the faces of a surface: neighbors agree and closed parts face outward."""
 
 import numpy as np
 import numpy.typing as npt
@@ -11,26 +11,26 @@ _Integers = npt.NDArray[np.integer]
 
 
 def faces_to_flip(v: npt.NDArray[np.float64], faces: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.bool], int]:
-    """Says which faces to turn over.
+    """Selects the faces to flip.
 
-    Faces that share an edge with one other face only form patches. Within a patch all faces are made to agree; of
-    the two ways that is taken which turns the smaller area. Closed patches then face outward, but one inside
-    another, such as a cavity, keeps its side of the one around it if its own faces agreed, and is taken for a
-    cavity if not.
+    Faces connected by edges of exactly two faces form patches. Within a patch, faces are made consistent by flipping
+    the smaller area. Then closed patches are oriented outward. A patch inside another one, such as a cavity, keeps its
+    orientation relative to the enclosing one if its own faces were consistent, and is oriented as a cavity otherwise.
 
     Args:
         v: Positions, (V, 3) [m].
         faces: Welded vertex indices of each triangle, (F, 3), three different ones.
 
     Returns:
-        Whether to turn each face over, (F,); and the number of one-sided patches, as a Möbius strip, which stay.
+        Whether to flip each face, (F,); and the number of one-sided patches, such as a Möbius strip, which are
+        unchanged.
     """
     count = len(faces)
     edges = Edges(faces)
     shared = edges.counts == 2
     pairs, opposed = edges.halves[shared] // 3, edges.balance[shared] != 0
     parts, part = components(pairs, count)
-    # Every face twice, as it is (2 i) and turned over (2 i + 1), linked with what its neighbours then are.
+    # Each face has two nodes, unchanged (2 i) and flipped (2 i + 1), linked with the consistent nodes of neighbors.
     f, g = pairs.T
     links = [np.column_stack((2 * f + side, 2 * g + (side ^ opposed))) for side in (0, 1)]
     _, state = components(np.concatenate(links), 2 * count)
@@ -49,7 +49,7 @@ def faces_to_flip(v: npt.NDArray[np.float64], faces: npt.NDArray[np.int64]) -> t
     _, volumes, zero_volume = volumes_of(v, alike, part, parts)
     closed &= np.abs(volumes) > zero_volume
     containing = find_containing_parts(v, alike, part, closed)
-    over = np.zeros(parts, dtype=bool)  # which patches to turn over as a whole, after what was done above
+    over = np.zeros(parts, dtype=bool)  # patches to flip as a whole, in addition
     for i in sorted(np.flatnonzero(closed).tolist(), key=lambda i: _depth(i, containing)):
         outer = containing.get(i)
         if outer is None:
@@ -69,7 +69,7 @@ def _depth(i: int, containing: dict[int, int]) -> int:
 
 
 def _closed(faces: npt.NDArray[np.int64], part: _Integers, parts: int) -> npt.NDArray[np.bool]:
-    """Which patches are closed by themselves: every edge runs as often one way as the other."""
+    """Returns which patches are closed: each edge is traversed equally often in both directions."""
     ends = np.stack((faces, faces[:, [1, 2, 0]]), axis=2).reshape(-1, 2)
     owner = np.repeat(part, 3)
     edge = representatives(np.column_stack((np.sort(ends, axis=1), owner)))

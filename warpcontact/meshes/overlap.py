@@ -1,4 +1,4 @@
-"""Faces of a surface that cut through each other, or lie on each other."""
+"""Detection of faces of a surface that intersect or overlap."""
 
 import numpy as np
 import numpy.typing as npt
@@ -6,9 +6,9 @@ import numpy.typing as npt
 from warpcontact.algebra.vectors import bounds, norm
 from warpcontact.meshes.topology import CRACK_LIMIT, area_vectors
 
-#: Surfaces with more faces are not examined unless asked for.
+#: Largest number of faces that are examined by default.
 MOST_FACES = 100_000
-# Pairs of boxes that are looked at on one level of the tree, beyond which nothing is said.
+# Largest number of box pairs on one level of the tree; beyond it, no result is given.
 _MAX_PAIRS = 8_000_000
 _CHUNK = 500_000
 
@@ -17,19 +17,18 @@ _Floats = npt.NDArray[np.float64]
 
 
 def intersections(v: _Floats, faces: npt.NDArray[np.int64]) -> _Pairs | None:
-    """Finds pairs of faces that have more in common than a mesh allows: a corner, or an edge.
+    """Finds pairs of faces that have more than a vertex or an edge in common.
 
-    Two faces count if an edge of one passes through the other and reaches farther than 1e-6 of the size of the
-    surface to both sides of it, or if they lie in a plane, to that accuracy, and overlap. Faces that touch, as
-    those of parts that stand on each other with an edge or a corner, do not count.
+    Two faces count if an edge of one passes through the other by more than 1e-6 of the surface size on both sides, or
+    if they are coplanar to that accuracy and overlap. Faces of parts that touch along an edge or at a vertex do not
+    count.
 
     Args:
         v: Positions, (V, 3) [m].
         faces: Welded vertex indices of each triangle, (F, 3), none degenerate.
 
     Returns:
-        Numbers of the faces of each pair, the lower one first, (n, 2), in order; ``None`` if there are too many
-        candidates to look at.
+        Face numbers of each pair, the lower one first, (n, 2), sorted; ``None`` if there are too many candidates.
     """
     if len(faces) < 2:
         return np.empty((0, 2), dtype=np.int64)
@@ -51,7 +50,7 @@ def intersections(v: _Floats, faces: npt.NDArray[np.int64]) -> _Pairs | None:
 
 
 def _candidates(corners: _Floats) -> _Pairs | None:
-    """Pairs of faces whose boxes overlap, found by a tree of boxes over faces in the order of a Z curve."""
+    """Returns pairs of faces with overlapping boxes, by a tree of boxes over faces sorted along a Z curve."""
     count = len(corners)
     levels = int(np.ceil(np.log2(count)))
     order = np.argsort(_z_curve(corners.mean(axis=1)), kind="stable")
@@ -63,11 +62,11 @@ def _candidates(corners: _Floats) -> _Pairs | None:
         tree.append((low.reshape(-1, 2, 3).min(axis=1), high.reshape(-1, 2, 3).max(axis=1)))
     pairs = np.zeros((1, 2), dtype=np.int64)
     for low, high in tree[-2::-1]:
-        # Of two nodes all four pairs of halves, of a node with itself three.
-        own = pairs[:, 0] == pairs[:, 1]
+        # Children of two different nodes form four pairs, children of the same node three.
+        is_same = pairs[:, 0] == pairs[:, 1]
         a, b = 2 * pairs[:, 0], 2 * pairs[:, 1]
         twice = [(a, b), (a, b + 1), (a + 1, b + 1)]
-        halves = [np.column_stack(pair) for pair in twice] + [np.column_stack((a + 1, b))[~own]]
+        halves = [np.column_stack(pair) for pair in twice] + [np.column_stack((a + 1, b))[~is_same]]
         if sum(map(len, halves)) > _MAX_PAIRS:
             return None
         pairs = np.concatenate([half[_boxes_overlap(low, high, half)] for half in halves])
@@ -84,7 +83,7 @@ def _boxes_overlap(low: _Floats, high: _Floats, pairs: _Pairs) -> npt.NDArray[np
 
 
 def _z_curve(points: _Floats) -> npt.NDArray[np.uint64]:
-    """Numbers of points along a curve on which near ones follow each other."""
+    """Returns the positions of points along a Z-order curve."""
     span = np.ptp(points, axis=0).max()
     cells = ((points - points.min(axis=0)) / (span if span > 0.0 else 1.0) * (2**20 - 1)).astype(np.uint64)
     for shift, mask in (
@@ -98,11 +97,11 @@ def _z_curve(points: _Floats) -> npt.NDArray[np.uint64]:
 def _intersect(
     corners: _Floats, normals: _Floats, faces: npt.NDArray[np.int64], pairs: _Pairs, tolerance: float
 ) -> npt.NDArray[np.bool]:
-    """Which pairs of faces cut each other or overlap in a plane."""
+    """Returns which pairs of faces intersect or overlap in a plane."""
     overlapping = np.zeros(len(pairs), dtype=bool)
     candidates = np.arange(len(pairs))
     heights: list[_Floats] = []
-    for a, b in ((0, 1), (1, 0)):  # what is wholly on one side of the other face is out
+    for a, b in ((0, 1), (1, 0)):  # discard pairs with one face entirely on one side of the other
         p, q = pairs[candidates, a], pairs[candidates, b]
         height = np.einsum("ijk,ik->ij", corners[p] - corners[q][:, :1], normals[q])
         across = (height.min(axis=1) <= tolerance) & (height.max(axis=1) >= -tolerance)
@@ -111,13 +110,15 @@ def _intersect(
     block = pairs[candidates]
     same = faces[block[:, 0]][:, :, None] == faces[block[:, 1]][:, None, :]
     found = np.zeros(len(block), dtype=bool)
-    for (a, b), height, own in zip(((0, 1), (1, 0)), heights, (same.any(axis=2), same.any(axis=1)), strict=True):
+    for (a, b), height, shared in zip(
+        ((0, 1), (1, 0)), heights, (same.any(axis=2), same.any(axis=1)), strict=True
+    ):
         p, q = block[:, a], block[:, b]
         for i in range(3):
             j = (i + 1) % 3
             low, high = np.minimum(height[:, i], height[:, j]), np.maximum(height[:, i], height[:, j])
-            # An edge that ends in a corner of the other face touches it there.
-            todo = np.flatnonzero((low < -tolerance) & (high > tolerance) & ~own[:, i] & ~own[:, j] & ~found)
+            # An edge that ends at a shared vertex only touches the other face.
+            todo = np.flatnonzero((low < -tolerance) & (high > tolerance) & ~shared[:, i] & ~shared[:, j] & ~found)
             found[todo] = _line_crosses_face(corners[p[todo], i], corners[p[todo], j], corners[q[todo]])
         flat = np.flatnonzero((np.abs(height) <= tolerance).all(axis=1) & ~found)
         found[flat] = _overlap(corners[p[flat]], corners[q[flat]], normals[q[flat]], tolerance)
@@ -126,7 +127,7 @@ def _intersect(
 
 
 def _line_crosses_face(tail: _Floats, head: _Floats, q: _Floats) -> npt.NDArray[np.bool]:
-    """Whether the line through two points (n, 3) passes through a triangle (n, 3, 3)."""
+    """Returns whether the line through two points (n, 3) passes through a triangle (n, 3, 3)."""
     a, b, c = (q[:, i] - tail for i in range(3))
     along = head - tail
     sides = np.stack([np.einsum("ij,ij->i", along, np.cross(x, y)) for x, y in ((a, b), (b, c), (c, a))], axis=1)
@@ -135,11 +136,11 @@ def _line_crosses_face(tail: _Floats, head: _Floats, q: _Floats) -> npt.NDArray[
 
 
 def _overlap(p: _Floats, q: _Floats, normal: _Floats, tolerance: float) -> npt.NDArray[np.bool]:
-    """Whether triangles (n, 3, 3) in one plane have an area in common: no side of either keeps them apart."""
+    """Returns whether coplanar triangles (n, 3, 3) overlap: no edge of either is a separating axis."""
     candidates = np.arange(len(p))
-    for own in (True, False):
+    for use_p in (True, False):
         for i in range(3):
-            shape = (p if own else q)[candidates]
+            shape = (p if use_p else q)[candidates]
             side = np.cross(shape[:, (i + 1) % 3] - shape[:, i], normal[candidates])
             reach = tolerance * np.sqrt(np.einsum("ij,ij->i", side, side))
             s, t = (np.matmul(x[candidates], side[:, :, None])[:, :, 0] for x in (p, q))

@@ -1,4 +1,4 @@
-"""Points of faces with weights, that integrate over the faces exactly up to some order."""
+"""Quadrature points on faces, exact for polynomials up to some order. Used by contact couplings."""
 
 from math import sqrt
 
@@ -17,10 +17,10 @@ def _orbit(a: float) -> list[tuple[float, float, float]]:
 
 
 def _rules() -> dict[int, tuple[int, npt.NDArray[np.float64], npt.NDArray[np.float64]]]:
-    """Returns order, barycentric coordinates (n, 3) and weights (n,) of the rules by their number of points.
+    """Returns order, barycentric coordinates (n, 3) and weights (n,) of the rules, by number of points.
 
-    Symmetric, inside of the triangle, of positive weights: the midpoint rule, and those of Strang and Fix, of
-    Cowper and Dunavant, and of Radon.
+    All rules are symmetric, inside the triangle, with positive weights: midpoint rule, Strang–Fix, Cowper–Dunavant, and
+    Radon.
     """
     middle = (1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0)
     root = sqrt(38.0 - 44.0 * sqrt(0.4))
@@ -44,16 +44,16 @@ def _rules() -> dict[int, tuple[int, npt.NDArray[np.float64], npt.NDArray[np.flo
 
 
 _RULES = _rules()
-#: Points per face, with the order of polynomials of which the integral over a face is exact.
+#: Number of points per face → largest order of polynomials that are integrated exactly.
 ORDERS = {number: order for number, (order, _, _) in _RULES.items()}
 
 
 def face_points(mesh: Mesh, number: int, faces: npt.NDArray[np.bool_]) -> SurfaceSamples:
-    """Returns ``number`` points of each of some faces, with areas that add up to those of the faces.
+    """Returns ``number`` points on each selected face, with areas that add up to those of the faces.
 
     Args:
-        mesh: The mesh.
-        number: One of ``ORDERS``.
+        mesh: Mesh with the faces.
+        number: Number of points per face, a key of ``ORDERS``.
         faces: Mask (F,) of the faces.
     """
     _, places, weights = _RULES[number]

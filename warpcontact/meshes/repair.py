@@ -1,7 +1,7 @@
-"""Repairs on request: what can be mended without guessing, with a record of every change.
+"""Repair of meshes on request: unambiguous changes only, each of them recorded.
 
-What a repair cannot do is left as it is and stays in the report: holes are not filled, parts that cut each other
-are not united, one-sided surfaces and edges of more than two faces stay.
+Other defects are unchanged and stay in the report: holes are not filled, intersecting parts are not united, and
+one-sided surfaces and non-manifold edges are kept.
 """
 
 from collections.abc import Callable, Iterable
@@ -20,21 +20,21 @@ from warpcontact.meshes.slivers import without_slivers
 from warpcontact.meshes.topology import CRACK_LIMIT, representatives
 
 Groups = dict[str, npt.NDArray[np.int64]]
-#: What ``repair`` may be besides ``True`` (all), ``False`` and ``None``: one of these, or several.
+#: Argument ``repair``: ``True`` (all), ``False``, ``None``, the name of a step, or several names.
 RepairRequest = bool | str | Iterable[str] | None
-# So many near pairs per vertex mean that the tolerance is larger than the faces.
+# More near pairs per vertex than this indicate a tolerance larger than the faces.
 _MOST_PAIRS = 30
 
 
 @dataclass
 class MeshUnderRepair:
-    """A surface that is being repaired.
+    """Surface during repair.
 
     Attributes:
         vertices: Positions, (V, 3) [m].
         faces: Vertex indices of each triangle, (F, 3), in range.
-        groups: Face numbers by name.
-        tolerance: Distance within which vertices are one [m].
+        groups: Face numbers by group name.
+        tolerance: Distance below which vertices are merged [m].
     """
 
     vertices: npt.NDArray[np.float64]
@@ -44,11 +44,11 @@ class MeshUnderRepair:
 
     @property
     def corners(self) -> npt.NDArray[np.int64]:
-        """Vertex indices of each triangle, with one for all vertices at the same place, (F, 3)."""
+        """Welded vertex indices of each triangle, (F, 3): equal for vertices at the same position."""
         return representatives(self.vertices)[self.faces]
 
     def replace_faces(self, faces: npt.NDArray[np.int64], source: npt.NDArray[np.int64]) -> None:
-        """Replaces the faces; each has the groups of face ``source``."""
+        """Replaces the faces; new face i belongs to the groups of old face ``source[i]``."""
         for name, members in self.groups.items():
             is_member = np.zeros(len(self.faces), dtype=bool)
             is_member[members] = True
@@ -56,15 +56,15 @@ class MeshUnderRepair:
         self.faces = faces
 
     def keep_faces(self, kept: npt.NDArray[np.bool]) -> None:
-        """Drops all other faces."""
+        """Removes all faces except ``kept``."""
         self.replace_faces(self.faces[kept], np.flatnonzero(kept))
 
 
 def steps_of(repair: RepairRequest) -> tuple[str, ...]:
-    """Returns the names of the steps that are asked for, in the order in which they are done.
+    """Returns the names of the requested steps, in the order of execution.
 
     Raises:
-        ValueError: If there is no such step.
+        ValueError: If a step does not exist.
     """
     if repair is None or isinstance(repair, bool):
         return REPAIRS if repair else ()
@@ -78,10 +78,10 @@ def steps_of(repair: RepairRequest) -> tuple[str, ...]:
 
 
 def check_tolerance(tolerance: object) -> float:
-    """Returns a tolerance, relative to the size of a mesh.
+    """Returns a tolerance relative to the size of a mesh, after validation.
 
     Raises:
-        ValueError: If it is not positive or above 0.01.
+        ValueError: If it is not positive, or above 0.01.
     """
     value = positive("tolerance", tolerance)
     if value > 0.01:
@@ -101,13 +101,13 @@ def repair_arrays(
     Args:
         vertices: Positions, (V, 3) [m].
         faces: Vertex indices of each triangle, (F, 3).
-        groups: Face numbers by name.
-        steps: Names out of ``REPAIRS``, in that order.
-        tolerance: Distance within which vertices are one, relative to the largest dimension.
+        groups: Face numbers by group name.
+        steps: Names of steps, in the order of ``REPAIRS``.
+        tolerance: Distance below which vertices are merged, relative to the largest dimension.
 
     Returns:
-        Vertices, faces and groups, and what was done; as given, and nothing, if a vertex is not finite or too far
-        away or an index out of range, which is beyond repair.
+        Vertices, faces, groups and executed steps. The input without steps, if a vertex is not finite or too far away
+        or an index is out of range, which cannot be repaired.
 
     Raises:
         MeshError: If the tolerance is larger than the faces.
@@ -122,7 +122,7 @@ def repair_arrays(
 
 
 def is_repairable(vertices: npt.NDArray[Any], faces: npt.NDArray[Any]) -> bool:
-    """Whether these are arrays of usable vertices, and of faces of them."""
+    """Returns whether the arrays have valid shapes and types, finite and near vertices, and valid indices."""
     arrays = (vertices, "iuf"), (faces, "iu")
     if not all(a.ndim == 2 and a.shape[1] == 3 and len(a) and a.dtype.kind in kinds for a, kinds in arrays):
         return False
@@ -131,22 +131,22 @@ def is_repairable(vertices: npt.NDArray[Any], faces: npt.NDArray[Any]) -> bool:
 
 @explain_keywords
 def repaired(mesh: Any, repair: RepairRequest = True, *, tolerance: float = CRACK_LIMIT, name: str = "") -> Mesh:
-    """Makes a mesh of anything with vertices and faces, repaired.
+    """Returns a repaired mesh of any object with vertices and faces.
 
     Args:
         mesh: A ``Mesh``, a ``trimesh.Trimesh``, or another object with ``vertices`` (V, 3) [m] and ``faces``
-            (F, 3), broken or not.
-        repair: What to mend: ``True`` for all, or names out of ``REPAIRS``.
-        tolerance: Distance within which ``merge`` takes vertices for one, relative to the largest dimension.
-        name: Name of the mesh; that of ``mesh``, if it has one, if not given.
+            (F, 3), valid or not.
+        repair: Repair steps: ``True`` for all, or names out of ``REPAIRS``.
+        tolerance: Distance below which ``merge`` joins vertices, relative to the largest dimension.
+        name: Name of the mesh. Default: that of ``mesh``, or "mesh".
 
     Returns:
-        The mesh; its ``report.repairs`` says what changed.
+        The mesh; its ``report.repairs`` lists the changes.
 
     Raises:
         TypeError: If there are no vertices and faces.
-        MeshError: If it is no usable mesh all the same, or the tolerance is larger than the faces.
-        ValueError: If an option is not allowed.
+        MeshError: If the result is not usable, or the tolerance is larger than the faces.
+        ValueError: If an option is invalid.
     """
     if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
         raise TypeError(f"mesh must have vertices and faces, like trimesh.Trimesh, got {type(mesh).__name__}")
@@ -167,7 +167,7 @@ def _merge(surface: MeshUnderRepair) -> RepairStep:
     unique_vertices = np.unique(leader)
     near_pairs = _near_pairs(v[unique_vertices], surface.tolerance)
     distance = 0.0
-    for i, j in unique_vertices[near_pairs].tolist():  # by j, then i: all before j are settled
+    for i, j in unique_vertices[near_pairs].tolist():  # sorted by j, then i, so vertices before j are final
         if leader[j] == j and leader[i] == i:
             leader[j] = i
             distance = max(distance, float(np.linalg.norm(v[i] - v[j])))
@@ -185,15 +185,15 @@ def _merge(surface: MeshUnderRepair) -> RepairStep:
 
 
 def _near_pairs(v: npt.NDArray[np.float64], distance: float) -> npt.NDArray[np.intp]:
-    """Pairs of points within ``distance``, the lower number first, in order of the higher one."""
+    """Returns pairs of points within ``distance``, the lower index first, sorted by the higher one."""
     from scipy.spatial import KDTree
 
     tree = KDTree(v)
     count = (int(tree.count_neighbors(tree, distance)) - len(v)) // 2
     if count > _MOST_PAIRS * len(v):
         raise MeshError(
-            f"within the tolerance of {distance:.3g} m there are {count} pairs of {len(v)} vertices: it is larger "
-            "than the faces; choose a smaller one"
+            f"tolerance must be smaller than the faces, got {distance:.3g} m, within which {len(v)} vertices form {count} "
+            "pairs"
         )
     pairs = np.sort(tree.query_pairs(distance, output_type="ndarray"), axis=1)
     return pairs[np.lexsort((pairs[:, 0], pairs[:, 1]))]
@@ -207,7 +207,7 @@ def _drop_degenerate(surface: MeshUnderRepair) -> RepairStep:
         surface.replace_faces(faces, source)
     parts = [f"{counted(dropped, 'face')} without area dropped"] if dropped else []
     if split:
-        parts.append(f"{split} joined with the neighbour at the longest edge, {height:.3g} m away at most")
+        parts.append(f"{split} merged with the neighbor at the longest edge, at most {height:.3g} m away")
     text = "degenerate: " + ("; ".join(parts) or "no face without area")
     return RepairStep("degenerate", dropped + split, height, text)
 
@@ -217,7 +217,9 @@ def _drop_duplicates(surface: MeshUnderRepair) -> RepairStep:
     kept = original == np.arange(len(original))
     count = int((~kept).sum())
     surface.keep_faces(kept)
-    text = f"{counted(count, 'face')} with the corners of an earlier one dropped" if count else "no copied face"
+    text = (
+        f"{counted(count, 'face')} with the vertices of an earlier one dropped" if count else "no duplicate face"
+    )
     return RepairStep("duplicate", count, 0.0, f"duplicate: {text}")
 
 
@@ -229,9 +231,9 @@ def _orient(surface: MeshUnderRepair) -> RepairStep:
         flip[valid_faces], one_sided = faces_to_flip(surface.vertices, corners[valid_faces])
     surface.faces = np.where(flip[:, None], surface.faces[:, [0, 2, 1]], surface.faces)
     count = int(flip.sum())
-    text = f"orient: {count} of {counted(len(flip), 'face')} turned over" if count else "orient: no face turned"
+    text = f"orient: {count} of {counted(len(flip), 'face')} flipped" if count else "orient: no face flipped"
     if one_sided:
-        text += f"; {counted(one_sided, 'part')} one-sided, as a Möbius strip, left as is"
+        text += f"; {counted(one_sided, 'part')} one-sided, such as a Möbius strip, unchanged"
     return RepairStep("orient", count, 0.0, text)
 
 
@@ -240,7 +242,7 @@ def _drop_unused(surface: MeshUnderRepair) -> RepairStep:
     used[surface.faces] = True
     count = int((~used).sum())
     surface.vertices, surface.faces = surface.vertices[used], (np.cumsum(used) - 1)[surface.faces]
-    text = f"{count} of {len(used)} vertices dropped, of no face" if count else "every vertex is of a face"
+    text = f"{count} of {len(used)} unused vertices dropped" if count else "no unused vertex"
     return RepairStep("unused", count, 0.0, f"unused: {text}")
 
 
@@ -251,5 +253,5 @@ _STEPS: dict[str, Callable[[MeshUnderRepair], RepairStep]] = {
     "orient": _orient,
     "unused": _drop_unused,
 }
-#: The steps of a repair, in the order in which they are done.
+#: Names of the repair steps, in the order of execution.
 REPAIRS = tuple(_STEPS)

@@ -1,4 +1,4 @@
-"""What is known of a triangle mesh, as facts and in words."""
+"""Report on a triangle mesh, as data and as text."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -7,19 +7,19 @@ from warpcontact.kernels.catalogue.renamed import explain_renamed
 from warpcontact.meshes.topology import Component, Orientation
 from warpcontact.validation.safe_text import escape_controls
 
-# A largest dimension outside of this range [m] usually means a file in millimetres or inches.
+# Largest dimensions outside this range [m] usually indicate a file in millimeters or inches.
 USUAL_SIZE = (1.0e-3, 1.0e2)
 
 
 @dataclass(frozen=True)
 class RepairStep:
-    """What one step of a repair changed.
+    """Changes made by one step of a repair.
 
     Attributes:
-        step: Its name, one of ``warpcontact.meshes.REPAIRS``.
-        count: Vertices or faces that it joined, removed or turned over; 0 if there was nothing to do.
-        distance: Greatest distance that it moved a vertex [m].
-        text: The same as a sentence.
+        step: Name of the step, one of ``warpcontact.meshes.REPAIRS``.
+        count: Number of vertices or faces merged, removed or flipped; 0 if nothing changed.
+        distance: Largest displacement of a vertex [m].
+        text: Description as a sentence.
     """
 
     step: str
@@ -35,46 +35,46 @@ class MeshReport:
 
     Attributes:
         name: Name of the mesh.
-        vertex_count: Vertices as given.
-        face_count: Faces as given.
-        welded_vertex_count: Different places among the vertices.
-        edge_count: Edges of the welded surface.
-        lower: Smallest x, y, z of the vertices that faces use (of all, if there is no face) [m].
-        upper: Largest x, y, z of them [m].
+        vertex_count: Number of vertices of the input.
+        face_count: Number of faces of the input.
+        welded_vertex_count: Number of distinct vertex positions.
+        edge_count: Number of edges of the welded surface.
+        lower: Smallest x, y, z of the vertices used by faces (of all, if there are no faces) [m].
+        upper: Largest x, y, z of the same vertices [m].
         area: Surface area [m²].
-        volume: Signed volume [m³], positive if the faces point outward; ``None`` unless the surface is
-            closed and consistently wound.
-        closed: True if every edge belongs to an even number of faces, so that the surface bounds a volume.
-        boundary_edge_count: Edges with one face only.
-        boundary_loop_count: Connected curves that these edges form.
-        crack_vertex_count: Boundary vertices within 1e-6 of the size of another one, but not at its place.
-        component_count: Parts of the surface, connected across edges.
-        components: The first 100 of them, in the order of their first faces.
-        inward_component_count: Closed parts with a negative volume: cavities, or parts turned inside out.
-        outward_component_count: Closed parts with a positive volume.
-        orientation: Where the faces point. "mixed": neighbouring faces disagree. "undefined": no sound
-            face, or a closed surface without volume. For several closed parts the sign of the sum decides.
-        inconsistent_edge_count: Edges that their two faces traverse in the same direction.
-        non_manifold_edge_count: Edges with more than two faces.
-        non_manifold_vertex_count: Vertices at which parts of the surface touch in a point only.
-        self_intersection_count: Pairs of faces that cut each other, or overlap in a plane; ``None``: not
-            examined, as of meshes that are not from files, and of large ones.
+        volume: Signed volume [m³], positive if the faces are oriented outward; ``None`` unless the surface is closed
+            and consistently wound.
+        closed: Whether each edge belongs to an even number of faces, so that the surface bounds a volume.
+        boundary_edge_count: Number of edges with one face only.
+        boundary_loop_count: Number of connected curves of boundary edges.
+        crack_vertex_count: Number of boundary vertices within 1e-6 of the mesh size of another one, not coincident.
+        component_count: Number of parts of the surface, connected across edges.
+        components: The first 100 parts, in the order of their first faces.
+        inward_component_count: Number of closed parts with negative volume: cavities, or inverted parts.
+        outward_component_count: Number of closed parts with positive volume.
+        orientation: Orientation of the faces. "mixed": neighboring faces disagree. "undefined": no valid face, or a
+            closed surface without volume. For several closed parts the sign of the total volume decides.
+        inconsistent_edge_count: Number of edges that their two faces traverse in the same direction.
+        non_manifold_edge_count: Number of edges with more than two faces.
+        non_manifold_vertex_count: Number of vertices at which parts of the surface meet in a single point.
+        self_intersection_count: Number of pairs of faces that intersect or overlap in a plane; ``None``: not
+            examined, as for meshes that are not from files, and for large ones.
         first_intersection: Faces of the first of these pairs, if there is one.
-        duplicate_face_count: Faces with the same three corners as an earlier one, in any order.
-        degenerate_face_count: Faces with coincident corners or |cross|/Σe² below 1e-6.
-        float32_sliver_count: Further faces that are degenerate in float32, in which Warp searches.
-        unreferenced_vertex_count: Vertices that no face uses.
-        coincident_vertex_count: Vertices at exactly the place of an earlier one.
+        duplicate_face_count: Number of faces with the same three vertices as an earlier one, in any order.
+        degenerate_face_count: Number of faces with coincident vertices or |cross|/Σe² below 1e-6.
+        float32_sliver_count: Number of further faces that are degenerate in float32, the precision of Warp's search.
+        unreferenced_vertex_count: Number of vertices not used by any face.
+        coincident_vertex_count: Number of vertices at exactly the position of an earlier one.
         euler_number: Vertices − edges + faces of the welded surface; 2 for a sphere, 1 for a disk.
-        shortest_edge: Length [m].
-        longest_edge: Length [m].
+        shortest_edge: Smallest edge length [m].
+        longest_edge: Largest edge length [m].
         groups: Name and number of faces of each group.
-        active_face_count: Number of active faces; ``None``: nobody chose any.
-        active_area: Their area [m²], likewise.
-        repairs: What was done to the mesh on request; everything else here is about what came of it.
-        errors: Why the mesh cannot be used, one sentence each; empty for a usable mesh.
-        warnings: What to know before using it, one sentence each.
-        notes: What is as it has to be and yet may be of interest, one sentence each.
+        active_face_count: Number of active faces; ``None``: no selection was given.
+        active_area: Area of the active faces [m²]; ``None``: no selection was given.
+        repairs: Repair steps executed on request; all other fields describe the result.
+        errors: Reasons why the mesh cannot be used, one sentence each; empty for a usable mesh.
+        warnings: Possible problems, one sentence each.
+        notes: Normal properties of possible interest, one sentence each.
     """
 
     name: str
@@ -118,7 +118,7 @@ class MeshReport:
 
     @property
     def usable(self) -> bool:
-        """True if a :class:`~warpcontact.meshes.Mesh` can be made of it."""
+        """Whether a :class:`~warpcontact.meshes.Mesh` can be created."""
         return not self.errors
 
     @property
@@ -129,16 +129,16 @@ class MeshReport:
 
     @property
     def nested_components(self) -> tuple[int, ...]:
-        """Numbers of the ``components`` that lie inside another one."""
+        """Indices of the ``components`` that lie inside another one."""
         return tuple(i for i, part in enumerate(self.components) if part.inside is not None)
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """What kind of mesh it is, in words; of these those that hold, in this order.
+        """Properties of the mesh as keywords, those that apply in a fixed order.
 
-        closed, open, inward, mixed winding, non-manifold edges, non-manifold vertices, self-overlapping,
-        duplicate faces, degenerate faces, cracked, multi-component, nested, tiny, huge. A surface with a wall
-        inside is neither closed nor open.
+        The order is closed, open, inward, mixed winding, non-manifold edges, non-manifold vertices, self-overlapping,
+        duplicate faces, degenerate faces, cracked, multi-component, nested, tiny, huge. A closed surface with an
+        interior wall (an edge with three faces) is neither closed nor open.
         """
         few, many = USUAL_SIZE
         words = {
@@ -160,7 +160,7 @@ class MeshReport:
         return tuple(word for word, holds in words.items() if holds)
 
     def to_text(self) -> str:
-        """The report as aligned lines to read, without a final newline."""
+        """Returns the report as aligned lines, without a final newline."""
         cuts = self.self_intersection_count
         rows = {
             "usable": "yes" if self.usable else "no",
@@ -209,7 +209,7 @@ class MeshReport:
 
 
 def restored(plain: dict[str, Any]) -> MeshReport:
-    """Returns the report of which ``dataclasses.asdict`` went through JSON, which has lists for tuples."""
+    """Returns the report from its ``dataclasses.asdict`` form after JSON, which turns tuples into lists."""
     fields = {name: _tuples(value) for name, value in plain.items()}
     fields["components"] = tuple(Component(**part) for part in plain["components"])
     fields["repairs"] = tuple(RepairStep(**step) for step in plain["repairs"])
@@ -226,5 +226,5 @@ def counted(number: int, noun: str) -> str:
 
 
 def listed(values: Any) -> str:
-    """Returns numbers in parentheses."""
+    """Returns numbers in parentheses, separated by commas."""
     return "(" + ", ".join(f"{value:.9g}" if isinstance(value, float) else str(value) for value in values) + ")"

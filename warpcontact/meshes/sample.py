@@ -1,4 +1,4 @@
-"""Points that stand for a surface: where they are, how much area each stands for, and which way it looks."""
+"""Sample points of a surface, with positions, areas and normals."""
 
 from dataclasses import dataclass
 
@@ -16,13 +16,13 @@ METHODS = ("blue_noise", "vertices", "centroids")
 
 @dataclass(frozen=True, eq=False)
 class SurfaceSamples:
-    """Points of a surface, in the frame of its mesh; arrays are read-only.
+    """Sample points of a surface, in the frame of its mesh; arrays are read-only.
 
     Attributes:
-        positions: Where they are, (n, 3) [m].
-        areas: The area that each stands for, (n,) [m²]; their sum is the area of the faces that were sampled.
+        positions: Positions, (n, 3) [m].
+        areas: Area weight of each point, (n,) [m²]; the sum is the area of the sampled faces.
         normals: Unit normals out of the surface, (n, 3).
-        faces: The face on which each lies, (n,); of several, at a vertex, the first.
+        faces: Face of each point, (n,); at a vertex, the first of its faces.
     """
 
     positions: npt.NDArray[np.float64]
@@ -50,26 +50,27 @@ def sample_surface(
     seed: int = 0,
     faces: npt.ArrayLike | None = None,
 ) -> SurfaceSamples:
-    """Returns points that stand for the surface of a mesh.
+    """Returns sample points of the surface of a mesh.
 
     Args:
-        mesh: The mesh.
-        count: Number of points; of ``"blue_noise"`` only, the other methods know theirs.
-        method: ``"blue_noise"``: as evenly as points can lie that follow no pattern, each with the area that is
-            nearer to it than to any other. ``"vertices"``: the vertices, those at the same place as one, each
-            with a third of its faces. ``"centroids"``: the centres of the faces, each with its face.
-        seed: Of the random numbers of ``"blue_noise"``: the same seed gives the same points.
-        faces: The part to sample: a mask (F,) or face numbers; ``None``: all.
+        mesh: Mesh to sample.
+        count: Number of points, for ``"blue_noise"`` only.
+        method: ``"blue_noise"``: evenly spread points without a pattern, each with the area nearest to it.
+            ``"vertices"``: the welded vertices, each with a third of the area of its faces. ``"centroids"``: the
+            centroids of the faces, each with the area of its face.
+        seed: Seed of ``"blue_noise"``; the same seed gives the same points.
+        faces: Faces to sample: a mask (F,) or face numbers; ``None``: all.
 
     Raises:
-        ValueError: If an argument is not allowed; the message names it.
+        TypeError: If ``mesh`` is not a ``Mesh``.
+        ValueError: If an argument is invalid; the message names it.
     """
     if not isinstance(mesh, Mesh):
         raise TypeError(f"mesh must be a wc.Mesh, got {mesh!r}")
     if method not in METHODS:
         raise ValueError(f"method must be one of {', '.join(map(repr, METHODS))}, got {method!r}")
     if method != "blue_noise" and count is not None:
-        raise ValueError(f"count must be left out with method={method!r}, which has its own, got {count!r}")
+        raise ValueError(f"count must be None with method={method!r}, got {count!r}")
     chosen = _chosen(faces, len(mesh.faces))
     corners = mesh.vertices[mesh.faces[chosen]]
     vectors = area_vectors(corners)
@@ -125,7 +126,7 @@ def _chosen(faces: npt.ArrayLike | None, count: int) -> npt.NDArray[np.int64]:
     return numbers.astype(np.int64)
 
 
-# As ``checks.whole``, which imports Warp.
+# Copy of ``checks.whole``, whose module imports Warp.
 def _whole(name: str, value: object, least: int) -> int:
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")

@@ -1,4 +1,4 @@
-"""Takes faces without area out of a surface without opening it."""
+"""Removes degenerate faces from a surface without opening it."""
 
 from collections import defaultdict, deque
 
@@ -8,7 +8,7 @@ import numpy.typing as npt
 from warpcontact.meshes.examine import SLIVER_LIMIT
 from warpcontact.meshes.topology import slenderness
 
-# A face may become part of a sliver again when a neighbour is taken apart, but not for ever.
+# Largest number of splits per sliver, because splitting a neighbor can create new slivers.
 _ROUNDS = 20
 
 
@@ -17,17 +17,17 @@ def without_slivers(
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], int, float]:
     """Removes degenerate faces.
 
-    One with coincident corners is a line that its neighbours share already: it is dropped. One whose corner c
-    lies on its longest edge ab is taken together with the face abd behind that edge: the two become acd and cbd,
-    so that c is no longer beside an edge but the end of one. Where there is no such single face, it is dropped.
+    A face with coincident vertices is a line that its neighbors already share, and is dropped. If a vertex c of a face
+    lies on its longest edge ab, the face is merged with the neighbor abd at that edge, and both become acd and cbd, so
+    that c is a vertex of both. If there is no single such neighbor, the face is dropped.
 
     Args:
         v: Positions, (V, 3) [m].
         faces: Welded vertex indices of each triangle, (F, 3).
 
     Returns:
-        Faces; the number of the face as given that each is a part of, which tells its groups; how many were taken
-        together with a neighbour; and the greatest height of those [m].
+        Faces; for each, the number of the input face it is a part of, for its groups; number of faces merged with a
+        neighbor; and the largest height of those [m].
     """
     slivers = np.flatnonzero(slenderness(v[faces]) < SLIVER_LIMIT).tolist()
     surface = _Surface(v, faces)
@@ -52,15 +52,15 @@ def without_slivers(
 
 
 class _Surface:
-    """Faces that change, and which of them there are at each edge.
+    """Changing faces with a map from edges to faces.
 
     Args:
         v: Positions, (V, 3) [m].
         faces: Vertex indices of each triangle, (F, 3).
 
     Attributes:
-        corners: Vertex indices of each face; none of one that was removed.
-        source: The face as given that each is a part of.
+        corners: Vertex indices of each face; empty for a removed one.
+        source: Number of the input face that each face is a part of.
     """
 
     def __init__(self, v: npt.NDArray[np.float64], faces: npt.NDArray[np.int64]) -> None:
@@ -80,7 +80,7 @@ class _Surface:
         self._set(i, [])
 
     def face_behind(self, i: int) -> tuple[int, int, int, int] | None:
-        """Ends of the longest edge of face i, the corner on it, and the one face behind it, if there is one."""
+        """Returns ends of the longest edge of face i, the vertex on it, and the single neighbor there, or ``None``."""
         corners = self.corners[i]
         if len(set(corners)) < 3:
             return None
@@ -92,13 +92,13 @@ class _Surface:
             return None
         j = next(iter(others))
         opposite = set(self.corners[j]) - {a, b}
-        # The edge from c to the far corner is new: with one there, it would be of more than two faces.
+        # The edge from c to the opposite vertex must be new, because it gets two faces.
         if len(opposite) != 1 or c in opposite or self._faces_at_edge[_edge(c, *opposite)]:
             return None
         return a, b, c, j
 
     def split(self, i: int, j: int, a: int, b: int, c: int) -> None:
-        """Makes faces i and j the two parts of face j, which has the edge ab, on either side of c."""
+        """Replaces faces i and j by the two parts of face j, whose edge ab is divided at c."""
         face = self.corners[j]
         for k, replaced in ((i, a), (j, b)):
             self._set(k, [c if corner == replaced else corner for corner in face])

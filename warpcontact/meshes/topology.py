@@ -1,6 +1,6 @@
-"""Topology and geometry of triangles: what vertices, edges and parts of a welded surface there are.
+"""Topology and geometry of triangles: vertices, edges and connected parts of a welded surface.
 
-Nothing is checked here; faces must refer to vertices that exist.
+Inputs are not validated; faces must refer to existing vertices.
 """
 
 from dataclasses import dataclass
@@ -14,27 +14,27 @@ from warpcontact.meshes.nesting import find_containing_parts
 
 Orientation = Literal["outward", "inward", "open surface", "mixed", "undefined"]
 
-# Boundary vertices closer than this fraction of the largest dimension are meant to be one. CAD programs write
-# the two sides of a seam with different rounding, and float32 resolves 1e-7.
+# Boundary vertices closer than this fraction of the largest dimension are assumed to be meant as one. CAD programs
+# round the two sides of a seam differently, and float32 resolves 1e-7.
 CRACK_LIMIT = 1.0e-6
-# Meshes whose farthest coordinate is more than this many times their size lie far from their origin.
+# A mesh is far from its origin if its largest coordinate exceeds this multiple of its size.
 FAR = 4.0
-# Directions [-] along which points of lattices seldom lie at the same place; a little shorter than unit vectors.
+# Directions along which points of lattices rarely coincide [-]; slightly shorter than unit vectors.
 SLANTED = np.array(((0.548, 0.448, 0.701), (-0.311, 0.857, -0.404)))
-# So many components are described one by one.
+# Largest number of components that are described individually.
 MOST_COMPONENTS = 100
 
 
 @dataclass(frozen=True)
 class Component:
-    """A part of a surface that is connected across edges.
+    """Part of a surface that is connected across edges.
 
     Attributes:
-        first_face: The lowest of its face numbers.
+        first_face: Lowest of its face numbers.
         face_count: Number of its faces.
-        closed: Whether it bounds a volume by itself and its faces agree on the side.
-        volume: Signed volume [m³] if it is closed; negative if its faces point inward.
-        inside: Number of the smallest closed component that it lies in, if there is one.
+        closed: Whether it bounds a volume by itself and is consistently wound.
+        volume: Signed volume [m³] if it is closed; negative if its faces are oriented inward.
+        inside: Index of the smallest closed component that encloses it, if there is one.
     """
 
     first_face: int
@@ -47,17 +47,17 @@ class Component:
 class Edges:
     """Edges of triangles.
 
-    Half-edge 3·i + j runs from corner j of face i to the next corner.
+    Half-edge 3·i + j runs from vertex j of face i to the next vertex.
 
     Args:
         faces: Welded vertex indices of each triangle, (F, 3), three different ones.
 
     Attributes:
         ends: Vertices of each half-edge, (3F, 2).
-        order: Half-edges, those of one edge together, (3F,).
-        starts: Where in it each edge begins, (E,).
-        counts: Faces of each edge, (E,).
-        balance: Half-edges of each edge that run to the vertex with the higher number, less the others, (E,).
+        order: Half-edges, grouped by edge, (3F,).
+        starts: Index in ``order`` of the first half-edge of each edge, (E,).
+        counts: Number of faces of each edge, (E,).
+        balance: Number of half-edges that run to the vertex with the higher index, minus the others, (E,).
     """
 
     def __init__(self, faces: npt.NDArray[np.int64]) -> None:
@@ -70,22 +70,22 @@ class Edges:
 
     @property
     def first(self) -> npt.NDArray[np.intp]:
-        """A half-edge of each edge, (E,)."""
+        """One half-edge of each edge, (E,)."""
         return self.order[self.starts]
 
     @property
     def halves(self) -> npt.NDArray[np.intp]:
-        """Two half-edges of each edge, (E, 2); a boundary edge has one only."""
+        """Two half-edges of each edge, (E, 2); the second is arbitrary for a boundary edge."""
         return np.column_stack((self.first, np.roll(self.order, -1)[self.starts]))
 
     @property
     def links(self) -> npt.NDArray[np.intp]:
-        """Pairs of half-edges that join all half-edges of each edge, (n, 2)."""
+        """Pairs of half-edges that connect all half-edges of each edge, (n, 2)."""
         edge = np.repeat(np.arange(len(self.starts)), self.counts)
         return np.column_stack((self.order[:-1], self.order[1:]))[edge[:-1] == edge[1:]]
 
     def fans(self, faces: npt.NDArray[np.int64]) -> npt.NDArray[np.intp]:
-        """Number of fans of faces about each vertex, (V,): parts that are connected across edges."""
+        """Returns the number of fans at each vertex, (V,): groups of its faces connected across edges."""
         half = np.arange(3 * len(faces))
         after = half - half % 3 + (half + 1) % 3
         upward = self.ends[:, 0] < self.ends[:, 1]
@@ -100,15 +100,15 @@ class Edges:
 def examine_surface(
     v: npt.NDArray[np.float64], faces: npt.NDArray[np.int64]
 ) -> tuple[dict[str, Any], npt.NDArray[np.bool], npt.NDArray[np.intp]]:
-    """Topology, size and orientation of a welded surface without degenerate or repeated faces.
+    """Returns topology, size and orientation of a welded surface without degenerate or repeated faces.
 
     Args:
         v: Positions, (V, 3) [m].
         faces: Welded vertex indices of each triangle, (F, 3), three different ones.
 
     Returns:
-        Facts by name of the field of ``MeshReport``, none if there is no face; which edges are wound
-        inconsistently, (E,); two half-edges of every edge, (E, 2), as in ``Edges``.
+        Facts by field name of ``MeshReport``, empty if there are no faces; which edges are wound inconsistently,
+        (E,); two half-edges of each edge, (E, 2), as in ``Edges``.
     """
     if not len(faces):
         return {}, np.zeros(0, dtype=bool), np.empty((0, 2), dtype=np.intp)
@@ -156,7 +156,7 @@ def examine_surface(
 def volumes_of(
     v: npt.NDArray[np.float64], faces: npt.NDArray[np.int64], part: npt.NDArray[np.integer], parts: int
 ) -> tuple[float, npt.NDArray[np.float64], float]:
-    """Area, signed volume of each part of a surface, and what a volume of zero may amount to by rounding.
+    """Returns area, signed volume of each part of a surface, and the rounding error of a zero volume.
 
     Args:
         v: Positions, (V, 3) [m].
@@ -165,10 +165,10 @@ def volumes_of(
         parts: Number of parts.
 
     Returns:
-        The area [m²], the volumes (parts,) [m³], which mean something for closed parts only, and the bound [m³].
+        The area [m²]; the volumes (parts,) [m³], meaningful for closed parts only; the error bound [m³].
     """
     lower, upper = bounds(v[faces])
-    p = v[faces] - 0.5 * (lower + upper)  # centred for precision
+    p = v[faces] - 0.5 * (lower + upper)  # centered for precision
     normals = area_vectors(p)
     area = 0.5 * float(norm(normals).sum())
     pyramids = dot(normals, p[:, 0]) / 6.0
@@ -183,7 +183,7 @@ def _describe(
     closed: npt.NDArray[np.bool],
     volumes: npt.NDArray[np.float64],
 ) -> tuple[Component, ...]:
-    """The first components, in the order of their first faces."""
+    """Returns the first ``MOST_COMPONENTS`` components, in the order of their first faces."""
     first = np.unique(part, return_index=True)[1]  # components are numbered by their first faces
     counts = np.bincount(part)
     containing = find_containing_parts(v, faces, part, closed)
@@ -200,7 +200,7 @@ def _describe(
 
 
 def _boundary(v: npt.NDArray[np.float64], edges: npt.NDArray[np.intp], near: float) -> tuple[int, int]:
-    """Number of loops of boundary edges (n, 2), and of their vertices with another one within ``near``."""
+    """Returns numbers of loops of boundary edges (n, 2), and of their vertices with another one within ``near``."""
     vertices, links = np.unique(edges, return_inverse=True)
     if not len(edges):
         return 0, 0
@@ -208,12 +208,12 @@ def _boundary(v: npt.NDArray[np.float64], edges: npt.NDArray[np.intp], near: flo
 
 
 def has_near_neighbor(points: npt.NDArray[np.float64], near: float) -> npt.NDArray[np.bool]:
-    """Whether another one of the points (n, 3) is within ``near`` of each."""
-    # Points that are near each other are so along any direction. Few others are along two, and with none to look
-    # at there is no need for a tree, which takes as long to import as a model to build.
+    """Returns whether another one of the points (n, 3) is within distance ``near`` of each."""
+    # Near points are near along any direction. Few others are near along two directions, and if none are left, the
+    # import of the tree, which takes as long as building a model, is avoided.
     found = np.arange(len(points))
     for direction in SLANTED:
-        along = (points[found] - points[:1]) @ direction  # from one of them: places far away are rounded
+        along = (points[found] - points[:1]) @ direction  # relative to one point, to reduce rounding
         order = np.argsort(along)
         close = np.diff(along[order]) <= near
         one = np.zeros(len(found), dtype=bool)
@@ -230,15 +230,15 @@ def has_near_neighbor(points: npt.NDArray[np.float64], near: float) -> npt.NDArr
 
 
 def components(links: npt.NDArray[np.intp], count: int) -> tuple[int, npt.NDArray[np.int32]]:
-    """Connected parts of ``count`` items with links (n, 2).
+    """Returns connected parts of ``count`` items with links (n, 2).
 
     Returns:
-        Their number, and the part of each item; parts are numbered by their first items.
+        Number of parts, and part of each item; parts are numbered by their first items.
     """
     part = np.arange(count)
     a, b = links.T
-    # A round joins every part that has a lower neighbour; one that is lower than all of its is joined in the next,
-    # if none of them was joined to it. So two rounds leave at most half of the parts that have neighbours.
+    # Each round joins every part that has a lower neighbor. A part lower than all its neighbors is joined in the next
+    # round, unless one was joined to it. So two rounds leave at most half of the parts that have neighbors.
     while len(a):
         np.minimum.at(part, np.maximum(a, b), np.minimum(a, b))
         while ((lowest := part[part]) != part).any():
@@ -251,10 +251,10 @@ def components(links: npt.NDArray[np.intp], count: int) -> tuple[int, npt.NDArra
 
 
 def weld(vertices: npt.NDArray[np.float64]) -> npt.NDArray[np.int32]:
-    """First vertex at the same place, for every vertex; the comparison is exact.
+    """Returns the first vertex at exactly the same position, for each vertex.
 
     Args:
-        vertices: Positions, (V, 3) [m]. One with a NaN coincides with none.
+        vertices: Positions, (V, 3) [m]. A vertex with a NaN coincides with no other.
 
     Returns:
         Index of the representative vertex, (V,).
@@ -263,7 +263,7 @@ def weld(vertices: npt.NDArray[np.float64]) -> npt.NDArray[np.int32]:
 
 
 def representatives(rows: npt.NDArray[Any]) -> npt.NDArray[np.intp]:
-    """Index of the first row equal to each row.
+    """Returns the index of the first row equal to each row.
 
     Args:
         rows: Rows to compare exactly, (n, k).
@@ -278,7 +278,7 @@ def representatives(rows: npt.NDArray[Any]) -> npt.NDArray[np.intp]:
 
 
 def _groups(rows: npt.NDArray[Any]) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Order (stable) that brings equal rows together, and where in it each group starts."""
+    """Returns a stable order that groups equal rows, and the index in it at which each group starts."""
     order = np.lexsort(rows.T)
     ordered = rows[order]
     new = np.ones(len(rows), dtype=bool)
@@ -287,15 +287,15 @@ def _groups(rows: npt.NDArray[Any]) -> tuple[npt.NDArray[np.intp], npt.NDArray[n
 
 
 def area_vectors(corners: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Returns vectors (n, 3) along the normals of triangles with corners (n, 3, 3), twice as long as the areas."""
+    """Returns vectors (n, 3) along the normals of triangles (n, 3, 3), with twice their areas as lengths."""
     return cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
 def slenderness(corners: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Shape of triangles as |cross|/Σe²: 0 for a point or a line, 0.29 at most.
+    """Returns the shape of triangles as |cross|/Σe²: 0 for a point or line, at most 0.29.
 
     Args:
-        corners: Corners of each triangle, (n, 3, 3); their precision is that of the result.
+        corners: Vertices of each triangle, (n, 3, 3); the result has their precision.
 
     Returns:
         Ratios, (n,).
@@ -306,22 +306,22 @@ def slenderness(corners: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 
 def seen_from(lower: npt.NDArray[np.float64], upper: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Returns where a surface within these bounds is seen from, so that float32 resolves it.
+    """Returns the origin relative to which float32 resolves a surface within these bounds.
 
-    That is its middle if it lies far from the origin of its frame, and otherwise the origin: what was modelled at
-    zero stays there, to the last digit.
+    The origin is the center of the bounds if the surface is far from the origin of its frame, and otherwise zero, so
+    that coordinates are not rounded.
     """
     far = np.abs([lower, upper]).max() > FAR * (upper - lower).max()
     return 0.5 * (lower + upper) if far else np.zeros(3)
 
 
 def angles(corners: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Angles of triangles at their corners [rad].
+    """Returns the angles of triangles at their vertices [rad].
 
-    Weighted with these, the normals of the faces at a corner do not depend on how a flat side is divided.
+    Normals weighted with these angles do not depend on the triangulation of a flat side.
 
     Args:
-        corners: Corners of each triangle, (n, 3, 3), none degenerate.
+        corners: Vertices of each triangle, (n, 3, 3), none degenerate.
 
     Returns:
         Angles, (n, 3).
@@ -333,14 +333,14 @@ def angles(corners: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 
 
 def directions(sums: npt.NDArray[np.float64], instead: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Unit vectors along sums of weighted unit normals.
+    """Returns unit vectors along sums of weighted unit normals.
 
     Args:
         sums: Vectors, (…, 3).
-        instead: What to take where two sheets back to back leave no sum to speak of, likewise, or of a shape that
-            is broadcast to that.
+        instead: Replacement for sums of almost zero length, as between two sheets back to back; broadcast to the
+            shape of ``sums``.
     """
     length = norm(sums)[..., None]
-    known = length > 1.0e-9
-    found: npt.NDArray[np.float64] = sums / np.where(known, length, 1.0)
-    return found if known.all() else np.where(known, found, np.broadcast_to(instead, sums.shape))
+    valid = length > 1.0e-9
+    found: npt.NDArray[np.float64] = sums / np.where(valid, length, 1.0)
+    return found if valid.all() else np.where(valid, found, np.broadcast_to(instead, sums.shape))

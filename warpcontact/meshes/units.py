@@ -1,26 +1,26 @@
-"""Units of length of mesh files."""
+"""Length units of mesh files."""
 
 from math import inf
 
 from warpcontact.kernels.catalogue.names import suggestion
 from warpcontact.meshes.mesh import positive
 
-#: Metres per unit.
+#: Meters per unit.
 UNITS = {
     "m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "km": 1e3, "in": 0.0254, "ft": 0.3048,
 }  # fmt: skip
 
 
 def metres(scale: object, unit: str | None, own: float | None) -> float:
-    """Returns metres per unit of a file: ``scale`` times the unit.
+    """Returns meters per unit of a file, multiplied by ``scale``.
 
     Args:
-        scale: A further factor.
-        unit: Name of the unit; ``None``: what the file says.
-        own: Metres per unit that the file says, if it does.
+        scale: Additional factor.
+        unit: Name of the unit; ``None``: the unit given in the file.
+        own: Meters per unit given in the file, or ``None``.
 
     Raises:
-        ValueError: If ``scale`` is not positive and finite, or there is no such unit.
+        ValueError: If ``scale`` is not positive and finite, or the unit does not exist.
     """
     factor = positive("scale", scale)
     if unit is not None:

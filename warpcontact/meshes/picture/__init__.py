@@ -1,4 +1,4 @@
-"""Pictures of meshes: what is wrong with one, a painter for triangles, and the sheet that shows both."""
+"""Pictures of meshes with their defects marked."""
 
 from warpcontact.meshes.picture.sheet import plot_arrays, plot_file
 

@@ -1,4 +1,4 @@
-"""Where the defects of a mesh are that its report counts."""
+"""Locations of the defects of a mesh that its report counts."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -22,27 +22,27 @@ Mask = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Defects:
-    """Faces as masks over all faces, (F,); edges as vertex indices, (n, 2), and vertices, (n,).
+    """Defects: faces as masks over all faces, (F,); edges as vertex indices, (n, 2); and vertices, (n,).
 
-    Topology is that of the report: of the welded surface and its sound faces.
+    Topology is that of the report: of the welded surface and its valid faces.
     """
 
-    drawable: Mask  # all corners exist and are finite and near
+    drawable: Mask  # all vertices exist, are finite and near
     degenerate: Mask
     duplicate: Mask
-    inward: Mask  # of closed parts that face inward
-    cutting: Mask  # that cut through others, or overlap them in a plane
+    inward: Mask  # faces of closed parts with inward orientation
+    cutting: Mask  # faces that intersect others, or overlap them in a plane
     boundary: npt.NDArray[np.int64]
     non_manifold: npt.NDArray[np.int64]
     inconsistent: npt.NDArray[np.int64]
-    pinched: npt.NDArray[np.int64]  # vertices at which parts of the surface touch in a point only
-    cracks: npt.NDArray[np.int64]  # boundary vertices that all but meet another one
+    pinched: npt.NDArray[np.int64]  # vertices at which parts of the surface meet in a single point
+    cracks: npt.NDArray[np.int64]  # boundary vertices that nearly coincide with another one
 
 
 def find_defects(vertices: npt.NDArray[np.float64], faces: npt.NDArray[Any], *, cuts: bool = True) -> Defects:
     """Returns the defects of any arrays (V, 3) and (F, 3), usable as a mesh or not.
 
-    ``cuts``: whether to look for faces that cut each other, which takes longest.
+    ``cuts``: whether to search for intersecting faces, the slowest part.
     """
     near: Mask = np.all(np.abs(vertices) <= COORDINATE_LIMIT, axis=1)  # false for NaN
     in_range: Mask = np.all((faces >= 0) & (faces < len(vertices)), axis=1)
@@ -56,7 +56,7 @@ def find_defects(vertices: npt.NDArray[np.float64], faces: npt.NDArray[Any], *, 
     duplicate = np.zeros(len(faces), dtype=bool)
     first = representatives(np.sort(corners[valid_faces], axis=1))
     duplicate[valid_faces] = np.bincount(first, minlength=len(valid_faces))[first] > 1
-    # A copy in the other direction has edges of its own, as in the report.
+    # A copy in the opposite direction counts as a separate face, as in the report.
     rotated = (corners[valid_faces].argmin(axis=1)[:, None] + np.arange(3)) % 3
     valid_faces = valid_faces[
         representatives(np.take_along_axis(corners[valid_faces], rotated, axis=1)) == np.arange(len(valid_faces))
@@ -71,14 +71,14 @@ def find_defects(vertices: npt.NDArray[np.float64], faces: npt.NDArray[Any], *, 
     boundary, seamed = ends[count == 1], np.zeros(0, dtype=np.int64)
     pinched, cutting = seamed, np.zeros(len(faces), dtype=bool)
     if len(valid_faces):
-        rim = np.unique(boundary)
+        boundary_vertices = np.unique(boundary)
         size = float(np.ptp(vertices[corners[valid_faces]], axis=(0, 1)).max())
-        seamed = rim[has_near_neighbor(vertices[rim], CRACK_LIMIT * size)]
+        seamed = boundary_vertices[has_near_neighbor(vertices[boundary_vertices], CRACK_LIMIT * size)]
         pinched = np.flatnonzero(Edges(corners[valid_faces]).fans(corners[valid_faces]) > 1)
-        whole = valid_faces[~degenerate[valid_faces]]
-        pairs = intersections(vertices, corners[whole]) if cuts else None
+        proper_faces = valid_faces[~degenerate[valid_faces]]
+        pairs = intersections(vertices, corners[proper_faces]) if cuts else None
         if pairs is not None:
-            cutting[whole[np.unique(pairs)]] = True
+            cutting[proper_faces[np.unique(pairs)]] = True
     return Defects(
         drawable=drawable,
         degenerate=degenerate,
@@ -99,13 +99,13 @@ def _inward(
     edge: npt.NDArray[np.intp],
     open_edge: Mask,
 ) -> Mask:
-    """Returns the faces of connected parts that are closed and whose volume is negative.
+    """Returns the faces of connected parts that are closed and have a negative volume.
 
     Args:
         vertices: Positions, (V, 3).
         corners: Vertices of each face, (F, 3).
-        edge: The first half-edge of the same edge, for each half-edge, (3 F,).
-        open_edge: Whether an edge bounds nothing, by its first half-edge, (3 F,).
+        edge: First half-edge of the same edge, for each half-edge, (3 F,).
+        open_edge: Whether an edge is a boundary or inconsistent, by its first half-edge, (3 F,).
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components

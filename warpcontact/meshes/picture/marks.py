@@ -1,4 +1,4 @@
-"""What is drawn over the surface: lines and spots at its defects, the axes, and a bar of known length."""
+"""Marks drawn over the surface: lines and symbols at its defects, axes, and a scale bar."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -11,31 +11,31 @@ from warpcontact.meshes.picture.view import View
 
 Array = npt.NDArray[np.float64]
 
-# Width of the lines where they are seen and where they are hidden [pt], and how strong they are there.
+# Line widths of visible and hidden lines [pt], and opacity of hidden ones.
 SEEN, HIDDEN, FAINT = 2.0, 1.2, 0.4
-# Connected lines smaller than this are easily overlooked and get a ring [pixels of the painter].
+# Connected lines smaller than this get a ring, because they are easily overlooked [pixels of the painter].
 SMALL = 24.0
-# Rings are not closer to each other than this [pixels].
+# Smallest distance between rings [pixels].
 RING = 24.0
-# Distance of the points along a line whose visibility is asked [pixels], and most of them per line.
+# Distance between points along a line at which visibility is tested [pixels], and largest number of them per line.
 STEP, MOST = 4.0, 400
-# Part of the width of a view that the bar of known length takes at most.
+# Largest length of the scale bar, as a fraction of the width of a view.
 BAR = 0.25
 
 
 @dataclass(frozen=True)
 class Kind:
-    """Defects of one kind that are lines."""
+    """Kind of defect that is drawn as lines."""
 
     what: str
-    noun: str  # of one
+    noun: str  # singular
     color: Any
     ends: npt.NDArray[np.int64]  # (n, 2) vertices
     count: int
 
 
 def line_kinds(defects: Defects, faces: npt.NDArray[Any] | None = None) -> list[Kind]:
-    """Returns the kinds that a mesh has; ``faces`` gives those of degenerate faces their lines."""
+    """Returns the line defects of a mesh; with ``faces``, degenerate faces get lines as well."""
     slivers = np.zeros((0, 2), dtype=np.int64)
     if faces is not None:
         corners = faces[defects.degenerate].astype(np.int64)
@@ -55,7 +55,7 @@ def line_kinds(defects: Defects, faces: npt.NDArray[Any] | None = None) -> list[
 
 @dataclass(frozen=True)
 class Spots:
-    """Defects of one kind that are vertices."""
+    """Kind of defect that is drawn as vertices."""
 
     what: str
     color: Any
@@ -63,7 +63,7 @@ class Spots:
 
 
 def spot_kinds(defects: Defects) -> list[Spots]:
-    """Returns the kinds that a mesh has."""
+    """Returns the vertex defects of a mesh."""
     found = (
         Spots("touching in a point only", (0.55, 0.0, 0.65), defects.pinched),
         Spots("cracks", (0.75, 0.35, 0.0), defects.cracks),
@@ -74,7 +74,7 @@ def spot_kinds(defects: Defects) -> list[Spots]:
 def draw_marks(
     axes: Any, view: View, depth: Array, vertices: Array, faces: npt.NDArray[Any], defects: Defects
 ) -> None:
-    """Draws the defects that are lines, the axes and the bar over a view."""
+    """Draws the line and vertex defects, the axes and the scale bar over a view."""
     from matplotlib.collections import LineCollection
 
     for kind in line_kinds(defects, faces):
@@ -101,7 +101,7 @@ def draw_marks(
 
 
 def _split_by_visibility(places: Array, view: View, depth: Array) -> tuple[list[Array], list[Array]]:
-    """Returns the parts of lines (n, 2, 3) that are seen and that are hidden, each as points (2, 2)."""
+    """Splits lines (n, 2, 3) into visible and hidden parts, each as points (2, 2)."""
     length = np.linalg.norm(places[:, 1, :2] - places[:, 0, :2], axis=1)
     counts = np.clip(np.ceil(length / STEP), 1, MOST).astype(np.int64)
     line = np.repeat(np.arange(len(places)), counts)
@@ -110,7 +110,7 @@ def _split_by_visibility(places: Array, view: View, depth: Array) -> tuple[list[
     size = counts[line][:, None]
     middle = start + run * ((step[:, None] + 0.5) / size)
     visible = view.visible(middle, depth)
-    # Neighbouring pieces that agree are one line.
+    # Merge consecutive pieces of equal visibility.
     new = np.ones(len(line), dtype=bool)
     new[1:] = (line[1:] != line[:-1]) | (visible[1:] != visible[:-1])
     first = np.flatnonzero(new)
@@ -122,7 +122,7 @@ def _split_by_visibility(places: Array, view: View, depth: Array) -> tuple[list[
 
 
 def _small(places: Array, edges: npt.NDArray[np.int64]) -> Array:
-    """Returns the middles (m, 3) of those connected lines that together are small."""
+    """Returns the centers (m, 3) of groups of connected lines that are smaller than ``SMALL``."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -139,7 +139,7 @@ def _small(places: Array, edges: npt.NDArray[np.int64]) -> Array:
 
 
 def _thin_out(spots: Array) -> Array:
-    """Returns ``spots`` (n, 2) thinned out to one per cell of a coarse grid."""
+    """Returns ``spots`` (n, 2) reduced to one per cell of a coarse grid."""
     _, first = np.unique(np.round(spots / RING), axis=0, return_index=True)
     return spots[np.sort(first)]
 

@@ -1,7 +1,7 @@
-"""Which of many triangles is seen in each pixel of a picture, and how far away it is there.
+"""Rasterization of triangles with a depth buffer: visible triangle and depth of each pixel.
 
-Rows of pixels are filled between the edges of each triangle, for many triangles at once; a depth buffer decides
-between them. A pixel belongs to the triangle that its centre lies in, and neighbours leave no gap.
+Scan lines of many triangles are filled at once. A pixel belongs to the triangle that contains its center, and adjacent
+triangles leave no gap.
 """
 
 from collections.abc import Iterator
@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-# Rows, or pixels, that are worked on at a time.
+# Number of scan lines, or pixels, processed per block.
 AT_ONCE = 2_000_000
 
 Array = npt.NDArray[np.float64]
@@ -17,19 +17,19 @@ Index = npt.NDArray[np.int64]
 
 
 def paint(corners: Array, size: tuple[int, int]) -> tuple[Index, Array]:
-    """Returns the triangle seen in each pixel, −1 where there is none, and its depth, infinite there.
+    """Returns the triangle visible in each pixel, −1 if there is none, and its depth, infinite if there is none.
 
-    Of triangles at the same depth the one with the highest number is seen.
+    At equal depth, the triangle with the highest index is visible.
 
     Args:
-        corners: Corners of each triangle in the picture, (F, 3, 3): column, row and depth. The pixel in column i
-            and row j has its centre at (i + ½, j + ½). Smaller depths are nearer.
+        corners: Vertices of each triangle in the picture, (F, 3, 3): column, row and depth. The pixel in column i
+            and row j has its center at (i + ½, j + ½). Smaller depths are nearer.
         size: Numbers of rows and columns.
     """
     height, width = size
     depth = np.full(height * width, np.inf)
     seen = np.full(height * width, -1, dtype=np.int64)
-    # From low to high rows: both triangles at an edge then compute the same points of it.
+    # Sort vertices by row: both triangles at an edge then compute identical points on it.
     order = np.lexsort((corners[..., 0], corners[..., 1]), axis=1)
     corners = np.take_along_axis(corners, order[..., None], axis=1)
     first = np.clip(np.ceil(corners[:, 0, 1] - 0.5), 0, height).astype(np.int64)
@@ -49,11 +49,11 @@ def paint(corners: Array, size: tuple[int, int]) -> tuple[Index, Array]:
 
 
 def _ends(corners: Array, y: Array) -> tuple[Array, Array, Array, Array]:
-    """Returns where lines enter and leave triangles, and the depths there: left, right, depth left, depth right.
+    """Returns the ends of scan lines in triangles: left and right column, and the depths there.
 
     Args:
-        corners: Sorted by row, (n, 3, 3).
-        y: The row of each line, between the first and the last corner, (n,).
+        corners: Vertices sorted by row, (n, 3, 3).
+        y: Row of each line, between the first and the last vertex, (n,).
     """
     low, middle, high = corners.swapaxes(0, 1)
     x_long, z_long = _along(low, high, y)
@@ -68,20 +68,20 @@ def _ends(corners: Array, y: Array) -> tuple[Array, Array, Array, Array]:
 
 
 def _along(a: Array, b: Array, y: Array) -> tuple[Array, Array]:
-    """Returns column and depth of the points of the edges a–b in row ``y``."""
+    """Returns column and depth of the points on edges a–b in row ``y``."""
     run = b[:, 1] - a[:, 1]
     part = np.where(run > 0.0, (y - a[:, 1]) / np.where(run > 0.0, run, 1.0), 0.0)
     return a[:, 0] + part * (b[:, 0] - a[:, 0]), a[:, 2] + part * (b[:, 2] - a[:, 2])
 
 
 def _ranges(items: Index, begin: Index, stop: Index) -> Iterator[tuple[Index, Index]]:
-    """Iterates over parts of all pairs of an item and a number from its ``begin`` to before its ``stop``."""
+    """Iterates over blocks of all pairs of an item and a number from its ``begin`` up to, excluding, its ``stop``."""
     counts = np.maximum(stop - begin, 0)
     ends = np.cumsum(counts)
     start = 0
     while start < len(items):
         before = ends[start - 1] if start else 0
-        # At least one item, however long it is.
+        # At least one item per block, however long it is.
         after = max(start + 1, int(np.searchsorted(ends, before + AT_ONCE, side="right")))
         part = slice(start, after)
         item = np.repeat(items[part], counts[part])

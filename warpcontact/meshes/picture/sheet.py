@@ -1,4 +1,4 @@
-"""The picture of a mesh: shaded from two opposite sides, with its defects marked."""
+"""Picture of a mesh: shaded views from two opposite sides, with marked defects and a legend."""
 
 from os import PathLike
 from typing import Any
@@ -20,20 +20,20 @@ from warpcontact.meshes.topology import CRACK_LIMIT, area_vectors
 
 Array = npt.NDArray[np.float64]
 
-# Pixels of each view, and by how many of the painter's each is averaged.
+# Pixels of each view, and number of painter pixels per picture pixel along each axis.
 ROWS, COLUMNS, FINE = 560, 640, 2
 DPI = 120
-# Red, green and blue.
+# Colors of faces: red, green and blue.
 OUTER, INNER = (0.52, 0.66, 0.82), (0.93, 0.62, 0.35)
 IDLE_OUTER, IDLE_INNER = (0.80, 0.80, 0.80), (0.90, 0.82, 0.72)
 DUPLICATE, INWARD, CUTTING = (0.95, 0.85, 0.20), (0.66, 0.45, 0.80), (0.90, 0.35, 0.35)
-# Direction of the light in the picture: right, up, towards the eye.
+# Direction to the light, in the picture: right, up, towards the camera.
 LIGHT = np.array([-0.40, 0.45, 0.80])
 SHADE = 0.48
 COLUMNS_OF_LEGEND = 4
-# Faces of more pixels than this, on average, show their edges.
+# Edges are drawn if faces have more pixels than this, on average.
 LARGE = 250
-# How dark edges of large faces are, and creases of more than 40°.
+# Brightness of edges of large faces and of creases, and cosine of the smallest crease angle (40°).
 EDGE, CREASE, CREASE_COSINE = 0.80, 0.72, 0.77
 
 
@@ -51,23 +51,23 @@ def plot_file(
     limits: Limits | None = None,
     active_faces: FaceChoice = None,
 ) -> MeshReport:
-    """Draws a mesh file, usable or not, into an .svg or .png file, and returns the report on it.
+    """Draws a mesh file, usable or not, into an .svg or .png file, and returns its report.
 
     Args:
-        path: The mesh file, as for :func:`load_mesh`.
-        picture: The picture.
-        scale: As for :func:`load_mesh`, like all that follow.
+        path: Mesh file, as for :func:`load_mesh`.
+        picture: Picture file to write.
+        scale: As for :func:`load_mesh`, like the following arguments.
         unit: Unit of the file.
         prim: Prim of a USD file.
-        repair: Repairs of which the result is drawn.
-        tolerance: Of merging.
+        repair: Repair steps applied first; the result is drawn.
+        tolerance: Distance below which ``merge`` joins vertices, relative to the largest dimension.
         trusted: Whether to read without limits.
-        limits: Limits of the process that reads the files.
-        active_faces: As for :func:`examine_file`; the others are drawn pale.
+        limits: Limits of the reader process.
+        active_faces: As for :func:`examine_file`; other faces are drawn pale.
 
     Raises:
-        MeshError: If the file cannot be read, or nothing in it can be drawn.
-        ValueError: If an option is not allowed, or the picture cannot be written there.
+        MeshError: If the file cannot be read.
+        ValueError: If an option is invalid, no face can be drawn, or the picture cannot be written.
     """
     from pathlib import Path
 
@@ -95,14 +95,14 @@ def plot_arrays(
     Args:
         vertices: Positions, (V, 3) [m].
         faces: Vertex indices of each triangle, (F, 3).
-        report: What is known of them.
-        path: The picture.
-        active: Mask (F,) of the part that can touch; ``None``: all, and nothing is said of it.
-        direction: Where the eye is in the left view, (3,), seen from the surface; the right view is the opposite
-            one. ``None``: where most of the outer side is seen from.
+        report: Report on the triangles.
+        path: Picture file to write.
+        active: Mask (F,) of the active faces; ``None``: all, without a legend entry.
+        direction: Direction from the surface to the camera in the left view, (3,); the right view is opposite.
+            ``None``: the direction from which most of the outer side is visible.
 
     Raises:
-        ValueError: If no face can be drawn, or an argument is not allowed.
+        ValueError: If no face can be drawn, or an argument is invalid.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -111,7 +111,7 @@ def plot_arrays(
     v, f = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
     defects = None
     if v.ndim == f.ndim == 2 and v.size and f.size:
-        # Of what was not examined nothing is known, and nothing is drawn.
+        # Skip the slow search if the report counts no intersections.
         defects = find_defects(v, f, cuts=bool(report.self_intersection_count))
     if defects is None or not defects.drawable.any():
         raise ValueError(f"{report.name!r} has no face that can be drawn")
@@ -147,11 +147,11 @@ def _draw_surface(
     defects: Defects,
     active: npt.NDArray[np.bool_] | None,
 ) -> Array:
-    """Draws the faces, and returns the depth of what is seen in each pixel."""
+    """Draws the faces, and returns the depth in each pixel."""
     length = np.linalg.norm(cross, axis=1, keepdims=True)
     normal = cross / np.maximum(length, 1e-300)
     outer = normal @ view.direction > 0.0
-    # Of two faces at the same place the one that shows its outer side is painted last.
+    # Paint outer sides last, so that they are visible where two faces coincide.
     order = np.argsort(outer, kind="stable")
     face_in_pixel, depth = paint(view.project(corners)[order], view.size)
     empty = face_in_pixel < 0
@@ -182,7 +182,7 @@ def _draw_surface(
 
 
 def _lines(face_in_pixel: npt.NDArray[np.intp], empty: npt.NDArray[np.bool_], towards: Array) -> Array:
-    """Returns how bright each pixel is left by the lines between faces: at creases, and between large faces."""
+    """Returns the brightness factor of each pixel: below 1 at creases, and at edges between large faces."""
     count = len(np.unique(face_in_pixel[~empty])) or 1
     large = (~empty).sum() / count > LARGE
     bright = np.ones(face_in_pixel.shape)
@@ -205,7 +205,7 @@ def _heading(report: MeshReport, corners: Array) -> str:
 
 
 def length_unit(length: float) -> tuple[str, float]:
-    """Returns the unit in which ``length`` [m] is easily read, and its size [m]."""
+    """Returns the unit in which ``length`` [m] is at least 1, and its size [m]."""
     for unit, factor in (("km", 1e3), ("m", 1.0), ("mm", 1e-3), ("µm", 1e-6)):
         if length >= factor:
             return unit, factor
@@ -231,9 +231,9 @@ def _legend(
         idle = len(shown) - int(active[shown].sum())
         entries.append(Patch(color=IDLE_OUTER, label=f"not active: {_count(idle, 'face')}"))
     for mask, color, what in (
-        (defects.inward, INWARD, "closed parts that face inward"),
-        (defects.cutting, CUTTING, "cut or overlap others"),
-        (defects.duplicate, DUPLICATE, "on others with the same corners"),
+        (defects.inward, INWARD, "closed parts oriented inward"),
+        (defects.cutting, CUTTING, "intersecting or overlapping"),
+        (defects.duplicate, DUPLICATE, "duplicate"),
     ):
         if mask.any():
             entries.append(Patch(color=color, label=f"{what}: {_count(int(mask.sum()), 'face')}"))
@@ -255,13 +255,13 @@ def _legend(
     )
     notes = []
     if marks or spots:
-        notes.append("lines and spots are faint where the surface hides them")
+        notes.append("marks hidden by the surface are faint")
     elif not (defects.inward.any() or defects.duplicate.any() or defects.cutting.any()):
-        notes.append("no open boundary and no defect")
+        notes.append("no open boundary, no defects")
     if report.self_intersection_count is None:
-        notes.append("not examined for faces that cut each other")
-    if left_out := report.face_count - len(shown):
-        notes.append(f"{_count(left_out, 'face')} without a finite place not shown")
+        notes.append("self-intersections not examined")
+    if omitted := report.face_count - len(shown):
+        notes.append(f"{_count(omitted, 'face')} without finite vertices not shown")
     y = 0.62 / figure.get_figheight()
     figure.text(0.5, y, "; ".join(notes), ha="center", fontsize="small", color="0.3")
 

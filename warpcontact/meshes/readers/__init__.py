@@ -1,9 +1,9 @@
-"""Readers of mesh files: from the bytes to vertices, faces and groups of faces.
+"""Readers of mesh files: from bytes to vertices, faces and groups of faces.
 
-Files come from anywhere. A reader takes what it needs, refuses what it cannot be sure of, and opens no other
-file (USD: none out of the folder of the file). Nothing is repaired, merged, sorted or left out without a word:
-face i is face i of the file, unless the file has polygons, which a warning then says. Only NumPy is imported,
-and pxr for USD: a reader starts in a process of its own.
+Files are untrusted. A reader refuses content that is ambiguous, and opens no other file (USD: only files in or below the
+folder of the file). Nothing is repaired, merged, sorted or silently omitted: face i is face i of the file, unless
+polygons were triangulated, which a warning reports. Imports are NumPy only, and pxr for USD, because readers run in a
+separate process (``isolation.py``).
 """
 
 import os
@@ -33,13 +33,13 @@ __all__ = ["SUFFIXES", "USD_SUFFIXES", "Content", "Unreadable", "read"]
 
 
 def read(path: str | os.PathLike[str], prim: str | None, most_faces: int, *, confined: bool) -> Content:
-    """Reads a mesh file; whatever stops a reader becomes one sentence.
+    """Reads a mesh file; every failure is reported as one sentence.
 
     Args:
         path: The file, with one of ``SUFFIXES``.
         prim: Path of a prim, for USD only.
-        most_faces: Number of triangles that are allowed.
-        confined: Whether a USD stage may be made of files out of the folder of the file.
+        most_faces: Largest number of triangles.
+        confined: Whether the layers of a USD stage must lie in or below the folder of the file.
 
     Raises:
         Unreadable: If the content is damaged or not supported.
@@ -60,8 +60,8 @@ def read(path: str | os.PathLike[str], prim: str | None, most_faces: int, *, con
     except Unreadable:
         raise
     except MemoryError as error:
-        raise Unreadable("it needs more memory than is allowed, see Limits") from error
-    # Readers of damaged files stop with anything: KeyError, OverflowError, RecursionError.
+        raise Unreadable("the file needs more memory than allowed, see Limits") from error
+    # On damaged files, readers can raise any exception: KeyError, OverflowError, RecursionError.
     except Exception as error:
         reason = " ".join(str(error).split())[:200]
         raise Unreadable(

@@ -1,4 +1,4 @@
-"""What a reader makes of a file, and how readers of text take numbers and polygons from it."""
+"""Content of a mesh file as read, and parsing of numbers and polygons in text files."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -16,16 +16,16 @@ Integers = npt.NDArray[np.int64]
 
 @dataclass
 class Content:
-    """What is in a mesh file, before anything is examined.
+    """Content of a mesh file before examination.
 
     Attributes:
         vertices: Positions in the unit of the file, (V, 3).
         faces: Vertex indices of each triangle, (F, 3); they may be out of range.
-        groups: Face numbers by the name of the group, ascending.
-        unit: Metres per unit, if the file says so.
-        unit_warning: What to know if that unit is taken, one sentence.
-        warnings: What to know before using it, one sentence each.
-        notes: What else there is to say, one sentence each.
+        groups: Face numbers by group name, ascending.
+        unit: Meters per unit, if given in the file.
+        unit_warning: Warning if that unit is used, one sentence.
+        warnings: Possible problems, one sentence each.
+        notes: Normal properties, one sentence each.
     """
 
     vertices: npt.NDArray[Any]
@@ -38,20 +38,20 @@ class Content:
 
 
 class Groups:
-    """Names that faces of a file go under, while it is read.
+    """Group names of faces, collected while a file is read.
 
-    A face has the names that are set when it is added; names are set rarely and faces added often.
+    A face gets the names that are current when it is added. Names change rarely, so ranges of faces are stored.
     """
 
     def __init__(self) -> None:
         self._runs: list[tuple[int, tuple[str, ...]]] = [(0, ())]
 
     def set(self, start: int, names: Sequence[str]) -> None:
-        """Faces from number ``start`` on have ``names``; empty ones are none."""
+        """Sets the names of faces from number ``start`` on; empty names are ignored."""
         self._runs.append((start, tuple(name for name in names if name)))
 
     def members(self, count: int, owner: Integers) -> dict[str, Integers]:
-        """Returns the triangles of each name, of ``count`` faces; ``owner`` is the face of each triangle."""
+        """Returns the triangles of each name, given ``count`` faces and the face of each triangle, ``owner``."""
         starts = [start for start, _ in self._runs]
         bounds = np.searchsorted(owner, [*starts, count]).tolist()
         spans: dict[str, list[Integers]] = {}
@@ -62,19 +62,19 @@ class Groups:
 
 
 def joined(parts: Sequence[Integers]) -> Integers:
-    """Returns the face numbers of a group, ascending, from parts that mostly follow each other."""
+    """Returns the face numbers of a group, ascending, from parts that are mostly in order."""
     members = np.concatenate(parts)
     return members if (members[:-1] < members[1:]).all() else np.unique(members)
 
 
 def numbers(words: Sequence[bytes], least: int, where: str, kind: Callable[[bytes], Any]) -> list[Any]:
-    """Returns at least ``least`` numbers from words.
+    """Converts words to at least ``least`` numbers.
 
     Raises:
-        Unreadable: If there are fewer; the message begins with ``where``.
+        Unreadable: If there are fewer, or one is invalid; the message begins with ``where``.
     """
     try:
-        # Python takes 1_0 for 10.
+        # Python accepts 1_0 as 10.
         values = [] if b"_" in b"".join(words) else [kind(word) for word in words]
     except ValueError:
         values = []
@@ -85,13 +85,13 @@ def numbers(words: Sequence[bytes], least: int, where: str, kind: Callable[[byte
 
 
 def from_polygons(vertices: Floats, counts: Integers, corners: Integers, groups: Groups | None = None) -> Content:
-    """Returns the content of a file with polygons, all of three corners or more, as triangles in their order.
+    """Returns the content of a file with polygons of at least three vertices, as triangles in their order.
 
     Args:
         vertices: Positions, (V, 3).
-        counts: Number of corners of each polygon, (n,).
-        corners: Vertex numbers of all of them, one polygon after the other.
-        groups: Names that polygons go under.
+        counts: Number of vertices of each polygon, (n,).
+        corners: Vertex indices of all polygons, one polygon after the other.
+        groups: Group names of the polygons.
     """
     faces, owner = triangulate(vertices, counts, corners)
     content = Content(vertices, faces)
@@ -103,15 +103,15 @@ def from_polygons(vertices: Floats, counts: Integers, corners: Integers, groups:
 
 
 def split_warning(polygons: int, triangles: int) -> str:
-    """Returns the sentence on polygons that became triangles."""
+    """Returns the warning about polygons that were triangulated."""
     return (
-        f"{polygons} faces of the file, some with more than three corners, became {triangles} triangles; "
+        f"{polygons} faces of the file, some with more than three vertices, became {triangles} triangles; "
         "face numbers are those of the triangles"
     )
 
 
 def lists_as_arrays(rows: list[list[float]], polygons: list[list[int]]) -> tuple[Floats, Integers, Integers]:
-    """Returns vertices (V, 3), and number of corners and corners of polygons, from lists."""
+    """Returns vertices (V, 3), and number of vertices and vertex indices of polygons, from lists."""
     counts = np.fromiter(map(len, polygons), dtype=np.int64, count=len(polygons))
     corners = np.fromiter((i for polygon in polygons for i in polygon), dtype=np.int64, count=int(counts.sum()))
     return np.array(rows, dtype=np.float64).reshape(-1, 3), counts, corners

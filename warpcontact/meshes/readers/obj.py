@@ -1,4 +1,4 @@
-"""OBJ (Wavefront). Names of ``g``, ``o`` and ``usemtl`` are groups."""
+"""Reader of OBJ (Wavefront). Names of ``g``, ``o`` and ``usemtl`` become groups."""
 
 from collections.abc import Iterator
 
@@ -15,7 +15,7 @@ _NAMES = (b"o", b"g", b"usemtl")
 
 
 def read_obj(data: bytes) -> Content:
-    """Returns vertices and faces of an OBJ file; normals, texture, lines, points and curves are passed over."""
+    """Returns vertices and faces of an OBJ file; normals, textures, lines, points and curves are ignored."""
     vertices: list[list[float]] = []
     polygons: list[list[int]] = []
     groups, current = Groups(), dict[bytes, tuple[str, ...]]()
@@ -26,7 +26,7 @@ def read_obj(data: bytes) -> Content:
         elif kind == b"f":
             polygons.append(_polygon(words, len(vertices), number))
         elif kind in _NAMES:
-            # Several groups may be named at once, by words; names of objects and materials may have blanks.
+            # ``g`` can name several groups, separated by blanks; names of objects and materials may contain blanks.
             named = words if kind == b"g" else [b" ".join(words)]
             current[kind] = tuple(word.decode(errors="replace") for word in named)
             groups.set(len(polygons), [name for names in current.values() for name in names])
@@ -34,18 +34,18 @@ def read_obj(data: bytes) -> Content:
 
 
 def _lines(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Lines with their numbers; those that a backslash continues are one, with the number of the first."""
-    begun: list[bytes] = []
+    """Iterates over lines and their numbers; lines continued by a backslash are joined, with the first number."""
+    pending: list[bytes] = []
     for number, line in enumerate([*data.splitlines(), b""], 1):
         if line.endswith(b"\\"):
-            begun.append(line[:-1])
+            pending.append(line[:-1])
         else:
-            yield number - len(begun), b" ".join((*begun, line))
-            begun = []
+            yield number - len(pending), b" ".join((*pending, line))
+            pending = []
 
 
 def _polygon(words: list[bytes], count: int, number: int) -> list[int]:
-    """Vertex numbers from 0 of the face on line ``number``, which follows ``count`` vertices."""
+    """Returns the 0-based vertex indices of the face on line ``number``, which follows ``count`` vertices."""
     corners = numbers([word.partition(b"/")[0] for word in words], 3, f"line {number}", int)
     # 1 is the first vertex of the file, −1 the last one before this line.
     polygon = [corner - 1 if corner > 0 else count + corner for corner in corners]

@@ -1,4 +1,4 @@
-"""OFF, text."""
+"""Reader of OFF, text."""
 
 import re
 
@@ -6,12 +6,12 @@ from warpcontact.meshes.readers.content import Content, Unreadable, from_polygon
 
 
 def read_off(data: bytes) -> Content:
-    """Returns vertices and faces of an OFF file; colours and normals are passed over."""
+    """Returns vertices and faces of an OFF file; colors and normals are ignored."""
     lines = [line.partition(b"#")[0].split() for line in data.splitlines()]
     lines = [words for words in lines if words]
     if not lines or not re.fullmatch(rb"(ST)?C?N?OFF", lines[0][0]):
-        raise Unreadable("there is no OFF header")
-    # The counts may follow on the line of the header.
+        raise Unreadable("no OFF header")
+    # The counts may be on the header line.
     lines = [lines[0][1:], *lines[1:]] if len(lines[0]) > 1 else lines[1:]
     vertex_count, face_count = numbers(lines[0][:2] if lines else [], 2, "the line of counts", int)
     if min(vertex_count, face_count) < 0 or len(lines) < 1 + vertex_count + face_count:

@@ -1,4 +1,4 @@
-"""Joins the placed parts of a scene into one mesh."""
+"""Joins the transformed parts of a scene into one mesh."""
 
 from collections.abc import Iterable
 
@@ -9,10 +9,10 @@ from warpcontact.meshes.readers.content import Content, Integers, Unreadable, jo
 
 
 class Parts:
-    """Collects parts.
+    """Collector of parts.
 
     Args:
-        most_faces: Beyond this many triangles nothing more is taken: copies of one part cost a file nothing.
+        most_faces: Largest number of triangles. A small file can instance one part many times.
     """
 
     def __init__(self, most_faces: int) -> None:
@@ -36,26 +36,26 @@ class Parts:
         """Adds a part.
 
         Args:
-            label: What the part is called in messages.
+            label: Name of the part in messages.
             vertices: Positions in its own frame, (V, 3).
             faces: Vertex indices of its triangles, (F, 3).
-            matrix: Its place: a matrix (4, 4) that multiplies columns.
+            matrix: Transform (4, 4) to the world, for column vectors.
             names: Groups that all of its faces belong to.
-            groups: Further groups, with the numbers of their faces in this part.
-            flip: Whether its faces run clockwise seen from outside.
+            groups: Further groups, with face numbers in this part.
+            flip: Whether its faces run clockwise as seen from outside.
         """
         self._face_count += len(faces)
         self._vertex_count += len(vertices)
         if max(self._face_count, self._vertex_count / 3) > self.most_faces:
             raise too_many(self._face_count, self.most_faces)
         if ((faces < 0) | (faces >= len(vertices))).any():
-            # Joined, these would silently be vertices of another part.
+            # After joining, these indices would silently refer to another part.
             raise Unreadable(f"part {label!r} has a face with an index outside its {len(vertices)} vertices")
         points = np.asarray(vertices, dtype=np.float64)
         if not np.array_equal(matrix, np.eye(4)):
-            with np.errstate(all="ignore"):  # what overflows is refused by the examination
+            with np.errstate(all="ignore"):  # the examination reports overflow
                 points = points @ matrix[:3, :3].T + matrix[:3, 3]
-                # A place that mirrors turns the part inside out, which reversed corners undo.
+                # A mirroring transform inverts the part; reversing the winding restores its orientation.
                 flip ^= bool(np.linalg.det(matrix[:3, :3]) < 0.0)
         first = self._face_count - len(faces)
         for name, members in (*((name, np.arange(len(faces))) for name in names), *groups):
@@ -64,7 +64,7 @@ class Parts:
         self._vertices.append(points)
 
     def content(self) -> Content:
-        """Returns all parts as one."""
+        """Returns all parts joined."""
         return Content(
             np.concatenate((np.empty((0, 3)), *self._vertices)),
             np.concatenate((np.empty((0, 3), dtype=np.int64), *self._faces)),
@@ -73,5 +73,5 @@ class Parts:
 
 
 def too_many(count: int, most: int) -> Unreadable:
-    """Returns what is said of a mesh that is too large."""
-    return Unreadable(f"it has {count} triangles or more; allowed: {most}, see Limits")
+    """Returns the error for a mesh with too many triangles."""
+    return Unreadable(f"the file has {count} triangles or more; allowed: {most}, see Limits")

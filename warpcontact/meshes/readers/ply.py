@@ -1,4 +1,4 @@
-"""PLY, binary of both byte orders and text."""
+"""Reader of PLY, binary in both byte orders and text."""
 
 import re
 from abc import ABC, abstractmethod
@@ -21,9 +21,9 @@ _CORNERS = ("vertex_indices", "vertex_index")
 
 @dataclass
 class _Element:
-    """An element of the header: how many rows there are, and what a row holds.
+    """Element of the header: its number of rows, and the content of a row.
 
-    ``properties`` are name, type, and the type of the number of entries, empty for a single value.
+    ``properties`` are name, type, and type of the list length, which is empty for a single value.
     """
 
     name: str
@@ -35,12 +35,12 @@ class _Element:
         return any(length for _, _, length in self.properties)
 
 
-# What a row holds, by the name of the property: values (n,), or the lengths and all entries of lists.
+# Content of rows by property name: values (n,), or lengths and concatenated entries of lists.
 _Columns = dict[str, Any]
 
 
 def read_ply(data: bytes) -> Content:
-    """Returns vertices and faces of a PLY file; colours and other properties are passed over."""
+    """Returns vertices and faces of a PLY file; colors and other properties are ignored."""
     order, elements, start = _header(data)
     for element in elements:
         for name, kind, length in element.properties:
@@ -52,26 +52,26 @@ def read_ply(data: bytes) -> Content:
         columns = body.rows(element)
         if element.name == "vertex":
             if element.has_lists:
-                raise Unreadable("its vertices have properties that are lists, which is not supported")
+                raise Unreadable("list properties of vertices are not supported")
             if not {"x", "y", "z"} <= columns.keys():
-                raise Unreadable("not valid PLY: its vertices have no x, y and z")
+                raise Unreadable("not valid PLY: vertices must have x, y and z")
             vertices = np.stack([columns[axis].astype(np.float64) for axis in "xyz"], axis=1)
         elif element.name == "face" and element.count:
             found = [columns[name] for name in _CORNERS if name in columns]
             if not found or not isinstance(found[0], tuple):
-                raise Unreadable(f"not valid PLY: its faces have no list {' or '.join(_CORNERS)}")
+                raise Unreadable(f"not valid PLY: faces must have a list {' or '.join(_CORNERS)}")
             counts, corners = found[0]
     if (counts < 3).any():
         i = int((counts < 3).argmax())
-        raise Unreadable(f"face {i} has {counts[i]} corners; allowed: 3 or more")
+        raise Unreadable(f"face {i} must have at least 3 vertices, got {counts[i]}")
     return from_polygons(vertices, counts, corners)
 
 
 def _header(data: bytes) -> tuple[str, list[_Element], int]:
-    """Returns the byte order (empty for text), the elements, and where the rows begin."""
+    """Returns the byte order (empty for text), the elements, and the offset of the rows."""
     end = re.search(rb"(?m)^end_header[ \t]*(\r\n|\n|\r)", data)
     if not data.startswith(b"ply") or not end:
-        raise Unreadable("there is no PLY header")
+        raise Unreadable("no PLY header")
     order, elements = None, list[_Element]()
     for line in data[: end.start()].decode(errors="replace").splitlines()[1:]:
         match line.split():
@@ -88,29 +88,31 @@ def _header(data: bytes) -> tuple[str, list[_Element], int]:
             case [] | ["comment" | "obj_info", *_]:
                 pass
             case _:
-                raise Unreadable(f"not valid PLY: its header has the line {line[:80]!r}")
+                raise Unreadable(f"not valid PLY: invalid header line {line[:80]!r}")
     for element in elements:
         names = [name for name, _, _ in element.properties]
         if len(set(names)) < len(names) or not names:
-            raise Unreadable(f"not valid PLY: its {element.name} rows have the properties {names[:20]}")
+            raise Unreadable(
+                f"not valid PLY: properties of {element.name} must be distinct and not empty, got {names[:20]}"
+            )
     if order is None:
-        raise Unreadable(f"not valid PLY: its header has no format; allowed: {', '.join(_ORDERS)}")
+        raise Unreadable(f"not valid PLY: the header has no format; allowed: {', '.join(_ORDERS)}")
     return order, elements, end.end()
 
 
 class _Body(ABC):
-    """The rows of all elements, one element after the other."""
+    """Rows of all elements, read one element after the other."""
 
     @abstractmethod
     def rows(self, element: _Element) -> _Columns:
-        """Returns the rows of the next element."""
+        """Reads the rows of the next element."""
 
 
 class _TextBody(_Body):
     def __init__(self, text: bytes, elements: list[_Element]) -> None:
-        if b"_" in text:  # Python takes 1_0 for 10
+        if b"_" in text:  # Python accepts 1_0 as 10
             word = next(word for word in text.split() if b"_" in word)
-            raise Unreadable(f"not valid PLY: {word[:80].decode(errors='replace')!r} is no number")
+            raise Unreadable(f"not valid PLY: {word[:80].decode(errors='replace')!r} is not a number")
         self.lines = [words for words in (line.split() for line in text.splitlines()) if words]
         self.next = 0
         announced = sum(element.count for element in elements)
@@ -172,7 +174,7 @@ class _BinaryBody(_Body):
         return self._variable_lists(element)
 
     def _lengths(self, element: _Element) -> dict[str, int]:
-        """Lengths of the lists in the next row."""
+        """Returns the lengths of the lists in the next row."""
         lengths, at = {}, self.at
         for name, kind, length in element.properties:
             if length:
@@ -180,14 +182,14 @@ class _BinaryBody(_Body):
                     raise self._truncated(element)
                 lengths[name] = self._count(element, length, at)
                 at += int(length[1]) + lengths[name] * int(kind[1])
-                if at > len(self.data):  # before a type is made of that length
+                if at > len(self.data):  # before creating a dtype of that length
                     raise self._truncated(element)
             else:
                 at += int(kind[1])
         return lengths
 
     def _count(self, element: _Element, length: str, at: int) -> int:
-        """Number of entries of the list that begins at byte ``at``."""
+        """Returns the number of entries of the list that begins at byte ``at``."""
         bytes_of = self.data[at : at + int(length[1])]
         count = int.from_bytes(bytes_of, "big" if self.order == ">" else "little", signed=length[0] == "i")
         if count < 0:
@@ -204,7 +206,7 @@ class _BinaryBody(_Body):
         return np.dtype(fields)
 
     def _variable_lists(self, element: _Element) -> _Columns:
-        """The list of corners of rows whose lists differ in length."""
+        """Reads the vertex lists of rows whose lists differ in length."""
         name = next((n for n, _, length in element.properties if length and n in _CORNERS), "")
         kind, counts, places, end = "i1", list[int](), list[int](), len(self.data)
         for _ in range(element.count):
@@ -233,7 +235,7 @@ class _BinaryBody(_Body):
 
     def _truncated(self, element: _Element) -> Unreadable:
         return Unreadable(
-            f"the header announces {element.count} {element.name} rows, but the file ends before; "
+            f"the header announces {element.count} {element.name} rows, but the file ends earlier; "
             "is the file cut short?"
         )
 
@@ -245,5 +247,5 @@ def _column(table: npt.NDArray[Any], name: str, length: int | None) -> Any:
 
 
 def _length(name: str) -> str:
-    """Name of the column with the number of entries of list ``name``, which no property has."""
+    """Returns the column name of the length of list ``name``, which differs from any property name."""
     return f"{name} length"

@@ -1,4 +1,4 @@
-"""STL, binary and text. The solids of a text are joined; their names are groups."""
+"""Reader of STL, binary and text. The solids of a text file are joined; their names become groups."""
 
 import struct
 
@@ -12,13 +12,13 @@ _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribut
 def read_stl(data: bytes) -> Content:
     """Returns the triangles of an STL file, each with three vertices of its own."""
     announced = struct.unpack_from("<I", data, 80)[0] if len(data) >= 84 else None
-    # The size decides and not the first word, which is "solid" in many binary files too.
+    # Decide by the size, because many binary files begin with "solid" too.
     if announced is not None and len(data) == 84 + 50 * announced:
         return _separate_triangles(np.frombuffer(data, dtype=_RECORD, offset=84)["corners"].astype(np.float64))
     text = data.lstrip()
     if text[:5].lower() != b"solid" or b"\0" in text:
         if announced is None:
-            raise Unreadable(f"{len(data)} bytes are too few for a binary STL, and it is no text STL")
+            raise Unreadable(f"{len(data)} bytes are too few for a binary STL, and the file is not a text STL")
         raise Unreadable(
             f"the header announces {announced} triangles, so {84 + 50 * announced} bytes of binary STL, but "
             f"the file has {len(data)} bytes"
@@ -42,13 +42,13 @@ def _read_text(text: bytes) -> Content:
             vertices.append(numbers(words[1:4], 3, f"line {number}", float))
         elif kind == b"facet":
             if facet:
-                raise Unreadable(f"line {number}: a facet begins within another one")
+                raise Unreadable(f"line {number}: a facet begins within another facet")
             facet = True
         elif kind == b"endfacet":
             facet, complete = False, complete + 1
             if len(vertices) != 3 * complete:
                 corners = len(vertices) - 3 * (complete - 1)
-                raise Unreadable(f"line {number}: a facet has 3 vertices, got {corners}")
+                raise Unreadable(f"line {number}: a facet must have 3 vertices, got {corners}")
         elif kind == b"solid":
             if solid is not None:
                 raise Unreadable(f"line {number}: a solid begins within solid {solid!r}")
@@ -58,7 +58,7 @@ def _read_text(text: bytes) -> Content:
             solid = None
         elif kind not in (b"outer", b"endloop", b"", b"end"):
             word = kind[:40].decode(errors="replace")
-            raise Unreadable(f"line {number}: not valid STL, which has no word {word!r}")
+            raise Unreadable(f"line {number}: not valid STL, unknown keyword {word!r}")
     if facet or solid is not None or len(vertices) != 3 * complete:
         raise Unreadable(
             f"the text ends within solid {solid!r}, after {complete} triangles; is the file cut short?"

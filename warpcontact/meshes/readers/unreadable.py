@@ -1,5 +1,5 @@
-"""What readers raise."""
+"""Exception raised by readers."""
 
 
 class Unreadable(ValueError):
-    """What is wrong with the content of a file, as one sentence without the name of the file."""
+    """Content of a file that cannot be read; the message is one sentence without the name of the file."""

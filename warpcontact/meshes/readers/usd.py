@@ -1,4 +1,4 @@
-"""USD: the meshes of a stage, each in its place. Names of prims and of subsets of faces are groups."""
+"""Reader of USD: the meshes of a stage. Names of prims and of face subsets become groups."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,14 +14,14 @@ from warpcontact.meshes.readers.usd_layers import check_layers, reason
 
 
 def read_usd(path: Path, prim: str | None, most_faces: int, *, confined: bool) -> Content:
-    """Returns the visible meshes of a stage, of purpose default or render, or those of one prim.
+    """Returns the visible meshes of a stage with purpose default or render, or those of one prim.
 
     Args:
         path: The file.
-        prim: Path of a mesh, which is taken whatever its visibility and purpose, or of a group of prims; ``None``:
-            the whole stage.
-        most_faces: Number of triangles that are allowed.
-        confined: Whether all files that the stage is made of have to lie in the folder of the file or below.
+        prim: Path of a mesh, which is read for any visibility and purpose, or of a group of prims; ``None``: the
+            whole stage.
+        most_faces: Largest number of triangles.
+        confined: Whether all layers of the stage must lie in or below the folder of the file.
     """
     from pxr import Tf, Usd, UsdGeom
 
@@ -52,7 +52,7 @@ def read_usd(path: Path, prim: str | None, most_faces: int, *, confined: bool) -
             str(found.GetPath()),
             vertices,
             faces,
-            np.array(places.GetLocalToWorldTransform(found)).T,  # Gf multiplies rows
+            np.array(places.GetLocalToWorldTransform(found)).T,  # Gf uses row vectors
             names=[found.GetName()],
             groups=list(_subsets(found, time, owner, len(counts))),
             flip=str(mesh.GetOrientationAttr().Get(time)) == "leftHanded",
@@ -73,11 +73,11 @@ def _prim(stage: Any, path: str) -> Any:
         return prim
     meshes = [str(found.GetPath()) for found in stage.Traverse() if found.IsA(UsdGeom.Mesh)]
     listed = ", ".join(meshes[:10]) + (", …" if len(meshes) > 10 else "")
-    raise Unreadable(f"there is no prim {path!r}; meshes are at {listed or 'no place'}")
+    raise Unreadable(f"the prim {path!r} does not exist; meshes: {listed or 'none'}")
 
 
 def _gprims(root: Any, time: Any) -> Iterator[Any]:
-    """Visible shapes at and below ``root`` that are to be rendered; instances and their parts are seen as well."""
+    """Iterates over visible, renderable shapes at and below ``root``, including those in instances."""
     from pxr import Usd, UsdGeom
 
     if root.IsA(UsdGeom.Mesh):
@@ -87,7 +87,7 @@ def _gprims(root: Any, time: Any) -> Iterator[Any]:
     for prim in prims:
         if prim.IsA(UsdGeom.PointInstancer):
             yield prim
-            prims.PruneChildren()  # its prototypes are not where they are
+            prims.PruneChildren()  # prototypes are not drawn where they are defined
         elif prim.IsA(UsdGeom.Gprim):
             shape = UsdGeom.Imageable(prim)
             if str(shape.ComputeVisibility(time)) == "invisible":
@@ -97,7 +97,7 @@ def _gprims(root: Any, time: Any) -> Iterator[Any]:
 
 
 def polygons(mesh: Any, time: Any) -> tuple[npt.NDArray[np.float64], Integers, Integers]:
-    """Returns vertices (V, 3), and numbers of corners (n,) and corners of the polygons of a ``UsdGeom.Mesh``."""
+    """Returns vertices (V, 3), numbers of vertices (n,) and vertex indices of the polygons of a ``UsdGeom.Mesh``."""
     path = mesh.GetPath()
     points, counts, corners = (
         attribute.Get(time)
@@ -111,13 +111,13 @@ def polygons(mesh: Any, time: Any) -> tuple[npt.NDArray[np.float64], Integers, I
         raise Unreadable(f"{path}.faceVertexCounts[{i}] must be 3 or more, got {sizes[i]}")
     if sizes.sum() != len(indices):
         raise Unreadable(
-            f"{path}.faceVertexCounts announce {sizes.sum()} corners, but faceVertexIndices has {len(indices)}"
+            f"{path}.faceVertexCounts add up to {sizes.sum()} vertices, but faceVertexIndices has {len(indices)}"
         )
     return vertices, sizes, indices
 
 
 def without_holes(mesh: Any, time: Any, count: int) -> npt.NDArray[np.bool]:
-    """Returns which of the ``count`` polygons of a ``UsdGeom.Mesh`` are no holes."""
+    """Returns which of the ``count`` polygons of a ``UsdGeom.Mesh`` are not holes."""
     holes = mesh.GetHoleIndicesAttr().Get(time)
     kept = np.ones(count, dtype=bool)
     if holes:
@@ -126,7 +126,7 @@ def without_holes(mesh: Any, time: Any, count: int) -> npt.NDArray[np.bool]:
 
 
 def _subsets(prim: Any, time: Any, owner: Integers, count: int) -> Iterator[tuple[str, Integers]]:
-    """Names and triangles of the subsets of faces of a mesh; ``owner`` is the polygon of each triangle."""
+    """Iterates over names and triangles of the face subsets of a mesh; ``owner`` is the polygon of each triangle."""
     from pxr import Usd, UsdGeom
 
     for child in prim.GetFilteredChildren(Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)):
@@ -147,16 +147,16 @@ def _in_range(numbers: Integers, count: int, label: str) -> Integers:
 
 
 def _remark(content: Content, stage: Any, split: list[int], others: dict[str, int], cages: int) -> None:
-    """Says what was taken how, and what was left out."""
+    """Adds warnings and notes about omissions and conversions."""
     from pxr import UsdGeom
 
     if split[0] != split[1]:
         content.warnings.append(split_warning(*split))
     if others:
         listed = ", ".join(f"{count} {kind}" for kind, count in sorted(others.items()))
-        content.warnings.append(f"shapes that are no meshes were left out: {listed}")
+        content.warnings.append(f"shapes other than meshes were omitted: {listed}")
     if not UsdGeom.StageHasAuthoredMetersPerUnit(stage):
-        content.unit_warning = "the file does not say metersPerUnit, so its unit is 0.01 m, as USD has it"
-    content.notes.append(f"the up axis is {UsdGeom.GetStageUpAxis(stage)}; the mesh is not turned")
+        content.unit_warning = "metersPerUnit is not authored: the unit is 0.01 m, the default of USD"
+    content.notes.append(f"the up axis is {UsdGeom.GetStageUpAxis(stage)}; the mesh is not rotated")
     if cages:
-        content.notes.append(f"subdivision is not carried out: the control meshes of {cages} prims are taken")
+        content.notes.append(f"subdivision is ignored: the control meshes of {cages} prims are used")

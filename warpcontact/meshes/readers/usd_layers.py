@@ -1,7 +1,7 @@
-"""Which files a USD stage is made of, found out before it is composed.
+"""Checks the files that a USD stage refers to, before the stage is composed.
 
-A stage follows its references, payloads and sublayers wherever they lead. Opened one by one, layers are only
-parsed: nothing that they refer to is read before its place is known.
+A stage follows its references, payloads and sublayers to any file. When layers are opened one by one, they are only
+parsed: files that they refer to are read after their paths have been checked.
 """
 
 import re
@@ -15,14 +15,14 @@ MOST_LAYERS = 1000
 
 
 def check_layers(path: Path, *, confined: bool) -> None:
-    """Checks every layer that the stage of file ``path`` is made of.
+    """Checks every layer of the stage of file ``path``.
 
     Args:
-        path: The file, without links.
-        confined: Whether all of them have to lie in the folder of the file or below.
+        path: The file, with links resolved.
+        confined: Whether all layers must lie in or below the folder of the file.
 
     Raises:
-        Unreadable: If a layer lies elsewhere, is missing, is no USD file, or uses value clips (if confined).
+        Unreadable: If a layer lies elsewhere, is missing, is not a USD file, or uses value clips (if confined).
     """
     waiting, seen = [str(path)], {str(path)}
     while waiting:
@@ -35,7 +35,7 @@ def check_layers(path: Path, *, confined: bool) -> None:
                 seen.add(target)
                 waiting.append(target)
         if len(seen) > MOST_LAYERS:
-            raise Unreadable(f"it is made of more than {MOST_LAYERS} files, which is not supported")
+            raise Unreadable(f"the stage has more than {MOST_LAYERS} layers, which is not supported")
         if confined:
             layer.Traverse("/", lambda place, layer=layer: _refuse_clips(layer, place))
 
@@ -56,24 +56,24 @@ def _open(identifier: str) -> Any:
 
 
 def reason(error: Exception) -> str:
-    """Returns the first that USD says went wrong, without names in its own source and folders of the file."""
+    """Returns the first message of a USD error, without source locations of USD and folders of the file."""
     messages = re.findall(r"(?m)' at line \d+ in file .*? : '(.*?)'?$", str(error)) or [str(error)]
-    # What its parser says of a place in a text, which it may say before without the place.
+    # Prefer a parser message with a position in the text; the same message may come first without it.
     placed = (re.search(r"([^/]*):(\d+):(\d+): (.*?)(?: at '| in <|$)", one) for one in messages)
     found = next((one for one in placed if one), None)
     if found is None:
         return " ".join(re.sub(r"<?\S*/([^\s/>]*)>?", r"\1", messages[0]).split())[:200]
     file, line, column, text = found.groups()
-    text = "what stands there is not understood" if text.startswith("parse error matching") else text
+    text = "syntax error" if text.startswith("parse error matching") else text
     return f"{file}, line {line}, column {column}: {text}"[:200]
 
 
 def _target(layer: Any, asset: str, folder: Path | None) -> str:
-    """Returns the identifier of the layer that ``asset`` in ``layer`` names."""
+    """Returns the identifier of the layer to which ``asset`` in ``layer`` refers."""
     from pxr import Ar, Sdf
 
     if "://" in asset or "`" in asset:
-        raise Unreadable(f"it refers to {asset[:200]!r}, which is no file")
+        raise Unreadable(f"the stage refers to {asset[:200]!r}, which is not a file")
     anchored = Sdf.ComputeAssetPathRelativeToLayer(layer, asset)
     outer, inner = anchored, ""
     if Ar.IsPackageRelativePath(anchored):
@@ -81,22 +81,22 @@ def _target(layer: Any, asset: str, folder: Path | None) -> str:
     try:
         place = Path(outer).resolve()
     except (OSError, ValueError, RuntimeError) as error:  # a loop of links, or a null character
-        raise Unreadable(f"it refers to {asset[:200]!r}, which cannot be read: {error}") from None
+        raise Unreadable(f"the stage refers to {asset[:200]!r}, which cannot be read: {error}") from None
     if folder is not None and not place.is_relative_to(folder):
         raise Unreadable(
-            f"it refers to {asset[:200]!r}, outside of its folder; allowed: files beside it or below, "
+            f"the stage refers to {asset[:200]!r}, outside of its folder; allowed: files in that folder or below, "
             "or any file with trusted=True"
         )
     if not place.is_file():
-        raise Unreadable(f"it refers to {asset[:200]!r}, which does not exist")
+        raise Unreadable(f"the stage refers to {asset[:200]!r}, which does not exist")
     if not inner and place.suffix.lower() not in SUFFIXES:
-        raise Unreadable(f"it refers to {asset[:200]!r}; allowed: files of type {', '.join(SUFFIXES)}")
+        raise Unreadable(f"the stage refers to {asset[:200]!r}; allowed: files of type {', '.join(SUFFIXES)}")
     return anchored
 
 
 def _refuse_clips(layer: Any, place: Any) -> None:
-    """Value clips name further files, some by patterns, in which attributes are looked up."""
-    # A variant has them as a prim has: any spec is looked at.
+    """Raises ``Unreadable`` if a prim has value clips, which name further files, some by patterns."""
+    # Any spec is checked, because variants can have clips as well as prims.
     spec = None if place.IsPropertyPath() else layer.GetObjectAtPath(place)
     if spec and any(key.startswith("clip") for key in spec.ListInfoKeys()):
-        raise Unreadable(f"it has value clips at {place}, which are read with trusted=True only")
+        raise Unreadable(f"value clips at {place} are read with trusted=True only")
