@@ -150,7 +150,7 @@ def test_sample_surface_raises_for_invalid_arguments():
         ({"count": 0}, "count must be a whole number of at least 1, got 0"),
         ({}, "count must be a whole number of at least 1, got None"),
         ({"count": 2.0}, "count must be a whole number of at least 1, got 2.0"),
-        ({"count": 5, "method": "vertices"}, "count must be left out with method='vertices'"),
+        ({"count": 5, "method": "vertices"}, "count must be None with method='vertices'"),
         ({"count": 5, "method": "random"}, "method must be one of 'blue_noise', 'vertices', 'centroids'"),
         ({"count": 5, "seed": -1}, "seed must be a whole number of at least 0, got -1"),
         ({"count": 5, "faces": [12]}, "faces must be face numbers from 0 to 11, got 12"),

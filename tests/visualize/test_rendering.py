@@ -334,10 +334,10 @@ def test_empty_scene_and_non_finite_objects_are_rendered(device):
 @pytest.mark.parametrize(
     ("shape", "message"),
     [
-        (Shape(np.eye(3), np.zeros((0, 3), dtype=np.int32)), "thing: has a mesh without faces"),
+        (Shape(np.eye(3), np.zeros((0, 3), dtype=np.int32)), "thing: the mesh must have faces"),
         (
             Shape(np.eye(3), np.array([[0, 1, 3]], dtype=np.int32)),
-            "thing: faces must name vertices 0 to 2, got 0 to 3",
+            "thing: vertex indices must be from 0 to 2, got 0 to 3",
         ),
         (Shape(np.full((3, 3), np.nan), np.array([[0, 1, 2]], dtype=np.int32)), "thing: vertices must be finite"),
         (

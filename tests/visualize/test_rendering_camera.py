@@ -130,9 +130,7 @@ def test_panels_have_equal_size_and_do_not_overlap(count):
 
 
 def test_too_many_panels_are_refused():
-    with pytest.raises(
-        ValueError, match="size must have room for panels of 900 environments, got 64 × 64 pixels; together"
-    ):
+    with pytest.raises(ValueError, match="size must be sufficient for 900 panels, got 64 × 64 pixels; together"):
         sheet.places(900, 64, 64)
 
 

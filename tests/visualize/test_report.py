@@ -89,7 +89,7 @@ def test_report_describes_the_run_and_its_results(crate, text):
     ):
         assert expected_text in words
     assert "5×10⁻⁴ s" in words.replace("\u202f", " ") or "0.0005 s" in words.replace("\u202f", " ")
-    assert "a body became faster than scene.max_speed" in words
+    assert "a body exceeded scene.max_speed" in words
     assert (crate.folder / "experiment.toml").read_text() in page.text
 
 
@@ -206,7 +206,7 @@ def test_replay_includes_records_of_the_largest_forces(recorded_every_step):
 
 def test_report_loop_of_a_set_states_its_point(text):
     expected_text = (
-        "normal force over penetration of one point of 8, in each environment that with the largest force"
+        "normal force over penetration of the point with the largest force in each environment, out of 8"
     )
     assert expected_text in " ".join(report_runs.ParsedPage(text).text.split())
 
@@ -356,7 +356,7 @@ def test_report_without_series_states_how_to_get_a_replay(tmp_path):
 def test_report_without_outcomes_states_so(tmp_path):
     study = report_runs.changed(outcome=None, duration=0.01, envs=1, variation=None)
     page = report_runs.check_harmless(written(report_runs.run(tmp_path / "run", study), tmp_path / "x.html"))
-    assert "asks for no outcomes" in page.text
+    assert "defines no outcomes" in page.text
     assert len(page.blocks["replay"]["envs"]) == 1
 
 
@@ -369,7 +369,7 @@ def test_report_of_an_unfinished_run_states_progress(crate, tmp_path):
         del summary[key]
     (folder / "run.json").write_text(json.dumps(summary | {"state": "interrupted"}))
     page = report_runs.check_harmless(written(folder, tmp_path / "x.html"))
-    assert "This run was interrupted, and can go on with --resume" in page.text
+    assert "This run was interrupted and can be resumed with --resume" in page.text
     assert "3 of 6 environments are finished, in 1 of 2 shards." in page.text
     assert page.blocks["environments"]["env"] == [0, 1, 2]
     assert [one["env"] for one in page.blocks["replay"]["envs"]] == [0, 1, 2]
@@ -384,7 +384,7 @@ def test_report_without_valid_scene_omits_replay_only(copied, tmp_path):
     path = folder / "experiment.toml"
     path.write_text(path.read_text().replace('shape = "box"', 'shape = "<b>gone</b>"'))
     page = report_runs.check_harmless(written(folder, tmp_path / "x.html"))
-    assert "There is no replay, as the scene cannot be made again" in page.text
+    assert "No replay: the scene cannot be restored" in page.text
     assert {"outcomes", "series", "environments"} <= ids(page)
 
 

@@ -325,10 +325,10 @@ def test_report_lists_failed_stopped_and_reset_environments():
     outcome = xr.Dataset({"stopped_by": ("env", [-1, -1, 1], stops), "resets": ("env", [0, 0, 3])})
     content = ended.section(health, outcome)
     rows = cells(content)
-    assert rows[1][1:] == ["0.25\u202fs", "a body went beyond scene.max_distance"]
+    assert rows[1][1:] == ["0.25\u202fs", "a body exceeded scene.max_distance"]
     assert 'data-replay="1"' in rows[1][0]
     assert rows[-1] == ["<bdi>&lt;tipped&gt;</bdi>", "1"]
-    assert "1 environment failed and began anew, 3 times in all." in content
+    assert "1 environment failed and restarted, 3 times in total." in content
     good = Health.of(np.zeros(2, int) + EnvironmentStatus.ACTIVE, np.zeros(2, int), np.ones(2))
     assert "No environment failed." in ended.section(good, outcome[["resets"]] * 0)
 
@@ -387,7 +387,7 @@ def test_shown_environments_include_first_failed_and_extreme_ones(million):
         choose([500, 3], small["env"].values, health, spreads)
     with pytest.raises(ValueError, match="envs must name at least one"):
         choose([], small["env"].values, health, spreads)
-    with pytest.raises(ValueError, match="envs must be numbers of environments, got 'a'"):
+    with pytest.raises(ValueError, match="envs must be environment numbers, got 'a'"):
         choose(["a"], small["env"].values, health, spreads)
 
 

@@ -71,7 +71,7 @@ def test_stills_at_different_times_have_the_same_camera(run):
 
 def test_recording_without_scene_requires_scene_argument(run):
     part = run.recording.isel(time=slice(0, 3))
-    with pytest.raises(ValueError, match="does not know its scene"):
+    with pytest.raises(ValueError, match="has no scene"):
         wc.render(part, **SMALL)
     assert wc.render(part, scene=run.scene, **SMALL).any()
 
@@ -282,7 +282,7 @@ def test_mp4_uses_a_codec_that_browsers_play(run, tmp_path, capsys):
 def test_missing_ffmpeg_error_names_alternatives(run, tmp_path, monkeypatch):
     monkeypatch.setattr(writers.shutil, "which", lambda name: None)
     with pytest.raises(
-        ValueError, match=r"a\.mp4: an \.mp4 file needs ffmpeg, which is not on the PATH; \.gif needs nothing"
+        ValueError, match=r"a\.mp4: an \.mp4 file needs ffmpeg, which is not on the PATH; use a \.gif file"
     ):
         wc.film(run, tmp_path / "a.mp4", progress=False, **SMALL)
     assert not list(tmp_path.iterdir())
@@ -294,7 +294,9 @@ def test_ffmpeg_failure_is_reported_and_leaves_no_file(run, tmp_path, monkeypatc
     program.write_text("#!/bin/sh\necho 'Unknown encoder libx264' >&2\nexit 1\n")
     program.chmod(0o755)
     monkeypatch.setattr(writers.shutil, "which", lambda name: str(program))
-    with pytest.raises(ValueError, match=r"a\.mp4: ffmpeg failed: Unknown encoder libx264; \.gif needs no ffmpeg"):
+    with pytest.raises(
+        ValueError, match=r"a\.mp4: ffmpeg failed: Unknown encoder libx264; use a \.gif file instead"
+    ):
         wc.film(run, tmp_path / "a.mp4", progress=False, **SMALL)
     assert [entry.name for entry in tmp_path.iterdir()] == ["bin"]
 
@@ -321,7 +323,7 @@ def test_interrupted_film_keeps_the_existing_file(run, tmp_path, monkeypatch):
         (["-o", "{}/a.png", "--time", "1"], r"--time must be within the recording, 0 to 0\.2 s, got 1"),
         (["-o", "{}/a.png", "--time", "0", "0.1"], "--time is one time of a picture, got 2"),
         (["-o", "{}/a.gif", "--time", "0"], "--time is the first and the last time of a film, got 1"),
-        (["-o", "{}/a.gif", "--time", "0.1", "0.1"], "--time must be the first and a later last one"),
+        (["-o", "{}/a.gif", "--time", "0.1", "0.1"], "--time must be two ascending times"),
         (["-o", "{}/a.gif", "--fps", "60"], "--fps must be greater than 0 and at most 50"),
         (["-o", "{}/a.gif", "--fps", "0"], "--fps must be greater than 0"),
         (["-o", "{}/a.gif", "--speed", "-1"], "--speed must be greater than 0"),
@@ -348,7 +350,7 @@ def test_odd_mp4_sizes_are_refused(run, tmp_path, capsys):
 
 def test_film_with_too_many_pictures_is_refused(run, tmp_path, capsys):
     assert command(run, "-o", tmp_path / "a.gif", "--speed", 1e-9) == 2
-    assert re.search(r"at most 100000 pictures, got \d+ of 0 to 0.2 s; lower fps", capsys.readouterr().err)
+    assert re.search(r"at most 100000 frames, got \d+ of 0 to 0.2 s; decrease fps", capsys.readouterr().err)
 
 
 def test_render_size_must_be_two_numbers(run, capsys):
@@ -373,6 +375,6 @@ def test_render_command_refuses_folder_without_a_run(tmp_path, capsys):
 
 def test_render_refuses_an_invalid_recording():
     with pytest.raises(
-        TypeError, match=r"recording must be what Simulation\.run or wc\.open_run returns, got str"
+        TypeError, match=r"recording must be the result of Simulation\.run or wc\.open_run, got str"
     ):
         wc.render("results", **SMALL)

@@ -71,7 +71,7 @@ def test_pictures_and_reports_count_stopped_environments(run, titles, tmp_path):
     held = "4 stopped and 1 frozen (dotted), shown as they were to the end"
     assert titles == [f"fall: 6 environments, 0.5 s, float32; {held}"]
     page = report_runs.ParsedPage(wc.report(run, tmp_path / "report.html").read_text(encoding="utf-8"))
-    assert "4 stopped ones stay in them as they were." in " ".join(page.text.split())
+    assert "4 stopped ones are included with their last values." in " ".join(page.text.split())
 
 
 def test_summary_counts_environments_per_stop_condition(run):

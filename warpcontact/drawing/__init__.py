@@ -1,1 +1,1 @@
-"""A recording as it is looked at: what moves where, in the chosen environments."""
+"""Drawings of recordings: geometry of the selected environments over time, independent of the renderer."""

@@ -1,4 +1,4 @@
-"""Colours of numbers and of gaps, and colours as displays and as light have them."""
+"""Colors of numbers and gaps, and conversion from sRGB to linear colors."""
 
 import math
 from dataclasses import dataclass
@@ -10,11 +10,11 @@ from numpy.typing import ArrayLike
 from warpcontact.drawing.equal_items import merged_items
 from warpcontact.validation.checks import Array
 
-#: Perceptually ordered, and readable for who does not see some colours.
+#: Perceptually uniform color map, also suitable for color-blind readers.
 COLORMAP = "viridis"
-#: Of what has no number.
+#: Color of missing numbers, RGB in 0…1.
 MISSING = (0.5, 0.5, 0.5)
-#: Of gaps, from −1, the deepest overlap, over 0, touch, to 1, far away: RGB in 0…255.
+#: Colors of gaps, from −1 (largest overlap) over 0 (contact) to 1 (far away): RGB in 0…255.
 GAPS = (
     (-1.0, (178, 24, 43)),
     (-0.5, (239, 138, 98)),
@@ -26,23 +26,23 @@ GAPS = (
 
 @dataclass(frozen=True)
 class Scale:
-    """Colours of numbers from the lowest to the highest of some.
+    """Color scale from the lowest to the highest of some numbers.
 
     Attributes:
-        low: The lowest; above ``high`` if there is none.
-        high: The highest.
+        low: Lowest number; above ``high`` if there are none.
+        high: Highest number.
     """
 
     low: float = math.inf
     high: float = -math.inf
 
     def widened(self, values: Array) -> "Scale":
-        """Returns the scale of these numbers as well, of which those that are not finite do not count."""
+        """Returns the scale extended to further numbers; non-finite ones are ignored."""
         good = values[np.isfinite(values)]
         return Scale(min(self.low, float(good.min())), max(self.high, float(good.max()))) if len(good) else self
 
     def colors(self, values: Array) -> Array:
-        """Returns the colours of numbers (…) as displayed, RGB in 0…1, (…, 3); grey where there is none."""
+        """Returns the sRGB colors of numbers (…), in 0…1, (…, 3); gray if not finite."""
         import matplotlib as mpl
 
         good = np.isfinite(values)
@@ -53,9 +53,9 @@ class Scale:
 
 
 def per_environment_number(array: xr.DataArray) -> xr.DataArray | None:
-    """Returns a variable as one number for each environment, (env,) or, if it is one in each record, (time, env).
+    """Returns a variable as one number per environment, (env,), or per record and environment, (time, env).
 
-    That is so of a parameter of a set, too, if its items agree in each environment. ``None``: it is not so.
+    A parameter of a set is accepted if its items are equal in each environment. ``None`` if there is no such number.
     """
     if array.dtype.kind not in "biuf":
         return None
@@ -65,24 +65,24 @@ def per_environment_number(array: xr.DataArray) -> xr.DataArray | None:
 
 
 def gap_colors(gaps: Array, deepest: float, far: float) -> Array:
-    """Returns the colours of gaps as displayed, RGB in 0…1, (…, 3).
+    """Returns the sRGB colors of gaps, in 0…1, (…, 3).
 
-    Red where surfaces overlap, pale where they just touch, blue where they are apart, grey where that is unknown.
+    Red: overlap; pale: contact; blue: separated; gray: unknown.
 
     Args:
         gaps: Signed distances (…) [m].
-        deepest: Depth of the red end [m].
+        deepest: Penetration of the red end [m].
         far: Distance of the blue end [m].
     """
     good = np.isfinite(gaps)
-    known = np.where(good, gaps, 0.0)
-    part = known / np.where(known < 0.0, deepest, far)
+    finite_gaps = np.where(good, gaps, 0.0)
+    part = finite_gaps / np.where(finite_gaps < 0.0, deepest, far)
     stops, colors = np.array([stop for stop, _ in GAPS]), np.array([color for _, color in GAPS]) / 255.0
     mixed = np.stack([np.interp(part, stops, component) for component in colors.T], axis=-1)
     return np.where(good[..., None], mixed, MISSING)
 
 
 def linear(colors: ArrayLike) -> Array:
-    """Returns colours as displayed (sRGB) as linear ones, components in 0…1."""
+    """Converts sRGB colors to linear ones, components in 0…1."""
     shown = np.clip(np.asarray(colors, dtype=np.float64), 0.0, 1.0)
     return np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)

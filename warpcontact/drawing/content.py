@@ -1,4 +1,4 @@
-"""What an environment holds that can be seen, whatever shows it."""
+"""Visible content of the selected environments, independent of the output format."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,27 +13,27 @@ from warpcontact.drawing.spheres import Spheres, find_spheres, scene_size
 from warpcontact.drawing.surfaces import Placement
 from warpcontact.validation.checks import Array
 
-#: Width of what has no size, in sizes of its body.
+#: Width of points without radius, as a multiple of the size of their body.
 POINT = 0.03
 
 
 @dataclass(frozen=True)
 class Content:
-    """What is seen of the chosen environments of a recording, element by element.
+    """Visible content of the selected environments of a recording, by element.
 
     Attributes:
-        replay: The recording.
-        poses: Positions (time, env, …, 3) and orientations of the bodies by their names.
-        placements: The surfaces by their names.
+        replay: Replay of the environments.
+        poses: Positions (time, env, …, 3) and orientations of the bodies by name.
+        placements: Surfaces by name.
         spheres: Spheres and points of contacts.
         forms: Single shapes.
         shape_sets: Shapes on sets of bodies.
         body_sets: Spheres and points on sets of bodies.
         lines: Forces of contacts.
-        resultants: Forces of contact couplings and of particle contacts, of which only sums are recorded.
+        resultants: Forces of contact couplings and of particle contacts, for which only sums are recorded.
         curves: Couplings.
-        size: Length of the largest body [m].
-        force_scale: Metres per newton that draw the largest force at 1.5 times ``size``.
+        size: Size of the drawing, the length of the largest body [m].
+        force_scale: Arrow length per force [m/N], which draws the largest force at 1.5 times ``size``.
     """
 
     replay: Replay
@@ -51,7 +51,7 @@ class Content:
 
     @classmethod
     def of(cls, replay: Replay, coils: Mapping[str, Coil] | None = None) -> "Content":
-        """Gathers it; ``coils``: of springs by their names, if ``replay`` holds not all records."""
+        """Collects the content; ``coils``: coil data of springs by name, needed if ``replay`` is part of the records."""
         scene = replay.scene
         spheres = find_spheres(replay)
         placements = {surface.name: Placement.of(replay, surface) for surface in scene.surfaces}
@@ -59,8 +59,8 @@ class Content:
         forms = [ShapePlacement.of(replay, shape) for shape in scene.shapes]
         reaches = [2.0 * form.reach for form in forms if form.shape.body is not None]
         size = max([scene_size(replay, list(placements.values()), spheres), *reaches])
-        pushing: list[Any] = [*scene.contacts, *scene.shape_contacts]
-        lines = [line for contact in pushing if (line := ForceLines.of(replay, contact))]
+        contacts: list[Any] = [*scene.contacts, *scene.shape_contacts]
+        lines = [line for contact in contacts if (line := ForceLines.of(replay, contact))]
         resultants = resultant_lines(replay, poses, lines)
         return cls(
             replay=replay,

@@ -1,4 +1,4 @@
-"""Couplings as curves: springs as coils, catenaries as they hang, all else as a line between its ends."""
+"""Couplings as curves: springs as coils, catenaries in their shape, others as straight lines."""
 
 import math
 from dataclasses import dataclass
@@ -13,22 +13,22 @@ from warpcontact.scene.couplings import Catenary, Coupling, SpringDamper
 from warpcontact.scene.scene import Points, Scene
 from warpcontact.validation.checks import Array
 
-# A coil: turns, points of each, the part of its length that is coiled, and its radius in greatest lengths.
+# Coil: number of turns, points per turn, coiled fraction of the length, and radius as a fraction of the largest length.
 TURNS = 8
 PER_TURN = 12
 COILED = 0.8
 COIL_RADIUS = 0.05
-# Points of a catenary, evenly along its length.
+# Number of points of a catenary, evenly spaced along its length.
 LINE_POINTS = 48
 
 
 @dataclass(frozen=True, eq=False)
 class Coil:
-    """What coils of a spring have in common in all records, so that they do not jump from one to the next.
+    """Data of a coil over all records, so that its shape is continuous in time.
 
     Attributes:
-        length: The greatest distance of its ends [m].
-        along: How much it lies along each axis of the world at most, (3,) from 0 to 1.
+        length: Largest distance between its ends [m].
+        along: Largest absolute component of its direction along each world axis, (3,) from 0 to 1.
     """
 
     length: float
@@ -36,34 +36,34 @@ class Coil:
 
     @classmethod
     def of(cls, start: Array, end: Array) -> "Coil":
-        """Returns it of coils between places (…, 3) [m]."""
+        """Returns the data of coils between positions (…, 3) [m]."""
         length, axis = _axis(start, end)
         return cls(float(length.max()), np.abs(axis).reshape(-1, 3).max(axis=0))
 
     def merge(self, other: "Coil") -> "Coil":
-        """Returns it of the records of both."""
+        """Returns the data for the records of both."""
         return Coil(max(self.length, other.length), np.maximum(self.along, other.along))
 
     @property
     def radius(self) -> float:
-        """Radius [m]."""
+        """Radius of the coil [m]."""
         return COIL_RADIUS * self.length
 
 
 class CouplingCurve:
-    """The shape of a coupling over time.
+    """Shape of a coupling over time.
 
     Args:
         replay: Some records.
         coupling: The coupling.
-        coil: Of a spring, what its coils in all records have in common; ``None``: these are all.
+        coil: Data of a spring over all records; ``None``: ``replay`` has all records.
 
     Attributes:
         coupling: The coupling.
-        points: Its points, (time, env, n, 3), world [m].
-        shown: Whether it is there, (time, env): a broken one is not.
+        points: Points of the curve, (time, env, n, 3), world [m].
+        shown: Visibility, (time, env); false for broken couplings.
         color: RGB in 0…1.
-        coil: What its coils have in common; ``None``: it has none.
+        coil: Coil data; ``None`` if the coupling is not a coil.
     """
 
     def __init__(self, replay: Replay, coupling: Coupling, coil: Coil | None = None) -> None:
@@ -85,10 +85,10 @@ class CouplingCurve:
 
 
 def coil_points(start: Array, end: Array, coil: Coil) -> Array:
-    """Returns coils between two places, (…, n, 3), from these (…, 3), all of the radius of the longest."""
+    """Returns coils between positions ``start`` and ``end`` (…, 3), (…, n, 3) [m], with a constant radius."""
     along = end - start
     _, axis = _axis(start, end)
-    # The coordinate axis that all of them are farthest from.
+    # Use the world axis that is farthest from all directions of the coil.
     across = np.cross(axis, np.eye(3)[int(np.argmin(coil.along))])
     across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1.0e-9)
     normal = np.cross(axis, across)
@@ -102,20 +102,20 @@ def coil_points(start: Array, end: Array, coil: Coil) -> Array:
 
 
 def _axis(start: Array, end: Array) -> tuple[Array, Array]:
-    """Returns the distances (…, 1) [m] and directions (…, 3) from places to others."""
+    """Returns distances (…, 1) [m] and unit directions (…, 3) between positions; z if the distance is 0."""
     along = end - start
     length = np.linalg.norm(along, axis=-1, keepdims=True)
     return length, np.where(length > 0.0, along / np.where(length > 0.0, length, 1.0), (0.0, 0.0, 1.0))
 
 
 def catenary_points(replay: Replay, line: Catenary, start: Array, end: Array) -> Array:
-    """Returns a catenary between two places over time, (time, env, LINE_POINTS, 3), world [m].
+    """Returns a catenary between two positions over time, (time, env, LINE_POINTS, 3), world [m].
 
     Args:
-        replay: The environments, with the parameters of the line as far as they were recorded.
+        replay: Replay with the recorded parameters of the catenary.
         line: The catenary.
-        start: Where its first end is, (time, env, 3), world [m].
-        end: Where its second end is, likewise.
+        start: Position of its first end, (time, env, 3), world [m].
+        end: Position of its second end, (time, env, 3), world [m].
     """
     scene = Scene()
     marks = [scene.add_body(1.0, (1.0, 1.0, 1.0), name=name) for name in ("a", "b")]
@@ -129,7 +129,7 @@ def catenary_points(replay: Replay, line: Catenary, start: Array, end: Array) ->
         floor=floor,
         name="line",
     )
-    # Each record of each environment is an environment of its own.
+    # One environment per record and environment of the replay.
     model = scene.build(start.shape[0] * start.shape[1], "cpu", "float64")
     gravity = _over_time(replay, "scene.gravity", replay.scene.gravity)
     values = {"a.position": start, "b.position": end, "scene.gravity": gravity}
@@ -141,7 +141,7 @@ def catenary_points(replay: Replay, line: Catenary, start: Array, end: Array) ->
 
 
 def _over_time(replay: Replay, name: str, default: Array) -> Array:
-    """Returns a parameter in every record, (time, env, …)."""
+    """Returns a parameter in each record, (time, env, …)."""
     values = replay.setting(name, default)
     return np.broadcast_to(values, (len(replay.codes), *values.shape))
 
@@ -151,7 +151,7 @@ def _is_coil(coupling: Coupling) -> bool:
 
 
 def _places(replay: Replay, point: Points) -> Array:
-    """Returns where a point is, (time, env, 3), world [m]."""
+    """Returns positions of a point, (time, env, 3), world [m]."""
     local = replay.places(point)[:, 0]
     if point.body is None:
         return np.broadcast_to(local, (len(replay.codes), *local.shape))

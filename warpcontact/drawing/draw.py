@@ -1,4 +1,4 @@
-"""From what was recorded to what is drawn of it."""
+"""Creates a drawing from a recording."""
 
 from collections.abc import Iterable, Iterator
 from typing import Any
@@ -20,11 +20,11 @@ from warpcontact.kernels.shapes.plane import Plane
 from warpcontact.scene.scene import Body, Scene
 from warpcontact.validation.checks import Array
 
-# What is round is scaled from one sphere.
+# Shapes that are scaled from a unit sphere.
 _ROUND = (shapes.Sphere, shapes.Ellipsoid)
-# Gaps are shown up to so many sizes of the largest body: what is farther apart has nothing in between to point at.
+# Largest gap that is shown, as a multiple of the size; larger gaps would clutter the picture.
 NEAR = 0.25
-# Radius of what shows a body that carries nothing, in sizes of the largest body.
+# Radius of the ball that represents a body without geometry, as a multiple of the size.
 MARK = 0.1
 _UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 
@@ -32,16 +32,16 @@ _UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 def drawing_of(
     recording: xr.Dataset, scene: Scene | None = None, envs: int | Iterable[int] | None = None
 ) -> Drawing:
-    """Returns what is seen of some environments of a recording; what is not visible is left out.
+    """Returns the drawing of some environments of a recording, without invisible elements.
 
     Args:
-        recording: What ``Simulation.run`` returned or ``wc.open_run(…).recording``, with the poses of all bodies.
-        scene: What was simulated; ``None``: what the recording remembers.
+        recording: Result of ``Simulation.run`` or ``wc.open_run(…).recording``, with the poses of all bodies.
+        scene: Scene of the recording; ``None``: the scene stored with the recording.
         envs: Numbers of the environments; ``None``: the first 16.
 
     Raises:
-        ValueError: If an environment is not there, or the poses of a body are not, or are not finite.
-        TypeError: If an argument is of another type.
+        ValueError: If an environment is missing, or poses of a body are missing or not finite.
+        TypeError: If an argument has the wrong type.
     """
     replay = Replay.of(recording, scene, envs)
     content = Content.of(replay)
@@ -80,13 +80,13 @@ def _figures(content: Content) -> Iterator[Figure]:
 
 
 def _world_poses(content: Content, body: Body | None, places: Array, turns: Array) -> tuple[Array, Array]:
-    """Returns poses (time, env, item, …) in the world of what is fixed to a single body or to the world.
+    """Returns world poses (time, env, item, …) of items fixed to a single body or to the world.
 
     Args:
-        content: What is seen.
-        body: The body.
+        content: Content of the drawing.
+        body: Body that carries the items; ``None``: the world.
         places: Positions in its frame, (env, item, 3) [m].
-        turns: Rotations to it, (env, item, 4).
+        turns: Rotations to its frame, (env, item, 4).
     """
     if body is None:
         return places[None], turns[None]
@@ -122,7 +122,7 @@ def _body_set_figure(content: Content, body_set: BodySet) -> Figure:
 
 
 def _is_visible(content: Content, body_set: BodySet) -> bool:
-    """Whether a swarm shows something: not hidden contacts, nor the centres of what has shapes of its own."""
+    """Returns whether a body set is drawn: if a contact is visible, or, for centers, if the bodies have no shapes."""
     if body_set.contacts:
         return any(
             contact.visible for contact in content.replay.scene.contacts if contact.name in body_set.contacts
@@ -131,7 +131,7 @@ def _is_visible(content: Content, body_set: BodySet) -> bool:
 
 
 def _bare_body_figures(content: Content) -> Iterator[Figure]:
-    """Yields a ball for each single body that carries nothing, or it would move unseen."""
+    """Yields a ball for each single body without geometry, which would be invisible otherwise."""
     carriers = {placement.surface.body for placement in content.placements.values()}
     carriers |= {group.body for group in content.spheres} | {form.shape.body for form in content.forms}
     for body in content.replay.scene.bodies:
@@ -147,7 +147,7 @@ def _bare_body_figures(content: Content) -> Iterator[Figure]:
 def _sphere_figures(
     content: Content, name: str, color: Array, poses: tuple[Array, Array], radii: Array, own: float
 ) -> Figure:
-    """Returns spheres of radii (env, item) [m], or points where all are zero; ``own``: size of their body."""
+    """Returns spheres of radii (env, item) [m], or points if all are zero; ``own``: size of their body [m]."""
     if radii.any():
         kind, reach = "sphere", radii
     else:
@@ -165,7 +165,7 @@ def _shape_set_figures(content: Content, shape_set: ShapeSet) -> Iterator[Figure
 
 
 def _by_size(content: Content, form: ShapePlacement, poses: tuple[Array, Array]) -> Iterator[Figure]:
-    """Yields one figure for all shapes of one size; what is round is scaled."""
+    """Yields one figure per distinct size of the shapes; spheres and ellipsoids are scaled instead."""
     kind, sizes, shape = form.shape.kind, form.sizes, form.positions.shape[:2]
 
     def figure(what: Shape, scales: Array, present: Any) -> Figure:

@@ -1,4 +1,4 @@
-"""What is seen of a recording: bodies that move, surfaces, lines and forces, whatever draws them."""
+"""Renderer-independent data of a drawing: figures, curves and contact forces over time."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -13,13 +13,13 @@ from warpcontact.validation.checks import Array
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A triangle mesh, in its own frame.
+    """Triangle mesh in its own frame.
 
     Attributes:
-        vertices: (V, 3) [m].
-        faces: (F, 3), counter-clockwise seen from outside.
-        colors: RGB of each face, (F, 3) in 0…1, instead of that of the figure; ``None``: the figure's.
-        normals: Of each vertex, (V, 3), where the shape is smooth; ``None``: faces are flat.
+        vertices: Positions, (V, 3) [m].
+        faces: Vertex indices, (F, 3), counter-clockwise as seen from outside.
+        colors: RGB of each face, (F, 3) in 0…1; ``None``: the color of the figure.
+        normals: Vertex normals, (V, 3), for smooth shading; ``None``: flat shading.
     """
 
     vertices: Array
@@ -30,19 +30,19 @@ class Shape:
 
 @dataclass(frozen=True, eq=False)
 class Figure:
-    """Copies of one shape, placed in every record of every environment.
+    """Copies of one shape, placed in each record of each environment.
 
-    Arrays of poses are (time, env, item, …), where time is 1 for what never moves.
+    Arrays of poses are (time, env, item, …); the size of time is 1 for static figures.
 
     Attributes:
-        name: Element of the scene that it shows.
-        kind: ``"surface"``, ``"sphere"``, ``"shape"``, ``"plane"`` (a part of one without end) or ``"point"``.
-        shape: What is placed.
+        name: Name of the scene element.
+        kind: ``"surface"``, ``"sphere"``, ``"shape"``, ``"plane"`` (a part of an infinite plane) or ``"point"``.
+        shape: Shape that is placed.
         color: RGB in 0…1.
         positions: Origins of the frame of the shape, (time, env, item, 3), world [m].
-        orientations: Rotations of the shape to the world, (time, env, item, 4), x, y, z, w.
+        orientations: Rotations from shape to world, (time, env, item, 4), x, y, z, w.
         scales: Factors along the axes of the shape, (env, item, 3).
-        present: Whether it is in an environment at all, (env, item).
+        present: Whether an item exists in an environment, (env, item).
     """
 
     name: str
@@ -57,13 +57,13 @@ class Figure:
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A polyline that moves: a spring, a rope, a catenary.
+    """Moving polyline: a spring, a rope, a catenary.
 
     Attributes:
-        name: Coupling that it shows.
+        name: Name of the coupling.
         color: RGB in 0…1.
-        points: (time, env, n, 3), world [m].
-        shown: Whether it is there, (time, env): a broken one is not.
+        points: Points, (time, env, n, 3), world [m].
+        shown: Visibility, (time, env); false for broken couplings.
     """
 
     name: str
@@ -74,14 +74,14 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class ContactForces:
-    """The points of a contact, with the forces that act on their body.
+    """Contact points of a contact, with the forces on the body of the points.
 
     Attributes:
-        name: The contact.
-        color: RGB in 0…1, of the arrows.
-        points: Where the force acts, (time, env, item, 3), world [m].
-        forces: On the body of the points, (time, env, item, 3), world [N]; zero where there is none.
-        gaps: Signed distances, (time, env, item) [m], NaN where unknown or far; ``None``: not recorded.
+        name: Name of the contact.
+        color: RGB of the arrows in 0…1.
+        points: Points K where the forces act, (time, env, item, 3), world [m].
+        forces: Forces on the body of the points, (time, env, item, 3), world [N]; zero without contact.
+        gaps: Signed distances, (time, env, item) [m], NaN if unknown or large; ``None``: not recorded.
     """
 
     name: str
@@ -93,16 +93,16 @@ class ContactForces:
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
-    """All that is seen of the chosen environments of a recording, Z up.
+    """Drawing of the selected environments of a recording, Z up.
 
     Attributes:
         times: Simulated time of each record, (time,) [s].
         envs: Numbers of the environments, in the order of the arrays.
         figures: Bodies and surfaces.
         curves: Couplings.
-        contact_forces: Contacts of which force, normal and point were recorded.
-        size: Length of the largest body [m], to draw arrows and widths by.
-        force_scale: Metres per newton that draw the largest force at 1.5 times ``size``.
+        contact_forces: Contacts whose normal force, normal and point were recorded.
+        size: Size of the drawing, the length of the largest body [m]; unit of arrow and line widths.
+        force_scale: Arrow length per force [m/N], which draws the largest force at 1.5 times ``size``.
     """
 
     times: Array
@@ -117,7 +117,7 @@ class Drawing:
     def of(
         cls, recording: xr.Dataset, scene: Scene | None = None, envs: int | Iterable[int] | None = None
     ) -> "Drawing":
-        """Returns what is seen of some environments of a recording; arguments and errors as of ``drawing_of``."""
-        from warpcontact.drawing.draw import drawing_of
+        """Returns the drawing of some environments of a recording; arguments and errors as for ``drawing_of``."""
+        from warpcontact.visualize.drawing.draw import drawing_of
 
         return drawing_of(recording, scene, envs)

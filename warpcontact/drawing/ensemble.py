@@ -1,4 +1,4 @@
-"""All environments of a recording at once, to be looked at: which of them, how large, and where over time."""
+"""All environments of a recording for display: selection, distinct appearances and poses over time."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -15,25 +15,25 @@ from warpcontact.drawing.surfaces import Placement
 from warpcontact.scene.scene import Body, Scene
 from warpcontact.validation.checks import Array
 
-# With ``"auto"`` so many poses at most, over all bodies and records, and so many different looks of a body; beyond
-# that environments evenly spread over all.
+# Limits for ``"auto"``: number of poses over all bodies and records, and number of distinct appearances of a body.
+# Larger ensembles are reduced to evenly spaced environments.
 MAX_POSES = 2_000_000
 MAX_APPEARANCES = 256
 
 
 @dataclass(frozen=True, eq=False)
 class BodyAppearance:
-    """How the bodies of an element look: a few shapes, and which of them each has at which size.
+    """Appearances of the bodies of an element: a few distinct ones, and the scale of each body.
 
     Attributes:
-        body: The element.
-        examples: Environment (by its place among all) and item that show each different one, (k, 2).
-        numbers: Which of them each body is, (env, item).
-        scales: Its size as a multiple of that, (env, item).
-        reach: How far they reach from their centre of mass at most at size 1 [m].
-        surfaces: What it carries.
-        spheres: Likewise.
-        forms: Likewise.
+        body: Body element.
+        examples: Environment index and item of an example of each distinct appearance, (k, 2).
+        numbers: Index of the appearance of each body, (env, item).
+        scales: Size of each body as a multiple of its example, (env, item).
+        reach: Largest distance of the geometry from the center of mass at scale 1 [m].
+        surfaces: Surfaces on the bodies.
+        spheres: Spheres and points on the bodies.
+        forms: Shapes on the bodies.
     """
 
     body: Body
@@ -47,15 +47,15 @@ class BodyAppearance:
 
 
 class Ensemble:
-    """The environments, and how they look.
+    """Environments for display and their appearance.
 
     Args:
-        replay: The environments, of which the poses may be in a file.
+        replay: Replay of the environments; poses may still be in a file.
 
     Attributes:
-        replay: Those of them that are shown.
-        appearances: One for each element.
-        left_out: Numbers of environments that are not, as a pose of theirs is none.
+        replay: Replay of the environments shown.
+        appearances: Appearances of each body element.
+        left_out: Numbers of the environments omitted because of a non-finite pose.
     """
 
     def __init__(self, replay: Replay) -> None:
@@ -66,7 +66,7 @@ class Ensemble:
 
     @classmethod
     def of(cls, recording: xr.Dataset, scene: Scene, chosen: Iterable[int], ensemble: Any) -> "Ensemble | None":
-        """Returns the environments that an export shows, or ``None``; ``ensemble`` as of ``export_usd``."""
+        """Returns the environments that an export shows, or ``None``; ``ensemble`` as for ``export_usd``."""
         labels = recording["env"].values
         if ensemble is False or (ensemble == "auto" and set(labels.tolist()) <= set(chosen)):
             return None
@@ -80,7 +80,7 @@ class Ensemble:
         return found
 
     def poses(self, body: Body, first: int, stop: int) -> tuple[Array, Array]:
-        """Returns positions and orientations of a body, (time, env, item, …), of the records in that range."""
+        """Returns positions and orientations of a body in a range of records, (time, env, item, …)."""
         data = self.replay.data.isel(time=slice(first, stop))
         found = []
         for key in ("position", "orientation"):
@@ -91,13 +91,13 @@ class Ensemble:
             return found[0], found[1] / length
 
     def scan_records(self, first: int, stop: int) -> None:
-        """Notes which environments have no poses in some record of that range."""
+        """Marks the environments with non-finite poses in a range of records."""
         for body in self.replay.scene.bodies:
             for values in self.poses(body, first, stop):
                 self._good &= np.isfinite(values).all(axis=(0, 2, 3))
 
     def drop(self) -> "Ensemble":
-        """Returns it without these."""
+        """Returns the ensemble without the marked environments."""
         if self._good.all():
             return self
         numbers = np.array(self.replay.envs)
@@ -108,7 +108,7 @@ class Ensemble:
 
 
 def body_appearances(replay: Replay) -> list[BodyAppearance]:
-    """Returns how each element looks."""
+    """Returns the appearances of each body element."""
     placements = [Placement.of(replay, surface) for surface in replay.scene.surfaces]
     spheres = find_spheres(replay)
     forms = [ShapePlacement.of(replay, shape) for shape in replay.scene.shapes]
@@ -119,7 +119,7 @@ def body_appearances(replay: Replay) -> list[BodyAppearance]:
         shapes = [one for one in forms if one.shape.body is body and one.shape.visible]
         solid = [one for one in round_ones if not one.are_points]
         if carried or shapes or solid:
-            # Points are small, and tell nothing of what has a size.
+            # Omit points if there is other geometry, because they are small.
             round_ones = solid
         found.append(_body_appearance(replay, body, carried, round_ones, shapes))
     return found
@@ -131,7 +131,7 @@ def _body_appearance(
     envs, items = len(replay.envs), body.count
 
     def rows(values: Array, each: bool) -> Array:
-        """Returns one row for each body, (env · item, …), of values (env, …), or (env, item, …) if ``each``."""
+        """Returns one row per body, (env · item, …), of values (env, …), or (env, item, …) if ``each``."""
         flat = values.reshape(envs, items if each else 1, -1)
         return np.broadcast_to(flat, (envs, items, flat.shape[2])).reshape(envs * items, -1)
 
@@ -152,7 +152,7 @@ def _body_appearance(
     length, other = np.concatenate([none, *lengths], axis=1), np.concatenate([none, *others], axis=1)
     size = np.linalg.norm(length, axis=1)
     scales = np.where(size > 0.0, size / (size[0] or 1.0), 1.0)
-    # Rounding aside: to nine digits everything is that multiple of the first.
+    # To nine digits, do all bodies equal the first one up to a scale?
     alike = np.concatenate([length / np.where(size > 0.0, size, 1.0)[:, None], other], axis=1)
     if np.abs(alike - alike[:1]).max() <= 1.0e-9:
         first, numbers = np.zeros(1, dtype=np.intp), np.zeros(envs * items, dtype=np.intp)
@@ -178,7 +178,7 @@ def _body_appearance(
 
 
 def _evenly(numbers: NDArray[Any], most: int) -> list[int]:
-    """Returns at most so many of the numbers, evenly spread, and one at least."""
+    """Returns at most ``most`` of the numbers, evenly spaced, and at least one."""
     rows = np.unique(np.linspace(0, len(numbers) - 1, max(1, min(len(numbers), most))).astype(int))
     chosen: list[int] = numbers[rows].tolist()
     return chosen

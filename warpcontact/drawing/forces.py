@@ -1,4 +1,4 @@
-"""Contact forces: where they act, and how long to draw them."""
+"""Contact forces as lines: points where they act, vectors and drawing scale."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -14,19 +14,19 @@ from warpcontact.scene.shapes import ShapeContact
 from warpcontact.validation.checks import Array
 
 FORCE_COLOR = (0.9, 0.25, 0.1)
-# Length of the longest force line, in sizes of the largest body.
+# Length of the longest force line, as a multiple of the size.
 LONGEST = 1.5
 
 
 class ForceLines:
-    """The force of a contact on the body of its points, from where it acts.
+    """Forces of a contact on the body of its points, with the points where they act.
 
     Attributes:
-        contact: The contact; of a contact coupling the first of which it is made.
+        contact: The contact; for a contact coupling, the first of its contacts.
         name: Name of the element.
-        meaning: What it is, in a sentence.
+        meaning: Description, a sentence.
         start: Point K where the force acts, (time, env, item, 3), world [m].
-        force: The force, (time, env, item, 3), world [N]; zero where there is none.
+        force: Force, (time, env, item, 3), world [N]; zero without contact.
         color: RGB in 0…1.
     """
 
@@ -42,7 +42,7 @@ class ForceLines:
         self.name = contact.name if name is None else name
         self.meaning = meaning
         self.color = np.array(FORCE_COLOR) if contact.color is None else contact.color
-        # A failed environment may hold NaN, which must not get into the geometry.
+        # Frozen environments may hold NaN, which must not enter the geometry.
         good = np.all(np.isfinite(force) & np.isfinite(start), axis=-1, keepdims=True)
         self.force = np.where(good, force, 0.0)
         self.start = np.where(np.isfinite(start), start, 0.0)
@@ -71,9 +71,9 @@ class ForceLines:
 def resultant_lines(
     replay: Replay, poses: Mapping[str, tuple[Array, Array]], lines: list[ForceLines]
 ) -> list[ForceLines]:
-    """Returns the forces of contact couplings, at the centre of mass, and of particle contacts, on each shape.
+    """Returns resultant forces: of contact couplings at the center of mass, of particle contacts on each shape.
 
-    Those of couplings only where ``lines`` do not show them point by point.
+    A coupling is omitted if ``lines`` contain the forces of all its contacts.
     """
     found, drawn = [], {line.name for line in lines}
     shape = (len(replay.codes), len(replay.envs))
@@ -82,21 +82,21 @@ def resultant_lines(
         if body is None or force is None or drawn.issuperset(one.name for one in coupling.contacts):
             continue
         start = poses[body.name][0][:, :, None]
-        meaning = "Force on the body of the first surface, from its centre of mass."
+        meaning = "Force on the body of the first surface, from its center of mass."
         each = force.astype(np.float64).reshape(*shape, 1, 3)
         found.append(ForceLines(coupling.contacts[0], start, each, coupling.name, meaning))
     for particle_contact in replay.scene.particle_contacts:
         force = replay.series(f"{particle_contact.name}.force")
         if force is not None:
-            start = np.concatenate([_centres(replay, poses, one) for one in particle_contact.shapes], axis=2)
+            start = np.concatenate([_centers(replay, poses, one) for one in particle_contact.shapes], axis=2)
             each = force.astype(np.float64).reshape(*shape, particle_contact.count, 3)
-            meaning = "Force of the others on each shape, from its centre."
+            meaning = "Force of the other particles on each shape, from its center."
             found.append(ForceLines(particle_contact, start, each, meaning=meaning))
     return found
 
 
-def _centres(replay: Replay, poses: Mapping[str, tuple[Array, Array]], shape: Any) -> Array:
-    """Returns where shapes are, (time, env, item, 3), world [m]."""
+def _centers(replay: Replay, poses: Mapping[str, tuple[Array, Array]], shape: Any) -> Array:
+    """Returns the origins of shapes, (time, env, item, 3), world [m]."""
     local = ShapePlacement.of(replay, shape).positions
     if shape.body is None:
         return np.broadcast_to(local, (len(replay.codes), *local.shape))
@@ -107,6 +107,6 @@ def _centres(replay: Replay, poses: Mapping[str, tuple[Array, Array]], shape: An
 
 
 def length_scale(lines: list[ForceLines], size: float) -> float:
-    """Returns the metres per newton that draw the largest force at ``LONGEST`` times ``size`` [m]."""
+    """Returns the arrow length per force [m/N] that draws the largest force at ``LONGEST`` times ``size`` [m]."""
     peak = max((line.peak() for line in lines), default=0.0)
     return LONGEST * size / peak if peak > 0.0 else 1.0

@@ -1,4 +1,4 @@
-"""What has to be known of all records before the first is written: sizes, places, the largest force."""
+"""Ranges over all records that are needed before the first one is written: sizes, bounds, largest force."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -15,14 +15,14 @@ from warpcontact.validation.checks import Array
 
 @dataclass
 class SceneRanges:
-    """What the chosen environments take of space and force over time.
+    """Ranges of space and force of the selected environments over time.
 
     Attributes:
-        size: Length of the largest body [m].
-        low: Corner of the space that bodies and couplings take, (env, 3), world [m].
-        high: The opposite corner.
-        peak: The largest force [N].
-        coils: Of springs by their names.
+        size: Size of the drawing, the length of the largest body [m].
+        low: Lower corner of the space of bodies and couplings, (env, 3), world [m].
+        high: Upper corner, (env, 3), world [m].
+        peak: Largest force [N].
+        coils: Coil data of springs by name.
     """
 
     size: float
@@ -33,7 +33,7 @@ class SceneRanges:
 
     @classmethod
     def of(cls, blocks: Iterable[Content]) -> "SceneRanges":
-        """Returns it of records, block by block."""
+        """Returns the ranges over all records, given block by block."""
         ranges: SceneRanges | None = None
         for content in blocks:
             if ranges is None:
@@ -42,13 +42,13 @@ class SceneRanges:
                 sized = _body_sizes(content)
             ranges._add(content)
         if ranges is None:
-            raise ValueError("the recording holds no records")
+            raise ValueError("the recording has no records")
         ranges._finish(content, sized)
         return ranges
 
     @property
     def force_scale(self) -> float:
-        """Metres per newton that draw the largest force at ``LONGEST`` times the size."""
+        """Arrow length per force [m/N], which draws the largest force at ``LONGEST`` times the size."""
         return LONGEST * self.size / self.peak if self.peak > 0.0 else 1.0
 
     def _add(self, content: Content) -> None:
@@ -65,7 +65,7 @@ class SceneRanges:
         self.peak = max([self.peak, *(line.peak() for line in forces)])
 
     def _reach(self, places: Array, reach: float) -> None:
-        """Takes in places (time, env, …, 3), with what is up to ``reach`` around them [m]."""
+        """Extends the bounds to positions (time, env, …, 3), with a margin of ``reach`` [m]."""
         axes = (0, *range(2, places.ndim - 1))
         self.low = np.minimum(self.low, places.min(axis=axes) - reach)
         self.high = np.maximum(self.high, places.max(axis=axes) + reach)
@@ -83,14 +83,14 @@ class SceneRanges:
 
 
 def body_reach(content: Content, body: Body) -> float:
-    """Returns how far what a body carries reaches from its centre of mass in any environment [m]."""
+    """Returns the largest distance of a body's geometry from its center of mass in any environment [m]."""
     forms = [*content.forms, *(shape_set.placement for shape_set in content.shape_sets)]
     own = [form.reach for form in forms if form.shape.body is body]
     return max([0.5 * body_size(body, content.placements.values(), content.spheres), *own])
 
 
 def _body_sizes(content: Content) -> tuple[float, float]:
-    """Returns the largest diameter of a body by its surfaces and spheres, and by its shapes [m]."""
+    """Returns the largest body diameters, by surfaces and spheres, and by shapes [m]."""
     bodies, placements = content.replay.scene.bodies, content.placements.values()
     forms = [*content.forms, *(shape_set.placement for shape_set in content.shape_sets)]
     by_shapes = [2.0 * form.reach for form in forms if form.shape.body is not None]

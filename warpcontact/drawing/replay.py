@@ -1,4 +1,4 @@
-"""What is exported of a recording: the chosen environments, checked, as arrays."""
+"""Replay: the selected environments of a recording as validated arrays."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -15,18 +15,18 @@ from warpcontact.validation import checks
 from warpcontact.validation.checks import Array
 
 DEFAULT_ENVIRONMENTS = 16
-# Time codes per second of a single record, which has no interval; the default of USD.
+# Time codes per second for a single record, which has no interval; the default of USD.
 STATIC_RATE = 24.0
 
 
 @dataclass(frozen=True)
 class Replay:
-    """The chosen environments of a recording; arrays are (time, env, …), in the order of ``envs``.
+    """Selected environments of a recording; arrays are (time, env, …), in the order of ``envs``.
 
     Attributes:
-        scene: What was simulated.
-        data: The recording, of the chosen environments only.
-        envs: Their numbers.
+        scene: Scene of the recording.
+        data: Recording of the selected environments.
+        envs: Numbers of the environments.
         times: Simulated time of each record [s].
         codes: USD time code of each record.
         rate: Time codes per second.
@@ -41,17 +41,17 @@ class Replay:
 
     @classmethod
     def of(cls, recording: xr.Dataset, scene: Scene | None, envs: int | Iterable[int] | None) -> "Replay":
-        """Chooses environments of a recording; arguments and errors as for ``export_usd``.
+        """Selects environments of a recording; arguments and errors as for ``export_usd``.
 
-        Of a recording in a file what is asked for is read, once; ``part`` reads all of some records.
+        If the recording is in a file, variables are read on first use; ``part`` reads all variables of some records.
         """
         if not isinstance(recording, xr.Dataset):
-            raise TypeError(f"recording must be what Simulation.run returns, got {type(recording).__name__}")
+            raise TypeError(f"recording must be a data set from Simulation.run, got {type(recording).__name__}")
         if scene is None:
-            # Operations of xarray return the class without the slot's content.
+            # xarray operations return the class without the content of this slot.
             scene = getattr(recording, "scene", None)
             if scene is None:
-                raise ValueError("the recording does not know its scene (xarray operations drop it): pass scene=")
+                raise ValueError("the recording has no scene (xarray operations drop it): pass scene=")
         if not isinstance(scene, Scene):
             raise TypeError(f"scene must be a wc.Scene, got {scene!r}")
         needed = [f"{body.name}.{key}" for body in scene.bodies for key in ("position", "orientation")]
@@ -77,13 +77,13 @@ class Replay:
         )
 
     def part(self, first: int, stop: int) -> "Replay":
-        """Returns the records from ``first`` to before ``stop``, in memory."""
-        own = slice(first, stop)
-        data = self.data.isel(time=own).load()
-        return replace(self, data=data, times=self.times[own], codes=self.codes[own])
+        """Returns the records from ``first`` up to, excluding, ``stop``, in memory."""
+        records = slice(first, stop)
+        data = self.data.isel(time=records).load()
+        return replace(self, data=data, times=self.times[records], codes=self.codes[records])
 
     def select(self, rows: NDArray[np.intp]) -> "Replay":
-        """Returns the environments at ``rows`` of these."""
+        """Returns the replay of the environments at indices ``rows``."""
         return replace(self, data=self.data.isel(env=rows), envs=[self.envs[row] for row in rows])
 
     def variable(self, name: str) -> xr.DataArray:
@@ -92,9 +92,12 @@ class Replay:
         return self.data[name]
 
     def pose(self, body: Body) -> tuple[Array, Array]:
-        """Returns positions (time, env, 3) [m] and unit quaternions (time, env, 4) as x, y, z, w, all finite.
+        """Returns positions (time, env, 3) [m] and unit quaternions (time, env, 4), x, y, z, w, of a body.
 
-        Of a set of bodies (time, env, item, …).
+        For a set of bodies: (time, env, item, …).
+
+        Raises:
+            ValueError: If a pose is not finite, or a quaternion is zero.
         """
         found = []
         for key in ("position", "orientation"):
@@ -115,7 +118,7 @@ class Replay:
     def radii(self, contact: Contact) -> Array:
         """Returns the radius of each sphere of a contact, (env, item) [m].
 
-        As recorded in ``<contact>.radius``, or that of the scene; the range of a coupling is no size.
+        Recorded in ``<contact>.radius``, or that of the scene. Zero for contact couplings, whose range is not a size.
         """
         if contact.facing is not None:
             return np.zeros((len(self.envs), contact.count))
@@ -140,14 +143,14 @@ class Replay:
         return values
 
     def setting(self, name: str, default: Array) -> Array:
-        """Returns parameter ``name``, (env, …), as recorded, or else ``default`` in all environments."""
+        """Returns parameter ``name``, (env, …), as recorded, or ``default`` in all environments."""
         recorded = self.static(name, default.shape)
         return np.repeat(default[None], len(self.envs), axis=0) if recorded is None else recorded
 
     def value_or_default(self, name: str, default: Array) -> Array | None:
-        """Returns parameter ``name``, (env, …), as recorded, or ``default`` where a recording says that it is so.
+        """Returns parameter ``name``, (env, …), as recorded, or ``default`` if the recording marks it as unchanged.
 
-        ``None``: nobody knows whether it varied.
+        ``None`` if the recording does not tell whether it varied.
         """
         if name in self.data or name not in set(self.data.attrs.get(UNCHANGED, ())):
             return self.static(name, default.shape)
@@ -162,7 +165,7 @@ class Replay:
         )
 
     def places(self, points: Points) -> Array:
-        """Returns where points are in the frame of the body, or of the world, (env, item, 3) [m]."""
+        """Returns positions of points in the frame of their body, or of the world, (env, item, 3) [m]."""
         default = points.positions[0] if points.single else points.positions
         local = self.setting(f"{points.name}.position", default).reshape(len(self.envs), -1, 3)
         if points.surface is None:
@@ -175,7 +178,7 @@ class Replay:
         return self.variable(name).transpose("time", "env", ...).values if name in self.data else None
 
     def of_element(self, element: str) -> Iterator[tuple[str, xr.DataArray]]:
-        """Iterates over what was recorded of an element as (quantity, values)."""
+        """Iterates over the recorded variables of an element as (quantity, values)."""
         for name in map(str, self.data.data_vars):
             owner, _, quantity = name.partition(".")
             if owner == element and quantity:
@@ -183,13 +186,13 @@ class Replay:
 
 
 def _chosen(envs: int | Iterable[int] | None, labels: NDArray[Any]) -> list[int]:
-    """Returns where the chosen environments are among ``labels``."""
+    """Returns the indices of the selected environments in ``labels``."""
     if not np.issubdtype(labels.dtype, np.integer):
         raise ValueError(f"the env coordinate of the recording must be environment numbers, got {labels.dtype}")
-    wanted = labels[:DEFAULT_ENVIRONMENTS].tolist() if envs is None else checks.entries(envs)
+    requested = labels[:DEFAULT_ENVIRONMENTS].tolist() if envs is None else checks.entries(envs)
     row_of = {int(label): row for row, label in enumerate(labels)}
     rows: dict[int, None] = {}
-    for env in wanted:
+    for env in requested:
         if isinstance(env, bool) or not isinstance(env, int | np.integer):
             raise TypeError(f"envs must be environment numbers, got {env!r}")
         if int(env) not in row_of:
@@ -214,7 +217,7 @@ def _seconds(times: NDArray[Any]) -> Array:
         raise ValueError(f"the time coordinate of the recording must be numbers [s], got {times.dtype}")
     seconds = times.astype(np.float64)
     if len(seconds) == 0:
-        raise ValueError("the recording holds no records")
+        raise ValueError("the recording has no records")
     if not np.isfinite(seconds).all() or (np.diff(seconds) <= 0.0).any():
         raise ValueError("the time coordinate of the recording must be finite and increase from record to record")
     return seconds
@@ -223,16 +226,17 @@ def _seconds(times: NDArray[Any]) -> Array:
 def _time_codes(times: Array) -> tuple[list[float], float]:
     """Returns a time code per record and the time codes per second.
 
-    Evenly spaced records have codes 0, 1, 2, …; in others the shortest interval is one code.
+    Evenly spaced records have codes 0, 1, 2, …; otherwise the shortest interval is one code.
     """
     if len(times) == 1:
         return [0.0], STATIC_RATE
     intervals = np.diff(times)
     mean = float(times[-1] - times[0]) / len(intervals)
-    # Times are multiples of the step in double precision; what differs by less than this is rounding.
+    # Times are multiples of the step in double precision; smaller differences are rounding.
     if np.abs(intervals - mean).max() <= 1.0e-6 * mean:
         rate = 1.0 / mean
-        whole = float(round(rate))
-        return [float(i) for i in range(len(times))], whole if abs(rate - whole) <= 1.0e-9 * rate else rate
+        integer_rate = float(round(rate))
+        codes = [float(i) for i in range(len(times))]
+        return codes, integer_rate if abs(rate - integer_rate) <= 1.0e-9 * rate else rate
     rate = 1.0 / float(intervals.min())
     return ((times - times[0]) * rate).tolist(), rate

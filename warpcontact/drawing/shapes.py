@@ -1,4 +1,4 @@
-"""Shapes of analytic form, on single bodies and on sets of them."""
+"""Analytic shapes on single bodies and on sets of bodies."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,19 +15,19 @@ from warpcontact.kernels.shapes.plane import Plane
 from warpcontact.scene.shapes import Shape
 from warpcontact.validation.checks import Array
 
-# Half the side of what is drawn of a half-space, in sizes of the scene.
+# Half the side of the square that represents a plane, as a multiple of the size.
 PLANE = 10.0
 
 
 @dataclass(frozen=True)
 class ShapePlacement:
-    """A shape in the environments of a replay; arrays are (env, item, …).
+    """Shape, or set of shapes, in the environments of a replay; arrays are (env, item, …).
 
     Attributes:
-        shape: The shape, or a set of them.
-        positions: Origins of their frames in those of their carriers [m].
-        orientations: Rotations to those, x, y, z, w.
-        sizes: Their parameters by name.
+        shape: Shape element.
+        positions: Origins of the shape frames in the carrier frames [m].
+        orientations: Rotations from shape to carrier frames, x, y, z, w.
+        sizes: Shape parameters by name.
     """
 
     shape: Shape
@@ -37,7 +37,7 @@ class ShapePlacement:
 
     @classmethod
     def of(cls, replay: Replay, shape: Shape) -> "ShapePlacement":
-        """Returns the shape as recorded, or else as in the scene."""
+        """Returns the shape as recorded, or as in the scene."""
 
         def setting(key: str, default: Array) -> Array:
             found = replay.setting(f"{shape.name}.{key}", default[0] if shape.single else default)
@@ -52,20 +52,20 @@ class ShapePlacement:
 
     @property
     def shared(self) -> bool:
-        """Whether it is the same in all environments."""
+        """Whether the shape is the same in all environments."""
         arrays = (self.positions, self.orientations, *self.sizes.values())
         return all(bool((values == values[:1]).all()) for values in arrays)
 
     @property
     def reach(self) -> float:
-        """How far it reaches at most from the origin of its carrier in any environment [m]; 0 of a half-space."""
+        """Largest distance from the origin of the carrier in any environment [m]; 0 for a plane."""
         if issubclass(self.shape.kind, Plane):
             return 0.0
         far = [np.linalg.norm(tessellate(self.shape.kind, sizes)[0], axis=1).max() for sizes in self._largest()]
         return float(max(far) + np.linalg.norm(self.positions, axis=-1).max())
 
     def _largest(self) -> Iterator[dict[str, Array]]:
-        """Iterates over sizes of which one reaches as far as any of them."""
+        """Iterates over parameter sets, one of which has the largest reach."""
         kind = self.shape.kind
         lengths = {key for key in self.sizes if kind.limits(key)["unit"] == "m"}
         if issubclass(kind, ParametricSurface):
@@ -80,21 +80,29 @@ class ShapePlacement:
             yield {key: most.get(key, value) for key, value in own.items()}
 
     def item_sizes(self, row: int, item: int) -> dict[str, Array]:
-        """Returns the parameters of one of them in environment number ``row``."""
+        """Returns the parameters of one shape in environment ``row``."""
         return {key: values[row, item] for key, values in self.sizes.items()}
 
     @property
     def color(self) -> Array:
-        """RGB in 0…1."""
+        """Color of the shape, RGB in 0…1."""
         return body_color(self.shape.body) if self.shape.color is None else self.shape.color
 
 
 class ShapeSet:
-    """Shapes on the bodies of a set: where they are over time, and which of them are of one size.
+    """Shapes on the bodies of a set: poses over time, and grouping by size.
 
     Args:
         placement: The shapes.
         poses: Positions (time, env, item, 3) and orientations of the bodies.
+
+    Attributes:
+        placement: The shapes.
+        places: Origins of the shapes, (time, env, item, 3), world [m].
+        turns: Rotations from shape to world, (time, env, item, 4), x, y, z, w.
+        scaled: Whether all items are scaled from one prototype.
+        first: Flat index (env, item) of the first item of each distinct size.
+        numbers: Index of the size of each item, (env, item).
     """
 
     def __init__(self, placement: ShapePlacement, poses: tuple[Array, Array]) -> None:
@@ -103,7 +111,7 @@ class ShapeSet:
         self.places = transform_points(placement.positions[..., None, :], positions, orientations)[..., 0, :]
         turns = np.broadcast_to(placement.orientations, orientations.shape)
         self.turns = product(orientations, turns)
-        # One prototype for all of one size; spheres and ellipsoids are scaled from one.
+        # One prototype per distinct size; spheres and ellipsoids are scaled from a unit sphere.
         sizes = placement.sizes
         self.scaled = issubclass(placement.shape.kind, shapes.Sphere | shapes.Ellipsoid)
         shape = placement.positions.shape[:2]

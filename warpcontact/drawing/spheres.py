@@ -1,4 +1,4 @@
-"""What carries colour and size: contact points as spheres or points, and how large things are."""
+"""Contact points as spheres or points; sizes and colors of bodies."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -20,12 +20,12 @@ BODY_COLOR = (0.35, 0.5, 0.7)
 
 @dataclass(frozen=True)
 class Spheres:
-    """Spheres, or points, that one or several contacts have in common.
+    """Spheres or points shared by one or several contacts.
 
     Attributes:
-        contacts: The contacts, of the same points and radius.
-        radii: Radius of each, (env, item) [m]; all zero: points.
-        places: Centres in the frame of the body, (env, item, 3) [m].
+        contacts: Contacts with the same points and radii.
+        radii: Radii, (env, item) [m]; all zero: points.
+        places: Centers in the frame of the body, (env, item, 3) [m].
     """
 
     contacts: list[Contact]
@@ -39,21 +39,21 @@ class Spheres:
 
     @property
     def body(self) -> Body | None:
-        """Body that carries them; ``None``: the world."""
+        """Body of the points; ``None``: the world."""
         return self.contacts[0].points.body
 
     @property
     def are_points(self) -> bool:
-        """Whether no environment gives any of them a size."""
+        """Whether all radii are zero."""
         return not self.radii.any()
 
     def differs(self, row: int) -> bool:
-        """Whether they are others in environment number ``row`` of the replay than in the first."""
+        """Returns whether radii or positions in environment ``row`` differ from those in the first one."""
         return bool((self.radii[row] != self.radii[0]).any() or (self.places[row] != self.places[0]).any())
 
 
 def find_spheres(replay: Replay) -> list[Spheres]:
-    """Returns the spheres and points of all contacts, each once however many contacts it is part of."""
+    """Returns the spheres and points of all contacts, without duplicates."""
     found: dict[tuple[str, bytes], Spheres] = {}
     for contact in replay.scene.contacts:
         radii = replay.radii(contact)
@@ -65,7 +65,7 @@ def find_spheres(replay: Replay) -> list[Spheres]:
 
 
 def body_size(body: Body, placements: Iterable["Placement"], spheres: Iterable[Spheres]) -> float:
-    """Returns the diameter about its centre of mass of everything a body carries in any environment [m]."""
+    """Returns twice the largest distance of a body's surfaces and spheres from its center of mass [m]."""
     reach = [placement.reach for placement in placements if placement.surface.body is body]
     reach += [
         float((np.linalg.norm(group.places, axis=-1) + group.radii).max())
@@ -76,7 +76,7 @@ def body_size(body: Body, placements: Iterable["Placement"], spheres: Iterable[S
 
 
 def scene_size(replay: Replay, placements: Sequence["Placement"], spheres: Sequence[Spheres]) -> float:
-    """Returns a length to draw arrows and points by [m]: the largest body's, or a tenth of the space they need."""
+    """Returns the size of the drawing [m]: that of the largest body, or a tenth of the occupied space."""
     bodies = replay.scene.bodies
     largest = max((body_size(body, placements, spheres) for body in bodies), default=0.0)
     if largest > 0.0:
@@ -89,7 +89,7 @@ def scene_size(replay: Replay, placements: Sequence["Placement"], spheres: Seque
 
 
 def body_color(body: Body | None) -> NDArray[np.float64]:
-    """Returns the colour of what a body carries."""
+    """Returns the color of the geometry on a body, RGB in 0…1; ``None``: the world."""
     if body is None:
         return np.array(WORLD_COLOR)
     return np.array(BODY_COLOR) if body.color is None else body.color

@@ -1,4 +1,4 @@
-"""Shapes as triangles with normals, to be drawn: round where they are smooth, with edges where they have them."""
+"""Triangulation of shapes for drawing, with vertex normals: smooth, except at sharp edges."""
 
 import functools
 import math
@@ -16,26 +16,26 @@ from warpcontact.kernels.shapes.plane import Plane
 from warpcontact.meshes import icosphere
 from warpcontact.validation.checks import Array
 
-# Faces that meet at less than this look round.
-SHAPE_CONTACT_MEASURES = math.radians(25.0)
-# Halvings of an icosahedron that make a sphere.
+# Faces that meet at a smaller angle are shaded smoothly.
+SMOOTH_ANGLE = math.radians(25.0)
+# Number of subdivisions of an icosahedron for a sphere.
 LEVEL = 3
-# Sides of what has a circular edge.
+# Number of sides of circular edges.
 SECTIONS = 64
-# Points of a mesh that are closer than this, in sizes of it, are one.
+# Vertices closer than this fraction of the mesh size are merged.
 NEAR = 1.0e-6
 
 
 @functools.cache
 def ball() -> Shape:
-    """Returns the sphere of radius 1."""
+    """Returns the unit sphere. The object is cached, so that renderers can recognize it."""
     mesh = icosphere(1.0, LEVEL)
     normals = mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True)
     return Shape(mesh.vertices, mesh.faces, normals=normals)
 
 
 def analytic_shape(kind: type[Form], sizes: Mapping[str, Array], reach: float) -> Shape:
-    """Returns a shape of analytic form; ``reach``: half the side of what is drawn of a half-space [m]."""
+    """Returns the triangles of a shape; ``reach``: half the side of the square that represents a plane [m]."""
     if kind is shapes.Cylinder:
         height = 2.0 * float(sizes["half_length"])
         exact = trimesh.creation.cylinder(float(sizes["radius"]), height, sections=SECTIONS)
@@ -50,7 +50,7 @@ def analytic_shape(kind: type[Form], sizes: Mapping[str, Array], reach: float) -
 
 
 def smooth(vertices: Array, faces: Any) -> Shape:
-    """Returns triangles with normals that are common where faces meet at a small angle; without empty faces."""
+    """Returns triangles with normals shared where faces meet at a small angle; drops degenerate faces."""
     size = float(np.ptp(vertices, axis=0).max()) or 1.0
     _, first, number = np.unique(
         np.round(vertices / (NEAR * size)), axis=0, return_index=True, return_inverse=True
@@ -60,7 +60,7 @@ def smooth(vertices: Array, faces: Any) -> Shape:
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     mesh = trimesh.Trimesh(vertices, faces[area > NEAR**2 * size**2], process=False)
-    split = trimesh.graph.smooth_shade(mesh, angle=SHAPE_CONTACT_MEASURES, facet_minarea=None)
+    split = trimesh.graph.smooth_shade(mesh, angle=SMOOTH_ANGLE, facet_minarea=None)
     return Shape(
         np.asarray(split.vertices),
         np.asarray(split.faces, dtype=np.int32),

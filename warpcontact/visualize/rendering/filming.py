@@ -1,4 +1,4 @@
-"""Films of a recording: many pictures from one place, written as they are made."""
+"""Films of a recording: frames from one camera position, encoded as they are rendered."""
 
 import math
 from collections.abc import Iterable, Iterator
@@ -21,27 +21,27 @@ from warpcontact.visualize.rendering.records import Source
 from warpcontact.visualize.rendering.render_style import RenderOptions, RenderStyle
 from warpcontact.visualize.rendering.writers import GIF_FASTEST, write_gif, write_mp4
 
-#: More take days, and are a slip of who asks for them.
+#: Largest number of frames; more would take days and are likely mistakes.
 MOST_PICTURES = 100_000
 
 FILMS = (".gif", ".mp4")
-# Pictures per second at most.
+# Largest number of frames per second.
 FASTEST = 240.0
-# Pictures of a film that the colours of a GIF are chosen by.
+# Number of frames from which the palette of a GIF is chosen.
 _PALETTE_PICTURES = 6
 
 
 @dataclass(frozen=True)
 class Film:
-    """What a film shows.
+    """Result of ``film``.
 
     Attributes:
         path: The file.
         envs: Numbers of the environments.
-        times: Simulated time of each of its pictures [s], of the record nearest to it.
-        duration: How long it plays [s].
-        forces: Whether there are forces that could be shown.
-        partial: Whether later records are still to come, of a run that is not finished.
+        times: Simulated time of the record shown in each frame, (frame,) [s].
+        duration: Playing time [s].
+        forces: Whether the drawing has contact forces.
+        partial: Whether later records are missing, because the run is not finished.
     """
 
     path: Path
@@ -65,24 +65,24 @@ def film(
     progress: bool | None = None,
     **style: Unpack[RenderOptions],
 ) -> Film:
-    """Films a recording, each picture the record nearest to its time: nothing is made up between records.
+    """Films a recording. Each frame shows the record nearest to its time, without interpolation.
 
     Args:
-        recording: What ``wc.open_run`` or ``Simulation.run`` returned, with the poses of all bodies.
-        path: A .gif file, or an .mp4 file, for which the program ffmpeg is needed.
-        env: Numbers of the environments, side by side; ``None``: the first.
-        time: First and last simulated time [s]; ``None``: all of the recording, of a run that is not finished all
-            that these environments have.
-        fps: Pictures per second that it plays.
-        speed: Simulated seconds in one second of it: 0.1 is ten times slower than real.
-        scene: What was simulated; ``None``: what the recording remembers.
-        progress: Whether to show a bar; ``None``: in a terminal.
-        **look: Size, place of the eye and more, see ``RenderOptions`` and docs/pictures.md.
+        recording: Result of ``wc.open_run`` or ``Simulation.run``, with the poses of all bodies.
+        path: A .gif file, or an .mp4 file, which needs the program ffmpeg.
+        env: Numbers of the environments, shown side by side; ``None``: the first.
+        time: First and last simulated time [s]; ``None``: the whole recording, or, for an unfinished run, the records
+            that all of these environments have.
+        fps: Frames per second.
+        speed: Simulated time per playing time; 0.1 is ten times slower than real time.
+        scene: Scene of the recording; ``None``: the scene stored with the recording.
+        progress: Whether to show a progress bar; ``None``: in a terminal.
+        **style: Size, camera and more; see ``RenderOptions`` and docs/pictures.md.
 
     Raises:
-        ValueError: If the file cannot be written, an environment or a time is not in the recording, poses are not,
-            or an option is not allowed; or there is no ffmpeg for an .mp4 file, or it fails.
-        TypeError: If the recording is none.
+        ValueError: If the file cannot be written, an environment, time or pose is missing in the recording, an option
+            is invalid, or ffmpeg is missing or fails.
+        TypeError: If ``recording`` is not a recording.
         OSError: If writing fails.
     """
     return shoot(
@@ -110,7 +110,7 @@ def shoot(
     progress: bool | None,
     style: RenderStyle,
 ) -> Film:
-    """Films it, see ``film``."""
+    """Films a recording with a validated style; see ``film``."""
     from tqdm import tqdm
 
     file = check_path(path, FILMS)
@@ -160,18 +160,18 @@ def shoot(
 
 
 def _moments(source: Source, time: tuple[float, float] | None, step: float) -> Array:
-    """Returns the simulated time of each picture, ``step`` apart [s]."""
+    """Returns the simulated time of each frame, ``step`` apart, (frame,) [s]."""
     first, last = float(source.times[0]), float(source.times[-1])
     if time is not None:
         first, last = checks.numbers("time", time, (2,)).tolist()
         source.nearest(np.array([first, last]))
         if last <= first:
-            raise ValueError(f"time must be the first and a later last one [s], got {first:g} and {last:g}")
-    # What is missing for the last one may be rounding.
+            raise ValueError(f"time must be two ascending times [s], got {first:g} and {last:g}")
+    # The tolerance includes the last frame despite rounding.
     count = math.floor((last - first) / step + 1.0e-6) + 1
     if count > MOST_PICTURES:
         raise ValueError(
-            f"a film must have at most {MOST_PICTURES} pictures, got {count} of {first:g} to {last:g} s; "
-            "lower fps, raise speed, or give a shorter time"
+            f"a film must have at most {MOST_PICTURES} frames, got {count} of {first:g} to {last:g} s; "
+            "decrease fps, increase speed, or pass a shorter time"
         )
     return np.minimum(first + step * np.arange(count), last)

@@ -1,4 +1,4 @@
-"""Pictures of a drawing, one record after the other, all from the same place and in the same light."""
+"""Renders records of a drawing with a fixed camera and fixed light."""
 
 import math
 from collections.abc import Sequence
@@ -24,21 +24,21 @@ from warpcontact.visualize.rendering.render_style import RenderStyle
 from warpcontact.visualize.rendering.sight import Visibility, best_camera, find_targets
 from warpcontact.visualize.rendering.stage import Stage
 
-# Width of arrows and lines, in sizes of the largest body, and the least and the most in halves of the view.
+# Width of arrows and lines, as a multiple of the size, and its range, in half heights of the view.
 WIDTH = 0.03
 MIN_WIDTH, MAX_WIDTH = 0.007, 0.02
-# Arrows are no longer than this, in halves of the view.
+# Largest length of arrows, in half heights of the view.
 MAX_ARROW = 0.6
 
 
 @dataclass(frozen=True, eq=False)
 class Coloring:
-    """Colours of environments by a number.
+    """Colors of environments by one number each.
 
     Attributes:
-        name: What the number is.
-        scale: From the lowest to the highest of them.
-        colors: RGB as displayed, (env, 3).
+        name: Name of the quantity.
+        scale: Color scale.
+        colors: sRGB colors, (env, 3).
     """
 
     name: str
@@ -47,20 +47,19 @@ class Coloring:
 
     @classmethod
     def of(cls, name: str, values: Array) -> "Coloring":
-        """Returns the colours of the number of each environment, (env,); grey where there is none."""
+        """Returns the colors of one number per environment, (env,); gray for NaN."""
         scale = Scale().widened(values)
         return cls(name, scale, scale.colors(values))
 
 
 class FrameRenderer:
-    """What is seen of a drawing.
+    """Renders records of a drawing.
 
     Args:
-        drawing: The drawing.
-        style: How pictures look.
-        coloring: Colours of what moves, by environment; ``None``: its own.
-        overview: Numbers of the records, in the order of the drawing, by which the place of the eye and the length
-            of arrows are chosen; ``None``: all.
+        drawing: Drawing to render.
+        style: Style of the pictures.
+        coloring: Colors of moving items by environment; ``None``: their own colors.
+        overview: Indices of the records that determine camera and arrow length; ``None``: all.
     """
 
     def __init__(
@@ -77,7 +76,7 @@ class FrameRenderer:
         self._painter = Painter(self._stage, style.background_colors(), style.threads)
         self._moves = moving(drawing)
         rows = list(range(len(drawing.envs)))
-        # The environments in each panel.
+        # Environment rows of each panel.
         self._panels = [rows] if style.together else [[row] for row in rows]
         width, height = style.size
         self._places = sheet.places(len(self._panels), width, height)
@@ -93,36 +92,33 @@ class FrameRenderer:
             self._force_scale = min(self._force_scale, MAX_ARROW * reach / largest)
 
     def picture(self, record: int, time: float | None = None, samples: int | None = None) -> Picture:
-        """Returns a picture, (height, width, 3) sRGB.
+        """Renders a record; returns a picture, (height, width, 3) sRGB.
 
         Args:
-            record: Number of the record, in the order of the drawing.
-            time: What to write into it [s].
-            samples: Most rays of a pixel; ``None``: as it should look.
+            record: Index of the record in the drawing.
+            time: Time to write into the picture [s]; ``None``: none.
+            samples: Largest number of rays per pixel; ``None``: that of the style.
         """
         samples = self._style.samples if samples is None else samples
         width, height = self._style.size
-        whole = np.empty((height, width, 3), dtype=np.uint8)
-        whole[:] = sheet.GAP_COLOR
+        image = np.empty((height, width, 3), dtype=np.uint8)
+        image[:] = sheet.GAP_COLOR
         for rows, (left, top, right, bottom) in zip(self._panels, self._places, strict=True):
             items = [group for group, _ in self._items(record, rows, self._width)]
             marks = self._arrows(record, rows) if self._style.forces else []
-            whole[top:bottom, left:right] = self._painter.paint(
+            image[top:bottom, left:right] = self._painter.paint(
                 items, marks, self.camera, (right - left, bottom - top), samples
             )
         if self._style.labels:
             names = [f"environment {self.drawing.envs[rows[0]]}" for rows in self._panels]
             texts = names if len(self._panels) > 1 else [""]
-            sheet.write(whole, self._places, texts, "" if time is None else f"{time:.3f} s")
+            sheet.write(image, self._places, texts, "" if time is None else f"{time:.3f} s")
             if self._coloring is not None:
-                sheet.write_scale(whole, self._coloring.name, self._coloring.scale)
-        return whole
+                sheet.write_scale(image, self._coloring.name, self._coloring.scale)
+        return image
 
     def _items(self, record: int, rows: list[int], width: float) -> list[tuple[Items, bool]]:
-        """Returns what there is of some environments, and whether it moves; what all have in common once.
-
-        ``width`` is that of lines [m].
-        """
+        """Returns the items of some environments, and whether they move; static ones once. ``width``: of lines [m]."""
         found = []
         for figure, moves in zip(self.drawing.figures, self._moves, strict=True):
             for row in rows if moves else rows[:1]:
@@ -151,19 +147,19 @@ class FrameRenderer:
             for group, moves in self._items(record, rows, WIDTH * self.drawing.size)
             if moves or record == overview[0]
         ]
-        centres, radii = bounding_spheres(self.drawing, items)
+        centers, radii = bounding_spheres(self.drawing, items)
         if self._style.forces:
             tips = [
                 (points + self._force_scale * forces)[(forces != 0.0).any(axis=-1)]
                 for contact in self.drawing.contact_forces
                 for points, forces in [(contact.points[list(overview)], contact.forces[list(overview)])]
             ]
-            centres = np.concatenate([centres, *tips])
-            radii = np.concatenate([radii, np.zeros(len(centres) - len(radii))])
+            centers = np.concatenate([centers, *tips])
+            radii = np.concatenate([radii, np.zeros(len(centers) - len(radii))])
         target = None if self._style.look_at is None else np.array(self._style.look_at, dtype=np.float64)
         cameras = [
             frame_spheres(
-                centres,
+                centers,
                 radii,
                 direction(azimuth, elevation),
                 math.radians(float(self._style.fov)),
@@ -187,6 +183,6 @@ def _largest(drawing: Drawing, records: Sequence[int]) -> float:
 
 
 def _force_scale(drawing: Drawing, records: Sequence[int]) -> float:
-    """Returns the metres per newton that make the largest force in some records as long as the drawing has it."""
+    """Returns the arrow length per force [m/N] at which the largest force in some records has the default length."""
     largest, of_all = (_largest(drawing, some) for some in (records, range(len(drawing.times))))
     return drawing.force_scale * of_all / largest if largest > 0.0 else drawing.force_scale

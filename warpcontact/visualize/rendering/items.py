@@ -1,4 +1,4 @@
-"""What is in one view: shapes as they are placed at one moment, lines and arrows of cylinders and cones."""
+"""Items of a view: placed shapes, and lines and arrows made of cylinders, cones and spheres."""
 
 import functools
 from collections.abc import Sequence
@@ -13,12 +13,12 @@ from warpcontact.drawing.triangles import ball
 from warpcontact.kernels.rendering.world import CONE, CYLINDER, MESH, SPHERE
 from warpcontact.validation.checks import Array
 
-# Of an arrow, in its length at most and in widths of its shaft: the head.
+# Head of an arrow: largest fraction of the arrow length, and width in shaft widths.
 HEAD_LENGTH = 0.45
 HEAD_WIDTHS = 2.4
-# Length of the head in its own widths.
+# Length of the head divided by its width.
 HEAD_SLENDER = 1.5
-# Boxes of the unit forms in their own frames: middle and half of their sides.
+# Bounding boxes of the unit primitives in their own frames: center and half lengths.
 _BOXES = {
     SPHERE: ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)),
     CYLINDER: ((0.0, 0.0, 0.5), (1.0, 1.0, 0.5)),
@@ -28,17 +28,17 @@ _BOXES = {
 
 @dataclass(frozen=True, eq=False)
 class Items:
-    """Placed shapes of one kind; W of p_W = position + rotation · (scale ∘ p) is the world [m].
+    """Placed shapes of one kind, with world position = position + rotation · (scale ∘ p) [m].
 
     Attributes:
         kind: MESH, SPHERE, CYLINDER or CONE.
-        shape: The mesh, if it is one.
-        positions: (n, 3) [m].
-        rotations: (n, 4), x, y, z, w.
-        scales: (n, 3), all above 0.
-        colors: RGB as displayed, (n, 3) in 0…1.
-        has_grid: Whether lines of a grid are on them where they are level.
-        infinite: Whether they are parts of planes without end, z = 0, which fade into the background far away.
+        shape: Mesh, if ``kind`` is MESH.
+        positions: Origins, (n, 3) [m].
+        rotations: Quaternions, (n, 4), x, y, z, w.
+        scales: Factors along the axes, (n, 3), positive.
+        colors: sRGB colors, (n, 3) in 0…1.
+        has_grid: Whether to draw a grid on level faces.
+        infinite: Whether they represent infinite planes, z = 0, which fade into the background far away.
     """
 
     kind: int
@@ -51,21 +51,21 @@ class Items:
     infinite: bool = False
 
     def boxes(self) -> tuple[Array, Array]:
-        """Returns middles and halves of the sides of boxes around them, along the world's axes, (n, 3) [m]."""
+        """Returns centers and half lengths of axis-aligned bounding boxes, world, (n, 3) [m]."""
         if self.shape is None:
             middle, half = (np.array(values) for values in _BOXES[self.kind])
         else:
             middle, half = bounds(self.shape)
-        centres = transform_points((self.scales * middle)[:, None], self.positions, self.rotations)[:, 0]
+        centers = transform_points((self.scales * middle)[:, None], self.positions, self.rotations)[:, 0]
         axes = self.scales[:, :, None] * turned_axes(self.rotations)
         if self.kind == SPHERE:
-            return centres, np.linalg.norm(axes, axis=1)
-        return centres, np.abs(half[:, None] * axes).sum(axis=1)
+            return centers, np.linalg.norm(axes, axis=1)
+        return centers, np.abs(half[:, None] * axes).sum(axis=1)
 
     def extend(self, point: Array, reach: float) -> "Items":
-        """Returns planes without end as squares about where they are nearest to a point [m].
+        """Returns infinite planes as squares centered at the projection of a point [m].
 
-        Half their sides are ``reach`` [m], or as long as they were. Other items are returned as they are.
+        Half their side is at least ``reach`` [m]. Other items are returned unchanged.
         """
         if not self.infinite or self.shape is None:
             return self
@@ -77,13 +77,13 @@ class Items:
 
 @functools.lru_cache(maxsize=1024)
 def bounds(shape: Shape) -> tuple[Array, Array]:
-    """Returns the middle and the halves of the sides of the box around a mesh, in its own frame [m]."""
+    """Returns center and half lengths of the bounding box of a mesh, in its own frame [m]."""
     low, high = shape.vertices.min(axis=0), shape.vertices.max(axis=0)
     return 0.5 * (low + high), 0.5 * (high - low)
 
 
 def turned_axes(rotations: Array) -> Array:
-    """Returns where rotations turn the three axes to, (n, axis, 3)."""
+    """Returns the images of the three axes under rotations, (n, axis, 3)."""
     count = len(rotations)
     axes = np.broadcast_to(np.eye(3), (count, 3, 3))
     return transform_points(axes, np.zeros((count, 3)), rotations)
@@ -98,15 +98,15 @@ def place_figure(
     has_grid: bool = False,
     least: float = 0.0,
 ) -> Items:
-    """Returns the copies of a figure in an environment, those that are there and can be placed.
+    """Returns the copies of a figure in an environment that are present and finite.
 
     Args:
-        figure: The figure.
-        record: Number of the record, in the order of the drawing.
-        row: Number of the environment, in the order of the drawing.
-        color: RGB instead of its own.
-        has_grid: Whether it has lines of a grid.
-        least: Radius of points at least [m].
+        figure: Figure to place.
+        record: Index of the record in the drawing.
+        row: Index of the environment in the drawing.
+        color: RGB that replaces the color of the figure.
+        has_grid: Whether to draw a grid on it.
+        least: Smallest radius of points [m].
     """
     time = record if len(figure.positions) > 1 else 0
     positions, scales = figure.positions[time, row], figure.scales[row]
@@ -124,7 +124,7 @@ def place_figure(
 
 
 def curve_tube(curve: Curve, record: int, row: int, width: float) -> list[Items]:
-    """Returns a curve as a tube [m]: cylinders with spheres between them; nothing of one that is not shown."""
+    """Returns a curve as a tube of diameter ``width`` [m]: cylinders and spheres; empty if it is not shown."""
     points = curve.points[record if len(curve.points) > 1 else 0, row]
     shown = curve.shown[record if len(curve.shown) > 1 else 0, row]
     if not shown or not np.isfinite(points).all():
@@ -137,9 +137,9 @@ def curve_tube(curve: Curve, record: int, row: int, width: float) -> list[Items]
 
 
 def force_arrows(contact: ContactForces, record: int, row: int, scale: float, width: float) -> list[Items]:
-    """Returns the forces of a contact as arrows from where they act, ``scale`` metres per newton long.
+    """Returns the forces of a contact as arrows from the points where they act, ``scale`` [m/N] long.
 
-    ``width`` is that of their shafts [m]; short ones are all head.
+    ``width`` is the shaft diameter [m]. Short arrows are scaled down as a whole.
     """
     starts, arrows = contact.points[record, row], scale * contact.forces[record, row]
     lengths = np.linalg.norm(arrows, axis=-1)
@@ -148,7 +148,7 @@ def force_arrows(contact: ContactForces, record: int, row: int, scale: float, wi
     head_width = HEAD_WIDTHS * width
     heads = np.minimum(HEAD_SLENDER * head_width, np.maximum(HEAD_LENGTH * lengths, 1.0e-300))
     shafts = arrows * (1.0 - heads / np.maximum(lengths, 1.0e-300))
-    # Of a short one the head shrinks in all directions.
+    # Heads of short arrows shrink in all directions.
     thin = heads[:, 0] / (HEAD_SLENDER * head_width)
     return [
         _between(CYLINDER, starts, shafts, 0.5 * width * thin, contact.color),
@@ -157,7 +157,7 @@ def force_arrows(contact: ContactForces, record: int, row: int, scale: float, wi
 
 
 def _between(kind: int, starts: Array, lengths: Array, radius: Array | float, color: Array) -> Items:
-    """Returns cylinders or cones along the vectors ``lengths`` (n, 3) from ``starts`` (n, 3) [m]."""
+    """Returns cylinders or cones along vectors ``lengths`` (n, 3) from ``starts`` (n, 3) [m]."""
     size = np.linalg.norm(lengths, axis=-1)
     radii = np.broadcast_to(radius, size.shape)
     good = (size > 0.0) & (radii > 0.0)
@@ -168,7 +168,7 @@ def _between(kind: int, starts: Array, lengths: Array, radius: Array | float, co
 
 
 def is_static(figure: Figure) -> bool:
-    """Whether a figure never moves, and is the same in all environments."""
+    """Returns whether a figure never moves and is the same in all environments."""
     arrays: Sequence[NDArray[np.float64]] = (figure.positions, figure.orientations)
     static = all(len(values) == 1 and bool((values == values[:, :1]).all()) for values in arrays)
     return static and bool((figure.scales == figure.scales[:1]).all()) and bool(figure.present.all())

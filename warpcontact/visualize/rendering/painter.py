@@ -1,4 +1,4 @@
-"""Paints one view: the rays of a picture, by all threads of a CPU or one launch on a GPU."""
+"""Paints one view by ray tracing: with all threads of a CPU, or with one launch on a GPU."""
 
 import math
 from collections.abc import Sequence
@@ -20,14 +20,14 @@ from warpcontact.visualize.rendering.stage import Stage
 
 Picture = NDArray[np.uint8]
 
-# The sun, from the left of the eye and above [rad], and the radius of its disc at distance 1.
+# Sun: azimuth to the left of the camera and elevation [rad], and radius of its disk at distance 1.
 _ASIDE, _HEIGHT, _SPREAD = math.radians(45.0), math.radians(50.0), 0.035
-# Distances from the target at which planes without end begin to fade into the background, and have, in halves of
-# the view or, if that is more, in distances of the target from them: what is below it is seen farther away.
+# Distances from the target at which infinite planes begin to fade into the background and have faded completely, in
+# half heights of the view, or, if larger, in distances of the target from the plane.
 _FADE = (3.0, 12.0)
-# Lines of the grid in half of the view from top to bottom, about.
+# Approximate number of grid lines in half the height of the view.
 _LINES = 3.0
-# Rows of a picture that a thread takes at once on a CPU.
+# Number of picture rows per CPU work item.
 _ROWS = 8
 
 
@@ -35,9 +35,9 @@ class Painter:
     """Paints views of a stage.
 
     Args:
-        stage: What there is to see.
-        background: Colours as displayed at the top and the bottom, (2, 3).
-        threads: How many threads paint on a CPU; ``None``: one per core.
+        stage: Stage with the meshes.
+        background: sRGB colors at top and bottom, (2, 3).
+        threads: Number of CPU threads; ``None``: one per core.
     """
 
     def __init__(self, stage: Stage, background: Array, threads: int | None = None) -> None:
@@ -54,18 +54,18 @@ class Painter:
         size: tuple[int, int],
         samples: int,
     ) -> Picture:
-        """Returns a picture, (height, width, 3) sRGB.
+        """Renders a view; returns a picture, (height, width, 3) sRGB.
 
         Args:
-            items: What throws shadows.
-            marks: What is shown over it, such as arrows.
-            camera: Where from.
+            items: Items that cast shadows.
+            marks: Items drawn in front of them, such as arrows.
+            camera: The camera.
             size: Width and height [pixels].
-            samples: Rays of a pixel at most.
+            samples: Largest number of rays per pixel.
         """
         width, height = size
         device = self._stage.device
-        # Lengths are in halves of the view, so that no tolerance depends on the scene.
+        # Lengths are in half heights of the view, so that tolerances do not depend on the scene.
         unit = camera.reach
         items, (self._backdrop.fade_from, self._backdrop.fade_to) = extend_planes(items, camera)
         worlds = [self._stage.world(group, camera.target, unit) for group in (items, marks)]
@@ -92,9 +92,9 @@ class Painter:
 
 
 def extend_planes(items: Sequence[Items], camera: Camera) -> tuple[list[Items], tuple[float, float]]:
-    """Returns items with planes without end as far as they are seen, and where these fade into the background.
+    """Returns items with infinite planes extended as far as they are visible, and the fade distances.
 
-    They begin to at the first distance from the target, and have at the second, in halves of the view.
+    Planes begin to fade at the first distance from the target and have faded at the second, in half view heights.
     """
     unit = camera.reach
     scale = max([1.0, *(_farthest(group, camera.target) / unit for group in items if group.infinite)])
@@ -112,19 +112,19 @@ def _view(camera: Camera, unit: float, width: int, height: int, samples: int) ->
 
 
 def _farthest(planes: Items, point: Array) -> float:
-    """Returns the greatest distance of a point from planes z = 0 in their own frames [m]."""
+    """Returns the largest distance of a point from planes z = 0 in their own frames [m]."""
     normals = turned_axes(planes.rotations)[:, 2]
     return float(np.abs(((point - planes.positions) * normals).sum(axis=1)).max(initial=0.0))
 
 
 def _grid(camera: Camera, height: int) -> Grid:
-    """Returns lines at 1, 2 or 5 times a power of ten metres, a few of them in the view."""
+    """Returns a grid with a spacing of 1, 2 or 5 times a power of ten [m], about ``_LINES`` per half view height."""
     grid = Grid()
-    wanted = camera.reach / _LINES
-    power = 10.0 ** math.floor(math.log10(wanted))
-    step = max(power * nice for nice in (1.0, 2.0, 5.0) if power * nice <= wanted * (1.0 + 1.0e-9))
+    target_spacing = camera.reach / _LINES
+    power = 10.0 ** math.floor(math.log10(target_spacing))
+    step = max(power * nice for nice in (1.0, 2.0, 5.0) if power * nice <= target_spacing * (1.0 + 1.0e-9))
     grid.step = step / camera.reach
-    # The target is the origin of kernels; of its coordinates only the part within a step matters.
+    # Kernels use the target as origin; only its position within a grid cell matters.
     grid.origin = wp.vec2(*(-np.mod(camera.target[:2], step) / camera.reach).tolist())
     grid.shade = 0.8
     grid.pixel = 2.0 * math.tan(0.5 * camera.angle) / height
@@ -132,10 +132,10 @@ def _grid(camera: Camera, height: int) -> Grid:
 
 
 def light_of(camera: Camera) -> Light:
-    """Returns the light of a view: the sun stands to the left of the eye, wherever that is."""
+    """Returns the light of a view, with the sun to the left of the camera."""
     light = Light()
     right = camera.axes[0]
-    # The azimuth of the eye, also from straight above.
+    # The azimuth of the camera, also defined from straight above.
     azimuth = math.atan2(-right[0], right[1])
     sun = direction(azimuth - _ASIDE, _HEIGHT)
     across = np.cross(sun, (0.0, 0.0, 1.0))

@@ -1,4 +1,4 @@
-"""How a picture looks: the options that stills and films share, checked."""
+"""Style of pictures: the validated options shared by stills and films."""
 
 import math
 import re
@@ -13,16 +13,16 @@ from warpcontact.system.devices import find_device
 from warpcontact.validation import checks
 from warpcontact.validation.checks import Array, limits
 
-#: Colours as displayed at the top and the bottom of a picture, behind everything.
+#: sRGB colors at top and bottom of the background.
 BACKGROUNDS = {
     "light": ((0.80, 0.85, 0.90), (0.96, 0.97, 0.98)),
     "white": ((1.0, 1.0, 1.0), (1.0, 1.0, 1.0)),
     "dark": ((0.05, 0.06, 0.08), (0.16, 0.18, 0.21)),
 }
-#: Smallest and largest side of a picture [pixels], and rays of a pixel.
+#: Range of the sides of a picture [pixels], and of the number of rays per pixel.
 SIDES = (16, 8192)
 SAMPLES = (1, 1024)
-# Where the eye may be: from steeper in front, over what is low; from other sides; from above, into what is deep.
+# Candidate camera directions [°]: from the front, then from the sides, each with rising elevation; then from above.
 _FRONT, _SIDES, _SLOPES = -60.0, (30.0, -150.0, 120.0), (22.0, 35.0, 50.0)
 _VIEW_DIRECTIONS = [
     *((_FRONT, elevation) for elevation in _SLOPES),
@@ -33,7 +33,7 @@ _HEX = re.compile(r"#([0-9a-fA-F]{2})([0-9a-fA-F]{2})([0-9a-fA-F]{2})")
 
 
 class RenderOptions(TypedDict, total=False):
-    """The options of ``RenderStyle``, all of which may be left out."""
+    """Options of ``RenderStyle``; all are optional."""
 
     size: tuple[int, int]
     view_from: tuple[float, float] | None
@@ -53,29 +53,29 @@ class RenderOptions(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class RenderStyle:
-    """How pictures of a recording look.
+    """Style of pictures of a recording.
 
     Args:
         size: Width and height [pixels].
-        view_from: Where the eye is: azimuth, from the x axis towards the y axis, and elevation above the
-            horizontal [degrees]; ``None``: −60 and 22, or from where what stands still hides nothing that moves.
-        look_at: The point in the middle of the picture, world [m]; ``None``: of what moves.
-        distance: From there to the eye [m]; ``None``: so that all that moves is in the picture.
-        fov: Angle of view, from top to bottom [degrees].
-        forces: Whether to show contact forces as arrows, where force, normal and point of a contact were recorded.
-        force_scale: Length of arrows [m/N]; ``None``: the largest force is 1.5 sizes of the largest body long, if
-            there is room for that.
-        together: Whether to show several environments in one picture, in place of one beside the other.
-        color_by: A parameter or an outcome with one number for each environment, or one for all items of a set in
-            it, to colour what moves by.
-        labels: Whether to write numbers of several environments, the time of a film and the scale of ``color_by``.
-        background: ``"light"``, ``"white"``, ``"dark"`` or a colour such as ``"#20242c"``.
-        samples: Most rays of a pixel; it takes fewer where they see the same.
-        device: Where to compute: ``"auto"``, ``"cpu"``, ``"cuda:0"``, …
-        threads: How many threads work on a CPU; ``None``: one per core. They change no pixel.
+        view_from: Direction of the camera: azimuth, from the x axis towards the y axis, and elevation above the
+            horizontal [degrees]. ``None``: −60 and 22, or a direction from which static items hide no moving bodies.
+        look_at: Point at the center of the picture, world [m]; ``None``: the center of the moving bodies.
+        distance: Distance from this point to the camera [m]; ``None``: so that all moving bodies are in the picture.
+        fov: Vertical angle of view [degrees].
+        forces: Whether to draw contact forces as arrows, for contacts with recorded normal force, normal and point.
+        force_scale: Arrow length per force [m/N]; ``None``: the largest force is 1.5 times the largest body, or
+            shorter if the picture is too small.
+        together: Whether to draw several environments in one panel instead of side by side.
+        color_by: Parameter or outcome that colors the moving bodies, with one number per environment, or one equal
+            for all items of a set.
+        labels: Whether to write environment numbers, the time of a film, and the scale of ``color_by``.
+        background: ``"light"``, ``"white"``, ``"dark"`` or a color such as ``"#20242c"``.
+        samples: Largest number of rays per pixel; fewer are used where they agree.
+        device: Device for rendering: ``"auto"``, ``"cpu"``, ``"cuda:0"``, …
+        threads: Number of CPU threads; ``None``: one per core. Does not change the picture.
 
     Raises:
-        ValueError: If a value is not allowed.
+        ValueError: If a value is invalid.
     """
 
     size: tuple[int, int] = (1280, 720)
@@ -116,7 +116,7 @@ class RenderStyle:
         self.background_colors()
 
     def background_colors(self) -> Array:
-        """Returns the colours at the top and the bottom as displayed, (2, 3) in 0…1."""
+        """Returns the sRGB colors at top and bottom, (2, 3) in 0…1."""
         if isinstance(self.background, str) and (found := _HEX.fullmatch(self.background)):
             return np.array([[int(part, 16) / 255.0 for part in found.groups()]] * 2)
         if self.background not in BACKGROUNDS:
@@ -125,12 +125,12 @@ class RenderStyle:
         return np.array(BACKGROUNDS[self.background])
 
     def find_device(self) -> wp.Device:
-        """Returns the device to compute on."""
+        """Returns the device for rendering."""
         return find_device(self.device)
 
     @property
     def view_directions(self) -> list[tuple[float, float]]:
-        """Azimuths and elevations of the eye [rad], the first from which what moves is seen is taken."""
+        """Candidate azimuths and elevations of the camera [rad]; the first with a clear view is chosen."""
         view_directions = _VIEW_DIRECTIONS if self.view_from is None else [self.view_from]
         return [
             (math.radians(float(azimuth)), math.radians(float(elevation)))
@@ -139,5 +139,5 @@ class RenderStyle:
 
 
 def environment_numbers(env: Any) -> list[int] | None:
-    """Returns environments to show as a list; ``None``: the first of the recording."""
+    """Returns the selected environments as a list; ``None``: the first of the recording."""
     return None if env is None else checks.entries(env)

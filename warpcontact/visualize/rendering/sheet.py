@@ -1,4 +1,4 @@
-"""Several panels in one picture, and what is written into it."""
+"""Layout of several panels in one picture, and labels."""
 
 import functools
 import math
@@ -12,21 +12,21 @@ from warpcontact.validation import safe_text
 
 Place = tuple[int, int, int, int]
 
-# Between panels [pixels], and its colour.
+# Space between panels [pixels], and its color.
 GAP = 3
 GAP_COLOR = (255, 255, 255)
-# Width by height that panels come as close to as they can.
+# Preferred ratio of panel width to height.
 _SHAPE = 1.4
-# Height of letters, by that of a picture; their least height where there is room, and what can be read [pixels].
+# Letter height as a fraction of the picture height; preferred minimum and readable minimum [pixels].
 _LETTERS, _SMALLEST, _READABLE = 0.034, 13, 7
-# Texts take at most this part of the width of a panel.
+# Largest width of a text, as a fraction of the panel width.
 _WIDEST = 0.45
-# Letters of the name of a scale.
+# Largest number of letters in the name of a color scale.
 _LONGEST = 24
 
 
 def places(count: int, width: int, height: int) -> list[Place]:
-    """Returns where panels of one size are in a picture, row by row: left, top, right, bottom [pixels].
+    """Returns equally sized panels of a picture, row by row: left, top, right, bottom [pixels].
 
     Raises:
         ValueError: If they do not fit.
@@ -35,23 +35,23 @@ def places(count: int, width: int, height: int) -> list[Place]:
     def side(total: int, parts: int) -> int:
         return (total - GAP * (parts - 1)) // parts
 
-    def unlike(columns: int) -> float:
+    def mismatch(columns: int) -> float:
         rows = math.ceil(count / columns)
         wide, high = side(width, columns), side(height, rows)
         if wide < 16 or high < 16:
             return math.inf
-        # Panels that stay empty count as well.
+        # Empty cells are penalized as well.
         return abs(math.log(wide / high / _SHAPE)) + 0.3 * (rows * columns - count) / count
 
-    columns = min(range(1, count + 1), key=unlike)
+    columns = min(range(1, count + 1), key=mismatch)
     rows = math.ceil(count / columns)
     wide, high = side(width, columns), side(height, rows)
-    if unlike(columns) == math.inf:
+    if mismatch(columns) == math.inf:
         raise ValueError(
-            f"size must have room for panels of {count} environments, got {width} × {height} pixels; "
-            "together shows them in one"
+            f"size must be sufficient for {count} panels, got {width} × {height} pixels; "
+            "together=True draws all environments in one panel"
         )
-    # What does not divide is shared by both borders.
+    # Center the panels in the picture.
     left = (width - columns * wide - GAP * (columns - 1)) // 2
     top = (height - rows * high - GAP * (rows - 1)) // 2
     corners = [divmod(panel, columns) for panel in range(count)]
@@ -62,7 +62,7 @@ def places(count: int, width: int, height: int) -> list[Place]:
 def write(picture: NDArray[np.uint8], panels: list[Place], texts: list[str], last: str) -> None:
     """Writes a text into the upper left corner of each panel, and ``last`` into the lower left of the first.
 
-    Panels without room for what can be read have none.
+    Nothing is written if the letters would be too small to read.
     """
     from PIL import Image, ImageDraw
 
@@ -85,7 +85,7 @@ def write(picture: NDArray[np.uint8], panels: list[Place], texts: list[str], las
 
 
 def write_scale(picture: NDArray[np.uint8], name: str, scale: Scale) -> None:
-    """Draws the scale of colours in the upper right corner: from the lowest to the highest number."""
+    """Draws the color scale in the upper right corner, with its lowest and highest number."""
     from PIL import Image, ImageDraw
 
     height, width = picture.shape[:2]
@@ -114,7 +114,7 @@ def write_scale(picture: NDArray[np.uint8], name: str, scale: Scale) -> None:
 
 
 def _letters(panel: Place, texts: list[str]) -> int:
-    """Returns how high letters are, so that there is room for each of these texts in a panel [pixels]."""
+    """Returns the letter height at which each of the texts fits into a panel [pixels]."""
     left, top, right, bottom = panel
     wanted = max(_SMALLEST, round(_LETTERS * min(bottom - top, right - left)))
     longest = max(_font(wanted).getlength(text) for text in texts)
@@ -122,7 +122,7 @@ def _letters(panel: Place, texts: list[str]) -> int:
 
 
 def _ink(picture: NDArray[np.uint8], left: int, top: int, letters: int) -> tuple[int, int, int]:
-    """Returns black or white, what is easier to read on a place of a picture."""
+    """Returns a dark or light color, whichever has more contrast with the picture at a position."""
     under = picture[max(top, 0) : top + 2 * letters, max(left, 0) : left + 8 * letters]
     return (25, 28, 32) if under.mean() > 110.0 else (240, 242, 245)
 

@@ -1,4 +1,4 @@
-"""Whether what moves is seen from a place, or hidden by what stands still."""
+"""Visibility of moving bodies from a camera, and choice of the camera."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,23 +17,23 @@ from warpcontact.visualize.rendering.items import Items, bounds, place_figure
 from warpcontact.visualize.rendering.painter import extend_planes
 from warpcontact.visualize.rendering.stage import Stage
 
-# A body is seen if it is in at least this part of the records; a place from which this part of the bodies is seen
-# is good enough.
+# A body counts as visible if it is seen in at least this fraction of its records. A camera that sees at least this
+# fraction of the bodies is accepted.
 MIN_RECORD_FRACTION, MIN_BODY_FRACTION = 0.75, 0.95
-# Bodies of a panel, and panels, that are looked for at most.
+# Largest number of bodies per panel, and of panels, that are tested.
 BODIES, PANELS = 400, 16
-# Within this distance of its middle nothing hides a body, in halves of the view: points lie on surfaces.
+# Occlusion within this distance of a body's center is ignored, in half heights of the view: points lie on surfaces.
 _MIN_RADIUS = 0.01
 
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """Bodies of one panel, and what stands still in it.
+    """Bodies of one panel, and its static items.
 
     Attributes:
-        centres: Their middles, (record, body, 3), world [m]; NaN where a body is not there.
-        radii: Of balls within them, (record, body) [m].
-        static: What never moves.
+        centres: Body centers, (record, body, 3), world [m]; NaN if a body is not present.
+        radii: Radii of inscribed balls, (record, body) [m].
+        static: Static items.
     """
 
     centres: Array
@@ -42,12 +42,12 @@ class Targets:
 
 
 class Visibility:
-    """What can be seen of bodies.
+    """Test of the visibility of bodies.
 
     Args:
-        stage: The meshes of what stands still.
-        panels: What to look for.
-        camera: From about where: lengths on the device are in its units.
+        stage: Stage with the meshes of static items.
+        panels: Bodies and static items of each panel.
+        camera: Approximate camera; it defines origin and unit of length on the device.
     """
 
     def __init__(self, stage: Stage, panels: Sequence[Targets], camera: Camera) -> None:
@@ -58,9 +58,9 @@ class Visibility:
         ]
 
     def visible_fraction(self, camera: Camera, aspect: float) -> float:
-        """Returns the part of the bodies that are seen in most of the records in which they are in the picture.
+        """Returns the fraction of bodies that are visible in most of the records in which they are in the picture.
 
-        1 if there are none. ``aspect`` is the width of the picture by its height.
+        1 if there are none. ``aspect`` is the width of the picture divided by its height.
         """
         eye = camera.target + camera.distance * camera.backward
         right, up, forward = camera.axes
@@ -69,7 +69,7 @@ class Visibility:
         for panel, world in self._panels:
             offset = panel.centres - eye
             depth = slope * (offset @ forward)
-            # Without a warning where a body is not there.
+            # Comparisons with NaN, for bodies that are not present, are false.
             inside = (np.abs(offset @ right) <= aspect * depth) & (np.abs(offset @ up) <= depth)
             radii = np.maximum(panel.radii / self._unit, _MIN_RADIUS)[inside]
             points = (panel.centres[inside] - self._origin) / self._unit
@@ -96,7 +96,7 @@ class Visibility:
 
 
 def best_camera(visibility: Visibility, cameras: Sequence[Camera], aspect: float) -> Camera:
-    """Returns the first camera from which nearly all bodies are seen, or else the first that sees most of them."""
+    """Returns the first camera that sees nearly all bodies, or else the first that sees most of them."""
     best, most = cameras[0], -1.0
     for camera in cameras:
         part = visibility.visible_fraction(camera, aspect)
@@ -108,12 +108,12 @@ def best_camera(visibility: Visibility, cameras: Sequence[Camera], aspect: float
 
 
 def find_targets(drawing: Drawing, panels: Sequence[Sequence[int]], records: Sequence[int]) -> list[Targets]:
-    """Returns what is to be seen in some of the panels, and may be hidden; none if nothing may be.
+    """Returns bodies and static items of some panels; empty if nothing can be hidden.
 
     Args:
-        drawing: What it is of.
-        panels: Rows of the environments in each.
-        records: Numbers of the records that tell where bodies are.
+        drawing: The drawing.
+        panels: Environment rows of each panel.
+        records: Indices of the records that are tested.
     """
     static = [figure for figure in drawing.figures if len(figure.positions) == len(figure.orientations) == 1]
     moving = [figure for figure in drawing.figures if figure not in static]
@@ -123,15 +123,15 @@ def find_targets(drawing: Drawing, panels: Sequence[Sequence[int]], records: Seq
     for number in _evenly(len(panels), PANELS):
         rows = panels[number]
         parts = [_bodies(figure, row, records) for figure in moving for row in rows]
-        centres, radii = (np.concatenate(column, axis=1) for column in zip(*parts, strict=True))
-        chosen = _evenly(centres.shape[1], BODIES)
+        centers, radii = (np.concatenate(column, axis=1) for column in zip(*parts, strict=True))
+        chosen = _evenly(centers.shape[1], BODIES)
         static_items = [place_figure(figure, 0, row) for figure in static for row in rows]
-        found.append(Targets(centres[:, chosen], radii[:, chosen], static_items))
+        found.append(Targets(centers[:, chosen], radii[:, chosen], static_items))
     return found
 
 
 def _bodies(figure: Figure, row: int, records: Sequence[int]) -> tuple[Array, Array]:
-    """Returns middles (record, item, 3) and radii (record, item) [m] of copies of a figure, NaN if not there."""
+    """Returns centers (record, item, 3) and radii (record, item) [m] of copies of a figure, NaN if not present."""
     positions, rotations = (
         values[list(records), row] if len(values) > 1 else np.repeat(values[:, row], len(records), axis=0)
         for values in (figure.positions, figure.orientations)
@@ -139,11 +139,11 @@ def _bodies(figure: Figure, row: int, records: Sequence[int]) -> tuple[Array, Ar
     scales = np.broadcast_to(figure.scales[row], positions.shape)
     middle, half = (np.zeros(3), np.ones(3)) if figure.shape is ball() else bounds(figure.shape)
     good = np.isfinite(positions).all(axis=-1) & np.isfinite(rotations).all(axis=-1) & figure.present[row]
-    centres = np.full(positions.shape, np.nan)
-    centres[good] = transform_points((scales[good] * middle)[:, None], positions[good], rotations[good])[:, 0]
-    return centres, (scales * half).min(axis=-1)
+    centers = np.full(positions.shape, np.nan)
+    centers[good] = transform_points((scales[good] * middle)[:, None], positions[good], rotations[good])[:, 0]
+    return centers, (scales * half).min(axis=-1)
 
 
 def _evenly(count: int, most: int) -> NDArray[np.int_]:
-    """Returns at most so many of some numbers from 0, evenly spread."""
+    """Returns at most ``most`` of the numbers 0 … ``count`` − 1, evenly spaced."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))

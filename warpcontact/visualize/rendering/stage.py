@@ -1,4 +1,4 @@
-"""Drawings on a device: their meshes once, what is placed for each view."""
+"""Device data of a drawing: its meshes, uploaded once, and the placed items of each view."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -14,21 +14,21 @@ from warpcontact.kernels.rendering.world import World
 from warpcontact.validation.checks import Array
 from warpcontact.visualize.rendering.items import Items, bounds
 
-# Boxes are larger than what they hold by this part of it: no ray misses what is flat, or is lost to rounding.
+# Relative margin of bounding boxes, so that rays hit flat items despite rounding.
 _BOX_MARGIN = 1.0e-4
-# What is smaller than this, in units of the view, cannot be seen.
+# Items smaller than this, in units of the view, are dropped because they are invisible.
 _SMALLEST = 1.0e-7
 
 
 class Stage:
-    """The meshes of a drawing on a device.
+    """Meshes of a drawing on a device.
 
     Args:
-        drawing: Whose shapes.
-        device: Where to.
+        drawing: Drawing with the shapes.
+        device: Warp device.
 
     Raises:
-        ValueError: If the mesh of a figure cannot be drawn.
+        ValueError: If the mesh of a figure is invalid.
     """
 
     def __init__(self, drawing: Drawing, device: wp.Device) -> None:
@@ -36,7 +36,7 @@ class Stage:
         self._numbers: dict[int, int] = {}
         self._shapes: list[Shape] = []
         self._meshes: list[wp.Mesh] = []
-        # Middle and half of the longest side of each [m]: on the device they are of size 1 about their middle.
+        # Center and half the longest side of each mesh [m]; on the device, meshes are normalized with these.
         self._frames: list[tuple[Array, float]] = []
         normals: list[Array] = []
         colors: list[Array] = []
@@ -65,7 +65,7 @@ class Stage:
         }
 
     def world(self, items: Sequence[Items], origin: Array, unit: float) -> "PlacedWorld":
-        """Places items about ``origin`` [m], lengths divided by ``unit`` [m]."""
+        """Returns items placed relative to ``origin`` [m], with lengths divided by ``unit`` [m]."""
         parts = [self._place(group, origin, unit) for group in items if len(group.positions)]
         columns = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]} if parts else {}
         keep = columns["scale"].min(axis=1) > _SMALLEST if parts else np.zeros(0, dtype=bool)
@@ -79,7 +79,7 @@ class Stage:
             middle, half = self._frames[number]
             positions = transform_points((scales * middle)[:, None], positions, items.rotations)[:, 0]
             scales = scales * half
-        centres, halves = items.boxes()
+        centers, halves = items.boxes()
         margin = _BOX_MARGIN * halves.max(axis=1, keepdims=True) + 1.0e-5 * unit
         return {
             "kind": np.full(count, items.kind),
@@ -90,8 +90,8 @@ class Stage:
             "color": linear(items.colors),
             "has_grid": np.full(count, items.has_grid),
             "infinite": np.full(count, items.infinite),
-            "lower": (centres - halves - margin - origin) / unit,
-            "upper": (centres + halves + margin - origin) / unit,
+            "lower": (centers - halves - margin - origin) / unit,
+            "upper": (centers + halves + margin - origin) / unit,
         }
 
     def _add_mesh(self, shape: Shape) -> None:
@@ -107,10 +107,10 @@ class Stage:
 
 
 class PlacedWorld:
-    """Items on a device as kernels take them, kept as long as this is.
+    """Placed items on a device; keeps their arrays alive.
 
     Attributes:
-        struct: What kernels take.
+        struct: Argument of the rendering kernels.
     """
 
     def __init__(self, columns: dict[str, Array], parts: dict[str, wp.array], device: wp.Device) -> None:
@@ -118,7 +118,7 @@ class PlacedWorld:
         for name, values in parts.items():
             setattr(self.struct, name, values)
         self.struct.count = len(columns.get("kind", ()))
-        if not self.struct.count:  # Warp crashes on a tree of nothing
+        if not self.struct.count:  # Warp crashes on an empty BVH
             return
         types = {
             "kind": wp.int32,
@@ -138,16 +138,16 @@ class PlacedWorld:
 
 
 def _check(name: str, shape: Shape) -> None:
-    """Raises ``ValueError`` unless Warp takes the mesh: it crashes on others, or says nothing."""
+    """Raises ``ValueError`` if a mesh is invalid; Warp would crash or silently skip faces."""
     vertices, faces = shape.vertices, shape.faces
     if not len(faces):
-        raise ValueError(f"{name}: has a mesh without faces, which cannot be drawn")
+        raise ValueError(f"{name}: the mesh must have faces")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise ValueError(
-            f"{name}: faces must name vertices 0 to {len(vertices) - 1}, got {faces.min()} to {faces.max()}"
+            f"{name}: vertex indices must be from 0 to {len(vertices) - 1}, got {faces.min()} to {faces.max()}"
         )
     if not np.isfinite(vertices).all() or not np.ptp(vertices, axis=0).max() > 0.0:
-        raise ValueError(f"{name}: vertices must be finite, and not all in one place")
+        raise ValueError(f"{name}: vertices must be finite, and not all coincide")
     for key, values, count in (("normals", shape.normals, len(vertices)), ("colors", shape.colors, len(faces))):
         if values is not None and values.shape != (count, 3):
             raise ValueError(f"{name}: {key} must have shape {(count, 3)}, got {values.shape}")

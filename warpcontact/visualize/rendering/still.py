@@ -1,4 +1,4 @@
-"""One picture of a recording."""
+"""Stills: one picture of a recording."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -22,14 +22,14 @@ STILL = (".png",)
 
 @dataclass(frozen=True, eq=False)
 class Still:
-    """A picture, and what it is of.
+    """Picture with information about it.
 
     Attributes:
         picture: (height, width, 3) sRGB.
         envs: Numbers of the environments.
         time: Simulated time of the record [s].
-        forces: Whether there are forces that could be shown.
-        partial: Whether later records are still to come, of a run that is not finished.
+        forces: Whether the drawing has contact forces.
+        partial: Whether later records are missing, because the run is not finished.
     """
 
     picture: Picture
@@ -49,24 +49,24 @@ def render(
     scene: Scene | None = None,
     **style: Unpack[RenderOptions],
 ) -> Picture:
-    """Draws a recording as it is at one time.
+    """Renders one record of a recording.
 
     Args:
-        recording: What ``wc.open_run`` or ``Simulation.run`` returned, with the poses of all bodies.
-        path: A .png file to write as well.
-        env: Numbers of the environments, side by side; ``None``: the first.
-        time: Simulated time [s], of which the nearest record is drawn; ``None``: the last record, of a run that is
-            not finished the last that all these environments have.
-        scene: What was simulated; ``None``: what the recording remembers.
-        **look: Size, place of the eye and more, see ``RenderOptions`` and docs/pictures.md.
+        recording: Result of ``wc.open_run`` or ``Simulation.run``, with the poses of all bodies.
+        path: A .png file to write; ``None``: writes none.
+        env: Numbers of the environments, shown side by side; ``None``: the first.
+        time: Simulated time [s]; the nearest record is drawn. ``None``: the last record, or, for an unfinished run, the
+            last that all of these environments have.
+        scene: Scene of the recording; ``None``: the scene stored with the recording.
+        **style: Size, camera and more; see ``RenderOptions`` and docs/pictures.md.
 
     Returns:
         The picture, (height, width, 3) sRGB in 0…255.
 
     Raises:
-        ValueError: If the file cannot be written, an environment or a time is not in the recording, poses are not,
-            or an option is not allowed.
-        TypeError: If the recording is none.
+        ValueError: If the file cannot be written, an environment, time or pose is missing in the recording, or an
+            option is invalid.
+        TypeError: If ``recording`` is not a recording.
         OSError: If writing fails.
     """
     return still(recording, path, env=env, time=time, scene=scene, style=RenderStyle(**style)).picture
@@ -81,11 +81,11 @@ def still(
     scene: Scene | None,
     style: RenderStyle,
 ) -> Still:
-    """Draws it, see ``render``, and tells what it is of."""
+    """Renders one record with a validated style, and returns it with information; see ``render``."""
     file = None if path is None else check_path(path, STILL)
     source = Source.of(recording, scene, env)
-    wanted = source.times[-1] if time is None else checks.numbers("time", time, ())
-    record = int(source.nearest(wanted))
+    requested = source.times[-1] if time is None else checks.numbers("time", time, ())
+    record = int(source.nearest(requested))
     overview = source.overview()
     records = sorted({*overview, record})
     drawing = source.drawing(records)

@@ -1,4 +1,4 @@
-"""Files that pictures of a film go to, one after the other."""
+"""Encoders of films: GIF and MP4, written frame by frame."""
 
 import shutil
 import struct
@@ -14,29 +14,29 @@ from numpy.typing import NDArray
 from warpcontact.files.atomic_files import atomic_file, atomic_path
 from warpcontact.visualize.rendering.painter import Picture
 
-#: Pictures per second that browsers still play as told; they show shorter ones for a tenth of a second.
+#: Largest frame rate that browsers play; they show shorter frames for a tenth of a second.
 GIF_FASTEST = 50.0
-# A GIF counts time in these [s].
+# Time unit of a GIF [s].
 _TICK = 0.01
-# Colours of a GIF, one fewer than there can be: the last stands for what did not change.
+# Number of colors of a GIF, one below the maximum: the last index marks unchanged pixels.
 _COLORS = 255
-# Most ticks of a picture.
+# Largest duration of a frame [ticks].
 _LONGEST = 2**16 - 1
-# Extension of GIF that lets a film begin again.
+# GIF extension for endless repetition.
 _ENDLESS = b"!\xff\x0bNETSCAPE2.0\x03\x01\0\0\0"
 
 
 def write_gif(
     path: Path, pictures: Iterable[Picture], count: int, fps: float, palette_pictures: Sequence[Picture]
 ) -> None:
-    """Writes an endless GIF, in the 255 colours that suit some pictures of it best.
+    """Writes an endless GIF with a palette of 255 colors, chosen from some of its frames.
 
     Args:
-        path: The file.
-        pictures: All pictures, (height, width, 3) sRGB.
-        count: How many there are.
-        fps: How many of them a second has.
-        palette_pictures: Some pictures, of one size, to choose colours by.
+        path: File to write.
+        pictures: All frames, (height, width, 3) sRGB.
+        count: Number of frames.
+        fps: Frames per second.
+        palette_pictures: Frames of equal size from which the palette is chosen.
     """
     from PIL import Image
     from PIL.GifImagePlugin import getdata
@@ -45,7 +45,7 @@ def write_gif(
         _COLORS, method=Image.Quantize.MEDIANCUT
     )
     colors = bytes(palette.getpalette() or ())
-    # Each picture ends at the tick nearest to its time: rounding does not add up.
+    # Each frame ends at the tick nearest to its time, so that rounding does not accumulate.
     ticks = np.diff([round(number / fps / _TICK) for number in range(count + 1)]).tolist()
     frames = (Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures)
     with atomic_file(path) as file:
@@ -55,22 +55,22 @@ def write_gif(
                 file.write(b"GIF89a" + struct.pack("<HHBBB", width, height, 0xF7, 0, 0) + colors.ljust(768, b"\0"))
                 file.write(_ENDLESS)
             indices = frame.indices
-            for told in range(0, wait, _LONGEST):
-                ticks_of_it = min(wait - told, _LONGEST)
+            for written in range(0, wait, _LONGEST):
+                ticks_of_it = min(wait - written, _LONGEST)
                 about = {"duration": 1000.0 * _TICK * ticks_of_it, "transparency": _COLORS, "disposal": 1}
                 file.writelines(getdata(Image.fromarray(indices), frame.corner, **about))
-                # What is shown for longer than a picture can be goes on as a pixel of nothing new.
+                # A duration beyond the limit is continued by single transparent pixels.
                 indices = np.full((1, 1), _COLORS, dtype=np.uint8)
         file.write(b";")
 
 
 @dataclass(frozen=True, eq=False)
 class _Change:
-    """A part of a picture that is not as before.
+    """Changed part of a frame.
 
     Attributes:
-        indices: Numbers of colours, (height, width); ``_COLORS`` where nothing changed.
-        corner: Where its upper left pixel is, column and row.
+        indices: Palette indices, (height, width); ``_COLORS`` where nothing changed.
+        corner: Column and row of its upper left pixel.
     """
 
     indices: NDArray[np.uint8]
@@ -78,7 +78,7 @@ class _Change:
 
 
 def _changes(pictures: Iterable[NDArray[np.uint8]], ticks: Iterable[int]) -> Iterator[tuple[_Change, int]]:
-    """Yields the first picture, then what changes from one to the next, each with the ticks that it is shown."""
+    """Yields the first frame, then the changes from frame to frame, each with its duration [ticks]."""
     before: NDArray[np.uint8] | None = None
     change, shown = _Change(np.zeros((0, 0), dtype=np.uint8), (0, 0)), 0
     for picture, wait in zip(pictures, ticks, strict=True):
@@ -93,36 +93,36 @@ def _changes(pictures: Iterable[NDArray[np.uint8]], ticks: Iterable[int]) -> Ite
         rows, columns = (np.flatnonzero(changed.any(axis=axis)) for axis in (1, 0))
         top, left = int(rows[0]), int(columns[0])
         part = np.s_[top : rows[-1] + 1, left : columns[-1] + 1]
-        own = np.where(changed[part], picture[part], np.uint8(_COLORS))
-        before, change, shown = picture, _Change(own, (left, top)), wait
+        indices = np.where(changed[part], picture[part], np.uint8(_COLORS))
+        before, change, shown = picture, _Change(indices, (left, top)), wait
     yield change, shown
 
 
 def write_mp4(path: Path, pictures: Iterable[Picture], fps: float, size: tuple[int, int]) -> None:
-    """Writes an H.264 film that browsers play, by the program ffmpeg.
+    """Writes an H.264 film that browsers play, with the program ffmpeg.
 
     Args:
-        path: The file.
-        pictures: All pictures, (height, width, 3) sRGB.
-        fps: How many of them a second has.
-        size: Width and height of all, even [pixels].
+        path: File to write.
+        pictures: All frames, (height, width, 3) sRGB.
+        fps: Frames per second.
+        size: Width and height of the frames, even [pixels].
 
     Raises:
-        ValueError: If there is no ffmpeg, or it fails.
+        ValueError: If ffmpeg is missing, or fails.
     """
     program = shutil.which("ffmpeg")
     if program is None:
-        raise ValueError(f"{path}: an .mp4 file needs ffmpeg, which is not on the PATH; .gif needs nothing")
+        raise ValueError(f"{path}: an .mp4 file needs ffmpeg, which is not on the PATH; use a .gif file instead")
     with atomic_path(path) as part, tempfile.TemporaryFile() as messages:
         command = [
             *(program, "-hide_banner", "-loglevel", "error", "-y"),
             *("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{size[0]}x{size[1]}", "-r", f"{fps:.9g}", "-i", "-"),
-            # As displays expect it of a film without further notice.
+            # Color space that players assume by default for video.
             *("-vf", "scale=out_color_matrix=bt709:out_range=tv", "-pix_fmt", "yuv420p"),
             *("-color_primaries", "bt709", "-color_trc", "bt709", "-colorspace", "bt709", "-color_range", "tv"),
             *("-c:v", "libx264", "-preset", "medium", "-crf", "18"),
             *("-movflags", "+faststart", "-fflags", "+bitexact", "-flags", "+bitexact", "-f", "mp4"),
-            str(part.resolve()),  # a name that begins with "-" would be an option
+            str(part.resolve()),  # absolute, because a name with a leading "-" is an option
         ]
         with subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=messages
@@ -133,7 +133,7 @@ def write_mp4(path: Path, pictures: Iterable[Picture], fps: float, size: tuple[i
                     process.stdin.write(np.ascontiguousarray(picture).data)
                 process.stdin.close()
             except BrokenPipeError:
-                pass  # it says why
+                pass  # ffmpeg reports the reason below
             except BaseException:
                 process.kill()
                 raise
@@ -142,11 +142,11 @@ def write_mp4(path: Path, pictures: Iterable[Picture], fps: float, size: tuple[i
             reason = messages.read().decode(errors="replace").strip().splitlines()
             raise ValueError(
                 f"{path}: ffmpeg failed: {reason[-1] if reason else f'exit code {process.returncode}'}; "
-                ".gif needs no ffmpeg"
+                "use a .gif file instead"
             )
 
 
 def _spread(picture: Picture) -> Picture:
-    """Returns a picture of the colours of another, frequent ones more seldom: small things keep theirs."""
+    """Returns a row of the colors of a picture, with frequencies damped by a root: small items keep their colors."""
     colors, counts = np.unique(picture.reshape(-1, 3) & 0xFC, axis=0, return_counts=True)
     return np.repeat(colors, np.ceil(np.sqrt(counts)).astype(int), axis=0)[None]

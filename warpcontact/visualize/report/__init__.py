@@ -1,4 +1,4 @@
-"""The report of a run: one HTML file that opens anywhere, without network."""
+"""Report of a run: a single HTML file without network access."""
 
 from warpcontact.visualize.report.write import report
 

@@ -1,4 +1,4 @@
-"""Charts as SVG within the page, light and without any script; colours come from the style of the page."""
+"""Charts as static SVG elements; colors are defined in the style sheet of the page."""
 
 import math
 from collections.abc import Sequence
@@ -17,16 +17,16 @@ LEFT, RIGHT, TOP, BOTTOM = 50, 12, 10, 36
 
 @dataclass
 class Axis:
-    """One axis of a chart: from values to where they are drawn.
+    """Axis of a chart, which maps values to positions.
 
     Args:
-        low: The smallest value.
-        high: The largest one.
-        unit: Of the values, ``"-"``: none.
-        first: Where the smallest is drawn.
-        last: Where the largest is.
-        wanted: About how many marks it has.
-        whole: Whether marks are at whole numbers only.
+        low: Smallest value.
+        high: Largest value.
+        unit: Unit of the values, ``"-"``: none.
+        first: Position of the smallest value.
+        last: Position of the largest value.
+        wanted: Approximate number of ticks.
+        whole: Whether to place ticks at integers only.
     """
 
     low: float
@@ -46,13 +46,13 @@ class Axis:
         self.factor, self.label = scaled(self.unit, max(abs(self.low), abs(self.high)))
 
     def place(self, values: Array) -> Array:
-        """Returns where values are drawn."""
+        """Returns the positions of values."""
         return self.first + (np.asarray(values, dtype=np.float64) - self.low) / (self.high - self.low) * (
             self.last - self.first
         )
 
     def marks(self) -> list[tuple[float, str]]:
-        """Returns the marks: where each is, and what is written there."""
+        """Returns the ticks as (position, label)."""
         low, high = self.low * self.factor, self.high * self.factor
         rough = (high - low) / self.wanted
         power = 10.0 ** math.floor(math.log10(rough))
@@ -82,12 +82,12 @@ def chart(x: Axis, y: Axis, marks: Sequence[Markup], about: str, x_name: str, **
     """Returns a chart.
 
     Args:
-        x: Its horizontal axis.
-        y: Its vertical axis.
-        marks: What is drawn.
-        about: What it shows, in words.
-        x_name: What is along the horizontal axis.
-        attributes: Of the SVG element.
+        x: Horizontal axis.
+        y: Vertical axis.
+        marks: Elements drawn in the plot.
+        about: Text alternative for screen readers.
+        x_name: Quantity on the horizontal axis.
+        attributes: Attributes of the SVG element.
     """
     parts: list[Markup] = []
     for place, text in y.marks():
@@ -112,21 +112,21 @@ def chart(x: Axis, y: Axis, marks: Sequence[Markup], about: str, x_name: str, **
 
 
 def polyline(x: Array, y: Array, style: str, **attributes: object) -> Markup:
-    """Returns a line through points; it has gaps where one is NaN."""
+    """Returns a line through points, with gaps at NaN."""
     return element("path", d=_path(x, y), class_=style, **attributes)
 
 
 def band(x: Array, low: Array, high: Array, style: str) -> Markup:
     """Returns the area between two lines, where both are finite."""
     parts = []
-    for some in _runs(np.isfinite(low) & np.isfinite(high)):
-        there = np.concatenate([x[some], x[some][::-1]])
-        parts.append(_path(there, np.concatenate([low[some], high[some][::-1]])) + "Z")
+    for run in _runs(np.isfinite(low) & np.isfinite(high)):
+        outline = np.concatenate([x[run], x[run][::-1]])
+        parts.append(_path(outline, np.concatenate([low[run], high[run][::-1]])) + "Z")
     return element("path", d="".join(parts), class_=style)
 
 
 def rectangle(left: float, top: float, right: float, bottom: float, style: str, title: str) -> Markup:
-    """Returns a rectangle that tells its title."""
+    """Returns a rectangle with a title, shown as tooltip."""
     return element(
         "rect",
         element("title", title),
@@ -139,13 +139,13 @@ def rectangle(left: float, top: float, right: float, bottom: float, style: str, 
 
 
 def rule(place: float, style: str) -> Markup:
-    """Returns a vertical line through a chart."""
+    """Returns a vertical line through the plot."""
     return _line(place, TOP, place, HEIGHT - BOTTOM, style)
 
 
 def dots(x: Array, y: Array, style: str) -> Markup:
     """Returns a dot at each point."""
-    # Lines of no length with round ends: the shortest way to write them.
+    # Zero-length lines with round caps, the shortest notation.
     places = "".join(f"M{_at(a)} {_at(b)}h0" for a, b in zip(x, y, strict=True))
     return element("path", d=places, class_=style)
 
@@ -159,7 +159,7 @@ def _path(x: Array, y: Array) -> str:
 
 
 def _runs(good: NDArray[np.bool_]) -> list[slice]:
-    """Returns the stretches in which all are good."""
+    """Returns the slices of consecutive true values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(np.int8)))
     return [slice(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
@@ -177,7 +177,7 @@ def _at(value: float) -> str:
 
 
 def definitions() -> Markup:
-    """Returns what charts refer to; once in a page."""
+    """Returns the clip path that charts refer to; needed once per page."""
     plot = element("rect", x=LEFT, y=TOP - 2, width=WIDTH - RIGHT - LEFT, height=HEIGHT - BOTTOM - TOP + 2)
     clip = element("clipPath", plot, id="plot")
     return element("svg", clip, class_="definitions", width=0, height=0, aria_hidden="true")

@@ -1,4 +1,4 @@
-"""Which environments are shown one by one, and why."""
+"""Selection of the environments that the report shows individually, with reasons."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from warpcontact.model.health import Health
 from warpcontact.visualize.report.outcomes import OutcomeSpread
 
-# Of those that nobody asked for.
+# Numbers of environments selected by default: the first ones, frozen ones, and outcomes with their extremes.
 FIRST = 16
 FROZEN = 8
 EXTREMES_OF = 6
@@ -17,11 +17,11 @@ EXTREMES_OF = 6
 
 @dataclass
 class Choice:
-    """Environments, those first that matter most if there is no room for all.
+    """Selected environments, in order of importance if there is no space for all.
 
     Attributes:
-        reasons: Why each was chosen, by its number.
-        requested: Whether somebody named them.
+        reasons: Reasons for each environment, by its number.
+        requested: Whether the user listed them.
     """
 
     reasons: dict[int, list[str]] = field(default_factory=dict)
@@ -29,34 +29,34 @@ class Choice:
 
     @property
     def envs(self) -> list[int]:
-        """Their numbers, in the order of what matters."""
+        """Numbers of the environments, in order of importance."""
         return list(self.reasons)
 
     def add(self, env: int, reason: str = "") -> None:
-        """Adds an environment, or a reason for it."""
+        """Adds an environment, or another reason for it."""
         reasons = self.reasons.setdefault(int(env), [])
         if reason:
             reasons.append(reason)
 
     def label(self, env: int) -> str:
-        """Returns what an environment is called: its number and why it was chosen."""
+        """Returns the label of an environment: its number and up to three reasons."""
         return ", ".join([str(env), *self.reasons.get(env, [])[:3]])
 
 
 def choose(
     requested: Iterable[int] | None, numbers: NDArray[np.int64], health: Health, spreads: Sequence[OutcomeSpread]
 ) -> Choice:
-    """Returns which environments are shown one by one.
+    """Selects the environments that are shown individually.
 
     Args:
-        requested: Those that the user named; ``None``: the first, some that are frozen, and those in which
-            outcomes are smallest and largest.
-        numbers: Those that there are.
-        health: Which are frozen.
-        spreads: The outcomes.
+        requested: Environments listed by the user; ``None``: the first ones, some frozen ones, and those with the
+            smallest and largest outcomes.
+        numbers: Numbers of the available environments.
+        health: Frozen environments.
+        spreads: Spreads of the outcomes.
 
     Raises:
-        ValueError: If one that was named is not there, or none was.
+        ValueError: If a listed environment is not available, or the list is empty.
     """
     reasons = Choice()
     for env in health.frozen[:FROZEN]:
@@ -73,7 +73,7 @@ def choose(
         candidates = list(requested)
         for env in candidates:
             if isinstance(env, bool) or not isinstance(env, int | np.integer):
-                raise ValueError(f"envs must be numbers of environments, got {env!r}")
+                raise ValueError(f"envs must be environment numbers, got {env!r}")
             if int(env) not in available:
                 available_text = f"{numbers.min()} to {numbers.max()}" if len(numbers) else "none"
                 raise ValueError(f"environment {env} has no results to report; there are: {available_text}")

@@ -1,4 +1,4 @@
-"""Parameters and outcomes of the environments, number by number, as the table of a run has them."""
+"""Parameters and outcomes of environments as scalar columns, as in the table of a run."""
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
@@ -11,23 +11,23 @@ from numpy.typing import NDArray
 from warpcontact.drawing.equal_items import merged_items
 from warpcontact.model.flags import words_of
 
-# Numbers of a variable in each environment that have columns; sets of bodies and points have more.
+# Largest number of values per environment of a variable with columns; variables of sets often have more.
 MOST = 12
-# A variable of at most this size is read once, and not once for each of its numbers [bytes].
+# Variables up to this size are read at once instead of once per column [bytes].
 AT_ONCE = 256 * 2**20
 
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """One number, or code, of each environment; read where its values are asked for.
+    """One number or code per environment, read on access.
 
     Attributes:
-        name: Its name, of a vector with that of the component.
-        unit: Its unit, ``"-"``: none.
-        about: What it is.
-        words: What codes mean; none: it is a number.
-        variable: The variable that it is of.
-        array: Its values (env,).
+        name: Name, for vectors with that of the component.
+        unit: Unit, ``"-"``: none.
+        about: Description.
+        words: Meaning of codes; empty for numbers.
+        variable: Name of the variable.
+        array: Values (env,).
     """
 
     name: str
@@ -39,22 +39,22 @@ class Column:
 
     @property
     def values(self) -> NDArray[Any]:
-        """Its values (env,): numbers as float64, codes as they are."""
+        """Values (env,): numbers as float64, codes unchanged."""
         found = self.array.values
         return found if self.words else found.astype(np.float64)
 
 
 def columns_of(data: xr.Dataset, without: Collection[str] = ()) -> Iterator[Column]:
-    """Iterates over the columns of the variables (env, …) of ``data``, without some of these and those of sets."""
+    """Iterates over the columns of the variables (env, …) of ``data``, except ``without`` and variables of sets."""
     for key, variable in data.data_vars.items():
         if key in without or not _is_shown(variable):
             continue
         array = merged_items(variable.compute() if variable.nbytes <= AT_ONCE else variable)
         axes = [str(dim) for dim in array.dims if dim != "env"]
-        for place in np.ndindex(*(array.sizes[dim] for dim in axes)):
+        for position in np.ndindex(*(array.sizes[dim] for dim in axes)):
             labels = [
                 str(array[dim].values[i]) if dim in array.coords else str(i)
-                for dim, i in zip(axes, place, strict=True)
+                for dim, i in zip(axes, position, strict=True)
             ]
             yield Column(
                 name=".".join([str(key), *labels]),
@@ -62,12 +62,12 @@ def columns_of(data: xr.Dataset, without: Collection[str] = ()) -> Iterator[Colu
                 about=str(array.attrs.get("long_name", key)),
                 words=words_of(array),
                 variable=str(key),
-                array=array.isel(dict(zip(axes, place, strict=True))),
+                array=array.isel(dict(zip(axes, position, strict=True))),
             )
 
 
 def too_many_in(data: xr.Dataset) -> list[str]:
-    """Returns the names of the variables that have too many numbers in each environment for columns."""
+    """Returns the names of variables with too many values per environment for columns."""
     return [str(key) for key, array in data.data_vars.items() if "env" in array.dims and not _is_shown(array)]
 
 
@@ -78,5 +78,5 @@ def _is_shown(array: xr.DataArray) -> bool:
 
 
 def _values_per_env(array: xr.DataArray) -> int:
-    """Returns the number of values of each environment."""
+    """Returns the number of values per environment."""
     return int(np.prod([array.sizes[dim] for dim in array.dims if dim != "env"], initial=1))

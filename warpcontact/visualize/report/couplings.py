@@ -1,4 +1,4 @@
-"""How close the surfaces of contact couplings came."""
+"""Report section on contact couplings: smallest distances and areas in range."""
 
 from collections.abc import Sequence
 
@@ -10,7 +10,7 @@ from warpcontact.visualize.report.markup import Markup, element, joined, name, t
 
 
 def section(reports: Sequence[CouplingReport]) -> Markup | None:
-    """Returns the section of the page, ``None``: there are none."""
+    """Returns the section of the page; ``None`` if there are no contact couplings."""
     if not reports:
         return None
     rows = []
@@ -31,16 +31,14 @@ def section(reports: Sequence[CouplingReport]) -> Markup | None:
         )
         if report.impact is not None:
             expected_gap, expected_area = quantity(report.impact.closest, "m"), quantity(report.impact.area, "m²")
-            sentences = (
-                f": the range was made for a closest distance of {expected_gap} and an area of {expected_area}."
-            )
+            sentences = f": the range was designed for a closest distance of {expected_gap} and an area of {expected_area}."
             expected.append(element("p", name(report.name), sentences, class_="note"))
     head = (
         "coupling",
         "in range",
         "smallest distance [m]",
         "largest area [m²]",
-        "surfaces met",
+        "in contact",
         "closer than expected",
     )
     return joined([table(head, rows, numbers=range(1, 6)), *expected])

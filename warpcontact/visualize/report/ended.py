@@ -1,4 +1,4 @@
-"""Environments that did not come to the end: frozen, with the cause, or stopped by a condition."""
+"""Report section on frozen, stopped and reset environments."""
 
 import numpy as np
 import xarray as xr
@@ -9,12 +9,12 @@ from warpcontact.scene.status import FailureCause
 from warpcontact.validation.number_format import count, quantity, several
 from warpcontact.visualize.report.markup import Markup, element, joined, name, table
 
-# Rows; more are counted.
+# Largest number of rows.
 ROWS = 200
 _CAUSES = {
-    FailureCause.NON_FINITE: "its state turned non-finite",
-    FailureCause.TOO_FAST: "a body became faster than scene.max_speed",
-    FailureCause.TOO_FAR: "a body went beyond scene.max_distance",
+    FailureCause.NON_FINITE: "non-finite state",
+    FailureCause.TOO_FAST: "a body exceeded scene.max_speed",
+    FailureCause.TOO_FAR: "a body exceeded scene.max_distance",
 }
 
 
@@ -26,7 +26,7 @@ def section(health: Health, outcome: xr.Dataset) -> Markup:
     else:
         were = "was" if len(health.frozen) == 1 else "were"
         sentences = (
-            f"{several(len(health.frozen), 'environment')} failed, and {were} held at the last good state before."
+            f"{several(len(health.frozen), 'environment')} failed and {were} frozen in the last valid state."
         )
         if len(health.frozen) > ROWS:
             sentences += f" The first {ROWS}:"
@@ -36,7 +36,7 @@ def section(health: Health, outcome: xr.Dataset) -> Markup:
         ]
         parts += [
             element("p", sentences, class_="note"),
-            table(("environment", "held at", "cause"), rows, numbers=(1,)),
+            table(("environment", "frozen at", "cause"), rows, numbers=(1,)),
         ]
     if len(health.stopped):
         parts.append(
@@ -53,7 +53,7 @@ def section(health: Health, outcome: xr.Dataset) -> Markup:
         parts.append(
             element(
                 "p",
-                f"{several(again, 'environment')} failed and began anew, {count(int(resets.sum()))} times in all.",
+                f"{several(again, 'environment')} failed and restarted, {count(int(resets.sum()))} times in total.",
                 class_="note",
             )
         )
@@ -61,7 +61,7 @@ def section(health: Health, outcome: xr.Dataset) -> Markup:
 
 
 def replay_button(env: int) -> Markup:
-    """Returns the number of an environment, by which the replay can be asked to show it."""
+    """Returns the number of an environment as a button that shows it in the replay."""
     return element("button", str(env), type="button", class_="link", data_replay=env)
 
 

@@ -1,4 +1,4 @@
-"""The table of environments: parameters and outcomes, sorted and filtered by the script of the page."""
+"""Report section with the table of environments, sorted and filtered by the script of the page."""
 
 from collections.abc import Iterable
 from itertools import islice
@@ -14,14 +14,14 @@ from warpcontact.visualize.report.markup import Markup, element, joined, short
 
 ROWS = 2000
 COLUMNS = 40
-# Names in a note.
+# Largest number of names in a note.
 NAMED = 6
-# Of these a column that is the same everywhere says nothing.
+# These columns are omitted if all values are equal.
 _OMITTED_COLUMNS = ("resets", "events_missed", "stopped_by", "cause", "end_time")
 
 
 def table_rows(envs: NDArray[np.int64], first: Iterable[int]) -> NDArray[np.intp]:
-    """Returns where the environments of the table are: those that have to be in it, and others evenly spread."""
+    """Returns the rows of the table: environments that must be included, and others evenly spaced."""
     if len(envs) <= ROWS:
         return np.arange(len(envs))
     must = np.flatnonzero(np.isin(envs, np.fromiter(first, np.int64)))[: ROWS // 2]
@@ -35,8 +35,8 @@ def section(params: xr.Dataset, outcome: xr.Dataset, first: Iterable[int]) -> tu
 
     Args:
         params: Parameters of the environments.
-        outcome: Outcomes of those that are finished.
-        first: Environments that must not be missing if there is no room for all.
+        outcome: Outcomes of finished environments.
+        first: Environments that must be included if there is no space for all.
     """
     envs = np.asarray(outcome["env"].values)
     rows = table_rows(envs, first)
@@ -51,15 +51,15 @@ def section(params: xr.Dataset, outcome: xr.Dataset, first: Iterable[int]) -> tu
     if len(rows) < len(envs):
         sentences = [
             f"{count(len(rows))} of {several(len(envs), 'environment')}: those that failed or are replayed, and "
-            "others evenly spread. All of them: warpcontact export DIR --csv FILE."
+            "others evenly spaced. For all: warpcontact export DIR --csv FILE."
         ]
     if more:
-        sentences.append(f"{several(more, 'further column')} left out.")
+        sentences.append(f"{several(more, 'further column')} omitted.")
     if sets := [*too_many_in(shown), *too_many_in(own)]:
         named = ", ".join(short(one, 40) for one in sets[:NAMED])
         others = f" and {count(len(sets) - NAMED)} more" if len(sets) > NAMED else ""
-        sentences.append(f"What has many numbers in each environment is left out: {named}{others}.")
-    sentences.append("Parameters that are the same everywhere are left out.")
+        sentences.append(f"Variables with many values per environment are omitted: {named}{others}.")
+    sentences.append("Parameters with equal values in all environments are omitted.")
     content = joined(
         [
             element("p", " ".join(sentences), class_="note"),
@@ -84,17 +84,18 @@ def section(params: xr.Dataset, outcome: xr.Dataset, first: Iterable[int]) -> tu
 
 
 def _informative_columns(columns: Iterable[Column], *, parameters: bool) -> list[tuple[Column, NDArray[Any]]]:
-    """Returns the columns that tell anything, with their values."""
+    """Returns the columns that differ between environments or matter otherwise, with their values."""
     found: list[tuple[Column, NDArray[Any]]] = []
     for column in columns:
         values = column.values
-        alike = len(values) > 1 and bool((values == values[:1]).all())
-        if alike and (parameters or column.variable in _OMITTED_COLUMNS):
+        constant = len(values) > 1 and bool((values == values[:1]).all())
+        if constant and (parameters or column.variable in _OMITTED_COLUMNS):
             continue
         if parameters and any(
-            other.variable == column.variable and np.array_equal(known, values) for other, known in found
+            other.variable == column.variable and np.array_equal(other_values, values)
+            for other, other_values in found
         ):
-            continue  # the same moment of inertia along each axis
+            continue  # such as equal moments of inertia about the axes
         found.append((column, values))
         if len(found) > 4 * COLUMNS:
             break
@@ -104,7 +105,7 @@ def _informative_columns(columns: Iterable[Column], *, parameters: bool) -> list
 def _content(column: Column, values: NDArray[Any]) -> dict[str, Any]:
     listed: list[Any]
     if column.words:
-        # A code without a word says that there is nothing, as of a condition that stopped no environment.
+        # Codes without a meaning denote "none", such as no stop condition.
         listed = [int(value) if int(value) in column.words else None for value in values]
     else:
         listed = [float(f"{value:.6g}") if np.isfinite(value) else None for value in values]
@@ -118,7 +119,7 @@ def _content(column: Column, values: NDArray[Any]) -> dict[str, Any]:
 
 
 def _filter() -> Markup:
-    advice = "Such as mass > 1 restitution <= 0.5 status = frozen; or a number of an environment"
+    advice = "For example: mass > 1 restitution <= 0.5 status = frozen; or an environment number"
     return element(
         "form",
         element("label", "Filter", for_="environments-filter"),

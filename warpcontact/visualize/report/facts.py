@@ -1,4 +1,4 @@
-"""What was run: the facts of its summary, its notices, and its settings as they are in the folder."""
+"""Report sections on the run itself: key figures, warnings, facts and settings."""
 
 from collections.abc import Mapping
 from io import TextIOWrapper
@@ -13,25 +13,25 @@ from warpcontact.validation.number_format import count, number, quantity, severa
 from warpcontact.validation.warning_levels import WarningLevel, split_label
 from warpcontact.visualize.report.markup import Markup, clean, element, joined, name, short, table
 
-# Of the settings so many characters are shown, and so many notices.
+# Largest numbers of characters of the settings, of notices, and of characters of a notice.
 SETTINGS = 100_000
 NOTICES = 50
 NOTICE = 600
 _STATE_TEXTS = {
-    "running": "is at work",
-    "stopped": "was ended from outside, and can go on with --resume",
-    "interrupted": "was interrupted, and can go on with --resume",
+    "running": "is in progress",
+    "stopped": "was stopped externally and can be resumed with --resume",
+    "interrupted": "was interrupted and can be resumed with --resume",
     "failed": "failed",
 }
 
 
 def tiles(summary: Mapping[str, Any], status: RunStatus) -> Markup:
-    """Returns the first glance."""
+    """Returns the key figures of the run."""
     entries = [
         ("environments", count(summary["envs"])),
         ("simulated", quantity(summary["duration"], "s", 6)),
         ("time step", quantity(summary["dt"], "s", 6)),
-        ("stepping took", duration_text(_wall_time(summary, status))),
+        ("wall-clock time", duration_text(_wall_time(summary, status))),
         ("env. steps per second", number(_rate(summary, status), 3)),
         ("quarantined", count(status.frozen)),
     ]
@@ -40,20 +40,20 @@ def tiles(summary: Mapping[str, Any], status: RunStatus) -> Markup:
 
 
 def subtitle(summary: Mapping[str, Any]) -> str:
-    """Returns what is below the title."""
+    """Returns the line below the title."""
     entries = [summary.get("device", ""), summary.get("precision", ""), summary.get("integrator", "")]
     return " · ".join(short(word, 80) for word in entries if word)
 
 
 def notices(summary: Mapping[str, Any], status: RunStatus) -> Markup:
-    """Returns what has to be known before anything else: what is not finished, failed, or was warned of."""
+    """Returns notices at the top of the page: unfinished or failed parts, and warnings."""
     parts = []
     if status.state != "finished":
         every = several(summary["envs"], "environment")
         entries = (
             f"This run {_STATE_TEXTS.get(status.state, status.state)}: {count(status.finished_envs)} of {every} "
             f"are finished, in {count(status.finished_shards)} of {several(status.shards, 'shard')}. "
-            "The report has what was committed when it was made."
+            "The report contains the data committed when it was written."
         )
         parts.append(element("p", entries, class_="notice bad", role="status"))
     for shard, message in summary.get("failed", {}).items():
@@ -70,13 +70,13 @@ def notices(summary: Mapping[str, Any], status: RunStatus) -> Markup:
 
 
 def _notice(entry: Any) -> Markup:
-    """Returns a warning with its level as label; runs of earlier versions have warnings without one."""
+    """Returns a warning with its level as label; warnings of earlier versions have no level."""
     level, text = split_label(entry) if isinstance(entry, str) else (WarningLevel.CAUTION, entry)
     return element("li", element("b", f"{level.capitalize()}: "), short(text, NOTICE))
 
 
 def section(folder: Path, summary: Mapping[str, Any], status: RunStatus) -> Markup:
-    """Returns the section of the page: everything by which the run can be told and repeated."""
+    """Returns the section of the page with all facts that identify the run and allow repeating it."""
     versions = summary.get("versions")
     programs = versions.items() if isinstance(versions, dict) else ()
     entries: list[tuple[Any, Any]] = [
@@ -93,7 +93,7 @@ def section(folder: Path, summary: Mapping[str, Any], status: RunStatus) -> Mark
         ("device", name(summary["device"])),
         ("machine", name(summary.get("machine", "–"))),
         ("started", name(summary.get("started", "–"))),
-        ("time of stepping", duration_text(_wall_time(summary, status))),
+        ("wall-clock time of stepping", duration_text(_wall_time(summary, status))),
         ("versions", joined(element("div", name(key), " ", name(value)) for key, value in programs)),
         ("fingerprint", element("code", short(summary["fingerprint"], 80), class_="wrap")),
     ]
@@ -112,7 +112,7 @@ def _settings(folder: Path) -> Markup:
             text = file.read(SETTINGS + 1)
     except OSError as error:
         return element("p", f"{EXPERIMENT} cannot be read: {error.strerror or error}", class_="note")
-    more = "\n… cut here; the whole is in the folder of the run" if len(text) > SETTINGS else ""
+    more = "\n… truncated; the complete file is in the folder of the run" if len(text) > SETTINGS else ""
     head = element("summary", f"Settings ({EXPERIMENT}, with all defaults)")
     return element("details", head, element("pre", clean(text[:SETTINGS]) + more, tabindex="0"))
 

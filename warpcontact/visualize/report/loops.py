@@ -1,4 +1,4 @@
-"""Force over penetration of contacts: the loop that a law draws, and the area that it takes from the motion."""
+"""Report section on hysteresis loops: force over penetration of contacts."""
 
 from collections.abc import Hashable
 from dataclasses import dataclass
@@ -13,26 +13,24 @@ from warpcontact.visualize.report import chart
 from warpcontact.visualize.report.markup import Markup, element, joined, name
 
 CHARTS = 6
-# Samples of the loop of one environment.
+# Largest number of samples per loop.
 SAMPLES = 600
-# Digits of extremes.
+# Significant digits of extremes.
 DIGITS = 5
-# Numbers of one environment that are read in one block.
+# Largest number of values of one environment that are read in one block.
 NUMBERS = 8_000_000
 
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """One environment in a contact: penetration [m] and normal force [N] of the drawn records, (record,).
-
-    For a set of points, that of the point with the largest force.
+    """Loop of one environment in a contact, (record,); for a set, of the point with the largest force.
 
     Attributes:
         env: Number of the environment.
-        penetration: Penetration, NaN in gaps.
-        force: Normal force, NaN in gaps.
-        largest: The largest force of all records [N].
-        time: Time of its first record [s].
+        penetration: Penetration [m], NaN in gaps.
+        force: Normal force [N], NaN in gaps.
+        largest: Largest force of all records [N].
+        time: Time of the first record with this force [s].
     """
 
     env: int
@@ -43,7 +41,7 @@ class Loop:
 
 
 def contact_sensors(series: xr.Dataset) -> list[tuple[str, str, str]]:
-    """Returns contacts with normal force, and penetration or gap: name, sensor of depth, sensor of force."""
+    """Returns contacts with normal force and penetration or gap: name, penetration sensor, force sensor."""
     found = []
     for key in series.data_vars:
         element_name, _, last = str(key).rpartition(".")
@@ -56,7 +54,7 @@ def contact_sensors(series: xr.Dataset) -> list[tuple[str, str, str]]:
 
 
 def section(series: xr.Dataset | None, chosen: list[int]) -> Markup | None:
-    """Returns the section of the page, ``None``: there is nothing to draw."""
+    """Returns the section of the page; ``None`` if there are no such contacts."""
     pairs = [] if series is None else contact_sensors(series)
     if series is None or not pairs:
         return None
@@ -66,9 +64,9 @@ def section(series: xr.Dataset | None, chosen: list[int]) -> Markup | None:
         _picture(title, loops, series[force].isel(time=0, env=0).size) for title, _, force, loops in drawn if loops
     ]
     sentences = [f"Normal force over penetration at the records of {several(len(available), 'environment')}."]
-    sentences.append("Records farther apart than a contact lasts show dots, not its loop: [record] every sets it.")
+    sentences.append("If the record interval ([record] every) exceeds the contact time, only dots are visible.")
     if len(pairs) > CHARTS:
-        sentences.append(f"{several(len(pairs) - CHARTS, 'further contact')} left out.")
+        sentences.append(f"{several(len(pairs) - CHARTS, 'further contact')} omitted.")
     if not pictures:
         sentences = ["No record of the chosen environments is in contact."]
     return joined(
@@ -80,7 +78,7 @@ def _loops(series: xr.Dataset, depth: str, force: str) -> list[Loop]:
     seconds = series["time"].values
     found = []
     for env in series["env"].values:
-        # One environment and one point at a time: sets may have many points.
+        # Read one environment and one point at a time, because sets may have many points.
         env_series = series[[depth, force]].sel(env=env)
         items = [dim for dim in env_series[force].dims if dim != "time"]
         if items:
@@ -91,7 +89,7 @@ def _loops(series: xr.Dataset, depth: str, force: str) -> list[Loop]:
         in_contact = good & ((depths_inside > 0.0) | (forces != 0.0))
         if not forces[in_contact].any():
             continue
-        # Contact phases with the records around them, and gaps within.
+        # Keep contact phases with the adjacent records, and gaps within.
         in_contact_or_next = in_contact.copy()
         in_contact_or_next[1:] |= in_contact[:-1]
         in_contact_or_next[:-1] |= in_contact[1:]
@@ -103,9 +101,9 @@ def _loops(series: xr.Dataset, depth: str, force: str) -> list[Loop]:
 
 
 def _length(values: Array) -> Array:
-    """Returns the length of a loop (record, 2) up to each record, in sizes of the loop.
+    """Returns the arc length of a loop (record, 2) up to each record, normalized with the size of the loop.
 
-    Buckets of equal length keep the shape of short impacts among long contacts at rest.
+    Sampling by arc length preserves short impacts among long contacts at rest.
     """
     sizes = np.nanmax(np.abs(values), axis=0)
     scaled = values / np.where(sizes > 0.0, sizes, 1.0)
@@ -144,7 +142,7 @@ def _picture(title: str, loops: list[Loop], items: int) -> Markup:
         )
     what = "normal force over penetration"
     if items > 1:
-        what += f" of one point of {items}, in each environment that with the largest force"
+        what += f" of the point with the largest force in each environment, out of {items}"
     about = f"{title}, {what}: up to {quantity(strongest.largest, 'N')}, {quantity(deepest, 'm')} deep"
     caption = element(
         "figcaption",

@@ -1,4 +1,4 @@
-"""HTML made of texts from anywhere: whatever they hold, a reader sees them as text."""
+"""HTML elements with escaped content: text from any source is displayed as text."""
 
 import html
 import json
@@ -9,25 +9,25 @@ from typing import Any
 
 from warpcontact.validation.safe_text import truncate
 
-#: Longer texts are shortened; the whole is in their title, up to ``TITLE`` characters.
+#: Longer texts are shortened; the title then contains up to ``TITLE`` characters.
 SHORT = 60
 TITLE = 500
 
-# What has no look of its own, or ends a document: controls but tab and line feed, surrogates, non-characters.
+# Characters not allowed in HTML: controls except tab and line feed, surrogates, noncharacters.
 _UNSEEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff\ufdd0-\ufdef\ufffe\uffff]")
 
-# Elements without content, and without an end.
+# Elements without content and end tag.
 _VOID = ("br", "input", "link", "meta")
 
 
 class Markup(str):
-    """HTML that is sound; any other text is escaped where it is put into a page."""
+    """Valid HTML; other text is escaped when it is inserted into a page."""
 
     __slots__ = ()
 
 
 def clean(value: Any) -> str:
-    """Returns ``value`` as text without characters that no page may hold."""
+    """Returns ``value`` as text, with characters that HTML does not allow replaced."""
     return _UNSEEN.sub("\ufffd", str(value))
 
 
@@ -45,10 +45,10 @@ def element(tag: str, *content: Any, **attributes: Any) -> Markup:
     """Returns an element.
 
     Args:
-        tag: Its name.
-        content: What is in it, one after the other; ``None`` is left out.
-        attributes: ``None`` and ``False`` are left out, ``True`` has no value; ``_`` is written ``-``, and left
-            out at the end, as in ``class_``.
+        tag: Tag name.
+        content: Content parts; ``None`` is skipped.
+        attributes: Attributes. ``None`` and ``False`` are skipped, ``True`` has no value. ``_`` is written as ``-``; a
+            trailing one, as in ``class_``, is removed.
     """
     words = [tag]
     for key, value in attributes.items():
@@ -64,24 +64,24 @@ def element(tag: str, *content: Any, **attributes: Any) -> Markup:
 
 
 def joined(parts: Iterable[Any]) -> Markup:
-    """Returns parts one after the other."""
+    """Returns parts concatenated."""
     return Markup("".join(map(escaped, parts)))
 
 
 def name(value: Any, most: int = SHORT) -> Markup:
-    """Returns a name of the user's: shortened, and without effect on the direction of what is beside it."""
+    """Returns a user's name, shortened and isolated, so that its text direction does not affect its surroundings."""
     text = clean(value)
     title = short(text, TITLE) if len(text) > most else None
     return element("bdi", short(text, most), title=title)
 
 
 def table(head: Sequence[Any], rows: Iterable[Sequence[Any]], numbers: Iterable[int] = (), **more: Any) -> Markup:
-    """Returns a table that scrolls within its place.
+    """Returns a table in a scrollable container.
 
     Args:
-        head: Names of the columns.
+        head: Column titles.
         rows: Cells.
-        numbers: Which columns hold numbers.
+        numbers: Indices of numeric columns, which are right-aligned.
         more: Attributes of the table.
     """
     right = set(numbers)
@@ -94,19 +94,19 @@ def table(head: Sequence[Any], rows: Iterable[Sequence[Any]], numbers: Iterable[
         )
 
     body = joined(line("td", row) for row in rows)
-    whole = element("table", element("thead", line("th", head)), element("tbody", body), **more)
-    return element("div", whole, class_="scroll", tabindex="0", role="region", aria_label="table")
+    content = element("table", element("thead", line("th", head)), element("tbody", body), **more)
+    return element("div", content, class_="scroll", tabindex="0", role="region", aria_label="table")
 
 
 def data_block(key: str, content: Any) -> Markup:
-    """Returns a block of data that scripts of the page read, and nothing executes.
+    """Returns a JSON block that scripts of the page read and that is never executed.
 
     Args:
-        key: Its id.
-        content: Texts, numbers, lists and tables; numbers that are not finite become null.
+        key: Id of the element.
+        content: Texts, numbers, lists and dictionaries; non-finite numbers become null.
     """
     text = json.dumps(_plain(content), separators=(",", ":"), allow_nan=False)
-    # ASCII by now, so that U+2028 is escaped, too; what could end the element or begin a comment is not.
+    # ``dumps`` escapes non-ASCII characters such as U+2028, but not those that could end the element.
     text = text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
     return Markup(f'<script type="application/json" id="{escaped(key)}">{text}</script>')
 

@@ -1,4 +1,4 @@
-"""Triangles as a page holds them: few enough to be sent and drawn anywhere."""
+"""Simplification of triangle meshes for the replay of the report."""
 
 import functools
 
@@ -9,14 +9,14 @@ from warpcontact.drawing.triangles import ball
 from warpcontact.meshes import icosphere
 from warpcontact.visualize.report.packing import Pack
 
-# Triangles of one shape; of more, points that are near each other become one.
+# Largest number of triangles of one shape; larger meshes are simplified by vertex clustering.
 TRIANGLES = 120_000
-# Copies of a sphere, from which on it is drawn with fewer triangles: halvings of an icosahedron.
+# Numbers of copies of a sphere above which it has fewer icosahedron subdivisions: (copies, subdivisions).
 FEWER = ((4096, 1), (256, 2))
 
 
 def drawable_shape(shape: Shape, copies: int) -> Shape:
-    """Returns what is drawn for a shape of which there are so many copies."""
+    """Returns a shape simplified for ``copies`` copies in the replay."""
     if shape is ball():
         level = next((level for count, level in FEWER if copies > count), None)
         if level is not None:
@@ -32,12 +32,12 @@ def _sphere(level: int) -> Shape:
 
 
 def add_shape(pack: Pack, shape: Shape, finest: float) -> dict[str, bool]:
-    """Adds a shape to a pack, and returns what it has beside points and faces.
+    """Adds a shape to a pack, and returns whether it has normals and colors.
 
     Args:
-        pack: The pack.
-        shape: The shape.
-        finest: Steps of this length [m] are not seen.
+        pack: Pack to add to.
+        shape: Shape to add.
+        finest: Largest position error that is invisible [m].
     """
     pack.series(shape.vertices, finest)
     pack.indices(shape.faces)
@@ -49,7 +49,7 @@ def add_shape(pack: Pack, shape: Shape, finest: float) -> dict[str, bool]:
 
 
 def _coarsen(shape: Shape) -> Shape:
-    """Returns a shape with the points of each cell of a grid in one place."""
+    """Returns a shape with vertices merged per cell of a grid, until the number of triangles is small enough."""
     low = shape.vertices.min(axis=0)
     size = float(np.ptp(shape.vertices, axis=0).max()) or 1.0
     cells = 1024
@@ -58,10 +58,10 @@ def _coarsen(shape: Shape) -> Shape:
         _, number, counts = np.unique(places, axis=0, return_inverse=True, return_counts=True)
         number = number.reshape(-1)
         faces = number[shape.faces]
-        whole = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-        if whole.sum() <= TRIANGLES:
+        proper = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+        if proper.sum() <= TRIANGLES:
             break
         cells = int(cells / 1.4)
     vertices = np.stack([np.bincount(number, shape.vertices[:, axis]) / counts for axis in range(3)], axis=1)
-    colors = None if shape.colors is None else shape.colors[whole]
-    return Shape(vertices, faces[whole].astype(np.int32), colors)
+    colors = None if shape.colors is None else shape.colors[proper]
+    return Shape(vertices, faces[proper].astype(np.int32), colors)

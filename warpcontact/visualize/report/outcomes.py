@@ -1,4 +1,4 @@
-"""How the outcomes are spread over the environments: their statistics, and a histogram of each."""
+"""Report section on outcomes: statistics over the environments, and histograms."""
 
 from dataclasses import dataclass
 from itertools import islice
@@ -16,7 +16,7 @@ from warpcontact.visualize.report import chart
 from warpcontact.visualize.report.columns import Column, columns_of, too_many_in
 from warpcontact.visualize.report.markup import Markup, element, joined, name, table
 
-# Rows of the table, and histograms; more are counted.
+# Largest numbers of rows of the table, and of histograms.
 ROWS = 60
 HISTOGRAMS = 12
 QUANTILES = (0.05, 0.5, 0.95)
@@ -24,14 +24,14 @@ QUANTILES = (0.05, 0.5, 0.95)
 
 @dataclass(frozen=True, eq=False)
 class OutcomeSpread:
-    """One outcome over the environments that are not frozen.
+    """Statistics of one outcome over the environments that are not frozen.
 
     Attributes:
-        column: The outcome.
-        lowest: Number of the environment with the smallest value; ``None``: none is finite.
-        highest: Number of that with the largest.
+        column: Column of the outcome.
+        lowest: Number of the environment with the smallest value; ``None`` if none is finite.
+        highest: Number of the environment with the largest value; ``None`` if none is finite.
         row: Cells of the table.
-        histogram: Its picture, ``None``: not drawn.
+        histogram: Histogram; ``None``: not drawn.
     """
 
     column: Column
@@ -42,7 +42,7 @@ class OutcomeSpread:
 
 
 def make_spreads(outcome: xr.Dataset) -> tuple[list[OutcomeSpread], int]:
-    """Returns the first outcomes, one in memory at a time, and how many more there are, sets as one."""
+    """Returns the first ``ROWS`` outcomes, and the number of further ones; a set counts as one."""
     every = columns_of(outcome, without=RESERVED)
     envs = np.asarray(outcome["env"].values)
     halted = np.isin(envs, frozen(outcome))
@@ -59,7 +59,7 @@ def _spread(column: Column, envs: NDArray[np.int64], halted: NDArray[np.bool_], 
         return OutcomeSpread(column, None, None, (name(column.name), unit, "0", *["–"] * 7), None)
     factor, unit = scaled(column.unit, float(np.abs(finite).max()))
     least, most = int(finite.argmin()), int(finite.argmax())
-    # Offset, so that squares of large numbers neither overflow nor cancel.
+    # Subtract an offset, so that squares of large numbers neither overflow nor cancel.
     deviation = float(np.std(finite - finite[0]))
     low, middle, high = np.quantile(finite, QUANTILES)
     sentences = (finite[least], low, middle, finite.mean(), high, finite[most], deviation)
@@ -72,20 +72,20 @@ def section(spreads: list[OutcomeSpread], more: int, envs: int, halted: int) -> 
     """Returns the section of the page.
 
     Args:
-        spreads: The outcomes.
-        more: How many others there are.
-        envs: Number of environments of which they are known.
-        halted: How many of these are frozen, and left out.
+        spreads: Statistics of the outcomes.
+        more: Number of further outcomes.
+        envs: Number of environments with outcomes.
+        halted: Number of frozen environments among these, which are excluded.
     """
     if not spreads:
-        text = "The experiment asks for no outcomes; a table [outcome] in its file does."
+        text = "The experiment defines no outcomes. Add them in a table [outcome] of its file."
         return element("p", text, class_="note")
-    left_out = f", without {several(halted, 'frozen one')}" if halted else ""
+    exclusion = f", without {several(halted, 'frozen one')}" if halted else ""
     head = ("outcome", "unit", "finite", "smallest", "5 %", "median", "mean", "95 %", "largest", "std. dev.")
     pictures = [spread.histogram for spread in spreads if spread.histogram is not None]
-    notes = [f"Over {several(envs, 'environment')}{left_out}."]
+    notes = [f"Over {several(envs, 'environment')}{exclusion}."]
     if more:
-        notes.append(f"{several(more, 'further number')} of outcomes: warpcontact export DIR --csv FILE.")
+        notes.append(f"{several(more, 'further number')} of outcomes: see warpcontact export DIR --csv FILE.")
     return joined(
         [
             element("p", " ".join(notes), class_="note"),

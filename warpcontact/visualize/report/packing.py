@@ -1,9 +1,8 @@
-"""Arrays as text in a page: quantised where they move, compressed, and read by ``web/src/unpack.js``.
+"""Packing of arrays as text in a page: quantized, compressed; decoded by ``web/src/unpack.js``.
 
-A pack is one stream of bytes, deflated and in base64, and a list that says what is in it: of each array its type,
-``shape`` and, where it is quantised, ``low`` and ``step`` of each of its last axis. Whole numbers are stored as
-differences along the first axis, first all low bytes and then all higher ones: what moves smoothly then compresses
-well.
+A pack is a byte stream, deflated and base64-encoded, and a list of array headers: type, ``shape`` and, if quantized,
+``low`` and ``step`` of each component (last axis). Integers are stored as differences along the first axis, low bytes
+first and high bytes after, which compresses smooth motion well.
 """
 
 import base64
@@ -15,13 +14,13 @@ from numpy.typing import NDArray
 
 from warpcontact.validation.checks import Array
 
-# The largest number of 16 bits stands for NaN.
+# Quantized values are 0 … MOST; the largest 16-bit number denotes NaN.
 MOST = 65534
 NAN = 65535
 
 
 class Pack:
-    """Arrays that are packed together, in the order in which they are added."""
+    """Arrays packed together, in the order in which they are added."""
 
     def __init__(self) -> None:
         self._parts: list[bytes] = []
@@ -30,20 +29,20 @@ class Pack:
 
     @property
     def raw(self) -> int:
-        """Size before it is compressed [bytes]."""
+        """Uncompressed size [bytes]."""
         return sum(map(len, self._parts))
 
     def exact(self, values: NDArray[Any]) -> None:
-        """Adds numbers as floats of 32 bits."""
+        """Adds numbers as 32-bit floats."""
         data = np.ascontiguousarray(values, dtype="<f4")
         self._add("float", data.shape, data.tobytes())
 
     def series(self, values: Array, finest: float = 0.0) -> None:
-        """Adds an array (time, …, component) in 16 bits between the ends of each component.
+        """Adds an array (time, …, component), quantized to 16 bits between the extremes of each component.
 
         Args:
-            values: The array; NaN where nothing is known.
-            finest: If a step of these 16 bits would be coarser, it is added as it is.
+            values: The array; NaN for unknown values.
+            finest: If the quantization step would exceed this, the array is added as floats; 0: never.
         """
         values = np.asarray(values, dtype=np.float64)
         finite = np.isfinite(values)
@@ -56,35 +55,35 @@ class Pack:
             self.exact(values)
             return
         scale = np.where(step > 0.0, step, 1.0)
-        whole = np.where(finite, np.round((np.where(finite, values, low) - low) / scale), NAN).astype(np.uint16)
-        self._whole(whole, low, step)
+        integers = np.where(finite, np.round((np.where(finite, values, low) - low) / scale), NAN).astype(np.uint16)
+        self._add_integers(integers, low, step)
 
     def indices(self, values: NDArray[Any]) -> None:
-        """Adds whole numbers from 0, in 32 bits, near to those before them."""
+        """Adds nonnegative integers in 32 bits, with small differences between neighbors."""
         flat = np.ascontiguousarray(values, dtype=np.uint32).reshape(-1)
         differences = np.diff(flat, prepend=np.zeros(1, np.uint32)).astype("<u4")
         planar = np.ascontiguousarray(differences.view(np.uint8).reshape(-1, 4).T)
         self._add("index", values.shape, planar.tobytes())
 
     def rotations(self, values: Array) -> None:
-        """Adds unit quaternions (time, …, 4); of q and −q, which are the same, the one nearer to that before."""
+        """Adds unit quaternions (time, …, 4), with signs chosen for continuity, because q and −q are equivalent."""
         values = np.asarray(values, dtype=np.float64)
         turned = np.sum(values[1:] * values[:-1], axis=-1) < 0.0
         signs = np.where(np.cumsum(turned, axis=0) % 2, -1.0, 1.0)[..., None]
         values = np.concatenate([values[:1], values[1:] * signs])
         step = 2.0 / MOST
-        whole = np.round((np.clip(values, -1.0, 1.0) + 1.0) / step).astype(np.uint16)
-        self._whole(whole, np.full(4, -1.0), np.full(4, step))
+        integers = np.round((np.clip(values, -1.0, 1.0) + 1.0) / step).astype(np.uint16)
+        self._add_integers(integers, np.full(4, -1.0), np.full(4, step))
 
     def text(self) -> str:
-        """Returns the bytes as base64."""
+        """Returns the compressed bytes as base64."""
         return base64.b64encode(zlib.compress(b"".join(self._parts), 9)).decode("ascii")
 
     def content(self) -> dict[str, Any]:
-        """Returns the pack as it is put into a page."""
+        """Returns the pack as content of a data block."""
         return {"arrays": self._array_headers, "data": self.text()}
 
-    def _whole(self, values: NDArray[np.uint16], low: Array, step: Array) -> None:
+    def _add_integers(self, values: NDArray[np.uint16], low: Array, step: Array) -> None:
         rows = values.reshape(len(values), -1)
         differences = np.diff(rows, axis=0, prepend=np.zeros((1, rows.shape[1]), np.uint16)).astype(np.uint16)
         planar = np.ascontiguousarray(differences.T)
@@ -94,7 +93,7 @@ class Pack:
     def _add(self, kind: str, shape: tuple[int, ...], data: bytes, **more: Any) -> None:
         same = self._numbers.setdefault((kind, shape, data, str(more)), len(self._array_headers))
         if same < len(self._array_headers):
-            # Figures of one body share its poses.
+            # For example, figures of one body share their poses.
             self._array_headers.append({"type": "same", "of": same})
             return
         self._array_headers.append({"type": kind, "shape": list(shape), **more})

@@ -1,4 +1,4 @@
-"""The page: its parts put together, with a policy that lets nothing run or load but what is in it."""
+"""HTML page of the report, with a content security policy that allows only its own script and style."""
 
 import base64
 import hashlib
@@ -10,19 +10,19 @@ from warpcontact._version import __version__
 from warpcontact.visualize.report import chart
 from warpcontact.visualize.report.markup import Markup, data_block, element, joined, name, short
 
-#: Files beside this one: the script as ``web/`` builds it, and the style.
+#: Files next to this module: the script built from ``web/``, and the style sheet.
 SCRIPT = "page.js"
 STYLE = "page.css"
 
 
 @dataclass(frozen=True)
 class Section:
-    """One part of the page.
+    """Section of the page.
 
     Attributes:
-        key: By which it is linked to.
-        title: Its title.
-        content: What is in it.
+        key: Anchor for links.
+        title: Title.
+        content: HTML content.
     """
 
     key: str
@@ -32,13 +32,13 @@ class Section:
 
 @dataclass
 class Page:
-    """A page.
+    """HTML page.
 
     Attributes:
-        title: Its title.
-        head: What is below it.
-        sections: Its parts.
-        data: Content of the blocks that the script reads, by their names.
+        title: Title.
+        head: Content below the title.
+        sections: Sections of the page.
+        data: Content of the data blocks for the script, by name.
     """
 
     title: str
@@ -47,7 +47,7 @@ class Page:
     data: dict[str, Any] = field(default_factory=dict)
 
     def html(self) -> str:
-        """Returns the whole file."""
+        """Returns the complete file content."""
         script, style = asset(SCRIPT), asset(STYLE)
         policy = (
             f"default-src 'none'; script-src '{_sha(script)}'; style-src '{_sha(style)}'; img-src data:; "
@@ -89,7 +89,8 @@ class Page:
         )
         parts = [element("section", element("h2", one.title), one.content, id=one.key) for one in self.sections]
         footer = element(
-            "footer", f"Made by warpcontact {__version__}. Drawn with three.js, © three.js authors, MIT License."
+            "footer",
+            f"Created by warpcontact {__version__}. Drawn with three.js, © three.js authors, MIT License.",
         )
         return joined([chart.definitions(), header, element("main", joined(parts)), footer])
 

@@ -1,4 +1,4 @@
-"""The replay in three dimensions: which environments and records there is room for, and their data."""
+"""Three-dimensional replay of the report: selection of environments and records, and their data."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,31 +12,34 @@ from warpcontact.drawing.decimation import evenly, kept_samples
 from warpcontact.drawing.drawing import Drawing, Shape
 from warpcontact.scene.scene import Scene
 from warpcontact.validation.checks import Array
-from warpcontact.validation.number_format import count, several
+from warpcontact.validation.number_format import count
+from warpcontact.visualize.decimation import evenly, kept_samples
+from warpcontact.visualize.drawing.colors import GAPS
+from warpcontact.visualize.drawing.drawing import Drawing, Shape
 from warpcontact.visualize.report.choice import Choice
 from warpcontact.visualize.report.markup import short
 from warpcontact.visualize.report.meshes import add_shape, drawable_shape
 from warpcontact.visualize.report.packing import Pack
 
-# Records that are drawn; between them bodies are interpolated.
+# Largest number of records; the replay interpolates between them.
 FRAMES = 256
-# Poses that are in memory at once.
+# Largest number of poses in memory.
 POSES = 2_000_000
-# Size of all environments in the page [bytes]; of those that somebody named.
+# Largest size of all environments in the page [bytes], by default and for environments listed by the user.
 MAX_BYTES = 3 * 2**20
 MAX_BYTES_REQUESTED = 48 * 2**20
-# Steps of positions in this part of the largest body are not seen.
+# Position errors below this fraction of the size are invisible.
 POSITION_STEP = 1.0e-3
 
 
 @dataclass
 class Replay:
-    """What the page needs to replay some environments.
+    """Data of the replay.
 
     Attributes:
-        notes: What is to be known of it, or why there is none.
-        scene: Content of the data block that describes what there is; empty: there is no replay.
-        packs: That of each environment by its number.
+        notes: Notes on the replay, or the reason why there is none.
+        scene: Content of the data block with the scene; empty if there is no replay.
+        packs: Pack of each environment, by number.
     """
 
     notes: list[str] = field(default_factory=list)
@@ -45,12 +48,12 @@ class Replay:
 
 
 def replay_of(recording: xr.Dataset, scene: Scene, choice: Choice) -> Replay:
-    """Returns the replay of chosen environments, as many as there is room for.
+    """Returns the replay of the selected environments, as many as fit.
 
     Args:
-        recording: Poses and sensors (time, env, …), read where they are needed.
-        scene: What ran.
-        choice: The environments, those first that matter most.
+        recording: Poses and sensors (time, env, …), read on access.
+        scene: Scene of the run.
+        choice: Selected environments, in order of importance.
 
     Raises:
         ValueError: If nothing can be drawn.
@@ -59,9 +62,7 @@ def replay_of(recording: xr.Dataset, scene: Scene, choice: Choice) -> Replay:
     records = recording.sizes["time"]
     items = _items(recording, scene)
     if 2 * items > POSES:
-        replay.notes.append(
-            f"There is no replay of {several(items, 'body')} and points of contact: too many for a page."
-        )
+        replay.notes.append(f"No replay: too many bodies and contact points for a page ({count(items)}).")
         return replay
     frames = min(FRAMES, POSES // items)
     envs = choice.envs[: max(1, POSES // (items * min(frames, records)))]
@@ -82,15 +83,17 @@ def replay_of(recording: xr.Dataset, scene: Scene, choice: Choice) -> Replay:
     replay.scene["shapes"] = shapes
     replay.scene["envs"] = [{"env": env, "label": short(choice.label(env), 200)} for env in shown]
     if len(shown) < len(choice.envs):
-        named = "" if choice.requested else "; warpcontact report DIR --envs N … chooses others"
-        replay.notes.append(f"There is room for {count(len(shown))} of {len(choice.envs)} environments{named}.")
+        named = "" if choice.requested else "; select others with warpcontact report DIR --envs N …"
+        replay.notes.append(
+            f"The replay has space for {count(len(shown))} of {len(choice.envs)} environments{named}."
+        )
     if len(rows) < records:
         replay.notes.append(f"{count(len(rows))} of {count(records)} records are drawn.")
     return replay
 
 
 def _frames(recording: xr.Dataset, scene: Scene, most: int) -> NDArray[np.intp]:
-    """Returns the records that are drawn: evenly spaced ones, and those with the largest and smallest forces."""
+    """Returns the records to draw: evenly spaced ones, and those with the largest and smallest forces."""
     records = recording.sizes["time"]
     contacts: list[Any] = [*scene.contacts, *scene.shape_contacts]
     forces = [recording[name] for one in contacts if (name := f"{one.name}.normal_force") in recording]
@@ -113,14 +116,14 @@ def _largest(forces: xr.DataArray) -> Array:
 
 
 def _items(recording: xr.Dataset, scene: Scene) -> int:
-    """Returns how many poses and points of forces one record of one environment has."""
+    """Returns the number of poses and force points of one record of one environment, at least 1."""
     contacts: list[Any] = [*scene.contacts, *scene.shape_contacts]
     points = sum(contact.count for contact in contacts if f"{contact.name}.point" in recording)
     return max(1, points + sum(body.count for body in scene.bodies))
 
 
 def _drawing(recording: xr.Dataset, scene: Scene, envs: list[int]) -> tuple[Drawing | None, list[str]]:
-    """Returns what is seen of the environments that can be drawn, and what is wrong with others."""
+    """Returns the drawing of all environments that can be drawn, and notes on the others."""
     chosen = recording.sel(env=envs)
     try:
         return Drawing.of(chosen, scene, envs), []
@@ -138,13 +141,13 @@ def _drawing(recording: xr.Dataset, scene: Scene, envs: list[int]) -> tuple[Draw
 
 
 def _described(drawing: Drawing) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Returns the shapes as a pack, and what all environments have in common."""
+    """Returns the shapes as a pack, and the data common to all environments."""
     pack = Pack()
     about: list[dict[str, bool]] = []
     numbers: dict[int, int] = {}
     figures = []
     finest = POSITION_STEP * drawing.size
-    kept: list[Shape] = []  # alive, so that no two have one id
+    kept: list[Shape] = []  # keeps the shapes alive, so that ids stay unique
     for figure in drawing.figures:
         copies = figure.scales.shape[1]
         shape = drawable_shape(figure.shape, copies)
@@ -191,19 +194,19 @@ def _described(drawing: Drawing) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def _packed(drawing: Drawing, row: int) -> dict[str, Any]:
-    """Returns environment number ``row`` of a drawing as a pack."""
+    """Returns environment ``row`` of a drawing as a pack."""
     pack = Pack()
     finest = POSITION_STEP * drawing.size
     for figure in drawing.figures:
         items = figure.scales.shape[1]
-        there = np.broadcast_to(figure.present[row], (items,))
-        _add(pack, _env_values(figure.positions, row, items)[:, there], finest)
-        turns = _env_values(figure.orientations, row, items)[:, there]
-        if len(turns) > 1 and there.any():
-            pack.rotations(turns)
+        present = np.broadcast_to(figure.present[row], (items,))
+        _add(pack, _env_values(figure.positions, row, items)[:, present], finest)
+        rotations = _env_values(figure.orientations, row, items)[:, present]
+        if len(rotations) > 1 and present.any():
+            pack.rotations(rotations)
         else:
-            pack.exact(turns[:1])
-        pack.exact(figure.scales[row, there])
+            pack.exact(rotations[:1])
+        pack.exact(figure.scales[row, present])
     for curve in drawing.curves:
         _add(pack, _env_values(curve.points, row), finest)
         pack.exact(_env_values(curve.shown[..., None], row))
@@ -216,11 +219,11 @@ def _packed(drawing: Drawing, row: int) -> dict[str, Any]:
 
 
 def _env_values(values: np.ndarray, row: int, items: int | None = None) -> np.ndarray:
-    """Returns an array (time|1, env|1, …) of environment ``row``, with so many items."""
-    own = values[:, row if values.shape[1] > 1 else 0]
-    if items is not None and own.shape[1] != items:
-        own = np.broadcast_to(own, (len(own), items, own.shape[2]))
-    return own
+    """Returns environment ``row`` of an array (time|1, env|1, …), broadcast to ``items``."""
+    env_values = values[:, row if values.shape[1] > 1 else 0]
+    if items is not None and env_values.shape[1] != items:
+        env_values = np.broadcast_to(env_values, (len(env_values), items, env_values.shape[2]))
+    return env_values
 
 
 def _add(pack: Pack, values: np.ndarray, finest: float) -> None:

@@ -1,4 +1,4 @@
-"""Sensors over time: quantile bands over the environments, and the curve of one environment in them."""
+"""Report section on sensors over time: quantile bands over the environments, and curves of single environments."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -24,19 +24,19 @@ from warpcontact.validation.number_format import count, quantity, several
 from warpcontact.visualize.report import chart
 from warpcontact.visualize.report.markup import Markup, element, joined, name, short
 
-# Charts, and samples of a curve.
+# Largest numbers of charts, and of samples per curve.
 CHARTS = 12
 SAMPLES = 200
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
-# Digits of extremes.
+# Significant digits of extremes.
 DIGITS = 5
-# Steps of its precision by which rounding alone moves a number in a simulation, and no law does.
+# Multiple of the machine precision up to which variations are attributed to rounding.
 ROUNDING = 16.0
 
 
 @dataclass(frozen=True, eq=False)
 class SampledResults:
-    """What a fan takes from a run, of some environments and times; see ``analysis.results.Figures``."""
+    """Outcomes and series of some environments, as input of ``quantile_fan``; see ``analysis.results``."""
 
     outcome: xr.Dataset
     series: xr.Dataset
@@ -44,13 +44,13 @@ class SampledResults:
 
 @dataclass(frozen=True, eq=False)
 class Curves:
-    """A chart of a sensor, and the curves that the script draws into it.
+    """Chart of a sensor, and the curves that the script draws into it.
 
     Attributes:
         picture: The chart.
         about: Name of the sensor, its unit, and the values at the bottom and the top of the plot.
-        lines: Curves of the chosen environments by their numbers: ``x`` and ``y`` of each sample in tenths of
-            units of the chart, as differences from the previous one, the first from 0; ``y`` is ``None`` in gaps.
+        lines: Curves of the selected environments by number: ``x`` and ``y`` of each sample in tenths of chart units,
+            as differences from the previous sample, the first from 0; ``y`` is ``None`` in gaps.
         sampled: Number of environments in the quantiles.
     """
 
@@ -62,15 +62,15 @@ class Curves:
 
 @dataclass(frozen=True, eq=False)
 class _ChartData:
-    """The numbers in a chart.
+    """Data of a chart.
 
     Attributes:
         label: Name of the sensor, with the component.
-        meaning: What it is.
-        precision: Relative distance of its numbers.
-        curves: Curves of the chosen environments, and extremes.
+        meaning: Description.
+        precision: Relative precision of its numbers.
+        curves: Curves of the selected environments, and extremes.
         fan: Quantiles over the sampled environments, (level, time).
-        failed: Which of these are frozen.
+        failed: Which of the selected environments are frozen.
         sampled: Number of environments in the quantiles.
         total: Number of environments.
         active: Number of environments that are not frozen.
@@ -93,15 +93,12 @@ class _ChartData:
 
     @property
     def magnitude(self) -> float:
-        """The largest quantile."""
+        """Largest absolute quantile."""
         return float(np.abs(self.fan).max(initial=0.0, where=np.isfinite(self.fan)))
 
 
 def sensors_of(series: xr.Dataset) -> list[tuple[str, str | None]]:
-    """Returns what there can be charts of, as sensors and components, those first that were asked for.
-
-    Poses are recorded last.
-    """
+    """Returns the sensors that can be drawn, with their components, in recorded order: poses come last."""
     found: list[tuple[str, str | None]] = []
     for key, array in series.data_vars.items():
         if is_drawable(str(key), array):
@@ -110,12 +107,12 @@ def sensors_of(series: xr.Dataset) -> list[tuple[str, str | None]]:
 
 
 def make_curves(outcome: xr.Dataset, series: xr.Dataset, chosen: list[int]) -> tuple[list[Curves], int]:
-    """Returns the first charts, and how many more there could be.
+    """Returns the first ``CHARTS`` charts, and the number of further sensors.
 
     Args:
-        outcome: Outcomes of the environments, which say what is frozen.
+        outcome: Outcomes of the environments, with their status.
         series: Sensors (time, env, …).
-        chosen: Numbers of the environments that have a curve of their own.
+        chosen: Numbers of the environments that have individual curves.
     """
     sensors = sensors_of(series)
     charts = [_chart_data(outcome, series, sensor, axis, chosen) for sensor, axis in sensors[:CHARTS]]
@@ -133,27 +130,27 @@ def section(curves: list[Curves], more: int, envs: int, records: int, health: He
 
     Args:
         curves: The charts.
-        more: How many more there could be.
+        more: Number of further sensors.
         envs: Number of environments.
-        records: Number of times.
-        health: Which of the environments are frozen, and in no quantile, and which stopped, and in all.
+        records: Number of records.
+        health: Frozen environments, which are excluded from quantiles, and stopped ones, which are included.
     """
     if not curves:
-        return element("p", "No sensor that is one number was recorded over time.", class_="note")
-    left_out = f", without {several(len(health.frozen), 'frozen one')}" if len(health.frozen) else ""
-    sentences = [f"{several(records, 'record')} of {several(envs, 'environment')}{left_out}."]
+        return element("p", "No scalar sensor was recorded.", class_="note")
+    exclusion = f", without {several(len(health.frozen), 'frozen one')}" if len(health.frozen) else ""
+    sentences = [f"{several(records, 'record')} of {several(envs, 'environment')}{exclusion}."]
     if envs > 1:
         sentences.append("Bands: 5 % to 95 % and 25 % to 75 % of the environments; line: median.")
         if len(health.stopped):
-            sentences.append(f"{several(len(health.stopped), 'stopped one')} stay in them as they were.")
-        sentences.append("Orange: the environment that the replay shows.")
+            sentences.append(f"{several(len(health.stopped), 'stopped one')} are included with their last values.")
+        sentences.append("Orange: the environment shown in the replay.")
     if records > SAMPLES:
-        sentences.append("Curves have fewer points than there are records; peaks stay at their times and heights.")
+        sentences.append("Curves are decimated; peaks keep their times and heights.")
     sampled = min(chart_data.sampled for chart_data in curves)
     if sampled < envs:
-        sentences.append(f"Quantiles are those of {count(sampled)} environments or more, evenly spread over all.")
+        sentences.append(f"Quantiles are over at least {count(sampled)} evenly spaced environments.")
     if more:
-        sentences.append(f"{several(more, 'further sensor')} left out; all are in data.zarr.")
+        sentences.append(f"{several(more, 'further sensor')} omitted; all are in data.zarr.")
     return joined(
         [
             element("p", " ".join(sentences), class_="note"),
@@ -163,7 +160,7 @@ def section(curves: list[Curves], more: int, envs: int, records: int, health: He
 
 
 def data(curves: list[Curves]) -> list[dict[str, Any]]:
-    """Returns the data of the charts for the script of the page, in their order."""
+    """Returns the data of the charts for the script of the page, in order."""
     return [chart_data.about | {"lines": chart_data.lines} for chart_data in curves]
 
 
@@ -184,7 +181,7 @@ def _chart_data(
         coords={"time": curves.seconds, "env": envs[sample]},
     )
     fan = quantile_fan(SampledResults(outcome, sampled.to_dataset(name=sensor)), sensor, LEVELS, missing="drop")
-    # Those of the others are not held for all charts.
+    # Copy only the selected curves, so that those of other environments are not kept in memory for all charts.
     lines = curves.values[:, np.searchsorted(rows, env_rows)]
     return _ChartData(
         label=sensor if axis is None else f"{sensor}.{axis}",
@@ -200,7 +197,7 @@ def _chart_data(
 
 
 def _curves(chart_data: _ChartData, scale: float) -> Curves:
-    """Draws a sensor; ``scale``: the largest value of all sensors of its unit."""
+    """Draws a sensor; ``scale``: largest value of all sensors with its unit."""
     seconds = chart_data.curves.seconds
     span = _range(chart_data.fan, chart_data.curves.values, chart_data.failed)
     low, high = visible_range(*span, chart_data.precision, scale)
@@ -242,7 +239,7 @@ def _curves(chart_data: _ChartData, scale: float) -> Curves:
 
 
 def _extremes(chart_data: _ChartData, axis: chart.Axis) -> str:
-    """Returns the extremes of a sensor, with their times and environments."""
+    """Returns the extremes of a sensor as text, with their times and environments."""
 
     def sentences(word: str, extreme: Extreme) -> str:
         value = quantity(axis.factor * extreme.value, axis.label, DIGITS)
@@ -257,16 +254,16 @@ def _extremes(chart_data: _ChartData, axis: chart.Axis) -> str:
 
 
 def visible_range(low: float, high: float, precision: float, scale: float) -> tuple[float, float]:
-    """Returns the ends of an axis on which what is only rounding looks flat.
+    """Returns the ends of an axis on which variations due to rounding look flat.
 
     Args:
-        low: The smallest value.
-        high: The largest.
-        precision: Relative distance of numbers.
-        scale: The largest value of any quantity of this unit.
+        low: Smallest value.
+        high: Largest value.
+        precision: Relative precision of the numbers.
+        scale: Largest value of any sensor with this unit.
     """
     size = max(abs(low), abs(high))
-    # Sums of larger numbers leave their rounding, in double precision at the best.
+    # Sums of larger numbers keep the rounding errors of these, at least in double precision.
     rounding = ROUNDING * float(np.finfo(np.float64).eps) * scale
     if high - low > max(rounding, ROUNDING * precision * size):
         return low, high
@@ -275,9 +272,9 @@ def visible_range(low: float, high: float, precision: float, scale: float) -> tu
 
 
 def _range(fan: Array, lines: Array, failed: NDArray[np.bool_]) -> tuple[float, float]:
-    """Returns the values at the ends of the vertical axis: the quantiles and the chosen curves, with some room.
+    """Returns the ends of the vertical axis: the range of quantiles and selected curves, with a margin.
 
-    Curves of frozen environments may leave it.
+    Curves of frozen environments may exceed it.
     """
     values = np.concatenate([fan[np.isfinite(fan)], lines[:, ~failed][np.isfinite(lines[:, ~failed])]])
     env_rows = lines[np.isfinite(lines)]
@@ -286,7 +283,7 @@ def _range(fan: Array, lines: Array, failed: NDArray[np.bool_]) -> tuple[float, 
         return 0.0, 1.0
     low, high = float(values.min()), float(values.max())
     if len(env_rows):
-        # Those of frozen environments, up to as much again.
+        # For frozen environments, extend the range by at most its own length on each side.
         reach = high - low
         low = max(low - reach, min(low, float(env_rows.min())))
         high = min(high + reach, max(high, float(env_rows.max())))
@@ -295,7 +292,7 @@ def _range(fan: Array, lines: Array, failed: NDArray[np.bool_]) -> tuple[float, 
 
 
 def _differences(across: Array, up: Array) -> dict[str, list[Any]]:
-    """Returns a curve as ``Curves.lines`` has it."""
+    """Returns a curve in the format of ``Curves.lines``."""
     good = np.isfinite(up) & (np.abs(up) < 1.0e4)
     y: list[int | None] = [None] * len(up)
     for i, step in zip(np.flatnonzero(good), _steps(up[good]), strict=True):

@@ -1,18 +1,18 @@
-"""The place of the replay in the page: a canvas, its controls and its legend, filled by ``web/src/replay.js``."""
+"""Report section of the replay: canvas, controls and legend, filled by ``web/src/replay.js``."""
 
 from warpcontact.visualize.report.markup import Markup, element, joined
 from warpcontact.visualize.report.replay import Replay
 
-# Keys, and what they do.
+# Keys and their functions.
 KEYS = (
     ("Space", "play or pause"),
-    ("← →", "one record back or on; with Shift ten"),
+    ("← →", "previous or next record; with Shift 10 records"),
     ("Home End", "first or last record"),
-    ("[ ]", "environment before or after"),
+    ("[ ]", "previous or next environment"),
     ("0–9", "environment of this number"),
     ("+ −", "faster or slower"),
     ("A", "arrows of forces"),
-    ("G", "points of contact, coloured by gap"),
+    ("G", "contact points, colored by gap"),
     ("F", "fit the view"),
     ("?", "this help"),
 )
@@ -53,9 +53,9 @@ def _controls() -> Markup:
         element(
             "span",
             element("label", "Environment", for_="replay-env"),
-            _button("replay-before", "‹", "Environment before ([)"),
+            _button("replay-before", "‹", "Previous environment ([)"),
             element("select", id="replay-env"),
-            _button("replay-after", "›", "Environment after (])"),
+            _button("replay-after", "›", "Next environment (])"),
             class_="group",
         ),
         element(

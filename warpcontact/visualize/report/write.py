@@ -1,4 +1,4 @@
-"""From the folder of a run to its report."""
+"""Writes the report of a run from its folder."""
 
 from collections.abc import Iterable
 from os import PathLike
@@ -36,25 +36,25 @@ def report(
     envs: int | Iterable[int] | None = None,
     trust: Trust = False,
 ) -> Path:
-    """Writes a report of a run as one HTML file, which opens anywhere and loads nothing.
+    """Writes a report of a run as one HTML file without external resources.
 
-    It has what was run, statistics and histograms of the outcomes, quantiles of sensors over time, force over
-    penetration of contacts, contact couplings, environments that failed, a table of environments, and a replay.
-    Large runs are sampled, and the report says where. Of an unfinished run it has what is committed.
+    Contents: run settings, statistics and histograms of outcomes, quantiles of sensors over time, force over penetration
+    of contacts, contact couplings, frozen environments, a table of environments, and a replay. Large runs are sampled,
+    and the report states this. The report of an unfinished run contains the committed data.
 
     Args:
-        run: A run, or its folder. Files with laws of its own are run to draw it.
-        path: File to write, ``.html``; replaced if it exists; ``None``: ``report.html`` in the folder.
-        envs: Numbers of the environments that are shown one by one; ``None``: the first 16, some of those that
-            failed, and those in which outcomes are smallest and largest, as far as there is room.
+        run: A run, or its folder. Files with custom laws are executed to restore the scene.
+        path: File to write, ``.html``; an existing file is replaced. ``None``: ``report.html`` in the folder.
+        envs: Numbers of the environments shown individually; ``None``: the first 16, some frozen ones, and those with
+            the smallest and largest outcomes, as far as they fit.
         trust: As for ``wc.open_run``, if ``run`` is a folder.
 
     Returns:
         The path.
 
     Raises:
-        ValueError: If the path or an environment is not allowed, the file is in no folder that exists or cannot be
-            written, or the folder holds no run.
+        ValueError: If the path or an environment is invalid, the file cannot be written, or the folder contains no
+            run.
         RunDataError: If results are missing or were changed.
         OSError: If writing fails.
     """
@@ -129,7 +129,7 @@ def _series(run: Run) -> xr.Dataset | None:
 
 
 def _drawn(run: Run, choice: Choice) -> tuple[Replay, tuple[CouplingReport, ...]]:
-    """Returns what needs the scene, as far as it can be made again."""
+    """Returns replay and coupling reports, which need the scene; without them if it cannot be restored."""
     finished = run.outcome.sizes["env"]
     try:
         scene = run.scene
@@ -137,16 +137,16 @@ def _drawn(run: Run, choice: Choice) -> tuple[Replay, tuple[CouplingReport, ...]
         raise
     except (ValueError, OSError) as error:
         reason = short(str(error).splitlines()[0], 400)
-        return Replay([f"There is no replay, as the scene cannot be made again: {reason}"]), ()
+        return Replay([f"No replay: the scene cannot be restored: {reason}"]), ()
     reports = run.reports if finished else ()
     if _series(run) is None:
-        told = "There is no replay, as nothing was recorded over time: with [record] series = true, the default, "
-        return Replay([told + "an experiment records the poses of all bodies."]), reports
+        note = "No replay: no sensors were recorded over time. With [record] series = true, the default, "
+        return Replay([note + "an experiment records the poses of all bodies."]), reports
     if not finished:
-        return Replay(["There is no replay yet: no environment is finished."]), reports
+        return Replay(["No replay yet: no environment is finished."]), reports
     return replay_of(run.recording, scene, choice), reports
 
 
 def _select_envs(data: xr.Dataset, envs: xr.DataArray) -> xr.Dataset:
-    """Returns the environments ``envs`` of a data set that has these, and maybe more."""
+    """Returns the environments ``envs`` of a data set."""
     return data if data.sizes["env"] == envs.size else data.sel(env=envs)
