@@ -81,7 +81,7 @@ def outward_solid_angle(mesh):
         (TETRAHEDRON, changed(OUTWARD, (1, 1), 0), r"1 of 4 faces is degenerate, first: face 1 .* \(0, 0, 3\)"),
         ([(0, 0, 0), (1, 0, 0), (2, 0, 0)], [(0, 1, 2)], r"degenerate, .*= 0; allowed: 1e-06 or more"),
         ([(0, 0, 0), (0, 0, 0), (0, 0, 0)], [(0, 1, 2)], "1 of 1 faces is degenerate"),
-        (TETRAHEDRON, [*OUTWARD, (1, 0, 2)], r"1 of 5 .* duplicate, first: face 4 .* has the corners of face 0"),
+        (TETRAHEDRON, [*OUTWARD, (1, 0, 2)], r"1 of 5 .* duplicate, first: face 4 .* has the vertices of face 0"),
         (TETRAHEDRON, [*OUTWARD, (0, 1, 2)], "1 of 5 faces is duplicate"),
         (
             TETRAHEDRON,

@@ -204,7 +204,7 @@ def test_long_name_of_color_scale_does_not_cover_the_scene():
         ({"forces": "yes"}, "forces must be True or False"),
         (
             {"background": "blue"},
-            "background must be one of 'light', 'white', 'dark', or a colour as #rrggbb, got 'blue'",
+            "background must be one of 'light', 'white', 'dark', or a color such as #20242c, got 'blue'",
         ),
         ({"background": 7}, "background must be one of"),
     ],

@@ -347,7 +347,7 @@ def test_non_finite_values_are_counted_in_report(crate, tmp_path):
 def test_report_without_series_states_how_to_get_a_replay(tmp_path):
     study = report_runs.changed(record={"series": False}, duration=0.01)
     page = report_runs.check_harmless(written(report_runs.run(tmp_path / "run", study), tmp_path / "x.html"))
-    assert "nothing was recorded over time: with [record] series = true" in page.text
+    assert "no sensors were recorded over time. With [record] series = true" in page.text
     assert not {"series", "loops", "replay-canvas"} & ids(page)
     assert "replay" not in page.blocks
     assert {"outcomes", "environments"} <= ids(page)

@@ -43,7 +43,9 @@ def write_fan(path: str | PathLike[str], fan: xr.DataArray, title: str | None = 
     axes.set_title(str(fan.name) if title is None else title)
     axes.margins(x=0.0)
     count = fan.attrs.get("stopped_environments", 0)
-    after = {"hold": "stay as they were", "drop": "count up to their stop"}.get(fan.attrs.get("stopped", ""), "")
+    after = {"hold": "hold their last values", "drop": "count until their stop"}.get(
+        fan.attrs.get("stopped", ""), ""
+    )
     note = f"\n{count} stopped environments\n{after}" if count else ""
     axes.legend(title=f"quantiles{note}", title_fontsize="small", fontsize="small")
     save(figure, file)

@@ -150,7 +150,7 @@ class Replay:
     def value_or_default(self, name: str, default: Array) -> Array | None:
         """Returns parameter ``name``, (env, …), as recorded, or ``default`` if the recording marks it as unchanged.
 
-        ``None`` if the recording does not tell whether it varied.
+        ``None`` if the recording does not indicate whether it varied.
         """
         if name in self.data or name not in set(self.data.attrs.get(UNCHANGED, ())):
             return self.static(name, default.shape)

@@ -90,7 +90,7 @@ def examine(
         return f"{face(i)} and |cross|/Σe² = {ratio[i]:.3g}"
 
     def duplicate(i: int) -> str:
-        return f"{face(i)} has the corners of face {original[i]}"
+        return f"{face(i)} has the vertices of face {original[i]}"
 
     def edge(i: int) -> str:
         (here, there), corner = halves[i] // 3, halves[i][0] % 3

@@ -107,7 +107,7 @@ def examine_task(task: Task, *, confined: bool) -> ExaminedMesh:
 
 
 def answer(task: dict[str, Any]) -> tuple[dict[str, Any], list[npt.NDArray[Any]]]:
-    """Returns the answer of the reading process: a header, and the flat arrays that it announces."""
+    """Returns the answer of the reader process: a header, and the flat arrays that it announces."""
     vertices, faces, groups, report = examine_task(Task(**task), confined=True)
     arrays = [
         np.ascontiguousarray(vertices, dtype="<f8"),

@@ -35,7 +35,7 @@ _START = """
 import json, sys, types
 request = json.loads(sys.stdin.buffer.read())
 sys.path[:] = request["path"]
-# The packages are there by name only: what they import on their own is not needed here.
+# Register the packages by name only, which skips the imports of their __init__ modules.
 for name, folder in request["packages"].items():
     sys.modules[name] = types.ModuleType(name)
     sys.modules[name].__path__ = [folder]

@@ -126,7 +126,7 @@ def _chosen(faces: npt.ArrayLike | None, count: int) -> npt.NDArray[np.int64]:
     return numbers.astype(np.int64)
 
 
-# Copy of ``checks.whole``, whose module imports Warp.
+# Like ``checks.integer``, whose module imports Warp.
 def _whole(name: str, value: object, least: int) -> int:
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")

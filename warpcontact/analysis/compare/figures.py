@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 
 from warpcontact.files.picture_file import check_path, save
 
-__all__ = ["check_path", "save"]  # and what follows
+__all__ = ["check_path", "save"]  # re-exported, in addition to the definitions below
 
 #: Largest number of laws or friction models that can be distinguished in one plot.
 MOST = 8

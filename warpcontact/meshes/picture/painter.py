@@ -1,6 +1,6 @@
 """Rasterization of triangles with a depth buffer: visible triangle and depth of each pixel.
 
-Scan lines of many triangles are filled at once. A pixel belongs to the triangle that contains its center, and adjacent
+Scan lines of many triangles are filled in one vectorized operation. A pixel belongs to the triangle that contains its center, and adjacent
 triangles leave no gap.
 """
 

@@ -64,7 +64,7 @@ def _read(path: Path, subject: str, trusted: bool, limits: Limits) -> Any:
     try:
         if path.suffix.lower() not in USD_SUFFIXES:
             raise Unreadable(f"the extension {path.suffix!r} is not one of {', '.join(USD_SUFFIXES)}")
-        if not path.is_file():  # excludes pipes, on which reading would block
+        if not path.is_file():  # excludes pipes, which would block
             raise Unreadable("it is not a regular file" if path.exists() else "it does not exist")
         file = os.path.abspath(path)
         if trusted:

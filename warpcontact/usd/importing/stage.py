@@ -12,7 +12,7 @@ from warpcontact.usd.importing.stepping import stepping_of
 
 
 def answer(task: dict[str, Any]) -> tuple[dict[str, Any], list[Any]]:
-    """Returns the answer of the reading process; ``task`` holds the arguments of ``read_stage``."""
+    """Returns the answer of the reader process; ``task`` holds the arguments of ``read_stage``."""
     from warpcontact.usd.importing.packing import pack
 
     try:

@@ -121,7 +121,9 @@ class RenderStyle:
             return np.array([[int(part, 16) / 255.0 for part in found.groups()]] * 2)
         if self.background not in BACKGROUNDS:
             named = ", ".join(map(repr, BACKGROUNDS))
-            raise ValueError(f"background must be one of {named}, or a colour as #rrggbb, got {self.background!r}")
+            raise ValueError(
+                f"background must be one of {named}, or a color such as #20242c, got {self.background!r}"
+            )
         return np.array(BACKGROUNDS[self.background])
 
     def find_device(self) -> wp.Device:

@@ -13,7 +13,7 @@ from warpcontact.model.flags import words_of
 
 # Largest number of values per environment of a variable with columns; variables of sets often have more.
 MOST = 12
-# Variables up to this size are read at once instead of once per column [bytes].
+# Variables up to this size are read once instead of once per column [bytes].
 AT_ONCE = 256 * 2**20
 
 
