@@ -148,12 +148,12 @@ def test_run_command_checks_results_folder_before_the_experiment(tmp_path, capsy
         ([], "results/terrain_drop"),
     ):
         assert main(["run", str(EXAMPLE), "--envs", "100", *words]) == 2
-        assert f"warpcontact: {folder}: is not empty, and what is in it" in capsys.readouterr().err
+        assert f"warpcontact: {folder}: is not empty and holds" in capsys.readouterr().err
     with pytest.raises(wc.ExperimentError, match="results/a_b: is not empty"):
         experiment.run("results/a_b", envs=100)
     for words in (["--out", "nowhere"], ["--out", "nowhere", str(EXAMPLE)]):
         assert main(["run", "--resume", *words]) == 2
-        assert "warpcontact: nowhere: holds no run that could go on" in capsys.readouterr().err
+        assert "warpcontact: nowhere: holds no run to resume" in capsys.readouterr().err
 
 
 def test_interrupted_run_prints_resume_command(tmp_path, capsys, monkeypatch):

@@ -106,9 +106,9 @@ def test_shard_of_killed_worker_is_run_again(tmp_path):
     os.kill(pid, signal.SIGKILL)
     code, _, err = sharded_runs.wait_for_end(process)
     assert code == 0, err
-    again = [line for line in warnings_of(out) if "is tried again" in line]
+    again = [line for line in warnings_of(out) if "is retried" in line]
     assert len(again) == 1, again
-    assert again[0].startswith(f"shard_{shard:06d} is tried again: its worker was lost: ")
+    assert again[0].startswith(f"shard_{shard:06d} is retried: its worker was lost: ")
     assert again[0] in err
     now = sharded_runs.records(out)
     assert all(now[number] == record for number, record in others.items())
@@ -126,7 +126,7 @@ def test_shard_failing_three_times_on_cluster_is_reported_and_others_finish(plac
     assert code == 3, err
     assert "shard_000001 failed: RuntimeError: pile: a shape had" in printed
     assert "failed: 4 of 6 environments are finished in 3 shards" in printed
-    assert err.count("note: shard_000001 is tried again: RuntimeError: pile: a shape had") == 1
+    assert err.count("note: shard_000001 is retried: RuntimeError: pile: a shape had") == 1
     assert wc.open_run(out, verify=True).outcome["env"].values.tolist() == [0, 1, 4, 5]
 
 

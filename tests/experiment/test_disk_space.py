@@ -43,7 +43,7 @@ def test_plan_command_prints_free_disk_space(tmp_path, free, capsys, monkeypatch
     free(100 * KIB)
     assert main([*words, "--out", "other/out"]) == 0
     assert queried_folders[-1] == tmp_path / "other"
-    output = "on disk: up to 103 KiB, before compression; 100 KiB is free on the disk of other/out, which is less"
+    output = "on disk: up to 103 KiB, before compression; 100 KiB is free on the disk of other/out, not enough"
     assert f"{output}\n" in capsys.readouterr().out
     assert not (tmp_path / "other" / "out").exists()
 
@@ -90,8 +90,8 @@ def test_full_disk_error_states_shard_size_and_stored_shards(begun, tmp_path, fr
     kept = "" if begun else "nothing is committed yet; "
     assert f"warpcontact: [Errno 28] No space left on device: '{out}'\n" in output
     assert (
-        f"warpcontact: {kept}a shard of 5 environments takes up to 51.6 KiB of results before compression, and "
-        f"room for its checkpoints; 3 KiB is free on the disk of {out}\n"
+        f"warpcontact: {kept}a shard of 5 environments takes up to 51.6 KiB of results before compression, plus "
+        f"its checkpoints; 3 KiB is free on the disk of {out}\n"
     ) in output
     kept = "what was committed is kept" if begun else "nothing is kept yet"
     assert f"{kept} in {out}; go on with:\n    warpcontact run --resume --out {out}\n" in output

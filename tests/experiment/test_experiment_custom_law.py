@@ -167,7 +167,7 @@ def test_overwrite_replaces_copied_law_files_only(folder):
     assert not (out / "my_laws.py").exists()
     assert (out / "notes.py").read_text() == "mine"
     (out / "my_laws.py").write_text("mine too")
-    with pytest.raises(wc.ExperimentError, match=r"holds a file 'my_laws\.py' of its own"):
+    with pytest.raises(wc.ExperimentError, match=r"holds a file 'my_laws\.py' of the user"):
         wc.Experiment.from_dict(study(), folder).run(out, device="cpu", overwrite=True)
     assert (out / "my_laws.py").read_text() == "mine too"
     assert (out / "data.zarr").exists()

@@ -102,7 +102,7 @@ def test_error_in_custom_law_file_is_reported_with_its_line(text, message, folde
     assert problem.startswith("material[0].law.type: my_laws.py")
     assert message in problem
     assert not {name for name in set(sys.modules) - modules if "my_laws" in name}
-    # A file that failed is tried again.
+    # A file that failed is retried.
     (folder / "my_laws.py").write_text(LAWS, encoding="utf-8")
     assert wc.Experiment.from_dict(study(), folder)
 

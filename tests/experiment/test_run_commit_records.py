@@ -18,7 +18,7 @@ def test_damaged_commit_record_is_reported(content, whole_run, copied_run):
     folder = copied_run(whole_run)
     (folder / "commit" / "shard_000001.json").write_text(content)
     with pytest.raises(
-        wc.RunDataError, match=r"commit/shard_000001\.json: (is no whole record|must have the entries)"
+        wc.RunDataError, match=r"commit/shard_000001\.json: (is not a complete record|must have the entries)"
     ):
         wc.open_run(folder)
     with pytest.raises(wc.RunDataError, match=r"commit/shard_000001\.json: "):

@@ -33,8 +33,8 @@ def test_missing_run_parts_are_reported(whole_run, copied_run):
     folder = copied_run(whole_run)
     for name, message in (
         ("experiment.toml", r"experiment\.toml: cannot be read"),
-        ("commit/store.json", r"store\.json: is missing, which says what counts"),
-        ("commit/shard_000001.json", r"shard_000001\.json: the run is finished, and there is no record"),
+        ("commit/store.json", r"store\.json: is missing; it lists the committed files"),
+        ("commit/shard_000001.json", r"shard_000001\.json: the run is finished, but this shard has no record"),
         ("data.zarr/series/touch.gap/zarr.json", r"touch\.gap/zarr\.json: is missing, and was committed"),
         ("data.zarr/series/env/c/0", "env/c/0: is missing, and was committed"),
     ):
@@ -45,10 +45,10 @@ def test_missing_run_parts_are_reported(whole_run, copied_run):
         (folder / name).write_bytes(content)
     wc.open_run(folder)
     shutil.rmtree(folder / "commit")
-    with pytest.raises(wc.ExperimentError, match="folder commit is missing, which says what counts"):
+    with pytest.raises(wc.ExperimentError, match="folder commit is missing; it lists the committed files"):
         wc.open_run(folder)
     shutil.rmtree(folder / "data.zarr")
-    with pytest.raises(wc.ExperimentError, match="the run was ended before anything was kept"):
+    with pytest.raises(wc.ExperimentError, match="the run ended before anything was saved"):
         wc.open_run(folder)
 
 
@@ -117,7 +117,7 @@ def test_block_of_unfinished_shard_missing_with_its_entry_is_reported(whole_run,
     drop_entry(folder, name)
     with pytest.raises(wc.RunDataError, match=rf"{name}: is missing"):
         wc.open_run(folder)
-    with pytest.warns(RuntimeWarning, match=rf"shard_000001 begins anew: \S+{name}: is missing"):
+    with pytest.warns(RuntimeWarning, match=rf"shard_000001 starts again: \S+{name}: is missing"):
         wc.Experiment.from_toml(folder / "experiment.toml").run(folder, device="cpu", resume=True)
     assert sharded_runs.hashes(folder) == sharded_runs.hashes(whole_run)
 
@@ -259,13 +259,13 @@ def test_missing_checkpoint_is_reported_and_its_shard_restarts(whole_run, part_r
     folder = copied_run(part_run)
     name = sharded_runs.records(folder)[1]["checkpoint"]
     (folder / "checkpoint" / name).unlink()
-    with pytest.raises(wc.RunDataError, match=rf"{name}: is missing, and was committed; --resume lets"):
+    with pytest.raises(wc.RunDataError, match=rf"{name}: is missing, and was committed; --resume starts"):
         wc.open_run(folder)
     experiment = wc.Experiment.from_toml(folder / "experiment.toml")
-    with pytest.warns(RuntimeWarning, match="shard_000001 begins anew: .*No such file"):
+    with pytest.warns(RuntimeWarning, match="shard_000001 starts again: .*No such file"):
         run = experiment.run(folder, device="cpu", resume=True)
     assert sharded_runs.hashes(folder) == sharded_runs.hashes(whole_run)
-    assert any("shard_000001 begins anew" in line for line in run.summary["warnings"])
+    assert any("shard_000001 starts again" in line for line in run.summary["warnings"])
 
 
 @pytest.mark.parametrize(
@@ -297,8 +297,7 @@ def test_damaged_checkpoint_restarts_its_shard(damage, whole_run, part_run, copi
     else:
         sharded_runs.change(folder / "commit" / "shard_000001.json", steps=MOST, frames=MOST)
     with pytest.warns(
-        RuntimeWarning,
-        match=rf"shard_000001 begins anew: {path}: (is no complete|does not go on|is of |has schema )",
+        RuntimeWarning, match=rf"shard_000001 starts again: {path}: (is no whole|does not continue|must be of )"
     ):
         wc.Experiment.from_toml(folder / "experiment.toml").run(folder, device="cpu", resume=True)
     assert sharded_runs.hashes(folder) == sharded_runs.hashes(whole_run)
@@ -312,9 +311,11 @@ def test_changed_checkpoint_is_reported_and_its_shard_restarts(whole_run, part_r
     name = next(name for name, values in arrays.items() if values.dtype.kind == "f" and values.size)
     checkpoint.write(path, arrays | {name: arrays[name] + 1.0}, header)
     wc.open_run(folder)
-    with pytest.raises(wc.RunDataError, match=rf"{path}: was changed since it was committed; --resume lets"):
+    with pytest.raises(wc.RunDataError, match=rf"{path}: was changed since it was committed; --resume starts"):
         wc.open_run(folder, verify=True)
-    with pytest.warns(RuntimeWarning, match=rf"shard_000001 begins anew: {path}: was changed since it was commit"):
+    with pytest.warns(
+        RuntimeWarning, match=rf"shard_000001 starts again: {path}: was changed since it was commit"
+    ):
         wc.Experiment.from_toml(folder / "experiment.toml").run(folder, device="cpu", resume=True)
     assert sharded_runs.hashes(folder) == sharded_runs.hashes(whole_run)
     wc.open_run(folder, verify=True)

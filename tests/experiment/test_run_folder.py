@@ -29,9 +29,9 @@ def test_folder_without_a_run_is_refused(tmp_path):
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "run.json").write_text('{"program": "another 1.0", "schema": 1}')
     for name in ("empty", "other"):
-        with pytest.raises(wc.ExperimentError, match=rf"{name}: holds no run: there is no whole run\.json"):
+        with pytest.raises(wc.ExperimentError, match=rf"{name}: holds no run: run\.json is missing or incomplete"):
             wc.open_run(tmp_path / name)
-        with pytest.raises(wc.ExperimentError, match=f"{name}: holds no run that could go on"):
+        with pytest.raises(wc.ExperimentError, match=f"{name}: holds no run to resume"):
             wc.Experiment.from_toml(sharded_runs.study(tmp_path)).run(tmp_path / name, device="cpu", resume=True)
 
 
@@ -39,7 +39,7 @@ def test_folder_without_a_run_is_refused(tmp_path):
 def test_truncated_run_json_is_not_a_run(content, whole_run, copied_run):
     folder = copied_run(whole_run)
     (folder / "run.json").write_text(content)
-    with pytest.raises(wc.ExperimentError, match=r"holds no run: there is no whole run\.json"):
+    with pytest.raises(wc.ExperimentError, match=r"holds no run: run\.json is missing or incomplete"):
         wc.open_run(folder)
 
 
@@ -53,7 +53,7 @@ def test_truncated_run_json_is_not_a_run(content, whole_run, copied_run):
         ({"envs": 10**30}, "envs must be a whole number from 1 to 2147483647, got 10{30}"),
         ({"envs": 11}, r"envs must be 10, as in experiment\.toml, got 11"),
         ({"shard": "4"}, "shard must be a whole number from 1 to 2147483647, got '4'"),
-        ({"shard": 5}, "shards must be 2, as envs and shard say, got 3"),
+        ({"shard": 5}, "shards must be 2 for these envs and shard, got 3"),
         ({"block": -1}, "block must be a whole number from 1 to 2147483647, got -1"),
         ({"steps": True}, "steps must be a whole number from 1 to 2147483647, got True"),
         ({"dt": 0}, "dt must be a time above 0 s, got 0"),
@@ -180,13 +180,13 @@ def test_run_without_commits_is_reported(begun, part_run, copied_run, tmp_path, 
     if begun:  # a checkpoint of the beginning, and no records yet
         shutil.copy(part_run / "commit" / "shard_000001.json", folder / "commit")
         sharded_runs.change(folder / "commit" / "shard_000001.json", frames=0, steps=0, files={})
-    goes_on = f"warpcontact run --resume --out {folder} goes on with"
+    resume = f"to resume: warpcontact run --resume --out {folder}"
     for words in (["export", folder, "--usd", tmp_path / "a.usda"], ["render", folder, "-o", tmp_path / "a.png"]):
         assert main([str(word) for word in words]) == 2
         output = capsys.readouterr().err
-        assert f"{folder}: nothing over time is committed yet in this run; {goes_on} it" in output
+        assert f"{folder}: no frame is committed yet in this run; {resume}\n" in output
     assert main(["export", str(folder), "--csv", str(tmp_path / "a.csv")]) == 0
-    assert f"is finished yet: the table has no rows; {goes_on} the run" in capsys.readouterr().err
+    assert f"is finished yet: the table has no rows; {resume}" in capsys.readouterr().err
 
 
 def test_records_only_in_a_checkpoint_are_reported_as_stored(part_run, copied_run, tmp_path, capsys):
@@ -194,23 +194,22 @@ def test_records_only_in_a_checkpoint_are_reported_as_stored(part_run, copied_ru
     folder = copied_run(part_run)
     for number in (0, 1):
         sharded_runs.change(folder / "commit" / f"shard_{number:06d}.json", frames=0)
-    goes_on = f"warpcontact run --resume --out {folder} goes on with it"
+    resume = f"to resume: warpcontact run --resume --out {folder}"
     kept = (
-        "records are written in blocks of 19, those since the last block are kept in checkpoints and appear as the"
+        "frames are written in blocks of 19, those after the last block are stored in checkpoints and can be read "
+        "as the"
     )
     for words in (["export", folder, "--usd", tmp_path / "a.usda"], ["render", folder, "-o", tmp_path / "a.png"]):
         assert main([str(word) for word in words]) == 2
         output = capsys.readouterr().err
-        assert f"{folder}: no record over time can be read yet: {kept} run goes on; {goes_on}\n" in output
-    assert f"\n4 environments begun, with 0 records over time or more: {kept} run goes on\n" in str(
-        wc.open_run(folder)
-    )
+        assert f"{folder}: no frame can be read yet: {kept} run continues; {resume}\n" in output
+    assert f"\n4 environments started, with 0 or more frames: {kept} run continues\n" in str(wc.open_run(folder))
 
 
 def test_summary_of_an_unfinished_run_states_number_of_finished_environments(part_run, whole_run):
     assert "\nof the 4 of 10 that are finished: all 4 environments are active\n" in str(wc.open_run(part_run))
     assert "\nall 10 environments are active\n" in str(wc.open_run(whole_run))
-    assert " begun, " not in str(wc.open_run(whole_run))
+    assert " started, " not in str(wc.open_run(whole_run))
 
 
 def test_animation_of_an_unfinished_run_ends_at_the_last_record(part_run, tmp_path, capsys):
@@ -228,7 +227,7 @@ def test_animation_of_an_unfinished_run_ends_at_the_last_record(part_run, tmp_pa
     assert main(["export", str(part_run), "--usd", str(out), "--envs", "0"]) == 0
     assert "the animation goes to 0.2 s, and has 4 of 10 environments" in capsys.readouterr().err
     assert main(["export", str(part_run), "--usd", str(out), "--envs", "9"]) == 2
-    assert "environment 9 has no record yet in this run: it has not begun; " in capsys.readouterr().err
+    assert "environment 9 has no frame yet in this run: it has not started; " in capsys.readouterr().err
 
 
 def test_results_are_read_without_building_a_model(whole_run, tmp_path, monkeypatch):

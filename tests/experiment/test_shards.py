@@ -98,7 +98,7 @@ def test_plan_selects_shard_size_by_memory(at_once, device, tmp_path, monkeypatc
 
     plan = varied().plan(device=device)
     assert (plan.envs, plan.shard, plan.shards) == (11, 11, 1)
-    assert "11 environments: all at once" in str(plan)
+    assert "11 environments: one shard" in str(plan)
     # Room for some of them, in steps in which one environment counts.
     monkeypatch.setattr(footprint, "CAUTIOUS_FRACTION", 0.85)
     monkeypatch.setattr("warpcontact.experiment.plan.COMFORTABLE", 0.85)
@@ -112,7 +112,7 @@ def test_plan_selects_shard_size_by_memory(at_once, device, tmp_path, monkeypatc
     run = varied().run(tmp_path / "out", device=device)
     assert run.summary["shards"] == plan.shards > 1
     assert stored(run).identical(stored(at_once))
-    with pytest.raises(MemoryError, match=r"shard 11: 11 environments need .*; at most \d+ at once fits on"):
+    with pytest.raises(MemoryError, match=r"shard 11: 11 environments need .*; at most \d+ fit on"):
         varied().run(tmp_path / "more", device=device, shard=11)
     assert not (tmp_path / "more").exists()
 

@@ -194,7 +194,7 @@ def test_plan_command_prints_estimate_and_runs_nothing(device, tmp_path, capsys,
     assert main(words) == 0
     out = capsys.readouterr().out
     assert out.startswith("1024 environments on ")
-    for part in ("state", "recording", "available: ", "on disk: up to ", "1024 environments: all at once"):
+    for part in ("state", "recording", "available: ", "on disk: up to ", "1024 environments: one shard"):
         assert part in out
     assert main([*words, "--shard", "100", "--duration", "1"]) == 0
     assert "shards of" in capsys.readouterr().out

@@ -462,7 +462,7 @@ def test_view_of_a_run_without_series_is_refused(tmp_path, capsys):
     path.write_text(path.read_text().replace("[record]\n", "[record]\nseries = false\n"))
     wc.Experiment.from_toml(path).run(tmp_path / "run", device="cpu", progress=False)
     assert main(["view", str(tmp_path / "run"), "--no-open", "--port", "0"]) == 2
-    assert "the run recorded nothing over time: [record] series = false" in capsys.readouterr().err
+    assert "the run recorded no series: [record] series = false" in capsys.readouterr().err
 
 
 @pytest.mark.slow

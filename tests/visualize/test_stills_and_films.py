@@ -121,8 +121,8 @@ def test_last_record_of_an_unfinished_run_is_rendered(run, part, tmp_path, capsy
     with pytest.raises(ValueError, match=r"time must be within the recording, 0 to 0\.07 s, got 0\.1"):
         wc.render(part, env=1, time=0.1, **SMALL)
     assert command(part, "-o", tmp_path / "f.png", "--env", 2) == 2
-    goes_on = f"warpcontact run --resume --out {part.folder} goes on with it"
-    expected_error = f"environment 2 has no record yet in this run: it has not begun; {goes_on}"
+    resume = f"to resume: warpcontact run --resume --out {part.folder}"
+    expected_error = f"environment 2 has no frame yet in this run: it has not started; {resume}"
     assert expected_error in capsys.readouterr().err
     assert command(part, "-o", tmp_path / "f.png", "--env", 3) == 2
     assert "environment 3 is not in the recording, which has 0 to 1" in capsys.readouterr().err
@@ -131,9 +131,9 @@ def test_last_record_of_an_unfinished_run_is_rendered(run, part, tmp_path, capsy
 def test_environment_without_records_is_reported(part, monkeypatch):
     monkeypatch.setitem(part._commits, 1, replace(part._commits[1], frames=0))
     expected_error = (
-        "environment 1 has no record yet in this run that can be read: its shard is at step 70 of 200, and "
-        "records are written in blocks of 1, those since the last block are kept in checkpoints and appear as the "
-        f"run goes on; warpcontact run --resume --out {part.folder} goes on with it"
+        "environment 1 has no frame yet in this run that can be read: its shard is at step 70 of 200, and "
+        "frames are written in blocks of 1, those after the last block are stored in checkpoints and can be read as the "
+        f"run continues; to resume: warpcontact run --resume --out {part.folder}"
     )
     with pytest.raises(ValueError, match=f"^{re.escape(expected_error)}$"):
         wc.render(part, env=1, **SMALL)

@@ -108,7 +108,7 @@ def export(arguments: argparse.Namespace) -> None:
     if not arguments.usd and not run.outcome.sizes["env"]:
         print(
             f"caution: no environment of {run.folder} is finished yet: the table has no rows; "
-            f"warpcontact run --resume --out {run.folder} goes on with the run",
+            f"to resume: warpcontact run --resume --out {run.folder}",
             file=sys.stderr,
         )
     if arguments.csv == "-":

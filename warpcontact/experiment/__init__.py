@@ -1,4 +1,4 @@
-"""Experiments from TOML files or dictionaries: checked as a whole, run, and written into a folder."""
+"""Experiments from TOML files or dictionaries: validation, execution and results in a folder."""
 
 from typing import TYPE_CHECKING
 
@@ -12,5 +12,5 @@ if TYPE_CHECKING:
 
 __all__ = ["Experiment", "ExperimentError", "Run", "RunDataError", "open_run"]
 
-if not TYPE_CHECKING:  # there it would know every name
+if not TYPE_CHECKING:  # a type checker would accept any name from __getattr__
     __getattr__, __dir__ = lazy_names(__name__, {"Run": "run", "RunDataError": "store", "open_run": "run"}, {})

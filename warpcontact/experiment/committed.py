@@ -1,4 +1,4 @@
-"""A store of results as readers see it: what was committed, as it was committed."""
+"""Read-only Zarr store with the committed results of a run, checked against the recorded SHA-256."""
 
 import asyncio
 import contextlib
@@ -15,14 +15,14 @@ from warpcontact.files.run_folder import RunPath
 
 
 class CommittedStore(Store):
-    """Reads the store of a run, and compares what it reads with the records of commits.
+    """Reads the store of a run and compares its files with the records of commits.
 
-    A file that no record names is not there: it is neither read nor listed.
+    Files that no record names are neither read nor listed.
 
     Args:
         folder: Folder of the run.
-        read_only: Has to be; for those who make copies of a store.
-        commits: The records of shards; ``None``: those that there are now.
+        read_only: Ignored, the store is always read-only. The parameter is required by Zarr.
+        commits: Commits by shard number; ``None``: the current ones of the folder.
     """
 
     supports_writes = False
@@ -43,7 +43,7 @@ class CommittedStore(Store):
             self._shards |= dict.fromkeys(commit.files, f"shard_{commit.shard:06d}")
 
     def with_read_only(self, read_only: bool = False) -> "CommittedStore":
-        """Returns the same, which nobody can write into."""
+        """Returns a copy, which is read-only as well."""
         return type(self)(self.folder, read_only=read_only, commits=self._commits)
 
     def __eq__(self, other: object) -> bool:
@@ -57,10 +57,10 @@ class CommittedStore(Store):
     async def get(
         self, key: str, prototype: BufferPrototype | None = None, byte_range: ByteRequest | None = None
     ) -> Buffer | None:
-        """Returns a file, or a range of one; ``None``: nothing was committed, all values are empty.
+        """Returns the content of a file, or a range of it; ``None``: not committed, all values are the fill value.
 
         Raises:
-            RunDataError: If it was committed, and is missing or was changed since.
+            RunDataError: If the file is missing or was changed since it was committed.
         """
         if key not in self._files:
             return None
@@ -70,13 +70,13 @@ class CommittedStore(Store):
     def get_sync(
         self, key: str, *, prototype: BufferPrototype | None = None, byte_range: ByteRequest | None = None
     ) -> Buffer | None:
-        """Returns what ``get`` does."""
+        """Returns the same as ``get``."""
         return _buffer(self._content(key), prototype, byte_range) if key in self._files else None
 
     async def get_partial_values(
         self, prototype: BufferPrototype, key_ranges: Iterable[tuple[str, ByteRequest | None]]
     ) -> list[Buffer | None]:
-        """Returns what ``get`` does, of several files."""
+        """Returns the same as ``get``, for several files."""
         return [await self.get(key, prototype, byte_range) for key, byte_range in key_ranges]
 
     async def exists(self, key: str) -> bool:
@@ -103,15 +103,15 @@ class CommittedStore(Store):
             yield name
 
     async def set(self, key: str, value: Buffer) -> None:
-        """Raises ``ValueError``: it is read only."""
+        """Raises ``ValueError``: the store is read-only."""
         self._check_writable()
 
     async def set_partial_values(self, key_start_values: Iterable[tuple[str, int, bytes]]) -> None:
-        """Raises ``ValueError``: it is read only."""
+        """Raises ``ValueError``: the store is read-only."""
         self._check_writable()
 
     async def delete(self, key: str) -> None:
-        """Raises ``ValueError``: it is read only."""
+        """Raises ``ValueError``: the store is read-only."""
         self._check_writable()
 
     def _content(self, key: str) -> bytes:
@@ -119,7 +119,7 @@ class CommittedStore(Store):
         absolute = self.folder / DATA / key
         paths = [absolute]
         if key in self._shards:
-            # Committed, and not moved yet; or in this very moment.
+            # The file may be in the staging folder, or be moved while it is opened.
             paths += [self.folder / STAGING / self._shards[key] / key, absolute]
         exists = False
         for path in paths:
@@ -134,7 +134,7 @@ class CommittedStore(Store):
 
 
 def _buffer(content: bytes, prototype: BufferPrototype | None, byte_range: ByteRequest | None) -> Buffer:
-    """Returns bytes, or a range of them, as Zarr asks for them."""
+    """Returns bytes, or the requested range of them, as a buffer of Zarr."""
     part = slice(None)
     if isinstance(byte_range, RangeByteRequest):
         part = slice(byte_range.start, byte_range.end)

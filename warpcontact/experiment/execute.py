@@ -1,4 +1,9 @@
-"""A run from its start, or from where it stopped, to the end: its shards, and pictures of what they left."""
+"""Runs an experiment from its start or its last commit to the end.
+
+``start`` creates the folder and the empty store, ``run_remaining`` runs the unfinished shards and retries those that
+fail, and writes ``run.json``, the picture and the animation when all are finished. The shards run in this process
+(``run_in_process``) or on a cluster (``cluster.py``).
+"""
 
 import contextlib
 import datetime
@@ -38,29 +43,29 @@ from warpcontact.storage.memory_estimate import env_count_text
 from warpcontact.validation.number_format import format_bytes
 from warpcontact.validation.warning_levels import RunWarning, WarningLevel
 
-#: How often a shard is tried.
+#: Number of attempts per shard.
 ATTEMPTS = 3
 
-# There is no room, on the disk or for this user.
+# The disk or the quota of the user is full.
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 @dataclass(frozen=True)
 class RunJob:
-    """What is to be done with the environments of an experiment.
+    """An experiment and the settings of its run.
 
     Attributes:
         settings: The experiment, with all defaults.
-        scene: What there is.
-        design: What varies.
-        plan: How many environments are in a shard, and how many shards there are.
-        copy: What repeats the run.
-        folder: Where the results go.
+        scene: The scene.
+        design: The varied parameters.
+        plan: Number and size of the shards.
+        copy: The experiment as it is saved in the folder.
+        folder: Folder of the results.
         progress: Whether to show a progress bar; ``None``: on runs of over a second, in a terminal.
         on_stage: Called when a stage that may take long begins.
         warning_log: Receives warnings.
         checkpoint_interval: Time between checkpoints [s].
-        threads: Threads that step environments on the CPU; ``None``: one per core.
+        threads: Number of CPU threads that step environments; ``None``: one per core.
     """
 
     settings: Settings
@@ -77,7 +82,7 @@ class RunJob:
 
     @property
     def frames(self) -> SeriesSchedule:
-        """How series are taken."""
+        """Schedule of the recorded frames."""
         return SeriesSchedule.of(self.settings, self.plan.block)
 
     @property
@@ -87,29 +92,29 @@ class RunJob:
 
     @property
     def laws(self) -> tuple[str, ...]:
-        """SHA-256 of the files with laws that it runs: those of its folder with this content are trusted."""
+        """SHA-256 of the law files of the experiment. Files of the folder with this content are trusted."""
         return tuple(trust.digest_of(content) for content in self.copy.files.values())
 
     def runner(self, model: Environments) -> ShardRunner:
-        """Returns what runs shards on ``model``."""
+        """Returns a runner of shards on ``model``."""
         return ShardRunner(
             model, self.settings, self.design, self.frames, self.folder, self.checkpoint_interval, self.threads
         )
 
 
-#: Runs shards: those that are left, with their records, and the bar that is told. Returns why some of them failed
-#: for the last time, by their names.
+#: Runs shards, given the unfinished ones, the commits by shard number and the progress bar. Returns the error messages
+#: of shards whose last attempt failed, by shard name.
 ShardRunFunction = Callable[[Iterable[Shard], Mapping[int, Commit], ProgressBar], dict[str, str]]
 
 
 def start(runner: ShardRunner, job: RunJob, exit_stack: contextlib.ExitStack) -> None:
-    """Makes the folder of a new run with its empty store, and keeps others away from it until ``exit_stack`` ends.
+    """Creates the folder of a new run with an empty store, and locks it until ``exit_stack`` closes.
 
     Raises:
-        ValueError: If a value does not fit into the precision of the device, before anything is removed.
-        ExperimentError: If a variable has too long a name, before anything is removed.
+        ValueError: If a value does not fit into the precision of the device; nothing is removed then.
+        ExperimentError: If the name of a variable is too long; nothing is removed then.
     """
-    # All of them, so that values that do not fit are found now; the first one last.
+    # Load all shards, so that values that do not fit are found now. The first shard is loaded last.
     for shard in reversed(job.shards):
         runner.load_shard(shard)
     store.check_names(runner.data_layouts(), str(job.folder))
@@ -146,21 +151,21 @@ def _make_folder(runner: ShardRunner, job: RunJob) -> None:
 
 
 def check_resumable(summary: Mapping[str, Any], job: RunJob) -> None:
-    """Raises ``ExperimentError`` unless ``job`` is the run of ``summary``."""
+    """Raises ``ExperimentError`` unless ``job`` is the experiment of the run with ``summary``."""
     if summary.get("fingerprint") == fingerprint(job.copy):
         return
-    told = differences(RunPath(job.folder) / files_of.EXPERIMENT, job.copy.settings)
+    changed = differences(RunPath(job.folder) / files_of.EXPERIMENT, job.copy.settings)
     raise ExperimentError(
         str(job.folder),
         [
             "holds the run of another experiment: "
-            + ("; ".join(told) if told else "files that it names have changed since")
+            + ("; ".join(changed) if changed else "files that it names have changed since")
         ],
     )
 
 
 def all_finished(folder: Path, summary: Mapping[str, Any]) -> bool:
-    """Whether no shard is left of the run of ``summary``, which may lack what shows its results.
+    """Whether all shards of the run of ``summary`` are finished; its picture and animation may be missing.
 
     Raises:
         RunDataError: If the record of a shard is damaged.
@@ -170,11 +175,11 @@ def all_finished(folder: Path, summary: Mapping[str, Any]) -> bool:
 
 
 def run_remaining(job: RunJob, run_shards: ShardRunFunction) -> Run:
-    """Runs all shards that are not finished, and ends the run if none is left.
+    """Runs all unfinished shards, and finishes the run if none failed.
 
     Raises:
-        KeyboardInterrupt: If somebody asked to stop; what was done until then is committed.
-        OSError: If there is no room on the disk, for instance; the last commits are kept.
+        KeyboardInterrupt: If the run is interrupted; the steps taken so far are committed.
+        OSError: For example if the disk is full; the last commits remain valid.
     """
     with _name_folder_in_errors(job):
         return _run_remaining(job, run_shards)
@@ -186,7 +191,7 @@ def _run_remaining(job: RunJob, run_shards: ShardRunFunction) -> Run:
     ledger = Ledger(folder)
     ledger.check(RunExtent(job.plan.envs, job.plan.shard, job.frames.steps), checkpoints=False)
     commits = ledger.commits()
-    # What a process tells of itself that is no more.
+    # Remove progress files of processes that were killed.
     progress = RunPath(folder) / files_of.PROGRESS
     for name in progress.names():
         (progress / name).remove()
@@ -199,7 +204,7 @@ def _run_remaining(job: RunJob, run_shards: ShardRunFunction) -> Run:
     before = summary.get("warnings", [])
 
     def warned() -> list[str]:
-        """Returns the warnings of this attempt and of those before."""
+        """Returns the warnings of this attempt and of earlier ones."""
         return list(dict.fromkeys([*before, *job.warning_log.lines]))
 
     files_of.write_summary(folder, summary)
@@ -214,10 +219,10 @@ def _run_remaining(job: RunJob, run_shards: ShardRunFunction) -> Run:
             failed = run_shards(remaining, commits, bar)
     except BaseException as error:
         stopped = isinstance(error, KeyboardInterrupt)
-        told = {"state": files_of.INTERRUPTED} if stopped else {"state": files_of.FAILED, "error": str(error)}
-        # Where there is no room for it, the commits say what there is.
+        ended = {"state": files_of.INTERRUPTED} if stopped else {"state": files_of.FAILED, "error": str(error)}
+        # If the disk is full, run.json stays as it is; the commits are sufficient to resume.
         with contextlib.suppress(OSError):
-            files_of.write_summary(folder, summary | told | {"warnings": warned()})
+            files_of.write_summary(folder, summary | ended | {"warnings": warned()})
         raise
     if failed:
         summary |= {"state": files_of.FAILED, "failed": failed, "warnings": warned()}
@@ -228,7 +233,7 @@ def _run_remaining(job: RunJob, run_shards: ShardRunFunction) -> Run:
 
 @contextlib.contextmanager
 def _name_folder_in_errors(job: RunJob) -> Iterator[None]:
-    """Lets errors that name no file name the folder, and that of a full disk tell what there would have to be."""
+    """Adds the folder to errors that name no file, and the required disk space to those of a full disk."""
     try:
         yield
     except OSError as error:
@@ -240,29 +245,29 @@ def _name_folder_in_errors(job: RunJob) -> Iterator[None]:
 
 
 def _disk_requirement(job: RunJob) -> str:
-    """Returns in words what a shard of ``job`` takes on the disk."""
+    """Returns the disk space that a shard of ``job`` requires, as text."""
     plan, disk = job.plan, find_disk(job.folder)
     note = "" if files_of.has_commits(job.folder) else "nothing is committed yet; "
     size = f"{format_bytes(plan.on_disk(plan.shard))} of results before compression"
     free = "" if disk is None else f"; {disk}"
-    return f"{note}a shard of {env_count_text(plan.shard)} takes up to {size}, and room for its checkpoints{free}"
+    return f"{note}a shard of {env_count_text(plan.shard)} takes up to {size}, plus its checkpoints{free}"
 
 
 def _warn_about_disk(job: RunJob, remaining: Iterable[Shard], commits: Mapping[int, Commit]) -> None:
-    """Warns if the disk has less room than what is still to come may take."""
+    """Warns if the disk has less free space than the remaining results may take."""
     disk, steps = find_disk(job.folder), job.frames.steps
     done = {shard.number: commits[shard.number].steps for shard in remaining if shard.number in commits}
     size = sum(job.plan.on_disk(shard.envs) * (1 - done.get(shard.number, 0) / steps) for shard in remaining)
     if disk is not None and disk.free < size:
         text = (
-            f"the results{' that are left' if commits else ''} take up to {format_bytes(size)} before compression, "
-            f"and {disk}: it may be full before the run ends"
+            f"the {'remaining ' if commits else ''}results take up to {format_bytes(size)} before compression, "
+            f"and {disk}: the disk may be full before the run ends"
         )
         warnings.warn(RunWarning(text), stacklevel=4)
 
 
 def run_in_process(runner: ShardRunner, job: RunJob) -> ShardRunFunction:
-    """Returns what runs shards in this process, one after another."""
+    """Returns a function that runs shards in this process, one after another."""
 
     def run(remaining: Iterable[Shard], commits: Mapping[int, Commit], bar: ProgressBar) -> dict[str, str]:
         failed = {}
@@ -286,14 +291,14 @@ def run_in_process(runner: ShardRunner, job: RunJob) -> ShardRunFunction:
 def run_with_retries(
     runner: ShardRunner, shard: Shard, commit: Commit | None, bar: ProgressBar, *, single_shard: bool
 ) -> str | None:
-    """Runs a shard, several times if it fails; returns why it failed for the last time.
+    """Runs a shard, with several attempts; returns the error message of the last one, or ``None``.
 
     Args:
-        runner: Runs it.
+        runner: Runner of shards.
         shard: The shard.
-        commit: Its record so far.
-        bar: Is told.
-        single_shard: Whether there is no other, which might do better: an error is then raised at once.
+        commit: Its last commit; ``None``: it has none.
+        bar: Progress bar.
+        single_shard: Whether the run has only this shard. Its first error is then raised.
     """
     for number in range(ATTEMPTS):
         try:
@@ -303,13 +308,13 @@ def run_with_retries(
         except (KeyboardInterrupt, RunDataError, QuarantineError):
             raise
         except OSError:
-            raise  # a full disk is full for all
+            raise  # a full disk fails for all shards
         except Exception as error:
             if single_shard:
                 raise
             if number == ATTEMPTS - 1:
                 return f"{type(error).__name__}: {error}"
-            warnings.warn(RunWarning(f"{shard.name} is tried again: {error}", WarningLevel.NOTE), stacklevel=2)
+            warnings.warn(RunWarning(f"{shard.name} is retried: {error}", WarningLevel.NOTE), stacklevel=2)
             commit = runner.ledger.commits().get(shard.number)
             runner.ledger.recover(shard, commit or Commit(shard.number))
     return None
@@ -351,7 +356,7 @@ def _first_summary(model: Environments, job: RunJob) -> dict[str, Any]:
 
 
 def _finish_run(job: RunJob, summary: dict[str, Any], warned: Callable[[], list[str]]) -> Run:
-    """Writes that the run is finished, and what shows the results."""
+    """Writes that the run is finished, then its picture and animation."""
     folder = job.folder
     commits = Ledger(folder).commits()
     wall_time = sum(commit.wall_time for commit in commits.values())
@@ -374,7 +379,7 @@ def _finish_run(job: RunJob, summary: dict[str, Any], warned: Callable[[], list[
     try:
         _write_views(run, job)
     except Exception as error:
-        # The results are whole without it.
+        # The results are complete without them.
         warnings.warn(RunWarning(f"no picture or animation of the results: {error}"), stacklevel=4)
     if warned() != summary["warnings"]:
         summary["warnings"] = warned()
@@ -383,7 +388,7 @@ def _finish_run(job: RunJob, summary: dict[str, Any], warned: Callable[[], list[
 
 
 def _write_views(run: Run, job: RunJob) -> None:
-    """Writes what shows the results."""
+    """Writes the picture and, with series, the animation."""
     import zarr
 
     from warpcontact.experiment.outcome_picture import write_outcome_picture
@@ -396,10 +401,10 @@ def _write_views(run: Run, job: RunJob) -> None:
         return
     recording = run.recording
     usd_envs = min(settings.output.usd_envs, settings.envs)
-    # Of what has the values of some environments Zarr would have 64 pieces in memory at once.
+    # Zarr reads 64 chunks at a time by default; chunks of all environments would then be in memory together.
     with zarr.config.set({"async.concurrency": DRAWN_AT_ONCE}):
         if usd_envs:
-            # All environments would take more than the run: whoever wants them exports them.
+            # Only the first environments: an export of all could take longer than the run.
             animation = (files / files_of.ANIMATION).path
             export_usd(recording, animation, envs=range(usd_envs), ensemble=False, progress=False)
         write_picture(files / files_of.PICTURE, recording, settings.name, list(job.design.names), run.health)

@@ -1,7 +1,7 @@
-"""Files that the results of a run must have, from the shapes of the arrays and the committed frames.
+"""Determines which files the results of a run must have, from the array metadata and the committed frames.
 
-A chunk whose values are all empty has no file; the record of its shard names it. So a chunk that is in neither
-list was lost. Records of earlier versions do not name such chunks, and can only be checked for unknown files.
+A chunk whose values are all the fill value has no file; the record of its shard lists it as empty. A chunk that is
+in neither list was lost. Records of earlier versions do not list empty chunks, and are only checked for unknown files.
 """
 
 import json
@@ -22,27 +22,27 @@ from warpcontact.experiment.records import (
 )
 from warpcontact.files.run_folder import RunPath
 
-#: Attribute of the store: its groups.
+#: Attribute of the store: names of its groups.
 PARTS = "groups"
-#: Attributes of a group: its variables, in their order; and the arrays that label its axes.
+#: Attributes of a group: its variables in order, and the arrays that label its axes.
 ORDER = "variables"
 LABELS = "labels"
 
 _META = "zarr.json"
 # Groups that are written when a shard ends.
 _WRITTEN_AT_END = ("outcome", "events")
-# Larger sizes fit into no array of a device.
+# Larger sizes are not supported for device arrays.
 _MOST = 2**31 - 1
 
 
 @dataclass(frozen=True)
 class ChunkGrid:
-    """How an array is divided into chunks.
+    """Division of an array into chunks.
 
     Attributes:
-        dims: Names of its axes.
-        shape: Its size along each.
-        chunks: Size of a chunk along each.
+        dims: Names of the axes.
+        shape: Size of the array along each axis.
+        chunks: Size of a chunk along each axis.
     """
 
     dims: tuple[str | None, ...]
@@ -50,7 +50,7 @@ class ChunkGrid:
     chunks: tuple[int, ...]
 
     def chunk_ranges(self, envs: range | None = None, frames: range | None = None) -> list[range]:
-        """Returns the places along each axis of the chunks of some environments and frames; ``None``: of all."""
+        """Returns the chunk indices along each axis, for ranges of environments and frames; ``None``: all."""
         selected = {"env": envs, "time": frames}
         chunk_ranges = []
         for dim, size, chunk in zip(self.dims, self.shape, self.chunks, strict=True):
@@ -61,7 +61,7 @@ class ChunkGrid:
         return chunk_ranges
 
     def names(self, envs: range | None = None, frames: range | None = None) -> Iterator[str]:
-        """Iterates over the names of these chunks."""
+        """Iterates over the names of the same chunks."""
         for position in _product(self.chunk_ranges(envs, frames)):
             yield "/".join(("c", *map(str, position)))
 
@@ -80,11 +80,11 @@ def _product(ranges: Sequence[range]) -> Iterator[tuple[int, ...]]:
 
 @dataclass(frozen=True)
 class RunExtent:
-    """What ``run.json`` states of the results.
+    """Size of a run, as stated in ``run.json``.
 
     Attributes:
         envs: Number of environments.
-        shard: Environments of a shard.
+        shard: Environments per shard.
         steps: Steps of each environment.
     """
 
@@ -108,18 +108,18 @@ class RunExtent:
 
 
 class ExpectedFiles:
-    """Arrays of a store, by its metadata, and which of their chunks must be recorded.
+    """Arrays of a store, from its metadata, and the chunks that must be recorded.
 
     Args:
         folder: Folder of the run.
-        made: Files that the store was made with, by their record.
-        extent: What ``run.json`` states.
+        made: Recorded files of the empty store.
+        extent: Size of the run, from ``run.json``.
 
     Attributes:
-        complete: Whether records name the chunks without a file; those of earlier versions do not.
+        complete: Whether records list empty chunks; those of earlier versions do not.
 
     Raises:
-        RunDataError: If metadata is missing, was changed, or does not fit to ``run.json``; names the array.
+        RunDataError: If metadata is missing, was changed, or contradicts ``run.json``; the message names the array.
     """
 
     def __init__(self, folder: RunPath, made: Files, extent: RunExtent) -> None:
@@ -148,7 +148,7 @@ class ExpectedFiles:
             raise RunDataError(f"{self._record / MADE}: files must be those of the store, got {more[0]!r}")
 
     def _read(self, array: str) -> dict[str, Any]:
-        """Returns the metadata of an array or group; ``""``: of the store."""
+        """Returns the metadata of an array or group; ``""``: that of the store."""
         name = f"{array}/{_META}".lstrip("/")
         if name not in self._made:
             raise RunDataError(f"{self._data}/{name}: is missing in {self._record / MADE}")
@@ -177,7 +177,7 @@ class ExpectedFiles:
         return names
 
     def _grid(self, group: str, name: str) -> ChunkGrid:
-        """Returns how an array is divided."""
+        """Returns the division of an array into chunks."""
         content = self._read(f"{group}/{name}")
         path = self._data / group / name
         try:
@@ -216,11 +216,11 @@ class ExpectedFiles:
         return found
 
     def problem(self, commit: Commit, *, entries: bool = True) -> str | None:
-        """Returns what is wrong with the record of a shard; ``None``: nothing.
+        """Returns the problem with the record of a shard; ``None``: it is valid.
 
         Args:
             commit: The record.
-            entries: Whether it must have no other entries, either.
+            entries: Whether to reject unknown entries as well.
         """
         extent, record = self._extent, self._record / f"shard_{commit.shard:06d}.json"
         if commit.shard >= extent.shards:
@@ -232,17 +232,17 @@ class ExpectedFiles:
         named = {*commit.files, *(commit.empty or ())}
         if entries and (problem := self._unknown_entry(commit, named, grids, range(frames))):
             return f"{record}: {problem}"
-        if commit.empty is None or not commit.steps:  # without steps it begins again
+        if commit.empty is None or not commit.steps:  # without committed steps the shard starts again
             return None
         expected = (f"{path}/{name}" for path, grid in grids.items() for name in grid.names(envs, range(frames)))
-        # Ends at the first that is missing, at the latest after as many as are recorded, for any shapes.
+        # Stops at the first missing chunk. The number of tests is bounded by that of recorded chunks, for any shape.
         missing = next((name for name in expected if name not in named), None)
         return missing and f"{self._data / missing}: is missing, and so is its entry in {record}"
 
     def _unknown_entry(
         self, commit: Commit, named: set[str], grids: Mapping[str, ChunkGrid], frames: range
     ) -> str | None:
-        """Returns what is wrong with entries that no run writes after these steps; ``None``: nothing."""
+        """Returns the problem with entries that no run writes after the committed steps; ``None``: none."""
         for key, found, end in (
             ("steps", commit.steps, self._extent.steps),
             ("frames", commit.frames, self._frames),
@@ -259,12 +259,12 @@ class ExpectedFiles:
 
     @property
     def _frames(self) -> int:
-        """Frames of the whole run."""
+        """Number of frames of the run."""
         grids = self._variables.get("series", {}).values()
         return max((dict(zip(grid.dims, grid.shape, strict=True)).get("time", 0) for grid in grids), default=0)
 
     def _grids(self, *, finished: bool) -> dict[str, ChunkGrid]:
-        """Returns the arrays in which a shard must have chunks, by path."""
+        """Returns the arrays in which a shard must have chunks, by path; those of all groups if it is finished."""
         return {
             f"{group}/{name}": grid
             for group, variables in self._variables.items()
@@ -274,12 +274,12 @@ class ExpectedFiles:
 
 
 def _are_whole(sizes: Sequence[object], least: int) -> bool:
-    """Whether all sizes are whole numbers from ``least`` to the largest of an array."""
+    """Whether all sizes are integers from ``least`` to ``_MOST``."""
     return all(isinstance(n, int) and not isinstance(n, bool) and least <= n <= _MOST for n in sizes)
 
 
 def _is_among(chunk_ranges: Mapping[str, Sequence[range]], name: str) -> bool:
-    """Whether a chunk is at one of the places of its array."""
+    """Whether a chunk lies within the index ranges of its array."""
     path, _, position = name.partition("/c/")
     axes, found = chunk_ranges.get(path), position.split("/")
     if axes is None or len(found) != len(axes):

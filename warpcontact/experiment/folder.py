@@ -1,4 +1,4 @@
-"""The folder that a run fills: which folders it may use, and the files that tell what ran."""
+"""Files of a run folder: checks whether a folder may be used, and writes ``run.json`` and the experiment."""
 
 import contextlib
 import itertools
@@ -26,36 +26,36 @@ ANIMATION = "animation.usdc"
 PICTURE = "picture.png"
 PROGRESS = "progress"
 
-#: Goes up when the folders of earlier versions have to be read in another way.
+#: Schema version of run folders; increased when earlier folders can no longer be read.
 SCHEMA = 2
 
-# What ``state`` in run.json may be. A run that was killed stays unfinished.
+# Values of ``state`` in run.json. A run that was killed stays unfinished.
 FINISHED = "finished"
 UNFINISHED = "unfinished"
 INTERRUPTED = "interrupted"
 FAILED = "failed"
 STATES = (FINISHED, UNFINISHED, INTERRUPTED, FAILED)
 
-#: In run.json: the SHA-256 of the copied files with laws, by their names.
+#: Entry of run.json: the SHA-256 of the copied law files, by name.
 LAW_FILES = "law_files"
 
-# Entries of run.json that readers rely on.
+# Required and optional entries of run.json, by type.
 _WHOLE = ("envs", "shard", "shards", "block", "steps")
 _TIMES = ("dt", "duration")
 _TABLES = ("law_files", "failed", "contact_couplings")
 _TEXTS = ("state", "name", "device", "fingerprint")
-# More environments have no numbers on a device.
+# Largest number of environments and steps: the largest 32-bit integer.
 _MOST = 2**31 - 1
 
 
 @dataclass(frozen=True)
 class ExperimentCopy:
-    """What is written of an experiment, so that it can be repeated from the folder of results alone.
+    """An experiment as it is saved in its run folder, so that it can be repeated from there.
 
     Attributes:
-        settings: The experiment, with names of files as they are from there.
-        files: Content of the files with laws, by their names there.
-        external: The files with meshes and rows, which stay where they are.
+        settings: The experiment, with file names relative to the run folder.
+        files: Content of the copied law files, by their names in the run folder.
+        external: Files with meshes and rows, which are not copied.
     """
 
     settings: Settings
@@ -64,7 +64,7 @@ class ExperimentCopy:
 
 
 def check_usable(folder: Path, *, overwrite: bool, resume: bool) -> None:
-    """Raises ``ExperimentError`` unless a run may begin in ``folder``, or with ``resume`` go on there."""
+    """Raises ``ExperimentError`` unless a run may start in ``folder``, or with ``resume`` continue there."""
     if not resume:
         check_new(folder, overwrite)
         return
@@ -74,58 +74,56 @@ def check_usable(folder: Path, *, overwrite: bool, resume: bool) -> None:
 
 
 def check_new(folder: Path, overwrite: bool) -> None:
-    """Raises ``ExperimentError`` unless the results of a new run may go into ``folder``.
+    """Raises ``ExperimentError`` unless a new run may use ``folder``.
 
-    It may be new or empty, or hold a run of which nothing was kept; with ``overwrite`` any earlier run.
+    The folder may be new or empty, or hold an unfinished run without commits; with ``overwrite``, any earlier run.
     """
     if not os.path.lexists(folder):
         return
     if not folder.is_dir():
         raise ExperimentError(str(folder), ["is not a folder"])
-    # A run that was killed at its first file leaves no more than a part of that.
+    # A run that was killed while it wrote its first file leaves only the partial file.
     if set(RunPath(folder).names()) <= {f"{SUMMARY}{PARTIAL}"}:
         return
     summary = read_summary(folder)
     if summary is None:
-        raise ExperimentError(
-            str(folder), ["is not empty, and what is in it is no earlier run; choose a new folder"]
-        )
+        raise ExperimentError(str(folder), ["is not empty and holds no earlier run; choose a new folder"])
     if is_locked(folder):
         raise locked_error(folder)
     if not overwrite and (summary.get("state") not in (UNFINISHED, INTERRUPTED, FAILED) or has_commits(folder)):
         kind = "an earlier run" if summary.get("state") == FINISHED else "a run that did not finish"
-        resume = "" if summary.get("state") == FINISHED else ", or go on with it (--resume)"
+        resume = "" if summary.get("state") == FINISHED else ", or resume it (--resume)"
         raise ExperimentError(
             str(folder), [f"holds {kind}; choose another folder, or overwrite it (--overwrite){resume}"]
         )
 
 
 def check_replaced(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Raises ``ExperimentError`` if one of ``files``, to be written by name, would replace one of the user."""
+    """Raises ``ExperimentError`` if one of ``files``, by name, would replace a file of the user in ``folder``."""
     for name in files.keys() - law_files(read_summary(folder)):
         if (RunPath(folder) / name).is_there():
-            raise ExperimentError(str(folder), [f"holds a file {name!r} of its own, which the run would replace"])
+            raise ExperimentError(str(folder), [f"holds a file {name!r} of the user, which the run would replace"])
 
 
 def check_started(folder: Path) -> dict[str, Any]:
-    """Returns the content of ``run.json`` of a run that may go on.
+    """Returns the content of ``run.json`` of a run that can be resumed.
 
     Raises:
-        ExperimentError: If there is none, or it is of another schema.
+        ExperimentError: If there is none, or its schema is not supported.
     """
     summary = read_summary(folder)
     if summary is None:
-        raise ExperimentError(str(folder), ["holds no run that could go on; start one without --resume"])
+        raise ExperimentError(str(folder), ["holds no run to resume; start one without --resume"])
     check_schema(folder, summary)
     if not (RunPath(folder) / DATA).is_folder():
         raise ExperimentError(
-            str(folder), ["the run was ended before anything was kept; start it anew, without --resume"]
+            str(folder), ["the run ended before anything was saved; start it again without --resume"]
         )
     return summary
 
 
 def check_schema(folder: Path, summary: Mapping[str, Any]) -> None:
-    """Raises ``ExperimentError`` unless a folder is of a schema that this version reads, and sound."""
+    """Raises ``ExperimentError`` unless ``run.json`` has the schema of this version and valid entries."""
     schema, source = summary.get("schema"), str(folder / SUMMARY)
     if schema != SCHEMA:
         raise ExperimentError(
@@ -155,7 +153,7 @@ def check_schema(folder: Path, summary: Mapping[str, Any]) -> None:
     if not wrong:
         count = -(-summary["envs"] // summary["shard"])
         if summary["shards"] != count:
-            wrong.append(f"shards must be {count}, as envs and shard say, got {summary['shards']}")
+            wrong.append(f"shards must be {count} for these envs and shard, got {summary['shards']}")
     if wrong:
         raise ExperimentError(source, wrong)
 
@@ -164,7 +162,7 @@ def read_summary(folder: Path) -> dict[str, Any] | None:
     """Returns the content of ``run.json``, or ``None`` if ``folder`` holds no run.
 
     Raises:
-        UnsafeFileError: If it is a link, a pipe or a device, or far too large.
+        UnsafeFileError: If the file is a link, a pipe or a device, or is too large.
     """
     try:
         summary = json.loads((RunPath(folder) / SUMMARY).read())
@@ -176,26 +174,26 @@ def read_summary(folder: Path) -> dict[str, Any] | None:
 
 
 def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
-    """Writes ``run.json``, by which a folder is known to hold a run."""
+    """Writes ``run.json``, which marks ``folder`` as a run folder."""
     write_json(RunPath(folder) / SUMMARY, {"program": f"warpcontact {__version__}", "schema": SCHEMA, **summary})
 
 
 def has_commits(folder: Path) -> bool:
-    """Whether anything is committed of the run in ``folder``."""
+    """Whether the run in ``folder`` has committed any shard."""
     names = (RunPath(folder) / COMMITS).names()
     return any(name.startswith("shard_") and name.endswith(".json") for name in names)
 
 
 def law_files(summary: Mapping[str, Any] | None) -> set[str]:
-    """Returns the names of the files with laws that a run left behind."""
+    """Returns the names of the law files that a run copied into its folder."""
     listed = (summary or {}).get(LAW_FILES)
     names = listed if isinstance(listed, dict) else ()
-    # They are going to be removed: nothing but what a run can have written, whatever became of run.json.
+    # These files will be removed, so accept only names that a run can have written, even if run.json was changed.
     return {name for name in names if Path(name).name == name and name.endswith(".py")}
 
 
 def clear(folder: Path) -> None:
-    """Makes ``folder``, or removes the files of the earlier run in it; others stay."""
+    """Creates ``folder``, or removes the files of the earlier run in it; other files are unchanged."""
     run = RunPath(folder)
     run.make()
     run_files = (DATA, f"{DATA}{PARTIAL}", STAGING, CHECKPOINTS, COMMITS, PROGRESS, ANIMATION, PICTURE, EXPERIMENT)
@@ -204,23 +202,23 @@ def clear(folder: Path) -> None:
 
 
 def make_subfolders(folder: Path) -> None:
-    """Makes the folders that a run writes into."""
+    """Creates the subfolders that a run writes into."""
     for name in (STAGING, CHECKPOINTS, COMMITS, PROGRESS):
         (RunPath(folder) / name).make()
 
 
 def remove_work_subfolders(folder: Path) -> None:
-    """Removes those of them that a finished run needs no more."""
+    """Removes the subfolders that a finished run no longer needs."""
     for name in (STAGING, CHECKPOINTS, PROGRESS):
         with contextlib.suppress(OSError):
             (RunPath(folder) / name).remove()
 
 
 def copy_experiment(settings: Settings, old: Path, new: Path, user_files: UserFiles) -> ExperimentCopy:
-    """Returns what is to be written into folder ``new`` of an experiment in folder ``old``.
+    """Returns the copy of an experiment in folder ``old`` that is saved in run folder ``new``.
 
-    Files with meshes and rows stay where they are. Files with laws are copied: they may lie nowhere but beside the
-    experiment, and are small. They are copied as they were loaded, whatever has become of them since.
+    Files with meshes and rows are not copied. Law files are copied, with the content that was loaded: they must be in
+    the folder of the experiment, and are small.
     """
     names: dict[Path, str] = {}
     files: dict[str, bytes] = {}
@@ -252,14 +250,14 @@ def copy_experiment(settings: Settings, old: Path, new: Path, user_files: UserFi
 
 
 def _free_name(path: Path, taken: Iterable[str]) -> str:
-    """Returns the name of file ``path``, with a number if it is taken; some systems do not tell a from A."""
+    """Returns the name of file ``path``, with a number if it is in use, ignoring case as some file systems do."""
     used = {name.casefold() for name in taken}
     numbered = (f"{path.stem}_{number}{path.suffix}" for number in itertools.count(2))
     return next(name for name in itertools.chain([path.name], numbered) if name.casefold() not in used)
 
 
 def _with_meshes_from(settings: Settings, old: Path, new: Path) -> Settings:
-    """Returns ``settings`` with the names of mesh files made relative to folder ``new`` instead of ``old``."""
+    """Returns ``settings`` with mesh file names relative to folder ``new`` instead of ``old``."""
     surfaces = []
     for surface in settings.surface:
         found = tuple(_mesh_from(mesh, old, new) for mesh in surface.meshes.values())
@@ -275,7 +273,7 @@ def _mesh_from(mesh: FileMesh | ShapeMesh, old: Path, new: Path) -> FileMesh | S
 
 
 def _with_rows_from(settings: Settings, old: Path, new: Path) -> Settings:
-    """Returns the same with the names of files with rows."""
+    """Returns ``settings`` with the names of row files relative to folder ``new`` instead of ``old``."""
 
     def renamed(entry: Section, keys: tuple[str, ...]) -> Section:
         named = {key: getattr(entry, key) for key in keys if isinstance(getattr(entry, key), str)}
@@ -289,7 +287,7 @@ def _with_rows_from(settings: Settings, old: Path, new: Path) -> Settings:
 
 
 def _file_from(name: str, old: Path, new: Path) -> str:
-    """Returns the name of a file, relative to folder ``old``, as it is from folder ``new``."""
+    """Returns a file name that is relative to folder ``old``, relative to folder ``new``."""
     if Path(name).is_absolute():
         return name
     target = (old / name).resolve()
@@ -300,7 +298,7 @@ def _file_from(name: str, old: Path, new: Path) -> str:
 
 
 def _external_files(settings: Settings, folder: Path) -> Iterator[Path]:
-    """Iterates over the files with meshes and rows that an experiment in ``folder`` names, in its order."""
+    """Iterates over the mesh and row files of an experiment in ``folder``."""
     for surface in settings.surface:
         for mesh in surface.meshes.values():
             if isinstance(mesh, FileMesh):

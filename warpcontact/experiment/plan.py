@@ -1,4 +1,8 @@
-"""What an experiment takes of memory and disk, and how many of its environments run at once."""
+"""Estimates memory and disk use of an experiment and chooses the shard size.
+
+``make_plan`` finds the largest shard that fits into the available memory of the devices and the host, and the number
+of frames per block of the recording. The estimate covers model, simulation, recording buffers and writing.
+"""
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
@@ -29,39 +33,38 @@ from warpcontact.storage.memory_estimate import (
 from warpcontact.system.resources import HOST, AvailableMemory, used_memory
 from warpcontact.validation.number_format import format_bytes
 
-# Frames are gathered up to this size before they are written, while others are gathered [bytes].
+# Largest block of frames [bytes]. One block is written while the next one is recorded.
 BLOCK = 32 * 2**20
-# There are so many blocks of frames at least, so that little is left to write at the end, unless they would be
-# smaller than this [bytes]: a file takes time as well.
+# Minimum number of blocks per recording, so that little remains to be written at the end, unless blocks would be
+# smaller than MIN_BLOCK [bytes]: each file has a fixed cost.
 MIN_BLOCKS = 8
 MIN_BLOCK = 4 * 2**20
-# Pieces of a recording that are in memory at once while it is compressed, each with a copy, and for its picture,
-# and what threads that write leave in the hands of the allocator [bytes]; measured.
+# Number of chunks in memory while a recording is compressed (each with a copy) and while its picture is drawn, and
+# memory that the allocator keeps for the writing threads [bytes]; measured.
 WRITTEN_AT_ONCE = 2 * WRITERS
 DRAWN_AT_ONCE = 2
 ALLOCATOR_OVERHEAD = 24 * 2**20
-# What a run loads beside: kernels, what makes and stores data sets, what draws its picture, and with series what
-# writes its animation; measured.
+# Memory of libraries loaded during a run: kernels, data sets, pictures, and with series also USD [bytes]; measured.
 LIBRARIES = 100 * 2**20
 LIBRARIES_FOR_SERIES = 192 * 2**20
-# A shard is rounded to this many significant bits, so that the pieces of a recording are parts of it.
+# Shard sizes are rounded to this many significant bits, so that they are divisible by a suitable chunk size.
 SHARD_BITS = 6
 
 
 @dataclass(frozen=True)
 class Plan:
-    """How an experiment runs. ``print(plan)`` tells what it takes.
+    """Memory, disk and shards of an experiment; ``print(plan)`` shows them.
 
     Attributes:
         envs: Number of environments.
-        shard: How many run at once, and are committed together; 0: not even one fits.
-        block: How many frames of them are gathered before they are written.
-        footprint: What these take of memory, or what one would that does not fit.
-        recording: Size of the whole recording, before it is compressed [bytes].
-        available_memory: What there is of memory, where it is known.
-        process: What Python and its libraries take of the host beside that, much of it already [bytes]; ``None``:
-            the system does not tell.
-        disk: Where the results would go; ``None``: nobody asked, or the system does not tell.
+        shard: Environments per shard, which are run and committed together; 0: not even one environment fits.
+        block: Frames per block, which are written together.
+        footprint: Memory estimate of one shard; if ``shard`` is 0, of one environment.
+        recording: Size of the whole recording before compression [bytes].
+        available_memory: Available memory of the devices and the host, if the system reports it.
+        process: Host memory of Python and its libraries, in addition to ``footprint`` [bytes]; ``None``: not reported
+            by the system.
+        disk: Disk of the results; ``None``: not requested, or not reported by the system.
     """
 
     envs: int
@@ -75,20 +78,20 @@ class Plan:
 
     @property
     def peak(self) -> int | None:
-        """The most that the process has of the host, all kernels being compiled; ``None``: nobody knows."""
+        """Peak host memory of the process with all kernels compiled [bytes]; ``None``: unknown."""
         return None if self.process is None else self.process + self.footprint.host_bytes
 
     @property
     def shards(self) -> int:
-        """How many shards there are."""
+        """Number of shards."""
         return -(-self.envs // self.shard) if self.shard else 0
 
     def on_disk(self, envs: int) -> int:
-        """Returns the size of the recording of so many environments, before it is compressed [bytes]."""
+        """Returns the size of the recording of ``envs`` environments before compression [bytes]."""
         return self.recording * envs // self.envs
 
     def resumed(self, summary: Mapping[str, Any]) -> "Plan":
-        """Returns the plan of a run that goes on, with the shards and blocks that it has."""
+        """Returns the plan with the shard and block sizes of the run that is resumed."""
         return replace(self, shard=int(summary["shard"]), block=int(summary["block"]))
 
     def require(self) -> None:
@@ -101,20 +104,20 @@ class Plan:
     def __str__(self) -> str:
         lines = [str(self.footprint)]
         if self.peak is not None:
-            lines.append(f"with Python and its libraries the process has {format_bytes(self.peak)} at most")
+            lines.append(f"process including Python and its libraries: at most {format_bytes(self.peak)}")
         for memory in self.available_memory:
             lines.append(
                 f"available: {format_bytes(memory.size)} of {memory.name}; {format_bytes(usable_bytes(memory))} can be used"
             )
         free_text = f"; {self.disk}" if self.disk is not None else ""
-        shortage_text = ", which is less" if self.disk is not None and self.disk.free < self.recording else ""
+        shortage_text = ", not enough" if self.disk is not None and self.disk.free < self.recording else ""
         lines.append(
             f"on disk: up to {format_bytes(self.recording)}, before compression{free_text}{shortage_text}"
         )
         if not self.shard:
             lines.append("does not fit: not even one environment")
         elif self.shards == 1:
-            lines.append(f"{env_count_text(self.envs)}: all at once")
+            lines.append(f"{env_count_text(self.envs)}: one shard")
         else:
             lines.append(f"{env_count_text(self.envs)}: {self.shards} shards of {self.shard}, one after another")
         return "\n".join(lines)
@@ -123,17 +126,17 @@ class Plan:
 def make_plan(
     draft: ModelPlan, size: RecordingSize, settings: Settings, design: Design, shard: int | None
 ) -> Plan:
-    """Returns how the experiment runs on the devices of ``draft``.
+    """Returns the plan of an experiment on the devices of ``draft``.
 
     Args:
-        draft: Its scene, ready to be built.
-        size: What its recording takes.
+        draft: Plan of the model.
+        size: Size of its recording.
         settings: The experiment, with all defaults.
-        design: What varies.
-        shard: How many environments are to run at once at most; ``None``: as many as fit.
+        design: The varied parameters.
+        shard: Maximum number of environments per shard; ``None``: as many as fit.
 
     Raises:
-        MemoryError: If ``shard`` environments do not fit; says how many do.
+        MemoryError: If ``shard`` environments do not fit; the message states how many do.
     """
     frames = frame_count(*recorded_steps(settings.duration, settings.record.every, settings.dt))
     if not settings.record.series:
@@ -150,7 +153,7 @@ def make_plan(
         buffers = total(recording(part, own, block) for part, own in draft.shares(envs))
         writing = min(WRITTEN_AT_ONCE * CHUNK, 3 * size.on_host(envs, block) // 4)
         drawing = min(DRAWN_AT_ONCE * CHUNK, size.on_host(settings.envs, frames) // 4) if frames else 0
-        # Frames are let go of before what was written of them is drawn.
+        # The frames are freed before the picture is drawn.
         recorded = sum(
             need.size for need in buffers.items if need.purpose == "recording" and need.location == HOST
         )
@@ -179,8 +182,8 @@ def make_plan(
         and (memory := shortage(footprint(requested), available_memory)) is not None
     ):
         needed = footprint(requested)
-        advice = f"at most {max_envs} at once" if max_envs else "not even one environment"
-        message = f"shard {shard}: {shortage_message(needed, memory)}; {advice} fits on {needed.device}"
+        advice = f"at most {max_envs} fit" if max_envs else "not even one environment fits"
+        message = f"shard {shard}: {shortage_message(needed, memory)}; {advice} on {needed.device}"
         raise MemoryShortage(message, needed.bytes_at(memory.location), usable_bytes(memory), max_envs)
     chosen = max_envs
     if shard is None and max_envs:
@@ -199,19 +202,19 @@ def make_plan(
 
 
 def block_size(size: RecordingSize, envs: int, frames: int) -> int:
-    """Returns how many of ``frames`` of ``envs`` environments are gathered before they are written."""
+    """Returns the number of frames per block, of ``frames`` frames of ``envs`` environments."""
     frame = max(1, size.on_host(envs, 1) - size.on_host(envs, 0))
     enough = max(-(-frames // MIN_BLOCKS), MIN_BLOCK // frame)
     return max(1, min(frames, enough, BLOCK // frame))
 
 
 def blocks_at_once(frames: int, block: int) -> int:
-    """Returns how many blocks are in memory: one is gathered while another is written."""
+    """Returns the number of blocks in memory: 2 if one is written while the next one is recorded."""
     return 1 if frames <= block else 2
 
 
 def shard_size(max_envs: int, envs: int) -> int:
-    """Returns the size of shards of about equal size, no more than ``max_envs``, that make up ``envs``."""
+    """Returns the size of nearly equal shards of at most ``max_envs`` that make up ``envs`` environments."""
     if max_envs >= envs:
         return envs
     grain = 1 << max(0, max_envs.bit_length() - SHARD_BITS)
@@ -223,7 +226,7 @@ def shard_size(max_envs: int, envs: int) -> int:
 def recording_size(
     model: Environments, sensors: Collection[str], varied: Collection[str], settings: Settings
 ) -> RecordingSize:
-    """Returns what the recording of an experiment takes, from a model of any number of environments."""
+    """Returns the size of the recording of an experiment, from a model with any number of environments."""
     series = settings.record.series
     names = sensors if series else ()
     parameters = recorded_parameters(model, varied, settings.envs)
@@ -231,9 +234,10 @@ def recording_size(
 
 
 def recorded_parameters(model: Environments, varied: Collection[str], envs: int) -> list[str]:
-    """Returns the parameters that a recording of ``envs`` environments keeps because some vary.
+    """Returns the parameters that are stored in a recording of ``envs`` environments because some vary.
 
-    These and all that are stored with them, as they have a value per environment then, too.
+    With several environments, all parameters of the same device field are included: they have a value per
+    environment as well.
     """
     if envs == 1:
         return list(varied)

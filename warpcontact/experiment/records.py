@@ -1,4 +1,8 @@
-"""Records of what counts of a run, read as if somebody else had written them: nothing in them is trusted."""
+"""Reads and validates the records of commits, without trusting their content.
+
+``commit/store.json`` names the files of the empty store, ``commit/<shard>.json`` those of a shard, with sizes and
+SHA-256. Names are restricted to paths inside of the store.
+"""
 
 import hashlib
 import json
@@ -14,50 +18,52 @@ from warpcontact.validation.safe_text import SafeTextError
 
 DATA = "data.zarr"
 COMMITS = "commit"
-#: In ``COMMITS``: the files that the store was made with.
+#: File in ``COMMITS`` that lists the files of the empty store.
 MADE = "store.json"
 
-#: The groups, of parameters, outcomes, sensors over time, and events.
+#: Groups of the store: parameters, outcomes, sensors over time, and events.
 GROUPS = ("params", "outcome", "series", "events")
 
-#: Most axes of an array.
+#: Largest number of axes of an array.
 AXES = 8
 
 #: Size [bytes] and SHA-256 of files of the store, by their path.
 Files = dict[str, tuple[int, str]]
 
 _RECORD = re.compile(r"shard_(?:\d{6}|[1-9]\d{6,})\.json")
-# Files of the store as records name them: nothing outside of it has such a name.
+# Names of files of the store in records: no path outside of the store matches.
 _VARIABLE = rf"(?:{'|'.join(GROUPS)})/(?!\.\.?/)[^/\\\0]+"
 _PLACE = r"(?:/[0-9]{1,10})"
 _CHUNK = re.compile(rf"{_VARIABLE}/c{_PLACE}{{1,{AXES}}}")
 _CHUNK_FOLDER = re.compile(rf"(?:{'|'.join(GROUPS)})|{_VARIABLE}(?:/c{_PLACE}{{0,{AXES - 1}}})?")
 _MADE = re.compile(rf"(?:(?:{'|'.join(GROUPS)}|{_VARIABLE})/)?zarr\.json|{_VARIABLE}/c{_PLACE}{{0,{AXES}}}")
 _SHA = re.compile(r"[0-9a-f]{64}")
-# Numbers beyond this fit into no array.
+# Upper bound on counts: the largest 64-bit integer.
 _MOST = 2**63 - 1
 _COUNTS = ("steps", "frames", "frozen")
 
 
 class RunDataError(SafeTextError):
-    """A folder of results that is damaged, or was changed by somebody else."""
+    """The results of a run are damaged or were changed."""
 
 
 @dataclass
 class Commit:
-    """What is committed of a shard.
+    """Commit of a shard: its progress and files.
 
     Attributes:
         shard: Number of the shard.
-        steps: How many steps were taken.
-        frames: How many frames of the series are in the store.
-        finished: Whether these are all, and the outcome is there.
-        checkpoint: Name of the file from which the shard goes on; ``None``: it is finished.
-        wall_time: How long it was stepped, over all attempts [s].
-        files: Size [bytes] and SHA-256 of each file of the store that belongs to it, by its path.
-        frozen: How many of its environments are frozen.
-        checkpoint_sha256: SHA-256 of that file; ``None``: it is finished, or of an earlier version.
-        empty: Chunks that have no file, as all their values are empty; ``None``: a record of an earlier version.
+        steps: Number of committed steps.
+        frames: Number of committed frames of the series.
+        finished: Whether all steps and frames, and the outcomes, are committed.
+        checkpoint: Name of the checkpoint from which the shard resumes; ``None``: the shard is finished.
+        wall_time: Wall time of stepping over all attempts [s].
+        files: Size [bytes] and SHA-256 of each file of the shard in the store, by path.
+        frozen: Number of frozen environments.
+        checkpoint_sha256: SHA-256 of the checkpoint; ``None``: the shard is finished, or the record is of an earlier
+            version.
+        empty: Chunks without a file, because all their values are the fill value; ``None``: the record is of an
+            earlier version.
     """
 
     shard: int
@@ -76,8 +82,7 @@ class Commit:
         """Reads a record.
 
         Raises:
-            RunDataError: If it is cut off, or holds what no run writes; names the entry, the value and what is
-                allowed.
+            RunDataError: If it is truncated or invalid; the message names the entry, its value and the condition.
         """
         entries = [one.name for one in fields(cls)]
         content = _content(path, entries, {"checkpoint_sha256": None, "empty": None})
@@ -113,30 +118,30 @@ class Commit:
 
 
 def commits_in(folder: RunPath) -> dict[int, Commit]:
-    """Returns the records of shards in a folder, by their numbers.
+    """Returns the commits of shards in a folder, by shard number.
 
     Raises:
-        RunDataError: If one of them is damaged.
+            RunDataError: If a record is damaged.
     """
     paths = (folder / name for name in folder.names() if _RECORD.fullmatch(name))
     return {commit.shard: commit for commit in map(Commit.read, paths)}
 
 
 def is_chunk(name: str) -> bool:
-    """Whether a file of the store is a chunk, by its path."""
+    """Whether a path of the store is that of a chunk."""
     return bool(_CHUNK.fullmatch(name))
 
 
 def is_chunk_folder(name: str) -> bool:
-    """Whether chunks can be in a folder of the store or below it, by its path."""
+    """Whether a path of the store is that of a folder that may contain chunks, directly or in subfolders."""
     return bool(_CHUNK_FOLDER.fullmatch(name))
 
 
 def created_files(folder: RunPath) -> Files:
-    """Returns the files that the store was made with, by the record of them in a folder.
+    """Returns the files of the empty store, from their record in a folder.
 
     Raises:
-        RunDataError: If this is missing or damaged.
+        RunDataError: If the record is missing or damaged.
     """
     path = folder / MADE
     return _files(path, _content(path, ["files"])["files"], _MADE)
@@ -149,7 +154,7 @@ def digest(path: RunPath) -> str:
 
 
 def is_unchanged(path: RunPath, size: int | None, sha: str) -> bool:
-    """Whether a file is there, with this content; its size tells faster, where it is known, that it is not."""
+    """Whether a file exists with this SHA-256; ``size`` allows a faster negative answer, ``None``: unknown."""
     try:
         return size in (None, path.size()) and digest(path) == sha
     except FileNotFoundError:
@@ -157,15 +162,15 @@ def is_unchanged(path: RunPath, size: int | None, sha: str) -> bool:
 
 
 def _content(path: RunPath, entries: Iterable[str], later: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """Returns the entries of a record; ``later`` stands for those that earlier versions did not write."""
+    """Returns the entries of a record; ``later`` has defaults of entries that earlier versions do not write."""
     try:
         content = json.loads(path.read())
     except FileNotFoundError:
-        raise RunDataError(f"{path}: is missing, which says what counts") from None
+        raise RunDataError(f"{path}: is missing; it lists the committed files") from None
     except UnsafeFileError as error:
         raise RunDataError(str(error)) from None
     except (OSError, ValueError, RecursionError) as error:
-        raise RunDataError(f"{path}: is no whole record of a commit: {error}") from None
+        raise RunDataError(f"{path}: is not a complete record of a commit: {error}") from None
     if isinstance(content, dict):
         content = {**(later or {}), **content}
     if not isinstance(content, dict) or set(content) != set(entries):

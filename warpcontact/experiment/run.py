@@ -1,4 +1,7 @@
-"""What a run left in its folder, read where it is asked for."""
+"""Access to the results of a run in its folder.
+
+``open_run`` checks the folder and returns a ``Run``. Its data sets are read lazily, from committed files only.
+"""
 
 import csv
 import functools
@@ -44,19 +47,19 @@ if TYPE_CHECKING:
     from warpcontact.experiment.experiment import Experiment
     from warpcontact.stepping.recording import Recording
 
-# A digest reads pieces of arrays of up to this size [bytes].
+# Largest part of an array that ``digest`` reads at a time [bytes].
 READ_AT_ONCE = 256 * 2**20
 
 
 @explain_keywords_of
 @dataclass(frozen=True)
 class Run:
-    """What a run left behind, finished or not: of shards that are not finished, what is committed.
+    """The results of a run, finished or not.
 
-    Data sets are read from the folder where their values are asked for.
+    Of unfinished shards, the committed part is available. Data sets are read from the folder when they are accessed.
 
     Attributes:
-        folder: Where the files are.
+        folder: Folder of the run.
         summary: Content of ``run.json``: schema, versions, device, seed, times, state.
     """
 
@@ -71,7 +74,7 @@ class Run:
 
     @functools.cached_property
     def scene(self) -> Scene:
-        """What ran. Files with laws of its own are run to read it; no model is built."""
+        """The scene of the run. Law files of the folder are executed to read it; no model is built."""
         if self._scene is not None:
             return self._scene
         problems = Problems()
@@ -83,51 +86,53 @@ class Run:
 
     @functools.cached_property
     def experiment(self) -> "Experiment":
-        """The experiment that ran, checked as one that is to run again: with a model, which compiles kernels."""
+        """The experiment of the run. Building it checks it as before a run: with a model, which compiles kernels."""
         from warpcontact.experiment.experiment import Experiment
 
         return Experiment.from_toml(self.folder / files_of.EXPERIMENT, trust=self._trust)
 
     @functools.cached_property
     def settings(self) -> Settings:
-        """All settings of the experiment. Files with laws of its own are run to read them; no model is built."""
+        """All settings of the experiment. Law files of the folder are executed to read them; no model is built."""
         path, problems = self.folder / files_of.EXPERIMENT, Problems()
         user_files = UserFiles(self.folder, lambda stage: None, self._trust)
         settings = read_settings(load_toml(path), user_files, problems).settings
         problems.raise_if_any(str(path))
-        assert settings is not None  # they are there if there are no problems
+        assert settings is not None  # read_settings returns settings unless it reports problems
         return settings
 
     @functools.cached_property
     def _commits(self) -> dict[int, Commit]:
-        """What is committed, as of when it was first asked for: all data sets are of the same moment."""
+        """Commits as of the first access, so that all data sets show the same state of the run."""
         count = len(self.shards)
         return {number: one for number, one in Ledger(self.folder).commits().items() if number < count}
 
     @property
     def finished(self) -> bool:
-        """Whether all shards are."""
+        """Whether all shards are finished."""
         return sum(commit.finished for commit in self._commits.values()) == len(self.shards)
 
     @functools.cached_property
     def params(self) -> "xr.Dataset":
-        """The parameters that vary, and those that a replay needs, (env, …)."""
+        """Parameters that vary, and those that a replay requires (env, …)."""
         return self._group("params").isel(env=self._begun_data())
 
     @functools.cached_property
     def outcome(self) -> "xr.Dataset":
-        """What became of each environment, (env, …); those that are finished."""
+        """Outcomes of the finished environments (env, …)."""
         data = self._group("outcome")
         return data if self.finished else data.isel(env=np.flatnonzero(self._mask(finished=True)))
 
     @functools.cached_property
     def series(self) -> "xr.Dataset":
-        """The sensors (time, env, …) of environments that have begun; NaN, or −1, behind the last whole block.
+        """Sensors (time, env, …) of environments that have started; NaN or −1 after the last written block.
+
+        Frames of an unfinished shard are written in blocks; those after the last block are in its checkpoint.
 
         Records of an unfinished shard are written in blocks; those since the last one are in its checkpoint.
 
         Raises:
-            ValueError: If nothing was recorded over time.
+            ValueError: If no series were recorded.
         """
         from warpcontact.stepping.recording import Series
 
@@ -136,56 +141,54 @@ class Run:
 
     @functools.cached_property
     def events(self) -> "xr.Dataset":
-        """What happened when, (env, event).
+        """Events of the finished environments (env, event).
 
         Raises:
-            ValueError: If no events were asked for.
+            ValueError: If no events were recorded.
         """
         return self._group("events").isel(env=np.flatnonzero(self._mask(finished=True)))
 
     @functools.cached_property
     def recording(self) -> "Recording":
-        """Series and parameters as ``Simulation.run`` returns them, to be drawn and exported."""
+        """Series and parameters as ``Simulation.run`` returns them, for replay and export."""
         from warpcontact.stepping.recording import Recording
 
         variables: dict[Any, Any] = {}
         for data in (self.series, self.params):
             variables |= {name: array.variable for name, array in data.data_vars.items()}
         coordinates = {**self.params.coords, **self.series.coords}
-        kept = ("device", "frozen_environments", "fingerprint")
-        attributes = {key: self.summary[key] for key in kept if key in self.summary}
+        copied = ("device", "frozen_environments", "fingerprint")
+        attributes = {key: self.summary[key] for key in copied if key in self.summary}
         recording = Recording(variables, coords=coordinates, attrs={**self.series.attrs, **attributes})
         recording.scene = self.scene
         return recording
 
     def check_series(self) -> None:
-        """Raises ``ValueError`` if no record over time can be read yet, to be drawn or exported."""
+        """Raises ``ValueError`` if no frame can be read yet."""
         if any(commit.frames for commit in self._commits.values()):
             return
         if any(commit.steps for commit in self._commits.values()):
-            raise ValueError(
-                f"{self.folder}: no record over time can be read yet: {self._blocks}; {self._resume_hint}"
-            )
-        raise ValueError(f"{self.folder}: nothing over time is committed yet in this run; {self._resume_hint}")
+            raise ValueError(f"{self.folder}: no frame can be read yet: {self._blocks}; {self._resume_hint}")
+        raise ValueError(f"{self.folder}: no frame is committed yet in this run; {self._resume_hint}")
 
     def records_of(self, envs: Iterable[SupportsInt]) -> int:
-        """Returns how many records over time can be read of all of these environments, at least 1.
+        """Returns the number of frames that can be read for all of these environments, at least 1.
 
-        Numbers that are not of the run do not count: who draws or exports refuses them.
+        Numbers outside of the run are ignored; the caller reports them.
 
         Raises:
-            ValueError: If there is none of one of them yet; says how far its shard is.
+            ValueError: If one of them has no frame yet; the message states the progress of its shard.
         """
         count = int(self.series.sizes["time"])
         for env in (one for one in map(int, envs) if 0 <= one < self.summary["envs"]):
             commit = self._commits.get(env // self.summary["shard"])
             if commit is None or not commit.steps:
                 raise ValueError(
-                    f"environment {env} has no record yet in this run: it has not begun; {self._resume_hint}"
+                    f"environment {env} has no frame yet in this run: it has not started; {self._resume_hint}"
                 )
             if not commit.frames:
                 raise ValueError(
-                    f"environment {env} has no record yet in this run that can be read: its shard is at step "
+                    f"environment {env} has no frame yet in this run that can be read: its shard is at step "
                     f"{commit.steps} of {self.summary['steps']}, and {self._blocks}; {self._resume_hint}"
                 )
             count = min(count, commit.frames)
@@ -193,22 +196,22 @@ class Run:
 
     @property
     def _blocks(self) -> str:
-        """When records over time can be read, in words."""
+        """Text that states when frames can be read."""
         return (
-            f"records are written in blocks of {self.summary['block']}, those since the last block are kept in "
-            "checkpoints and appear as the run goes on"
+            f"frames are written in blocks of {self.summary['block']}, those after the last block are stored in "
+            "checkpoints and can be read as the run continues"
         )
 
     @property
     def _resume_hint(self) -> str:
-        """How the run goes on, in words."""
+        """Text that states how the run is continued."""
         if is_locked(self.folder):
-            return "a process is at work on it"
-        return f"warpcontact run --resume --out {self.folder} goes on with it"
+            return "a process is running it"
+        return f"to resume: warpcontact run --resume --out {self.folder}"
 
     @property
     def frames(self) -> NDArray[np.intp]:
-        """How many records over time can be read of each environment that was begun, (env,), as in ``series``."""
+        """Number of frames that can be read, of each environment that has started (env,), ordered as ``series``."""
         frames = np.zeros(self.summary["envs"], dtype=np.intp)
         for number, commit in self._commits.items():
             shard = self.shards[number]
@@ -217,7 +220,7 @@ class Run:
 
     @property
     def health(self) -> Health:
-        """Which environments are frozen and which stopped, of those that are finished."""
+        """Numbers of active, frozen and stopped environments, of those that are finished."""
         outcome = self.outcome
         status, cause, time, numbers = (outcome[name].values for name in ("status", "cause", "end_time", "env"))
         conditions: dict[str, int] = {}
@@ -231,13 +234,13 @@ class Run:
 
     @property
     def reports(self) -> tuple[CouplingReport, ...]:
-        """How close contact couplings came, and over which area."""
+        """Reports of the contact couplings: smallest distances and areas."""
         parameters = self.params.sel(env=self.outcome["env"])
         return tuple(report_of(one, self.outcome, parameters) for one in self.scene.contact_couplings)
 
     @property
     def files(self) -> dict[str, Path]:
-        """Path of each by what it is: experiment, data, commits, summary, animation, picture; laws by name."""
+        """Paths of the files by kind: experiment, data, commits, summary, animation, picture; law files by name."""
         named = {
             "experiment": files_of.EXPERIMENT,
             "data": DATA,
@@ -251,7 +254,7 @@ class Run:
 
     @property
     def shards(self) -> Shards:
-        """The shards that it consists of."""
+        """The shards of the run."""
         return Shards(self.summary["envs"], self.summary["shard"])
 
     def table(self) -> "xr.Dataset":
@@ -264,11 +267,11 @@ class Run:
         return xr.merge([params.drop_vars(both), outcome], join="exact", combine_attrs="drop_conflicts")
 
     def to_dataframe(self) -> "pd.DataFrame":
-        """Returns one row for each finished environment: its parameters and outcomes, vectors by component.
+        """Returns parameters and outcomes with one row per finished environment, vectors by component.
 
-        A parameter of a set has one column if its items are equal in every environment, else one for each item.
-        Codes, such as that of ``status``, are categories by their words; where there is none, as of ``stopped_by``
-        in an environment that no condition stopped, the value is missing.
+        A parameter of a set has one column if its items are equal in every environment, else one column per item.
+        Codes, such as those of ``status``, are categories with their labels as values. Codes without a label are
+        missing values, such as ``stopped_by`` of an environment that no condition stopped.
         """
         import pandas as pd
 
@@ -285,12 +288,12 @@ class Run:
         return pd.DataFrame(columns, index=pd.Index(table["env"].values, name="env"))
 
     def to_csv(self, path: str | PathLike[str]) -> None:
-        """Writes that table as comma-separated values, numbers with all their digits, missing words as nothing."""
+        """Writes the table as comma-separated values: numbers with all digits, missing labels as empty fields."""
         with open_for_writing(Path(path)) as raw, io.TextIOWrapper(raw, encoding="utf-8", newline="") as file:
             self.write_csv(file)
 
     def write_csv(self, file: TextIO, line_end: str = "\r\n") -> None:
-        """Writes that table to an open text file, as ``to_csv``."""
+        """Writes the table to an open text file, in the format of ``to_csv``."""
         frame = self.to_dataframe()
         coded = frame.select_dtypes("category").astype(object)
         frame[coded.columns] = coded.where(coded.notna(), None)
@@ -300,7 +303,7 @@ class Run:
             writer.writerow([env, *row])
 
     def to_parquet(self, path: str | PathLike[str]) -> None:
-        """Writes that table as Parquet.
+        """Writes the table as Parquet.
 
         Raises:
             ImportError: If pyarrow is not installed.
@@ -315,7 +318,7 @@ class Run:
             self.to_dataframe().to_parquet(file, engine="pyarrow")
 
     def digest(self) -> str:
-        """Returns the SHA-256 of all results, environment by environment: the same however they were run."""
+        """Returns the SHA-256 of all results in order of environments. It does not depend on shards or devices."""
         total = hashlib.sha256()
         for group in GROUPS:
             if not (self._files / DATA / group).is_folder():
@@ -329,16 +332,16 @@ class Run:
         return total.hexdigest()
 
     def check(self) -> None:
-        """Reads every file of the results and compares it with what was committed.
+        """Reads all result files and compares them with the committed checksums.
 
         Raises:
-            RunDataError: If one is missing or was changed.
+            RunDataError: If a file is missing or was changed.
         """
         Ledger(self.folder).check(RunExtent.of(self.summary), contents=True)
 
     def _group(self, name: str) -> "xr.Dataset":
         if not (self._files / DATA / name).is_folder():
-            what = {"series": "nothing over time: [record] series = false", "events": "no events"}[name]
+            what = {"series": "no series: [record] series = false", "events": "no events"}[name]
             raise ValueError(f"{self.folder}: the run recorded {what}")
         import xarray as xr
 
@@ -351,12 +354,12 @@ class Run:
         data.attrs.pop(LABELS, None)
         if not isinstance(order, list) or set(order) != set(data.data_vars):
             raise RunDataError(f"{self.folder / DATA / name}: must have the variables {order}, has {list(data)}")
-        # A folder lists its arrays in any order.
+        # The order of arrays in a folder listing is arbitrary.
         names = sorted(map(str, data.coords))
         return data[order].drop_vars(names).assign_coords({name: data.coords[name] for name in names})
 
     def _mask(self, *, finished: bool) -> NDArray[np.bool_]:
-        """Returns which environments are finished, or begun (env,)."""
+        """Returns a mask of the environments that are finished, or that have started (env,)."""
         mask = np.zeros(self.summary["envs"], dtype=bool)
         for number, commit in self._commits.items():
             shard = self.shards[number]
@@ -386,8 +389,8 @@ class Run:
         begun = self._mask(finished=False) & ~self._mask(finished=True)
         if begun.any() and (self._files / DATA / "series").is_folder():
             fewest = self.frames[~self._mask(finished=True)[self._mask(finished=False)]].min()
-            more = env_count_text(int(begun.sum()))
-            lines.append(f"{more} begun, with {fewest} records over time or more: {self._blocks}")
+            started = env_count_text(int(begun.sum()))
+            lines.append(f"{started} started, with {fewest} or more frames: {self._blocks}")
         lines += [line for report in s.get("contact_couplings", {}).values() for line in report]
         width = max(11, *map(len, self.files))
         lines += [f"  {kind:<{width}} {path}" for kind, path in sorted(self.files.items())]
@@ -403,27 +406,27 @@ def open_run(path: str | PathLike[str], *, verify: bool = False, trust: Trust = 
 
     Args:
         path: The folder.
-        verify: Whether to read all results and compare them with what was committed, not only their sizes.
-        trust: Whether files with laws are run that came with the folder and were not written there by a run of
-            this user, when the scene or the experiment is read; or the SHA-256 of those that are.
+        verify: Read all results and compare them with the committed checksums, not only their sizes.
+        trust: Whether to execute law files of the folder that no run of this user wrote there, when the scene or
+            the experiment is read; or the SHA-256 of those that may be executed.
 
     Raises:
-        ExperimentError: If it holds no run, or one of a schema that this version does not read.
-        RunDataError: If anything that was committed is missing, cut off or was changed.
-        UnsafeFileError: If there is a symbolic link, a pipe or a device instead of a file or folder of the run.
+        ExperimentError: If the folder holds no run, or its schema is not supported by this version.
+        RunDataError: If a committed file is missing, truncated or was changed.
+        UnsafeFileError: If a file or folder of the run is a symbolic link, a pipe or a device.
     """
     folder = Path(path)
     if not folder.is_dir():
         raise ExperimentError(str(folder), ["is not a folder"])
     summary = files_of.read_summary(folder)
     if summary is None:
-        raise ExperimentError(str(folder), [f"holds no run: there is no whole {files_of.SUMMARY} in it"])
+        raise ExperimentError(str(folder), [f"holds no run: {files_of.SUMMARY} is missing or incomplete"])
     files_of.check_schema(folder, summary)
     files = RunPath(folder)
     if not (files / DATA).is_folder():
-        raise ExperimentError(str(folder), ["the run was ended before anything was kept"])
+        raise ExperimentError(str(folder), ["the run ended before anything was saved"])
     if not (files / COMMITS).is_folder():
-        raise ExperimentError(str(folder), [f"folder {COMMITS} is missing, which says what counts"])
+        raise ExperimentError(str(folder), [f"folder {COMMITS} is missing; it lists the committed files"])
     try:
         envs = tomllib.loads((files / files_of.EXPERIMENT).read().decode()).get("envs")
     except UnsafeFileError:
@@ -442,28 +445,28 @@ def open_run(path: str | PathLike[str], *, verify: bool = False, trust: Trust = 
     for shard in run.shards if summary["state"] == files_of.FINISHED else ():
         if shard.number not in commits or not commits[shard.number].finished:
             raise RunDataError(
-                f"{folder / COMMITS / shard.name}.json: the run is finished, and there is no record of this shard "
-                "that says so; --resume runs it again"
+                f"{folder / COMMITS / shard.name}.json: the run is finished, but this shard has no record that "
+                "states it; --resume runs it again"
             )
     return run
 
 
 def _columns(array: "xr.DataArray") -> Iterator[tuple[list[str], NDArray[Any]]]:
-    """Iterates over the labels behind ``env`` of an array, and the values of each."""
+    """Iterates over the columns of an array: labels of the axes after ``env``, and values (env,)."""
     values = array.transpose("env", ...).values
     axes = [dim for dim in array.dims if dim != "env"]
-    for place in np.ndindex(values.shape[1:]):
+    for index in np.ndindex(values.shape[1:]):
         labels = [
             str(array[dim].values[i]) if dim in array.coords else str(i)
-            for dim, i in zip(axes, place, strict=True)
+            for dim, i in zip(axes, index, strict=True)
         ]
-        yield labels, values[(slice(None), *place)]
+        yield labels, values[(slice(None), *index)]
 
 
 def _env_blocks(array: "xr.DataArray") -> Iterator[slice]:
-    """Iterates over environments of a stored array, those of whole chunks at once if they fit.
+    """Iterates over ranges of environments of a stored array that fit into ``READ_AT_ONCE``, of whole chunks if possible.
 
-    Chunks of an array that is so long in time that they do not are read several times, for parts of them.
+    Chunks that are larger are read several times, one part at a time.
     """
     envs = array.sizes["env"]
     chunk = dict(zip(array.dims, array.encoding["chunks"], strict=True))["env"]

@@ -1,4 +1,8 @@
-"""Runs shards of an experiment, one after another on one model: steps, writes, commits, goes on after a stop."""
+"""Runs shards of an experiment on one model.
+
+For each shard, ``ShardRunner`` assigns the parameter values, steps the environments, records frames and outcomes,
+and commits them to the store with checkpoints in between. A shard that was interrupted resumes from its last commit.
+"""
 
 import re
 import time
@@ -39,25 +43,25 @@ if TYPE_CHECKING:
 
     from warpcontact.stepping.recording import Recording
 
-# Of the time of stepping, what checkpoints may take at most: large states are saved less often.
+# Largest share of the stepping time for checkpoints: large states are saved less often.
 CHECKPOINT_SHARE = 0.05
-# Steps of a rehearsal: the first step after a frame and later ones may have different kernels.
+# Steps of ``run_sample_steps``: the first step after a frame and later ones may use different kernels.
 SAMPLE_STEPS = 2
 
 
 class RunInterrupted(KeyboardInterrupt):
-    """Somebody asked to stop; what was done is committed."""
+    """The run was interrupted by the user; the steps taken so far are committed."""
 
 
 @dataclass(frozen=True)
 class SeriesSchedule:
-    """How the series of a run are taken.
+    """Schedule of the recorded frames of a run.
 
     Attributes:
-        steps: Steps of the run.
-        stride: Steps from frame to frame.
-        count: Number of frames, that of the start included; 0: nothing is recorded over time.
-        block: Frames that are written at once.
+        steps: Number of steps of the run.
+        stride: Number of steps between frames.
+        count: Number of frames, including that at the start; 0: no series are recorded.
+        block: Frames per block, which are written together.
     """
 
     steps: int
@@ -67,10 +71,10 @@ class SeriesSchedule:
 
     @classmethod
     def of(cls, settings: Settings, block: int) -> "SeriesSchedule":
-        """Returns those of an experiment, written in blocks."""
+        """Returns the schedule of an experiment, written in blocks of ``block`` frames."""
         steps, stride = recorded_steps(settings.duration, settings.record.every, settings.dt)
         if not settings.record.series:
-            # A frame without sensors, at the end: steps are only looked at for progress.
+            # One frame without sensors at the end: ``advance`` requires a frame, and yields chunks for progress.
             return cls(steps, steps, 0, 2)
         return cls(steps, stride, frame_count(steps, stride), block)
 
@@ -80,19 +84,19 @@ class SeriesSchedule:
 
 
 class ShardRunner:
-    """Runs shards of an experiment on a model that takes the values of one after the other.
+    """Runs shards of an experiment on a model, one after another.
 
-    Environments have the same values and results whatever shard they are in. A last shard with fewer is filled up
+    Values and results of an environment do not depend on its shard. A last shard with fewer environments is filled up
     with copies of its last environment, whose results are dropped.
 
     Args:
-        model: As many environments as a shard has.
+        model: A model with as many environments as a shard.
         settings: The experiment, with all defaults.
-        design: What varies.
-        frames: How series are taken.
+        design: The varied parameters.
+        frames: Schedule of the recorded frames.
         folder: Folder of the run, with its store.
-        checkpoint_interval: Time between checkpoints [s], at the end of a block at the earliest.
-        threads: Threads that step environments on the CPU.
+        checkpoint_interval: Minimum time between checkpoints [s].
+        threads: Number of CPU threads that step environments; ``None``: one per core.
     """
 
     def __init__(
@@ -112,7 +116,7 @@ class ShardRunner:
         self.checkpoint_interval = checkpoint_interval
         self.threads = threads
         self.simulation = make_simulation(model, settings, threads)
-        # Told here, once for each kind, with the numbers of environments among all.
+        # ``_warn_once`` gives these warnings, once for each kind over all shards.
         self.simulation.warned_at_start = True
         self.ledger = Ledger(folder)
         self._warned: set[str] = set()
@@ -123,26 +127,26 @@ class ShardRunner:
         return self.simulation.model
 
     def kernels(self) -> list[wp.Kernel]:
-        """Returns the kernels that steps, frames and the check of the start launch on the CPU, each once."""
-        looks = [frozenset(self.recorder().needs)]
+        """Returns the kernels of steps, frames and the initial check that run on the CPU, each once."""
+        evaluations = [frozenset(self.recorder().needs)]
         if self.simulation.evaluates_start:
-            looks.append(CONTACT_NEEDS)
-        return self.simulation.step_kernels(looks)
+            evaluations.append(CONTACT_NEEDS)
+        return self.simulation.step_kernels(evaluations)
 
     def warm_up(self) -> None:
-        """Compiles what is not in the cache; the time of the run is then that of stepping."""
+        """Compiles kernels that are not in the cache, so that the wall time of the run is that of stepping."""
         with shared_capture_lock():
             load_all(self.kernels(), wp.get_device("cpu"), self.simulation.threads)
         self.simulation.step()
         self.simulation.reset()
 
     def run_sample_steps(self, shard: Shard) -> "Recording":
-        """Takes two steps of ``shard`` with their frames as ``run`` does, and writes nothing.
+        """Takes two steps of ``shard`` with their frames as ``run`` does, without writing files.
 
-        All kernels of steps, frames and outcomes are then loaded.
+        All kernels of steps, frames and outcomes are loaded afterwards.
 
         Returns:
-            The frames.
+            The recorded frames.
         """
         self.data_layouts()
         self.load_shard(shard)
@@ -161,7 +165,7 @@ class ShardRunner:
         return recorder.finish({"dt": self.settings.dt, "integrator": self.settings.integrator.type})
 
     def load_shard(self, shard: Shard) -> None:
-        """Gives the model the values of ``shard``, and puts it at the start."""
+        """Assigns the parameter values of ``shard`` to the model and resets it to the initial state."""
         values = self.design.rows(shard.first, shard.stop)
         model = self.model
         missing = model.envs - shard.envs
@@ -174,9 +178,10 @@ class ShardRunner:
         self.simulation.reset()
 
     def recorder(self, max_frames: int | None = None) -> Recorder:
-        """Returns what takes the frames; its parameters are those of the values that were taken.
+        """Returns a recorder of frames, and of the parameters as they are assigned now.
 
-        ``max_frames``: number of frames; ``None``: blocks of them.
+        Args:
+            max_frames: Number of frames; ``None``: blocks of frames.
         """
         record = self.settings.record
         sensors = record.sensors or () if record.series else ()
@@ -194,7 +199,7 @@ class ShardRunner:
         )
 
     def data_layouts(self) -> "dict[str, xr.Dataset]":
-        """Returns a data set of a shard for each group of the store, without frames and with any values."""
+        """Returns a data set of a shard for each group of the store, without frames; the values are arbitrary."""
         recorder = self.recorder()
         found = {"params": recorder.parameters(), "outcome": self.outcome()}
         if self.frames.count:
@@ -203,7 +208,7 @@ class ShardRunner:
         return found if events is None else {**found, "events": events}
 
     def outcome(self) -> "xr.Dataset":
-        """Returns what became of each environment, (env, …)."""
+        """Returns the outcomes (env, …)."""
         model = self.model
         found = self.simulation.outcomes()
         for coupling in model.scene.contact_couplings:
@@ -215,31 +220,31 @@ class ShardRunner:
         return found
 
     def events(self) -> "xr.Dataset | None":
-        """Returns the events (env, event); ``None``: none were asked for."""
+        """Returns the events (env, event); ``None``: no events are recorded."""
         return None if self.settings.events is None else self.simulation.events()
 
     def run(
         self, shard: Shard, commit: Commit | None, progress: Callable[[int, int], None] | None = None
     ) -> Commit:
-        """Runs ``shard``, from its last commit on if there is one.
+        """Runs ``shard`` from its last commit, or from the start if there is none.
 
         Args:
             shard: The shard.
-            commit: Its record; ``None``: it has none.
-            progress: Called once in a while with how many steps are done, by all its environments, and how many
-                of these are frozen.
+            commit: Its last commit; ``None``: it has none.
+            progress: Called about once per second with the number of steps taken by all environments of the shard,
+                and the number of frozen ones.
 
         Returns:
-            Its record, which says that it is finished.
+            Its commit, which is finished.
 
         Raises:
-            RunInterrupted: If somebody pressed Ctrl-C; all steps until then are committed.
+            RunInterrupted: If the user pressed Ctrl-C; all steps until then are committed.
         """
         commit = Commit(shard.number) if commit is None else commit
         self.load_shard(shard)
         recorder = self.recorder()
         recorder.start(self.simulation.frame_memory(recorder.needs))
-        # Of all that comes after the start, also of what was before a checkpoint.
+        # Made before the checkpoint is restored, so that problems before the checkpoint are included.
         remarks = RunWarnings(self.model)
         if commit.steps:
             commit = self._resume(shard, commit, recorder)
@@ -260,7 +265,7 @@ class ShardRunner:
             progress_file.remove()
 
     def _resume(self, shard: Shard, commit: Commit, recorder: Recorder) -> Commit:
-        """Puts the model where ``commit`` left it; from the start where its checkpoint does not fit."""
+        """Restores the state of ``commit``; starts the shard again if its checkpoint is missing or invalid."""
         path = RunPath(self.folder) / CHECKPOINTS / str(commit.checkpoint)
         try:
             if commit.checkpoint_sha256 is not None and digest(path) != commit.checkpoint_sha256:
@@ -268,7 +273,7 @@ class ShardRunner:
             arrays, header = checkpoint.read(path)
             own = self.checkpoint_origin(shard, commit.steps)
             if differing := {key: header.get(key) for key in own if header.get(key) != own[key]}:
-                raise checkpoint.CheckpointError(f"{path}: is of {differing}, and not of {own}")
+                raise checkpoint.CheckpointError(f"{path}: must be of {own}, got {differing}")
             frames = {key.removeprefix("frame/"): a for key, a in arrays.items() if key.startswith("frame/")}
             times = arrays.get("times", np.zeros(0))
             self._check_pending(commit, frames, times, recorder)
@@ -278,25 +283,25 @@ class ShardRunner:
                 raise checkpoint.CheckpointError(problem)
             checkpoint.restore(self.simulation, arrays)
         except (checkpoint.CheckpointError, FileNotFoundError) as error:
-            warnings.warn(RunWarning(f"{shard.name} begins anew: {error}", WarningLevel.NOTE), stacklevel=3)
+            warnings.warn(RunWarning(f"{shard.name} starts again: {error}", WarningLevel.NOTE), stacklevel=3)
             self.simulation.reset()
             return Commit(shard.number, wall_time=commit.wall_time)
         recorder.continue_from(frames, times)
         return commit
 
     def frozen(self, shard: Shard) -> int:
-        """Returns how many environments of ``shard`` are frozen now."""
+        """Returns the number of frozen environments of ``shard``."""
         return int((self.model.health().frozen < shard.envs).sum())
 
     def checkpoint_origin(self, shard: Shard, steps: int) -> dict[str, Any]:
-        """Returns what a checkpoint says of where it comes from, and has to agree in with who goes on from it."""
+        """Returns the header of a checkpoint, which must be equal when a run is resumed from it."""
         kinds = ["cuda" if device.is_cuda else "cpu" for device in self.model.devices]
         return {"shard": shard.number, "steps": steps, "devices": kinds, "warp": wp.config.version}
 
     def _check_pending(
         self, commit: Commit, frames: Mapping[str, Any], times: NDArray[Any], recorder: Recorder
     ) -> None:
-        """Raises ``CheckpointError`` unless these are the frames that were taken and not written by ``commit``."""
+        """Raises ``CheckpointError`` unless these are the frames that were recorded and not written by ``commit``."""
         own, steps = self.frames, commit.steps
         count = (steps // own.stride + 1 if own.count else 0) - commit.frames
         expected = {name: ((count, *values.shape[1:]), values.dtype) for name, values in recorder.frames().items()}
@@ -306,10 +311,10 @@ class ShardRunner:
         if not fits or not timed or found != expected:
             path = self.folder / CHECKPOINTS / str(commit.checkpoint)
             done = f"{steps} of {own.steps} steps and {commit.frames} of {own.count} frames"
-            raise checkpoint.CheckpointError(f"{path}: does not go on after {done}")
+            raise checkpoint.CheckpointError(f"{path}: does not continue after {done}")
 
     def _warn_once(self, commit: Commit) -> None:
-        """Warns as the first step of a simulation does, of what is not known from earlier shards."""
+        """Gives the warnings of the initial check, except those given for earlier shards."""
         if commit.steps:
             return
         for sentence in self.simulation.check():
@@ -320,7 +325,7 @@ class ShardRunner:
 
 
 class _ShardAttempt:
-    """One attempt to run a shard to its end."""
+    """One attempt to run a shard to the end."""
 
     def __init__(
         self,
@@ -347,7 +352,7 @@ class _ShardAttempt:
         if not commit.steps:
             self.staging.write("params", _values(self.recorder.parameters()))
         taken = commit.frames + self.recorder.taken
-        # The frames without sensors are not counted.
+        # Without series, the frame without sensors is not counted by the commit.
         taken = taken if frames.count else min(1, commit.steps)
         steps = frames.steps
         for done in runner.simulation.advance(
@@ -366,7 +371,7 @@ class _ShardAttempt:
         return self._finish()
 
     def _write_block(self) -> None:
-        """Lets the frames that were taken be written while others are taken."""
+        """Writes the recorded frames in the background and starts the next block."""
         self.staging.write("series", self.recorder.frames(), self.commit.frames)
         self.commit.frames += self.recorder.taken
         self.recorder.rewind()
@@ -376,7 +381,7 @@ class _ShardAttempt:
         return since >= self.runner.checkpoint_interval and since >= self.save_time / CHECKPOINT_SHARE
 
     def _save(self, done: int) -> None:
-        """Commits what was done so far, with a checkpoint."""
+        """Commits the steps taken so far, with a checkpoint."""
         begin = time.perf_counter()
         name = f"{self.shard.name}-{done:012d}.npz"
         arrays = checkpoint.state_of(self.runner.simulation)
@@ -417,12 +422,12 @@ class _ShardAttempt:
 
 
 def _values(data: "xr.Dataset") -> dict[str, NDArray[Any]]:
-    """Returns the values of a data set, by variable."""
+    """Returns the values of a data set by variable."""
     return {str(name): variable.values for name, variable in data.data_vars.items()}
 
 
 def make_simulation(model: Environments, settings: Settings, threads: int | None = None) -> Simulation:
-    """Returns what steps an experiment."""
+    """Returns the simulation of an experiment."""
     return Simulation(
         model,
         dt=settings.dt,

@@ -1,18 +1,14 @@
-"""The results of a run as Zarr groups that are filled shard by shard, and what of them counts.
+"""Stores the results of a run as Zarr groups that are filled shard by shard.
 
-    data.zarr/params, outcome, series, events    what readers see
+    data.zarr/params, outcome, series, events    results, as readers see them
     staging/<shard>/…                            chunks that are written and not committed
-    checkpoint/<shard>-<steps>.npz               the state from which an unfinished shard goes on
-    commit/store.json                            what was there before the first shard: the empty arrays
-    commit/<shard>.json                          what is committed of a shard: nothing else counts
+    checkpoint/<shard>-<steps>.npz               state from which an unfinished shard resumes
+    commit/store.json, commit/<shard>.json       names, sizes and SHA-256 of the initial files; of committed chunks
 
-The arrays are made with their final shape before anything runs, and filled with NaN, or -1. A shard writes whole
-chunks, that no other shard writes, into its staging folder. A commit brings these to the disk, then a checkpoint,
-then the record that names them; only then are they moved to where readers look, which needs no space. Whatever
-ends a run at any moment leaves the last commit: ``Ledger.recover`` ends a move that was begun and drops what no
-record names. The bytes of all chunks follow from the experiment alone.
-
-Chunks of series are written, and brought to the disk, while steps go on; a commit waits for them.
+Arrays are created with their final shape, filled with NaN or −1. Each chunk belongs to one shard. A commit syncs the
+staged chunks, the checkpoint and the record that names them, in this order, and then moves the chunks to
+``data.zarr``. After a crash at any time, ``Ledger.recover`` restores the last commit. Files that no record names are
+ignored. Chunks of series are written and synced while steps continue.
 """
 
 import contextlib
@@ -57,25 +53,25 @@ if TYPE_CHECKING:
 STAGING = "staging"
 CHECKPOINTS = "checkpoint"
 
-# A piece may be so many times smaller than that for being a part of a shard.
+# If the largest divisor of the shard size is smaller than the wanted chunk by this factor, the next larger is used.
 MIN_DIVISOR_RATIO = 8
 
-# Arrays are stored in pieces of about this size [bytes].
+# Approximate size of chunks before compression [bytes].
 CHUNK = 16 * 2**20
 # Longest name of a folder on usual file systems [bytes].
 MOST_NAME = 255
-# Chunks that are copied and compressed at once: each takes its size twice.
+# Number of chunks that are compressed concurrently; each takes twice its size.
 WRITERS = 4
 
 
 @dataclass(frozen=True)
 class Shard:
-    """Environments that are run and committed together.
+    """A range of environments that are run and committed together.
 
     Attributes:
-        number: Its number, from 0.
-        first: Its first environment.
-        stop: The first one behind it.
+        number: Number of the shard, from 0.
+        first: First environment.
+        stop: End of the range, exclusive.
     """
 
     number: int
@@ -84,22 +80,22 @@ class Shard:
 
     @property
     def name(self) -> str:
-        """Its name in folders."""
+        """Name of its files and folders."""
         return f"shard_{self.number:06d}"
 
     @property
     def envs(self) -> int:
-        """How many environments it has."""
+        """Number of environments."""
         return self.stop - self.first
 
 
 @dataclass(frozen=True)
 class Shards(Sequence[Shard]):
-    """The shards that make up a number of environments, computed from their numbers; the last may be smaller.
+    """The shards of a run, as a sequence; the last one may be smaller.
 
     Attributes:
         envs: Number of environments.
-        size: Environments of a shard.
+        size: Environments per shard.
     """
 
     envs: int
@@ -122,10 +118,10 @@ class Shards(Sequence[Shard]):
 
 @contextlib.contextmanager
 def _few_threads() -> Iterator[None]:
-    """Lets Zarr make no more threads than write at once, if it makes them now and nobody chose their number.
+    """Limits the threads of Zarr to ``WRITERS`` if it starts them now and the user has not set their number.
 
-    They stay, and so does the memory that each of them freed, with the allocator: with as many as Zarr makes by
-    itself that is more than what is written.
+    The threads persist, and the allocator keeps the memory that each of them freed. With the default number of
+    threads, that is more than the data to be written.
     """
     import zarr
 
@@ -139,9 +135,9 @@ def _few_threads() -> Iterator[None]:
 
 @_few_threads()
 def _created_files(folder: RunPath) -> "CommittedStore":
-    """Returns the store of a run as it was made.
+    """Returns the store of a run without any commits.
 
-    Lets Zarr make its threads, by the thread of the caller: its settings are those of the process.
+    Opens a group, so that Zarr starts its threads in the thread of the caller: its settings apply to the process.
     """
     import zarr
 
@@ -153,7 +149,7 @@ def _created_files(folder: RunPath) -> "CommittedStore":
 
 
 def check_names(data_layouts: Mapping[str, "xr.Dataset"], source: str) -> None:
-    """Raises ``ExperimentError`` of ``source`` if a variable has too long a name for its folder in the store."""
+    """Raises ``ExperimentError`` of ``source`` if the name of a variable is too long for a folder."""
     for group, layout in data_layouts.items():
         for name in layout.data_vars:
             try:
@@ -171,15 +167,15 @@ def create(
     block: int,
     attributes: Mapping[str, Any],
 ) -> None:
-    """Makes a store with empty arrays of their final shape; it is there as a whole or not at all.
+    """Creates a store with empty arrays of their final shape, atomically.
 
     Args:
         folder: Folder of the run.
-        data_layouts: A data set of a shard for each group: variables, axes, labels, attributes.
-        envs: Number of environments of the whole.
+        data_layouts: Data set of a shard for each group: variables, axes, labels, attributes.
+        envs: Number of environments of the run.
         times: Times of all frames [s].
-        block: Frames of a chunk.
-        attributes: What is said of each group.
+        block: Frames per chunk.
+        attributes: Attributes of each group.
     """
     import xarray as xr
     import zarr
@@ -195,10 +191,10 @@ def create(
         if "time" in layout.sizes:
             sizes["time"] = len(times)
             coordinates["time"] = ("time", times, layout["time"].attrs)
-        # Folders have no order of their own.
+        # Folders are unordered: store the order of the variables.
         listed = {ORDER: list(map(str, layout.data_vars)), LABELS: sorted(map(str, coordinates))}
         labels = xr.Dataset(coords=coordinates, attrs={**attributes, **layout.attrs, **listed})
-        # Zarr leaves out a chunk of zeros, such as that of a single environment.
+        # By default, Zarr does not write a chunk of zeros, such as the label of a single environment.
         with zarr.config.set({"array.write_empty_chunks": True}):
             labels.to_zarr(made, group=name, mode="w-", zarr_format=3, consolidated=False)
         group = zarr.open_group(made, mode="r+", path=name)
@@ -239,23 +235,23 @@ def _create_array(
 
 
 def empty_value(dtype: np.dtype[Any]) -> Any:
-    """Returns what stands for a value that is not there."""
+    """Returns the fill value of an array."""
     return {"f": np.nan, "i": -1, "b": False}.get(dtype.kind, 0)
 
 
 def largest_divisor(envs: int, most: int) -> int:
-    """Returns the largest divisor of ``envs`` up to ``most``; where all are far smaller, the next larger one."""
+    """Returns the largest divisor of ``envs`` up to ``most``; if that is far smaller, the next larger divisor."""
     small = [part for part in range(1, math.isqrt(envs) + 1) if envs % part == 0]
     parts = sorted({*small, *(envs // part for part in small)})
     largest = max(part for part in parts if part <= max(1, most))
-    # Of a prime number the others are 1 and the whole.
+    # The divisors of a prime number are 1 and itself.
     return (
         largest if largest >= min(envs, most) / MIN_DIVISOR_RATIO else next(part for part in parts if part > most)
     )
 
 
 class Ledger:
-    """What of the results of a run in a folder counts.
+    """Commits of the shards of a run in a folder.
 
     Args:
         folder: Folder of the run.
@@ -265,24 +261,24 @@ class Ledger:
         self.folder = RunPath(folder)
 
     def commits(self) -> dict[int, Commit]:
-        """Returns the record of each shard that has one.
+        """Returns the last commit of each shard that has one.
 
         Raises:
-            RunDataError: If one of them is damaged.
+            RunDataError: If a record is damaged.
         """
         return commits_in(self.folder / COMMITS)
 
     def staging(self, shard: Shard, threads: int | None = None) -> "Staging":
-        """Returns where ``shard`` writes, with so many threads; ``None``: with all."""
+        """Returns the staging area of ``shard``, written by up to ``threads`` threads; ``None``: one per core."""
         return Staging(self.folder, shard, threads)
 
     def commit(self, shard: Shard, commit: Commit, staged: Files) -> None:
-        """Makes what was staged, and the checkpoint that is written already, count.
+        """Commits the staged files and the checkpoint, which is already written.
 
         Args:
             shard: The shard.
-            commit: Its new record, without the staged files.
-            staged: These, which are on the disk.
+            commit: Its new commit, without the staged files.
+            staged: The staged files, which are synced to the disk.
         """
         commit.files |= dict(sorted(staged.items()))
         write_json(self.folder / COMMITS / f"{shard.name}.json", asdict(commit))
@@ -290,9 +286,9 @@ class Ledger:
         self._drop_checkpoints(shard, commit)
 
     def recover(self, shard: Shard, commit: Commit) -> None:
-        """Ends what a commit began, and drops what was staged since."""
+        """Completes an interrupted commit, and removes files that were staged after it."""
         root = self.folder / STAGING / shard.name
-        # A shard that began anew may have been writing the same chunk again when it was ended.
+        # A shard that was started again may have been rewriting a committed chunk when it was killed.
         self._publish(shard, [name for name, entry in commit.files.items() if is_unchanged(root / name, *entry)])
         root.remove()
         self._drop_checkpoints(shard, commit)
@@ -313,16 +309,16 @@ class Ledger:
                 (checkpoints / name).remove()
 
     def check(self, extent: RunExtent, *, contents: bool = False, checkpoints: bool = True) -> None:
-        """Checks that all files that the committed steps of each shard lead to are recorded, and are there.
+        """Checks that all files of the committed steps of each shard are recorded and exist.
 
         Args:
             extent: Environments, shards and steps of the run.
             contents: Whether to compare the contents of files, not only their sizes, and to refuse unknown entries
                 of records and, in a finished run, unknown files.
-            checkpoints: Whether unfinished shards must be able to continue; otherwise they can start again.
+            checkpoints: Whether to check that unfinished shards can be resumed. If not, they can be started again.
 
         Raises:
-            RunDataError: If a file or its entry is missing, or is not of the run; names it.
+            RunDataError: If a file or its entry is missing, or does not belong to the run; the message names it.
         """
         made = created_files(self.folder / COMMITS)
         expected = ExpectedFiles(self.folder, made, extent)
@@ -332,7 +328,7 @@ class Ledger:
         for number, found in commits.items():
             commit: Commit | None = found
             while commit is not None and (problem := self._problem(commit, expected, contents, checkpoints)):
-                # The run may have gone on since the record was read.
+                # The run may have advanced since the record was read.
                 again = self.commits().get(number)
                 if again == commit:
                     raise RunDataError(problem)
@@ -342,17 +338,17 @@ class Ledger:
             raise RunDataError(problem)
 
     def _unknown_file(self, made: Files, commits: Mapping[int, Commit]) -> str | None:
-        """Returns what is wrong if there is a file that no record names; unnamed chunks are never read."""
+        """Returns the problem if a file is in no record. Chunks that are in no record are ignored by readers."""
         recorded = {*made, *(name for commit in commits.values() for name in commit.files)}
         unmatched = [self.folder / DATA]
         while unmatched:
             folder = unmatched.pop()
             for path in map(folder.__truediv__, folder.names()):
                 name = "/".join(path.parts[1:])
-                # Other folders can be nested to any depth, and are not entered.
+                # Other folders can be nested to any depth, and are not searched.
                 if is_chunk_folder(name) and path.is_real_folder():
                     unmatched.append(path)
-                # Hidden files are those of file managers.
+                # Ignore hidden files, such as those of file managers.
                 elif name not in recorded and not is_chunk(name) and not path.name.startswith("."):
                     return f"{path}: is not of this run; remove it"
         return None
@@ -362,10 +358,10 @@ class Ledger:
             return problem
         path = self.folder / CHECKPOINTS / str(commit.checkpoint)
         if checkpoints and commit.checkpoint is not None and not path.is_file():
-            return f"{path}: is missing, and was committed; --resume lets its shard begin anew"
+            return f"{path}: is missing, and was committed; --resume starts its shard again"
         sha = commit.checkpoint_sha256
         if contents and checkpoints and sha is not None and not is_unchanged(path, None, sha):
-            return f"{path}: was changed since it was committed; --resume lets its shard begin anew"
+            return f"{path}: was changed since it was committed; --resume starts its shard again"
         return self._problem_of(commit.files, f"shard_{commit.shard:06d}", contents)
 
     def _problem_of(self, files: Files, shard: str, contents: bool) -> str | None:
@@ -373,7 +369,7 @@ class Ledger:
         if staged is not None and not staged.is_folder():
             staged = None
         for name, (size, sha) in files.items():
-            # Committed, and not moved yet?
+            # Committed, but not yet moved.
             if staged is not None and is_unchanged(staged / name, size, sha):
                 continue
             path = self.folder / DATA / name
@@ -388,19 +384,18 @@ class Ledger:
 
 
 class Staging:
-    """Where a shard writes chunks, while steps go on, until they are committed.
+    """Staging area of a shard: writes chunks in the background, until they are committed.
 
-    A context, at whose end nobody writes any more.
+    A context manager; at its end all writes are completed.
 
     Args:
         folder: Folder of the run.
         shard: The shard.
-        threads: Threads that write at once, of which there are no more than ``WRITERS``; ``None``: those of the
-            process.
+        threads: Number of writing threads, at most ``WRITERS``; ``None``: one per core.
 
     Attributes:
-        written: The files that are there, with their contents on the disk, since the last ``clear``.
-        empty: Chunks without a file since then, as all their values are empty.
+        written: Files written and synced since the last ``clear``.
+        empty: Chunks without a file since the last ``clear``, because all their values are the fill value.
     """
 
     def __init__(self, folder: RunPath, shard: Shard, threads: int | None = None) -> None:
@@ -422,35 +417,36 @@ class Staging:
         self._writers.shutdown()
         failed = None if self._pending is None else self._pending.exception()
         if error is not None and failed is not None:
-            error.add_note(f"what was to be written meanwhile could not be: {failed}")
+            error.add_note(f"results could not be written: {failed}")
 
     def write(self, group: str, values: Mapping[str, NDArray[Any]], first_frame: int = 0) -> None:
-        """Begins to write values of the shard, once all is written that was begun before.
+        """Starts to write values of the shard, after pending writes are completed.
 
-        Those of further environments are left out. The values are read until ``wait`` returns, or more is written.
+        Values of environments after the end of the shard are ignored. The arrays must not be changed before ``wait``
+        returns or ``write`` is called again.
 
         Args:
-            group: Where they belong.
-            values: By variable (…, env, …), with frames (time, …) of one chunk or less.
-            first_frame: Number of the first frame, a multiple of those of a chunk.
+            group: Group of the store.
+            values: Values by variable (…, env, …); with frames (time, …), at most those of one chunk.
+            first_frame: Number of the first frame, a multiple of the frames per chunk.
 
         Raises:
-            OSError: If what was begun before could not be written.
+            OSError: If a pending write failed.
         """
         self._end()
         self._pending = self._executor.submit(self._write, group, values, first_frame)
 
     def wait(self) -> None:
-        """Waits until all is written, and on the disk.
+        """Waits until all writes are completed and synced to the disk.
 
         Raises:
-            OSError: If it could not be.
+            OSError: If a write failed.
         """
         self._end()
         sync_names({(self._root / name).parent for name in self.written}, self._root.parent)
 
     def _end(self) -> None:
-        """Waits until what was begun is written."""
+        """Waits for the pending write."""
         pending, self._pending = self._pending, None
         if pending is not None:
             pending.result()
@@ -471,12 +467,12 @@ class Staging:
         self.written |= written
 
     def _put(self, item: tuple[str, Chunk]) -> tuple[str, tuple[int, str]]:
-        """Writes a chunk; returns what a record says of its file, by its name."""
+        """Writes a chunk; returns its name, and the size and SHA-256 of its file."""
         name, chunk = item
         return name, chunk.write(self._root / name)
 
     def _chunks(self, path: str) -> ChunkEncoder:
-        """Returns what cuts a variable into chunks."""
+        """Returns the encoder of the chunks of a variable."""
         import zarr
 
         if path not in self._arrays:
@@ -484,9 +480,9 @@ class Staging:
         return self._arrays[path]
 
     def clear(self) -> None:
-        """Forgets what was committed; what steps write next goes into new files."""
+        """Clears the lists of written and empty chunks after a commit."""
         self.written, self.empty = {}, set()
 
     def remove(self) -> None:
-        """Removes the folder."""
+        """Removes the staging folder."""
         self._root.remove()
