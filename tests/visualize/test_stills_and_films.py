@@ -132,8 +132,8 @@ def test_environment_without_records_is_reported(part, monkeypatch):
     monkeypatch.setitem(part._commits, 1, replace(part._commits[1], frames=0))
     expected_error = (
         "environment 1 has no frame yet in this run that can be read: its shard is at step 70 of 200, and "
-        "frames are written in blocks of 1, those after the last block are stored in checkpoints and can be read as the "
-        f"run continues; to resume: warpcontact run --resume --out {part.folder}"
+        "frames are written in blocks of 1, those after the last block are stored in checkpoints and can be read as "
+        f"the run continues; to resume: warpcontact run --resume --out {part.folder}"
     )
     with pytest.raises(ValueError, match=f"^{re.escape(expected_error)}$"):
         wc.render(part, env=1, **SMALL)
