@@ -221,14 +221,15 @@ def test_concurrent_shards_are_limited_by_memory(machines, gpus, places, there, 
     assert len(messages) == message_count
     if message_count:
         assert (
-            f"running {there} at once, and not {places}, for want of memory: a shard of 5 environm" in messages[0]
+            f"running {there} shards concurrently instead of {places}, limited by memory: a shard of 5 environm"
+            in messages[0]
         )
 
 
 def test_shard_too_large_for_every_node_is_refused():
     plan = Plan(100, 5, 1, MemoryEstimate(5, "cpu", (MemoryItem("state", HOST, 6 * 2**30),)), 0, ())
     place = ClusterResources(Cluster((8, 0, 2**30), (1, 0, 2**40)), cores=2, gpus=0, slots=4)
-    message = "takes 7.58 GiB of a machine, and Ray has 1 GiB at most; take a smaller shard"
+    message = "takes 7.58 GiB, and a machine has at most 1 GiB; use a smaller shard"
     with pytest.raises(MemoryError, match=message):
         place.limit_by_memory(plan, print)
 
@@ -277,7 +278,10 @@ def test_cluster_with_memory_for_one_shard_runs_shards_sequentially(place, tmp_p
     out = tmp_path / "out"
     code, _, err = sharded_runs.run(place / "study.toml", "--out", out, "--ray", *WORDS, first=little)
     assert code == 0, err
-    assert "running 1 at once, and not 2, for want of memory: a shard of 4 environments, with Python" in err
+    assert (
+        "running 1 shards concurrently instead of 2, limited by memory: a shard of 4 environments, with Python"
+        in err
+    )
     assert sharded_runs.hashes(out) == sharded_runs.hashes(place / "whole")
     none = little.replace("0.9e9", "0.2e9")
     code, _, err = sharded_runs.run(place / "study.toml", "--out", tmp_path / "none", "--ray", *WORDS, first=none)

@@ -124,7 +124,7 @@ def test_custom_friction_of_coupling_is_used_and_copied(tmp_path):
         ),
         (
             {"range": {"k1": 1e6, "from_impact": IMPACT}},
-            "contact_coupling[0].range.k1 must be left out: from_impact says it",
+            "contact_coupling[0].range.k1 must be left out: from_impact determines it",
         ),
         ({"range": {"k3": 1e6}}, "contact_coupling[0].range.k3 is not known; allowed: k1, k2"),
         ({"range": 3}, "contact_coupling[0].range must be a table, got 3"),

@@ -256,7 +256,7 @@ def test_sobol_points_match_scipy():
     assert all(sorted(column) == list(range(2048)) for column in halves.T)
 
 
-@pytest.mark.parametrize(("envs", "messages"), [(6, ["next to it: 4 and 8"]), (8, [])])
+@pytest.mark.parametrize(("envs", "messages"), [(6, ["nearest: 4 and 8"]), (8, [])])
 def test_sobol_with_number_not_a_power_of_two_warns(envs, messages, tmp_path):
     raw = content(
         envs=envs,

@@ -184,7 +184,7 @@ BAD = [
     (("contact", 0, "material"), "ruber", "contact[0].material must be the name of a material, got 'ruber'; did"),
     ((*GROUND, "body"), "ball", "contact[0]: points and surface are both fixed to body 'ball'; one must move"),
     (("point", 1), {"name": "ball", "position": [0, 0, 0]}, "point[1]: name 'ball' of a point is taken"),
-    (("material", 1), VALID_STUDY["material"][0], "material[1]: name 'rubber' of a material is taken"),
+    (("material", 1), VALID_STUDY["material"][0], "material[1]: name 'rubber' is already used"),
     (
         ("record", "sensors"),
         ["touch.gpa"],

@@ -96,16 +96,16 @@ BAD = [
     ),
     (
         {"points": [{"name": "p", "body": "ball", "samples": 3}]},
-        "points[0].surface is missing: samples are points of a surface",
+        "points[0].surface is missing: samples are taken on a surface",
     ),
     (
         {"points": [{"name": "p", "body": "ball", "surface": "skin", "positions": [[0, 0, 0]]}]},
         "points[0] must be on a body or on a surface, got 'ball' and 'skin'",
     ),
-    ({"points": [{"name": "p", "positions": [[0, 0, 0]], "seed": 3}]}, "points[0].seed is of samples"),
+    ({"points": [{"name": "p", "positions": [[0, 0, 0]], "seed": 3}]}, "points[0].seed requires samples"),
     (
         {"points": [{"name": "p", "surface": "skin", "samples": 3, "areas": [1, 1, 1]}]},
-        "points[0].areas must be left out: samples have theirs",
+        "points[0].areas must be left out: samples have their own",
     ),
     (
         {"points": [{"name": "p", "positions": [[0, 0, 0]], "areas": [-1]}]},

@@ -70,7 +70,7 @@ BAD = [
     (law(name="norm", loc=0), f"{IN_MASS[:-1]}["),
     (
         law(name="poisson", mu=3),
-        f"{IN_MASS}distribution.name must be one that is continuous, got 'poisson'; ball.mass is a real number",
+        f"{IN_MASS}distribution.name must be a continuous one, got 'poisson'; ball.mass is a real number",
     ),
     (varied(MASS, distribution="norm"), f"{IN_MASS}distribution must be a table, got 'norm'; write {{ name = "),
     (
@@ -129,10 +129,10 @@ BAD = [
     (
         sampled("saltelli", PAIR, envs=20),
         "envs must be 4 n, with n = 2, 4, 8, …, for sampling.method = 'saltelli' and 2 numbers that "
-        "are drawn, got 20; next to it: 16 and 32",
+        "are drawn, got 20; nearest: 16 and 32",
     ),
-    (sampled("saltelli", PAIR, envs=1), "got 1; next to it: 8"),
-    (sampled("saltelli", PAIR, envs=33), "got 33; next to it: 32 and 64"),
+    (sampled("saltelli", PAIR, envs=1), "got 1; nearest: 8"),
+    (sampled("saltelli", PAIR, envs=33), "got 33; nearest: 32 and 64"),
     (
         sampled("saltelli", PAIR | {"touch.force_scale": {"linspace": [0, 1]}}, envs=16),
         "variation.\"touch.force_scale\".linspace must be left out with sampling.method = 'saltelli'; "
@@ -241,7 +241,7 @@ def test_integer_parameters_require_discrete_distributions():
     for entry, message in (
         (
             {"distribution": {"name": "norm"}},
-            "distribution.name must be one that is discrete, got 'norm'; ground.mesh is a whole number",
+            "distribution.name must be a discrete one, got 'norm'; ground.mesh is a whole number",
         ),
         ({"distribution": {"name": "poisson", "mu": 5}}, "[0] must be at least 0 and at most 1, got"),
         ({"distribution": {"name": "bernoulli", "p": 0.5, "loc": 0.5}}, "[0] must be a whole number, got"),
@@ -320,7 +320,7 @@ def test_invalid_values_are_reported_with_environment_number_in_any_block():
 
 def test_overrides_inconsistent_with_the_design_are_refused():
     experiment = wc.Experiment.from_dict(content(**sampled("saltelli", PAIR, envs=16)))
-    with pytest.raises(wc.ExperimentError, match=r"envs must be 4 n.* got 10; next to it: 8 and 16"):
+    with pytest.raises(wc.ExperimentError, match=r"envs must be 4 n.* got 10; nearest: 8 and 16"):
         experiment.changed(envs=10)
     assert experiment.changed(envs=32).settings.envs == 32
 

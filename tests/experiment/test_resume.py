@@ -335,7 +335,7 @@ def test_resume_with_another_shard_size_is_refused(place, whole, tmp_path, capsy
     for shard in (2, 5, 100):
         assert main([*words, str(shard)]) == 2
         expected_message = (
-            f"{out}: holds a run in other shards: shard is 4 there, {shard} here; it can be left out"
+            f"{out}: holds a run with another shard size: shard is 4 there, {shard} here; omit it to resume"
         )
         assert expected_message in capsys.readouterr().err
     (out / "commit" / "shard_000002.json").unlink()

@@ -68,7 +68,7 @@ def test_stopped_environments_are_held_or_dropped_in_a_quantile_fan(run, tmp_pat
 
 
 def test_pictures_and_reports_count_stopped_environments(run, titles, tmp_path):
-    held = "4 stopped and 1 frozen (dotted), shown as they were to the end"
+    held = "4 stopped and 1 frozen (dotted), shown in their last state"
     assert titles == [f"fall: 6 environments, 0.5 s, float32; {held}"]
     page = report_runs.ParsedPage(wc.report(run, tmp_path / "report.html").read_text(encoding="utf-8"))
     assert "4 stopped ones are included with their last values." in " ".join(page.text.split())

@@ -1,4 +1,4 @@
-"""From the parts of an experiment to a scene; whatever cannot be added is reported with its key and left out."""
+"""Builds a scene from the valid parts of an experiment; elements that cannot be added are reported by key."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -32,60 +32,60 @@ from warpcontact.meshes import Mesh, MeshError
 from warpcontact.scene.scene import ContactMaterial, Scene
 from warpcontact.scene.surface_contact import sample_points
 
-# Of what kind a reference is, and the sections in which its target may be.
+# Kinds of references, with the sections that can contain the target.
 _BODY = ("body", ("body", "bodies"))
 _POINTS = ("point", ("point", "points"))
 _SURFACE = ("surface", ("surface",))
 _SHAPE = ("shape", ("shape",))
-_TEMPLATE = ("material", ("material",))
+_MATERIAL = ("material", ("material",))
 
 _ON_POINTS: dict[str, tuple[str, tuple[str, ...]]] = {"point_a": _POINTS, "point_b": _POINTS}
-# The keys of each section whose value is a reference, or a list of references.
+# Keys of each section whose value is a reference or a list of references.
 _REFERENCES: dict[str, dict[str, tuple[str, tuple[str, ...]]]] = {
     "surface": {"body": _BODY},
     "point": {"body": _BODY, "surface": _SURFACE},
     "points": {"body": _BODY, "surface": _SURFACE},
-    "contact": {"points": _POINTS, "surface": _SURFACE, "material": _TEMPLATE},
-    "surface_contact": {"surface_a": _SURFACE, "surface_b": _SURFACE, "material": _TEMPLATE},
+    "contact": {"points": _POINTS, "surface": _SURFACE, "material": _MATERIAL},
+    "surface_contact": {"surface_a": _SURFACE, "surface_b": _SURFACE, "material": _MATERIAL},
     "spring_damper": _ON_POINTS,
     "bushing": _ON_POINTS,
     "catenary": _ON_POINTS,
     "contact_coupling": {"surface_a": _SURFACE, "surface_b": _SURFACE},
     "shape": {"body": _BODY},
-    "shape_contact": {"shape": _SHAPE, "other_shape": _SHAPE, "material": _TEMPLATE},
-    "particle_contact": {"shapes": _SHAPE, "exclude": _SHAPE, "material": _TEMPLATE},
+    "shape_contact": {"shape": _SHAPE, "other_shape": _SHAPE, "material": _MATERIAL},
+    "particle_contact": {"shapes": _SHAPE, "exclude": _SHAPE, "material": _MATERIAL},
 }
 
 
 @dataclass
 class FileCache:
-    """What was read of an experiment, and is not read again.
+    """Meshes of an experiment, cached so that each is read once.
 
     Attributes:
-        meshes: By the key of their surface and by what the file says of them: of several alike, one is read.
-        patches: What was made of them for the last trial, until a model is drawn up.
+        meshes: Meshes by the key of their surface and their settings.
+        query_meshes: Query meshes from the last validation, until a model is planned.
     """
 
     meshes: dict[tuple[str, FileMesh | ShapeMesh], Mesh] = field(default_factory=dict)
     query_meshes: QueryMeshCache = field(default_factory=dict)
 
     def take_query_meshes(self) -> QueryMeshCache:
-        """Returns the patches, which are kept no longer."""
+        """Returns the query meshes and clears them."""
         query_meshes, self.query_meshes = self.query_meshes, {}
         return query_meshes
 
 
 class _Unresolved(Exception):
-    """A reference to something that does not exist or has problems of its own; reported already."""
+    """A reference to an entry that does not exist or has problems, which are already reported."""
 
 
 class SceneBuilder:
-    """Makes scenes of an experiment.
+    """Builds scenes of an experiment.
 
     Args:
-        parts: What there is.
+        parts: The valid parts of the experiment.
         folder: Folder to which the names of mesh files are relative.
-        file_cache: What was read before; filled, so that each mesh is read once.
+        file_cache: Meshes that were read before; new ones are added.
     """
 
     def __init__(self, parts: ExperimentParts, folder: Path, file_cache: FileCache) -> None:
@@ -95,7 +95,7 @@ class SceneBuilder:
         self.elements: dict[str, dict[str, Any]] = {}
 
     def scene(self, problems: Problems) -> Scene:
-        """Returns a scene of all parts that can be added; ``problems`` receives why the others cannot."""
+        """Returns a scene of all parts that can be added; ``problems`` receives the others."""
         settings = self.parts.settings
         scene = Scene() if settings is None else Scene(settings.gravity, **settings.quarantine.limits)
         self.elements = {section: {} for section in self.parts.entries}
@@ -105,7 +105,7 @@ class SceneBuilder:
             "surface": lambda path, entry: self._surface(scene, path, entry, problems),
             "point": lambda path, entry: self._points(scene, path, entry, problems),
             "points": lambda path, entry: self._points(scene, path, entry, problems),
-            "material": lambda path, entry: self._template(entry),
+            "material": lambda path, entry: self._material(entry),
             "contact": lambda path, entry: self._contact(scene, path, entry, problems),
             "surface_contact": lambda path, entry: self._surface_contact(scene, path, entry, problems),
             "spring_damper": lambda path, entry: self._coupling(scene.add_spring_damper, path, entry, problems),
@@ -132,7 +132,7 @@ class SceneBuilder:
     def _check_references(
         self, path: str, value: Any, kind: tuple[str, tuple[str, ...]], problems: Problems
     ) -> None:
-        """Reports the references of an entry with other problems; values of another type are reported already."""
+        """Reports unknown references of an invalid entry; values of another type are reported elsewhere."""
         if isinstance(value, list | tuple):
             for i, one in enumerate(value):
                 self._check_references(f"{path}[{i}]", one, kind, problems)
@@ -149,7 +149,7 @@ class SceneBuilder:
         return scene.add_bodies(**rows, motion=motion, name=entry.name, color=entry.color)
 
     def _rows(self, section: str, path: str, entry: Section, problems: Problems) -> dict[str, Any]:
-        """Returns what an entry has for each item of a set, from files where these are named."""
+        """Returns the values of a set by key, read from files if they are file names."""
         found, missing = {}, False
         for key in ROW_KEYS[section]:
             found[key] = getattr(entry, key)
@@ -164,7 +164,7 @@ class SceneBuilder:
         return found
 
     def _surface(self, scene: Scene, path: str, entry: SurfaceSettings, problems: Problems) -> Any:
-        # First, so that the defects of all are found in any case.
+        # Load all meshes first, so that the problems of each are reported.
         meshes = [self._mesh(path, key, mesh, entry.name, problems) for key, mesh in entry.meshes.items()]
         body = self._find(f"{path}.body", entry.body, _BODY, problems)
         if None in meshes:
@@ -173,7 +173,7 @@ class SceneBuilder:
         if not isinstance(entry.mesh, tuple):
             return scene.add_surface(meshes[0], body, **options)
         if entry.active_faces is not None:
-            # TOML has no word for what is left out.
+            # In TOML, ``true`` stands for None: all faces of a mesh.
             options["active_faces"] = [None if chosen is True else chosen for chosen in entry.active_faces]
         return scene.add_surface(meshes, body, **options)
 
@@ -205,9 +205,9 @@ class SceneBuilder:
         samples = sample_points(carrier, entry.samples, entry.seed or 0, f"{entry.name}.samples")
         return scene.add_points(carrier, samples, name=entry.name)
 
-    def _template(self, entry: MaterialSettings) -> ContactMaterial:
+    def _material(self, entry: MaterialSettings) -> ContactMaterial:
         if entry.name in self.elements["material"]:
-            raise ValueError(f"name {entry.name!r} of a material is taken; every material has its own")
+            raise ValueError(f"name {entry.name!r} is already used by another material")
         return ContactMaterial(
             **{key: table.make() for key, table in entry if isinstance(table, DeviceModelSettings)}
         )
@@ -257,13 +257,13 @@ class SceneBuilder:
             except _Unresolved:
                 return None
 
-        # All are looked up before giving up.
+        # Resolve all references before failing, so that each is reported.
         shapes = [find(f"shapes[{i}]", name) for i, name in enumerate(entry.shapes)]
         pairs: list[Any] = [
             [find(f"exclude[{i}][{k}]", name) for k, name in enumerate(pair)]
             for i, pair in enumerate(entry.exclude)
         ]
-        material = find("material", entry.material, _TEMPLATE)
+        material = find("material", entry.material, _MATERIAL)
         if any(found is None for found in (*shapes, *(shape for pair in pairs for shape in pair), material)):
             raise _Unresolved
         options = entry.model_dump(exclude={"shapes", "material", "exclude"})
@@ -277,7 +277,7 @@ class SceneBuilder:
         problems: Problems,
     ) -> list[Any]:
         targets, missing = [], False
-        for key, kind in references.items():  # all are looked up before giving up
+        for key, kind in references.items():  # resolve all references before failing
             try:
                 targets.append(self._find(f"{path}.{key}", getattr(entry, key), kind, problems))
             except _Unresolved:
@@ -298,7 +298,7 @@ class SceneBuilder:
     def _check_reference(
         self, path: str, name: str, kind: tuple[str, tuple[str, ...]], problems: Problems
     ) -> None:
-        """Reports a name that no entry of the file has."""
+        """Reports a name that no entry of the experiment has."""
         word, sections = kind
         available = [given for section in sections for given in sorted(self.parts.names[section])]
         if name not in available and not self.parts.unnamed.intersection(sections):
@@ -306,7 +306,7 @@ class SceneBuilder:
 
 
 def _as_continuation(message: str, name: str) -> str:
-    """Returns a message of the scene about element ``name`` so that it continues the key of the element."""
+    """Returns a message of the scene about element ``name``, as a continuation of the key of the element."""
     if message.startswith(f"{name}."):
         return message[len(name) :]
     return f": {message}" if not message.startswith(f"{name}: ") else message[len(name) :]

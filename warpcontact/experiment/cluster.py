@@ -1,7 +1,7 @@
-"""Shards as tasks of Ray, on this machine or on a cluster that shares the folder of the run.
+"""Runs shards as Ray tasks, on this machine or on a cluster that shares the run folder.
 
-Ray places tasks, no more on a machine than its memory holds, and says which were lost; what counts is in the
-folder. A shard whose worker was killed is run again, from its last commit, and no other.
+Ray starts a task where enough memory is free, and reports tasks that were lost. Results are in the folder, so only the
+shard of a lost task is run again, from its last commit.
 """
 
 import socket
@@ -26,30 +26,30 @@ if TYPE_CHECKING:
     from warpcontact.experiment.plan import Plan
     from warpcontact.experiment.shards import ShardRunner
 
-# Cores that a shard gets on the CPU, at most: more of them are better used by more shards.
+# Largest number of cores per shard on the CPU: further cores are used better by more shards.
 MAX_CORES = 4
-# How long a cluster may take to answer [s].
+# Time limit for a connection to a cluster [s].
 CONNECT_TIMEOUT = 10.0
-# Shards for each place that runs them, so that none waits long for the last.
+# Shards per slot, so that the slots finish at about the same time.
 SHARDS_PER_SLOT = 4
-# Python, the libraries and the kernels of a worker, a process of its own; measured [bytes].
+# Memory of Python, the libraries and the kernels in a worker process [bytes]; measured.
 WORKER_MEMORY = 450 * 2**20
-# Ray puts what tasks return into memory of its own: here next to nothing, and its default is a third of all.
+# Memory that Ray reserves for return values of tasks [bytes]. They are small, and the default is 30 % of the memory.
 OBJECT_STORE_MEMORY = 128 * 2**20
-#: Devices that a run on a cluster can be asked for.
+#: Values of ``device`` that are allowed with Ray.
 DEVICES = ("auto", "cpu", "cuda", "cuda:0")
 
 
 @dataclass(frozen=True)
 class ClusterResources:
-    """What a cluster has.
+    """Resources of a cluster.
 
     Attributes:
-        ray: The module.
-        cores: Cores for each shard.
-        gpus: GPUs for each shard, 0 or 1.
-        slots: How many shards run at once.
-        memory: What each takes of the memory of its machine [bytes], once that is known.
+        ray: The module ``ray``.
+        cores: Cores per shard.
+        gpus: GPUs per shard, 0 or 1.
+        slots: Number of shards that run concurrently.
+        memory: Memory per shard on its machine [bytes]; 0: not yet determined.
     """
 
     ray: Any
@@ -59,14 +59,14 @@ class ClusterResources:
     memory: int = 0
 
     def limit_by_memory(self, plan: "Plan", on_stage: Callable[[str], None]) -> "ClusterResources":
-        """Returns the same with as many places as there is memory for.
+        """Returns a copy with at most as many slots as shards fit into memory.
 
         Args:
-            plan: How the shards run.
-            on_stage: Is told if these are fewer.
+            plan: Plan of the run.
+            on_stage: Called with a message if there are fewer slots.
 
         Raises:
-            MemoryShortage: If no machine has room for one.
+            MemoryShortage: If a shard does not fit on any machine.
         """
         shard_memory = int((plan.footprint.host_bytes + WORKER_MEMORY) / USABLE_FRACTION)
         slots, fitting_slots, largest_memory = 0, 0, 0
@@ -78,28 +78,30 @@ class ClusterResources:
             largest_memory = max(largest_memory, free_memory if machine_slots else 0)
         one = f"a shard of {env_count_text(plan.shard)}, with Python and its libraries, takes {format_bytes(shard_memory)}"
         if not fitting_slots:
-            message = f"--ray: {one} of a machine, and Ray has {format_bytes(largest_memory)} at most; take a smaller shard"
+            message = (
+                f"--ray: {one}, and a machine has at most {format_bytes(largest_memory)}; use a smaller shard"
+            )
             raise MemoryShortage(message, shard_memory, largest_memory)
-        # Cores that are left over on several machines make no place.
+        # Remaining cores of several machines cannot be combined to a slot.
         slots = min(slots, self.slots)
         if fitting_slots < min(slots, plan.shards):
-            on_stage(f"running {fitting_slots} at once, and not {slots}, for want of memory: {one}")
+            on_stage(f"running {fitting_slots} shards concurrently instead of {slots}, limited by memory: {one}")
         return replace(self, slots=min(self.slots, fitting_slots), memory=shard_memory)
 
     def default_shard_size(self, envs: int) -> int:
-        """Returns how many of ``envs`` environments a shard has that nobody asked for otherwise, at most."""
+        """Returns the default maximum number of environments per shard, of ``envs``."""
         return -(-envs // (SHARDS_PER_SLOT * self.slots))
 
     def shard_runner(self, job: "RunJob") -> "ShardRunFunction":
-        """Returns what runs shards of ``job`` as tasks."""
-        # A worker sees the GPUs that it was given, and no other.
+        """Returns a function that runs shards of ``job`` as tasks."""
+        # Ray makes only the assigned GPU visible to a worker.
         device = "cuda:0" if self.gpus else "cpu"
         options = {"num_cpus": self.cores, "num_gpus": self.gpus, "memory": self.memory, "max_retries": 0}
         task = self.ray.remote(**options)(run_shard)
 
         def run(remaining: Iterable[Shard], commits: Mapping[int, Commit], bar: ProgressBar) -> dict[str, str]:
             folder = str(job.folder.resolve())
-            # A worker trusts the files that this process has run, and no others.
+            # A worker trusts only the law files that this process has executed.
             arguments = (folder, device, self.cores, job.checkpoint_interval, job.laws)
             return _TaskScheduler(self.ray, task, arguments, list(remaining), bar, Path(folder)).run()
 
@@ -107,45 +109,42 @@ class ClusterResources:
 
 
 def one_device(device: str | Sequence[str], source: str) -> str:
-    """Returns the device on which one shard would run here.
+    """Returns the device on which each shard runs.
 
     Raises:
-        ExperimentError: If shards cannot be given such a device.
+        ExperimentError: If the device is not allowed with Ray.
     """
     if not isinstance(device, str) or device not in DEVICES:
         given = device if isinstance(device, str) else list(device)
         allowed = ", ".join(map(repr, DEVICES))
-        problem = (
-            f"device must be one of {allowed} with Ray, which gives each shard a GPU of its own, got {given!r}"
-        )
+        problem = f"device must be one of {allowed} with Ray, which assigns one GPU to each shard, got {given!r}"
         raise ExperimentError(source, [problem])
     return "cuda:0" if device == "cuda" else device
 
 
 def connect(address: bool | str, device: str, source: str) -> ClusterResources:
-    """Starts Ray on this machine, or joins the cluster with an address.
+    """Starts Ray on this machine, or connects to a cluster.
 
     Args:
-        address: That of the cluster; ``True``: this machine.
-        device: What ``one_device`` returned: ``"auto"`` takes GPUs where the cluster has any.
-        source: What to call the experiment in messages.
+        address: Address of the cluster; ``True``: this machine.
+        device: Result of ``one_device``; ``"auto"``: GPUs if the cluster has any.
+        source: Name of the experiment in messages.
 
     Raises:
-        ExperimentError: If Ray is not installed, there is no such cluster, or it lacks the GPUs that were asked
-            for.
+        ExperimentError: If Ray is not installed, the cluster cannot be reached, or it has no GPU and one is requested.
     """
     try:
         import ray
     except ImportError:
         raise ExperimentError(
-            "--ray", ["Ray is not installed: pip install 'warpcontact[ray]'; a run on one machine needs none"]
+            "--ray", ["Ray is not installed: pip install 'warpcontact[ray]'; runs on one machine do not need it"]
         ) from None
     if not ray.is_initialized():
         options: dict[str, Any] = {"include_dashboard": False, "log_to_driver": False, "logging_level": "error"}
         if isinstance(address, str):
             options["address"] = address
         else:
-            # Nobody else is to reach what was started for this run alone.
+            # Bind to the loopback interface: only this process uses the local cluster.
             options |= {
                 "address": "local",
                 "_node_ip_address": "127.0.0.1",
@@ -155,7 +154,7 @@ def connect(address: bool | str, device: str, source: str) -> ClusterResources:
             if isinstance(address, str):
                 _check_reachable(address)
             ray.init(**options)
-        except SystemExit:  # as Ray answers a request to end while it starts
+        except SystemExit:  # Ray exits if SIGINT arrives while it starts
             raise KeyboardInterrupt from None
         except (OSError, ValueError, RuntimeError) as error:
             raise ExperimentError(f"--ray {address}", [f"no cluster of Ray can be reached: {error}"]) from None
@@ -163,7 +162,7 @@ def connect(address: bool | str, device: str, source: str) -> ClusterResources:
 
 
 def cluster_resources(ray: Any, device: str, source: str) -> ClusterResources:
-    """Returns how many shards run at once on the cluster that ``ray`` has joined, see ``connect``."""
+    """Returns the slots of the cluster that ``ray`` is connected to, see ``connect``."""
     total = ray.cluster_resources()
     gpus, cores = int(total.get("GPU", 0)), max(1, int(total.get("CPU", 1)))
     if device == "cuda:0" and not gpus:
@@ -176,14 +175,14 @@ def cluster_resources(ray: Any, device: str, source: str) -> ClusterResources:
 
 
 def _check_reachable(address: str) -> None:
-    """Raises ``OSError`` if nobody answers at an address: Ray itself would try for many minutes."""
+    """Raises ``OSError`` if an address does not accept connections; Ray itself would retry for minutes."""
     host, _, port = address.removeprefix("ray://").rpartition(":")
     if host and port.isdigit():
         socket.create_connection((host.strip("[]"), int(port)), timeout=CONNECT_TIMEOUT).close()
 
 
 class _TaskScheduler:
-    """Submits a task for each shard, waits for them, and submits again those that were lost or failed."""
+    """Submits a task for each shard, waits for them, and resubmits those that were lost or failed."""
 
     def __init__(
         self,
@@ -219,7 +218,7 @@ class _TaskScheduler:
                     if message is None:
                         continue
                     if self.tries[shard.number] < ATTEMPTS:
-                        text = f"{shard.name} is tried again: {message}"
+                        text = f"{shard.name} is retried: {message}"
                         warnings.warn(RunWarning(text, WarningLevel.NOTE), stacklevel=2)
                         self._submit(shard)
                     else:
@@ -234,12 +233,12 @@ class _TaskScheduler:
         self.running[self.task.remote(shard.number, *self.arguments)] = shard
 
     def _message(self, reference: Any, shard: Shard) -> str | None:
-        """Returns why the task of a shard failed; ``None``: it did not, and what it has to say is said.
+        """Returns the error message of the task of a shard; ``None``: it succeeded, and its warnings are given.
 
         Raises:
-            OSError: If results cannot be written: a full disk is full for all.
+            OSError: If results cannot be written: a full disk fails for all shards.
             RunDataError: If what was committed was changed.
-            QuarantineError: If an environment failed, and the policy is to raise.
+            QuarantineError: If an environment failed with the policy ``"raise"``.
         """
         try:
             frozen, labels = self.ray.get(reference)
@@ -263,7 +262,7 @@ class _TaskScheduler:
                 self.bar.update(shards[number], int(content["steps"]))
 
     def _stop(self) -> None:
-        """Lets all tasks commit what they have done, and end."""
+        """Cancels all tasks and waits up to 60 s until they have committed their progress."""
         for reference in self.running:
             self.ray.cancel(reference, force=False)
         deadline = time.monotonic() + 60.0
@@ -273,17 +272,17 @@ class _TaskScheduler:
                 del self.running[reference]
 
 
-#: What runs the shards of a folder in this process, which may be given several.
+#: The shard runner of this worker process, reused for several shards of a run.
 _RUNNERS: dict[tuple[str, str, str, int, float], "ShardRunner"] = {}
 
 
 def run_shard(
     number: int, folder: str, device: str, threads: int, checkpoint_interval: float, laws: tuple[str, ...]
 ) -> tuple[int, list[str]]:
-    """Runs a shard of the run in a folder, in a worker.
+    """Runs a shard of the run in a folder; the function of a Ray task.
 
     Returns:
-        Number of its frozen environments, and its warnings behind their levels.
+        Number of frozen environments, and warnings with their levels as prefix.
     """
     import warp as wp
 

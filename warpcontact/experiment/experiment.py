@@ -1,4 +1,4 @@
-"""Experiments: a scene, what varies between its environments, how long, and what is recorded."""
+"""The class ``Experiment``: a validated experiment file, which can be planned, built and run."""
 
 import contextlib
 import dataclasses
@@ -43,28 +43,28 @@ if TYPE_CHECKING:
     from warpcontact.experiment.time_estimate import TimeEstimate
     from warpcontact.experiment.warning_log import WarningLog
 
-#: Time between checkpoints [s].
+#: Default time between checkpoints [s].
 CHECKPOINT = 60.0
 
 
 @explain_keywords_of
 class Experiment:
-    """An experiment, checked as a whole: what is wrong with it is found before anything runs.
+    """A scene, the design of its parameters, a duration and the recorded sensors, fully validated.
 
     Args:
-        content: What an experiment file holds, as nested dictionaries and lists.
-        folder: Folder to which the names of mesh files and of files with laws are relative.
-        source: What to call it in messages.
-        on_stage: Called with a few words when a stage that may take long begins, and before a file with laws of
-            the user is loaded, which runs it.
-        trust: Whether files with laws are run that came with the folder of a run and were not written there by a
-            run of this user; or the SHA-256 of those that are.
+        content: Content of an experiment file, as nested dictionaries and lists.
+        folder: Folder to which the names of mesh files and law files are relative.
+        source: Name of the experiment in messages.
+        on_stage: Called with a short description before a stage that may take long, and before a law file of the
+            user is executed.
+        trust: Whether to execute law files of a run folder that no run of this user wrote there; or the SHA-256 of
+            those that may be executed.
 
     Attributes:
-        settings: All settings, with everything that was left to defaults filled in.
+        settings: All settings, with defaults filled in.
 
     Raises:
-        ExperimentError: If anything is wrong with it; lists all problems with their keys.
+        ExperimentError: If the experiment is invalid; the message lists all problems with their keys.
     """
 
     def __init__(
@@ -95,20 +95,19 @@ class Experiment:
         on_stage: Callable[[str], None] | None = None,
         trust: Trust = False,
     ) -> "Experiment":
-        """Reads an experiment file; the names of other files in it are relative to its folder.
+        """Reads an experiment file; names of other files in it are relative to its folder.
 
         Args:
             path: The file.
-            changes: What is to be as if it stood there, such as ``'body[0].mass=2.0'``,
+            changes: Overrides of entries of the file, such as ``'body[0].mass=2.0'``,
                 ``'material.rubber.law.stiffness=1e6'`` or ``'variation."ball.mass"={ uniform = [1, 2] }'``.
-            on_stage: Called with a few words when a stage that may take long begins, and before a file with laws
-                of the user is loaded, which runs it.
+            on_stage: As for the class.
             trust: As for the class.
 
         Raises:
-            ExperimentError: If it cannot be read, with line and column if it is no TOML; if a change leads
-                nowhere; or if anything is wrong with the experiment, with the keys of all problems.
-            TypeError: If ``changes`` is one text.
+            ExperimentError: If the file cannot be read or is not valid TOML (with line and column), a change names no
+                entry, or the experiment is invalid; the message lists all problems with their keys.
+            TypeError: If ``changes`` is a string.
         """
         if isinstance(changes, str):
             raise TypeError(f"changes must be a list of texts PATH=VALUE, got the string {changes!r}")
@@ -124,10 +123,10 @@ class Experiment:
         on_stage: Callable[[str], None] | None = None,
         trust: Trust = False,
     ) -> "Experiment":
-        """Makes an experiment of a dictionary of the form of an experiment file; arguments are those of the class.
+        """Returns an experiment from a dictionary with the form of an experiment file; arguments as for the class.
 
         Raises:
-            ExperimentError: If anything is wrong with it; lists all problems with their keys.
+            ExperimentError: If the experiment is invalid; the message lists all problems with their keys.
         """
         return cls(content, folder, on_stage=on_stage, trust=trust)
 
@@ -141,16 +140,16 @@ class Experiment:
         return scene
 
     def model(self, envs: int | None = None, device: str | Sequence[str] = "auto") -> Model | SplitModel:
-        """Builds the environments, each with its own values of what varies.
+        """Builds the environments, each with its own values of the varied parameters.
 
         Args:
             envs: Number of environments; ``None``: that of the experiment.
-            device: ``"cpu"``, ``"cuda:0"``, …; ``"auto"``: one GPU if there is any; ``"cuda"``: all GPUs, or a
-                list of devices, over which the environments are split.
+            device: ``"cpu"``, ``"cuda:0"``, …; ``"auto"``: one GPU if available; ``"cuda"``: all GPUs; or a list of
+                devices over which the environments are split.
 
         Raises:
-            ExperimentError: If there is no such device, or a value is out of range.
-            MemoryError: If they take more memory than there is; ``run`` takes one shard after another then.
+            ExperimentError: If the device does not exist, or a value is out of range.
+            MemoryError: If the environments do not fit into memory; ``run`` uses shards in that case.
         """
         with self._user_files.named_errors():
             return self.changed(envs=envs)._build(device)
@@ -159,14 +158,14 @@ class Experiment:
         """Returns the experiment with another number of environments or duration [s].
 
         Raises:
-            ExperimentError: If it then has problems.
+            ExperimentError: If the changed experiment is invalid.
         """
         changes = {key: v for key, v in (("envs", envs), ("duration", duration)) if v is not None}
         if not changes:
             return self
         content = self._given.model_dump(exclude_none=True) | changes
         if duration is not None and self._given.record.every == default_interval(self._given):
-            content["record"].pop("every")  # a copy of an experiment has it written out
+            content["record"].pop("every")  # the saved copy of an experiment states the default interval
         if isinstance(envs, int):
             shorter = truncated(self._given.variation, envs)
             content["variation"] = {name: entry.model_dump(exclude_none=True) for name, entry in shorter.items()}
@@ -195,40 +194,39 @@ class Experiment:
     ) -> "Run":
         """Runs the experiment and writes the results into a folder.
 
-        The folder receives the results, ``data.zarr``, a picture and an animation, the complete
-        ``experiment.toml`` that repeats the run, copies of the user's files with laws, and ``run.json`` with
-        versions and times. Whatever ends a run, what was committed is kept, and ``resume`` goes on from there to
-        the same results, to the byte.
+        The folder receives the results (``data.zarr``), a picture, an animation, the complete ``experiment.toml``
+        that repeats the run, copies of law files, and ``run.json`` with versions and times. If a run is interrupted
+        for any reason, committed results are preserved, and ``resume`` continues to bitwise identical results.
 
         Args:
-            out: The folder; made if there is none.
+            out: The folder; created if it does not exist.
             envs: Number of environments; ``None``: that of the experiment.
-            device: ``"cpu"``, ``"cuda:0"``, …; ``"auto"``: one GPU if there is any; ``"cuda"``: all GPUs, or a
-                list of devices, over which the environments are split.
+            device: ``"cpu"``, ``"cuda:0"``, …; ``"auto"``: one GPU if available; ``"cuda"``: all GPUs; or a list of
+                devices over which the environments are split.
             duration: Simulated time [s]; ``None``: that of the experiment.
-            overwrite: Whether the files of an earlier run in the folder may be replaced.
-            resume: Whether to go on with the run in the folder, which must be of the same experiment.
-            ray: Whether to run shards as tasks of Ray, on this machine or on the cluster with this address.
+            overwrite: Whether to replace the files of an earlier run in the folder.
+            resume: Whether to resume the run in the folder, which must be of the same experiment.
+            ray: Whether to run shards as Ray tasks, on this machine or on the cluster with this address.
             progress: Whether to show a progress bar; ``None``: on runs of over a second, in a terminal.
-            shard: How many environments to run and commit together at most; ``None``: as many as fit into memory,
-                with ``resume`` as many as before, which is all that it may be then. Results are the same for any.
-            threads: Threads that step environments on the CPU; ``None``: one per core.
-            checkpoint: Time between checkpoints of a shard [s]; 0: as often as there is something to commit.
-            on_stage: Called with a few words when a stage that may take long begins.
-            on_warning: Called with each warning of a mesh file or of the simulation behind its level,
-                ``caution: …``, instead of Python's ``warnings``; ``run.json`` has them in any case.
+            shard: Maximum number of environments per shard, which are run and committed together; ``None``: as many as
+                fit into memory; with ``resume``, it must be the earlier number or ``None``. Does not change results.
+            threads: Number of CPU threads that step environments; ``None``: one per core.
+            checkpoint: Time between checkpoints of a shard [s]; 0: as often as possible.
+            on_stage: Called with a short description before a stage that may take long.
+            on_warning: Called with each warning of a mesh file or of the simulation, prefixed with its level
+                (``caution: …``), instead of Python's ``warnings``. ``run.json`` lists the warnings in both cases.
 
         Returns:
-            The run. Shards may have failed in it, see ``run.summary["failed"]``.
+            The run. Some of its shards may have failed, see ``run.summary["failed"]``.
 
         Raises:
-            ExperimentError: If the folder holds a finished run or something else, or with ``resume`` no run of
-                this experiment, or one in other shards; if there is no such device, or a value is out of range.
-            MemoryError: If not even one environment fits, or ``shard`` of them do not.
-            KeyboardInterrupt: If somebody pressed Ctrl-C, or sent SIGTERM; what was done until then is committed.
-            OSError: If the results cannot be written; what was committed is kept.
+            ExperimentError: If the folder holds a finished run or other files; with ``resume``, if it holds no run of
+                this experiment or has another shard size; if the device does not exist, or a value is out of range.
+            MemoryError: If ``shard`` environments, or a single one, do not fit into memory.
+            KeyboardInterrupt: If Ctrl-C was pressed or SIGTERM received; the steps taken so far are committed.
+            OSError: If the results cannot be written; committed results are preserved.
         """
-        # To check an experiment takes none of this.
+        # Imported here, because validation does not need these modules.
         from warpcontact.experiment import cluster
         from warpcontact.experiment import folder as files_of
         from warpcontact.experiment.execute import (
@@ -246,7 +244,7 @@ class Experiment:
         _check_shard(shard, self.source)
         _check_threads_and_checkpoint(threads, checkpoint, self.source)
         folder = Path(out)
-        # Before all that may take long.
+        # Before stages that may take long.
         files_of.check_usable(folder, overwrite=overwrite, resume=resume)
         experiment = self.changed(envs=envs, duration=duration)
         copy = files_of.copy_experiment(experiment.settings, experiment.folder, folder, experiment._user_files)
@@ -271,11 +269,11 @@ class Experiment:
             experiment._report_meshes(warning_log)
             experiment._warn_about_sampling(warning_log)
             draft = experiment.draft(device)
-            # Of a run that was ended after its last shard, what shows the results is missing, and takes little.
+            # If all shards are finished, only the picture and the animation are missing.
             done = summary is not None and all_finished(folder, summary)
             resources = cluster.connect(ray, str(device), experiment.source) if ray and not done else None
             if resources is not None:
-                exit_stack.enter_context(terminate_as_interrupt())  # Ray took the signal for itself
+                exit_stack.enter_context(terminate_as_interrupt())  # Ray has replaced the signal handler
             if summary is not None:
                 shard = None if done else summary["shard"]
             elif resources is not None and shard is None:
@@ -311,7 +309,7 @@ class Experiment:
             if summary is None:
                 start(runner, job, exit_stack)
             if resources is not None:
-                del runner, draft  # whoever runs shards needs the room
+                del runner, draft  # frees memory for the workers
                 return run_remaining(job, resources.shard_runner(job))
             return run_remaining(job, run_in_process(runner, job))
 
@@ -326,7 +324,7 @@ class Experiment:
             below = 1 << envs.bit_length() - 1
             text = (
                 f"sampling.method = 'sobol' with {envs} environments: Sobol' points fill their space evenly if "
-                f"there is a power of two of them; next to it: {below} and {2 * below}"
+                f"there is a power of two of them; nearest: {below} and {2 * below}"
             )
             warning_log.add(RunWarning(text))
 
@@ -339,10 +337,10 @@ class Experiment:
         shard: int | None = None,
         out: str | PathLike[str] | None = None,
     ) -> Plan:
-        """Returns what a run would take of memory and disk, and the shards it would run in; runs nothing.
+        """Returns the memory, disk space and shards of a run, without running it.
 
-        Arguments and errors are those of ``run``; where not even one environment fits, ``shard`` is 0. With
-        ``out``, which need not be there, the plan also has what is free on the disk of that folder.
+        Arguments and errors are those of ``run``, except that ``shard`` of the plan is 0 if not even one environment
+        fits. With ``out``, which need not exist, the plan includes the free space on the disk of that folder.
         """
         _check_shard(shard, self.source)
         with self._user_files.named_errors():
@@ -355,14 +353,14 @@ class Experiment:
         return dataclasses.replace(plan, disk=find_disk(Path(out)))
 
     def probe(self, *, device: str | Sequence[str] = "auto", shard: int | None = None) -> "TimeEstimate":
-        """Steps some environments, ``shard`` at most, for a few seconds; returns how long a run would take."""
+        """Steps at most ``shard`` environments for a few seconds; returns an estimate of the duration of a run."""
         from warpcontact.experiment.time_estimate import estimate_time
 
         with self._user_files.named_errors():
             return estimate_time(self.draft(device), self.settings, self.design, shard or self.settings.envs)
 
     def draft(self, device: str | Sequence[str] = "auto") -> ModelPlan:
-        """Prepares any number of environments on ``device``, with values that do not vary."""
+        """Returns the plan of a model on ``device`` for any number of environments, with the values of the scene."""
         try:
             return plan_model(self.scene(), device, self.settings.precision, self._file_cache.take_query_meshes())
         except ValueError as error:
@@ -376,13 +374,13 @@ class Experiment:
         return model
 
     def _check(self, content: Mapping[str, Any]) -> None:
-        """Takes over ``content``, or raises ``ExperimentError`` with everything that is wrong with it."""
+        """Sets the validated settings of ``content``, or raises ``ExperimentError`` with all problems."""
         problems = Problems()
         parts = read_settings(content, self._user_files, problems)
         if not content.get("body") and not content.get("bodies"):
             problems.add("body", "is missing: an experiment needs a [[body]]")
             parts.unnamed.add("body")
-        # The first trial makes kernels, which stay.
+        # The garbage collector is paused: ``check_build`` creates kernels, which are permanent.
         with gc_pause.gc_paused():
             model = check_build(parts, self.folder, self._file_cache, problems)
         if model is not None:
@@ -390,11 +388,11 @@ class Experiment:
         problems.raise_if_any(self.source)
 
     def _check_with(self, model: Environments, parts: ExperimentParts, problems: Problems) -> None:
-        """Checks what needs to know parameters and sensors, and fills in what follows from them."""
+        """Checks settings that refer to parameters and sensors of the model, and fills in defaults that depend on it."""
         present = set(model.scene.element_names())
 
         def is_invalid(name: str) -> bool:
-            """Whether ``name`` is, or may be, of an element that has problems of its own."""
+            """Whether ``name`` is, or may be, of an element with reported problems."""
             element = name.partition(".")[0]
             return element not in present and parts.may_refer_to(element)
 
@@ -424,7 +422,7 @@ class Experiment:
     def _check_integrator(
         model: Environments, settings: Settings, problems: Problems, is_invalid: Callable[[str], bool]
     ) -> bool:
-        """Checks the integrator, and lets what can be read be that of its contacts."""
+        """Checks the integrator, the sensors of its contacts, and the monitors; returns whether all are valid."""
         before = len(problems.lines)
         if any(line.startswith("integrator") for line in problems.lines):
             return False
@@ -444,7 +442,7 @@ class Experiment:
         if not problems:
             try:
                 Simulation(model, settings.dt, integrator, **monitor_arguments(settings))
-            except TypeError as error:  # a user's own outcome
+            except TypeError as error:  # from a user-defined outcome
                 problems.add("outcome", f": {error}")
         return len(problems.lines) == before
 
@@ -465,7 +463,7 @@ class Experiment:
 
 
 def read_content(path: Path, changes: Iterable[str]) -> dict[str, Any]:
-    """Returns what an experiment file holds, with a name in any case, and with ``changes``; nothing is checked."""
+    """Returns the content of an experiment file with a default name and with ``changes``, without validation."""
     return apply_overrides({"name": path.stem} | load_toml(path), changes)
 
 
@@ -477,17 +475,17 @@ def _check_shard(shard: object, source: str) -> None:
 
 
 def _check_same_shard(shard: int | None, summary: Mapping[str, Any], folder: Path) -> None:
-    """Raises ``ExperimentError`` unless ``shard`` is that of the run of ``summary``, or ``None``."""
+    """Raises ``ExperimentError`` unless ``shard`` is that of the run with ``summary``, or ``None``."""
     stored = summary["shard"]
     if shard is not None and min(shard, summary["envs"]) != stored:
         raise ExperimentError(
             str(folder),
-            [f"holds a run in other shards: shard is {stored} there, {shard} here; it can be left out"],
+            [f"holds a run with another shard size: shard is {stored} there, {shard} here; omit it to resume"],
         )
 
 
 def _check_threads_and_checkpoint(threads: object, checkpoint: object, source: str) -> None:
-    """Raises ``ExperimentError`` unless these are a number of threads, and a time between checkpoints."""
+    """Raises ``ExperimentError`` unless ``threads`` is a positive integer or ``None``, and ``checkpoint`` a time."""
     is_integer = isinstance(threads, int) and not isinstance(threads, bool)
     if threads is not None and not (is_integer and threads >= 1):  # type: ignore[operator]
         raise ExperimentError(source, [f"threads must be a whole number of at least 1, got {threads!r}"])

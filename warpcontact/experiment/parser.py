@@ -1,4 +1,4 @@
-"""From a TOML file, or a dictionary of its form, to checked settings; every problem is found, not the first."""
+"""Parses TOML files, or dictionaries of the same form, into validated settings. All problems are collected."""
 
 import re
 import tomllib
@@ -18,7 +18,7 @@ from warpcontact.files.run_folder import read_file
 from warpcontact.kernels.catalogue.names import suggestion
 from warpcontact.kernels.catalogue.renamed import present_name
 
-# What a value must be, by the type of pydantic's error.
+# Required kind of value, by the error type of pydantic.
 _KINDS = {
     "bool_type": "true or false",
     "dict_type": "a table",
@@ -32,24 +32,24 @@ _KINDS = {
     "tuple_type": "a list",
 }
 
-#: Sections of one, and of several at once.
+#: Singular and plural names of sections.
 _PLURALS = {"point": "points", "body": "bodies"}
 _VALUES = "; write { values = [...] }"
 
 
 @dataclass
 class ExperimentParts:
-    """What can be read of an experiment, however much of the rest is wrong.
+    """The valid parts of an experiment, which may have problems elsewhere.
 
     Attributes:
-        entries: The sound entries of each section, by their number.
-        damaged: The other entries of each section that are tables, as they stand in the file.
-        names: Names of all entries of each section, sound or not: to refer to them is no mistake.
-        unnamed: Sections with an entry of unknown name, which any reference may mean.
-        variation: The sound variations.
-        settings: All settings. Of a damaged experiment those that are in no section, with defaults in place of
-            wrong ones; ``None`` if there is no sound time step or duration.
-        envs: Number of environments, ``None`` if that is wrong.
+        entries: Valid entries of each section, by number.
+        damaged: Invalid entries of each section that are tables, as in the file.
+        names: Names of all entries of each section, valid or not; references to them are not reported.
+        unnamed: Sections with an entry without a name; any reference may refer to it.
+        variation: The valid variations.
+        settings: All settings. With problems, only those that are in no section, with defaults instead of invalid
+            ones; ``None`` if the time step or the duration is invalid.
+        envs: Number of environments; ``None`` if it is invalid.
     """
 
     entries: dict[str, dict[int, Any]] = field(default_factory=lambda: {section: {} for section in SECTIONS})
@@ -64,7 +64,7 @@ class ExperimentParts:
 
     @classmethod
     def from_settings(cls, settings: Settings) -> "ExperimentParts":
-        """All parts of a whole experiment."""
+        """Returns all parts of a valid experiment."""
         parts = cls(variation=dict(settings.variation), settings=settings, envs=settings.envs)
         for section in SECTIONS:
             parts.entries[section] = dict(enumerate(getattr(settings, section)))
@@ -73,7 +73,7 @@ class ExperimentParts:
 
     @classmethod
     def from_invalid(cls, raw: Mapping[str, Any], wrong: Set[Any], user_files: UserFiles) -> "ExperimentParts":
-        """The sound parts of ``raw``; ``wrong`` are the keys of its first level with a problem."""
+        """Returns the valid parts of ``raw``; ``wrong`` are the keys of its first level with a problem."""
         parts = cls()
         for section, model in SECTIONS.items():
             entries = raw.get(section, ())
@@ -97,7 +97,7 @@ class ExperimentParts:
                 parts.variation[name] = entry_settings
         left_out = {*SECTIONS, "variation", *wrong}
         if "variation" in wrong:
-            # How many numbers are drawn, and which can be drawn together, is not known.
+            # The number of samples and the parameters that can be correlated are unknown.
             left_out |= {"sampling", "correlation"}
         rest = {key: value for key, value in raw.items() if key not in left_out}
         parts.settings = _validated(Settings, rest, user_files)
@@ -106,15 +106,15 @@ class ExperimentParts:
         return parts
 
     def may_refer_to(self, name: str) -> bool:
-        """Whether ``name`` is, or may be, that of an entry of any section."""
-        # A contact of two surfaces, or a coupling, gives several elements names that begin with its own.
+        """Whether ``name`` is, or may be, the name of an entry of any section."""
+        # A surface contact or contact coupling creates elements whose names begin with its own.
         prefixes = self.names["surface_contact"] | self.names["contact_coupling"]
         if any(name.startswith(f"{whole}_") for whole in prefixes):
             return True
         return bool(self.unnamed) or any(name in names for names in self.names.values())
 
     def __iter__(self) -> Iterator[tuple[str, str, Any]]:
-        """Iterates over section, key and entry, in the order in which a scene is made of them."""
+        """Iterates over section, key and entry, in the order in which elements are added to the scene."""
         for section in SECTIONS:
             for i, entry in self.entries[section].items():
                 yield section, f"{section}[{i}]", entry
@@ -131,7 +131,7 @@ def load_toml(path: Path) -> dict[str, Any]:
     """Reads a TOML file.
 
     Raises:
-        ExperimentError: If it cannot be read or is no TOML, with line and column.
+        ExperimentError: If it cannot be read, or is not valid TOML; the message has line and column.
     """
     try:
         return tomllib.loads(read_file(path).decode("utf-8-sig"))
@@ -151,15 +151,15 @@ def load_toml(path: Path) -> dict[str, Any]:
 
 
 def read_settings(raw: Mapping[str, Any], user_files: UserFiles, problems: Problems) -> ExperimentParts:
-    """Checks the form and the ranges of everything in ``raw``, and returns what is sound.
+    """Validates form and ranges of all entries of ``raw``; returns the valid ones.
 
     Args:
         raw: The content of an experiment file.
-        user_files: The user's files that it may name.
-        problems: Receives what is not.
+        user_files: Files with user-defined laws.
+        problems: Receives the problems.
 
     Raises:
-        TrustError: If it names files of the folder of a run that are not trusted.
+        TrustError: If it names law files of a run folder that are not trusted.
     """
     user_files.check_trusted(raw)
     for section in SECTIONS:
@@ -180,14 +180,14 @@ def read_settings(raw: Mapping[str, Any], user_files: UserFiles, problems: Probl
         errors = failure.errors(include_url=False)
     places = {error["loc"] for error in errors}
     for error in errors:
-        # A list of positions is missing nothing but the right section.
+        # If a point has "positions", its missing "position" is not reported: the section is wrong.
         if error["type"] != "missing" or (*error["loc"][:-1], "positions") not in places:
             _explain(error, raw, user_files, problems)
     return ExperimentParts.from_invalid(raw, {error["loc"][0] for error in errors}, user_files)
 
 
 def _explain(error: Any, raw: Mapping[str, Any], user_files: UserFiles, problems: Problems) -> None:
-    """Adds the sentence for an error of pydantic."""
+    """Adds the message for an error of pydantic."""
     kind, location, value = error["type"], error["loc"], error["input"]
     path = key_path(location)
     if kind == "missing":
@@ -220,7 +220,7 @@ def _explain(error: Any, raw: Mapping[str, Any], user_files: UserFiles, problems
 
 
 def _several(section: str) -> str:
-    """Returns where a list of positions belongs in place of ``section``."""
+    """Returns advice to use the plural of ``section`` for a list of positions."""
     return f"; a list of positions belongs into [[{_PLURALS[section]}]], as positions"
 
 
@@ -229,12 +229,12 @@ def _is_list_of_lists(value: Any) -> bool:
 
 
 def _is_nested_name(location: Sequence[str | int], value: Any) -> bool:
-    """Whether TOML took the name of a parameter for tables within tables."""
+    """Whether TOML parsed a dotted parameter name as nested tables."""
     return location[0] == "variation" and "." not in str(location[1]) and isinstance(value, dict)
 
 
 def _nested_name(location: Sequence[str | int], value: Any) -> list[str]:
-    """Returns the parts of such a name."""
+    """Returns the parts of a dotted name that was parsed as nested tables."""
     names = [str(part) for part in location]
     while isinstance(value, dict) and value and not set(value) & set(VariationSettings.model_fields):
         key, value = next(iter(value.items()))

@@ -1,8 +1,7 @@
-"""One picture of a run: tracks of the bodies over the ground, and sensors over time.
+"""Draws the picture of a run: tracks of the bodies over the surfaces, and sensors over time.
 
-Tracks are seen from above, or from the side if they run in the plane of x and z.
-
-The picture is made of what the recording has. Without a display, and without matplotlib's global state.
+Tracks are projected onto the xy plane, or onto the xz plane if their extent along y is small. The picture is drawn from
+the recording alone, without a display and without the global state of matplotlib.
 """
 
 import math
@@ -39,27 +38,27 @@ from warpcontact.stepping.recording import Recording
 from warpcontact.storage.memory_estimate import env_count_text
 from warpcontact.validation.safe_text import single_line, truncate
 
-# Sensors over time: below each other, or in one row if the tracks take the whole width.
+# Number of sensor panels: in a column next to the tracks; in a row if the tracks have the whole width.
 PANELS, WIDE_PANELS = 3, 2
-# More tracks would hide each other.
+# Largest number of tracks.
 TRACKS = 200
-# Without its bright end, which is pale on white.
+# Color map without its bright end, which is hard to see on white.
 COLORS = ListedColormap(mpl.colormaps["plasma"](np.linspace(0.0, 0.9, 256)), "plasma to 0.9")
-# Letters of the title, and of the name of a parameter.
+# Largest number of characters of the title, and of the name of a parameter.
 TITLE, NAME = 60, 40
-# Of springs and lines.
+# Color of couplings.
 COUPLING_COLOR = "0.45"
-# Values that span more than this factor are coloured on a logarithmic scale.
+# Values that span more than this factor are colored on a logarithmic scale.
 LOGARITHMIC = 30.0
-# Tracks with a smaller extent along y, as part of the largest, are seen from the side.
+# Tracks whose extent along y is at most this fraction of the largest extent are viewed from the side.
 FLAT = 0.02
-# Where what is shown is wider than this times its height, it gets the whole width.
+# Tracks wider than this times their height get the whole width.
 WIDE = 1.8
-# What is shown is at least this part of the couplings: lines may be far longer than the tracks.
+# The window has at least this fraction of the size of couplings: cables may be far longer than the tracks.
 MAX_COUPLINGS = 0.25
-# Of a scale of colours, at both ends, without other ticks.
+# Distance from both ends of the color bar without other ticks, as a fraction.
 MARGIN = 0.15
-# The shorter side is at least this part of the longer.
+# Smallest ratio of the shorter to the longer side of the window.
 MIN_WIDTH = 0.3
 
 
@@ -68,22 +67,22 @@ def write_picture(
 ) -> None:
     """Draws a recording with the poses of the bodies.
 
-    Environments that are stopped or frozen are drawn as they were to the end, and counted in the title.
+    Environments that are stopped or frozen are drawn in their last state until the end, and counted in the title.
 
     Args:
         path: The .png file.
-        recording: From ``Simulation.run``, with the parameters that varied.
+        recording: Recording from ``Simulation.run``, with the varied parameters.
         title: Title of the picture.
-        varied: Names of the parameters that varied; the first that is one number colours the tracks.
-        health: Which environments are stopped or frozen.
+        varied: Names of the varied parameters; the first that differs in one number colors the tracks.
+        health: Numbers of stopped and frozen environments.
     """
     envs, times = recording.sizes["env"], recording["time"].values
     chosen = evenly(envs, TRACKS)
-    # Of a set so many bodies that its tracks are as many as those of one body may be.
+    # ``_tracks`` limits the number of bodies of a set.
     tracks = [_tracks(recording, body, chosen) for body in recording.scene.bodies]
     plane, lower, upper = _extent(tracks)
     shapes = _coupling_shapes(recording)
-    # Of a half-space first as much as the tracks need, wherever on it they are, then what the window has room for.
+    # First pass: the part of a half-space that the tracks need; second pass: the part that the window shows.
     reach = float(np.abs([lower, upper]).max() + np.max(upper - lower)) or 1.0
     window = _window(recording.scene, ground_surfaces(recording, reach), shapes, lower, upper, plane)
     grounds = ground_surfaces(recording, 2.0 * float(np.abs(window).max()))
@@ -99,7 +98,7 @@ def write_picture(
         if len(numbers)
     ]
     dotted = " (dotted)" if len(health.frozen) and envs <= CURVES else ""
-    after = f"; {' and '.join(held)}{dotted}, shown as they were to the end" if held else ""
+    after = f"; {' and '.join(held)}{dotted}, shown in their last state" if held else ""
     title = f"{truncate(single_line(title), TITLE)}: {env_count_text(envs)}"
     figure.suptitle(f"{title}, {times[-1]:g} s, {recording.attrs['precision']}{after}", parse_math=False)
     if wide:
@@ -114,7 +113,7 @@ def write_picture(
     coloring = values, label, norm
     axes_above = figure.add_subplot(above)
     _draw_tracks(figure, axes_above, recording, chosen, tracks, grounds, shapes, coloring, plane, window, wide)
-    rest = [figure.add_subplot(place) for place in below]
+    rest = [figure.add_subplot(cell) for cell in below]
     colors = COLORS(norm(values)) if 1 < envs <= CURVES else np.array([to_rgba("C0")]) if envs == 1 else None
     for axes, panel in zip(rest, panels, strict=True):
         draw_panel(axes, panel, colors)
@@ -131,7 +130,7 @@ def write_picture(
 
 
 def _extent(tracks: list[NDArray[Any]]) -> tuple[list[int], NDArray[Any], NDArray[Any]]:
-    """Returns the two axes of the plane in which tracks are shown, and the corners of where they are."""
+    """Returns the axes of the plane of projection, and the lower and upper corner of the tracks in it."""
     points = np.concatenate([track.reshape(-1, 3) for track in tracks])
     points = points[np.isfinite(points).all(axis=1)]
     low, high = points.min(axis=0), points.max(axis=0)
@@ -165,7 +164,7 @@ def _draw_tracks(
     for shape in shapes:
         axes.plot(*shape[:, plane].T, color=COUPLING_COLOR, lw=0.8, zorder=1.5)
     if not all(ground.active.all() for ground in grounds):
-        # Below everything, where it hides no track.
+        # Below the axes, where the legend hides no track.
         figure.legend(handles=legend_entries(from_above), loc="outside lower left", ncols=2, fontsize="small")
     values, label, norm = coloring
     for track in tracks:
@@ -185,15 +184,15 @@ def _draw_tracks(
     shown = sum(track.shape[1] for track in tracks) // len(chosen)
     if shown < (bodies := sum(body.count for body in scene.bodies)):
         which = f"{shown} of {bodies} bodies of {which}"
-    # What differs between environments can be shown as it is in one.
+    # Surfaces and couplings that differ between environments are shown as in environment 0.
     first = [] if all(ground.shared for ground in grounds) else ["surfaces"]
     first += ["couplings"] if shapes else []
     as_first = f"; {' and '.join(first)} as in environment 0" if first else ""
     contours = f"; contours every {step:g} m" if step else ""
-    # From the left, where it may be wider than what it is of.
-    axes.set_title(f"tracks {view}, {which}; dots: the end{contours}{as_first}", fontsize="medium", loc="left")
+    # Left-aligned, because the title may be wider than the axes.
+    axes.set_title(f"tracks {view}, {which}; dots: end{contours}{as_first}", fontsize="medium", loc="left")
     if envs > 1:
-        # Beside the tracks if they are wide, otherwise below.
+        # Next to the tracks if they are wide, otherwise below.
         bar: dict[str, Any] = (
             {"location": "right", "aspect": 25} if wide else {"location": "bottom", "shrink": 0.7, "aspect": 40}
         )
@@ -204,7 +203,7 @@ def _draw_tracks(
 
 
 def _tracks(recording: Recording, body: Body, chosen: NDArray[np.int_]) -> NDArray[Any]:
-    """Returns positions of a body, or of some of a set, in the chosen environments, (time, track, 3)."""
+    """Returns the positions of a body, or of several of a set, in the chosen environments (time, track, 3)."""
     position = recording[f"{body.name}.position"].isel(env=chosen)
     if body.single:
         return np.asarray(position.values)
@@ -214,7 +213,7 @@ def _tracks(recording: Recording, body: Body, chosen: NDArray[np.int_]) -> NDArr
 
 
 def _coupling_shapes(recording: Recording) -> list[NDArray[Any]]:
-    """Returns the couplings of the first environment at the end, (n, 3) each, world [m]."""
+    """Returns the curves of the couplings in the first environment at the end, (n, 3) each, world frame [m]."""
     from warpcontact.drawing.couplings import CouplingCurve
     from warpcontact.drawing.replay import Replay
 
@@ -234,7 +233,7 @@ def _window(
     upper: NDArray[Any],
     plane: list[int],
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Returns the lower left and upper right corner of what is shown: the tracks with some room around them."""
+    """Returns the lower left and upper right corner of the window: the tracks with a margin."""
     radius = max((float(contact.radius.max()) for contact in scene.contacts), default=0.0)
     sizes = [
         values
@@ -246,7 +245,7 @@ def _window(
     radius = max([radius, *(float(np.abs(values).max()) for values in sizes)])
     spans = [np.ptp(ground.corners[..., plane].reshape(-1, 2), axis=0).max() for ground in grounds]
     lengths = [np.ptp(shape[:, plane], axis=0).max() for shape in shapes]
-    # A drop straight down still needs some ground to be seen on, and what hangs on a line some of it.
+    # A vertical track still needs a visible piece of the ground, and a suspended body one of its cable.
     least = max(
         10.0 * radius,
         0.05 * max(spans, default=0.0),
@@ -255,12 +254,12 @@ def _window(
     )
     half = 0.5 * np.maximum(1.12 * (upper - lower), least)
     half = np.maximum(half, MIN_WIDTH * half.max())
-    centre = 0.5 * (lower + upper)
-    return centre - half, centre + half
+    center = 0.5 * (lower + upper)
+    return center - half, center + half
 
 
 def _color_values(recording: Recording, varied: list[str]) -> tuple[NDArray[Any], str]:
-    """Returns one number per environment and its label: the first varied parameter that differs in one number."""
+    """Returns one number per environment and its label: of the first parameter that differs in one component."""
     names = [one for name in varied for one in (name, f"{name}.initial") if one in recording]
     found: tuple[NDArray[Any], str] | None = None
     count = 0
@@ -284,7 +283,7 @@ def _norm(values: NDArray[Any]) -> Normalize:
 
 
 def _ticks(norm: Normalize, integers: bool) -> tuple[list[float], list[str]]:
-    """Returns where a scale of colours has ticks: at both ends, and at round numbers that leave these room."""
+    """Returns ticks of a color bar with labels: both ends, and round numbers at a distance from these."""
     ends = norm.vmin, norm.vmax
     low, high = (0.0 if end is None else float(end) for end in ends)
     if not 0.0 < high - low < math.inf:
@@ -297,12 +296,12 @@ def _ticks(norm: Normalize, integers: bool) -> tuple[list[float], list[str]]:
         between = np.asarray(
             MaxNLocator(4, steps=[1.0, 2.0, 2.5, 5.0, 10.0], integer=integers).tick_values(low, high)
         )
-        # So many that ticks differ, also far from 0.
+        # Enough digits that labels differ, also for values with a large offset.
         digits += max(math.ceil(np.log10(max(abs(low), abs(high)) / (high - low))), 0)
-    places = np.asarray(norm(between))
-    inner = between[(places > MARGIN) & (places < 1.0 - MARGIN)].tolist()
+    positions = np.asarray(norm(between))
+    inner = between[(positions > MARGIN) & (positions < 1.0 - MARGIN)].tolist()
     ticks = [low, *inner, high]
-    # Without powers of ten below a million.
+    # Numbers below a million are written without exponents.
     digits = max(digits, min(math.floor(np.log10(max(abs(low), abs(high)))) + 1, 6))
     return ticks, [f"{tick:.{digits}g}" for tick in ticks]
 

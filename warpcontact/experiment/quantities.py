@@ -1,7 +1,7 @@
-"""Types of the values in an experiment file, checked by the functions and ranges that the Python API uses.
+"""Validators of values in an experiment file, based on the checks and ranges of the Python API.
 
-The messages of ``warpcontact.validation.checks`` begin with the name of what is checked. Here that name is empty, so that
-what is left continues the key of the file: ``body[0].color`` and ``[1] must be at most 1, got 2``.
+Messages of ``warpcontact.validation.checks`` begin with the name of the checked value. The name is empty here, so that the
+messages continue the key of the file: ``body[0].color`` and ``[1] must be at most 1, got 2``.
 """
 
 import math
@@ -23,15 +23,15 @@ from warpcontact.validation.checks import limits
 
 
 def plain(value: Any, what: str, advice: str = "") -> Any:
-    """Returns a number as float, and lists of them as tuples.
+    """Returns a number as ``float``, and lists of numbers as tuples.
 
     Args:
         value: A number, or lists, tuples or arrays of numbers.
-        what: What it should be, for the message.
-        advice: What to do in place of infinity, added to the message.
+        what: Description of the required value, for the message.
+        advice: Advice against infinite values, added to the message.
 
     Raises:
-        ValueError: If a boolean, a text or anything else is among them, or a number is not finite.
+        ValueError: If an entry is not a number, or not finite.
     """
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
@@ -57,10 +57,10 @@ def numbers(
     """Returns the validator of a number (shape ``()``) or of nested lists of numbers.
 
     Args:
-        shapes: Shapes that are allowed.
+        shapes: Allowed shapes.
         allowed: Range and unit, as from ``checks.limits``.
-        what: What it should be, for messages; made from the first shape and the unit if not given.
-        check: Raises ``ValueError`` for values in range that are not allowed all the same, as those of ``checks``.
+        what: Description of the required value, for messages; default: the first shape with the unit.
+        check: Additional check of values in range; raises ``ValueError``, as the functions of ``checks``.
     """
     unit = "" if allowed["unit"] == "-" else f" [{allowed['unit']}]"
     advice = "; leave the key out for no limit" if allowed.get("may_be_infinite") else ""
@@ -89,14 +89,14 @@ def each(
     one: bool = True,
     check: Callable[[str, Any], Any] | None = None,
 ) -> PlainValidator:
-    """Returns the validator of a value of each body of a set: rows, or the name of a file with them.
+    """Returns the validator of one value per item of a set: one value, rows, or the name of a file with rows.
 
     Args:
-        shapes: Shapes of one value that are allowed.
+        shapes: Allowed shapes of one value.
         allowed: Range and unit, as from ``checks.limits``.
-        what: What one value should be, for messages.
-        one: Whether one value for all is allowed, too.
-        check: Raises ``ValueError`` for values in range that are not allowed all the same, as those of ``checks``.
+        what: Description of one value, for messages.
+        one: Whether one value for all items is allowed.
+        check: Additional check of values in range; raises ``ValueError``, as the functions of ``checks``.
     """
     form = (
         f"{what}, a list of that for each, or the name of a file" if one else f"a list of {what} each, or a file"
@@ -121,7 +121,7 @@ def each(
 
 
 def table(shape: tuple[int, ...], allowed: Mapping[str, Any]) -> PlainValidator:
-    """Returns the validator of any number of rows, a parameter of ``shape`` with ``allowed`` as its limits."""
+    """Returns the validator of a table parameter of ``shape`` with ``allowed`` as its range and unit."""
     unit = "" if allowed["unit"] == "-" else f" [{allowed['unit']}]"
     what = f"{describe_shape(shape)}{unit}"
 
@@ -140,7 +140,7 @@ def table(shape: tuple[int, ...], allowed: Mapping[str, Any]) -> PlainValidator:
 
 
 def one_of(options: Sequence[str]) -> PlainValidator:
-    """Returns the validator of a word out of ``options``."""
+    """Returns the validator of one of the strings ``options``."""
     return PlainValidator(lambda value: checks.choice("", value, options))
 
 
@@ -166,7 +166,7 @@ def _element_name(value: Any) -> str:
     try:
         return checks.new_name("table", value, {})
     except ValueError as error:
-        rule = str(error).partition(" must ")[2]  # what precedes it is a name that the file does not have
+        rule = str(error).partition(" must ")[2]  # the part before is a name that is not in the file
         raise ValueError(f"must {rule}") from None
 
 
@@ -175,15 +175,15 @@ def _inertia(name: str, values: Any) -> None:
 
 
 def _inertias(name: str, values: Any) -> None:
-    # Of 3 rows nobody knows whether they are a tensor or moments before it is known how many bodies there are.
+    # 3 rows of 3 numbers can be one tensor or the moments of three bodies; the scene checks them.
     if values.shape != (3, 3):
         moments = values.shape[-2:] != (3, 3)
         checks.inertia_tensors(name, values[..., None] * np.eye(3) if moments else values)
 
 
 def _faces(value: Any, info: ValidationInfo) -> Any:
-    """Validates the active faces of a surface, the field behind ``mesh``."""
-    if "mesh" not in info.data:  # something is wrong with it, so that nobody knows how many there are
+    """Validates the active faces of a surface; requires the field ``mesh``, which is validated before."""
+    if "mesh" not in info.data:  # the mesh is invalid, so that the number of meshes is unknown
         return value
     mesh = info.data["mesh"]
     if not isinstance(mesh, tuple):
@@ -195,7 +195,7 @@ def _faces(value: Any, info: ValidationInfo) -> Any:
 
 
 def _faces_of_one(value: Any, number: str = "") -> tuple[Any, ...] | str:
-    """Validates the active faces of one mesh; with ``number`` of one out of several, where ``true`` means all."""
+    """Validates the active faces of one mesh; ``number`` is its index in a list, in which ``true`` means all faces."""
     if isinstance(value, str):
         return value
     entries = tuple(value) if isinstance(value, list | tuple) else (None,)
@@ -286,14 +286,14 @@ def _areas(value: Any) -> tuple[float, ...]:
 
 
 def _pair(rule: str, holds: Callable[[Any, Any], Any]) -> PlainValidator:
-    """Returns the validator of two numbers or vectors for which ``rule`` holds in each component."""
+    """Returns the validator of two numbers or vectors that satisfy ``rule`` in each component."""
     what = "two numbers, or two lists of numbers of the same length"
 
     def validate(value: Any) -> tuple[Any, ...]:
         pair = plain(value, what)
         try:
             first, second = np.array(pair)
-        except (ValueError, TypeError):  # another number of entries, or lists of different length
+        except (ValueError, TypeError):  # wrong number of entries, or lists of different length
             raise ValueError(f"must be {what}, got {abbreviated(value)}") from None
         if not np.all(holds(first, second)):
             raise ValueError(f"must be {rule}, got {abbreviated(value)}")

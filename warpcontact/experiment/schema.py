@@ -1,6 +1,6 @@
-"""The experiment file: its sections, their keys, types and defaults, in the words of the Python API.
+"""Schema of the experiment file: sections, keys, types and defaults, named as in the Python API.
 
-Laws, friction models and meshes are in ``catalogue``.
+Laws, friction models and meshes are in ``catalogue.py``.
 """
 
 from collections.abc import Sequence
@@ -40,7 +40,7 @@ from warpcontact.scene.shapes import ALL
 from warpcontact.scene.surface_contact import SIDES
 
 Row = TypeVar("Row")
-# TOML has lists only; tuples keep what is read as it is.
+# TOML has only lists; they are stored as tuples, which are immutable.
 Rows = Annotated[tuple[Row, ...], Field(strict=False)]
 Name = Annotated[str, q.element_name]
 Position = Annotated[tuple[float, ...], q.position]
@@ -66,7 +66,7 @@ class SurfaceSettings(Section):
 
     @property
     def meshes(self) -> dict[str, FileMesh | ShapeMesh]:
-        """Its meshes by their keys: ``"mesh"``, or ``"mesh[0]"`` and so on of a list."""
+        """Meshes by key: ``"mesh"``, or ``"mesh[0]"``, … of a list."""
         if isinstance(self.mesh, tuple):
             return {f"mesh[{i}]": mesh for i, mesh in enumerate(self.mesh)}
         return {"mesh": self.mesh}
@@ -89,9 +89,9 @@ class BodySettings(Section):
 
 
 class BodiesSettings(Section):
-    """``[[bodies]]``: a set of rigid bodies; all but the positions is one value for all or a list of one for each.
+    """``[[bodies]]``: a set of rigid bodies.
 
-    In place of a list there may be the name of a file with it.
+    All values but the positions are one value for all bodies, a list with one per body, or the name of a file.
     """
 
     name: Name
@@ -108,7 +108,7 @@ class BodiesSettings(Section):
 
 
 class PointSettings(Section):
-    """``[[point]]``: a point of a body or of a surface, or of the world; of a set of bodies one on each."""
+    """``[[point]]``: a point of a body, a surface or the world; with a set of bodies, one point on each."""
 
     name: Name
     body: str | None = None
@@ -122,7 +122,7 @@ class PointSettings(Section):
 
 
 class PointsSettings(Section):
-    """``[[points]]``: a set of points of a body or of a surface, or of the world."""
+    """``[[points]]``: a set of points of a body, a surface or the world."""
 
     name: Name
     body: str | None = None
@@ -139,11 +139,11 @@ class PointsSettings(Section):
             got = "none" if self.positions is None else "both"
             raise ValueError(f"must have exactly one of positions and samples; got {got}")
         if self.samples is None and self.seed is not None:
-            raise ValueError(".seed is of samples, and there are positions")
+            raise ValueError(".seed requires samples, got positions")
         if self.samples is not None and self.areas is not None:
-            raise ValueError(".areas must be left out: samples have theirs")
+            raise ValueError(".areas must be left out: samples have their own areas")
         if self.samples is not None and self.surface is None:
-            raise ValueError(".surface is missing: samples are points of a surface")
+            raise ValueError(".surface is missing: samples are taken on a surface")
         return self
 
 
@@ -153,7 +153,7 @@ def _check_carrier(entry: PointSettings | PointsSettings) -> None:
 
 
 class MaterialSettings(Section):
-    """``[[material]]``: a law, and friction models against sliding, rolling and spinning, that contacts share."""
+    """``[[material]]``: a normal law with friction, rolling and torsion models, shared by contacts."""
 
     name: Name
     law: DeviceModelTable = Field(description="{ type = …, and its parameters }")
@@ -163,7 +163,7 @@ class MaterialSettings(Section):
 
 
 class ContactOptions(Section):
-    """What all kinds of contact have."""
+    """Options of point contacts and surface contacts."""
 
     name: Name
     material: str = Field(description="the name of a material")
@@ -183,7 +183,7 @@ class ContactOptions(Section):
 
 
 class ContactSettings(ContactOptions):
-    """``[[contact]]``: points, or spheres about them, that touch a surface."""
+    """``[[contact]]``: contact of points or spheres with a surface."""
 
     radius: Annotated[Any, q.radii] = 0.0
     points: str = Field(description="the name of a point or of points")
@@ -191,7 +191,7 @@ class ContactSettings(ContactOptions):
 
 
 class SurfaceContactSettings(ContactOptions):
-    """``[[surface_contact]]``: points of a surface, or of two, that touch the other."""
+    """``[[surface_contact]]``: contact of two surfaces, by sample points of one or both."""
 
     surface_a: str = Field(description="the name of a surface")
     surface_b: str = Field(description="the name of a surface")
@@ -201,7 +201,7 @@ class SurfaceContactSettings(ContactOptions):
 
 
 class ShapeSettings(Section):
-    """``[[shape]]``: a shape of analytic form on a body, or on the world; of a set of bodies one on each."""
+    """``[[shape]]``: an analytic shape on a body or the world; with a set of bodies, one shape on each."""
 
     name: Name
     form: DeviceModelTable = Field(description="{ type = …, and its parameters }")
@@ -215,7 +215,7 @@ class ShapeSettings(Section):
 
 
 class ShapeContactSettings(Section):
-    """``[[shape_contact]]``: the contact of two shapes."""
+    """``[[shape_contact]]``: contact of two shapes."""
 
     name: Name
     shape: str = Field(description="the name of a shape")
@@ -231,7 +231,7 @@ class ShapeContactSettings(Section):
 
 
 class ParticleContactSettings(Section):
-    """``[[particle_contact]]``: every two of many spheres and capsules touch."""
+    """``[[particle_contact]]``: contact among many spheres and capsules."""
 
     name: Name
     shapes: Rows[str] = Field(description="the names of shapes", min_length=1)
@@ -249,16 +249,16 @@ class ParticleContactSettings(Section):
 
 
 class ImpactSettings(Section):
-    """An expected impact, from which the coefficients of a contact coupling follow."""
+    """An expected impact, from which the coefficients of a contact coupling are computed."""
 
     mass: Annotated[float, q.numbers((), allowed=limits_of.MASS)] = Field(description="of the body [kg]")
     other_mass: Annotated[float | None, q.numbers((), allowed=limits_of.MASS)] = None
     area: Annotated[float, q.numbers((), allowed=limits_of.AREA)] = Field(description="of the contact [m²]")
     speed: Annotated[float, q.numbers((), allowed=SPEED)] = Field(description="normal speed [m/s]")
     effective_range: Annotated[float, q.numbers((), allowed=limits_of.RANGE)] = Field(
-        description="distance at which the force begins [m]"
+        description="distance at which the force starts [m]"
     )
-    closest: Annotated[float, q.numbers((), allowed=CLOSEST)] = Field(description="where it stops [m]")
+    closest: Annotated[float, q.numbers((), allowed=CLOSEST)] = Field(description="smallest distance [m]")
     damping_ratio: Annotated[float, q.numbers((), allowed=DAMPING_RATIO)] = 0.0
 
     @model_validator(mode="after")
@@ -271,7 +271,7 @@ class ImpactSettings(Section):
 
 
 class RangeSettings(Section):
-    """The coefficients of a contact coupling, or the impact from which they follow."""
+    """Coefficients of a contact coupling, or the impact from which they are computed."""
 
     k1: Annotated[float | None, q.numbers((), allowed=laws.ContactRange.limits("k1"))] = None
     k2: Annotated[float | None, q.numbers((), allowed=laws.ContactRange.limits("k2"))] = None
@@ -283,20 +283,20 @@ class RangeSettings(Section):
         given = [key for key in ("k1", "k2", "effective_range") if getattr(self, key) is not None]
         if self.from_impact is not None:
             if given:
-                raise ValueError(f".{given[0]} must be left out: from_impact says it")
+                raise ValueError(f".{given[0]} must be left out: from_impact determines it")
         elif missing := [key for key in ("k1", "effective_range") if key not in given]:
-            raise ValueError(f".{missing[0]} is missing, or from_impact = {{ … }} in place of all")
+            raise ValueError(f".{missing[0]} is missing, or from_impact = {{ … }} instead of all")
         return self
 
     def make(self) -> ContactRange:
-        """Returns the range."""
+        """Returns the ``ContactRange``."""
         if self.from_impact is not None:
             return ContactRange.from_impact(**self.from_impact.model_dump())
         return ContactRange(**self.model_dump(exclude={"from_impact"}, exclude_none=True))
 
 
 class ContactCouplingSettings(Section):
-    """``[[contact_coupling]]``: the faces of a body are kept off another surface."""
+    """``[[contact_coupling]]``: repulsive pressure between two surfaces within a range."""
 
     name: Name
     surface_a: str = Field(description="the name of a surface, on a body")
@@ -315,7 +315,7 @@ class ContactCouplingSettings(Section):
 
 
 class CouplingOptions(Section):
-    """What all kinds of coupling have."""
+    """Options of all couplings between two points."""
 
     name: Name
     point_a: str = Field(description="the name of a point")
@@ -326,7 +326,7 @@ class CouplingOptions(Section):
 
 
 class SpringDamperSettings(CouplingOptions):
-    """``[[spring_damper]]``: a spring and a damper side by side, along the line between two points."""
+    """``[[spring_damper]]``: a spring and a damper in parallel, along the line between two points."""
 
     stiffness: Annotated[float | None, q.numbers((), allowed=coupling_limits.STIFFNESS)] = None
     damping: Annotated[float | None, q.numbers((), allowed=coupling_limits.DAMPING)] = None
@@ -338,7 +338,7 @@ class SpringDamperSettings(CouplingOptions):
 
 
 class BushingSettings(CouplingOptions):
-    """``[[bushing]]``: springs and dampers along three axes and about them, between two points."""
+    """``[[bushing]]``: springs and dampers along and about three axes, between two points."""
 
     stiffness: Annotated[tuple[float, ...], q.numbers((3,), allowed=coupling_limits.STIFFNESS)] = ORIGIN
     damping: Annotated[tuple[float, ...], q.numbers((3,), allowed=coupling_limits.DAMPING)] = ORIGIN
@@ -348,7 +348,7 @@ class BushingSettings(CouplingOptions):
 
 
 class CatenarySettings(CouplingOptions):
-    """``[[catenary]]``: an elastic line that hangs between two points under its own weight."""
+    """``[[catenary]]``: an elastic cable between two points under its own weight."""
 
     length: Annotated[float, q.numbers((), allowed=coupling_limits.LINE_LENGTH)] = Field(
         description="unstretched length [m]"
@@ -363,7 +363,7 @@ class CatenarySettings(CouplingOptions):
 
 
 class Settings(Section):
-    """A whole experiment file."""
+    """The content of an experiment file."""
 
     name: Annotated[str, q.title] = "experiment"
     envs: int = Field(default=1, ge=1, le=MOST_ENVS)
@@ -400,7 +400,7 @@ class Settings(Section):
     output: observation.OutputSettings = Field(default_factory=observation.OutputSettings)
 
 
-#: The sections that are lists, in the order in which a scene is made of them.
+#: Sections of the scene, all lists, in the order in which elements are added.
 SECTIONS: dict[str, type[Section]] = {
     "body": BodySettings,
     "bodies": BodiesSettings,
@@ -420,7 +420,7 @@ SECTIONS: dict[str, type[Section]] = {
 }
 
 
-#: Those with laws, friction models, springs and motions.
+#: Sections with laws, friction models, springs, shapes or joints.
 DEVICE_MODEL_SECTIONS = ("body", "bodies", "material", "contact_coupling", "shape", "spring_damper")
 #: Keys of sections that may name a file with rows.
 ROW_KEYS: dict[str, tuple[str, ...]] = {
@@ -437,7 +437,7 @@ ROW_KEYS: dict[str, tuple[str, ...]] = {
     "points": ("positions",),
     "contact": ("radius",),
 }
-#: The sections that are one table.
+#: Sections that are a single table.
 _SINGLE: dict[str, type[Section]] = {
     "sampling": SamplingSettings,
     "integrator": IntegratorSettings,
@@ -446,14 +446,14 @@ _SINGLE: dict[str, type[Section]] = {
     "record": observation.RecordSettings,
     "output": observation.OutputSettings,
 }
-#: The sections that are lists and no part of a scene.
+#: Sections that are lists and not part of the scene.
 LISTS: dict[str, type[Section]] = {"correlation": CorrelationSettings}
-#: Tables within a contact coupling.
+#: Tables of a contact coupling.
 _TABLES: dict[str, type[Section]] = {"range": RangeSettings, "from_impact": ImpactSettings}
 
 
 def table_at(location: Sequence[str | int], raw: Any, user_files: UserFiles) -> type[Section]:
-    """Returns the type of the table at ``location``, a place in ``raw`` as pydantic gives it."""
+    """Returns the type of the table at ``location`` in ``raw``, a location of pydantic."""
     parts = [part for part in location if isinstance(part, str)]
     if not parts:
         return Settings

@@ -1,7 +1,7 @@
-"""``[variation]`` against a model: what is asked for of each parameter, checked, as a design.
+"""Validates ``[variation]`` against a model and returns the design of the experiment.
 
-Each entry has a random generator of its own, seeded by the experiment's seed and the name of the parameter: to add
-an entry changes none of the others.
+The random generator of each entry is seeded by the seed of the experiment and the name of the parameter, so that adding
+an entry does not change the values of others.
 """
 
 import re
@@ -38,28 +38,28 @@ from warpcontact.model.environments import Environments
 from warpcontact.storage.parameters import Parameter
 from warpcontact.validation.checks import Array, available_names
 
-# Values are checked so many environments at a time.
+# Number of environments whose values are checked at a time.
 CHECKED_AT_ONCE = 65536
-# The keys for a parameter that is a whole number.
+# Keys that are allowed for an integer parameter.
 _WHOLE = ("value", "values", "uniform", "linspace", "grid", "distribution")
 
 
 def truncated(variation: Mapping[str, VariationSettings], envs: int) -> dict[str, VariationSettings]:
-    """Returns ``variation`` for the first ``envs`` environments: listed values beyond them are left out."""
+    """Returns ``variation`` for the first ``envs`` environments: further listed values are dropped."""
     return _with_values(variation, tuple, lambda values: values[:envs])
 
 
 def relocate(
     variation: Mapping[str, VariationSettings], moved: Callable[[str], str]
 ) -> dict[str, VariationSettings]:
-    """Returns ``variation`` with the names of its files replaced by what ``moved`` returns of them."""
+    """Returns ``variation`` with its file names replaced by ``moved(name)``."""
     return _with_values(variation, str, moved)
 
 
 def _with_values(
     variation: Mapping[str, VariationSettings], kind: type, changed: Callable[[Any], Any]
 ) -> dict[str, VariationSettings]:
-    """Returns ``variation`` with other ``values`` where they are of this kind."""
+    """Returns ``variation`` with ``values`` replaced by ``changed(values)`` if they are of type ``kind``."""
     return {
         name: entry.model_copy(update={"values": changed(entry.values)})
         if isinstance(entry.values, kind)
@@ -69,16 +69,16 @@ def _with_values(
 
 
 class Variation:
-    """What varies, checked entry by entry against a model.
+    """The variation of an experiment, validated entry by entry against a model.
 
     Args:
-        variation: What varies.
-        model: Environments of the same scene, of any number of environments; it is not changed.
+        variation: Settings by parameter name.
+        model: Model of the scene with any number of environments; not changed.
         envs: Number of environments; ``None``: unknown, so that lists may be of any length.
         seed: Seed of the experiment.
-        folder: Folder to which the names of files with values are relative.
-        problems: Receives what is wrong.
-        is_invalid: Tells of the name of a parameter whether its element has problems of its own.
+        folder: Folder to which the names of value files are relative.
+        problems: Receives the problems.
+        is_invalid: Returns whether the element of a parameter name has reported problems.
     """
 
     def __init__(
@@ -101,11 +101,11 @@ class Variation:
         self.is_invalid = is_invalid
 
     def design(self, method: str, correlation: Sequence[CorrelationSettings]) -> Design:
-        """Returns the design of all sound entries.
+        """Returns the design of all valid entries.
 
         Args:
-            method: How values are drawn, one of ``sampling.METHODS``.
-            correlation: Which of them are drawn together.
+            method: Sampling method, one of ``sampling.METHODS``.
+            correlation: Correlations between parameters.
         """
         entries: dict[str, Any] = {}
         conversions: dict[str, ValueConversion] = {}
@@ -140,7 +140,7 @@ class Variation:
     def _entry(
         self, parameter: Parameter, settings: VariationSettings, columns: SampleColumns
     ) -> Entry | SampledEntry | SphereInertia | None:
-        """Returns the entry of a parameter, or ``None`` if it is wrong."""
+        """Returns the entry of a parameter, or ``None`` if it is invalid."""
         kind = settings.kind
         path, given = f"{_path(parameter.name)}.{kind}", getattr(settings, kind)
         if settings.solid_sphere is not None:
@@ -158,9 +158,7 @@ class Variation:
         if kind == "distribution":
             if parameter.whole != is_discrete(given):
                 allowed, number = ("discrete", "whole") if parameter.whole else ("continuous", "real")
-                message = (
-                    f"must be one that is {allowed}, got {given['name']!r}; {parameter.name} is a {number} number"
-                )
+                message = f"must be a {allowed} one, got {given['name']!r}; {parameter.name} is a {number} number"
                 self.problems.add(f"{path}.name", message)
                 return None
         else:
@@ -172,9 +170,9 @@ class Variation:
         return SampledEntry(marginal, value_shape(kind, given), columns.first[name], columns.numbers[name])
 
     def _check_range(self, path: str, parameter: Parameter, kind: str, given: Any) -> None:
-        """Checks the ends of a range: whether a draw lies outside of the parameter's is a matter of luck."""
+        """Checks the ends of a range, so that validity does not depend on the random samples."""
         ends = np.array(given, dtype=np.float64)
-        # Of a deviation nothing is known, nor of the logarithm of a value.
+        # A standard deviation and the logarithm of a value are not checked.
         count = {"normal": 1, "lognormal": 0}.get(kind, 2)
         for i, end in enumerate(ends[:count]):
             if not self._check_one(f"{path}[{i}]", parameter, end):
@@ -225,7 +223,7 @@ class Variation:
         return None if mass is None or radius is None else SphereInertia(mass, radius, target.single)
 
     def _source(self, path: str, source: str | float, target: Parameter) -> str | Array | None:
-        """Returns a scalar parameter that varies, or the values (1,) or (1, items) of another, or of a number."""
+        """Returns the name of a varied scalar parameter, or the values (1,) or (1, items) of another or of a number."""
         if not isinstance(source, str):
             return np.array([source]) if target.single else np.array([[source]])
         if source not in self.model:
@@ -240,9 +238,9 @@ class Variation:
         return source if source in self.variation else parameter.read(1)
 
     def _check_all(self, design: Design) -> None:
-        """Checks the values in all environments, of each parameter up to the first that is wrong.
+        """Checks the values in all environments, of each parameter up to the first invalid value.
 
-        What is drawn between ends that are allowed is not drawn: of very many environments that takes long.
+        Values that are sampled between valid ends are not computed here, which takes long for many environments.
         """
         pending = [name for name in design.names if not self._is_within(design, name)]
         for first in range(0, self.envs, CHECKED_AT_ONCE):
@@ -250,7 +248,7 @@ class Variation:
                 return
             rows = design.subset(pending).rows(first, min(first + CHECKED_AT_ONCE, self.envs))
             wrong: set[str] = set()
-            # What is wrong with a mass is not wrong with the inertia that follows from it.
+            # Do not report an inertia that is computed from an invalid mass or radius.
             for name in sorted(pending, key=lambda name: isinstance(design.entries[name], SphereInertia)):
                 entry = design.entries[name]
                 follows = isinstance(entry, SphereInertia) and not wrong.isdisjoint(entry.sources)
@@ -259,11 +257,11 @@ class Variation:
             pending = [name for name in pending if name not in wrong]
 
     def _is_within(self, design: Design, name: str) -> bool:
-        """Whether no value of a parameter can be wrong, as it is checked already or lies between allowed ones."""
+        """Whether all values of a parameter are valid, because they were checked or lie between valid ends."""
         if isinstance(design.entries[name], ConstantEntry):
             return True
         parameter, ends = self.model.find_parameter(name), design.value_range(name)
-        # What is converted, such as a tensor, may be wrong between values that are right.
+        # With a conversion, for example of a tensor, values between valid ends can be invalid.
         if ends is None or parameter.convert is not None:
             return False
         try:
@@ -273,11 +271,11 @@ class Variation:
         return True
 
     def _check_one(self, path: str, parameter: Parameter, value: Array) -> bool:
-        """Checks one value for all environments: what has a row for each of several is none."""
+        """Checks one value that applies to all environments; rows for several environments are invalid."""
         return self._check(path, parameter, value if parameter.single else value[None], None)
 
     def _check(self, path: str, parameter: Parameter, values: Array, first: int | None) -> bool:
-        """Checks ``values`` of environments from number ``first`` on; ``None``: of one value that all have."""
+        """Checks ``values`` of environments from ``first`` on; ``None``: one value that applies to all."""
         try:
             parameter.parse(values, 1 if first is None else len(values))
         except ValueError as error:
@@ -297,7 +295,7 @@ class Variation:
                 return f": {surface.name!r} has one mesh; give it several as mesh = [{{ … }}, {{ … }}]"
         known = list(self.model)
         element, last = name.partition(".")[0], name.rpartition(".")[2]
-        # The part in between is what one forgets: feet.mu for feet.friction.mu.
+        # The middle part is easily omitted: feet.mu instead of feet.friction.mu.
         alike = [other for other in known if other.startswith(f"{element}.") and other.endswith(f".{last}")]
         if len(alike) == 1:
             return f"; did you mean {alike[0]!r}?"
@@ -314,10 +312,10 @@ def _shape(entry: Entry | SampledEntry) -> tuple[int, ...]:
 
 
 def _conversion(parameter: Parameter, shape: tuple[int, ...]) -> ValueConversion:
-    """Returns how values of ``shape`` become those of ``parameter``."""
-    # Principal moments as tensors: those of three environments would pass for one tensor.
+    """Returns the conversion of values with ``shape`` to those of ``parameter``."""
+    # Principal moments are converted to tensors: those of three environments have the shape of one tensor.
     tensor = parameter.tail == (3, 3) and shape == (3,)
     tails = parameter.given or (parameter.tail,)
     own = shape[:1] in ((1,), (parameter.count,)) and shape[1:] in tails
-    # Values that may be meant either way stay as they are, and are refused.
+    # Ambiguous values are not expanded, and are rejected when parsed.
     return ValueConversion(tensor, not parameter.single and (tensor or (shape in tails and not own)))
