@@ -40,7 +40,7 @@ BAD = [
     ),
     (custom_type("Pad"), ": Pad takes exactly one of stiffness and depth, got none"),
     (custom_type("Pad", stiffness=1, damping=-1), ".damping must be at least 0, got -1 s/m"),
-    (custom_type("Reserved"), ".type: Reserved has a parameter 'type', which no table can have"),
+    (custom_type("Reserved"), ".type: Reserved has a parameter 'type', a name that is reserved"),
     # Classes.
     (custom_type("Cubik"), ".type: my_laws.py has no law 'Cubik'; did you mean 'Cubic'?"),
     (custom_type("Xyz"), ".type: my_laws.py has no law 'Xyz'; there are: Cubic, Pad, Fading, Careless"),

@@ -70,7 +70,7 @@ BAD = [
     ({"outcome": {"peak": "Max"}}, "outcome.peak must be a table, got 'Max'; write { type = 'Max', of = … }"),
     ({"outcome": {"peak": {"of": "touch.gap"}}}, "outcome.peak.type is missing: one of Max, Min, Range"),
     ({"outcome": {"p q": PEAK}}, 'outcome."p q": a name must be letters, digits, _ and -'),
-    ({"outcome": {"status": PEAK}}, "outcome.status: 'status' is the name of what every result has"),
+    ({"outcome": {"status": PEAK}}, "outcome.status: 'status' is the name of a variable that every result has"),
     (outcome(type="Maxi"), "outcome.peak.type must be one of Max, Min, Range"),
     (outcome(of=None), "outcome.peak.of is missing: the name of a sensor, or of a contact"),
     (outcome(of=3), "outcome.peak.of must be a text, got 3"),

@@ -60,7 +60,7 @@ BAD = [
     (law(name="truncnorm", a=0, b=inf), f"{IN_MASS}distribution.b must be finite, got inf"),
     (
         law(name="truncnorm", a=2, b=1),
-        f"{IN_MASS}distribution: there is no truncnorm with a = 2.0, b = 1.0; scipy.stats.truncnorm tells",
+        f"{IN_MASS}distribution: invalid parameters of truncnorm: a = 2.0, b = 1.0; see the documentation of",
     ),
     (
         law(name="norm", loc=[1, 2], scale=[1, 2, 3]),
@@ -89,7 +89,7 @@ BAD = [
     ),
     (
         varied(MASS, uniform=[1, 2], group="a"),
-        f"{IN_MASS}group must be left out: it is of grid, and there is uniform",
+        f"{IN_MASS}group must be left out: it requires grid, got uniform",
     ),
     (
         varied(MASS, group="a"),
@@ -128,8 +128,8 @@ BAD = [
     ({"sampling": "sobol"}, "sampling must be a table, got 'sobol'"),
     (
         sampled("saltelli", PAIR, envs=20),
-        "envs must be 4 n, with n = 2, 4, 8, …, for sampling.method = 'saltelli' and 2 numbers that "
-        "are drawn, got 20; nearest: 16 and 32",
+        "envs must be 4 n, with n = 2, 4, 8, …, for sampling.method = 'saltelli' and 2 "
+        "sampled numbers, got 20; nearest: 16 and 32",
     ),
     (sampled("saltelli", PAIR, envs=1), "got 1; nearest: 8"),
     (sampled("saltelli", PAIR, envs=33), "got 33; nearest: 32 and 64"),
@@ -144,11 +144,11 @@ BAD = [
     ),
     (
         sampled("saltelli", {MASS: {"value": 1}}, envs=16),
-        "variation must have an entry that is drawn and differs for sampling.method = 'saltelli'",
+        "variation must have a sampled entry that varies, for sampling.method = 'saltelli'",
     ),
     (
         sampled("saltelli", {MASS: {"uniform": [1, 1]}}, envs=16),
-        "variation must have an entry that is drawn and differs for sampling.method = 'saltelli'",
+        "variation must have a sampled entry that varies, for sampling.method = 'saltelli'",
     ),
     # Correlation.
     (
@@ -163,7 +163,7 @@ BAD = [
     (together([MASS, MASS]), "correlation[0].names[1] must be another name, got 'ball.mass' again"),
     (
         together([MASS, "touch.radus"]),
-        "correlation[0].names[1] must be the name of a drawn entry of [variation], got "
+        "correlation[0].names[1] must be the name of a sampled entry of [variation], got "
         "'touch.radus'; did you mean 'touch.radius'?",
     ),
     (
@@ -191,7 +191,7 @@ BAD = [
     (together(matrix=np.eye(3).tolist()), "correlation[0].matrix must have a row for each of the 2 names, got 3"),
     (
         together(variation=PAIR | {"touch.radius": {"linspace": [0.1, 0.2]}}),
-        "correlation[0].names[1] must be drawn, by one of uniform, loguniform, normal, lognormal, "
+        "correlation[0].names[1] must be sampled, by one of uniform, loguniform, normal, lognormal, "
         "distribution, got 'touch.radius', which has linspace",
     ),
     (
@@ -210,7 +210,7 @@ BAD = [
     ),
     (
         together(sampling={"method": "saltelli"}, envs=16),
-        "correlation[0] must be left out: sampling.method = 'saltelli' takes",
+        "correlation[0] must be left out: sampling.method = 'saltelli' requires",
     ),
     (
         {"variation": PAIR, "correlation": {"names": []}},
@@ -285,10 +285,10 @@ def test_invalid_value_files_are_reported(text, message, tmp_path):
         (["a", "b"], "its values must be numbers, got text"),
         ([True, False], "its values must be numbers, got truth values"),
         ([1j], "its values must be numbers, got complex numbers"),
-        (None, "it must be one array, as numpy.save writes it, got an archive of arrays (.npz)"),
-        (b"\x93NUMPY", "it must be what numpy.save writes of an array of numbers, and as a whole"),
-        (b"1, 2, 3", "it must be what numpy.save writes of an array of numbers, and as a whole"),
-        (b"", "it must be what numpy.save writes of an array of numbers, and as a whole"),
+        (None, "it must be one array as written by numpy.save, got an archive of arrays (.npz)"),
+        (b"\x93NUMPY", "it must be a complete array of numbers as written by numpy.save"),
+        (b"1, 2, 3", "it must be a complete array of numbers as written by numpy.save"),
+        (b"", "it must be a complete array of numbers as written by numpy.save"),
     ],
 )
 def test_invalid_npy_files_are_reported(saved, message, tmp_path):
@@ -307,7 +307,7 @@ def test_invalid_npy_files_are_reported(saved, message, tmp_path):
 def test_pickled_arrays_are_refused(tmp_path):
     np.save(tmp_path / "masses.npy", np.array([1, "2", None, 4], dtype=object), allow_pickle=True)
     (problem,) = problems_of(content(variation={MASS: {"values": "masses.npy"}}), tmp_path)
-    assert problem.endswith("it must be what numpy.save writes of an array of numbers, and as a whole")
+    assert problem.endswith("it must be a complete array of numbers as written by numpy.save")
 
 
 def test_invalid_values_are_reported_with_environment_number_in_any_block():

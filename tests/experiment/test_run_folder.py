@@ -142,7 +142,7 @@ def test_run_in_progress_can_be_read_but_not_resumed(whole_run, tmp_path):
         os.kill(process.pid, signal.SIGSTOP)
         experiment = wc.Experiment.from_toml(folder / "experiment.toml")
         for options in ({"resume": True}, {"overwrite": True}):
-            with pytest.raises(wc.ExperimentError, match="a process is running and writes there"):
+            with pytest.raises(wc.ExperimentError, match="another process is running and writes there"):
                 experiment.run(folder, device="cpu", **options)
         read()
         os.kill(process.pid, signal.SIGCONT)

@@ -187,7 +187,7 @@ def test_study_of_the_user_needs_no_flag(study, foreign_run, capsys):
     capsys.readouterr()
 
 
-@pytest.mark.filterwarnings("ignore:the files with laws:RuntimeWarning")
+@pytest.mark.filterwarnings("ignore:the law files:RuntimeWarning")
 def test_new_run_is_read_without_a_state_folder(study, tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("LOCALAPPDATA" if os.name == "nt" else "XDG_STATE_HOME", str(tmp_path / "file"))
@@ -212,7 +212,7 @@ def test_missing_state_folder_causes_a_warning(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("LOCALAPPDATA" if os.name == "nt" else "XDG_STATE_HOME", str(tmp_path / "file"))
     with pytest.warns(
-        wc.RunWarning, match="could not be recorded as trusted: Not a directory; to resume or draw"
+        wc.RunWarning, match="could not be recorded as trusted: Not a directory; to resume or render"
     ) as caught:
         trust.record([b"code"])
     assert caught[0].message.level is wc.WarningLevel.CAUTION

@@ -58,7 +58,7 @@ def counted(axes):
 
 def test_scalar_outcomes_are_plotted_and_frozen_environments_counted(outcome, drawn):
     figure = drawn(outcome)
-    assert figure.get_suptitle() == "study: 50 environments, 3 frozen left out"
+    assert figure.get_suptitle() == "study: 50 environments, 3 frozen excluded"
     assert [axes.get_title() for axes in figure.axes] == ["peak", "hits", "late"]
     peak, hits, late = figure.axes
     assert peak.get_xlabel() == "largest force [N]"
@@ -95,7 +95,7 @@ def test_outcomes_spanning_float32_are_plotted(outcome, drawn):
 def test_outcomes_of_only_frozen_environments_are_plotted(outcome, drawn):
     outcome["status"][:] = EnvironmentStatus.FROZEN
     figure = drawn(outcome)
-    assert figure.get_suptitle() == "study: 50 environments, 50 frozen left out"
+    assert figure.get_suptitle() == "study: 50 environments, 50 frozen excluded"
     assert [text.get_text() for text in figure.axes[0].texts] == ["all are frozen"]
 
 

@@ -1,23 +1,23 @@
-"""Parameters of sets that are equal for all items: one value in tables and on pages."""
+"""Merges parameters of sets that are equal for all items, for tables and reports."""
 
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     import xarray as xr
 
-# Values are compared in blocks of environments of up to this size [bytes].
+# Size of the blocks of environments in which values are compared [bytes].
 BLOCK = 32 * 2**20
 
 
 def item_dimensions(array: "xr.DataArray") -> list[str]:
-    """Returns the dimensions of the items of a set, as ``recorder.item_dimension`` names them."""
+    """Returns the item dimensions of an array, named by ``recorder.item_dimension``."""
     return [dim for dim in map(str, array.dims) if dim == "item" or dim.endswith(".item")]
 
 
 def merged_items(array: "xr.DataArray") -> "xr.DataArray":
-    """Returns an array without the dimension of its items if these are equal in every environment, else unchanged.
+    """Returns an array without its item dimension if the items are equal in every environment, otherwise unchanged.
 
-    NaN equals NaN. Stored arrays are read in blocks of environments, up to the first block with a difference.
+    NaN equals NaN. Stored arrays are read in blocks of environments, up to the first difference.
 
     Args:
         array: A parameter (env, …), or that of one environment (…).

@@ -1,4 +1,4 @@
-"""A model of one environment, built to look at: what only building tells of a scene and of a user's classes."""
+"""Builds a model of one environment to validate scenes and user-defined classes that only a build can check."""
 
 import re
 import warnings
@@ -28,19 +28,19 @@ from warpcontact.scene.scene import ContactMaterial, Scene
 def check_build(
     parts: ExperimentParts, folder: Path, file_cache: FileCache, problems: Problems
 ) -> Environments | None:
-    """Returns a model of what is sound; ``None`` if there is none.
+    """Returns a model of the valid parts of an experiment; ``None`` if it cannot be built.
 
     Args:
-        parts: What there is; tables with a class that does not work are taken out.
+        parts: Valid parts of the experiment; entries whose user-defined class fails are removed.
         folder: Folder to which the names of mesh files are relative.
-        file_cache: What was read before; filled, with patches too.
-        problems: Receives what is wrong.
+        file_cache: Meshes that were read before; new meshes and query meshes are added.
+        problems: Receives the problems.
     """
     precision = parts.settings.precision if parts.settings else "float32"
-    file_cache.query_meshes = {}  # those of an earlier trial may be of other surfaces
+    file_cache.query_meshes = {}  # those of an earlier validation may belong to other surfaces
     scene = SceneBuilder(parts, folder, file_cache).scene(problems)
     model, error = _try_build(scene, precision, file_cache.query_meshes)
-    # What the model contains works. The rest, or everything if there is none, is tried piece by piece.
+    # Classes in the model are valid. Others, or all of them if the build failed, are tested one by one.
     working = set() if model is None else _classes(scene)
     faults = 0
     for section, i, key, formula in list(_user_formulas(parts)):
@@ -50,7 +50,7 @@ def check_build(
             parts.entries[section].pop(i, None)
             faults += 1
     if faults and model is None:
-        # Once more without them, so that the other problems are found, too; those of the parts are known.
+        # Build again without them to find other problems; those of the entries are already reported.
         scene = SceneBuilder(parts, folder, file_cache).scene(Problems())
         model, error = _try_build(scene, precision, file_cache.query_meshes)
     if isinstance(error, ValueError):
@@ -66,19 +66,19 @@ def check_build(
 def _try_build(
     scene: Scene, precision: str, known: QueryMeshCache | None = None
 ) -> tuple[Environments | None, Exception | None]:
-    """Returns a model of one environment, or why there is none; patches are kept as ``known``."""
+    """Returns a model of one environment, or the error; query meshes are stored in ``known``."""
     if not scene.bodies:
         return None, None
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # the model that runs warns again
+            warnings.simplefilter("ignore")  # the model of the run gives the warnings
             return plan_model(scene, "cpu", precision, known).build(1), None
     except Exception as error:
         return None, error
 
 
 def _classes(scene: Scene) -> set[type[Formula]]:
-    """Returns the classes of all formulas in ``scene``."""
+    """Returns the classes of all laws, friction models, springs, shapes and joints in ``scene``."""
     formulas = [f for contact in scene.contacts for f in contact.material.formulas.values()]
     formulas += [f for coupling in scene.couplings for f in coupling.formulas.values()]
     formulas += [f for contact in scene.shape_contacts for f in contact.formulas.values()]
@@ -88,7 +88,7 @@ def _classes(scene: Scene) -> set[type[Formula]]:
 
 
 def _user_formulas(parts: ExperimentParts) -> Iterator[tuple[str, int, str, Formula]]:
-    """Iterates over the formulas that are not of the library: section, number of the entry, key, formula."""
+    """Iterates over instances of user-defined classes: section, number of the entry, key, instance."""
     for section in DEVICE_MODEL_SECTIONS:
         for i, entry in parts.entries[section].items():
             for key, table in entry:
@@ -97,7 +97,7 @@ def _user_formulas(parts: ExperimentParts) -> Iterator[tuple[str, int, str, Form
 
 
 def _find_fault(key: str, formula: Formula, precision: str) -> str | None:
-    """Returns why ``formula``, as ``key`` of its table, cannot be computed or compiled; ``None`` if it can."""
+    """Returns the reason why ``formula``, with ``key`` of its table, cannot be evaluated or compiled; ``None``: it can."""
     cls = type(formula)
     if isinstance(formula, Motion):
         scene = Scene()
@@ -130,7 +130,7 @@ def _find_fault(key: str, formula: Formula, precision: str) -> str | None:
             material = ContactMaterial(**{"law": laws.Hooke(stiffness=1.0), key: formula})
         except ValueError as error:
             return str(error)
-        # A set, because it has areas for a formula that asks for them.
+        # A set of points, because it has areas, which a law may require.
         points = scene.add_points(ball, [(0.0, 0.0, 0.0)], areas=[1.0])
         scene.add_contact(points, scene.add_surface(meshes.grid()), material, radius=0.1)
     _, failure = _try_build(scene, precision)
@@ -144,8 +144,8 @@ def _find_fault(key: str, formula: Formula, precision: str) -> str | None:
 
 
 def _failure_text(failure: Exception, cls: type[Formula]) -> str:
-    """Returns in words why a model with a formula of class ``cls`` could not be built."""
-    # That a formula does not compile is said in full by what compiles it, in names of modules that nobody knows.
+    """Returns the reason, as text, why a model with an object of class ``cls`` could not be built."""
+    # The message of a compile error is complete; only the generated module name is removed.
     if isinstance(failure, TypeError):
         return str(failure).replace(f"{cls.__module__}.", "")
     return describe_error(failure, cls)

@@ -1,8 +1,8 @@
-"""Tables of the experiment file that follow from classes and functions: laws, friction models, motions, meshes.
+"""Pydantic models of tables that are derived from classes and functions: laws, friction models, joints, meshes.
 
-Their keys are the parameters of the classes and generators, with the ranges that are declared there. What a table
-says it is decides which model it is validated with; a law or friction of the library and one of a user's own are
-found in different places, and from there on treated alike.
+Their keys are the parameters of the classes and mesh generators, with the ranges declared there. The ``type`` or
+``shape`` of a table selects its model. Classes of the library and user-defined classes are looked up in different
+places, and handled in the same way afterwards.
 """
 
 import dataclasses
@@ -36,14 +36,14 @@ from warpcontact.kernels.couplings import springs
 from warpcontact.kernels.shapes import shapes
 from warpcontact.validation.checks import limits
 
-#: Meshes that need no file, by the name of their generator.
+#: Generated meshes, by the name of their generator.
 SHAPES: dict[str, Callable[..., meshes.Mesh]] = {
     shape.__name__: shape for shape in (meshes.grid, meshes.sinusoidal_terrain, meshes.box, meshes.icosphere)
 }
 
 
 class Section(BaseModel):
-    """A table of the file. Unknown keys are errors, texts are no numbers, and nothing is NaN or infinite."""
+    """A table of the file. Unknown keys are rejected, strings are not converted to numbers, numbers must be finite."""
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
 
@@ -68,43 +68,43 @@ class ShapeMesh(Section):
         """Generates the mesh.
 
         Raises:
-            ValueError: If a value is out of range; the message begins with its name.
+            ValueError: If a value is out of range; the message begins with the name of the key.
         """
         return SHAPES[self.shape](**self.model_dump(exclude={"shape"}), name=name)
 
 
 class DeviceModelSettings(Section):
-    """A law, friction or motion: its class, of the catalogue or as ``FILE.py:CLASS``, and its parameters."""
+    """A law, friction model, spring, joint or shape: its class, by name or as ``FILE.py:CLASS``, and its parameters."""
 
-    model_config = ConfigDict(protected_namespaces=())  # a user names the parameters
+    model_config = ConfigDict(protected_namespaces=())  # parameters of user-defined classes can have any name
 
     formula: ClassVar[type[Formula]]
     type: str
 
     def make(self) -> Any:
-        """Returns the law, friction or motion."""
+        """Returns the object of the class."""
         return self.formula(**self.model_dump(exclude={"type"}, exclude_none=True))
 
     @model_validator(mode="after")
     def _complete(self) -> "DeviceModelSettings":
         try:
-            self.make()  # which of its parameters go together only the formula knows
+            self.make()  # the class checks combinations of parameters
         except ValueError as error:
             raise ValueError(f": {error}") from None
-        except Exception as error:  # in a user's class
+        except Exception as error:  # in a user-defined class
             raise ValueError(f": {describe_error(error, self.formula)}") from None
         return self
 
 
 @functools.cache
 def shape_model(name: str) -> type[ShapeMesh]:
-    """Returns the model of the tables of a mesh that is generated; ``name`` is one of ``SHAPES``."""
+    """Returns the model of the table of a generated mesh; ``name`` is one of ``SHAPES``."""
     fields: dict[str, Any] = {"shape": (Literal[name], ...)}
     for key, parameter in inspect.signature(SHAPES[name]).parameters.items():
         if key == "name":
             continue
         kind, default = parameter.annotation, parameter.default
-        if get_args(kind):  # a tuple of numbers
+        if get_args(kind):  # annotated as a tuple of numbers
             count = len(get_args(kind))
             whole = get_args(kind)[0] is int
             kind = Annotated[kind, q.whole_numbers(count) if whole else q.numbers((count,))]
@@ -115,14 +115,14 @@ def shape_model(name: str) -> type[ShapeMesh]:
 
 
 def mesh_model(value: Any, key: str = "") -> type[FileMesh] | type[ShapeMesh]:
-    """Returns the model of one mesh as it stands in the file.
+    """Returns the model of the table of one mesh.
 
     Args:
-        value: What is there.
-        key: Where it is alone, the key, for the advice what to write.
+        value: The table of the file.
+        key: Key of the table, for advice in messages; empty: it is an entry of a list.
 
     Raises:
-        ValueError: If there is none; the message continues the key of the mesh.
+        ValueError: If the table is invalid; the message continues the key of the mesh.
     """
     listed = f"one of {', '.join(SHAPES)}"
     if isinstance(value, str):
@@ -143,15 +143,15 @@ def mesh_model(value: Any, key: str = "") -> type[FileMesh] | type[ShapeMesh]:
 
 
 def device_model_settings(key: str, value: Any, user_files: UserFiles) -> type[DeviceModelSettings]:
-    """Returns the model of a law, friction or motion as it stands in the file.
+    """Returns the model of the table of a law, friction model, spring, joint or shape.
 
     Args:
-        key: Its key in a material or body.
-        value: What is there.
-        user_files: Where classes are that are not of the catalogue.
+        key: Key of the table, one of ``FORMULAS``.
+        value: The table of the file.
+        user_files: Files with user-defined classes.
 
     Raises:
-        ValueError: If there is none; the message continues the key.
+        ValueError: If the table is invalid; the message continues the key.
     """
     catalogue = CATALOGUES[FORMULAS[key]]
     if not isinstance(value, dict):
@@ -178,23 +178,25 @@ def device_model_settings(key: str, value: Any, user_files: UserFiles) -> type[D
 
 
 def user_class(given: Any) -> tuple[str, str]:
-    """Returns file and class of ``FILE.py:CLASS``; two empty texts for anything else."""
+    """Returns file and class of ``FILE.py:CLASS``; two empty strings for any other value."""
     file, _, name = given.rpartition(":") if isinstance(given, str) else ("", "", "")
     return (file, name) if file.endswith(".py") else ("", "")
 
 
 @functools.cache
 def settings_model(formula: type[Formula]) -> type[DeviceModelSettings]:
-    """Returns the model of the tables of a class of laws, friction models or motions.
+    """Returns the model of the table of a class.
 
     Raises:
-        ValueError: If a parameter has a name that a table cannot have; the message continues the key ``type``.
+        ValueError: If the name of a parameter is not allowed in a table; the message continues the key ``type``.
     """
     fields: dict[str, Any] = {}
     taken = {*dir(DeviceModelSettings), *DeviceModelSettings.__annotations__}
     for field in dataclasses.fields(formula):
         if field.name in taken or field.name.startswith("_"):
-            raise ValueError(f": {formula.__name__} has a parameter {field.name!r}, which no table can have")
+            raise ValueError(
+                f": {formula.__name__} has a parameter {field.name!r}, a name that is reserved in tables"
+            )
         allowed = formula.limits(field.name)
         default = ... if field.default is dataclasses.MISSING else field.default
         fields[field.name] = (
@@ -211,7 +213,7 @@ def settings_model(formula: type[Formula]) -> type[DeviceModelSettings]:
 
 
 def _kind_of(allowed: Any) -> Any:
-    """Returns the type of a parameter, from its limits."""
+    """Returns the pydantic type of a parameter with these limits."""
     shape = allowed["shape"]
     if shape == ():
         return Annotated[float, q.numbers((), allowed=allowed)]
@@ -221,7 +223,7 @@ def _kind_of(allowed: Any) -> Any:
     return Annotated[tuple[float, ...], q.numbers(shape, allowed=allowed, check=check)]
 
 
-#: What the formulas of a material, a spring-damper, a body and a shape are, by their keys.
+#: Base classes by the key of their table in a material, spring-damper, body or shape.
 FORMULAS: dict[str, Any] = {
     **{part: laws.Law if part == "law" else friction.Friction for part in ContactModel._fields},
     "spring": springs.Spring,
@@ -229,7 +231,7 @@ FORMULAS: dict[str, Any] = {
     "motion": joints.Motion,
     "form": shapes.Shape,
 }
-#: Where the classes are that come with the library, by what they are and by name.
+#: Classes of the library by base class: name to the module that has it.
 CATALOGUES: dict[Any, dict[str, Any]] = {
     laws.Law: dict.fromkeys(laws.NAMES, laws),
     friction.Friction: dict.fromkeys(friction.NAMES, friction),
@@ -257,7 +259,7 @@ def _meshes(value: Any) -> FileMesh | ShapeMesh | tuple[FileMesh | ShapeMesh, ..
     return _LISTED.validate_python(value)
 
 
-# Which keys there are depends on what is in the table: its model is found first.
+# The keys of these tables depend on their content, so the model is selected before validation.
 DeviceModelTable = Annotated[SerializeAsAny[DeviceModelSettings], PlainValidator(_formula)]
 Mesh = Annotated[SerializeAsAny[FileMesh | ShapeMesh], PlainValidator(_mesh)]
 SurfaceMesh = Annotated[SerializeAsAny[FileMesh | ShapeMesh | tuple[Mesh, ...]], PlainValidator(_meshes)]

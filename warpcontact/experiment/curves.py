@@ -1,7 +1,7 @@
-"""Recorded sensors as one curve for each environment, with their extremes, as pictures and reports draw them.
+"""Reads recorded sensors as one curve per environment, with extreme values, for pictures and reports.
 
-Items of a set are reduced to one number: the smallest gap, the largest penetration, the sum of forces, otherwise
-the mean. Series are read in blocks of time, so that memory is bounded by the number of values that are returned.
+The items of a set are reduced to one number: the smallest gap, the largest penetration, the sum of forces, otherwise
+the mean. Series are read in blocks of time, so that memory use is bounded by the number of returned values.
 """
 
 from collections.abc import Iterator
@@ -14,26 +14,27 @@ from numpy.typing import NDArray
 from warpcontact.model.flags import words_of
 from warpcontact.validation.checks import Array
 
-# Quantiles of more environments than this look the same and take longer.
+# Largest number of environments for quantiles: more would not change them visibly.
 SAMPLE_SIZE = 4096
-# Values of one sensor that are returned, unless these are fewer environments, and that are read for them.
+# Largest number of returned values of a sensor, unless that is fewer than MIN_SAMPLES environments, and of values
+# read for them.
 VALUES = 2**22
 MIN_SAMPLES = 64
 MAX_READ = 2**29
-# Values that are read in one block.
+# Number of values in one block.
 BLOCK = 2**22
-# In larger series, extremes are those of the environments that are returned [bytes].
+# For larger series, extreme values are those of the returned environments only [bytes].
 MAX_SEARCHED = 256 * 2**20
 
-#: Further components of a vector: its length, and the length of its change since the first record.
+#: Additional components of a vector: its length, and the length of its change since the first frame.
 MAGNITUDE = "magnitude"
 DISTANCE = "distance"
 
-# Reduction of the items of a set, by the last word of the name of the sensor.
+# Reduction of the items of a set, by the last part of the name of the sensor.
 _SMALLEST = ("gap", "distance", "minimum_distance")
 _SUMS = ("normal_force", "impulse", "kinetic_energy", "tension_a", "tension_b")
 _LARGEST = ("penetration", "max_penetration")
-# Sensors without a readable curve.
+# Sensors that are not drawn.
 _NOT_DRAWN = ("orientation", "point", "normal")
 
 
@@ -43,7 +44,7 @@ class Extreme:
 
     Attributes:
         value: The value.
-        time: Time of its first record [s].
+        time: Time of the first frame with this value [s].
         env: Number of the environment.
     """
 
@@ -58,15 +59,15 @@ class SensorCurves:
 
     Attributes:
         name: Name of the sensor.
-        reduction: Reduction of the items of a set, such as ``"sum of"``; empty: there is one value.
+        reduction: Reduction of the items of a set, such as ``"sum of"``; empty: no reduction.
         items: Number of the items.
         unit: Unit of the values.
-        seconds: Time of each record [s].
+        seconds: Times of the frames [s].
         envs: Numbers of the environments.
-        values: (time, env).
-        smallest: The smallest finite value over all records; ``None``: there is none.
-        largest: Likewise the largest.
-        searched: Number of environments whose records were searched for them.
+        values: Values (time, env).
+        smallest: Smallest finite value over all frames; ``None``: no value is finite.
+        largest: Largest finite value over all frames; ``None``: no value is finite.
+        searched: Number of environments that were searched for extreme values.
     """
 
     name: str
@@ -82,7 +83,7 @@ class SensorCurves:
 
 
 def is_drawable(name: str, array: xr.DataArray) -> bool:
-    """Whether a series has numbers over time that can be drawn as curves; vectors by their components."""
+    """Whether a series has numbers over time that can be drawn as curves, for vectors by component."""
     return (
         array.dims[:2] == ("time", "env")
         and name.rpartition(".")[2] not in _NOT_DRAWN
@@ -93,7 +94,7 @@ def is_drawable(name: str, array: xr.DataArray) -> bool:
 
 
 def sample_size(array: xr.DataArray) -> int:
-    """Returns the number of environments of a series (time, env, …) of which curves are read."""
+    """Returns the number of environments of a series (time, env, …) whose curves are read."""
     records, values_per_record = array.sizes["time"], array.size // max(1, array.sizes["env"])
     return max(
         1, min(SAMPLE_SIZE, max(MIN_SAMPLES, VALUES // max(1, records)), MAX_READ // max(1, values_per_record))
@@ -106,12 +107,12 @@ def read_curves(
     without: NDArray[np.bool_] | None = None,
     component: str | None = None,
 ) -> SensorCurves:
-    """Reads curves of some environments, and searches all environments for extremes if the series is small enough.
+    """Reads curves of some environments, and extreme values of all environments if the series is small enough.
 
     Args:
         array: The series (time, env, …), named after its sensor.
         rows: Indices of the environments, in ascending order.
-        without: Environments that are not searched for extremes, (env,).
+        without: Environments that are excluded from extreme values (env,).
         component: Component of a vector: ``"x"``, ``"y"``, ``"z"``, ``MAGNITUDE`` or ``DISTANCE``.
     """
     if component in ("x", "y", "z"):
@@ -156,7 +157,7 @@ def read_curves(
 
 @dataclass(eq=False)
 class _Extremes:
-    """Search for extremes, block by block."""
+    """Block-wise search for extreme values."""
 
     seconds: Array
     envs: NDArray[np.int64]
@@ -165,7 +166,7 @@ class _Extremes:
     largest: Extreme | None = field(default=None, init=False)
 
     def search(self, values: Array, record: int, row: int) -> None:
-        """Searches values (time, env) from record number ``record`` and environment number ``row`` on."""
+        """Searches values (time, env) that start at frame ``record`` and environment index ``row``."""
         block_envs = slice(row, row + values.shape[1])
         if self.ignored[block_envs].any() or not (np.isfinite(values.min()) and np.isfinite(values.max())):
             good = np.isfinite(values) & ~self.ignored[block_envs]
@@ -179,8 +180,8 @@ class _Extremes:
         self.smallest = min(self.smallest or lowest, lowest, key=lambda one: (one.value, one.time, one.env))
         self.largest = min(self.largest or highest, highest, key=lambda one: (-one.value, one.time, one.env))
 
-    def _extreme_at(self, values: Array, place: int, record: int, row: int) -> Extreme:
-        time, env = divmod(place, values.shape[1])
+    def _extreme_at(self, values: Array, index: int, record: int, row: int) -> Extreme:
+        time, env = divmod(index, values.shape[1])
         return Extreme(float(values[time, env]), float(self.seconds[record + time]), int(self.envs[row + env]))
 
 
@@ -189,7 +190,7 @@ def _blocks(size: int, step: int) -> Iterator[slice]:
 
 
 def _block_shape(array: xr.DataArray) -> tuple[int, int]:
-    """Returns the numbers of records and of environments of one block, of whole chunks of a store if these fit."""
+    """Returns the number of frames and environments of a block, of whole chunks of a store if these fit."""
     chunks = array.encoding.get("preferred_chunks", {})
     records, envs = array.sizes["time"], array.sizes["env"]
     values_per_record = max(1, array.size // max(1, records * envs))
@@ -205,7 +206,7 @@ def _block_shape(array: xr.DataArray) -> tuple[int, int]:
 
 
 def _reduce_items(values: Array, name: str) -> tuple[Array, str]:
-    """Returns one number (time, env) of the items of a set (time, env, item), and the reduction."""
+    """Returns one number (time, env) for the items of a set (time, env, item), and the name of the reduction."""
     last = name.rpartition(".")[2]
     if last in _SMALLEST:
         return np.fmin.reduce(values, axis=2), "smallest"

@@ -1,32 +1,32 @@
-"""What is recorded of an experiment that says nothing about it: which sensors, and how often."""
+"""Default sensors and recording interval of an experiment."""
 
 from warpcontact.experiment.schema import Settings
 from warpcontact.model.environments import Environments
 from warpcontact.scene.couplings import Bushing, Catenary, SpringDamper
 
-# Sensors that tell most of a coupling.
+# Default sensors of couplings.
 _COUPLING_SENSORS: dict[type, tuple[str, str]] = {
     SpringDamper: ("length", "force"),
     Bushing: ("displacement", "force"),
     Catenary: ("tension_a", "tension_b"),
 }
 
-# Frames of a recording for which nothing else is asked.
+# Default number of intervals between frames.
 FRAMES = 100
 
 
 def default_interval(settings: Settings) -> float:
-    """Returns the time between frames of an experiment that says nothing about it [s]."""
+    """Returns the default time between frames [s]."""
     steps = max(1, round(settings.duration / settings.dt / FRAMES))
     return float(f"{steps * settings.dt:.12g}")
 
 
 def default_sensors(model: Environments, *, with_gap: bool = False) -> list[str]:
-    """Returns the sensors of an experiment that names none: what tells most of each element, and the energy.
+    """Returns the default sensors: the most important ones of each element, and the kinetic energy of the scene.
 
     Args:
         model: The model.
-        with_gap: Whether to include gaps of open contacts, which need a search.
+        with_gap: Whether to include gaps of point contacts without contact, which require a search.
     """
     scene = model.scene
     depth = "gap" if with_gap else "penetration"
@@ -35,7 +35,7 @@ def default_sensors(model: Environments, *, with_gap: bool = False) -> list[str]
     sensors += [(contact.name, ("contacts", "max_penetration")) for contact in scene.particle_contacts]
     sensors += [(coupling.name, _COUPLING_SENSORS[type(coupling)]) for coupling in scene.couplings]
     sensors += [(coupling.name, ("minimum_distance", "force")) for coupling in scene.contact_couplings]
-    # Of sets what they sum up to: a value of each is for those who ask for it.
+    # For sets only sums over all items are recorded by default.
     joints = [f"{body.name}.{key}" for body in scene.bodies if body.single for key in ("angle", "displacement")]
     names = [f"{name}.{key}" for name, keys in sensors for key in keys]
     return names + [name for name in joints if name in model.sensor_names] + ["scene.kinetic_energy"]

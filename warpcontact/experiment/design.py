@@ -1,4 +1,4 @@
-"""What varies between environments, as one description of which any environments are computed alone."""
+"""Design of an experiment: the values of all varied parameters, computed for any range of environments."""
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
@@ -14,15 +14,15 @@ from warpcontact.validation.checks import Array
 
 
 class Entry(Protocol):
-    """Values of one parameter that follow from the number of the environment."""
+    """Values of one parameter that are a function of the environment number."""
 
     def rows(self, envs: NDArray[np.intp]) -> Array:
-        """Returns values (n, …) of the environments with these numbers (n,)."""
+        """Returns the values (n, …) of the environments with numbers ``envs`` (n,)."""
 
 
 @dataclass(frozen=True, eq=False)
 class ConstantEntry:
-    """One value in all environments."""
+    """One value for all environments."""
 
     value: Array
 
@@ -33,7 +33,7 @@ class ConstantEntry:
 
 @dataclass(frozen=True, eq=False)
 class ListedEntry:
-    """Values one after the other, each for ``repeat`` environments, and then again from the first one."""
+    """Listed values, each for ``repeat`` consecutive environments, repeated cyclically."""
 
     values: Array
     repeat: int = 1
@@ -45,7 +45,7 @@ class ListedEntry:
 
 @dataclass(frozen=True, eq=False)
 class LinearEntry:
-    """Evenly spaced from ``first`` to ``last`` over all ``count`` environments, as by ``np.linspace``."""
+    """Evenly spaced values from ``first`` to ``last`` over ``count`` environments, as from ``np.linspace``."""
 
     first: Array
     last: Array
@@ -63,7 +63,7 @@ class LinearEntry:
 
 @dataclass(frozen=True, eq=False)
 class IntegerEntry:
-    """The whole numbers from ``first`` to ``last``, each for about as many of ``count`` environments in a row."""
+    """Integers from ``first`` to ``last``, each for about the same number of consecutive environments of ``count``."""
 
     first: Array
     last: Array
@@ -78,13 +78,13 @@ class IntegerEntry:
 
 @dataclass(frozen=True, eq=False)
 class SampledEntry:
-    """Values drawn from a distribution.
+    """Values sampled from a distribution.
 
     Args:
         marginal: The distribution.
         shape: Shape of one value.
-        column: First of its columns of the sampler.
-        numbers: Which numbers of a value these are of; the others are the same in all environments.
+        column: First column in the sampler.
+        numbers: Indices of the components that have a column; the others are the same in all environments.
     """
 
     marginal: Marginal
@@ -93,7 +93,7 @@ class SampledEntry:
     numbers: tuple[int, ...]
 
     def values(self, units: Array, normals: Mapping[int, Array]) -> Array:
-        """Returns values (n, …) of numbers (n, columns), in place of which correlated ``normals`` may be."""
+        """Returns values (n, …) from the rows (n, columns) of a sampler, or from correlated ``normals`` by column."""
         if len(self.numbers) and self.column in normals:
             return self.marginal.from_normal(normals[self.column])
         components = np.full((len(units), int(np.prod(self.shape))), 0.5)
@@ -106,9 +106,9 @@ class SphereInertia:
     """Inertia tensors of uniform solid spheres.
 
     Args:
-        mass: The name of a parameter that varies, or what has the shape (1,) or (1, items) [kg].
-        radius: Likewise [m].
-        single: Whether it is that of one body and not of a set.
+        mass: Name of a varied parameter, or values (1,) or (1, items) [kg].
+        radius: Name of a varied parameter, or values (1,) or (1, items) [m].
+        single: Whether the inertia is that of a single body, not of a set.
     """
 
     mass: str | Array
@@ -117,11 +117,11 @@ class SphereInertia:
 
     @property
     def sources(self) -> tuple[str, ...]:
-        """Names of the parameters that it follows."""
+        """Names of the parameters that it depends on."""
         return tuple(source for source in (self.mass, self.radius) if isinstance(source, str))
 
     def values(self, parameters: Mapping[str, Array], count: int) -> Array:
-        """Returns values (count, 3, 3), or (count, items, 3, 3), from those of other parameters."""
+        """Returns values (count, 3, 3) or (count, items, 3, 3) from those of other parameters [kg·m²]."""
         mass, radius = (self._values(source, parameters) for source in (self.mass, self.radius))
         moment = 0.4 * mass * radius**2
         moment = np.broadcast_to(moment, (count, *moment.shape[1:]))
@@ -134,18 +134,18 @@ class SphereInertia:
 
 @dataclass(frozen=True)
 class ValueConversion:
-    """How the values of an entry become those of its parameter.
+    """Conversion of the values of an entry to those of its parameter.
 
     Attributes:
-        tensor: Whether they are principal moments, to be made tensors.
-        shared: Whether one value is for all items of a set.
+        tensor: Whether to convert principal moments to tensors.
+        shared: Whether one value applies to all items of a set.
     """
 
     tensor: bool = False
     shared: bool = False
 
     def apply(self, values: Array) -> Array:
-        """Returns ``values`` (n, …) in this form."""
+        """Returns the converted ``values`` (n, …)."""
         if self.tensor:
             values = values[..., None] * np.eye(3)
         return values[:, None] if self.shared else values
@@ -153,16 +153,16 @@ class ValueConversion:
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """The values of all parameters that vary, of any environments.
+    """The values of all varied parameters in all environments.
 
-    The same environment has the same values, to the bit, whichever others are asked for with it.
+    The values of an environment are bitwise identical for any range of environments they are computed with.
 
     Attributes:
         envs: Number of environments.
-        entries: What is known of each parameter, by name, in the order of the experiment.
-        conversions: How it becomes a value.
-        sampler: Where the numbers of those come from that are drawn.
-        correlations: Which of them are drawn together.
+        entries: Entries by parameter name, in the order of the experiment.
+        conversions: Conversion of each entry to values of its parameter.
+        sampler: Source of the sampled numbers.
+        correlations: Correlations between columns of the sampler.
     """
 
     envs: int
@@ -178,15 +178,15 @@ class Design:
 
     @property
     def row_bytes(self) -> int:
-        """What the values of an environment take [bytes]."""
+        """Size of the values of one environment [bytes]."""
         drawn = (entry for entry in self.entries.values() if isinstance(entry, SampledEntry))
         columns = max((entry.column + len(entry.numbers) for entry in drawn), default=0)
-        # A Latin hypercube would be drawn whole for its first row.
+        # With Midpoint, because a Latin hypercube would be generated completely for its first row.
         row = replace(self, sampler=Midpoint(columns)).rows(0, 1)
         return sum(values.nbytes for values in row.values())
 
     def subset(self, names: Collection[str]) -> "Design":
-        """Returns the design of these parameters alone, and of those that they follow."""
+        """Returns the design of these parameters, including those that they depend on."""
         entries = {name: self.entries[name] for name in names}
         sources = {
             source for entry in entries.values() if isinstance(entry, SphereInertia) for source in entry.sources
@@ -196,34 +196,34 @@ class Design:
         )
 
     def value_range(self, name: str) -> Array | None:
-        """Returns two values between which all lie, number by number, that any environments draw.
+        """Returns lower and upper bounds of the sampled values, component by component, as values (2, …).
 
-        ``None``: that is not known. In the form of values of two environments.
+        ``None``: the values are not sampled, or have no bounds.
         """
         entry = self.entries[name]
         if not isinstance(entry, SampledEntry):
             return None
         if isinstance(entry.marginal, Normal) and any(entry.column in one.columns for one in self.correlations):
-            return None  # sums of normal numbers go beyond what one number can be
+            return None  # a sum of normal numbers can exceed the range of a single one
         units = np.repeat([[SMALLEST], [LARGEST]], entry.column + len(entry.numbers), axis=1)
         return self.conversions[name].apply(entry.values(units, {}))
 
     def rows(self, first: int, stop: int) -> dict[str, Array]:
-        """Returns the values in environments ``first`` to ``stop``, without the last.
+        """Returns the values in environments ``first`` to ``stop``, exclusive.
 
-        Takes no more memory than they do, but for a Latin hypercube, which is drawn whole and kept.
+        Memory use is proportional to the result, except for a Latin hypercube, which is generated completely and cached.
 
         Args:
-            first: Number of an environment.
-            stop: Number of an environment, or that of all.
+            first: First environment.
+            stop: End of the range.
 
         Returns:
-            Values by the name of the parameter: (stop − first, …) with the shape of one value; of a set
-            (stop − first, items, …), or (stop − first, 1, …) where all of its items have the same. They can be
-            assigned to a model of so many environments as they are.
+            Values by parameter name: (stop − first, …) with the shape of one value; for a set (stop − first, items, …),
+            or (stop − first, 1, …) if all items have the same value. They can be assigned to a model with stop − first
+            environments.
 
         Raises:
-            IndexError: If there are no such environments.
+            IndexError: If the range exceeds the environments of the design.
         """
         if not 0 <= first <= stop <= self.envs:
             raise IndexError(f"environments must be from 0 to {self.envs}, got {first} to {stop}")
@@ -233,14 +233,14 @@ class Design:
             if not isinstance(entry, SampledEntry | SphereInertia):
                 found[name] = entry.rows(numbers)
         found = {name: self.conversions[name].apply(values) for name, values in found.items()}
-        # What is computed from other parameters comes after them.
+        # Entries that are computed from other parameters come last.
         for name, entry in self.entries.items():
             if isinstance(entry, SphereInertia):
                 found[name] = entry.values(found, stop - first)
         return {name: found[name] for name in self.entries}
 
     def _sampled(self, first: int, stop: int) -> dict[str, Array]:
-        """Returns the values of all entries that are drawn, block by block."""
+        """Returns the values of all sampled entries, computed block by block."""
         entries = {name: entry for name, entry in self.entries.items() if isinstance(entry, SampledEntry)}
         if not entries:
             return {}

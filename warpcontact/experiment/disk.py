@@ -1,4 +1,4 @@
-"""How much room there is for results."""
+"""Free disk space for results."""
 
 import shutil
 from dataclasses import dataclass
@@ -9,11 +9,11 @@ from warpcontact.validation.number_format import format_bytes
 
 @dataclass(frozen=True)
 class Disk:
-    """The disk on which a folder is, or is going to be.
+    """The disk of an existing or future folder.
 
     Attributes:
         folder: The folder.
-        free: What this user may still write there [bytes].
+        free: Free space for this user [bytes].
     """
 
     folder: Path
@@ -24,7 +24,7 @@ class Disk:
 
 
 def find_disk(folder: Path) -> Disk | None:
-    """Returns the disk of ``folder``, or of the nearest one above it that there is; ``None`` if nobody knows."""
+    """Returns the disk of ``folder``, or of its nearest existing parent; ``None``: not reported by the system."""
     existing = folder.absolute()
     existing = next((one for one in (existing, *existing.parents) if one.exists()), existing)
     try:

@@ -1,7 +1,6 @@
-"""Distributions of single numbers: from numbers that are uniform between 0 and 1 to values of a parameter.
+"""Distributions of scalar parameters, by the inverse of their cumulative distribution functions.
 
-All go by the inverse of their cumulative distribution, so that one uniform number makes one value, whether it is
-random or a coordinate of a design.
+Each value is computed from one number of a sampler between 0 and 1, which is random or a coordinate of a design.
 """
 
 import functools
@@ -19,14 +18,14 @@ from warpcontact.experiment.quantities import plain
 from warpcontact.kernels.catalogue.names import suggestion
 from warpcontact.validation.checks import Array
 
-# The numbers between 0 and 1 that are taken: those of 53 bits, with half a unit in place of 0, so that no
-# distribution is asked for its infinite ends.
+# Range of numbers from a sampler: multiples of 2⁻⁵³, with 2⁻⁵⁴ instead of 0, so that no distribution is evaluated at
+# its infinite ends.
 SMALLEST = 2.0**-54
 LARGEST = 1.0 - 2.0**-53
 
 
 def clip_to_open_interval(units: Array) -> Array:
-    """Returns ``units`` kept off 0 and 1."""
+    """Returns ``units`` clipped to values between 0 and 1, exclusive."""
     return np.clip(units, SMALLEST, LARGEST)
 
 
@@ -35,10 +34,10 @@ class Marginal(ABC):
 
     @abstractmethod
     def from_uniform(self, units: Array) -> Array:
-        """Returns values (n, *shape) of uniform numbers (n, *shape)."""
+        """Returns values (n, *shape) from uniform numbers (n, *shape)."""
 
     def from_normal(self, normals: Array) -> Array:
-        """Returns values (n, *shape) of standard normal numbers (n, *shape), in the same order."""
+        """Returns values (n, *shape) from standard normal numbers (n, *shape); monotonic in each."""
         from scipy.special import ndtr
 
         return self.from_uniform(clip_to_open_interval(ndtr(normals)))
@@ -46,7 +45,7 @@ class Marginal(ABC):
 
 @dataclass(frozen=True, eq=False)
 class Uniform(Marginal):
-    """Evenly from ``low`` to ``high``."""
+    """Uniform distribution from ``low`` to ``high``."""
 
     low: Array
     high: Array
@@ -58,7 +57,7 @@ class Uniform(Marginal):
 
 @dataclass(frozen=True, eq=False)
 class IntegerUniform(Marginal):
-    """Whole numbers from ``low`` to ``high``, each equally often."""
+    """Integers from ``low`` to ``high``, each with the same probability."""
 
     low: Array
     high: Array
@@ -71,7 +70,7 @@ class IntegerUniform(Marginal):
 
 @dataclass(frozen=True, eq=False)
 class LogUniform(Marginal):
-    """Evenly in the logarithm."""
+    """Log-uniform distribution from ``low`` to ``high``."""
 
     low: Array
     high: Array
@@ -83,7 +82,7 @@ class LogUniform(Marginal):
 
 @dataclass(frozen=True, eq=False)
 class Normal(Marginal):
-    """Gaussian."""
+    """Normal distribution."""
 
     mean: Array
     deviation: Array
@@ -101,11 +100,11 @@ class Normal(Marginal):
 
 @dataclass(frozen=True, eq=False)
 class LogNormal(Normal):
-    """Gaussian in the logarithm, of which ``mean`` and ``deviation`` are."""
+    """Lognormal distribution; ``mean`` and ``deviation`` are those of the logarithm."""
 
     def from_normal(self, normals: Array) -> Array:
         """See ``Marginal``."""
-        with np.errstate(over="ignore"):  # what is infinite is no value of a parameter, which is told later
+        with np.errstate(over="ignore"):  # infinite values are reported when the parameter is checked
             return np.asarray(np.exp(super().from_normal(normals)))
 
 
@@ -114,8 +113,8 @@ class ScipyDistribution(Marginal):
     """A distribution of ``scipy.stats``.
 
     Args:
-        name: Its name there.
-        parameters: Its parameters by name, numbers or vectors.
+        name: Name in ``scipy.stats``.
+        parameters: Parameters by name, numbers or vectors.
     """
 
     name: str
@@ -127,24 +126,24 @@ class ScipyDistribution(Marginal):
             return np.asarray(_families()[self.name].ppf(units, **self.parameters), dtype=np.float64)
 
 
-#: The kinds of a variation that are drawn, given by two numbers or vectors.
+#: Sampled kinds of a variation that are given by two numbers or vectors.
 PAIRS: dict[str, type[Any]] = {
     "uniform": Uniform,
     "loguniform": LogUniform,
     "normal": Normal,
     "lognormal": LogNormal,
 }
-#: All kinds that are drawn.
+#: All sampled kinds of a variation.
 DISTRIBUTIONS = (*PAIRS, "distribution")
 
 
 def make_marginal(kind: str, given: Any, whole: bool) -> Marginal:
-    """Returns the distribution that an entry of ``[variation]`` asks for.
+    """Returns the distribution of an entry of ``[variation]``.
 
     Args:
-        kind: Its key, one of ``DISTRIBUTIONS``.
-        given: What is behind it.
-        whole: Whether it is of a parameter that is a whole number.
+        kind: Key of the entry, one of ``DISTRIBUTIONS``.
+        given: Value of the key.
+        whole: Whether the parameter is an integer.
     """
     if kind == "distribution":
         parameters = {key: np.array(value) for key, value in given.items() if key != "name"}
@@ -155,14 +154,14 @@ def make_marginal(kind: str, given: Any, whole: bool) -> Marginal:
 
 
 def value_shape(kind: str, given: Any) -> tuple[int, ...]:
-    """Returns the shape of one value of such an entry."""
+    """Returns the shape of one value of an entry; arguments as of ``make_marginal``."""
     if kind == "distribution":
         return np.broadcast_shapes(*(np.shape(value) for key, value in given.items() if key != "name"))
     return np.shape(given[0])
 
 
 def varying_components(kind: str, given: Any) -> NDArray[np.bool_]:
-    """Returns which numbers of such an entry differ between environments, in the shape of one value."""
+    """Returns which components of an entry vary between environments, in the shape of one value."""
     if kind == "distribution":
         return np.ones(value_shape(kind, given), dtype=bool)
     first, second = np.array(given, dtype=np.float64)
@@ -170,7 +169,7 @@ def varying_components(kind: str, given: Any) -> NDArray[np.bool_]:
 
 
 def is_discrete(given: Mapping[str, Any]) -> bool:
-    """Whether a checked distribution of ``scipy.stats`` gives whole numbers only."""
+    """Whether a validated distribution of ``scipy.stats`` is discrete."""
     from scipy import stats
 
     return isinstance(_families()[given["name"]], stats.rv_discrete)
@@ -187,10 +186,10 @@ def _families() -> dict[str, Any]:
 
 
 def check_distribution(value: Any) -> dict[str, Any]:
-    """Returns ``value`` as the table of a distribution of ``scipy.stats``: its name and its parameters.
+    """Validates the table of a distribution of ``scipy.stats``; returns its name and parameters.
 
     Raises:
-        ValueError: If it is none. The message continues the key of the table.
+        ValueError: If it is invalid. The message continues the key of the table.
     """
     if not isinstance(value, Mapping):
         raise ValueError(
@@ -225,7 +224,7 @@ def check_distribution(value: Any) -> dict[str, Any]:
         middle = family.ppf(0.5, **{key: np.array(number) for key, number in checked.items()})
     if not np.all(np.isfinite(middle)):
         given = ", ".join(f"{key} = {number!r}" for key, number in checked.items())
-        raise ValueError(f": there is no {name} with {given}; scipy.stats.{name} tells what its parameters may be")
+        raise ValueError(f": invalid parameters of {name}: {given}; see the documentation of scipy.stats.{name}")
     return {"name": name} | checked
 
 
@@ -241,9 +240,9 @@ def _numbers(key: str, value: Any) -> Any:
 
 
 def _ranges(family: Any) -> dict[str, tuple[Any, str]]:
-    """Returns what the parameters of a distribution may be, each alone: a test of a number, and words."""
+    """Returns the range of each parameter of a distribution: a predicate, and its description."""
     ranges: dict[str, tuple[Any, str]] = {"scale": (lambda number: number > 0.0, "greater than 0")}
-    for info in family._shape_info():  # scipy.stats.fit takes its bounds from there, too
+    for info in family._shape_info():  # private, but also the source of the bounds of scipy.stats.fit
         low, high = (float(end) for end in info.domain)
         if 0.0 < low < np.finfo(float).tiny:
             low = 0.0

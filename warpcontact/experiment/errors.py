@@ -1,4 +1,4 @@
-"""What is wrong with an experiment: all problems at once, each with the place in the file."""
+"""Collects the problems of an experiment, each with its key in the file, for one error message."""
 
 import json
 import re
@@ -8,9 +8,9 @@ from typing import Any
 from warpcontact.kernels.catalogue.names import suggestion
 from warpcontact.validation.safe_text import escape_controls
 
-# More than this helps nobody: they then have one cause.
+# Largest number of problems in a message: more of them usually have a common cause.
 PROBLEMS_SHOWN = 40
-# A bad value is quoted up to this many characters.
+# Largest number of characters of a quoted value.
 VALUE_LENGTH = 60
 
 _ELEMENT = re.compile(r"\w+\[\d+\]")
@@ -21,9 +21,9 @@ class ExperimentError(ValueError):
     """An experiment that cannot be read or run.
 
     Attributes:
-        source: The file, or what stands in its place.
-        problems: One sentence each, beginning with the key, such as ``body[0].mass must be …``. The message has
-            the name of the element as well: ``body[0] ('ball').mass must be …``.
+        source: Name of the file or of the experiment.
+        problems: One sentence each, beginning with the key, such as ``body[0].mass must be …``. The message also has
+            the name of the element: ``body[0] ('ball').mass must be …``.
     """
 
     def __init__(self, source: str, problems: Iterable[str], names: Mapping[str, str] | None = None) -> None:
@@ -48,7 +48,7 @@ def _with_element_name(problem: str, names: Mapping[str, str]) -> str:
 
 
 class Problems:
-    """Collects problems on the way through an experiment.
+    """Collects the problems of an experiment.
 
     Attributes:
         lines: The problems.
@@ -65,11 +65,11 @@ class Problems:
     def add(self, path: str, message: str) -> None:
         """Adds ``message`` about ``path``; one that begins with ``[``, ``.`` or ``:`` continues the path."""
         space = "" if message[:1] in "[.: " else " "
-        # Lists within a message, such as the defects of a mesh, keep their place below it.
+        # Indent lists within a message, such as the defects of a mesh.
         self.lines.append(f"{path}{space}{message}".replace("\n", "\n    "))
 
     def add_unknown_name(self, path: str, value: str, kind: str, available: Iterable[str]) -> None:
-        """Adds that ``value`` is no ``kind``, with the nearest name or all that there are."""
+        """Adds that ``value`` is not the name of a ``kind``, with the most similar name or all that are available."""
         names = list(dict.fromkeys(available))
         hint = suggestion(value, names) or f"; there are: {', '.join(names[:20]) or 'none'}"
         self.add(path, f"must be the name of a {kind}, got {abbreviated(value)}{hint}")
@@ -81,7 +81,7 @@ class Problems:
 
 
 def key_path(location: Iterable[str | int]) -> str:
-    """Returns a place in the file as one writes it: ``variation."ball.mass".uniform[0]``."""
+    """Returns a location as a key path of TOML: ``variation."ball.mass".uniform[0]``."""
     path = ""
     for part in location:
         if isinstance(part, int):
@@ -93,6 +93,6 @@ def key_path(location: Iterable[str | int]) -> str:
 
 
 def abbreviated(value: Any) -> str:
-    """Returns ``value`` for a message, cut if it is long."""
+    """Returns ``repr(value)`` for a message, shortened to ``VALUE_LENGTH`` characters."""
     text = repr(value)
     return text if len(text) <= VALUE_LENGTH else f"{text[: VALUE_LENGTH - 2]} …"

@@ -1,4 +1,4 @@
-"""Whether two experiments are the same, to the content of the files that they name."""
+"""Fingerprints of experiments, which include the content of the files that they name, and their differences."""
 
 import hashlib
 import tomllib
@@ -11,12 +11,12 @@ from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.toml import to_toml
 from warpcontact.files.run_folder import RunPath, open_file
 
-# More differences than this are not told.
+# Largest number of reported differences.
 MAX_REPORTED = 5
 
 
 def fingerprint(copy: ExperimentCopy) -> str:
-    """Returns the SHA-256 of an experiment as it is copied into a folder, with what other files say."""
+    """Returns the SHA-256 of an experiment, with the content of law, mesh and row files."""
     total = hashlib.sha256(_text(copy.settings).encode())
     for name, content in sorted(copy.files.items()):
         total.update(name.encode() + hashlib.sha256(content).digest())
@@ -27,7 +27,7 @@ def fingerprint(copy: ExperimentCopy) -> str:
 
 
 def differences(path: RunPath, settings: Settings) -> list[str]:
-    """Returns in words where the experiment in a file that a run has written differs from ``settings``."""
+    """Returns the differences, as text, between the experiment file that a run has written and ``settings``."""
     try:
         stored = dict(_leaves(tomllib.loads(path.read().decode())))
     except (OSError, ValueError) as error:

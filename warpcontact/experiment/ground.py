@@ -1,4 +1,4 @@
-"""The surfaces of the world in the picture of a run: seen from above, or cut by the plane of the tracks."""
+"""Draws the fixed surfaces and shapes in the picture of a run: a relief from above, or a section along the tracks."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -18,31 +18,31 @@ from warpcontact.scene.shapes import Shape
 from warpcontact.stepping.recording import Recording
 from warpcontact.validation.checks import Array
 
-# Greys of what is lowest and highest, and how much darker what is vertical is.
+# Gray of the lowest and the highest faces, and the darkening of vertical ones.
 DARKEST, LIGHTEST, STEEP = 0.46, 0.92, 0.3
-# What is less high than this part of its width is level.
+# A height span below this fraction of the width counts as level.
 LEVEL = 1.0e-6
-# Faces are upright that go no farther sideways than this part of their height.
+# Faces whose normal has a vertical component below this fraction of the horizontal one count as upright.
 UPRIGHT = 1.0e-2
-# Contours in a picture at most, about, their colour and that of their heights, and how far apart these are, in
-# widths of the window.
+# Approximate maximum number of contours, their color, the color of height labels, and the smallest distance between
+# labels in widths of the window.
 CONTOURS, CONTOUR, HEIGHT, APART = 8, (0.0, 0.0, 0.0, 0.35), (0.0, 0.0, 0.0, 0.75), 0.05
-# What grey is multiplied with, red, green and blue, where faces are active and where not: no track is so coloured.
+# Factors of red, green and blue on the gray of active and inactive faces: colors that tracks do not have.
 ACTIVE, INACTIVE = np.array([1.0, 1.0, 1.0]), np.array([0.62, 0.90, 0.92])
-# Grey of patches in the legend.
+# Gray of patches in the legend.
 SAMPLE = 0.72
-# Colours of sections: thin lines need more of it.
+# Colors of sections, more saturated because lines are thin.
 ACTIVE_LINE, INACTIVE_LINE = (0.45, 0.45, 0.45), (0.15, 0.72, 0.76)
 
 
 @dataclass(frozen=True)
 class GroundSurface:
-    """A surface of the world as it is in the first environment of a recording.
+    """A fixed surface, as in the first environment of a recording.
 
     Attributes:
-        corners: Corners of its faces, (F, 3, 3) [m].
-        active: Mask (F,) of those that can touch.
-        shared: Whether it is the same in all environments.
+        corners: Vertices of its faces (F, 3, 3), world frame [m].
+        active: Mask (F,) of the active faces.
+        shared: Whether the surface is the same in all environments.
     """
 
     corners: Array
@@ -51,7 +51,7 @@ class GroundSurface:
 
     @classmethod
     def of(cls, recording: Recording, surface: Surface) -> "GroundSurface":
-        """Returns ``surface`` with pose, scale and mesh as recorded, or else as in the scene."""
+        """Returns ``surface`` with pose, scale and mesh as recorded, otherwise as in the scene."""
         first: dict[str, Any] = {
             "position": surface.position,
             "orientation": surface.orientation,
@@ -71,9 +71,9 @@ class GroundSurface:
 
     @classmethod
     def of_shape(cls, recording: Recording, shape: Shape, reach: float) -> "GroundSurface":
-        """Returns ``shape`` with pose and sizes as recorded, or else as in the scene.
+        """Returns ``shape`` with pose and sizes as recorded, otherwise as in the scene.
 
-        ``reach`` is how far from the world's origin the square that is drawn of a half-space goes at least [m].
+        A half-space is drawn as a square that extends at least ``reach`` from the origin of the world [m].
         """
         first = {"position": shape.positions[0], "orientation": shape.orientations[0]}
         first |= {key: values[0] for key, values in shape.sizes.items()}
@@ -91,7 +91,7 @@ class GroundSurface:
 
 
 def ground_surfaces(recording: Recording, reach: float) -> list[GroundSurface]:
-    """Returns the visible surfaces and shapes of the world, lower ones first; for ``reach`` see ``of_shape``."""
+    """Returns the visible surfaces and shapes of the world, from low to high; for ``reach`` see ``of_shape``."""
     scene = recording.scene
     fixed = [surface for surface in scene.surfaces if surface.body is None and surface.visible]
     shapes = [shape for shape in scene.shapes if shape.body is None and shape.visible]
@@ -101,12 +101,12 @@ def ground_surfaces(recording: Recording, reach: float) -> list[GroundSurface]:
 
 
 def contour_step(grounds: list[GroundSurface], lower: Array, upper: Array) -> float:
-    """Returns how far apart contours are [m]: 1, 2 or 5 times a power of ten; 0 where all in a window is level.
+    """Returns the height between contours [m]: 1, 2 or 5 times a power of ten; 0 if all faces in a window are level.
 
     Args:
-        grounds: Of what.
+        grounds: The surfaces.
         lower: Lower left corner of the window, x and y [m].
-        upper: Upper right corner.
+        upper: Upper right corner of the window.
     """
     inclined = [_contoured(ground.corners[_within(ground, lower, upper)]) for ground in grounds]
     heights = np.concatenate([np.zeros(0), *(corners[..., 2].ravel() for corners in inclined)])
@@ -118,17 +118,17 @@ def contour_step(grounds: list[GroundSurface], lower: Array, upper: Array) -> fl
 
 
 def draw_from_above(axes: Any, ground: GroundSurface, lower: Array, upper: Array, step: float) -> None:
-    """Draws the faces within a window, lower ones first, with contours of their height.
+    """Draws the faces within a window as a relief, from low to high, with contours of their height.
 
-    They are the lighter the higher they are above the mean plane of all, and the darker the steeper on it: a light
-    from one side would hide ridges along its direction, and the inclination of the whole the shape.
+    Faces are lighter the higher they are above the mean plane of all, and darker the steeper they are relative to it. A
+    directional light would hide ridges along its direction, and the inclination of the mean plane would hide the shape.
 
     Args:
-        axes: Where to draw.
-        ground: What to draw.
+        axes: Axes of Matplotlib.
+        ground: The surface.
         lower: Lower left corner of the window, x and y [m].
-        upper: Upper right corner.
-        step: How far apart contours are [m]; 0: there are none.
+        upper: Upper right corner of the window.
+        step: Height between contours [m]; 0: no contours.
     """
     in_window = _within(ground, lower, upper)
     corners, active = ground.corners[in_window], ground.active[in_window]
@@ -140,7 +140,7 @@ def draw_from_above(axes: Any, ground: GroundSurface, lower: Array, upper: Array
     polygons = PolyCollection(
         list(corners[..., :2]), facecolors=relief_greys(corners)[:, None] * tint, edgecolors="face"
     )
-    # Smoothed edges would leave a seam between neighbours.
+    # Antialiasing would leave seams between neighboring faces.
     polygons.set(linewidth=0.5, antialiased=False)
     axes.add_collection(polygons)
     if step > 0.0:
@@ -148,7 +148,7 @@ def draw_from_above(axes: Any, ground: GroundSurface, lower: Array, upper: Array
 
 
 def _draw_contours(axes: Any, corners: Array, lower: Array, upper: Array, step: float) -> None:
-    """Draws contours of faces (n, 3, 3), each with its height once, where no other is written."""
+    """Draws contours of faces (n, 3, 3), each with one label that does not overlap others."""
     corners = _contoured(corners)
     written: list[Array] = []
     if not len(corners):
@@ -157,44 +157,44 @@ def _draw_contours(axes: Any, corners: Array, lower: Array, upper: Array, step: 
     for level in step * np.arange(np.floor(low / step), np.ceil(high / step) + 1.0):
         lines = _cut(corners, 2, level)[0][..., :2]
         axes.add_collection(LineCollection(list(lines), colors=CONTOUR, linewidths=0.5, zorder=1))
-        # In parts of the window, of which a margin stays free.
-        places = (lines.mean(axis=1) - lower) / (upper - lower)
-        places = places[(np.abs(places - 0.5) < 0.45).all(axis=1)]
+        # Relative to the window, excluding a margin.
+        positions = (lines.mean(axis=1) - lower) / (upper - lower)
+        positions = positions[(np.abs(positions - 0.5) < 0.45).all(axis=1)]
         for other in written:
-            places = places[np.linalg.norm(places - other, axis=1) > APART]
-        if len(places):
-            written.append(places[np.argmin(np.linalg.norm(places - 0.5, axis=1))])
+            positions = positions[np.linalg.norm(positions - other, axis=1) > APART]
+        if len(positions):
+            written.append(positions[np.argmin(np.linalg.norm(positions - 0.5, axis=1))])
             x, y = lower + written[-1] * (upper - lower)
-            # Above tracks and dots, and told apart from them by an edge.
+            # In front of tracks and dots, with a white outline.
             edge = [withStroke(linewidth=1.5, foreground="white")]
-            place = {"ha": "center", "va": "center", "zorder": 4}
-            axes.text(x, y, f"{level:.10g}", fontsize=7, color=HEIGHT, path_effects=edge, **place)
+            layout = {"ha": "center", "va": "center", "zorder": 4}
+            axes.text(x, y, f"{level:.10g}", fontsize=7, color=HEIGHT, path_effects=edge, **layout)
 
 
 def relief_greys(corners: Array) -> Array:
-    """Returns the greys of faces seen from above, (n,) in 0…1, by their corners (n, 3, 3) [m]."""
+    """Returns the grays of faces viewed from above, (n,) in 0…1, from their vertices (n, 3, 3) [m]."""
     middle = corners.mean(axis=1)
     middle = middle - middle.mean(axis=0)
     normal = area_vectors(corners)
-    # Areas as they are seen; of vertical faces there is nothing to see.
-    seen = np.abs(normal[:, 2])
-    weight = np.sqrt(seen / (seen.max() or 1.0))
+    # Weighted by the projected areas, which are zero for vertical faces.
+    projected = np.abs(normal[:, 2])
+    weight = np.sqrt(projected / (projected.max() or 1.0))
     plane = np.stack([middle[:, 0], middle[:, 1], np.ones(len(middle))], axis=1)
     slopes = np.linalg.lstsq(weight[:, None] * plane, weight * middle[:, 2])[0]
     height = middle[:, 2] - plane @ slopes
     span = float(np.ptp(height))
-    # Rounding of what is plane is no relief.
+    # Ignore rounding errors of plane surfaces.
     relief = span > LEVEL * float(np.ptp(middle, axis=0).max())
     level = (height - height.min()) / span if relief else np.full(len(height), 0.5)
     upright = np.array([-slopes[0], -slopes[1], 1.0]) / np.linalg.norm([*slopes[:2], 1.0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1.0e-300)
-    # Of an angle, whatever the outer side of a face.
+    # Sine of the angle to the mean normal, independent of the orientation of a face.
     sine = np.sqrt(np.clip(1.0 - (normal @ upright) ** 2, 0.0, 1.0))
     return np.clip(DARKEST + (LIGHTEST - DARKEST) * level - STEEP * sine, 0.0, 1.0)
 
 
 def _contoured(corners: Array) -> Array:
-    """Returns those of some faces that have contours: neither level nor upright, of which there is but an edge."""
+    """Returns the faces that have contours: neither level nor upright, which are only an edge from above."""
     normal = area_vectors(corners)
     across = np.linalg.norm(normal[:, :2], axis=1)
     upwards = np.abs(normal[:, 2])
@@ -202,14 +202,14 @@ def _contoured(corners: Array) -> Array:
 
 
 def _within(ground: GroundSurface, lower: Array, upper: Array) -> NDArray[np.bool_]:
-    """Returns a mask (F,) of the faces that reach into a window."""
+    """Returns a mask (F,) of the faces that overlap a window."""
     low, high = ground.corners[..., :2].min(axis=1), ground.corners[..., :2].max(axis=1)
     return np.asarray((high >= lower).all(axis=1) & (low <= upper).all(axis=1))
 
 
 def _cut(corners: Array, axis: int, value: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Returns where a plane across an axis cuts faces: ends of lines (n, 2, 3) [m], and a mask of the faces."""
-    # Not through vertices and along edges.
+    """Returns the intersection of faces with a plane across an axis: segments (n, 2, 3) [m], and a mask of the faces."""
+    # Shifted, so that the plane does not contain vertices or edges.
     value += 1.0e-6 * float(np.ptp(corners[..., axis]) or 1.0)
     side = corners[..., axis] > value
     cut = np.asarray(side.any(axis=1) & ~side.all(axis=1))
@@ -222,7 +222,7 @@ def _cut(corners: Array, axis: int, value: float) -> tuple[Array, NDArray[np.boo
 
 
 def draw_section(axes: Any, ground: GroundSurface, y: float) -> None:
-    """Draws where the plane at ``y`` [m] cuts a surface."""
+    """Draws the section of a surface with the plane at ``y`` [m]."""
     lines, cut = _cut(ground.corners, 1, y)
     if len(lines):
         colors = np.where(ground.active[cut][:, None], ACTIVE_LINE, INACTIVE_LINE)
@@ -230,7 +230,7 @@ def draw_section(axes: Any, ground: GroundSurface, y: float) -> None:
 
 
 def legend_entries(from_above: bool) -> list[Any]:
-    """Returns the entries of a legend that tell active faces from others."""
+    """Returns the legend entries for active and inactive faces."""
     labels = "active faces", "inactive faces, which cannot touch"
     if from_above:
         tints = zip((ACTIVE, INACTIVE), labels, strict=True)

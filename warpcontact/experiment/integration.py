@@ -1,4 +1,4 @@
-"""How time goes on in an experiment: its integrator."""
+"""Settings of the integrator in the experiment file."""
 
 from typing import Annotated
 
@@ -12,7 +12,7 @@ from warpcontact.stepping.integrators.moreau_jean import RECOVERY_TIME, SOLVERS,
 
 
 class IntegratorSettings(Section):
-    """``[integrator]``: how time goes on. All keys but ``type`` are those of ``MoreauJean``."""
+    """``[integrator]``: the time integrator. All keys but ``type`` are those of ``MoreauJean``."""
 
     type: Annotated[str, q.one_of(tuple(INTEGRATORS))] = "SemiImplicitEuler"
     theta: Annotated[float | None, q.numbers((), allowed=THETA)] = None
@@ -31,5 +31,5 @@ class IntegratorSettings(Section):
     def _check_keys(self) -> "IntegratorSettings":
         given = list(self.model_dump(exclude={"type"}, exclude_none=True))
         if given and self.type != "MoreauJean":
-            raise ValueError(f": {', '.join(given)} needs type = 'MoreauJean', got {self.type!r}")
+            raise ValueError(f": {', '.join(given)} requires type = 'MoreauJean', got {self.type!r}")
         return self

@@ -1,4 +1,4 @@
-"""One process at a time writes into a folder; the system lets go of it however a process ends."""
+"""Locks a run folder, so that only one process writes into it. The system releases the lock when a process ends."""
 
 import contextlib
 import time
@@ -14,21 +14,21 @@ except ImportError:  # Windows has no locks on folders
     fcntl = None  # type: ignore[assignment]
 
 
-#: How often a lock is asked for.
+#: Number of attempts to acquire the lock.
 LOCK_ATTEMPTS = 5
 
 
 @contextlib.contextmanager
 def write_lock(folder: Path) -> Iterator[None]:
-    """Keeps other processes from writing into ``folder``, which is there, until the block is left.
+    """Locks an existing ``folder`` against writing by other processes, until the block is left.
 
-    Of file systems without locks, and on Windows, it keeps nobody.
+    There is no lock on Windows and on file systems without locks.
 
     Raises:
-        ExperimentError: If another process writes there.
+        ExperimentError: If another process holds the lock.
     """
     with _opened(folder) as opened:
-        # Who only looks whether somebody writes holds it for a moment.
+        # Retry, because ``is_locked`` holds a shared lock for a short time.
         for _ in range(LOCK_ATTEMPTS):
             if _lock(opened, exclusive=True):
                 break
@@ -48,17 +48,17 @@ def is_locked(folder: Path) -> bool:
 
 def locked_error(folder: Path) -> ExperimentError:
     """Returns the error that a process is writing into ``folder``."""
-    return ExperimentError(str(folder), ["a process is running and writes there"])
+    return ExperimentError(str(folder), ["another process is running and writes there"])
 
 
 @contextlib.contextmanager
 def _opened(folder: Path) -> Iterator[int | None]:
-    with RunPath(folder).opened() as (_, opened):  # its end lets go of the lock
+    with RunPath(folder).opened() as (_, opened):  # closing the folder releases the lock
         yield None if fcntl is None else opened
 
 
 def _lock(opened: int | None, *, exclusive: bool) -> bool:
-    """Returns whether nobody else holds it, as far as the file system can tell."""
+    """Acquires the lock without waiting; returns False if another process holds it."""
     if opened is None:
         return True
     try:

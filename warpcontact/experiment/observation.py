@@ -1,4 +1,4 @@
-"""What an experiment watches while it runs, and what it records and writes of that."""
+"""Settings of an experiment for outcomes, stop conditions, events, quarantine, recording and output."""
 
 import inspect
 from collections.abc import Callable, Iterable
@@ -50,7 +50,7 @@ _LIMIT = Annotated[float | None, q.numbers((), allowed=_NUMBER)]
 
 
 class OutcomeSettings(Section):
-    """An entry of ``[outcome]``: its class, of the library or as ``FILE.py:CLASS``, and of what it is."""
+    """An entry of ``[outcome]``: its class, by name or as ``FILE.py:CLASS``, and its sensor or contact."""
 
     outcome: ClassVar[type[Outcome]]
     type: str
@@ -64,7 +64,7 @@ class OutcomeSettings(Section):
     def _complete(self) -> "OutcomeSettings":
         try:
             self.make()
-        except (TypeError, ValueError) as error:  # above and below
+        except (TypeError, ValueError) as error:  # for example from invalid ``above`` and ``below``
             raise ValueError(f": {error}") from None
         return self
 
@@ -93,7 +93,7 @@ class StopSettings(Section):
 
 
 class EventsSettings(Section):
-    """``[events]``: the contacts of which it is written down when they are made and lost."""
+    """``[events]``: contacts whose start and end times are recorded."""
 
     contacts: Annotated[tuple[str, ...], Field(strict=False)] = Field(description="a list of names of contacts")
     most: int = Field(default=32, ge=1)
@@ -112,7 +112,7 @@ class EventsSettings(Section):
 
 
 class RecordSettings(Section):
-    """``[record]``: what is recorded how often."""
+    """``[record]``: recorded sensors and the interval between frames."""
 
     every: Annotated[float | None, q.time] = None
     sensors: Annotated[tuple[str, ...], Field(strict=False)] | None = None
@@ -120,13 +120,13 @@ class RecordSettings(Section):
 
 
 class OutputSettings(Section):
-    """``[output]``: what is written besides the recording."""
+    """``[output]``: files that are written in addition to the recording."""
 
     usd_envs: int = Field(default=16, ge=0)
 
 
 class QuarantineSettings(Section):
-    """``[quarantine]``: what makes an environment fail, and what becomes of it."""
+    """``[quarantine]``: limits beyond which an environment fails, and the policy for failed environments."""
 
     policy: Annotated[str, q.one_of(POLICIES)] = "freeze"
     max_speed: Annotated[float | None, q.numbers((), allowed=MAX_SPEED)] = None
@@ -134,19 +134,19 @@ class QuarantineSettings(Section):
 
     @property
     def limits(self) -> dict[str, float]:
-        """Limits of the scene that there are, by their names."""
+        """The given limits of the scene, by name."""
         return self.model_dump(include={"max_speed", "max_distance"}, exclude_none=True)
 
 
 def outcome_model(value: Any, user_files: UserFiles) -> type[OutcomeSettings]:
-    """Returns the model of an outcome as it stands in the file.
+    """Returns the pydantic model of the table of an outcome.
 
     Args:
-        value: What is there.
-        user_files: Where classes are that are not of the library.
+        value: The table of the file.
+        user_files: Files with user-defined classes.
 
     Raises:
-        ValueError: If there is none; the message continues the key.
+        ValueError: If the table is invalid; the message continues the key.
     """
     listed = f"one of {', '.join(outcomes.OUTCOMES)}, or FILE.py:CLASS"
     if not isinstance(value, dict):
@@ -168,7 +168,7 @@ def outcome_model(value: Any, user_files: UserFiles) -> type[OutcomeSettings]:
 
 @cache
 def _settings_model(outcome: type[Outcome]) -> type[OutcomeSettings]:
-    """Returns the model of the tables of a class of outcomes."""
+    """Returns the pydantic model of the tables of an outcome class."""
     fields: dict[str, Any] = {}
     if not issubclass(outcome, OfContact):
         fields = {"component": (_COMPONENT, None), "items": (_ITEMS, EACH)}
@@ -189,7 +189,7 @@ OutcomeTable = Annotated[SerializeAsAny[OutcomeSettings], PlainValidator(_outcom
 
 
 def monitor_arguments(settings: "Settings") -> dict[str, Any]:
-    """Returns what a simulation of an experiment watches, as arguments of ``Simulation``."""
+    """Returns outcomes, stop conditions, events and quarantine policy of an experiment, as arguments of ``Simulation``."""
     return {
         "outcomes": {name: one.make() for name, one in settings.outcome.items()},
         "stop": {name: one.make() for name, one in settings.stop.items()},
@@ -205,14 +205,14 @@ def check_monitors(
     problems: Problems,
     is_invalid: Callable[[str], bool],
 ) -> None:
-    """Checks that all that is to be watched is there.
+    """Checks that the sensors and contacts of outcomes, stop conditions and events exist.
 
     Args:
-        model: The scene of the experiment, built.
-        integrator: What steps it.
+        model: A model of the scene.
+        integrator: Integrator of the experiment.
         settings: The experiment.
-        problems: Receives what is not.
-        is_invalid: Whether a sensor is, or may be, of an element that has problems of its own.
+        problems: Receives the problems.
+        is_invalid: Returns whether a sensor belongs, or may belong, to an element with reported problems.
     """
     part = model.parts[0]
     resolver = SourceResolver(part, integrator.declare(part, AllocationPlan(part.device)))
@@ -240,7 +240,7 @@ def check_monitors(
 def _is_valid_name(path: str, name: str, problems: Problems) -> bool:
     """Checks the name of an outcome or a stop condition."""
     if name in RESERVED:
-        problems.add(path, f": {name!r} is the name of what every result has; choose another")
+        problems.add(path, f": {name!r} is the name of a variable that every result has; choose another")
         return False
     try:
         checks.key("", name)

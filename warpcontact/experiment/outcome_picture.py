@@ -1,6 +1,6 @@
-"""One picture of a run without series: how its outcomes are spread over the environments.
+"""Draws the picture of a run without series: histograms of outcomes over the environments.
 
-Without a display, and without matplotlib's global state.
+The picture is drawn without a display and without the global state of matplotlib.
 """
 
 from collections.abc import Iterator
@@ -22,18 +22,18 @@ from warpcontact.stepping.outcomes.watch import RESERVED
 from warpcontact.storage.memory_estimate import env_count_text
 from warpcontact.validation.safe_text import single_line, truncate
 
-# More would be too small to read.
+# Largest number of histograms.
 MOST = 6
-# Letters of the title.
+# Largest number of characters of the title.
 TITLE = 60
 COLUMNS = 3
 QUANTILES = (0.05, 0.5, 0.95)
-# Of the summand of ticks, as matplotlib writes it.
+# First characters of an additive offset of ticks, as matplotlib writes it.
 _SIGNS = "+-\N{MINUS SIGN}"
 
 
 def write_outcome_picture(path: Path | RunPath, outcome: xr.Dataset, title: str) -> bool:
-    """Draws histograms of the first outcomes that are one number; frozen environments are left out and counted.
+    """Draws histograms of the first scalar outcomes; frozen environments are excluded, their number is in the title.
 
     Args:
         path: The .png file.
@@ -41,7 +41,7 @@ def write_outcome_picture(path: Path | RunPath, outcome: xr.Dataset, title: str)
         title: Title of the picture.
 
     Returns:
-        Whether there was anything to draw, and the file was written.
+        Whether the picture was written; False: there is no scalar outcome.
     """
     drawn = list(_numbers(outcome))[:MOST]
     if not drawn:
@@ -51,7 +51,7 @@ def write_outcome_picture(path: Path | RunPath, outcome: xr.Dataset, title: str)
     rows = -(-len(drawn) // columns)
     figure = Figure(figsize=(1.0 + 4.2 * columns, 0.8 + 3.2 * rows), dpi=120, layout="constrained")
     FigureCanvasAgg(figure)
-    left_out = f", {frozen.sum()} frozen left out" if frozen.any() else ""
+    left_out = f", {frozen.sum()} frozen excluded" if frozen.any() else ""
     title = f"{truncate(single_line(title), TITLE)}: {env_count_text(len(frozen))}"
     figure.suptitle(f"{title}{left_out}", parse_math=False)
     for i, (name, label, values) in enumerate(drawn):
@@ -66,7 +66,7 @@ def write_outcome_picture(path: Path | RunPath, outcome: xr.Dataset, title: str)
 
 
 def _numbers(outcome: xr.Dataset) -> Iterator[tuple[str, str, NDArray[np.float64]]]:
-    """Iterates over the outcomes with one number for each environment: name, label of the axis, values."""
+    """Iterates over the outcomes with one number per environment: name, label of the axis, values."""
     for name, array in outcome.data_vars.items():
         if name in RESERVED or array.dims != ("env",):
             continue
@@ -76,7 +76,7 @@ def _numbers(outcome: xr.Dataset) -> Iterator[tuple[str, str, NDArray[np.float64
 
 
 def _offset_of_ticks(axes: Axes) -> str:
-    """Returns factor and summand of the ticks, for their label, and hides them where they would cover it."""
+    """Returns factor and offset of the ticks, for the axis label, and hides the text that matplotlib would draw."""
     formatter = axes.xaxis.get_major_formatter()
     formatter.format_ticks(axes.xaxis.get_majorticklocs().tolist())
     axes.xaxis.offsetText.set_visible(False)
@@ -87,7 +87,7 @@ def _offset_of_ticks(axes: Axes) -> str:
 
 
 def _draw_histogram(axes: Axes, values: NDArray[np.float64]) -> None:
-    """Draws values of environments; those that are not finite are told in words."""
+    """Draws a histogram of the finite values, and states the number of values that are not finite."""
     finite = values[np.isfinite(values)]
     if len(finite):
         axes.hist(finite, bins=bin_edges(finite).tolist(), color="C0", alpha=0.75)
@@ -95,9 +95,9 @@ def _draw_histogram(axes: Axes, values: NDArray[np.float64]) -> None:
         marks = np.quantile(finite, QUANTILES)
         for q, mark, line in zip(QUANTILES, marks, (":", "-", ":"), strict=True):
             axes.axvline(mark, color="C1", linestyle=line, label=f"{100 * q:g} %: {mark:.4g}")
-        # Below the label of the axis, where the legend hides nothing.
-        place = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.16), "ncols": 3}
-        axes.legend(**place, fontsize="small", frameon=False, handlelength=1.2, columnspacing=1.0)
+        # Below the axis label, where the legend hides nothing.
+        layout = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.16), "ncols": 3}
+        axes.legend(**layout, fontsize="small", frameon=False, handlelength=1.2, columnspacing=1.0)
     else:
         axes.set(xticks=(), yticks=())
     if len(finite) < len(values) or not len(values):

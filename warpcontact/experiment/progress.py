@@ -1,4 +1,4 @@
-"""How far a run is: a bar for who watches, small files for who asks from elsewhere."""
+"""Reports the progress of a run: as a progress bar in the terminal, and as files for other processes."""
 
 import contextlib
 import json
@@ -17,20 +17,20 @@ from warpcontact.files.run_folder import RunPath
 from warpcontact.storage.memory_estimate import env_count_text
 from warpcontact.validation.safe_text import terminal
 
-# Between two looks [s].
+# Smallest time between updates [s].
 INTERVAL = 1.0
-# Largest file that is read of a shard [bytes].
+# Largest size of a progress file that is read [bytes].
 MOST = 2**16
 
 _FILE = re.compile(r"shard_(\d{6,})\.json")
 
 
 class ProgressBar:
-    """A bar over the steps of all environments of a run, with how many of these are finished, and frozen.
+    """A progress bar over the steps of all environments of a run, with the numbers of finished and frozen ones.
 
     Args:
         envs: Number of environments.
-        steps: Steps of each.
+        steps: Steps of each environment.
         shards: Number of shards.
         show: Whether to show it; ``None``: on runs of over a second, in a terminal.
     """
@@ -55,7 +55,7 @@ class ProgressBar:
         self._frozen: dict[int, int] = {}
 
     def begin(self, shards: Iterable[Shard], commits: Mapping[int, Commit]) -> None:
-        """Tells of what was committed before."""
+        """Adds the committed steps of earlier attempts."""
         done = 0
         for shard in shards:
             commit = commits.get(shard.number)
@@ -68,14 +68,14 @@ class ProgressBar:
         self._update_postfix()
 
     def update(self, shard: Shard, steps: int, frozen: int = 0) -> None:
-        """Tells how many steps of a shard are done, and how many of its environments are frozen."""
+        """Updates the number of steps of a shard, and of its frozen environments."""
         before = self._done.get(shard.number, 0)
         self._done[shard.number], self._frozen[shard.number] = steps, frozen
         self._update_postfix()
         self._bar.update(shard.envs * (steps - before))
 
     def finish(self, shard: Shard, frozen: int) -> None:
-        """Tells that a shard is finished, with so many frozen environments."""
+        """Updates a shard that is finished, with the number of its frozen environments."""
         self._finished += shard.envs
         self.update(shard, self._steps, frozen)
 
@@ -95,19 +95,19 @@ class ProgressBar:
 
 
 class ProgressFile:
-    """Tells in a file of the run's folder how far a shard is, once in a while."""
+    """Writes the progress of a shard to a file in the run folder, at most once per ``INTERVAL``."""
 
     def __init__(self, folder: Path, shard: Shard) -> None:
         self._path = RunPath(folder) / PROGRESS / f"{shard.name}.json"
         self._last = 0.0
 
     def write(self, steps: int) -> bool:
-        """Tells how many steps are done; returns whether it was time to."""
+        """Writes the number of steps if ``INTERVAL`` has passed; returns whether it has."""
         now = time.monotonic()
         if now - self._last < INTERVAL:
             return False
         self._last = now
-        # It is nobody's loss if it cannot be told.
+        # Errors are ignored: progress is not essential.
         with contextlib.suppress(OSError), self._path.replacing(wait=False) as file:
             content = {"steps": steps, "time": time.time(), "process": os.getpid()}
             file.write(json.dumps(content).encode())
@@ -122,7 +122,7 @@ def read_progress(folder: Path) -> Iterator[tuple[int, dict[str, Any]]]:
     """Iterates over the shards that report progress, by number.
 
     Raises:
-        UnsafeFileError: If such a file is a link, a pipe or a device, or far too large.
+        UnsafeFileError: If a progress file is a link, a pipe or a device, or is too large.
     """
     progress = RunPath(folder) / PROGRESS
     for name in progress.names():

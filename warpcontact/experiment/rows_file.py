@@ -1,4 +1,4 @@
-"""Files with a value for each item of a set: ``.npy``, or ``.csv`` with a row for each."""
+"""Reads files with one value per item of a set: ``.npy``, or ``.csv`` with one row per item."""
 
 import io
 import warnings
@@ -18,7 +18,7 @@ SUFFIXES = (".npy", ".csv")
 
 
 def check_rows_file(label: str, name: str) -> str:
-    """Returns ``name`` if it is that of a file that ``read_rows`` knows, or raises ``ValueError``."""
+    """Returns ``name`` if ``read_rows`` can read this type of file, or raises ``ValueError``."""
     if Path(name).suffix.lower() not in SUFFIXES:
         raise ValueError(
             f"{label} must be a list, or a file that ends in {' or '.join(SUFFIXES)}, got {name!r}".lstrip()
@@ -27,17 +27,17 @@ def check_rows_file(label: str, name: str) -> str:
 
 
 def read_rows(path: Path) -> Array:
-    """Returns the numbers in a file: of a ``.csv`` (n,) if it has one column, else (n, columns).
+    """Returns the numbers in a file: for ``.csv`` (n,) if it has one column, otherwise (n, columns).
 
-    Lines of a ``.csv`` that begin with ``#`` are left out; nine columns are a 3×3 tensor each.
+    Lines of a ``.csv`` that begin with ``#`` are skipped. Nine columns are converted to 3×3 tensors.
 
     Raises:
-        ValueError: If it cannot be read or holds anything but numbers.
+        ValueError: If the file cannot be read or contains other data than numbers.
     """
     is_npy = path.suffix.lower() == ".npy"
-    room = available_memory(HOST)
+    memory = available_memory(HOST)
     try:
-        with open_file(path, None if room is None else room.size) as file:
+        with open_file(path, None if memory is None else memory.size) as file:
             values = _array(file) if is_npy else _table(file)
     except FileNotFoundError:
         raise ValueError(f"there is no file {str(path)!r}") from None
@@ -57,12 +57,12 @@ def _array(file: BinaryIO) -> NDArray[Any]:
     except OSError:
         raise
     except MemoryError:
-        raise ValueError("it takes more memory than there is, or was changed") from None
-    except Exception:  # whatever a damaged file makes NumPy raise
-        raise ValueError("it must be what numpy.save writes of an array of numbers, and as a whole") from None
+        raise ValueError("it requires more memory than available, or is damaged") from None
+    except Exception:  # NumPy raises various exceptions for damaged files
+        raise ValueError("it must be a complete array of numbers as written by numpy.save") from None
     if not isinstance(found, np.ndarray):
         found.close()
-        raise ValueError("it must be one array, as numpy.save writes it, got an archive of arrays (.npz)")
+        raise ValueError("it must be one array as written by numpy.save, got an archive of arrays (.npz)")
     check_numbers("its values", found)
     return found
 
@@ -71,7 +71,7 @@ def _table(file: BinaryIO) -> NDArray[Any]:
     with io.TextIOWrapper(file, encoding="utf-8-sig") as text:
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # that there is nothing in it
+                warnings.simplefilter("ignore")  # the warning about empty files
                 values = np.loadtxt(text, delimiter=",", ndmin=2)
         except UnicodeDecodeError:
             raise ValueError("it must be text in UTF-8") from None
@@ -84,7 +84,7 @@ def _table(file: BinaryIO) -> NDArray[Any]:
 
 
 def _fault(content: str) -> str | None:
-    """Returns what is wrong with the first line of a ``.csv`` that is not as those before."""
+    """Returns the problem with the first invalid line of a ``.csv``; ``None``: all lines are valid."""
     columns = None
     for number, line in enumerate(content.splitlines(), 1):
         text = line.partition("#")[0].strip()

@@ -1,4 +1,4 @@
-"""Which numbers an experiment draws in each environment, where they come from, and which are drawn together."""
+"""Columns of the sampler: which numbers are sampled in each environment, and which of them are correlated."""
 
 from collections.abc import Callable, Mapping
 
@@ -17,12 +17,12 @@ from warpcontact.experiment.sampling import (
 )
 from warpcontact.experiment.variation_settings import CorrelationSettings, VariationSettings
 
-# What differs between environments and is not drawn.
+# Kinds of a variation that are not sampled.
 _ORDERED = ("linspace", "grid", "values")
 
 
 def sampled_components(variation: Mapping[str, VariationSettings]) -> list[tuple[str, tuple[int, ...]]]:
-    """Returns the numbers that are drawn and differ, in order: name of a parameter, and which of its numbers."""
+    """Returns the sampled components that vary, in order: name of the parameter, and index of the component."""
     entries = ((name, entry.kind, getattr(entry, entry.kind)) for name, entry in variation.items() if entry.drawn)
     return [
         (name, tuple(map(int, index)))
@@ -32,20 +32,20 @@ def sampled_components(variation: Mapping[str, VariationSettings]) -> list[tuple
 
 
 class SampleColumns:
-    """The numbers that each environment draws, each a column of a sampler.
+    """Assigns the sampled numbers of each environment to columns of a sampler.
 
     Args:
-        variation: What varies.
-        method: How numbers are drawn, one of ``sampling.METHODS``.
+        variation: Variation settings by parameter name.
+        method: Sampling method, one of ``sampling.METHODS``.
         envs: Number of environments.
         seed: Seed of the experiment.
-        problems: Receives what is wrong.
+        problems: Receives the problems.
 
     Attributes:
-        numbers: Which numbers of a value of each parameter have a column, by name. One by which environments do
-            not differ has none, unless it is drawn at random: what follows it is drawn as if it did.
-        first: The first column of each.
-        incomplete: Names of those that have problems, so that nobody knows how many numbers they should have.
+        numbers: Indices of the components that have a column, by parameter name. A component that does not vary has
+            none, except with random sampling, so that the samples of later components do not depend on it.
+        first: First column of each parameter.
+        incomplete: Names of parameters with problems, whose number of columns is unknown.
     """
 
     def __init__(
@@ -74,10 +74,10 @@ class SampleColumns:
         self._correlated: set[str] = set()
 
     def sampler(self, any_envs: bool) -> Sampler:
-        """Returns where the numbers come from, or some way to go on if the method does not fit.
+        """Returns the sampler, or independent random numbers if the method cannot be used.
 
         Args:
-            any_envs: Whether any number of environments fits, as it is not known.
+            any_envs: Whether to accept any number of environments, because it is unknown.
         """
         counts = {name: len(numbers) for name, numbers in self.numbers.items()}
         independent = Random(self.seed, counts)
@@ -88,8 +88,8 @@ class SampleColumns:
             return independent
         if self.method == "saltelli":
             any_envs = any_envs or bool(self.incomplete)
-            sound = self._fits_saltelli(any_envs) and not any_envs
-            return Saltelli(self.seed, self.number, self.envs) if sound else independent
+            valid = self._fits_saltelli(any_envs) and not any_envs
+            return Saltelli(self.seed, self.number, self.envs) if valid else independent
         if self.method == "latin_hypercube":
             return LatinHypercube(self.seed, counts, self.envs)
         return Sobol(self.seed, self.number) if self.method == "sobol" and self.number else independent
@@ -102,7 +102,7 @@ class SampleColumns:
                 rule = f"must be left out with sampling.method = 'saltelli'; allowed: {allowed}"
                 self.problems.add(f"{key_path(('variation', name))}.{entry.kind}", rule)
         if not self.number:
-            rule = "must have an entry that is drawn and differs for sampling.method = 'saltelli'"
+            rule = "must have a sampled entry that varies, for sampling.method = 'saltelli'"
             self.problems.add("variation", rule)
         if len(self.problems.lines) > before:
             return False
@@ -114,23 +114,23 @@ class SampleColumns:
             self.problems.add(
                 "envs",
                 f"must be {group} n, with n = 2, 4, 8, …, for sampling.method = 'saltelli' and {self.number} "
-                f"numbers that are drawn, got {self.envs}; next to it: {' and '.join(map(str, nearest))}",
+                f"sampled numbers, got {self.envs}; nearest: {' and '.join(map(str, nearest))}",
             )
         return len(self.problems.lines) == before
 
     def correlation(
         self, number: int, entry: CorrelationSettings, is_invalid: Callable[[str], bool]
     ) -> Correlation | None:
-        """Returns what draws some of the numbers together, or ``None`` if that is wrong.
+        """Returns a correlation between columns, or ``None`` if it is invalid.
 
         Args:
-            number: Which ``[[correlation]]`` it is.
-            entry: What it says.
-            is_invalid: Tells of the name of a parameter whether its element has problems of its own.
+            number: Index of the ``[[correlation]]``.
+            entry: Its settings.
+            is_invalid: Returns whether the element of a parameter name has reported problems.
         """
         before = len(self.problems.lines)
         if self.method == "saltelli":
-            rule = "must be left out: sampling.method = 'saltelli' takes what is drawn to be independent"
+            rule = "must be left out: sampling.method = 'saltelli' requires independent samples"
             self.problems.add(f"correlation[{number}]", rule)
             return None
         for i, name in enumerate(entry.names):
@@ -140,19 +140,21 @@ class SampleColumns:
             if name in self.variation:
                 self._check_correlated(path, name)
             elif not is_invalid(name):
-                self.problems.add_unknown_name(path, name, "drawn entry of [variation]", self.first)
+                self.problems.add_unknown_name(path, name, "sampled entry of [variation]", self.first)
         if len(self.problems.lines) > before or not self.first.keys() - self.incomplete >= set(entry.names):
             return None
         columns = tuple(self.first[name] for name in entry.names)
         return Correlation(columns, np.linalg.cholesky(np.array(entry.matrix)))
 
     def _check_correlated(self, path: str, name: str) -> None:
-        """Checks an entry that is to be drawn with others."""
+        """Checks an entry of a correlation."""
         entry = self.variation[name]
         if name in self._correlated:
             self.problems.add(path, f"must be in no other [[correlation]], got {name!r} again")
         elif not entry.drawn:
-            message = f"must be drawn, by one of {', '.join(DISTRIBUTIONS)}, got {name!r}, which has {entry.kind}"
+            message = (
+                f"must be sampled, by one of {', '.join(DISTRIBUTIONS)}, got {name!r}, which has {entry.kind}"
+            )
             self.problems.add(path, message)
         elif shape := value_shape(entry.kind, getattr(entry, entry.kind)):
             message = f"must be one number in each environment, got {name!r}, which has {int(np.prod(shape))}"

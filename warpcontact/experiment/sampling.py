@@ -1,8 +1,9 @@
-"""The numbers between 0 and 1 of which values are drawn: random ones, and designs that fill the unit cube evenly.
+"""Samplers: points in the unit cube from which parameter values are computed.
 
-They come in blocks of ``BLOCK`` environments, which begin at multiples of it, whatever rows are asked for: vector
-instructions may round the same number differently at another place of an array, and a shard is to draw the very
-bits that a run of all environments draws.
+Methods: independent random numbers, Latin hypercube, scrambled Sobol' points, and the design of Saltelli et al. (2010)
+for sensitivity indices. Points are computed in blocks of ``BLOCK`` environments that start at multiples of ``BLOCK``:
+vector instructions may round a number differently at another position of an array, and the values of a shard must be
+bitwise identical to those of a run of all environments.
 """
 
 import hashlib
@@ -17,39 +18,39 @@ from warpcontact.experiment.distributions import clip_to_open_interval
 from warpcontact.validation.checks import Array
 
 BLOCK = 1024
-# The most with which SciPy's engine can be put forward.
+# Largest number of bits of SciPy's engine for which ``fast_forward`` works.
 SOBOL_BITS = 32
-#: The most columns of Sobol' points for which direction numbers are known.
+#: Largest dimension of Sobol' points in SciPy's table of direction numbers.
 MOST_COLUMNS = 21201
 METHODS = ("random", "latin_hypercube", "sobol", "saltelli")
-# What the generator of a whole design is seeded by in place of a name; no parameter has this one.
+# Seeds the generator of Sobol' points; not a valid parameter name.
 _DESIGN = "[sampling]"
 
 
 def generator(seed: int, name: str, start: int = 0) -> np.random.Generator:
-    """Returns the random generator of the parameter called ``name``, ``start`` numbers after its first."""
+    """Returns the random generator of the parameter ``name``, advanced by ``start`` numbers."""
     digest = hashlib.sha256(name.encode()).digest()
     bits = np.random.PCG64(np.random.SeedSequence([seed, int.from_bytes(digest[:16])]))
-    # One draw of 64 bits makes one number.
+    # Each random number takes one 64-bit state of the generator.
     return np.random.Generator(bits.advance(start))
 
 
 class Sampler(Protocol):
-    """Where numbers between 0 and 1 come from, with a column for each number that an environment draws."""
+    """A source of numbers between 0 and 1, one row per environment and one column per sampled number."""
 
     def blocks(self, start: int) -> Iterator[Array]:
-        """Iterates over blocks (BLOCK, columns), without end; ``start``, a multiple of BLOCK, is the first row.
+        """Iterates over blocks (BLOCK, columns) without end, from row ``start``, a multiple of BLOCK.
 
-        Rows beyond the last environment may be anything.
+        Rows after the last environment are arbitrary.
         """
 
 
 @dataclass(frozen=True)
 class Midpoint:
-    """One half in place of each number: where it is the form of values that matters.
+    """The center of the unit cube for each environment, for computing the shapes of values.
 
     Args:
-        columns: How many columns there are.
+        columns: Number of columns.
     """
 
     columns: int
@@ -62,7 +63,7 @@ class Midpoint:
 
 @dataclass(frozen=True)
 class Random:
-    """Independent random numbers, of each parameter from a generator of its own.
+    """Independent random numbers, with one generator per parameter.
 
     Args:
         seed: Seed of the experiment.
@@ -83,11 +84,11 @@ class Random:
 
 @dataclass(frozen=True)
 class LatinHypercube:
-    """Each column has one random number in each of ``envs`` intervals of the same length, in random order.
+    """Latin hypercube: each column has one random number in each of ``envs`` equal intervals, in random order.
 
     Args:
         seed: Seed of the experiment.
-        counts: Numbers per environment by the name of the parameter; each has a generator of its own.
+        counts: Numbers per environment by the name of the parameter; each parameter has its own generator.
         envs: Number of environments.
     """
 
@@ -103,7 +104,7 @@ class LatinHypercube:
 
     @cached_property
     def _table(self) -> Array:
-        """The whole design (envs, columns): the order of all intervals is drawn at once."""
+        """The complete design (envs, columns), because a permutation cannot be generated in parts."""
         table = np.empty((self.envs, sum(self.counts.values())))
         column = 0
         for name, count in self.counts.items():
@@ -120,7 +121,7 @@ class Sobol:
 
     Args:
         seed: Seed of the experiment.
-        columns: Their dimension, up to ``MOST_COLUMNS``.
+        columns: Dimension, up to ``MOST_COLUMNS``.
     """
 
     seed: int
@@ -137,9 +138,9 @@ class Sobol:
 
 @dataclass(frozen=True)
 class Saltelli:
-    """The design for indices of sensitivity: matrices A, B, and for each column j A with column j of B.
+    """Design for sensitivity indices: matrices A and B, and for each column j the matrix A with column j of B.
 
-    A and B, side by side, are scrambled Sobol' points of twice the dimension (Saltelli et al. 2010).
+    The rows of A and B together are scrambled Sobol' points of dimension 2 d (Saltelli et al. 2010).
 
     Args:
         seed: Seed of the experiment.
@@ -155,7 +156,7 @@ class Saltelli:
         """See ``Sampler``."""
         n, d = self.envs // (self.columns + 2), self.columns
         engine = _sobol_engine(self.seed, 2 * d)
-        # Either a block is within one matrix, or the whole of A and B is within one block.
+        # n is a power of two: a block lies within one matrix, or contains all of A and B.
         size = min(n, BLOCK)
         while True:
             matrix, row = np.divmod(np.minimum(np.arange(start, start + BLOCK), self.envs - 1), n)
@@ -177,28 +178,28 @@ def _sobol_engine(seed: int, columns: int) -> Any:
 
 
 def _points(engine: Any, count: int) -> Array:
-    """Returns the next points of ``engine``, each in the middle of what its bits leave open."""
+    """Returns the next points of ``engine``, shifted by half of their resolution to the center of their cell."""
     return np.asarray(engine.random(count) + 0.5 ** (SOBOL_BITS + 1))
 
 
 @dataclass(frozen=True, eq=False)
 class Correlation:
-    """A Gaussian copula: columns that are the ranks of correlated normal numbers.
+    """A Gaussian copula: makes columns of a sampler correlated.
 
     Args:
-        columns: The columns of a sampler.
-        factor: Lower triangular factor of their matrix of correlations.
+        columns: Columns of the sampler.
+        factor: Lower triangular Cholesky factor of their correlation matrix.
     """
 
     columns: tuple[int, ...]
     factor: Array
 
     def normals(self, units: Array) -> dict[int, Array]:
-        """Returns correlated standard normal numbers (n,) by column, of the numbers (n, columns) of a sampler."""
+        """Returns correlated standard normal numbers (n,) by column, from the numbers (n, columns) of a sampler."""
         from scipy.special import ndtri
 
         normals = [ndtri(units[:, column]) for column in self.columns]
-        # Column by column: a product of matrices may be rounded as the number of threads has it.
+        # Column by column: the rounding of a matrix product can depend on the number of threads.
         mixed = {}
         for i, column in enumerate(self.columns):
             mixed[column] = self.factor[i, 0] * normals[0]

@@ -1,6 +1,7 @@
-"""Panels of sensors over time in the picture of a run: a curve for each environment, or quantiles of many.
+"""Panels of sensors over time in the picture of a run.
 
-Sensors of contacts come first, then those of couplings, joints and bodies. Headings have the extremes.
+Up to ``CURVES`` environments are drawn as one curve each, more as quantiles. Sensors of contacts come first, then those
+of couplings, joints and bodies. Headings contain the extreme values.
 """
 
 from dataclasses import dataclass
@@ -26,15 +27,15 @@ from warpcontact.validation.checks import Array
 from warpcontact.validation.number_format import quantity, scaled
 from warpcontact.validation.safe_text import truncate
 
-#: Up to this number of environments, each has a curve of its own; more are drawn as quantiles.
+#: Largest number of environments with one curve each; more are drawn as quantiles.
 CURVES = 12
-# Samples of a curve, and contacts among which one with a force is searched.
+# Samples per curve, and number of contacts that are searched for one with a varying force.
 SAMPLES = 4000
 TRIED = 8
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
-# Letters of a heading.
+# Largest number of characters of a heading.
 HEADING = 70
-# Digits of extremes.
+# Significant digits of extreme values.
 DIGITS = 5
 
 _FORCES = ("normal_force", "force", "impulse")
@@ -49,7 +50,7 @@ class Panel:
 
     Attributes:
         heading: Name of the sensor, and the reduction of the items of a set.
-        label: Last word of the name, for the axis.
+        label: Label of the axis: the last part of the name, or the component.
         curves: The sensor in a sample of the environments.
         frozen: Which of these are frozen, (env,).
         total: Number of all environments.
@@ -63,7 +64,7 @@ class Panel:
 
     @property
     def counted(self) -> Array:
-        """Values of the environments that are not frozen, (time, env); of all if all are."""
+        """Values of the environments that are not frozen (time, env); of all if all are frozen."""
         return self.curves.values if self.frozen.all() else self.curves.values[:, ~self.frozen]
 
     @property
@@ -76,11 +77,11 @@ class Panel:
 def make_panels(recording: Recording, frozen: NDArray[np.int_], most: int) -> list[Panel]:
     """Returns panels of recorded sensors, at least two and at most ``most``.
 
-    Positions fill up what is missing.
+    If there are fewer sensors, height and distance of the first body are added.
 
     Args:
         recording: The recording.
-        frozen: Numbers of the environments that are frozen: in no quantile and no extreme.
+        frozen: Numbers of the frozen environments, which are excluded from quantiles and extreme values.
         most: Number of panels, at least two.
     """
     ranks = _ranks(recording)
@@ -96,12 +97,12 @@ def make_panels(recording: Recording, frozen: NDArray[np.int_], most: int) -> li
 
 
 def draw_panel(axes: Any, panel: Panel, colors: NDArray[Any] | None) -> None:
-    """Draws a panel without a label of the time axis.
+    """Draws a panel, without a label on the time axis.
 
     Args:
         axes: Axes of Matplotlib.
         panel: The panel.
-        colors: RGBA of each environment; ``None``: quantiles are drawn.
+        colors: RGBA of each environment; ``None``: draw quantiles.
     """
     curves = panel.curves
     good = panel.counted[np.isfinite(panel.counted)]
@@ -122,25 +123,25 @@ def draw_panel(axes: Any, panel: Panel, colors: NDArray[Any] | None) -> None:
 
 
 def _choose_sensors(ranks: dict[str, int], first: str | None, most: int) -> list[str]:
-    """Returns the sensors that are drawn, in the order of their ranks; ``first`` is one of them.
+    """Returns the sensors to draw, ordered by rank; ``first`` is one of them.
 
-    Then come sensors of the same contact, and one of each kind before others of the same kind.
+    Sensors of the same contact are preferred, and sensors of different kinds over several of the same kind.
     """
     element = first.rpartition(".")[0] if first else None
     chosen = [first] if first else []
 
-    def place(name: str) -> tuple[int, int, bool]:
+    def priority(name: str) -> tuple[int, int, bool]:
         element_name, _, kind = name.rpartition(".")
         alike = [other for other in chosen if other.rpartition(".")[2] == kind]
         return len(alike), ranks[name], element_name != element
 
     while len(chosen) < most and (rest := [name for name in ranks if name not in chosen]):
-        chosen.append(min(rest, key=place))
+        chosen.append(min(rest, key=priority))
     return sorted(chosen, key=lambda name: (ranks[name], name != first))
 
 
 def _ranks(recording: Recording) -> dict[str, int]:
-    """Returns the sensors that can be drawn, without poses, with their ranks, 0 for those that come first."""
+    """Returns the sensors that can be drawn, without positions of bodies, with their ranks; 0 comes first."""
     scene = recording.scene
     touching: list[Any] = [*scene.contacts, *scene.shape_contacts, *scene.particle_contacts]
     contacts = {one.name for one in (*touching, *scene.contact_couplings)}
@@ -180,7 +181,7 @@ def _panel(recording: xr.Dataset, name: str, frozen: NDArray[np.int_], component
 
 
 def _extremes(panel: Panel, factor: float, unit: str) -> str:
-    """Returns the extremes of a sensor with their times and environments."""
+    """Returns the extreme values of a sensor with their times and environments, as text."""
     low, high = panel.curves.smallest, panel.curves.largest
     if low is None or high is None:
         return "no finite value"
@@ -196,7 +197,7 @@ def _extremes(panel: Panel, factor: float, unit: str) -> str:
 
 
 def _limit(axes: Any, counted: Array) -> None:
-    """Lets frozen environments extend the vertical axis by the span of the others at most."""
+    """Limits the extension of the vertical axis by frozen environments to the span of the others."""
     if len(counted) and (span := float(np.ptp(counted))) > 0.0:
         low, high = axes.get_ylim()
         axes.set_ylim(max(low, float(counted.min()) - span), min(high, float(counted.max()) + span))

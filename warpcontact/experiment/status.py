@@ -1,4 +1,4 @@
-"""How far a run is, from its folder alone."""
+"""Determines the progress of a run from its folder."""
 
 import time
 from dataclasses import dataclass
@@ -14,25 +14,25 @@ from warpcontact.experiment.store import Ledger, Shards
 from warpcontact.experiment.time_estimate import duration_text
 from warpcontact.validation.safe_text import escape_lines
 
-# What a shard told longer ago than this is no news [s].
+# Progress files older than this are ignored [s].
 PROGRESS_TIMEOUT = 60.0
 
 
 @dataclass(frozen=True)
 class RunStatus:
-    """How far a run is; ``print`` tells it.
+    """Progress of a run; ``print`` shows it.
 
     Attributes:
-        folder: Its folder.
+        folder: Folder of the run.
         summary: Content of ``run.json``.
-        state: ``"running"``, ``"finished"``, ``"interrupted"``, ``"failed"`` or ``"stopped"``: ended from outside.
+        state: ``"running"``, ``"finished"``, ``"interrupted"``, ``"failed"``, or ``"stopped"``: its process was killed.
         shards: Number of shards.
-        finished_shards: How many are finished.
-        finished_envs: How many environments are.
-        env_steps: Environment steps that are committed.
-        running_steps: Those, and what running shards tell of.
-        frozen: Frozen environments, of the finished ones.
-        wall_time: Time of stepping that is committed, of all shards [s].
+        finished_shards: Number of finished shards.
+        finished_envs: Number of finished environments.
+        env_steps: Number of committed environment steps.
+        running_steps: The same, including the progress of running shards.
+        frozen: Number of frozen environments as of the commits.
+        wall_time: Committed wall time of stepping, summed over all shards [s].
     """
 
     folder: Path
@@ -48,12 +48,12 @@ class RunStatus:
 
     @property
     def total(self) -> int:
-        """Environment steps of the whole run."""
+        """Number of environment steps of the whole run."""
         return int(self.summary["envs"]) * int(self.summary["steps"])
 
     @property
     def rate(self) -> float:
-        """Environment steps per second of stepping; 0: nothing is committed yet."""
+        """Environment steps per second of stepping; 0 if nothing is committed yet."""
         return self.env_steps / self.wall_time if self.wall_time > 0.0 else 0.0
 
     def __str__(self) -> str:
@@ -73,15 +73,15 @@ class RunStatus:
             lines.append(f"{self.rate:.3g} environment steps per second of a shard{more}")
         lines += [f"{shard} failed: {message}" for shard, message in s.get("failed", {}).items()]
         if self.state in ("interrupted", "failed", "stopped"):
-            lines.append(f"go on with: warpcontact run --resume --out {self.folder}")
+            lines.append(f"to resume: warpcontact run --resume --out {self.folder}")
         return escape_lines(lines)
 
 
 def run_status(path: str | PathLike[str]) -> RunStatus:
-    """Returns how far the run in a folder is.
+    """Returns the progress of the run in a folder.
 
     Raises:
-        ExperimentError: If it holds no run, or one of a schema that this version does not read.
+        ExperimentError: If the folder holds no run, or its schema is not supported by this version.
         RunDataError: If a record in it is damaged.
     """
     folder = Path(path)

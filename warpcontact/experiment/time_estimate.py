@@ -1,4 +1,4 @@
-"""How long a run will take, from a few of its environments that are stepped for a moment."""
+"""Estimates the wall time of a run by stepping some of its environments for two seconds."""
 
 import time
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from warpcontact.model.plan import ModelPlan
 from warpcontact.stepping.simulation import MIN_CHUNK
 from warpcontact.stepping.step_counts import recorded_steps
 
-# How long to step [s], and how many environments: enough for all threads of a machine, or for a GPU.
+# Duration of the measurement [s], and numbers of environments: enough for all threads of a machine, or for a GPU.
 DURATION = 2.0
 CPU_ENVS = 1024
 GPU_ENVS = 32768
@@ -18,14 +18,14 @@ GPU_ENVS = 32768
 
 @dataclass(frozen=True)
 class TimeEstimate:
-    """What a few environments took.
+    """Estimated wall time of a run, and the measurement it is based on.
 
     Attributes:
-        envs: How many were stepped.
-        steps: How many steps they took.
-        total_steps: How many the run has.
+        envs: Number of environments that were stepped.
+        steps: Number of steps that were taken.
+        total_steps: Number of steps of the run.
         rate: Environment steps per second.
-        total_env_steps: Environment steps of the run.
+        total_env_steps: Number of environment steps of the run.
     """
 
     envs: int
@@ -36,7 +36,7 @@ class TimeEstimate:
 
     @property
     def seconds(self) -> float:
-        """How long the run would take at this rate, without writing [s]."""
+        """Estimated wall time of stepping, without writing [s]."""
         return self.total_env_steps / self.rate
 
     def __str__(self) -> str:
@@ -48,13 +48,13 @@ class TimeEstimate:
 
 
 def estimate_time(draft: ModelPlan, settings: Settings, design: Design, max_envs: int) -> TimeEstimate:
-    """Steps a few environments of an experiment for a moment.
+    """Measures the stepping rate of some environments of an experiment.
 
     Args:
-        draft: Its scene, ready to be built; used up.
+        draft: Plan of the model; cannot be used again.
         settings: The experiment, with all defaults.
-        design: What varies.
-        max_envs: How many environments fit.
+        design: The varied parameters.
+        max_envs: Maximum number of environments.
     """
     on_gpu = any(part.device.is_cuda for part in draft.parts)
     envs = min(settings.envs, max_envs, GPU_ENVS if on_gpu else CPU_ENVS)
@@ -64,21 +64,21 @@ def estimate_time(draft: ModelPlan, settings: Settings, design: Design, max_envs
     simulation = make_simulation(model, settings)
     simulation.warned_at_start = True
     steps, _ = recorded_steps(settings.duration, settings.record.every, settings.dt)
-    simulation.step()  # compiles
+    simulation.step()  # compiles the kernels
     simulation.reset()
     done = 0
     start = time.perf_counter()
     while done < steps and time.perf_counter() - start < DURATION:
         count = min(max(MIN_CHUNK, done), steps - done)
         simulation.step(count)
-        model.health()  # waits for a GPU
+        model.health()  # synchronizes with a GPU
         done += count
     elapsed = time.perf_counter() - start
     return TimeEstimate(envs, done, steps, envs * done / elapsed, settings.envs * steps)
 
 
 def duration_text(seconds: float) -> str:
-    """Returns a time in words, such as ``2 h 5 min``."""
+    """Returns a time as text, such as ``2 h 5 min``."""
     if seconds < 60.0:
         return f"{seconds:.2g} s"
     minutes = round(seconds / 60.0)

@@ -1,4 +1,4 @@
-"""Writes settings as the TOML file that they could have come from."""
+"""Writes settings as a TOML file."""
 
 import json
 import math
@@ -10,11 +10,11 @@ from warpcontact.experiment.schema import LISTS, SECTIONS, Settings
 
 
 def to_toml(settings: Settings, comment: str) -> str:
-    """Returns ``settings``, with all that was left to defaults, as TOML text that reads back as the same.
+    """Returns ``settings``, including defaults, as TOML text that parses to the same settings.
 
     Args:
-        settings: What to write.
-        comment: First line.
+        settings: The settings.
+        comment: Comment on the first line.
     """
     content = settings.model_dump(exclude_none=True)
     lines = [f"# {comment}"]
@@ -35,20 +35,20 @@ def _line(key: str, value: Any) -> str:
 
 
 def _value(value: Any) -> str:
-    """Returns ``value`` in one line of TOML.
+    """Returns ``value`` as a TOML value on one line.
 
     Raises:
-        ValueError: If it is infinite, NaN, or of a type that settings do not have.
+        ValueError: If it is infinite, NaN, or of a type that settings do not contain.
     """
     if isinstance(value, bool):
         return "true" if value else "false"
     if (isinstance(value, float) and math.isfinite(value)) or isinstance(value, int):
         return repr(value)
     if isinstance(value, str):
-        # Both languages escape alike, except for the last character of ASCII.
+        # JSON and TOML use the same escapes, except for the DEL character.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, Mapping):
         return "{ " + ", ".join(_line(key, entry) for key, entry in value.items()) + " }"
     if isinstance(value, tuple | list):
         return "[" + ", ".join(map(_value, value)) + "]"
-    raise ValueError(f"there is no TOML for {value!r}")
+    raise ValueError(f"no TOML value for {value!r}")

@@ -1,8 +1,7 @@
-"""Which Python files of run folders may be run: those that a run of this user has copied, or that were trusted.
+"""Decides which Python files of run folders may be executed: those copied by a run of this user, or trusted ones.
 
-A run folder can come from elsewhere, with files of laws that run any code. The SHA-256 of each file that a run
-copies into its folder is therefore recorded outside of it, as the name of an empty file in the state folder of the
-user.
+A run folder can come from elsewhere, with law files that contain any code. Therefore the SHA-256 of each file that a run
+copies into its folder is recorded outside of the folder, as the name of an empty file in the state folder of the user.
 """
 
 import contextlib
@@ -14,7 +13,7 @@ from pathlib import Path
 
 from warpcontact.validation.warning_levels import RunWarning, WarningLevel
 
-#: ``True``: any file may be run; otherwise those with one of these SHA-256, next to those that are recorded.
+#: ``True``: any file may be executed; otherwise the recorded files, and those with one of these SHA-256.
 Trust = bool | Collection[str]
 
 
@@ -24,14 +23,14 @@ def digest_of(content: bytes) -> str:
 
 
 def may_run(content: bytes, trust: Trust) -> bool:
-    """Whether a file of a run folder may be run."""
+    """Whether a file of a run folder may be executed."""
     if isinstance(trust, bool):
         return trust or _is_recorded(digest_of(content))
     return digest_of(content) in trust or _is_recorded(digest_of(content))
 
 
 def record(contents: Iterable[bytes]) -> None:
-    """Records that files with these contents may be run; warns if that cannot be recorded."""
+    """Records that files with these contents may be executed; warns if they cannot be recorded."""
     for content in contents:
         if _is_recorded(digest_of(content)):
             continue
@@ -42,15 +41,15 @@ def record(contents: Iterable[bytes]) -> None:
         except (OSError, RuntimeError) as error:
             reason = error.strerror if isinstance(error, OSError) else error
             text = (
-                f"the files with laws of this run could not be recorded as trusted: {reason}; to resume or draw "
-                "it, use --trust"
+                f"the law files of this run could not be recorded as trusted: {reason}; to resume or render it, use "
+                "--trust"
             )
             warnings.warn(RunWarning(text, WarningLevel.CAUTION), stacklevel=2)
             return
 
 
 def records() -> Path:
-    """Returns the folder of records.
+    """Returns the folder with the recorded SHA-256.
 
     Raises:
         RuntimeError: If the user has no home folder.

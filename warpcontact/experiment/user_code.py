@@ -1,8 +1,8 @@
-"""Formulas, laws for instance, and outcomes out of a user's own Python file, named as ``FILE.py:CLASS``.
+"""Loads user-defined laws, other device models and outcomes from Python files, named as ``FILE.py:CLASS``.
 
-Such a file is run as any module is that one imports. It has to lie inside of the folder of the experiment, so that
-an experiment from elsewhere runs only its own files. In a run folder, a file must be trusted, see ``trust``.
-Errors in a file, and of its import, are reported in one sentence with the line.
+A file is executed like an imported module. It must be inside of the folder of the experiment, so that an experiment
+cannot execute files elsewhere. In a run folder it must be trusted, see ``trust.py``. Errors in a file are reported in
+one sentence with the line.
 """
 
 import contextlib
@@ -34,27 +34,27 @@ from warpcontact.kernels.outcomes.base import Outcome
 from warpcontact.kernels.shapes.base import Shape
 from warpcontact.validation.checks import check_length
 
-#: What a user's class may be.
+#: Base classes of user-defined classes.
 KINDS: tuple[type, ...] = (Law, Friction, Spring, Damper, Motion, Shape, Outcome)
 
-# Modules by file and content: experiments of an unchanged file share its classes, and so its compiled kernels.
+# Modules by path and content, so that experiments with an unchanged file share its classes and compiled kernels.
 _MODULES: dict[tuple[Path, bytes], ModuleType] = {}
-# Every attempt has a name of its own, under which neither Python nor Warp finds what an earlier one left behind.
+# Each loading has a new module name, so that neither Python nor Warp finds definitions of an earlier one.
 _NUMBERS = itertools.count(1)
 
 
 class TrustError(ExperimentError):
-    """The folder of a run names Python files that no run of this user has written, and that were not trusted."""
+    """A run folder names Python files that no run of this user has written there and that are not trusted."""
 
 
 @dataclass(frozen=True)
 class UserFile:
-    """A user's file.
+    """A loaded Python file of the user.
 
     Attributes:
-        path: Where it is, without links.
-        content: What was in it when it was loaded.
-        module: What it defines.
+        path: Path with links resolved.
+        content: Content when it was loaded.
+        module: The module.
     """
 
     path: Path
@@ -63,12 +63,12 @@ class UserFile:
 
 
 class UserFiles:
-    """The Python files that an experiment names; each is read once, and stays what it was then.
+    """The Python files that an experiment names; each is read once, and later changes are ignored.
 
     Args:
         folder: Folder of the experiment.
-        on_stage: Called with a few words before a file is loaded.
-        trusted: Which files are run if it is the folder of a run: see ``trust``.
+        on_stage: Called with a short description before a file is loaded.
+        trusted: Files that may be executed if the folder is a run folder; see ``trust.py``.
     """
 
     def __init__(self, folder: Path, on_stage: Callable[[str], None], trusted: trust.Trust = False) -> None:
@@ -79,21 +79,21 @@ class UserFiles:
         self._failures: dict[str, str] = {}
 
     def check_trusted(self, raw: Any) -> None:
-        """Checks, before any is run, that all files that an experiment names may be run.
+        """Checks that all files that an experiment names may be executed, before any of them is.
 
         Args:
             raw: Content of the experiment file.
 
         Raises:
-            TrustError: If some may not; names these.
+            TrustError: If some may not; the message names them.
         """
         if not is_run_folder(self.folder):
             return
         untrusted = []
         for name in dict.fromkeys(_files_in(raw)):
-            if name in self._files:  # and stays what it was when it was loaded
+            if name in self._files:  # loaded before, with content that was trusted
                 continue
-            with contextlib.suppress(ValueError):  # which loading it raises again, with its place
+            with contextlib.suppress(ValueError):  # ``file`` raises it again, with the key
                 if not trust.may_run(self._read(name), self.trusted):
                     untrusted.append(name)
         if untrusted:
@@ -103,7 +103,8 @@ class UserFiles:
         """Returns the file called ``name``, relative to the folder.
 
         Raises:
-            ValueError: If it is none, lies elsewhere or cannot be loaded; the message continues the key ``type``.
+            ValueError: If there is no such file, it is outside of the folder or cannot be loaded; the message continues
+                the key ``type``.
         """
         if name not in self._files and name not in self._failures:
             try:
@@ -115,15 +116,15 @@ class UserFiles:
         return self._files[name]
 
     def find(self, file: str, name: str, *bases: type) -> Any:
-        """Returns class ``name`` of a file.
+        """Returns the class ``name`` of a file.
 
         Args:
             file: The file, relative to the folder.
             name: Name of the class.
-            bases: What the class may be: one or several of ``KINDS``.
+            bases: Allowed base classes, from ``KINDS``.
 
         Raises:
-            ValueError: If there is none; the message continues the key ``type``.
+            ValueError: If there is no such class; the message continues the key ``type``.
         """
         defined = vars(self.file(file).module)
         given = defined.get(name)
@@ -149,7 +150,7 @@ class UserFiles:
 
     @contextlib.contextmanager
     def named_errors(self) -> Iterator[None]:
-        """Turns what goes wrong in one of the files into an ``ExperimentError`` of that file."""
+        """Converts errors that are raised in one of the files to an ``ExperimentError`` with file and line."""
         try:
             yield
         except Exception as error:
@@ -193,11 +194,11 @@ class UserFiles:
             raise ValueError(f": {name!r} cannot be read: {error.strerror or error}") from None
 
     def _path_inside(self, name: str) -> Path:
-        """Returns the path of a file, which must lie in the folder: links count as where they lead."""
+        """Returns the path of a file with links resolved, which must be inside of the folder."""
         folder = self.folder.resolve()
         try:
             path = (folder / name).resolve()
-        except (OSError, ValueError, RuntimeError) as error:  # a loop of links, or a null character
+        except (OSError, ValueError, RuntimeError) as error:  # for example a loop of links, or a null character
             raise ValueError(f": {name!r} cannot be read: {error}") from None
         parts = Path(name).parts
         if Path(name).is_absolute() or os.pardir in parts or not path.is_relative_to(folder):
@@ -239,9 +240,9 @@ def _is_formula(value: object, bases: tuple[type, ...]) -> bool:
 
 
 def _line_of(error: BaseException, path: Path) -> int | None:
-    """Returns the line of file ``path`` in which ``error`` arose, if it did so there."""
+    """Returns the line of file ``path`` in which ``error`` was raised; ``None``: it was raised elsewhere."""
     if isinstance(error, SyntaxError) and error.filename == str(path):
-        return error.lineno or None  # 0: no line in particular
+        return error.lineno or None  # 0: no particular line
     frames = traceback.walk_tb(error.__traceback__)
     lines = [line for frame, line in frames if frame.f_code.co_filename == str(path)]
     return lines[-1] if lines else None
@@ -260,13 +261,13 @@ def _sentence(error: BaseException) -> str:
 
 
 def describe_error(error: BaseException, formula: type) -> str:
-    """Returns a sentence on an error in a user's ``formula``, with its line if it arose in its file."""
+    """Returns a sentence on an error in a user-defined class, with the line if it was raised in its file."""
     path = Path(str(sys.modules[formula.__module__].__file__))
     return _located_error(error, path, path.name)
 
 
 def _module(path: Path, content: bytes) -> ModuleType:
-    """Runs ``content`` as the module of file ``path``, unless that has been done."""
+    """Executes ``content`` as the module of file ``path``, or returns the module of an earlier execution."""
     if (path, content) not in _MODULES:
         _MODULES[path, content] = _run(path, content)
     return _MODULES[path, content]
@@ -276,9 +277,9 @@ def _run(path: Path, content: bytes) -> ModuleType:
     code = compile(content, str(path), "exec", dont_inherit=True)
     module = ModuleType(f"_warpcontact_own_{next(_NUMBERS)}_{re.sub(r'[^0-9A-Za-z_]', '_', path.stem)}")
     module.__file__ = str(path)
-    sys.modules[module.__name__] = module  # where dataclasses and Warp look for it
-    # Warp reads the source of functions as they are defined: let it find what is run, whatever is in the file by
-    # then. Without a time of change the entry is not compared with the file.
+    sys.modules[module.__name__] = module  # dataclasses and Warp look up the module here
+    # Warp reads the source of functions through linecache when they are defined. The entry provides the executed content,
+    # even if the file has changed. Without a modification time, linecache does not compare it with the file.
     lines = io.StringIO(importlib.util.decode_source(content)).readlines()
     linecache.cache[str(path)] = (len(content), None, lines, str(path))
     try:

@@ -1,4 +1,4 @@
-"""What varies between environments, in the words of the experiment file."""
+"""Settings of ``[variation]``, ``[sampling]`` and ``[[correlation]]`` in the experiment file."""
 
 from typing import Annotated, Any
 
@@ -12,11 +12,11 @@ from warpcontact.experiment.errors import abbreviated
 from warpcontact.experiment.sampling import METHODS
 from warpcontact.validation import checks
 
-#: What makes the two halves of a matrix of correlations differ: more than rounding.
+#: Tolerance for asymmetry and for the smallest eigenvalue of a correlation matrix.
 SYMMETRY = 1.0e-9
 
 
-#: The most environments; they are numbered in 32 bits.
+#: Largest number of environments; their numbers have 32 bits.
 MOST_ENVS = 2**31 - 1
 
 
@@ -28,9 +28,9 @@ class SolidSphere(Section):
 
 
 class VariationSettings(Section):
-    """An entry of ``[variation]``: the values of one parameter in the environments. One key of these.
+    """An entry of ``[variation]``: the values of one parameter. Exactly one of the keys is required.
 
-    ``group`` comes with ``grid``.
+    ``group`` is only allowed together with ``grid``.
     """
 
     uniform: Annotated[tuple[Any, ...] | None, q.interval] = None
@@ -47,12 +47,12 @@ class VariationSettings(Section):
 
     @property
     def kind(self) -> str:
-        """The key that is given."""
+        """The key that is set."""
         return self._kinds()[0]
 
     @property
     def drawn(self) -> bool:
-        """Whether it is a distribution."""
+        """Whether the values are sampled from a distribution."""
         return self.kind in DISTRIBUTIONS
 
     def _kinds(self) -> list[str]:
@@ -65,12 +65,12 @@ class VariationSettings(Section):
             kinds = ", ".join(key for key in type(self).model_fields if key != "group")
             raise ValueError(f"must have exactly one of {kinds}; got {' and '.join(given) or 'none'}")
         if self.group is not None and self.grid is None:
-            raise ValueError(f".group must be left out: it is of grid, and there is {given[0]}")
+            raise ValueError(f".group must be left out: it requires grid, got {given[0]}")
         return self
 
 
 class SamplingSettings(Section):
-    """``[sampling]``: how values are drawn."""
+    """``[sampling]``: the sampling method."""
 
     method: Annotated[str, q.one_of(METHODS)] = "random"
 
@@ -103,7 +103,7 @@ def _correlations(value: Any) -> tuple[Any, ...]:
             if abs(row[j] - matrix[j, i]) > SYMMETRY:
                 raise ValueError(f"[{i}][{j}] must be that of [{j}][{i}], {matrix[j, i]:g}, got {row[j]:g}")
     smallest = float(np.linalg.eigvalsh(matrix)[0])
-    # Numbers of which one is made of the others to rounding have no factor to be drawn by.
+    # A singular matrix has no Cholesky factor.
     if smallest <= SYMMETRY:
         raise ValueError(
             f"must be positive definite, got {abbreviated(value)} with an eigenvalue of {smallest:.3g}"
@@ -112,7 +112,7 @@ def _correlations(value: Any) -> tuple[Any, ...]:
 
 
 class CorrelationSettings(Section):
-    """``[[correlation]]``: entries of ``[variation]`` that are drawn together."""
+    """``[[correlation]]``: sampled entries of ``[variation]`` that are correlated."""
 
     names: Annotated[tuple[str, ...], PlainValidator(_names)] = Field(
         description="a list of names of entries of [variation]"
@@ -131,7 +131,7 @@ class CorrelationSettings(Section):
 
 
 def grid_axes(variation: "dict[str, VariationSettings]") -> dict[str, int]:
-    """Returns the lengths of the axes of the grid, in order: of each entry of its own, or of each group."""
+    """Returns the lengths of the axes of the grid, in order: one axis per group and per entry without a group."""
     axes: dict[str, int] = {}
     for name, entry in variation.items():
         if entry.grid is not None:
@@ -140,8 +140,8 @@ def grid_axes(variation: "dict[str, VariationSettings]") -> dict[str, int]:
 
 
 def axis_of(name: str, entry: VariationSettings) -> str:
-    """Returns what the axis of an entry with a grid is called."""
-    # No parameter has a name that begins so.
+    """Returns the name of the grid axis of an entry."""
+    # Parameter names do not start with a bracket.
     return name if entry.group is None else f"[{entry.group}]"
 
 

@@ -1,4 +1,4 @@
-"""Warnings of a run: those of its mesh files, and what Python code warns of on the way."""
+"""Collects the warnings of a run: those of mesh files, and Python warnings."""
 
 import warnings
 from collections.abc import Callable, Iterator
@@ -10,13 +10,13 @@ from warpcontact.validation.warning_levels import RunWarning, WarningLevel, labe
 
 
 class WarningLog:
-    """Collects warnings, each once.
+    """Collects warnings, without duplicates.
 
     Args:
-        on_warning: Called with each; ``None``: what Python code warns of takes its usual way as well.
+        on_warning: Called with each warning; ``None``: Python warnings are also shown as usual.
 
     Attributes:
-        lines: The warnings, each behind its level: ``caution: …``.
+        lines: The warnings, each prefixed with its level: ``caution: …``.
     """
 
     def __init__(self, on_warning: Callable[[str], None] | None) -> None:
@@ -24,7 +24,7 @@ class WarningLog:
         self.on_warning = on_warning
 
     def add(self, warning: Warning) -> None:
-        """Adds a warning, unless it is known."""
+        """Adds a warning, unless it was added before."""
         line = labeled(warning)
         if line not in self.lines:
             self.lines.append(line)
@@ -32,7 +32,7 @@ class WarningLog:
                 self.on_warning(line)
 
     def add_mesh(self, file: str, report: MeshReport) -> None:
-        """Adds what is to be known of a mesh file: its warnings, and what a repair changed."""
+        """Adds the warnings of a mesh file, and the changes of a repair."""
         for step in report.repairs:
             if step.count:
                 self.add(RunWarning(f"mesh file {file!r}: {step.text}", WarningLevel.NOTE))
@@ -41,16 +41,16 @@ class WarningLog:
 
     @contextmanager
     def collect_warnings(self) -> Iterator[None]:
-        """Adds what is warned of meanwhile; filters stay as they are."""
+        """Adds Python warnings that are given within the block; filters are unchanged."""
         with warnings.catch_warnings():
-            pass_on = warnings.showwarning
+            show = warnings.showwarning
 
             def add_warning(message: Any, category: type[Warning], *where: Any, **more: Any) -> None:
                 is_collected = issubclass(category, UserWarning | RuntimeWarning)
                 if is_collected:
                     self.add(message)
                 if not is_collected or self.on_warning is None:
-                    pass_on(message, category, *where, **more)
+                    show(message, category, *where, **more)
 
             warnings.showwarning = add_warning
             yield
