@@ -1,8 +1,8 @@
-"""Contact dynamics on oriented triangle meshes, thousands of environments at once, on NVIDIA Warp.
+"""Contact dynamics on oriented triangle meshes in thousands of parallel environments, on NVIDIA Warp.
 
     import warpcontact as wc
 
-Names are loaded on first use, so that ``import warpcontact`` and the command line answer at once.
+Public names are imported on first use, so that ``import warpcontact`` and the command line start quickly.
 """
 
 import importlib
@@ -234,7 +234,7 @@ __all__ = [
 
 
 def _load(name: str) -> ModuleType:
-    """Imports a module. What it makes stays: to look for garbage in it would take a fifth of the time."""
+    """Imports a module with garbage collection paused, which saves a fifth of the time."""
     with gc_pause.gc_paused():
         return importlib.import_module(name)
 

@@ -166,14 +166,14 @@ def test_interrupted_run_prints_resume_command(tmp_path, capsys, monkeypatch):
         patch.setattr(ShardRunner, "run", interrupted)
         assert main(words) == 130
     err = capsys.readouterr().err
-    assert f"interrupted; what was done is kept in {out}; go on with:\n" in err
+    assert f"interrupted; completed steps are saved in {out}; to resume:\n" in err
     command = err.splitlines()[-1].split(maxsplit=1)[1]
     assert main(shlex.split(command)) == 0
     assert main(words) == 2
     # Before anything is touched there is nothing to say about the folder.
     monkeypatch.setattr(wc.Scene, "snapshot", interrupted)
     assert main([*words, "--overwrite"]) == 130
-    assert "is kept" not in capsys.readouterr().err
+    assert "saved in" not in capsys.readouterr().err
     assert wc.open_run(out).finished
 
 

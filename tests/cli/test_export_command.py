@@ -94,8 +94,8 @@ def test_export_command_prints_only_the_path(folder, tmp_path, kind):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--csv", "a.csv", "--clips", "3"], "--clips is of --usd"),
-        (["--csv", "a.csv", "--color-by", "x"], "--color-by is of --usd"),
+        (["--csv", "a.csv", "--clips", "3"], "--clips requires --usd"),
+        (["--csv", "a.csv", "--color-by", "x"], "--color-by requires --usd"),
         (["--usd", "a.usdc", "--clips", "0"], "clip_frames must be a whole number of records, at least 1, got 0"),
         (["--usd", "a.usdc", "--color-by", "stop"], "color_by must be something that was recorded, got 'stop'"),
         (["--usd", "a.usdc", "--color-by", "end_tme"], "got 'end_tme'; did you mean 'end_time'?"),

@@ -159,7 +159,7 @@ def test_stop_request_before_first_cluster_shard_reports_nothing_stored(place, t
     first = sharded_runs.send_signal_at_stage(signal.SIGTERM, "building")
     code, _, err = sharded_runs.run(place / "study.toml", "--out", out, "--ray", *WORDS, first=first)
     assert code == 130, err
-    assert err.endswith("\nwarpcontact: interrupted before anything was kept\n")
+    assert err.endswith("\nwarpcontact: interrupted before anything was saved\n")
     assert not out.exists()
 
 

@@ -93,7 +93,7 @@ def test_full_disk_error_states_shard_size_and_stored_shards(begun, tmp_path, fr
         f"warpcontact: {kept}a shard of 5 environments takes up to 51.6 KiB of results before compression, plus "
         f"its checkpoints; 3 KiB is free on the disk of {out}\n"
     ) in output
-    kept = "what was committed is kept" if begun else "nothing is kept yet"
-    assert f"{kept} in {out}; go on with:\n    warpcontact run --resume --out {out}\n" in output
+    kept = "committed results are saved" if begun else "nothing is saved yet"
+    assert f"{kept} in {out}; to resume:\n    warpcontact run --resume --out {out}\n" in output
     monkeypatch.setattr(store.Ledger, "commit", commit)
     assert main(["run", "--resume", "--device", "cpu", "--out", str(out)]) == 0

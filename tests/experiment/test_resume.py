@@ -156,7 +156,7 @@ def test_stop_signal_prints_resume_command(number, place, whole, tmp_path):
         place / "study.toml", "--out", out, *WORDS, first=sharded_runs.send_signal_at_step(number, 37)
     )
     assert code == 130, err
-    assert "interrupted; what was done is kept in" in err
+    assert "interrupted; completed steps are saved in" in err
     assert f"warpcontact run --resume --out '{out}'" in err
     assert "Traceback" not in err
     assert wc.open_run(out).summary["state"] == "interrupted"
@@ -178,7 +178,7 @@ def test_stop_signal_prints_resume_command_without_named_folder(place, tmp_path)
         )
         assert code == 130, err
         expected_message = (
-            f"what was done is kept in {out.relative_to(tmp_path)}; go on with:\n    warpcontact run --resume"
+            f"completed steps are saved in {out.relative_to(tmp_path)}; to resume:\n    warpcontact run --resume"
         )
         assert expected_message in err
         (record,) = sharded_runs.records(out).values()
@@ -194,7 +194,7 @@ def test_stop_signal_before_the_first_step_reports_nothing_stored(number, stage,
     first = sharded_runs.send_signal_at_stage(number, stage)
     code, printed, err = sharded_runs.run(place / "study.toml", "--out", out, *WORDS, first=first)
     assert code == 130, err
-    assert err.endswith("\nwarpcontact: interrupted before anything was kept\n")
+    assert err.endswith("\nwarpcontact: interrupted before anything was saved\n")
     assert "Traceback" not in err
     assert printed == ""
     assert not out.exists()
@@ -204,10 +204,10 @@ def test_stop_signal_before_the_first_step_reports_nothing_stored(number, stage,
 @pytest.mark.parametrize(
     ("stage", "words", "expected_message"),
     [
-        ("building", ["--overwrite"], " before anything was kept; {out} is as it was\n"),
-        ("sensor", ["--resume"], " before anything was done in {out}; go on with:\n    {resume}\n"),
-        ("compiling", ["--overwrite"], "; what was done is kept in {out}; go on with:\n    {resume}\n"),
-        ("writing", ["--resume"], "; the results are whole in {out}; go on with:\n    {resume}\n"),
+        ("building", ["--overwrite"], " before anything was saved; {out} is unchanged\n"),
+        ("sensor", ["--resume"], " before anything was done in {out}; to resume:\n    {resume}\n"),
+        ("compiling", ["--overwrite"], "; completed steps are saved in {out}; to resume:\n    {resume}\n"),
+        ("writing", ["--resume"], "; the results are complete in {out}; to resume:\n    {resume}\n"),
     ],
 )
 def test_stop_signal_after_the_last_commit_reports_stored_run(
@@ -285,7 +285,7 @@ def test_full_disk_is_one_message_and_the_run_can_be_resumed(size, place, whole,
         assert code == 2, err
         assert "Traceback" not in err
         assert f"No space left on device: '{out}" in err
-        assert f"what was committed is kept in {out}; go on with:\n    warpcontact run --resume --out {out}" in err
+        assert f"committed results are saved in {out}; to resume:\n    warpcontact run --resume --out {out}" in err
         committed = sharded_runs.check_committed_results(out, whole)
         assert committed
         code, _, err = sharded_runs.run("--resume", "--out", out, "--device", "cpu")  # still full

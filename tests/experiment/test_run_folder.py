@@ -220,12 +220,12 @@ def test_animation_of_an_unfinished_run_ends_at_the_last_record(part_run, tmp_pa
     assert printed == f"{out}\n"
     end = f"{(frames - 1) * 1e-3:g}"
     assert (
-        f"caution: {part_run} is not finished: the animation goes to {end} s, and has 8 of 10 environments\n"
+        f"caution: {part_run} is not finished: the animation ends at {end} s, and has 8 of 10 environments\n"
         in output
     )
     assert f"endTimeCode = {frames - 1}\n" in out.read_text()
     assert main(["export", str(part_run), "--usd", str(out), "--envs", "0"]) == 0
-    assert "the animation goes to 0.2 s, and has 4 of 10 environments" in capsys.readouterr().err
+    assert "the animation ends at 0.2 s, and has 4 of 10 environments" in capsys.readouterr().err
     assert main(["export", str(part_run), "--usd", str(out), "--envs", "9"]) == 2
     assert "environment 9 has no frame yet in this run: it has not started; " in capsys.readouterr().err
 

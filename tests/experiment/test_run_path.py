@@ -143,7 +143,7 @@ def test_names_outside_of_the_folder_are_refused(name, run):
 def test_names_reserved_on_windows_are_refused_on_windows(name, run, monkeypatch):
     assert (run / name).name == name
     monkeypatch.setattr(run_folder, "_WINDOWS", True)
-    with pytest.raises(ValueError, match="must be one that Windows has for files"):
+    with pytest.raises(ValueError, match="must be valid on Windows"):
         run / f"inner/{name}"
     for usual in ("shard_000000.json", "touch.gap", "console", "com.npz", ".animation.partial.usdc"):
         assert (run / usual).name == usual

@@ -176,7 +176,7 @@ def test_folders_nested_too_deep_to_be_removed_raise_with_their_name(tmp_path, m
 
     (tmp_path / "staging").mkdir()
     monkeypatch.setattr(shutil, "rmtree", deep)
-    with pytest.raises(OSError, match="has folders that are nested too deep to be removed") as error:
+    with pytest.raises(OSError, match="has folders that are nested too deeply to be removed") as error:
         (RunPath(tmp_path) / "staging").remove()
     assert error.value.filename == str(tmp_path / "staging")
 

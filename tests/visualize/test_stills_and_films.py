@@ -106,10 +106,10 @@ def part(run, tmp_path_factory):
 
 def test_last_record_of_an_unfinished_run_is_rendered(run, part, tmp_path, capsys):
     assert command(part, "-o", tmp_path / "a.png", "--env", 1) == 0
-    expected_output = "environment 1 at 0.07 s, the last record of a run that is not finished"
+    expected_output = "environment 1 at 0.07 s, the last frame of a run that is not finished"
     assert capsys.readouterr().out == f"{expected_output}: {tmp_path / 'a.png'}\n"
     assert command(part, "-o", tmp_path / "b.png", "--env", 0, 1) == 0
-    assert "environments 0, 1 at 0.07 s, the last record of" in capsys.readouterr().out
+    assert "environments 0, 1 at 0.07 s, the last frame of" in capsys.readouterr().out
     assert command(part, "-o", tmp_path / "c.gif", "--env", 1) == 0
     assert "0 to 0.04 s in 2 pictures, 0.08 s long, of a run that is not finished: " in capsys.readouterr().out
     # What is finished is as it will be.
@@ -164,7 +164,7 @@ def test_render_command_prints_environment_time_and_file(run, tmp_path, capsys):
     assert capsys.readouterr().out == f"environment 1 at 0.1 s: {tmp_path / 'a.png'}\n"
     assert command(run, "-o", tmp_path / "b.png", "--envs", 0, 2, "--time", 0.103, "--together") == 0
     expected_output = capsys.readouterr().out
-    assert expected_output == f"environments 0, 2 at 0.1 s, the record nearest to 0.103 s: {tmp_path / 'b.png'}\n"
+    assert expected_output == f"environments 0, 2 at 0.1 s, the frame nearest to 0.103 s: {tmp_path / 'b.png'}\n"
     expected = wc.render(run, env=1, time=0.1, **SMALL)
     np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "a.png")), expected)
 
@@ -321,13 +321,13 @@ def test_interrupted_film_keeps_the_existing_file(run, tmp_path, monkeypatch):
         (["-o", "{}/none/a.png"], "none does not exist"),
         (["-o", "{}/a.png", "--env", "7"], "environment 7 is not in the recording, which has 0 to 2"),
         (["-o", "{}/a.png", "--time", "1"], r"--time must be within the recording, 0 to 0\.2 s, got 1"),
-        (["-o", "{}/a.png", "--time", "0", "0.1"], "--time is one time of a picture, got 2"),
-        (["-o", "{}/a.gif", "--time", "0"], "--time is the first and the last time of a film, got 1"),
-        (["-o", "{}/a.gif", "--time", "0.1", "0.1"], "--time must be two ascending times"),
+        (["-o", "{}/a.png", "--time", "0", "0.1"], "--time must be one time for a picture, got 2"),
+        (["-o", "{}/a.gif", "--time", "0"], "--time must be the first and the last time for a film, got 1"),
+        (["-o", "{}/a.gif", "--time", "0.1", "0.1"], "--time must be the first and a later last one"),
         (["-o", "{}/a.gif", "--fps", "60"], "--fps must be greater than 0 and at most 50"),
         (["-o", "{}/a.gif", "--fps", "0"], "--fps must be greater than 0"),
         (["-o", "{}/a.gif", "--speed", "-1"], "--speed must be greater than 0"),
-        (["-o", "{}/a.png", "--fps", "20"], "--fps is of films"),
+        (["-o", "{}/a.png", "--fps", "20"], "--fps requires a film"),
         (["-o", "{}/a.png", "--from", "0", "100"], r"--from\[1\] must be at least -90"),
         (["-o", "{}/a.png", "--device", "cuda:9"], "--device must be 'auto' or one of"),
         (["-o", "{}/a.png", "--color-by", "x"], "--color-by must be one number for each environment, got 'x'"),

@@ -1,6 +1,6 @@
-"""How fast this machine steps: the short form for a user, and the works that ``benchmarks/`` does as well.
+"""Benchmark of the stepping speed for users (``wc.bench``), and the scenes that ``benchmarks/`` uses as well.
 
-Names are loaded on first use: other engines do the same works where there is NumPy and nothing else.
+Names are imported on first use, because other engines use the scenes in environments with NumPy only.
 """
 
 from typing import TYPE_CHECKING, Any

@@ -1,4 +1,4 @@
-"""What figures depend on besides the code: device, driver, cores, versions, date."""
+"""Facts on which measured speeds depend besides the code: device, driver, cores, versions, date."""
 
 import datetime
 import os
@@ -12,11 +12,11 @@ from warpcontact._version import __version__
 
 
 def facts(device: str, threads: int) -> dict[str, str | int]:
-    """Returns what a figure measured on a device depends on.
+    """Returns the facts on which a speed measured on a device depends.
 
     Args:
         device: ``"cpu"``, ``"cuda:0"``, …
-        threads: Threads that the measured program was allowed.
+        threads: Number of threads of the measured program.
     """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     found: dict[str, str | int] = {
@@ -32,7 +32,7 @@ def facts(device: str, threads: int) -> dict[str, str | int]:
 
 
 def versions() -> dict[str, str]:
-    """Returns the versions of what computes."""
+    """Returns the versions of Python and the packages used."""
     return {
         "python": platform.python_version(),
         "warpcontact": __version__,
@@ -52,7 +52,7 @@ def processor() -> str:
 
 
 def _gpu(device: str) -> dict[str, str]:
-    """Returns the name of a GPU, and its driver where the driver's own tool tells."""
+    """Returns the name of a GPU, and its driver version if nvidia-smi reports it."""
     import warp as wp
 
     gpu = wp.get_device(device)
@@ -61,7 +61,7 @@ def _gpu(device: str) -> dict[str, str]:
         answer = subprocess.run(
             query.split(), capture_output=True, encoding="utf-8", check=True, timeout=30
         ).stdout
-    except (OSError, subprocess.SubprocessError):  # no such tool, as on some boards
+    except (OSError, subprocess.SubprocessError):  # nvidia-smi is missing, as on some boards
         return {"device": gpu.name}
-    # One line for each GPU, and one driver for all.
+    # One line per GPU, with the same driver.
     return {"device": gpu.name, "driver": answer.split()[0]}

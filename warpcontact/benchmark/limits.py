@@ -1,4 +1,4 @@
-"""What a step that remembers nothing cannot do without: a closest-point query of every point, and a copy."""
+"""Measures bounds for a step without caches: a closest-point query for every point, and a copy of the state."""
 
 import statistics
 import time
@@ -14,18 +14,18 @@ from warpcontact.kernels.narrowphase.bare_query import kernel
 from warpcontact.model.model import Model
 from warpcontact.system.compilation import compile_as_launched
 
-#: Times that a limit is measured, each of at least ``SECONDS``; the median counts. Fewer where they take long.
+#: Largest number of measurements, each of at least ``SECONDS``, of which the median is used; fewer if they take long.
 ROUNDS = 7
 SECONDS = 0.01
 MIN_SAMPLE_SECONDS = 1.0
-#: Sensor of the places of the queries.
+#: Sensor with the positions of the queries.
 POSITION = "body.position"
-# Of what is timed, in one graph of a GPU.
+# Number of repetitions in one graph of a GPU.
 IN_GRAPH = 16
 
 
 class Limits(NamedTuple):
-    """What the least of a step costs for an environment [s].
+    """Times per environment of the minimum work of a step [s].
 
     Attributes:
         query: A closest-point query of Warp for every point.
@@ -37,23 +37,23 @@ class Limits(NamedTuple):
 
 
 def load_query(device: wp.Device) -> wp.Kernel:
-    """Returns the kernel of closest-point queries, which is compiled if it is not in the cache."""
+    """Returns the kernel of closest-point queries; compiles it if it is not in the cache."""
     bare_query = kernel()
     compile_as_launched(bare_query, device)
     return bare_query
 
 
 def limits(model: Model, work: Work, threads: int) -> Limits:
-    """Measures the limits of a work at the present state of its model.
+    """Measures the bounds for a scene at the current state of its model.
 
     Args:
-        model: Its model.
-        work: The work.
-        threads: Threads of the CPU that share the environments; a GPU needs none.
+        model: Model of the scene.
+        work: The scene.
+        threads: Number of CPU threads over which the environments are split; ignored on a GPU.
     """
     device = model.device
     bare_query = load_query(device)  # before threads start
-    # Kernels in Warp's debug mode share a pointer.
+    # In Warp's debug mode, kernels share a pointer and cannot run concurrently.
     parts = 1 if device.is_cuda or wp.config.mode == "debug" else min(threads, model.envs)
     envs = np.array_split(np.arange(model.envs), parts)
     surface = work.surface
@@ -63,7 +63,7 @@ def limits(model: Model, work: Work, threads: int) -> Limits:
         bvh_constructor="sah",
     )
     places = _places(model, work)
-    queries, copies, kept = [], [], []
+    queries, copies, keep_alive = [], [], []
     for part in envs:
         points = wp.array(places[part].reshape(-1, 3), dtype=wp.vec3f, device=device)
         found = wp.zeros(len(points), dtype=wp.int32, device=device)
@@ -71,7 +71,7 @@ def limits(model: Model, work: Work, threads: int) -> Limits:
             bare_query, dim=len(points), inputs=[mesh.id, points, found], device=device, record_cmd=True
         )
         queries.append(launch.launch)
-        kept.append((points, found))  # a recorded launch only points to them
+        keep_alive.append((points, found))  # a recorded launch does not hold references to its arrays
         source = wp.zeros(len(part) * _state_bytes(model), dtype=wp.uint8, device=device)
         copies.append(_copy(wp.zeros_like(source), source))
     with ThreadPoolExecutor(len(envs)) as pool:
@@ -80,7 +80,7 @@ def limits(model: Model, work: Work, threads: int) -> Limits:
 
 
 def _places(model: Model, work: Work) -> Array:
-    """Returns where the points are in the world, ``(envs, points, 3)``."""
+    """Returns the positions of the points, (envs, points, 3), world frame [m]."""
     position = model.sensor(POSITION)[:, None]
     if work.points is None:
         return position
@@ -91,7 +91,7 @@ def _places(model: Model, work: Work) -> Array:
 
 
 def _state_bytes(model: Model) -> int:
-    """Returns how much memory the state of an environment takes."""
+    """Returns the size of the state of an environment [bytes]."""
     state = model.arrays.state
     return sum(getattr(state, name).capacity for name in state._cls.vars) // model.envs
 
@@ -101,13 +101,13 @@ def _copy(target: wp.array, source: wp.array) -> Callable[[], None]:
 
 
 def _seconds(works: Sequence[Callable[[], None]], pool: ThreadPoolExecutor, device: wp.Device) -> float:
-    """Returns how long it takes to do all ``works`` once, side by side [s]."""
+    """Returns the time of executing all ``works`` once, concurrently [s]."""
     if device.is_cuda:
         several = _captured(works[0], device)
         return _median(lambda count: _repeat(several, count), device) / IN_GRAPH
 
     def all_parts(count: int) -> None:
-        # Each thread repeats its own, so that waiting for each other counts once.
+        # Each thread repeats its own work, so that synchronization counts once.
         for future in [pool.submit(_repeat, work, count) for work in works]:
             future.result()
 
@@ -115,7 +115,7 @@ def _seconds(works: Sequence[Callable[[], None]], pool: ThreadPoolExecutor, devi
 
 
 def _captured(work: Callable[[], None], device: wp.Device) -> Callable[[], None]:
-    """Returns ``IN_GRAPH`` times ``work`` in one call, so that what a launch costs the host does not count."""
+    """Returns a graph with ``IN_GRAPH`` repetitions of ``work``, so that launch overhead on the host is negligible."""
     with wp.ScopedCapture(device=device) as capture:
         _repeat(work, IN_GRAPH)
     return lambda: wp.capture_launch(capture.graph)
@@ -127,7 +127,7 @@ def _repeat(work: Callable[[], None], count: int) -> None:
 
 
 def _median(works: Callable[[int], None], device: wp.Device) -> float:
-    """Returns how long one of ``works(count)`` takes [s], for so large a count that the clock does not matter."""
+    """Returns the median time of ``works(count)`` divided by ``count`` [s]; ``count`` is large enough for the clock."""
     works(1)
     times: list[float] = []
     count = 1
@@ -136,9 +136,9 @@ def _median(works: Callable[[int], None], device: wp.Device) -> float:
         start = time.perf_counter()
         works(count)
         wp.synchronize_device(device)
-        took = time.perf_counter() - start
-        if took < SECONDS and not times:
+        elapsed = time.perf_counter() - start
+        if elapsed < SECONDS and not times:
             count *= 2
         else:
-            times.append(took / count)
+            times.append(elapsed / count)
     return statistics.median(times)

@@ -1,4 +1,4 @@
-"""What the short form of the benchmarks found, as numbers and as a table."""
+"""Results of ``wc.bench``, as numbers and as a table."""
 
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -6,21 +6,21 @@ from typing import Any
 
 @dataclass(frozen=True)
 class WorkFigures:
-    """Figures of one work.
+    """Results of one scene.
 
     Attributes:
-        work: What was stepped.
-        triangles: Of the surface.
-        first_step_s: From nothing to the first step done [s], with what had to be compiled.
-        env_steps_per_s: Environment-steps per second, the median of the runs.
-        lowest: The least of them.
-        highest: The most of them.
-        runs: How many there were.
-        cores_busy: How many cores were busy on average.
-        frozen: Environments that turned non-finite, and cost nothing from then on.
-        steps_per_s_alone: Steps per second of one environment alone.
-        queries_per_s: Environments per second for which the device can do one closest-point query of every point.
-        copies_per_s: Environments per second of which it can copy the state.
+        work: Name of the scene.
+        triangles: Number of triangles of the surface.
+        first_step_s: Time to build, compile and take the first step [s].
+        env_steps_per_s: Environment steps per second, the median of the runs.
+        lowest: Smallest value of the runs.
+        highest: Largest value of the runs.
+        runs: Number of runs.
+        cores_busy: Average number of busy cores.
+        frozen: Number of environments that became non-finite; they take no time afterwards.
+        steps_per_s_alone: Steps per second of a single environment.
+        queries_per_s: Rate of closest-point queries for all points of an environment, in environments per second.
+        copies_per_s: Rate of copies of the state, in environments per second.
     """
 
     work: str
@@ -39,17 +39,17 @@ class WorkFigures:
 
 @dataclass(frozen=True)
 class BenchReport:
-    """What ``wc.bench`` found; as text, a table.
+    """Results of ``wc.bench``; as text, a table.
 
     Attributes:
         facts: Device, driver, cores, threads, system, date.
-        versions: Of Python, warpcontact, Warp and NumPy.
+        versions: Versions of Python, warpcontact, Warp and NumPy.
         envs: Number of environments.
         precision: ``"float32"`` or ``"float64"``.
-        steps: Steps of a run.
-        dt: Step [s].
+        steps: Number of steps of a run.
+        dt: Time step [s].
         compiled_modules: Kernel modules that were not in Warp's cache and had to be compiled.
-        works: Figures of each work.
+        works: Results of each scene.
     """
 
     facts: dict[str, str | int]
@@ -62,7 +62,7 @@ class BenchReport:
     works: tuple[WorkFigures, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Returns everything as plain dictionaries, lists, text and numbers, ready for JSON."""
+        """Returns all results as dictionaries, lists, strings and numbers for JSON."""
         return asdict(self) | {"works": [asdict(work) for work in self.works]}
 
     def __str__(self) -> str:
@@ -90,14 +90,14 @@ class BenchReport:
                 f"{work.steps_per_s_alone:8.2e} /s {work.first_step_s:9.2f} s"
             )
             if work.frozen:
-                lines.append(f"  ! {work.frozen} environments turned non-finite and cost nothing from then on")
+                lines.append(f"  ! {work.frozen} environments became non-finite and take no time afterwards")
         return "\n".join(
             [
                 *lines,
                 "",
-                "× query: times as fast as a bare closest-point query of every point in every step",
-                "copies: copies of the state that take as long as a step",
+                "× query: speed relative to a bare closest-point query for every point in every step",
+                "copies: number of copies of the state in the time of a step",
                 "one alone: steps of a single environment",
-                "first step: to build, compile and take it; the first work compiles most of what all share",
+                "first step: time to build, compile and step; the first scene compiles most of the shared kernels",
             ]
         )

@@ -1,4 +1,4 @@
-"""The short form of the benchmarks: how fast this machine steps, in half a minute."""
+"""Measures the stepping speed of this machine in half a minute: ``wc.bench``."""
 
 import os
 import statistics
@@ -23,15 +23,15 @@ from warpcontact.validation import checks
 from warpcontact.validation.safe_text import terminal
 from warpcontact.validation.warning_levels import ContactWarning
 
-#: Environments unless told: enough that all cores, or all of a GPU, have something to do.
+#: Default numbers of environments: enough to use all cores, or a whole GPU.
 ENVS_ON_CPU, ENVS_ON_CUDA = 1024, 65536
-# How long one environment is stepped alone [s], of each work.
+# Time for which a single environment of each scene is stepped [s].
 ALONE_SECONDS = 0.3
 
 
 @dataclass
 class _Entry:
-    """A work that is being measured; times in s."""
+    """A scene that is being measured; times in s."""
 
     title: str
     work: Work
@@ -50,22 +50,22 @@ def bench(
     precision: str = "float32",
     progress: bool | None = None,
 ) -> BenchReport:
-    """Measures how fast this machine steps a sphere, and boxes of 8 and 64 points, on a terrain.
+    """Measures the stepping speed of this machine with a sphere, and boxes of 8 and 64 points, on a terrain.
 
-    A run is 1000 steps of 1 ms from rest, 0.4 m above 20 000 triangles, through contact. The works take turns.
+    A run is 1000 steps of 1 ms from rest, 0.4 m above 20 000 triangles, through contact. Runs of the scenes alternate.
 
     Args:
-        device: ``"cpu"``, ``"cuda:0"``, …; ``"auto"``: a GPU if there is one.
+        device: ``"cpu"``, ``"cuda:0"``, …; ``"auto"``: a GPU if available.
         envs: Number of environments; ``None``: 1024 on a CPU, 65536 on a GPU.
-        seconds: Least time that each work is stepped [s]; it has one run at least, however long that is.
+        seconds: Minimum stepping time of each scene [s]; there is at least one run.
         precision: ``"float32"`` or ``"float64"``.
         progress: Whether to show a progress bar; ``None``: in a terminal.
 
     Returns:
-        The figures; as text, a table.
+        The results; as text, a table.
 
     Raises:
-        ValueError: If an argument is out of range, or there is no such device.
+        ValueError: If an argument is out of range, or the device does not exist.
     """
     from tqdm import tqdm
 
@@ -112,13 +112,13 @@ def bench(
 
 
 def default_envs(device: wp.Device) -> int:
-    """Returns the number of environments that ``bench`` steps by default."""
+    """Returns the default number of environments of ``bench``."""
     return ENVS_ON_CUDA if device.is_cuda else ENVS_ON_CPU
 
 
 @contextmanager
 def _without_step_warnings() -> Iterator[None]:
-    """Leaves out that steps are long for some contacts: they are the same for all engines that are compared."""
+    """Suppresses warnings about long time steps, which are prescribed by the benchmark."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ContactWarning)
         yield
@@ -131,18 +131,18 @@ def _cached_modules() -> set[str]:
 
 
 def _begin(title: str, work: Work, envs: int, device: str, precision: str) -> _Entry:
-    """Builds a work, and takes its first step and then a run that does not count."""
+    """Builds a scene, takes its first step, and then a run that is not counted."""
     start = time.perf_counter()
     sim = simulation(work, envs, device, precision)
     sim.step(1)
     wp.synchronize_device(device)
-    took = time.perf_counter() - start
+    elapsed = time.perf_counter() - start
     run_seconds(sim, STEPS)
-    return _Entry(title, work, sim, took)
+    return _Entry(title, work, sim, elapsed)
 
 
 def _round_robin(entries: list[_Entry], seconds: float) -> Iterator[_Entry]:
-    """Yields each entry in turn until all have been stepped for so long."""
+    """Yields each entry in turn until all have been stepped for ``seconds``."""
     while waiting := [entry for entry in entries if sum(entry.times) < seconds]:
         yield from waiting
 
@@ -154,14 +154,14 @@ def _run(entry: _Entry) -> None:
 
 
 def _finish(entry: _Entry, device: str, precision: str) -> WorkFigures:
-    """Measures what is left of a work: the limits at its present state, and one environment alone."""
+    """Completes the measurement of a scene: the bounds at its current state, and a single environment."""
     sim = entry.sim
     envs = sim.model.envs
     least = limits(sim.model.parts[0], entry.work, sim.threads)
     alone = simulation(entry.work, 1, device, precision)
     run_seconds(alone, STEPS)
     alone_s = seconds_of_runs(alone, STEPS, ALONE_SECONDS)
-    rates = [envs * STEPS / took for took in entry.times]
+    rates = [envs * STEPS / elapsed for elapsed in entry.times]
     return WorkFigures(
         work=entry.title,
         triangles=len(entry.work.surface.faces),

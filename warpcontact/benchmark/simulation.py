@@ -1,4 +1,4 @@
-"""A work in this engine: Kelvin–Voigt contact with tanh friction on the triangles of the surface."""
+"""Builds the scenes of the benchmark: Kelvin–Voigt contact with tanh friction on a triangle mesh."""
 
 import inspect
 import time
@@ -16,14 +16,14 @@ from warpcontact.stepping.simulation import Simulation
 
 
 def simulation(work: Work, envs: int, device: str, precision: str = "float32", **options: Any) -> Simulation:
-    """Returns a simulation of a work, at its start.
+    """Returns a simulation of a scene in its initial state.
 
     Args:
-        work: What to simulate.
-        envs: Number of environments, each with a start of its own.
-        device: As of ``Scene.build``.
-        precision: As of ``Scene.build``.
-        options: Those of ``Simulation``, and others of its contact.
+        work: The scene.
+        envs: Number of environments, each with its own initial position.
+        device: As for ``Scene.build``.
+        precision: As for ``Scene.build``.
+        options: Arguments of ``Simulation``, and of its contact.
     """
     names = inspect.signature(Simulation).parameters
     stepping = {name: options.pop(name) for name in tuple(options) if name in names}
@@ -48,7 +48,7 @@ def simulation(work: Work, envs: int, device: str, precision: str = "float32", *
 
 
 def run_seconds(sim: Simulation, steps: int) -> float:
-    """Returns how long ``steps`` steps from the start take [s], without the way back to the start."""
+    """Returns the time of ``steps`` steps from the initial state [s], without the reset."""
     sim.reset()
     _wait(sim)
     start = time.perf_counter()
@@ -63,7 +63,7 @@ def _wait(sim: Simulation) -> None:
 
 
 def seconds_of_runs(sim: Simulation, steps: int, at_least: float) -> float:
-    """Returns how long a run takes [s], as the mean of as many as take ``at_least`` seconds together."""
+    """Returns the mean time of a run [s], over as many runs as take at least ``at_least`` seconds together."""
     times: list[float] = []
     while sum(times) < at_least:
         times.append(run_seconds(sim, steps))

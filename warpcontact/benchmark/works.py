@@ -1,9 +1,9 @@
-"""What is simulated to measure speed: one body on a terrain, as plain NumPy.
+"""Scenes of the benchmark in plain NumPy: one body on a terrain.
 
-A sphere, or a box of points, starts at rest with its lowest point 0.4 m above the surface below its centre. It
+A sphere, or a box of points, starts at rest with its lowest point 0.4 m above the surface below its center. It
 falls, bounces and comes to rest within the steps of a run. Environments are spread over the surface. SI units.
 
-This needs NumPy alone, so that other engines do the same works where nothing else is installed.
+Only NumPy is required, so that other engines can use the same scenes in environments without other packages.
 """
 
 from dataclasses import dataclass
@@ -18,20 +18,20 @@ STEPS = 1000
 STIFFNESS = 1e5  # k [N/m]
 DAMPING = 400.0  # c [N·s/m]
 FRICTION = 0.5  # μ
-SLIP_SPEED = 0.01  # speed over which friction builds up [m/s]
+SLIP_SPEED = 0.01  # regularization speed of friction [m/s]
 DENSITY = 1000.0
 DROP = 0.4
-HALF = 0.1  # radius of a sphere, half the edge of the box
+HALF = 0.1  # radius of the sphere, half the edge length of the box [m]
 
 
 @dataclass(frozen=True)
 class Surface:
-    """Heights on a grid, which is a triangle mesh and a height field at once.
+    """Heights on a grid, usable as a triangle mesh and as a height field.
 
     Attributes:
-        x: Grid lines along x, rising.
-        y: Grid lines along y, rising.
-        heights: z at the crossings, ``(len(x), len(y))``.
+        x: Grid lines along x, ascending [m].
+        y: Grid lines along y, ascending [m].
+        heights: Heights z of the grid points, (len(x), len(y)) [m].
     """
 
     x: Array
@@ -40,18 +40,18 @@ class Surface:
 
     @property
     def vertices(self) -> Array:
-        """Crossings of the grid, y running fastest."""
+        """Grid points (n, 3), with y varying fastest [m]."""
         return np.stack((*np.meshgrid(self.x, self.y, indexing="ij"), self.heights), axis=-1).reshape(-1, 3)
 
     @property
     def faces(self) -> npt.NDArray[np.int64]:
-        """Two triangles in each cell, facing up, parted along the diagonal from the lower to the upper corner."""
+        """Two upward triangles per cell, split along the diagonal from the lower to the upper corner."""
         number = np.arange(self.heights.size).reshape(self.heights.shape)
         a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
         return np.stack((a, b, c, a, c, d), axis=-1).reshape(-1, 3)
 
     def height(self, positions: Array) -> Array:
-        """Returns the height of the surface at positions ``(…, 2 or more)``; beyond the boundary, that at it."""
+        """Returns the height at positions (…, 2 or more) [m]; beyond the boundary, that at the boundary."""
         lines = (self.x, self.y)
         u, v = (np.interp(positions[..., k], line, np.arange(len(line))) for k, line in enumerate(lines))
         i, j = (np.minimum(w.astype(int), len(line) - 2) for w, line in zip((u, v), lines, strict=True))
@@ -64,26 +64,26 @@ class Surface:
 
 
 def terrain(length: float = 10.0, cells: int = 100, amplitude: float = 0.2, wavelength: float = 2.5) -> Surface:
-    """Returns hills z = a·sin(2πx/λ)·sin(2πy/λ)."""
+    """Returns a terrain with the hills z = a·sin(2πx/λ)·sin(2πy/λ)."""
     line = length * (np.arange(cells + 1) / cells - 0.5)
     wave = np.sin(2 * np.pi / wavelength * line)
     return Surface(line, line, amplitude * np.outer(wave, wave))
 
 
 def box_points(count: int) -> Array:
-    """Returns points on the surface of the box: its 8 corners, or 64 of which 16 are a grid on every face."""
+    """Returns points on the surface of the box: its 8 corners, or 64 points with a 4 × 4 grid on each face."""
     edge = {8: 2, 64: 4}[count]
     ticks = np.linspace(-HALF, HALF, edge)
     points = np.array(np.meshgrid(ticks, ticks, ticks)).reshape(3, -1).T
     inside = np.max(np.abs(points), axis=1) < HALF
-    # A grid of 64 has eight points inside; they go to the bottom and the top, between the others.
+    # The 4 × 4 × 4 grid has eight interior points; they are moved to the bottom and top, between the others.
     points[inside] = np.sign(points[inside]) * (HALF * 2 / 3, HALF * 2 / 3, HALF)
     return points
 
 
 @dataclass(frozen=True)
 class Work:
-    """What has to be simulated.
+    """A scene of the benchmark.
 
     Attributes:
         name: Name in tables.
@@ -107,22 +107,22 @@ class Work:
 
     @property
     def inertia(self) -> float:
-        """Moment of inertia about any axis through the centre [kg·m²]."""
+        """Moment of inertia about any axis through the center [kg·m²]."""
         return self.mass * HALF**2 * (2 / 5 if self.points is None else 2 / 3)
 
     def start(self, envs: int) -> Array:
-        """Returns the positions at the start, ``(envs, bodies, 3)``."""
-        # A meter from the boundary, so that none gets there.
+        """Returns the initial positions, (envs, bodies, 3) [m]."""
+        # At a distance of one meter from the boundary, so that no body reaches it.
         reach = np.array([self.surface.x[-1], self.surface.y[-1]]) - 1.0
         return self.above(np.random.default_rng(1).uniform(-reach, reach, (envs, 1, 2)))
 
     def above(self, plane: Array) -> Array:
-        """Returns positions ``(…, 3)`` at the height of the start above those in the plane, ``(…, 2)``."""
+        """Returns positions (…, 3) at the initial height above the positions ``plane`` (…, 2) [m]."""
         z = self.surface.height(plane) + DROP + HALF
         return np.concatenate((plane, z[..., None]), axis=-1)
 
 
-#: Works by what the tables of a user call them; their own names are those of ``benchmarks/``.
+#: Scenes by their names in tables for users; the names of ``benchmarks/`` are in ``Work.name``.
 WORKS = {
     "sphere": Work("W1", terrain()),
     "box of 8 points": Work("W2p8", terrain(), box_points(8)),

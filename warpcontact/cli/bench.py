@@ -1,4 +1,4 @@
-"""The command ``bench``: how fast this machine steps, as a table and as a file."""
+"""The command ``bench``: measures the stepping speed of this machine, as a table and as a file."""
 
 import argparse
 import json
@@ -13,9 +13,9 @@ def add_to(commands: Any) -> None:
     """Adds the command and its options to the parsers of all commands."""
     bench = commands.add_parser(
         "bench",
-        help="measure how fast this machine steps",
-        description="Measure how fast this machine steps a sphere, and boxes of 8 and 64 points, on a terrain of "
-        "20 000 triangles: some 20 s, and more where kernels have to be compiled first.",
+        help="measure the stepping speed of this machine",
+        description="Measure the stepping speed of this machine with a sphere, and boxes of 8 and 64 points, on a "
+        "terrain of 20 000 triangles: about 20 s, more if kernels must be compiled first.",
     )
     bench.add_argument(
         "--device", default="auto", metavar="D", help="cpu, cuda:0, … (default: auto, a GPU if any)"
@@ -24,17 +24,17 @@ def add_to(commands: Any) -> None:
         "--envs", type=int, metavar="N", help="number of environments (default: 1024 on a CPU, 65536 on a GPU)"
     )
     bench.add_argument(
-        "--seconds", type=float, default=3.0, metavar="S", help="least time to step each work (default: 3)"
+        "--seconds", type=float, default=3.0, metavar="S", help="minimum stepping time per scene (default: 3)"
     )
     bench.add_argument("--precision", default="float32", metavar="P", help="float32 or float64 (default: float32)")
-    bench.add_argument("--json", metavar="FILE", help="write the figures into a file, too")
+    bench.add_argument("--json", metavar="FILE", help="write the results into a JSON file as well")
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Prints the table.
+    """Runs the benchmark and prints the table.
 
     Raises:
-        ValueError: If an option is not allowed, or the file cannot be written, which is tried first.
+        ValueError: If an option is not allowed, or the file cannot be written, which is checked first.
         OSError: If writing fails.
     """
     if arguments.json:

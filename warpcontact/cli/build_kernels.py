@@ -36,7 +36,7 @@ def add_to(commands: Any) -> None:
         metavar="N",
         help="number of environments instead of that in the file; on a GPU some kernels depend on it",
     )
-    parser.add_argument("--threads", type=int, metavar="N", help="threads that compile (default: one per core)")
+    parser.add_argument("--threads", type=int, metavar="N", help="compiler threads (default: one per core)")
     parser.add_argument(
         "--key",
         action="store_true",
@@ -89,10 +89,10 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def writable_cache() -> Path:
-    """Returns the folder of Warp's kernel cache, after a test that files can be created in it.
+    """Returns the folder of Warp's kernel cache, after checking that files can be created in it.
 
     Raises:
-        OSError: If this is not the case; names the folder and the remedy.
+        OSError: If files cannot be created; the message names the folder and the remedy.
     """
     import warp as wp
 

@@ -1,4 +1,4 @@
-"""The command line. Nothing slow is imported before it is needed: ``--help`` answers at once."""
+"""Entry point of the command line. Modules are imported on demand, so that ``--help`` responds quickly."""
 
 import argparse
 import os
@@ -22,10 +22,10 @@ from warpcontact.validation.safe_text import escape_output
 if TYPE_CHECKING:
     from warpcontact.experiment import Experiment
 
-FAILED = 1  # the answer is no: an unusable mesh, a plan that does not fit
-WRONG_USE = 2  # the command could not be carried out, as argparse has it
-SHARDS_FAILED = 3  # some shards of a run; the others are finished
-INTERRUPTED = 130  # the shell's number for Ctrl-C
+FAILED = 1  # negative result, for example an unusable mesh or a plan that does not fit
+WRONG_USE = 2  # the command could not be executed; also the exit code of argparse
+SHARDS_FAILED = 3  # some shards of a run failed; the others are finished
+INTERRUPTED = 130  # exit code of shells for Ctrl-C
 
 
 @escape_output()
@@ -33,7 +33,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command.
 
     Args:
-        argv: Its words; ``None``: those of the process.
+        argv: Command-line arguments; ``None``: those of the process.
 
     Returns:
         The exit code: 0, or 1 for an unusable mesh or a plan that does not fit, 2 for an error, 3 if shards of a
@@ -48,7 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("\nwarpcontact: interrupted", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
-        # Whoever read the output, such as head, has seen enough; at exit Python flushes what is left.
+        # The reader of the output, such as head, has closed it. At exit Python flushes the remaining output.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except MemoryError as error:
@@ -56,10 +56,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except OSError as error:
         return _fail(_sentence(error))
     except Exception as error:
-        # The error of Warp when no memory is left.
+        # Warp's error if memory cannot be allocated.
         if isinstance(error, RuntimeError) and "allocate" in str(error):
             return _fail(f"out of memory: {error}")
-        # Python would print it after the streams are restored, with control characters of quoted files.
+        # Print it while control characters are escaped; Python would print it after the streams are restored.
         print(traceback.format_exc(), end="", file=sys.stderr)
         return FAILED
 
@@ -75,16 +75,14 @@ def _parser() -> argparse.ArgumentParser:
     run = commands.add_parser("run", help="run an experiment file", description="Run an experiment file.")
     going = run.add_mutually_exclusive_group()
     going.add_argument("--overwrite", action="store_true", help="replace an earlier run in the folder")
-    going.add_argument(
-        "--resume", action="store_true", help="go on with the run in the folder; FILE may be left out"
-    )
+    going.add_argument("--resume", action="store_true", help="resume the run in the folder (FILE not needed)")
     run.add_argument(
         "--ray",
         nargs="?",
         const=True,
         default=False,
         metavar="ADDRESS",
-        help="run shards as tasks of Ray: on this machine, or on the cluster with this address",
+        help="run shards as Ray tasks: on this machine, or on the cluster with this address",
     )
     run.add_argument(
         "--checkpoint",
@@ -98,13 +96,11 @@ def _parser() -> argparse.ArgumentParser:
 
     plan = commands.add_parser(
         "plan",
-        help="memory, disk and time that an experiment takes, and its shards",
-        description="Tell what running an experiment file would take of memory, disk and time, and in which "
-        "shards of environments it would run. Exit code 1: it does not fit.",
+        help="memory, disk space, time and shards of a run",
+        description="Estimate memory, disk space and time of running an experiment file, and its shards. Exit code "
+        "1: it does not fit.",
     )
-    plan.add_argument(
-        "--no-probe", dest="probe", action="store_false", help="step nothing, and leave the time out"
-    )
+    plan.add_argument("--no-probe", dest="probe", action="store_false", help="do not measure; omit the time")
     plan.set_defaults(command=_plan)
     for command in (run, plan):
         command.add_argument(
@@ -114,7 +110,7 @@ def _parser() -> argparse.ArgumentParser:
             "--out",
             metavar="DIR",
             help="folder for the results (default: results/<name of the experiment>)"
-            + (", of whose disk the plan tells; nothing is written" if command is plan else ""),
+            + (", whose free disk space is shown; nothing is written" if command is plan else ""),
         )
         command.add_argument(
             "--envs", type=int, metavar="N", help="number of environments instead of that in the file"
@@ -140,7 +136,7 @@ def _parser() -> argparse.ArgumentParser:
             "--shard",
             type=int,
             metavar="N",
-            help="at most so many environments at once, committed together (default: as many as fit)",
+            help="maximum number of environments per shard, which are committed together (default: as many as fit)",
         )
         add_option(command)
 
@@ -156,26 +152,34 @@ def _parser() -> argparse.ArgumentParser:
     inspect.add_argument(
         "--unit", metavar="U", help="unit of the file, such as mm, cm, in (default: its own, or m)"
     )
-    inspect.add_argument("--prim", metavar="PATH", help="the prim of a USD file to take (default: all meshes)")
+    inspect.add_argument("--prim", metavar="PATH", help="prim of a USD file (default: all meshes)")
     inspect.add_argument(
         "--repair", metavar="STEPS", help="report on the repaired mesh: all, or steps such as merge,orient"
     )
     inspect.add_argument(
-        "--tolerance", type=float, default=1e-6, metavar="X", help="of merge, relative to the size (default: 1e-6)"
+        "--tolerance",
+        type=float,
+        default=1e-6,
+        metavar="X",
+        help="tolerance of merge, relative to the size (default: 1e-6)",
     )
     inspect.add_argument(
         "--trusted", action="store_true", help="read the file without limits on time, memory and other files"
     )
-    inspect.add_argument("--plot", metavar="FILE", help="draw it, defects marked, into an .svg or .png file")
+    inspect.add_argument("--plot", metavar="FILE", help="draw the mesh and its defects into an .svg or .png file")
     active = inspect.add_mutually_exclusive_group()
     active.add_argument(
         "--active",
         metavar="GROUP",
         nargs="+",
-        help="groups of faces that can touch: report their area, and draw the others pale",
+        help="groups of active faces: report their area, and draw the others pale",
     )
     active.add_argument(
-        "--active-faces", metavar="N", nargs="+", type=int, help="the same with numbers of faces, from 0"
+        "--active-faces",
+        metavar="N",
+        nargs="+",
+        type=int,
+        help="numbers of active faces, from 0, instead of groups",
     )
     inspect.set_defaults(command=_inspect)
 
@@ -210,12 +214,12 @@ def _sentence(error: OSError) -> str:
 
 @dataclass
 class _RunContext:
-    """What there is of a run, for who asks to stop it.
+    """State of the command ``run``, for the message if it is interrupted.
 
     Attributes:
-        resumed: Folder of the run that goes on; ``None``: a new one is begun.
-        folder: Where the results go, once that is known.
-        before: Content of ``run.json`` there until then, of an earlier run.
+        resumed: Folder of the run that is resumed; ``None``: a new run.
+        folder: Folder of the results, once it is known.
+        before: Content of ``run.json`` of an earlier run in the folder.
     """
 
     resumed: Path | None
@@ -223,18 +227,18 @@ class _RunContext:
     before: dict[str, Any] | None = None
 
     def __str__(self) -> str:
-        """What to say behind ``interrupted``."""
+        """Returns the text after ``interrupted``."""
         if self.folder is None:
-            return " before anything was " + (f"done{_resume(self.resumed)}" if self.resumed else "kept")
+            return " before anything was " + (f"done{_resume(self.resumed)}" if self.resumed else "saved")
         from warpcontact.experiment.folder import DATA, FINISHED, read_summary
         from warpcontact.files.run_folder import RunPath
 
         summary = read_summary(self.folder)
         if self.resumed is None and summary == self.before:
-            return f" before anything was kept{f'; {self.folder} is as it was' if summary else ''}"
+            return f" before anything was saved{f'; {self.folder} is unchanged' if summary else ''}"
         if summary is None or not (RunPath(self.folder) / DATA).is_folder():
-            return " before anything was kept"
-        done = "the results are whole" if summary.get("state") == FINISHED else "what was done is kept"
+            return " before anything was saved"
+        done = "the results are complete" if summary.get("state") == FINISHED else "completed steps are saved"
         return f"; {done}{_resume(self.folder)}"
 
 
@@ -270,12 +274,12 @@ def _run_experiment(arguments: argparse.Namespace, context: _RunContext) -> int:
             arguments.file = Path(arguments.out) / EXPERIMENT
         folder = _results(arguments)
         context.resumed = folder if arguments.resume else None
-        # Before the experiment is checked, for which kernels may have to be compiled.
+        # Before the validation of the experiment, which may compile kernels.
         check_usable(folder, overwrite=arguments.overwrite, resume=arguments.resume)
         experiment = _experiment(arguments)
         context.before, context.folder = read_summary(folder), folder
         with warnings.catch_warnings(), _name_option(arguments, experiment):
-            # The summary says it.
+            # The printed result has the number of frozen environments.
             warnings.filterwarnings("ignore", message=".* and are frozen", category=RuntimeWarning)
             result = experiment.run(
                 folder,
@@ -296,15 +300,15 @@ def _run_experiment(arguments: argparse.Namespace, context: _RunContext) -> int:
         for note in getattr(error, "__notes__", ()):
             _fail(note)
         if context.folder is not None and (RunPath(context.folder) / DATA).is_real_folder():
-            kept = "what was committed is kept" if has_commits(context.folder) else "nothing is kept yet"
-            _fail(f"{kept}{_resume(context.folder)}")
+            saved = "committed results are saved" if has_commits(context.folder) else "nothing is saved yet"
+            _fail(f"{saved}{_resume(context.folder)}")
         return code
     print(result)
     return SHARDS_FAILED if result.summary.get("failed") else 0
 
 
 def _resume(folder: Path) -> str:
-    return f" in {folder}; go on with:\n    warpcontact run --resume --out {shlex.quote(str(folder))}"
+    return f" in {folder}; to resume:\n    warpcontact run --resume --out {shlex.quote(str(folder))}"
 
 
 def _plan(arguments: argparse.Namespace) -> int:
@@ -330,7 +334,7 @@ def _plan(arguments: argparse.Namespace) -> int:
     if plan.shard and arguments.probe:
         _print_stage("measuring")
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # a run tells
+            warnings.simplefilter("ignore")  # a run gives them
             try:
                 print(experiment.probe(device=_device(arguments), shard=plan.shard))
             except QuarantineError as error:
@@ -339,7 +343,7 @@ def _plan(arguments: argparse.Namespace) -> int:
 
 
 def _experiment(arguments: argparse.Namespace) -> "Experiment":
-    """Reads the experiment of a command, with what its options change."""
+    """Reads the experiment of a command and applies its options."""
     from warpcontact.experiment import Experiment
 
     _print_stage(f"reading {arguments.file}")
@@ -354,7 +358,7 @@ def _experiment(arguments: argparse.Namespace) -> "Experiment":
 
 
 def _results(arguments: argparse.Namespace) -> Path:
-    """Returns the folder for the results of an experiment that was not read yet."""
+    """Returns the folder for the results of an experiment, without validating it."""
     from warpcontact.experiment.experiment import read_content
 
     if arguments.out:
@@ -364,7 +368,7 @@ def _results(arguments: argparse.Namespace) -> Path:
 
 
 def _device(arguments: argparse.Namespace) -> str | list[str]:
-    """Returns the device that a command names, or the list of them."""
+    """Returns the device of a command, or a list of devices."""
     name: str = arguments.device
     return name.split(",") if "," in name else name
 
@@ -374,7 +378,7 @@ def _print_stage(stage: str) -> None:
 
 
 def _name_option(arguments: argparse.Namespace, experiment: "Experiment") -> AbstractContextManager[None]:
-    """Names the option that is left to be wrong: the size of a shard, or the device."""
+    """Names the invalid option in errors of a run: ``--shard``, ``--threads``, ``--checkpoint``, else ``--device``."""
     given = vars(arguments)
     wrong = {
         "shard": given["shard"] is not None and given["shard"] < 1,
@@ -388,7 +392,7 @@ def _name_option(arguments: argparse.Namespace, experiment: "Experiment") -> Abs
 
 @contextmanager
 def _name_source(option: str, source: str) -> Iterator[None]:
-    """Names ``option`` in place of the file: what is wrong was right before it."""
+    """Names ``option`` in errors instead of the file, which is valid without the option."""
     from warpcontact.experiment import ExperimentError
 
     try:
@@ -439,7 +443,7 @@ def _laws(arguments: argparse.Namespace) -> int:
 def _folder_command(arguments: argparse.Namespace) -> int:
     import warp as wp
 
-    # Standard output has what was asked for, and nothing about kernels and devices.
+    # Keep standard output free of messages about kernels and devices.
     wp.config.log_level = wp.LOG_ERROR
     try:
         return arguments.work(arguments) or 0

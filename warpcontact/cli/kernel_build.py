@@ -1,7 +1,7 @@
-"""Compilation of kernels before they are needed: those of experiments, and those of ``warpcontact bench``.
+"""Compiles kernels in advance: those of experiments, and those of ``warpcontact bench``.
 
 A model is built as for a run. Its kernels for the CPU are compiled concurrently. Then the first steps load the
-kernels that no list contains, such as those that reset environments, and on a GPU all kernels.
+kernels that no list contains, such as those that reset environments, and all kernels of a GPU.
 """
 
 import contextlib
@@ -67,7 +67,7 @@ class ExperimentKernels:
         recording = self._runner.run_sample_steps(self._shards[0])
         if not self._runner.settings.record.series:
             return
-        # Cables and shapes are computed by kernels when they are drawn. A run continues without them, too.
+        # Cables and shapes are evaluated by kernels for export. Errors are ignored, as at the end of a run.
         with tempfile.TemporaryDirectory(dir=wp.config.kernel_cache_dir) as folder, contextlib.suppress(Exception):
             export_usd(recording, Path(folder, "animation.usdc"), envs=range(1), ensemble=False, progress=False)
 
@@ -79,7 +79,7 @@ def build_bench(device: str, envs: int | None, threads: int | None, progress: Pr
         device: The device.
         envs: Number of environments. ``None``: as for ``bench``.
         threads: Maximum number of threads that compile. ``None``: one per core.
-        progress: Reports kernels of the CPU.
+        progress: Called after each kernel of the CPU.
 
     Raises:
         ValueError: If the device does not exist.
@@ -91,13 +91,13 @@ def build_bench(device: str, envs: int | None, threads: int | None, progress: Pr
     from warpcontact.system.devices import find_device
 
     where = find_device(device)
-    # A GPU has other kernels for a single environment, which ``bench`` also measures.
+    # ``bench`` also measures a single environment, for which a GPU uses other kernels.
     sizes = (1, default_envs(where) if envs is None else envs)[where.is_cpu :]
     sims = [simulation(work, size, str(where)) for work in WORKS.values() for size in sizes]
     kernels: list[wp.Kernel] = []
     for sim in sims:
-        looks = [frozenset(sim.model.find_sensor(POSITION).needs)]
-        kernels += sim.step_kernels([*looks, CONTACT_NEEDS] if sim.evaluates_start else looks)
+        needs = [frozenset(sim.model.find_sensor(POSITION).needs)]
+        kernels += sim.step_kernels([*needs, CONTACT_NEEDS] if sim.evaluates_start else needs)
     load_kernels(kernels, threads, progress)
     for sim in sims:
         sim.step()
@@ -110,9 +110,9 @@ def load_kernels(kernels: Iterable[wp.Kernel], threads: int | None, progress: Pr
     """Compiles kernels for the CPU concurrently.
 
     Args:
-        kernels: The kernels, the largest first. Equal ones are compiled once.
+        kernels: The kernels, the largest first. Duplicates are compiled once.
         threads: Maximum number of threads. ``None``: one per core.
-        progress: Reports each kernel.
+        progress: Called after each kernel.
     """
     kernels = list(dict.fromkeys(kernels))
     numbers, lock = itertools.count(1), threading.Lock()

@@ -1,4 +1,4 @@
-"""The catalogue of laws and friction models as text, and how to find an entry by its name."""
+"""Formats the catalogue of laws and friction models as text, and finds entries by name."""
 
 import dataclasses
 import inspect
@@ -12,7 +12,7 @@ from warpcontact.kernels.catalogue.names import suggestion
 
 WIDTH = 100
 
-#: What the flags of ``Formula.provenance`` mean.
+#: Meanings of the flags of ``Formula.provenance``.
 PROVENANCE = {
     "S": "read in a public source",
     "D": "derived and confirmed by integration",
@@ -24,45 +24,45 @@ LETTERS = (
     "F: friction force, v: slip velocity, s = |v|. Units are SI.",
 )
 LEGEND = (
-    "known: how sure the formula is. S: read in a public source, a program or a manual; D: derived and",
-    "confirmed by integration; R: recalled from the literature, no source at hand to check it against.",
-    "Where there are two letters, the parts differ.",
+    "known: provenance of the formula. S: read in a public source, a program or a manual; D: derived and",
+    "confirmed by integration; R: recalled from the literature, not checked against a source.",
+    "With two letters, the parts of the formula differ.",
 )
 
 
-#: What nonsmooth contact is given.
+#: Laws and friction models of nonsmooth contact.
 HARD: tuple[type[Formula], ...] = (*laws.RIGID, *friction.RIGID)
 
 
 class UnknownName(ValueError):
-    """A name that is not in the catalogue."""
+    """A name is not in the catalogue."""
 
 
 def every() -> dict[str, type[Formula]]:
-    """Returns all entries by their names, laws first."""
+    """Returns all entries by name, laws first."""
     return {formula.__name__: formula for formula in (*laws.CATALOGUE, *friction.CATALOGUE, *HARD)}
 
 
 def find(name: str) -> type[Formula]:
-    """Returns the law or friction called ``name``.
+    """Returns the law or friction model with this name.
 
     Raises:
-        UnknownName: If there is none; the message suggests the nearest name.
+        UnknownName: If there is none; the message suggests the most similar name.
     """
     entries = every()
     if name in entries:
         return entries[name]
     hint = suggestion(name, entries) or "; 'warpcontact laws' lists them"
-    raise UnknownName(f"there is no law or friction {name!r}{hint}")
+    raise UnknownName(f"there is no law or friction model {name!r}{hint}")
 
 
 def catalogue() -> str:
-    """Returns the whole catalogue."""
+    """Returns the complete catalogue as text."""
     lines = [*LETTERS, *LEGEND]
     for title, formulas in (
         ("LAWS", laws.CATALOGUE),
-        ("FRICTIONS", friction.CATALOGUE),
-        ("HARD CONTACT", HARD),
+        ("FRICTION MODELS", friction.CATALOGUE),
+        ("NONSMOOTH CONTACT", HARD),
     ):
         lines += ["", title]
         for formula in formulas:
@@ -71,7 +71,7 @@ def catalogue() -> str:
 
 
 def entry(formula: type[Formula]) -> Sequence[str]:
-    """Returns the lines on one law or friction."""
+    """Returns the lines of a law or friction model in the catalogue."""
 
     def wrapped(begin: str, text: str) -> list[str]:
         return textwrap.wrap(text, WIDTH, initial_indent=begin, subsequent_indent=" " * len(begin))
@@ -100,13 +100,13 @@ def entry(formula: type[Formula]) -> Sequence[str]:
 
 
 def provenance(formula: type[Formula]) -> str:
-    """Returns in words how sure a formula is; nothing if it does not say."""
+    """Returns the provenance of a formula as text; empty: not stated."""
     flags = [flag for flag in formula.provenance.split(", ") if flag]
     return ", in part ".join(f"{PROVENANCE[flag]} ({flag})" for flag in flags)
 
 
 def _range(limits: Any) -> str:
-    """Returns an allowed range in few characters."""
+    """Returns an allowed range as short text."""
     infinity = float("inf")
     low = f"> {limits['above']:g}" if limits["above"] > -infinity else ""
     low = f"≥ {limits['at_least']:g}" if limits["at_least"] > -infinity else low

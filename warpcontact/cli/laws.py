@@ -1,4 +1,4 @@
-"""The command ``laws``: entries of the catalogue and of a user's own files, and pictures of what they do."""
+"""The command ``laws``: prints entries of the catalogue or of user files, and plots laws and friction models."""
 
 import argparse
 import contextlib
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from warpcontact.experiment.user_code import UserFiles
 
-# Options of the pictures of the one and of the other.
+# Options of plots of laws, and of friction models.
 OF_LAWS = ("restitution", "mass", "speed", "depth")
 OF_FRICTIONS = ("load",)
 
@@ -21,39 +21,44 @@ def add_to(commands: Any) -> None:
     """Adds the command and its options to the parsers of all commands."""
     laws = commands.add_parser(
         "laws",
-        help="list the laws and friction models, or draw some",
-        description="List the laws and friction models that come with it, or draw what they do in one impact or slip. "
-        "NAME is one of these, or FILE.py:CLASS for one of your own; the file is run.",
+        help="list laws and friction models, or plot some",
+        description="List the laws and friction models of the library, or plot their behavior in one impact or slip "
+        "test. NAME is one of these, or FILE.py:CLASS for a user-defined class; the file is executed.",
     )
-    laws.add_argument("name", metavar="NAME", nargs="?", help="show this one only")
-    laws.add_argument("--plot", metavar="FILE", help="draw it into an .svg or .png file")
+    laws.add_argument("name", metavar="NAME", nargs="?", help="print this entry only")
+    laws.add_argument("--plot", metavar="FILE", help="plot it into an .svg or .png file")
     laws.add_argument(
-        "--compare", metavar="NAME", nargs="+", help="draw these laws, or friction models, side by side"
+        "--compare", metavar="NAME", nargs="+", help="plot these laws, or friction models, side by side"
     )
     laws.add_argument(
         "--set",
         metavar="PARAMETER=VALUE",
         nargs="+",
         action="extend",
-        help="parameters of all that have them, such as stiffness=1.5e6 mu_static=0.8 (default: chosen to suit)",
+        help="parameters of the entries that have them, such as stiffness=1.5e6 mu_static=0.8 (default: chosen "
+        "automatically)",
     )
     laws.add_argument(
-        "--restitution", metavar="E", nargs="+", type=float, help="loops to draw of laws (default: 0.2 … 1)"
+        "--restitution",
+        metavar="E",
+        nargs="+",
+        type=float,
+        help="restitutions of the plotted loops (default: 0.2 … 1)",
     )
-    laws.add_argument("--mass", metavar="KG", type=float, help="mass of the sphere that hits (default: 1)")
+    laws.add_argument("--mass", metavar="KG", type=float, help="mass of the impacting sphere (default: 1)")
     laws.add_argument("--speed", metavar="M/S", type=float, help="impact speed (default: 1)")
     laws.add_argument(
         "--depth",
         metavar="M",
         type=float,
-        help="depth without damping that stiffnesses are chosen for (default: 0.001, or that of one that was set)",
+        help="penetration without damping for which stiffnesses are chosen (default: 0.001, or that of a given one)",
     )
-    laws.add_argument("--load", metavar="N", type=float, help="normal force on a friction (default: 10)")
+    laws.add_argument("--load", metavar="N", type=float, help="normal force for friction models (default: 10)")
 
 
 @dataclasses.dataclass(frozen=True)
 class SelectedFormula:
-    """A law or friction as it was named, its class, and the file that it is from, if it is a user's."""
+    """A law or friction model with its name on the command line, its class, and its file if it is user-defined."""
 
     name: str
     formula: Any
@@ -61,10 +66,10 @@ class SelectedFormula:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Prints entries or draws a picture.
+    """Prints entries of the catalogue or plots some.
 
     Raises:
-        ValueError: If the words do not go together, or a name, a value or the file is not allowed.
+        ValueError: If options cannot be combined, or a name, a value or the file is not allowed.
     """
     import warp as wp
 
@@ -86,24 +91,24 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _check_words(arguments: argparse.Namespace, options: dict[str, Any]) -> None:
-    """Raises ``ValueError`` if options do not go together."""
+    """Raises ``ValueError`` if options cannot be combined."""
     if arguments.compare is not None:
         if arguments.name:
-            raise ValueError(f"give {arguments.name} to --compare, or leave --compare out")
+            raise ValueError(f"NAME must be left out with --compare, got {arguments.name}")
         if len(set(arguments.compare)) < 2:
-            raise ValueError(f"--compare needs at least two names, got {' '.join(arguments.compare)}")
+            raise ValueError(f"--compare requires at least two names, got {' '.join(arguments.compare)}")
         if not arguments.plot:
-            raise ValueError("--compare draws a picture: say where by --plot FILE")
+            raise ValueError("--compare requires --plot FILE")
     elif arguments.plot and not arguments.name:
-        raise ValueError("--plot needs the NAME of a law or friction, or --compare NAME NAME …")
+        raise ValueError("--plot requires the NAME of a law or friction model, or --compare NAME NAME …")
     if (options or arguments.set) and not arguments.plot:
-        raise ValueError(f"--{next(iter(options), 'set')} is of the picture: say where it goes by --plot FILE")
+        raise ValueError(f"--{next(iter(options), 'set')} requires --plot FILE")
 
 
 def _find_formula(name: str) -> SelectedFormula:
-    """Returns the law or friction called ``name``, of the catalogue or as ``FILE.py:CLASS``.
+    """Returns the law or friction model ``name``, of the catalogue or as ``FILE.py:CLASS``.
 
-    Who writes the name of a file here wants it run, as with ``python FILE.py``: it may lie anywhere.
+    The file may be in any folder, because the user names it explicitly, as with ``python FILE.py``.
     """
     from warpcontact.cli import law_list
 
@@ -115,7 +120,7 @@ def _find_formula(name: str) -> SelectedFormula:
 
     try:
         path = Path(file).resolve()
-    except (OSError, ValueError, RuntimeError) as error:  # a loop of links, or a null character
+    except (OSError, ValueError, RuntimeError) as error:  # for example a loop of links, or a null character
         raise ValueError(f"{name}: {file!r} cannot be read: {error}") from None
     own = UserFiles(path.parent, lambda text: None, trusted=True)
     try:
@@ -125,10 +130,10 @@ def _find_formula(name: str) -> SelectedFormula:
 
 
 def _values(words: Sequence[str], selected: Sequence[SelectedFormula]) -> dict[str, float]:
-    """Returns the parameters that ``--set`` gives, checked.
+    """Returns the parameters given by ``--set``, checked.
 
     Raises:
-        ValueError: If one is no ``NAME=VALUE``, is given twice, is of none of ``selected``, or not allowed in one.
+        ValueError: If one is not ``NAME=VALUE``, is given twice, is of none of ``selected``, or not allowed in one.
     """
     from warpcontact.kernels.catalogue.names import suggestion
     from warpcontact.validation import checks
@@ -142,7 +147,7 @@ def _values(words: Sequence[str], selected: Sequence[SelectedFormula]) -> dict[s
         if name not in known:
             hint = suggestion(name, known) or f"; there are: {', '.join(known) or 'none'}"
             raise ValueError(
-                f"--set {word}: no parameter of {' or '.join(e.name for e in selected)} is so called{hint}"
+                f"--set {word}: {name} is no parameter of {' or '.join(e.name for e in selected)}{hint}"
             )
         if name in values:
             raise ValueError(f"--set {name} is given twice")
@@ -163,7 +168,7 @@ def _parameters(entry: SelectedFormula) -> list[str]:
 def _plot(
     selected: Sequence[SelectedFormula], file: str, values: dict[str, float], options: dict[str, Any]
 ) -> None:
-    """Draws laws or friction models.
+    """Plots laws or friction models.
 
     Raises:
         ValueError: If they are mixed, or an option, a value or the file is not allowed.
@@ -181,15 +186,15 @@ def _plot(
     for name in options:
         if name in (OF_FRICTIONS if ours else OF_LAWS):
             kind = "friction models" if ours else "laws"
-            raise ValueError(f"--{name} is an option of {kind}, and not of {', '.join(ours or others)}")
+            raise ValueError(f"--{name} is an option of {kind}, not of {', '.join(ours or others)}")
     _check_options(options)
     entries = _entries(selected, values)
     figures.check_count("laws" if ours else "friction models", list(entries))
     if "depth" in options and all(map(instances.is_modulus_given, entries.values())):
-        raise ValueError("--depth is what stiffnesses are chosen for, and here all are given: leave it out")
+        raise ValueError("--depth must be left out, because all stiffnesses are given")
     with _failure_message(selected):
         for entry in entries.values():
-            # Whether it can be made, before anything is written or run.
+            # Check that it can be created, before anything is written or run.
             (instances.law if ours else instances.friction)(entry, 1.0, 1.0e-3)
         compare.check_path(file)
         print("running impacts …" if ours else "running slips …", file=sys.stderr, flush=True)
@@ -198,7 +203,7 @@ def _plot(
 
 
 def _entries(selected: Sequence[SelectedFormula], values: dict[str, float]) -> dict[str, Any]:
-    """Returns what is drawn by its label: the name of the class, or all of it where two have the same."""
+    """Returns the entries to plot by label: the name of the class, or the full name if two classes share it."""
     classes = [entry.formula.__name__ for entry in selected]
     return {
         entry.name if classes.count(name) > 1 else name: functools.partial(
@@ -209,7 +214,7 @@ def _entries(selected: Sequence[SelectedFormula], values: dict[str, float]) -> d
 
 
 def _check_options(options: dict[str, Any]) -> None:
-    """Raises ``ValueError`` in the words of the command line if a value is not allowed."""
+    """Raises ``ValueError`` with the name of the option if a value is not allowed."""
     from warpcontact.analysis.compare import drop_tests, friction_tests, impact
     from warpcontact.validation import checks
 
@@ -221,7 +226,7 @@ def _check_options(options: dict[str, Any]) -> None:
 
 @contextlib.contextmanager
 def _failure_message(selected: Sequence[SelectedFormula]) -> Iterator[None]:
-    """Says in one sentence what is wrong with classes: values that they need, or what goes wrong in a file."""
+    """Converts errors of classes to one sentence: missing values, or errors in a user file."""
     from warpcontact.analysis.compare.instances import MissingValues
 
     try:
@@ -233,7 +238,7 @@ def _failure_message(selected: Sequence[SelectedFormula]) -> Iterator[None]:
     except MissingValues as error:
         given = " ".join(f"{name}=…" for name in error.parameters)
         raise ValueError(f"{error.kind} needs {' and '.join(error.parameters)}: add --set {given}") from None
-    except TypeError as error:  # that it does not compile, which names its module
+    except TypeError as error:  # a compile error, whose message has the name of the generated module
         own = [entry.formula for entry in selected if entry.own is not None]
         if not own or "does not compile" not in str(error):
             raise

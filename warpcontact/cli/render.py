@@ -1,4 +1,4 @@
-"""The command ``render``: stills and films of a run."""
+"""The command ``render``: draws pictures and films of a run."""
 
 import argparse
 import re
@@ -10,9 +10,9 @@ from warpcontact.cli.trust_option import add_option
 
 STILLS = (".png",)
 FILMS = (".gif", ".mp4")
-# Options of films alone, with what they are where they are left out.
+# Options of films only, with their defaults.
 OF_FILMS = {"fps": 25.0, "speed": 1.0}
-# More environments than these are counted, not named.
+# Largest number of environments whose numbers are printed.
 NAMED = 16
 
 
@@ -20,9 +20,9 @@ def add_to(commands: Any) -> None:
     """Adds the command and its options to the parsers of all commands."""
     render = commands.add_parser(
         "render",
-        help="draw a run, as a picture or a film",
-        description="Draw a run at one time into a .png file, or film it into a .gif or .mp4 file (which needs "
-        "ffmpeg), without a display.",
+        help="draw a picture or a film of a run",
+        description="Draw a run at one time into a .png file, or film it into a .gif or .mp4 file (requires ffmpeg), "
+        "without a display.",
     )
     render.add_argument("folder", metavar="DIR", help="folder of the run")
     render.add_argument("-o", "--out", metavar="FILE", required=True, help="a .png, .gif or .mp4 file")
@@ -42,15 +42,15 @@ def add_to(commands: Any) -> None:
         metavar="S",
         nargs="+",
         type=float,
-        help="of a picture: simulated time, of which the nearest record is drawn (default: the last that these "
-        "environments have); of a film: the first and the last (default: all)",
+        help="for a picture: simulated time, the nearest frame is drawn (default: the last frame of these "
+        "environments); for a film: first and last time (default: all)",
     )
     render.add_argument("--fps", metavar="N", type=float, help="pictures per second of a film (default: 25)")
     render.add_argument(
         "--speed",
         metavar="X",
         type=float,
-        help="simulated seconds in a second of a film (default: 1)",
+        help="simulated seconds per second of a film (default: 1)",
     )
     render.add_argument(
         "--size", metavar="WIDTHxHEIGHT", type=_size, default=(1280, 720), help="pixels (default: 1280x720)"
@@ -61,21 +61,21 @@ def add_to(commands: Any) -> None:
         metavar=("AZIMUTH", "ELEVATION"),
         nargs=2,
         type=float,
-        help="where the eye is: degrees from x towards y, and above the horizontal (default: -60 22, or from "
-        "where what moves is not hidden)",
+        help="direction of the camera: degrees from x towards y, and above the horizontal (default: -60 22, or a "
+        "direction from which moving bodies are visible)",
     )
     render.add_argument(
         "--look-at",
         metavar=("X", "Y", "Z"),
         nargs=3,
         type=float,
-        help="the middle of the picture [m] (default: chosen)",
+        help="center of the picture [m] (default: chosen automatically)",
     )
     render.add_argument(
         "--distance",
         metavar="M",
         type=float,
-        help="from there to the eye (default: so that all that moves is seen)",
+        help="distance of the camera from the center (default: all moving bodies are visible)",
     )
     render.add_argument(
         "--fov", metavar="DEGREES", type=float, default=30.0, help="angle of view, top to bottom (default: 30)"
@@ -84,24 +84,26 @@ def add_to(commands: Any) -> None:
         "--forces",
         action=argparse.BooleanOptionalAction,
         default=None,
-        help="contact forces as arrows (default: where they were recorded)",
+        help="contact forces as arrows (default: if they were recorded)",
     )
     render.add_argument(
         "--force-scale", metavar="M/N", type=float, help="length of arrows (default: the largest force fits)"
     )
     render.add_argument(
-        "--color-by", metavar="NAME", help="colour what moves by a parameter or an outcome, such as ball.mass"
+        "--color-by", metavar="NAME", help="color moving bodies by a parameter or an outcome, such as ball.mass"
     )
     render.add_argument(
         "--labels",
         action=argparse.BooleanOptionalAction,
         default=True,
-        help="write numbers of environments, times of films, scales of colours (default: yes)",
+        help="numbers of environments, times of films, color bars (default: yes)",
     )
     render.add_argument(
         "--background", metavar="COLOR", default="light", help="light, white, dark or #rrggbb (default: light)"
     )
-    render.add_argument("--samples", metavar="N", type=int, default=16, help="most rays of a pixel (default: 16)")
+    render.add_argument(
+        "--samples", metavar="N", type=int, default=16, help="maximum rays per pixel (default: 16)"
+    )
     render.add_argument(
         "--device", default="auto", metavar="D", help="cpu, cuda:0, … (default: auto, a GPU if any)"
     )
@@ -110,10 +112,10 @@ def add_to(commands: Any) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Draws or films, and says what of.
+    """Draws a picture or a film, and prints the environments and times that it shows.
 
     Raises:
-        ValueError: If the folder holds no whole run, or an option is not allowed.
+        ValueError: If the folder holds no valid run, or an option is not allowed.
         OSError: If writing fails.
     """
     file = Path(arguments.out)
@@ -123,7 +125,7 @@ def run(arguments: argparse.Namespace) -> None:
     try:
         _draw(arguments, file, open_run(arguments.folder, trust=arguments.trust))
     except ValueError as error:
-        raise ValueError(_in_words_of_options(str(error))) from None
+        raise ValueError(_with_option_name(str(error))) from None
 
 
 def _draw(arguments: argparse.Namespace, file: Path, found: Any) -> None:
@@ -132,27 +134,27 @@ def _draw(arguments: argparse.Namespace, file: Path, found: Any) -> None:
     from warpcontact.visualize.rendering.still import still
 
     given = {name: value for name, value in vars(arguments).items() if name in RenderStyle.__dataclass_fields__}
-    look = RenderStyle(**{**given, "forces": arguments.forces is not False})
+    style = RenderStyle(**{**given, "forces": arguments.forces is not False})
     time = arguments.time
     if file.suffix.lower() in FILMS:
         fps = OF_FILMS["fps"] if arguments.fps is None else arguments.fps
         speed = OF_FILMS["speed"] if arguments.speed is None else arguments.speed
         film = shoot(
-            found, file, env=arguments.env, time=time, fps=fps, speed=speed, scene=None, progress=None, style=look
+            found, file, env=arguments.env, time=time, fps=fps, speed=speed, scene=None, progress=None, style=style
         )
         envs, forces, count, partial = film.envs, film.forces, len(film.times), film.partial
         shown = f"{film.times[0]:g} to {film.times[-1]:g} s in {count} pictures, {film.duration:.3g} s long"
     else:
         wanted = time[0] if time else None
-        picture = still(found, file, env=arguments.env, time=wanted, scene=None, style=look)
+        picture = still(found, file, env=arguments.env, time=wanted, scene=None, style=style)
         envs, forces, shown, partial = picture.envs, picture.forces, f"{picture.time:g} s", picture.partial
         if wanted is not None and abs(picture.time - wanted) > 1.0e-9 * max(abs(wanted), 1.0):
-            shown += f", the record nearest to {wanted:g} s"
+            shown += f", the frame nearest to {wanted:g} s"
     if partial and not time:
-        shown += f",{' the last record' * (file.suffix.lower() in STILLS)} of a run that is not finished"
+        shown += f",{' the last frame' * (file.suffix.lower() in STILLS)} of a run that is not finished"
     if arguments.forces and not forces:
         print(
-            "note: no forces are shown: the run recorded no force, normal and point of a contact "
+            "note: no forces are shown: the run did not record force, normal and point of a contact "
             '([record] sensors = ["<contact>.normal_force", "<contact>.normal", "<contact>.point"])',
             file=sys.stderr,
         )
@@ -162,7 +164,7 @@ def _draw(arguments: argparse.Namespace, file: Path, found: Any) -> None:
 
 
 def _check_words(arguments: argparse.Namespace, file: Path) -> None:
-    """Raises ``ValueError`` if options do not go together."""
+    """Raises ``ValueError`` if options cannot be combined."""
     suffix = file.suffix.lower()
     if suffix not in (*STILLS, *FILMS):
         raise ValueError(f"--out {file}: must end in .png, .gif or .mp4, got {suffix or 'no suffix'}")
@@ -170,11 +172,11 @@ def _check_words(arguments: argparse.Namespace, file: Path) -> None:
     if suffix in STILLS:
         for name in OF_FILMS:
             if getattr(arguments, name) is not None:
-                raise ValueError(f"--{name} is of films: --out must end in .gif or .mp4, got {file}")
+                raise ValueError(f"--{name} requires a film: --out must end in .gif or .mp4, got {file}")
         if count > 1:
-            raise ValueError(f"--time is one time of a picture, got {count}; a film ends in .gif or .mp4")
+            raise ValueError(f"--time must be one time for a picture, got {count}; a film ends in .gif or .mp4")
     elif count not in (0, 2):
-        raise ValueError(f"--time is the first and the last time of a film, got {count}")
+        raise ValueError(f"--time must be the first and the last time for a film, got {count}")
 
 
 def _size(text: str) -> tuple[int, int]:
@@ -184,8 +186,8 @@ def _size(text: str) -> tuple[int, int]:
     return int(found[1]), int(found[2])
 
 
-def _in_words_of_options(text: str) -> str:
-    """Returns an error about an argument in the words of the command line."""
+def _with_option_name(text: str) -> str:
+    """Returns an error about an argument with the name of its command-line option."""
     names = {"view_from": "from", "color_by": "color-by", "look_at": "look-at", "force_scale": "force-scale"}
     found = re.match(
         r"(view_from|color_by|look_at|force_scale|size|time|fps|speed|distance|fov|samples|threads|background|device)\b",

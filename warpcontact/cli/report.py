@@ -1,4 +1,4 @@
-"""The command ``report``: one HTML file of a run."""
+"""The command ``report``: writes an HTML report of a run."""
 
 import argparse
 from typing import Any
@@ -10,8 +10,8 @@ def add_to(commands: Any) -> None:
     """Adds the command and its options to the parsers of all commands."""
     parser = commands.add_parser(
         "report",
-        help="one HTML file of a run: outcomes, curves, a table, a replay in 3D",
-        description="Write a report of a run as one HTML file that opens anywhere and needs no network.",
+        help="HTML report of a run: outcomes, curves, a table, a replay in 3D",
+        description="Write a report of a run as one self-contained HTML file.",
     )
     parser.add_argument("folder", metavar="DIR", help="folder of the run, finished or not")
     parser.add_argument(
@@ -22,8 +22,8 @@ def add_to(commands: Any) -> None:
         metavar="N",
         nargs="+",
         type=int,
-        help="numbers of the environments that are shown one by one (default: the first 16, some that failed, and "
-        "those with the smallest and largest outcomes, as far as there is room)",
+        help="environments that are shown individually (default: the first 16, some failed ones, and those with the "
+        "smallest and largest outcomes, as far as they fit)",
     )
     add_option(parser)
 
@@ -32,7 +32,7 @@ def run(arguments: argparse.Namespace) -> None:
     """Writes the report.
 
     Raises:
-        ValueError: If the folder holds no whole run, or an option is not allowed.
+        ValueError: If the folder holds no valid run, or an option is not allowed.
         OSError: If the file cannot be written.
     """
     from warpcontact.visualize.report import report

@@ -1,4 +1,4 @@
-"""The commands ``status`` and ``export``: what is in the folder of a run."""
+"""The commands ``status`` and ``export``: progress and results of a run."""
 
 import argparse
 import sys
@@ -7,7 +7,7 @@ from typing import Any
 
 from warpcontact.cli.trust_option import add_option
 
-# How many environments an animation has that nobody asked for otherwise.
+# Default number of environments in an animation.
 ANIMATED = 16
 
 
@@ -15,58 +15,58 @@ def add_to(commands: Any) -> None:
     """Adds the commands and their options to the parsers of all commands."""
     status = commands.add_parser(
         "status",
-        help="how far a run is",
-        description="Tell how far the run in a folder is, running or not. Exit code 1: with --verify, its results "
-        "are not as they were committed.",
+        help="progress of a run",
+        description="Print the progress of the run in a folder. Exit code 1: with --verify, its results differ from the "
+        "committed ones.",
     )
     status.add_argument("folder", metavar="DIR", help="folder of the run")
     status.add_argument(
-        "--verify", action="store_true", help="read all results and compare them with what was committed"
+        "--verify", action="store_true", help="read all results and compare them with the committed checksums"
     )
     export = commands.add_parser(
         "export",
         help="results of a run as a table or an animation",
-        description="Write parameters and outcomes of a run as a table with one row for each finished "
-        "environment, or what was recorded as a USD stage.",
+        description="Write parameters and outcomes of a run as a table with one row per finished environment, or the "
+        "recording as a USD stage.",
     )
     export.add_argument("folder", metavar="DIR", help="folder of the run")
     kind = export.add_mutually_exclusive_group(required=True)
     kind.add_argument("--csv", metavar="FILE", help="a table of comma-separated values; - for standard output")
-    kind.add_argument("--parquet", metavar="FILE", help="a Parquet file; needs pyarrow")
+    kind.add_argument("--parquet", metavar="FILE", help="a Parquet file; requires pyarrow")
     kind.add_argument("--usd", metavar="FILE", help="an animation, a .usd, .usda, .usdc or .usdz file")
     export.add_argument(
         "--envs",
         metavar="N",
         nargs="+",
         type=int,
-        help=f"environments of the animation with full physics, by their numbers (default: the first {ANIMATED}); "
-        "all others are shown as instances",
+        help=f"numbers of the environments of the animation with full physics (default: the first {ANIMATED}); all "
+        "others are shown as instances",
     )
     export.add_argument(
         "--clips",
         metavar="N",
         type=int,
-        help="animation of a long run: one file for so many records, in a folder beside FILE; after an "
-        "interruption the same command goes on",
+        help="number of frames per clip file of a long animation, in a folder next to FILE; if interrupted, repeat "
+        "the command to continue",
     )
     export.add_argument(
-        "--color-by", metavar="NAME", help="outcome, parameter or sensor that colours the animation"
+        "--color-by", metavar="NAME", help="outcome, parameter or sensor that colors the animation"
     )
     export.add_argument(
         "--spacing",
         metavar=("X", "Y"),
         nargs=2,
         type=float,
-        help="distances between the environments of the animation on a grid [m] (default: all in place)",
+        help="distances between the environments of the animation on a grid [m] (default: 0)",
     )
     add_option(export)
 
 
 def status(arguments: argparse.Namespace) -> int:
-    """Prints how far a run is; returns 1 if its results are not as they were committed.
+    """Prints the progress of a run; returns 1 if results differ from the committed ones.
 
     Raises:
-        ValueError: If the folder holds no whole run.
+        ValueError: If the folder holds no valid run.
     """
     from warpcontact.experiment.records import RunDataError
     from warpcontact.experiment.run import open_run
@@ -82,17 +82,17 @@ def status(arguments: argparse.Namespace) -> int:
     except RunDataError as error:
         print(f"warpcontact: {error}", file=sys.stderr)
         return 1
-    print("verified: all that was committed is there, and as it was written")
+    print("verified: all committed files exist and are unchanged")
     if any(commit.empty is None for commit in Ledger(found.folder).commits().values()):
-        print("not verified: chunks lost with their entries; records of an earlier version do not show them")
+        print("not verified: chunks lost with their entries, which records of an earlier version do not show")
     return 0
 
 
 def export(arguments: argparse.Namespace) -> None:
-    """Writes what was asked for.
+    """Writes a table or an animation of a run.
 
     Raises:
-        ValueError: If the folder holds no whole run, or not what was asked for, or the file cannot be written.
+        ValueError: If the folder holds no valid run or no such data, or the file cannot be written.
         OSError: If writing fails.
     """
     from warpcontact.experiment.run import open_run
@@ -100,7 +100,7 @@ def export(arguments: argparse.Namespace) -> None:
 
     for option in ("envs", "clips", "color_by", "spacing"):
         if getattr(arguments, option) is not None and not arguments.usd:
-            raise ValueError(f"--{option.replace('_', '-')} is of --usd; a table has all environments")
+            raise ValueError(f"--{option.replace('_', '-')} requires --usd; a table has all environments")
     file = arguments.csv or arguments.parquet or arguments.usd
     if arguments.csv != "-":
         check_writable(Path(file))
@@ -132,11 +132,11 @@ def export(arguments: argparse.Namespace) -> None:
             numbers = recording["env"].values[frames > 0][:ANIMATED].tolist()
         last = run.records_of(numbers)
         if last < recording.sizes["time"] or not run.finished:
-            # The others are shown if they have come as far.
+            # Other environments are shown if they have at least as many frames.
             recording = recording.isel(time=slice(0, last), env=frames >= last)
             end = recording["time"].values[-1]
             print(
-                f"caution: {run.folder} is not finished: the animation goes to {end:g} s, and has "
+                f"caution: {run.folder} is not finished: the animation ends at {end:g} s, and has "
                 f"{recording.sizes['env']} of {run.summary['envs']} environments",
                 file=sys.stderr,
             )

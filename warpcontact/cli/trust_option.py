@@ -8,5 +8,5 @@ def add_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--trust",
         action="store_true",
-        help="run the Python files of a run folder that no run of this user has written there",
+        help="execute the Python files of a run folder that no run of this user has written there",
     )

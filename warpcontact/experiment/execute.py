@@ -220,7 +220,7 @@ def _run_remaining(job: RunJob, run_shards: ShardRunFunction) -> Run:
     except BaseException as error:
         stopped = isinstance(error, KeyboardInterrupt)
         ended = {"state": files_of.INTERRUPTED} if stopped else {"state": files_of.FAILED, "error": str(error)}
-        # If the disk is full, run.json stays as it is; the commits are sufficient to resume.
+        # If the disk is full, run.json is unchanged; the commits are sufficient to resume.
         with contextlib.suppress(OSError):
             files_of.write_summary(folder, summary | ended | {"warnings": warned()})
         raise

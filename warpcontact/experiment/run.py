@@ -56,7 +56,7 @@ READ_AT_ONCE = 256 * 2**20
 class Run:
     """The results of a run, finished or not.
 
-    Of unfinished shards, the committed part is available. Data sets are read from the folder when they are accessed.
+    The committed part of unfinished shards is available. Data sets are read from the folder when they are accessed.
 
     Attributes:
         folder: Folder of the run.

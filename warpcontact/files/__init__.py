@@ -1,1 +1,1 @@
-"""Files: atomic replacement, direct I/O, and run folders of others."""
+"""File access: atomic replacement, direct I/O, and safe access to run folders of others."""

@@ -1,4 +1,4 @@
-"""Files of the user that are replaced as a whole, and checks of where they go."""
+"""Writes files of the user atomically, and checks their paths."""
 
 import contextlib
 import errno
@@ -12,10 +12,10 @@ from warpcontact.files.run_folder import RunPath, below_run, place_of
 
 
 def check_writable(path: Path | RunPath) -> None:
-    """Raises an error unless a file can be written at ``path``, which is tried.
+    """Raises an error unless a file can be written at ``path``; tests it by opening a file.
 
     Raises:
-        ValueError: If it is a folder or in none that exists, or cannot be written; names it.
+        ValueError: If it is a folder, its folder does not exist, or it cannot be written; the message names it.
     """
     inside = below_run(path)
     place = path.path if isinstance(path, RunPath) else path
@@ -26,7 +26,7 @@ def check_writable(path: Path | RunPath) -> None:
             wrong = "is not a folder" if place.parent.exists() else "does not exist"
             raise ValueError(f"{path}: {place.parent} {wrong}")
         if inside is None:
-            _try(Path(os.path.realpath(place)))  # a link stays, also a dangling one
+            _try(Path(os.path.realpath(place)))  # the target of a link, also of a dangling one
         else:
             inside.try_to_replace()
     except OSError as error:
@@ -34,28 +34,28 @@ def check_writable(path: Path | RunPath) -> None:
 
 
 def _try(place: Path) -> None:
-    """Opens a file for writing, and changes nothing."""
-    there = place.exists()
-    if there and not place.is_file():  # to open a pipe would wait for its reader
+    """Opens a file for writing without changing it."""
+    exists = place.exists()
+    if exists and not place.is_file():  # opening a pipe would wait for its reader
         if not os.access(place, os.W_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(place))
         return
     place.open("ab").close()
-    if not there:
+    if not exists:
         place.unlink()
 
 
 def atomic_file(path: Path | RunPath) -> contextlib.AbstractContextManager[BinaryIO]:
-    """Opens a new file that replaces ``path``, on the disk, when the block ends without an error."""
+    """Opens a new file that replaces ``path``, synced to the disk, when the block ends without an error."""
     return place_of(path).replacing()
 
 
 @contextlib.contextmanager
 def atomic_path(path: Path | RunPath) -> Iterator[Path]:
-    """Yields the name of a new file, to be written, that replaces ``path`` when the block ends without an error.
+    """Yields the path of a new file to write, which replaces ``path`` when the block ends without an error.
 
     Raises:
-        OSError: If it cannot be written; names ``path``.
+        OSError: If it cannot be written; the error names ``path``.
     """
     with place_of(path).replaced() as partial:
         yield partial.path
@@ -63,9 +63,9 @@ def atomic_path(path: Path | RunPath) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def open_for_writing(path: Path | RunPath) -> Iterator[BinaryIO]:
-    """Opens a file of the user for writing: through a link, except below the folder of a run.
+    """Opens a file of the user for writing; follows a link, except below a run folder.
 
-    There, a new file replaces what is at ``path`` when the block ends without an error.
+    Below a run folder, a new file replaces ``path`` when the block ends without an error.
     """
     inside = below_run(path)
     if inside is None:
@@ -77,6 +77,6 @@ def open_for_writing(path: Path | RunPath) -> Iterator[BinaryIO]:
 
 
 def write_json(path: Path | RunPath, content: Mapping[str, Any]) -> None:
-    """Writes ``content`` as JSON."""
+    """Writes ``content`` as JSON, atomically."""
     with atomic_file(path) as file:
         file.write((json.dumps(content, indent=2, ensure_ascii=False) + "\n").encode())

@@ -1,8 +1,8 @@
-"""Large files, from memory to the disk without a copy in the memory of the system.
+"""Writes large files with direct I/O, without a copy in the page cache of the system.
 
-What is written once, and waited for, gains nothing from that copy: it takes its time, and drives out what others
-read. On a virtual machine, whose host has to find new memory for it, the copy takes several times as long as all
-the rest of writing.
+Data that is written once and synced does not benefit from the page cache: copying takes time and evicts cached data of
+other programs. On a virtual machine whose host has to allocate the memory, the copy takes several times as long as the
+rest of writing.
 """
 
 import errno
@@ -17,31 +17,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-#: What goes to the disk directly is in blocks of so many bytes: in memory, in the file, and in number. Those of
-#: disks are as large or smaller.
+#: Alignment of direct I/O in memory, file offset and size [bytes]. Block sizes of disks are divisors.
 BLOCK = mmap.PAGESIZE
 
-# What file systems say that know no such way.
+# Errors of file systems without direct I/O.
 _UNABLE = (errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP)
 
-#: Bytes that are handed on at once.
+#: Size of the write buffer [bytes].
 PIECE = 2**20
 
-# Of a thread, once it wrote: always the same memory.
+# The write buffer of each thread, which is reused.
 _thread_local = threading.local()
 
 
 class DirectFile:
-    """A file that is written from its begin, directly as far as its system lets it. A context.
+    """A file that is written sequentially, with direct I/O if the system supports it. A context manager.
 
-    Its last bytes, less than a block, go the way of other files, as do all where a system or disk knows no other.
-    One thread writes one such file at a time.
+    The last bytes, less than a block, are written through the page cache, or all bytes if direct I/O is not supported.
+    Each thread can write one such file at a time, because files share its buffer.
 
     Args:
-        create: Creates the file with further flags of ``os.open``, and returns its descriptor.
+        create: Creates the file with additional flags of ``os.open``, and returns its descriptor.
 
     Raises:
-        OSError: If it cannot be written, by any of the methods.
+        OSError: If the file cannot be written by either method.
     """
 
     def __init__(self, create: Callable[[int], int]) -> None:
@@ -66,7 +65,7 @@ class DirectFile:
                 self._end()
 
     def write(self, content: Any) -> None:
-        """Writes what has a buffer, such as bytes; some of it waits until there is more."""
+        """Writes an object with a buffer, such as bytes; an incomplete piece stays in memory."""
         rest = np.frombuffer(content, dtype=np.uint8)
         while len(rest):
             count = min(len(rest), len(self._piece) - self._buffered)
@@ -78,7 +77,7 @@ class DirectFile:
                 self._buffered = 0
 
     def _end(self) -> None:
-        """Writes what waits."""
+        """Writes the buffered bytes."""
         whole = self._buffered // BLOCK * BLOCK
         self._write_piece(self._piece[:whole])
         if self._buffered > whole:
@@ -89,7 +88,7 @@ class DirectFile:
             try:
                 content = content[self._file.write(content.data) :]
             except OSError as error:
-                # Some say it at the first write only; who cannot be written to at all says it again.
+                # Some file systems report missing support at the first write. Other errors occur again below.
                 if error.errno not in _UNABLE:
                     raise
                 break
@@ -103,7 +102,7 @@ class DirectFile:
 
 
 def _disable_direct_io(descriptor: int) -> None:
-    """Lets what is written to a file from now on go the way of other files."""
+    """Disables direct I/O for further writes to a file."""
     if hasattr(os, "O_DIRECT"):
         import fcntl
 
@@ -112,7 +111,7 @@ def _disable_direct_io(descriptor: int) -> None:
 
 
 def _piece() -> NDArray[np.uint8]:
-    """Returns memory of this thread that begins with a block."""
+    """Returns the write buffer of this thread, aligned to a block."""
     if not hasattr(_thread_local, "piece"):
         memory = np.empty(PIECE + BLOCK, dtype=np.uint8)
         _thread_local.piece = memory[-memory.ctypes.data % BLOCK :][:PIECE]

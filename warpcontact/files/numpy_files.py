@@ -1,8 +1,8 @@
-"""Arrays in files of NumPy: what they hold that is no number, in words."""
+"""Checks arrays from NumPy files for numbers."""
 
 import numpy as np
 
-# By the kind of their type, as NumPy calls it.
+# Descriptions by the kind of the data type.
 _WORDS = {
     "b": "truth values",
     "c": "complex numbers",
@@ -16,6 +16,6 @@ _WORDS = {
 
 
 def check_numbers(what: str, array: np.ndarray) -> None:
-    """Raises ``ValueError`` naming ``what`` unless an array is of real numbers."""
+    """Raises ``ValueError`` about ``what`` unless an array has real numbers."""
     if array.dtype.kind not in "iuf":
         raise ValueError(f"{what} must be numbers, got {_WORDS.get(array.dtype.kind, str(array.dtype))}")

@@ -1,4 +1,4 @@
-"""Where pictures go: names of files that can be written, and files that depend on nothing but the picture."""
+"""Writes pictures: checks their paths, and saves figures reproducibly."""
 
 import warnings
 from collections.abc import Sequence
@@ -11,19 +11,20 @@ from warpcontact.files.run_folder import RunPath
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-#: Kinds of files that a picture can be written to.
+#: Suffixes of picture files.
 SUFFIXES = (".svg", ".png")
 
 
 def check_path(path: Any, suffixes: Sequence[str] = SUFFIXES) -> Path:
-    """Returns ``path`` if a picture can be written there, which is tried.
+    """Returns ``path`` if a picture can be written there; tests it by opening a file.
 
     Args:
         path: The file.
-        suffixes: What its name may end in.
+        suffixes: Allowed suffixes.
 
     Raises:
-        ValueError: If the suffix is not allowed, it is a folder or in none that exists, or cannot be written.
+        ValueError: If the suffix is not allowed, the path is a folder, its folder does not exist, or it cannot be
+            written.
     """
     file = Path(path)
     if file.suffix.lower() not in suffixes:
@@ -33,11 +34,11 @@ def check_path(path: Any, suffixes: Sequence[str] = SUFFIXES) -> Path:
 
 
 def save(figure: "Figure", path: Path | RunPath) -> None:
-    """Writes a figure; the same one gives the same file."""
+    """Writes a figure; equal figures give identical files."""
     import matplotlib as mpl
 
     with warnings.catch_warnings():
-        # Names may have signs that no font here has; they are boxes then, and nobody can do anything about it.
+        # Names may have characters that are missing in all fonts and are drawn as boxes; the warning has no remedy.
         warnings.filterwarnings("ignore", r"Glyph .* missing from font", UserWarning)
         with open_for_writing(path) as file:
             _save(mpl, figure, file, path.name)

@@ -1,4 +1,4 @@
-"""Sensor of files that others may have made: pipes, devices and sockets are refused before a read."""
+"""Opens files of unknown origin: pipes, devices and sockets are refused before they are opened."""
 
 import errno
 import os
@@ -8,15 +8,15 @@ from pathlib import Path
 
 from warpcontact.validation.number_format import format_bytes
 
-#: Largest text that is read: JSON, TOML, Python [bytes].
+#: Largest size of text files, such as JSON, TOML and Python files [bytes].
 TEXT = 512 * 2**20
 
-# A pipe is opened without waiting for its other end, a terminal does not become that of the process.
+# Without waiting for the other end of a pipe, and without making a terminal the controlling one of the process.
 _READING = os.O_RDONLY
 for _flag in ("O_NONBLOCK", "O_CLOEXEC", "O_NOCTTY", "O_BINARY"):
     _READING |= getattr(os, _flag, 0)
 
-#: Reason to refuse a link below the folder of a run.
+#: Reason for refusing a link below a run folder.
 LINKED = "is a symbolic link, and none is followed below the folder of a run"
 
 _KINDS = {
@@ -28,24 +28,24 @@ _KINDS = {
 
 
 class UnsafeFileError(OSError):
-    """A file that is not opened: a pipe or device, far too large, or a symbolic link below the folder of a run."""
+    """A file is not opened: a pipe or device, too large, or a symbolic link below a run folder."""
 
     def __str__(self) -> str:
         return f"{self.filename}: {self.strerror}"
 
 
 def refused(path: object, reason: str) -> UnsafeFileError:
-    """Returns the error that the file at ``path`` is not opened."""
+    """Returns the error for a file at ``path`` that is not opened."""
     return UnsafeFileError(errno.EPERM, reason, str(path))
 
 
 def check_regular(found: os.stat_result, path: object, most: int | None = None) -> None:
-    """Raises an error unless ``found`` is of a regular file.
+    """Raises an error unless ``found`` is the status of a regular file.
 
     Args:
         found: Status of the file.
         path: Its name in messages.
-        most: Largest size that is allowed [bytes]; ``None``: any.
+        most: Largest allowed size [bytes]; ``None``: any.
 
     Raises:
         IsADirectoryError: If it is a folder.
@@ -71,22 +71,22 @@ def open_regular(
     folder: int | None = None,
     flags: int = 0,
 ) -> BufferedReader:
-    """Opens a regular file to read; anything else is refused without a read.
+    """Opens a regular file in read mode; other files are refused.
 
     Args:
         path: The file.
-        most: Largest size that is allowed [bytes]; ``None``: any.
+        most: Largest allowed size [bytes]; ``None``: any.
         shown: Its name in messages; ``None``: ``path``.
-        follow: Whether a symbolic link is followed; otherwise it is refused.
+        follow: Whether to follow a symbolic link; otherwise it is refused.
         folder: Descriptor of the folder to which ``path`` is relative.
-        flags: Further flags of ``os.open``.
+        flags: Additional flags of ``os.open``.
 
     Raises:
         UnsafeFileError: If it is a pipe, device, socket or refused link, or larger than ``most``.
         OSError: If it cannot be opened.
     """
     shown = path if shown is None else shown
-    # Opening a device can have effects, and a socket cannot be opened.
+    # Check before opening: opening a device can have effects, and a socket cannot be opened.
     check_regular(os.stat(path, dir_fd=folder, follow_symlinks=follow), shown, most)
     flags |= _READING if follow else _READING | getattr(os, "O_NOFOLLOW", 0)
     descriptor = os.open(path, flags, dir_fd=folder)
@@ -99,6 +99,6 @@ def open_regular(
 
 
 def read_regular(path: Path, most: int = TEXT) -> bytes:
-    """Returns the content of a regular file of at most ``most`` bytes; errors are those of ``open_regular``."""
+    """Returns the content of a regular file of at most ``most`` bytes; raises the errors of ``open_regular``."""
     with open_regular(path, most) as file:
         return file.read()

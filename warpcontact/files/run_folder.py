@@ -1,9 +1,9 @@
-"""Files below the folder of a run, which others may have prepared: no symbolic link below the folder is followed.
+"""Access to files below a run folder, which may come from others: symbolic links below it are not followed.
 
-``RunPath`` opens, creates, lists, moves and removes. Every folder on the way is opened by its descriptor without
-following links; on systems without such descriptors each one is checked before. New files are created exclusively.
-The folder of the run itself may be reached through a link. ``open_file`` and ``place_of`` do the same for files
-that the user names, when these lie below the folder of a run. All modules that use a run folder use this one.
+``RunPath`` opens, creates, lists, moves and removes files. Each folder of the path is opened by descriptor without
+following links; on systems without such descriptors it is checked before. New files are created exclusively. The
+path of the run folder itself may contain links. ``open_file`` and ``place_of`` apply the same rules to files that the
+user names, if they are below a run folder. All modules that access a run folder use this module.
 """
 
 import contextlib
@@ -21,23 +21,23 @@ from typing import BinaryIO
 
 from warpcontact.files.regular_files import LINKED, TEXT, UnsafeFileError, check_regular, open_regular, refused
 
-#: End of the name of a file that is not whole yet.
+#: Suffix of the name of an incomplete file.
 PARTIAL = ".partial"
 EXPERIMENT = "experiment.toml"
 SUMMARY = "run.json"
 
-# Files or folders that are synchronized concurrently.
+# Number of files or folders that are synced concurrently.
 WAITING = 16
 
 _NO_LINKS = getattr(os, "O_NOFOLLOW", 0)
 _FOLDER = os.O_RDONLY | getattr(os, "O_DIRECTORY", 0) | getattr(os, "O_CLOEXEC", 0)
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _NO_LINKS | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
 
-# On Windows ``file:stream`` is in ``file``, some names are of devices, and a dot or space at the end is dropped.
+# Windows: ``file:stream`` is a stream of ``file``, some names are devices, and trailing dots and spaces are dropped.
 _WINDOWS = os.name == "nt"
 _DEVICES = re.compile(r"(?:con|prn|aux|nul|conin\$|conout\$|(?:com|lpt)[0-9¹²³]) *(?:\..*)?", re.IGNORECASE)
 
-# Whether folders can be opened, and names be relative to them.
+# Whether the system can open folders and resolve names relative to them.
 _DESCRIPTORS = (
     bool(_NO_LINKS)
     and shutil.rmtree.avoids_symlink_attacks
@@ -58,20 +58,20 @@ class _Entry:
     folder: int | None
 
     def stat(self) -> os.stat_result:
-        """Returns its status, a link's own; raises ``FileNotFoundError`` if it is missing."""
+        """Returns the status of the entry, without following a link; raises ``FileNotFoundError`` if it is missing."""
         return os.stat(self.name, dir_fd=self.folder, follow_symlinks=False)
 
 
 @dataclass(frozen=True)
 class RunPath:
-    """A file or folder below the folder of a run, or that folder itself.
+    """A file or folder below a run folder, or the run folder itself.
 
-    All methods raise ``UnsafeFileError`` if a folder on the way is a symbolic link, and ``OSError`` with the whole
-    path as its file name.
+    All methods raise ``UnsafeFileError`` if a folder of the path is a symbolic link. An ``OSError`` has the full path
+    as its file name.
 
     Args:
-        root: The folder of the run, which may be a link.
-        parts: Names below it.
+        root: The run folder, which may be a link.
+        parts: Names of the path below it.
     """
 
     root: Path
@@ -82,7 +82,7 @@ class RunPath:
         if any(part in ("", ".", "..") or "\0" in part or os.sep in part for part in below):
             raise ValueError(f"{self}: the name of a file must not be empty, '.' or '..', got {name!r}")
         if _WINDOWS and any(":" in part or part[-1] in ". " or _DEVICES.fullmatch(part) for part in below):
-            raise ValueError(f"{self}: the name of a file must be one that Windows has for files, got {name!r}")
+            raise ValueError(f"{self}: the name of a file must be valid on Windows, got {name!r}")
         return RunPath(self.root, (*self.parts, *below))
 
     def __str__(self) -> str:
@@ -90,22 +90,22 @@ class RunPath:
 
     @property
     def path(self) -> Path:
-        """Its path, for messages and for libraries that open files by name."""
+        """Path for messages and for libraries that open files by name."""
         return self.root.joinpath(*self.parts)
 
     @property
     def name(self) -> str:
-        """Its last name."""
+        """Last name of the path."""
         return self.path.name
 
     @property
     def stem(self) -> str:
-        """Its last name without the suffix."""
+        """Last name of the path without the suffix."""
         return self.path.stem
 
     @property
     def parent(self) -> "RunPath":
-        """The folder that it is in; the folder of the run is its own."""
+        """Folder of the entry; the run folder is its own parent."""
         return RunPath(self.root, self.parts[:-1])
 
     def with_name(self, name: str) -> "RunPath":
@@ -115,7 +115,7 @@ class RunPath:
     # Status
 
     def status(self) -> os.stat_result | None:
-        """Returns the status of the entry, of a link itself; ``None``: it is missing."""
+        """Returns the status of the entry, without following a link; ``None``: it is missing."""
         with self._blamed():
             if not self.parts:
                 return os.stat(self.root) if self.root.exists() else None
@@ -126,23 +126,23 @@ class RunPath:
                 return None
 
     def is_there(self) -> bool:
-        """Whether there is anything of this name, also a link."""
+        """Whether an entry exists, also a link."""
         return self.status() is not None
 
     def is_folder(self) -> bool:
-        """Whether there is a folder of this name; a link is refused."""
+        """Whether the entry is a folder; a link is refused."""
         found = self.status()
         if found is not None and stat.S_ISLNK(found.st_mode):
             raise refused(self, LINKED)
         return found is not None and stat.S_ISDIR(found.st_mode)
 
     def is_real_folder(self) -> bool:
-        """Whether there is a folder of this name, and no link."""
+        """Whether the entry is a folder; a link is not."""
         found = self.status()
         return found is not None and stat.S_ISDIR(found.st_mode)
 
     def file_status(self) -> os.stat_result | None:
-        """Returns the status of a file; ``None``: there is none. A link, pipe or device is refused."""
+        """Returns the status of a file; ``None``: missing, or a folder. A link, pipe or device is refused."""
         found = self.status()
         if found is None or stat.S_ISDIR(found.st_mode):
             return None
@@ -150,7 +150,7 @@ class RunPath:
         return found
 
     def is_file(self) -> bool:
-        """Whether there is a file of this name; a link, pipe or device is refused."""
+        """Whether the entry is a file; a link, pipe or device is refused."""
         return self.file_status() is not None
 
     def size(self) -> int:
@@ -162,7 +162,7 @@ class RunPath:
         return found.st_size
 
     def names(self) -> list[str]:
-        """Returns the names in a folder, sorted; none if there is no folder."""
+        """Returns the names in a folder, sorted; empty if the folder is missing."""
         with self._blamed():
             try:
                 with self.opened() as (path, descriptor):
@@ -173,7 +173,7 @@ class RunPath:
     # Read
 
     def open_binary(self, most: int | None = None, flags: int = 0) -> BufferedReader:
-        """Opens a regular file of at most ``most`` bytes to read, with further flags of ``os.open``."""
+        """Opens a regular file of at most ``most`` bytes in read mode, with additional flags of ``os.open``."""
         with self._blamed(), self._entry() as entry:
             return open_regular(entry.name, most, shown=self, follow=False, folder=entry.folder, flags=flags)
 
@@ -185,7 +185,7 @@ class RunPath:
     # Write
 
     def make(self) -> None:
-        """Makes a folder, and those that it is in, unless they are there."""
+        """Creates a folder and its parents, if they do not exist."""
         if self.is_folder():
             return
         self.root.mkdir(parents=True, exist_ok=True)
@@ -199,10 +199,10 @@ class RunPath:
                         raise
 
     def create(self, flags: int = 0) -> int:
-        """Creates an empty file, which replaces another or a link, and returns its descriptor to write.
+        """Creates an empty file, which replaces a file or link, and returns a descriptor for writing.
 
         Args:
-            flags: Further flags of ``os.open``.
+            flags: Additional flags of ``os.open``.
         """
         with self._blamed(), self._entry() as entry:
             with contextlib.suppress(FileNotFoundError):
@@ -211,13 +211,13 @@ class RunPath:
 
     @contextlib.contextmanager
     def replaced(self, partial: str | None = None) -> Iterator["RunPath"]:
-        """Yields a new, empty file, to be written by name, that replaces this one when the block ends well.
+        """Yields a new, empty file to be written by name, which replaces this one when the block ends without an error.
 
         Args:
-            partial: Its name; ``None``: that of this file with ``.partial``.
+            partial: Name of the new file; ``None``: the name of this file with ``.partial``.
 
         Raises:
-            OSError: If it cannot be written; names this file.
+            OSError: If it cannot be written; the error names this file.
         """
         with self._replacement(partial or f"{self.name}{PARTIAL}") as (new, descriptor):
             os.close(descriptor)
@@ -226,13 +226,13 @@ class RunPath:
 
     @contextlib.contextmanager
     def replacing(self, *, wait: bool = True) -> Iterator[BinaryIO]:
-        """Opens a new file that replaces this one when the block ends without an error.
+        """Opens a new file, which replaces this one when the block ends without an error.
 
         Args:
-            wait: Whether to wait until its content is on the disk.
+            wait: Whether to sync its content to the disk.
 
         Raises:
-            OSError: If it cannot be written; names this file.
+            OSError: If it cannot be written; the error names this file.
         """
         with self._replacement(f"{self.name}{PARTIAL}", wait=wait) as (_, descriptor):
             try:
@@ -260,18 +260,18 @@ class RunPath:
             self.parent.sync()
 
     def try_to_replace(self) -> None:
-        """Creates the new file of ``replacing``, and removes it."""
+        """Creates and removes the new file of ``replacing``, to test whether it can be written."""
         new = self.with_name(f"{self.name}{PARTIAL}")
         os.close(new.create())
         new.remove()
 
     def move_to(self, other: "RunPath") -> None:
-        """Moves it to ``other``, which is replaced."""
+        """Moves the entry to ``other``, which is replaced."""
         with self._blamed(), self._entry() as old, other._entry() as new:
             os.replace(old.name, new.name, src_dir_fd=old.folder, dst_dir_fd=new.folder)
 
     def remove(self) -> None:
-        """Removes a file, a link itself, or a folder with all that is in it; does nothing if it is missing."""
+        """Removes a file, a link itself, or a folder with its content; does nothing if the entry is missing."""
         found = self.status()
         if found is None:
             return
@@ -280,18 +280,20 @@ class RunPath:
                 try:
                     shutil.rmtree(entry.name, dir_fd=entry.folder)
                 except RecursionError:
-                    raise OSError(errno.ENOTEMPTY, "has folders that are nested too deep to be removed") from None
+                    raise OSError(
+                        errno.ENOTEMPTY, "has folders that are nested too deeply to be removed"
+                    ) from None
             else:
                 os.unlink(entry.name, dir_fd=entry.folder)
 
     def sync(self) -> None:
-        """Waits until the content of a file, or the names in a folder, are on the disk."""
+        """Syncs the content of a file, or the names in a folder, to the disk."""
         if self.is_folder():
             with self._blamed(), self.opened() as (_, descriptor):
                 if descriptor is not None:
                     os.fsync(descriptor)
             return
-        # Windows synchronizes no descriptor that cannot write.
+        # Windows syncs only descriptors that are open for writing.
         with self.open_binary(flags=os.O_RDWR if _WINDOWS else 0) as file, self._blamed():
             os.fsync(file.fileno())
 
@@ -299,7 +301,7 @@ class RunPath:
 
     @contextlib.contextmanager
     def opened(self) -> Iterator[tuple[Path, int | None]]:
-        """Opens a folder; yields its path, and its descriptor where systems have these."""
+        """Opens a folder; yields its path, and its descriptor if the system supports it."""
         if not _DESCRIPTORS:
             for count in range(1, len(self.parts) + 1):
                 above = self.root.joinpath(*self.parts[:count])
@@ -313,7 +315,7 @@ class RunPath:
                 try:
                     inner = os.open(part, _FOLDER | _NO_LINKS, dir_fd=descriptor)
                 except OSError:
-                    # Systems have different errors for a link.
+                    # The error for a link depends on the system.
                     if stat.S_ISLNK(os.stat(part, dir_fd=descriptor, follow_symlinks=False).st_mode):
                         raise refused(self.root.joinpath(*self.parts[:count]), LINKED) from None
                     raise
@@ -325,7 +327,7 @@ class RunPath:
 
     @contextlib.contextmanager
     def _entry(self) -> Iterator[_Entry]:
-        """Opens the folder that it is in."""
+        """Opens the folder of the entry."""
         if not self.parts:
             raise ValueError(f"{self}: is the folder of a run")
         with self.parent.opened() as (path, descriptor):
@@ -333,7 +335,7 @@ class RunPath:
 
     @contextlib.contextmanager
     def _blamed(self) -> Iterator[None]:
-        """Names the whole path in errors of the system, which name a part of it, or none."""
+        """Sets the full path as the file name of an ``OSError``, which may have a part of it or none."""
         try:
             yield
         except OSError as error:
@@ -344,7 +346,7 @@ class RunPath:
 
 
 def sync_all(paths: Iterable[RunPath]) -> None:
-    """Waits until files and folders are on the disk: concurrently, which lets the system write many at a time."""
+    """Syncs files and folders to the disk concurrently, so that the system writes many at a time."""
     once = list(dict.fromkeys(paths))
     if once:
         with ThreadPoolExecutor(min(len(once), WAITING)) as pool:
@@ -353,7 +355,7 @@ def sync_all(paths: Iterable[RunPath]) -> None:
 
 
 def sync_names(folders: Iterable[RunPath], above: RunPath) -> None:
-    """Waits until the names in folders, and in all above them up to ``above``, are on the disk."""
+    """Syncs the names in folders, and in their parents up to ``above``, to the disk."""
     count = len(above.parts)
     sync_all(
         RunPath(folder.root, folder.parts[:length])
@@ -363,37 +365,37 @@ def sync_names(folders: Iterable[RunPath], above: RunPath) -> None:
 
 
 def is_run_folder(folder: Path) -> bool:
-    """Whether a folder looks like that of a run: what is in it is not checked."""
+    """Whether a folder looks like a run folder; its content is not checked."""
     return all(os.path.lexists(folder / name) for name in (SUMMARY, EXPERIMENT))
 
 
 def below_run(path: Path | RunPath) -> RunPath | None:
-    """Returns ``path`` as an entry below the folder of a run; ``None``: it is below none."""
+    """Returns ``path`` as an entry below a run folder; ``None``: it is not below one."""
     if isinstance(path, RunPath):
         return path
-    # Without resolving links: those below the folder are to be found.
+    # Do not resolve links, because links below the folder must be detected.
     whole = Path(os.path.abspath(path))
     root = next((folder for folder in whole.parents if is_run_folder(folder)), None)
     if root is None:
         return None
     parts = whole.relative_to(root).parts
-    # As the user wrote it, for messages.
+    # Keep the path as the user wrote it, for messages.
     written = path.parents[len(parts) - 1] if len(path.parents) >= len(parts) and ".." not in path.parts else root
     return RunPath(written, parts)
 
 
 def place_of(path: Path | RunPath) -> RunPath:
-    """Returns a file of the user, to be replaced, or to be read with what belongs to it."""
+    """Returns the ``RunPath`` of a file of the user; the root is its run folder, or else its folder."""
     if isinstance(path, RunPath):
         return path
     return below_run(path) or RunPath(path.parent, (path.name,))
 
 
 def open_file(path: Path | RunPath, most: int | None = None) -> BufferedReader:
-    """Opens a regular file of at most ``most`` bytes to read; below the folder of a run, no link is followed.
+    """Opens a regular file of at most ``most`` bytes in read mode; below a run folder, links are not followed.
 
     Raises:
-        UnsafeFileError: If it is a pipe or device, too large, or below the folder of a run and behind a link.
+        UnsafeFileError: If it is a pipe or device, too large, or reached through a link below a run folder.
         OSError: If it cannot be opened.
     """
     inside = below_run(path)
@@ -401,6 +403,6 @@ def open_file(path: Path | RunPath, most: int | None = None) -> BufferedReader:
 
 
 def read_file(path: Path | RunPath, most: int = TEXT) -> bytes:
-    """Returns the content of a file; see ``open_file``."""
+    """Returns the content of a file, opened by ``open_file``."""
     with open_file(path, most) as file:
         return file.read()

@@ -1,1 +1,1 @@
-"""The machine: devices, memory, compilation of kernels, signals."""
+"""Interface to the machine: devices, memory, compilation of kernels, signals."""

@@ -1,7 +1,7 @@
-"""Key of Warp's kernel cache: a text that changes whenever kernels have to be compiled again.
+"""Computes a key of Warp's kernel cache: a text that changes if kernels must be compiled again.
 
-The first part identifies the machine and the compiler, the second the source code. A cache with an equal first
-part is still useful: Warp compiles only the modules that changed.
+The first part identifies the machine and the compiler, the second part the source code. A cache with an equal first
+part is still useful, because Warp compiles only the modules that changed.
 """
 
 import contextlib
@@ -25,11 +25,11 @@ from warpcontact.system.devices import find_devices
 HOST = Path(__file__).parents[1]
 KERNELS = Path(kernels.__file__).parent
 
-# Host modules with this text select the kernels of a model.
+# Host modules with this text determine which kernels a model uses.
 _USES_KERNELS = b"warpcontact.kernels"
-# Reference to a class in a user's file, such as "my_laws.py:Cubic".
+# Reference to a class in a user file, such as "my_laws.py:Cubic".
 _USER_FILE = re.compile(r"[\"']([^\"'\n]+\.py):\w+[\"']")
-# Digits of each part.
+# Number of hexadecimal digits of each part.
 _LENGTH = 16
 
 
@@ -52,7 +52,7 @@ def cache_key(
 
 
 def machine_facts(device: str | Sequence[str]) -> dict[str, Any]:
-    """Returns everything besides the source code that decides the compiled code."""
+    """Returns everything except the source code that determines the compiled code."""
     gpus = wp.get_cuda_devices()
     used = [one for one in find_devices(device) if one.is_cuda]
     return {
@@ -61,7 +61,7 @@ def machine_facts(device: str | Sequence[str]) -> dict[str, Any]:
         "system": platform.system(),
         "machine": platform.machine(),
         "processor": _processor(),
-        # Warp compiles kernels for the CPU under other names if there is a GPU.
+        # With a GPU, Warp compiles kernels for the CPU under other names.
         "gpu": bool(gpus),
         "architectures": sorted({int(one.arch) for one in used}),
         "options": unique_kernel.OPTIONS,
@@ -70,7 +70,7 @@ def machine_facts(device: str | Sequence[str]) -> dict[str, Any]:
 
 
 def _sources(host: Path, kernels: Path, files: Iterable[Path]) -> list[Any]:
-    """Returns the version and the hashes of all files that decide which kernels are compiled."""
+    """Returns the version and the hashes of all files that determine which kernels are compiled."""
     own = [path for path in _python_files(host) if kernels not in path.parents]
     parts: list[Any] = [__version__]
     parts += [_entry(path.relative_to(kernels), path.read_bytes()) for path in _python_files(kernels)]
@@ -101,7 +101,7 @@ def _digest(content: Any) -> str:
 
 
 def _processor() -> list[str]:
-    """Returns the model and the features of the processor, for which kernels are compiled (-march=native)."""
+    """Returns model and features of the processor, because kernels are compiled for it (-march=native)."""
     info = Path("/proc/cpuinfo")
     if not info.is_file():
         return [platform.processor()]

@@ -1,22 +1,22 @@
-"""Captures of steps: one at a time, and nothing else of Warp beside it, in the whole process.
+"""Lock between graph captures and other uses of Warp in this process.
 
-While a thread captures on the CPU, Warp takes what other threads launch, copy or allocate for part of it, and they
-may fail. Replays do not notice.
+While a thread captures a graph on the CPU, Warp records launches, copies and allocations of other threads as part of
+it, and they may fail. Replaying a graph needs no lock.
 """
 
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-# Held by who captures; who waits for the others lets go of it.
+# Held during a capture; released while a capture waits for shared holders.
 _condition = threading.Condition()
-# Threads of the others.
+# Identifiers of the threads that use Warp without a capture.
 _shared_holders: list[int] = []
 
 
 @contextmanager
 def exclusive_capture_lock() -> Iterator[None]:
-    """Waits for all that use Warp, and keeps others from it."""
+    """Locks for a capture: waits until no other thread uses Warp, and blocks them until the end."""
     with _condition:
         while _shared_holders:
             _condition.wait()
@@ -25,7 +25,7 @@ def exclusive_capture_lock() -> Iterator[None]:
 
 @contextmanager
 def shared_capture_lock() -> Iterator[None]:
-    """Waits for a capture of another thread; then none begins. Also to decorate a function."""
+    """Locks for other uses of Warp: waits for a capture to end, and delays further ones. Also a decorator."""
     own = threading.get_ident()
     with _condition:
         _shared_holders.append(own)

@@ -1,4 +1,4 @@
-"""How kernels are built for a device: side by side, and with the same rounding whatever launches them."""
+"""Compiles kernels: concurrently on a CPU, and on a GPU without FMA (fused multiply-add) contraction."""
 
 from collections import deque
 from collections.abc import Callable, Iterable
@@ -9,30 +9,30 @@ import warp as wp
 
 from warpcontact.system.initialization import explaining, require_room
 
-# Threads that compile, at most: each compiles a header as well, and few kernels take long.
+# Largest number of compiler threads: each also compiles a header, and few kernels take long.
 MAX_COMPILERS = 4
 
 
 def disable_fma(kernel: wp.Kernel, device: wp.Device) -> None:
-    """Has ``kernel`` round every product on a GPU; to be called before it is loaded there.
+    """Disables FMA contraction of ``kernel`` on a GPU. Must be called before it is loaded there.
 
-    Else the compiler chooses which of two products that are added is rounded, by what else the kernel computes of
-    the same numbers. On a CPU it goes by each expression, and fused products save time.
+    With contraction, the rounding of a sum of two products depends on neighboring code of the kernel. On a CPU, it
+    depends on the expression alone, and contraction saves time.
     """
     fma_flag = not device.is_cuda
     if kernel.module.options["fuse_fp"] != fma_flag:
-        # Not the entry alone: what is known already of its builds says the opposite.
+        # Through Warp's function, because setting the entry would not clear cached hashes of the module.
         wp.set_module_options({"fuse_fp": fma_flag}, kernel.module)
 
 
 def load(kernel: wp.Kernel, device: wp.Device) -> None:
-    """Compiles ``kernel``, if it has to be, so that mistakes in what users wrote of it show at once."""
+    """Compiles ``kernel`` if it is not in the cache, so that errors in user-defined code are raised here."""
     disable_fma(kernel, device)
     compile_as_launched(kernel, device)
 
 
 def compile_as_launched(kernel: wp.Kernel, device: wp.Device) -> None:
-    """Compiles ``kernel``, if it has to be, for the blocks that launches have: of one thread on a CPU."""
+    """Compiles ``kernel`` if it is not in the cache, for the block size of launches: one thread on a CPU."""
     block_dim = None if device.is_cuda else 1
     with explaining():
         require_room(lambda: kernel.module.get_module_identifier(block_dim))
@@ -45,12 +45,12 @@ def load_all(
     threads: int,
     on_loaded: Callable[[wp.Kernel], None] | None = None,
 ) -> None:
-    """Compiles kernels for a CPU side by side, those that have to be.
+    """Compiles kernels for a CPU concurrently, except those in the cache.
 
     Args:
-        kernels: The kernels, those that take long first.
-        device: The CPU. A GPU compiles for blocks of a size that launches say.
-        threads: Threads at most.
+        kernels: The kernels, those with long compilation first.
+        device: The CPU. Kernels for a GPU cannot be compiled in advance, because the block size depends on the launch.
+        threads: Maximum number of threads.
         on_loaded: Called by the thread that loaded a kernel, with the kernel.
     """
     remaining = deque(dict.fromkeys(kernels))
@@ -66,11 +66,11 @@ def load_all(
             while remaining:
                 try:
                     kernel = remaining.popleft()
-                except IndexError:  # others were faster
+                except IndexError:  # another thread took the last one
                     return
                 load_one(kernel)
         except BaseException:
-            # Who waits for it, or interrupts it, waits for what is being compiled, and for nothing else.
+            # Clear the queue, so that other threads stop after their current kernel.
             remaining.clear()
             raise
 
@@ -81,9 +81,9 @@ def load_all(
     with ThreadPoolExecutor(others) as pool:
         try:
             tasks = []
-            with suppress(RuntimeError):  # of a process that ends, which has no more threads
+            with suppress(RuntimeError):  # no threads can be started while the process exits
                 tasks = [pool.submit(load_next) for _ in range(others)]
-            # A thread compiles a header before its kernels. The one that built the model mostly has it.
+            # A thread compiles a header before its kernels. The thread that built the model usually has it already.
             load_one(first)
             load_next()
         except BaseException:

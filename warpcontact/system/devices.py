@@ -1,4 +1,4 @@
-"""Devices by name: one, all GPUs of this machine, or a list."""
+"""Finds devices by name: a single one, all GPUs of this machine, or a list."""
 
 import os
 from collections.abc import Sequence
@@ -9,11 +9,11 @@ from warpcontact.system.initialization import initialize, missing_driver
 
 
 def find_devices(device: str | Sequence[str]) -> list[wp.Device]:
-    """Returns the Warp devices that ``device`` asks for, in order.
+    """Returns the Warp devices named by ``device``, in order.
 
     Args:
-        device: ``"cpu"``, ``"cuda:0"``, …; ``"auto"``: one GPU if there is any, else the CPU; ``"cuda"``: all GPUs
-            that CUDA shows; or a list of names of single devices, in which one may come more than once.
+        device: ``"cpu"``, ``"cuda:0"``, …; ``"auto"``: one GPU if available, else the CPU; ``"cuda"``: all visible
+            GPUs; or a list of names of single devices, which may contain a name several times.
 
     Raises:
         ValueError: If this machine has no such device, or the list is empty.
@@ -43,7 +43,7 @@ def find_devices(device: str | Sequence[str]) -> list[wp.Device]:
 
 
 def _why_missing(device: object, gpus: Sequence[wp.Device]) -> str:
-    """Returns why no CUDA device was found, as the end of a message, if ``device`` is one."""
+    """Returns the reason why no CUDA device was found, as the end of a message, if ``device`` is one."""
     if gpus or not str(device).startswith("cuda"):
         return ""
     driver, toolkit = wp.get_cuda_driver_version(), wp.get_cuda_toolkit_version()
@@ -62,10 +62,10 @@ def _why_missing(device: object, gpus: Sequence[wp.Device]) -> str:
 
 
 def find_device(device: str) -> wp.Device:
-    """Returns the one Warp device that ``device`` asks for, in the words of ``find_devices``.
+    """Returns the single Warp device named by ``device``, see ``find_devices``.
 
     Raises:
-        ValueError: If this machine has no such device, or it asks for several.
+        ValueError: If this machine has no such device, or ``device`` names several.
     """
     found = find_devices(device)
     if len(found) > 1:
@@ -74,9 +74,9 @@ def find_device(device: str) -> wp.Device:
 
 
 def split_evenly(count: int, parts: int) -> list[int]:
-    """Returns how many of ``count`` environments each of ``parts`` devices has, as equal as possible.
+    """Returns the numbers of environments of ``parts`` devices, ``count`` in total, as equal as possible.
 
-    There are no more parts than environments.
+    With fewer environments than devices, there is one environment per part.
     """
     parts = min(parts, count)
     return [count // parts + (part < count % parts) for part in range(parts)]

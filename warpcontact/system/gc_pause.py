@@ -1,4 +1,4 @@
-"""Pauses of Python's garbage collector, for where most of what is made stays."""
+"""Pauses Python's garbage collector while many long-lived objects are created."""
 
 import contextlib
 import gc
@@ -7,9 +7,9 @@ from collections.abc import Iterator
 
 @contextlib.contextmanager
 def gc_paused() -> Iterator[None]:
-    """Lets nothing look for garbage meanwhile, which takes the longer the more there is that is none.
+    """Disables garbage collection in a block: its cost grows with the number of objects that are alive.
 
-    What is there afterwards counts as old: it is not looked through before all is.
+    Objects created in the block are moved to the oldest generation, which is collected rarely.
     """
     collecting = gc.isenabled()
     gc.disable()
@@ -17,8 +17,8 @@ def gc_paused() -> Iterator[None]:
         yield
     finally:
         if collecting:
-            # Freezing takes what is young out of what is looked through, and thawing makes it old; but it would
-            # thaw what others froze.
+            # Freezing and unfreezing moves all young objects to the oldest generation. Skipped if objects are frozen
+            # already, because they would be unfrozen as well.
             if gc.get_freeze_count() == 0:
                 gc.freeze()
                 gc.unfreeze()

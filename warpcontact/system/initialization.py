@@ -1,4 +1,4 @@
-"""Initialization of Warp: no warning about a missing GPU, and an error that names an unusable kernel cache."""
+"""Initializes Warp without a warning about a missing GPU, and explains errors of the kernel cache."""
 
 import ctypes
 import errno
@@ -14,12 +14,12 @@ from typing import BinaryIO
 
 import warp as wp
 
-# The native library prints this line on every machine without a driver, for any log level.
+# The native library prints this line on every machine without a driver, at any log level.
 _NO_DRIVER = b"Warp CUDA warning: Could not find or load the NVIDIA CUDA driver."
 _STDERR = 2
-# Free space with which a module can be compiled; the largest take some MB with all their files [bytes].
+# Free space required to compile a module; the largest modules take a few MB with all their files [bytes].
 ROOM = 2**24
-# The beginning of a message of the module tempfile.
+# Beginning of an error message of the module tempfile.
 _NO_TEMPORARY_FOLDER = "No usable temporary directory found in"
 
 _lock = threading.Lock()
@@ -31,10 +31,10 @@ class KernelCacheError(OSError):
 
 
 def initialize() -> None:
-    """Initializes Warp, unless this is done.
+    """Initializes Warp, if it is not yet initialized.
 
     Raises:
-        KernelCacheError: If the folder of compiled kernels cannot be created; names the folder and the remedy.
+        KernelCacheError: If the folder of compiled kernels cannot be created; the message names folder and remedy.
     """
     with _lock:
         if _done.is_set():
@@ -54,7 +54,7 @@ def initialize() -> None:
 
 
 def missing_driver() -> str | None:
-    """Returns why the NVIDIA driver cannot be loaded, or ``None`` if it can."""
+    """Returns the reason why the NVIDIA driver cannot be loaded, or ``None`` if it can."""
     reason = None
     for name in ("nvcuda.dll",) if sys.platform == "win32" else ("libcuda.so", "libcuda.so.1"):
         try:
@@ -66,9 +66,11 @@ def missing_driver() -> str | None:
 
 
 def explained(error: OSError, *, compiling: bool = False) -> OSError:
-    """Returns ``error``, or one that names folder and remedy if ``error`` keeps kernels from being compiled.
+    """Returns ``error``, or an error that names folder and remedy if the kernel cache or temporary files are unusable.
 
-    ``compiling``: Whether the error is known to come from a compilation, although it may name no file.
+    Args:
+        error: The error.
+        compiling: Whether the error is from a compilation, even if it names no file.
     """
     folder, file = wp.config.kernel_cache_dir, error.filename
     reason = error.strerror or ""
@@ -86,7 +88,7 @@ def explained(error: OSError, *, compiling: bool = False) -> OSError:
 
 @contextmanager
 def explaining() -> Iterator[None]:
-    """Raises the error that ``explained`` returns for an ``OSError`` of a block that compiles kernels."""
+    """Replaces an ``OSError`` in a block that compiles kernels by the result of ``explained``."""
     try:
         yield
     except OSError as error:
@@ -96,10 +98,10 @@ def explaining() -> Iterator[None]:
 
 
 def require_room(module: Callable[[], str]) -> None:
-    """Raises an error unless there is room to compile a module: on a full disk the compiler ends the process.
+    """Raises an error unless a module can be compiled: on a full disk, the compiler would end the process.
 
     Args:
-        module: Returns the name of its folder in the kernel cache. If there is one, nothing is compiled.
+        module: Returns the name of its folder in the kernel cache. If that exists, nothing is compiled.
 
     Raises:
         OSError: If the disk is full.

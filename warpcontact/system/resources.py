@@ -1,4 +1,4 @@
-"""How many threads there are, and how much memory: on devices, and on this machine within the limits set."""
+"""Available threads and memory, of devices and of this machine within the limits of its control groups."""
 
 import os
 from collections.abc import Iterator
@@ -7,7 +7,7 @@ from pathlib import Path
 
 HOST = "host"
 
-# Where Linux tells.
+# Sources of information on Linux.
 _MEMINFO = Path("/proc/meminfo")
 _STATUS = Path("/proc/self/status")
 _CGROUP = Path("/proc/self/cgroup")
@@ -16,11 +16,11 @@ _CGROUPS = Path("/sys/fs/cgroup")
 
 @dataclass(frozen=True)
 class AvailableMemory:
-    """Memory that is available now.
+    """Memory that is currently available.
 
     Attributes:
         location: ``"host"``, or the name of a device.
-        size: How much [bytes].
+        size: Available memory [bytes].
     """
 
     location: str
@@ -28,17 +28,17 @@ class AvailableMemory:
 
     @property
     def name(self) -> str:
-        """What to call it."""
+        """Name for messages."""
         return "the memory of this machine" if self.location == HOST else f"the memory of {self.location}"
 
 
 def available_threads() -> int:
-    """Returns how many threads this process may run at once."""
+    """Returns the number of threads that this process may run concurrently."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def available_memory(location: str) -> AvailableMemory | None:
-    """Returns what is available in a place, ``None`` if nobody knows."""
+    """Returns the available memory of ``location``; ``None``: not reported by the system."""
     size = _host() if location == HOST else _device(location)
     return None if size is None else AvailableMemory(location, size)
 
@@ -53,13 +53,13 @@ def _device(name: str) -> int | None:
 
 
 def _host() -> int | None:
-    """Returns what this process may still take of the memory of the machine."""
+    """Returns the host memory that this process can still allocate [bytes]."""
     limits = [size for size in (_free(), *_cgroup_limits()) if size is not None]
     return max(0, min(limits)) if limits else None
 
 
 def _free() -> int | None:
-    """Returns the memory that is free or can be freed; where a system tells no more, all that it has."""
+    """Returns the free or reclaimable memory [bytes]; on systems that do not report it, the total memory."""
     free = _read_kilobytes(_MEMINFO, "MemAvailable")
     if free is not None:
         return free
@@ -74,12 +74,12 @@ def _free() -> int | None:
 
 
 def used_memory() -> int | None:
-    """Returns what this process has of the memory of the machine [bytes], ``None`` if the system does not tell."""
+    """Returns the host memory in use by this process [bytes]; ``None``: not reported by the system."""
     return _read_kilobytes(_STATUS, "VmRSS")
 
 
 def _read_kilobytes(path: Path, name: str) -> int | None:
-    """Returns a number of kB in a file of Linux [bytes]."""
+    """Returns a value in kB from a file of Linux, converted to bytes."""
     try:
         for line in path.read_text(encoding="utf-8").splitlines():
             key, _, value = line.partition(":")
@@ -91,7 +91,7 @@ def _read_kilobytes(path: Path, name: str) -> int | None:
 
 
 def _cgroup_limits() -> Iterator[int]:
-    """Iterates over what is left of the limits of the control groups of this process, of either version."""
+    """Iterates over the remaining memory of the control groups (version 1 or 2) of this process [bytes]."""
     try:
         lines = _CGROUP.read_text(encoding="utf-8", errors="surrogateescape").splitlines()
     except OSError:
@@ -106,7 +106,7 @@ def _cgroup_limits() -> Iterator[int]:
             top, files = _CGROUPS / "memory", names
         else:
             continue
-        # In a container the path may be that of the host outside, and its own group the top.
+        # In a container, the path may be that on the host, while the container's own group is at the top.
         group = top / path.strip("/")
         for folder in (group, *(parent for parent in group.parents if parent.is_relative_to(top))):
             left = _remaining(folder, *files)
@@ -115,7 +115,7 @@ def _cgroup_limits() -> Iterator[int]:
 
 
 def _remaining(folder: Path, limit: str, usage: str, reclaimable: str) -> int | None:
-    """Returns what is left of the limit of one group, ``None`` if it has none."""
+    """Returns the remaining memory of a control group [bytes]; ``None``: it has no limit."""
     try:
         allowed = int((folder / limit).read_text(encoding="utf-8"))  # "max": no limit
         used_memory = int((folder / usage).read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""What becomes of signals that ask to stop, while something runs that is to end in good order."""
+"""Handles SIGINT and SIGTERM during work that must be stopped cleanly."""
 
 import contextlib
 import signal
@@ -10,19 +10,19 @@ from typing import Any
 
 @dataclass
 class StopRequest:
-    """Whether somebody asked to stop."""
+    """Whether a signal has requested a stop."""
 
     stop_requested: bool = False
 
 
 @contextlib.contextmanager
 def catch_interrupts() -> Iterator[StopRequest]:
-    """Notes Ctrl-C, and the signal that ends a process, once; a second time they act as usual."""
+    """Records the first SIGINT or SIGTERM in the yielded request; a second one has its usual effect."""
     request = StopRequest()
     if threading.current_thread() is not threading.main_thread():
         yield request
         return
-    # What nobody hears is not to be heard here.
+    # Signals that are ignored stay ignored.
     previous_handlers = {
         number: handler
         for number in (signal.SIGINT, signal.SIGTERM)
@@ -45,7 +45,7 @@ def catch_interrupts() -> Iterator[StopRequest]:
 
 @contextlib.contextmanager
 def terminate_as_interrupt() -> Iterator[None]:
-    """Lets the signal that ends a process do what Ctrl-C does, unless somebody else takes it meanwhile."""
+    """Makes SIGTERM raise ``KeyboardInterrupt`` as Ctrl-C does, unless another handler is set in the block."""
     previous_handlers = signal.getsignal(signal.SIGTERM)
     if threading.current_thread() is not threading.main_thread() or previous_handlers in (None, signal.SIG_IGN):
         yield

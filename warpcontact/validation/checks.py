@@ -1,4 +1,4 @@
-"""Checks of what a user hands in. Each error names the entry, the value and what is allowed."""
+"""Checks of user input. Each error names the entry, the value and the condition."""
 
 import math
 import re
@@ -13,10 +13,10 @@ from warpcontact.kernels.catalogue.names import suggestion
 
 Array = NDArray[np.float64]
 
-# More names than these are not listed in a message.
+# Largest number of names listed in a message.
 MAX_LISTED = 20
 
-#: Largest length of a name that becomes a part of the names of files [bytes of UTF-8].
+#: Largest length of a name that is used in file names [bytes of UTF-8].
 MAX_NAME_LENGTH = 200
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
@@ -30,7 +30,7 @@ def limits(
     at_most: float = math.inf,
     may_be_infinite: bool = False,
 ) -> Mapping[str, Any]:
-    """Returns an allowed range in the form that ``check_values`` takes."""
+    """Returns an allowed range in the form that ``check_values`` requires."""
     return {
         "unit": unit,
         "above": above,
@@ -41,7 +41,7 @@ def limits(
 
 
 FINITE = limits("-")
-# What was divided by its length has a computed length of 1 but for 7 roundings of 1.1e-16 at most.
+# A normalized quaternion has a computed length of 1 within at most 7 roundings of 1.1e-16.
 UNIT_ROUNDING = 1.0e-15
 
 
@@ -58,7 +58,7 @@ def numbers(name: str, value: ArrayLike, shape: tuple[int, ...], allowed: Mappin
 
 
 def shape_of(name: str, value: ArrayLike, kind: str = "numbers") -> tuple[int, ...]:
-    """Returns the shape of numbers, or raises ``ValueError``, which calls them ``kind``."""
+    """Returns the shape of numbers, or raises ``ValueError``, whose message calls them ``kind``."""
     given = as_numbers(value)
     if given is None:
         raise ValueError(f"{name} must be {kind}, got {value!r}")
@@ -74,14 +74,14 @@ def row(name: str, value: ArrayLike, allowed: Mapping[str, Any] = FINITE) -> Arr
 
 
 def entries(value: Any) -> list[Any]:
-    """Returns the entries of ``value``, or itself as the only one if it has none, such as a number."""
+    """Returns the entries of ``value``, or a list with ``value`` itself if it has none, such as a number."""
     if isinstance(value, np.ndarray) and not value.ndim:
         return [value[()]]
     return list(value) if isinstance(value, Iterable) and not isinstance(value, str) else [value]
 
 
 def describe_shape(shape: tuple[int, ...]) -> str:
-    """Returns ``shape`` in words."""
+    """Returns ``shape`` as text."""
     if shape == ():
         return "a number"
     if len(shape) == 1:
@@ -94,12 +94,12 @@ def _brief(value: ArrayLike, values: Array) -> str:
 
 
 def unit_quaternions(name: str, value: Array) -> Array:
-    """Returns quaternions (…, 4), in the order x, y, z, w, scaled to length 1.
+    """Returns quaternions (…, 4), in the order x, y, z, w, normalized to length 1.
 
-    Those that are of length 1 but for rounding stay as they are: what was scaled once does not change again.
+    Quaternions of length 1 up to rounding are returned unchanged, so that normalizing twice has no effect.
 
     Raises:
-        ValueError: If a length differs from 1 by more than 1e-3, more than any rounding.
+        ValueError: If a length differs from 1 by more than 1e-3, which is more than rounding errors.
     """
     length = np.linalg.norm(value, axis=-1)
     bad = np.argwhere(np.abs(length - 1.0) > 1.0e-3)
@@ -113,7 +113,7 @@ def unit_quaternions(name: str, value: Array) -> Array:
 
 
 def switches(name: str, value: Array) -> Array:
-    """Returns ``value`` if it is 0 or 1 throughout, or raises ``ValueError``."""
+    """Returns ``value`` if all entries are 0 or 1, or raises ``ValueError``."""
     bad = np.argwhere((value != 0.0) & (value != 1.0))
     if len(bad):
         raise ValueError(f"{name}{list(map(int, bad[0]))} must be 0 or 1, got {value[tuple(bad[0])]:g}")
@@ -128,24 +128,24 @@ def switch(name: str, value: Any) -> bool:
 
 
 def integer(name: str, value: object, least: int = 1) -> int:
-    """Returns ``value`` if it is a whole number of at least so much, or raises ``ValueError``."""
+    """Returns ``value`` if it is an integer of at least ``least``, or raises ``ValueError``."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")
     return int(value)
 
 
 def integers(name: str, value: Array) -> Array:
-    """Returns ``value`` if it is whole throughout, or raises ``ValueError``."""
+    """Returns ``value`` if all entries are integers, or raises ``ValueError``."""
     _raise_for_first(name, value, value != np.round(value), "a whole number")
     return value
 
 
 def inertia_tensors(name: str, value: Array) -> Array:
-    """Returns inertia tensors (…, 3, 3), checked to be those of some rigid body.
+    """Returns inertia tensors (…, 3, 3), symmetrized, checked to be physical [kg·m²].
 
     Raises:
-        ValueError: If one is not symmetric, not positive definite, or breaks the triangle inequality of the
-            principal moments (no distribution of mass has I₁ > I₂ + I₃).
+        ValueError: If one is not symmetric, not positive definite, or violates the triangle inequality of the
+            principal moments (no mass distribution has I₁ > I₂ + I₃).
     """
     scale = np.abs(value).max(axis=(-2, -1))
     skew = np.abs(value - np.swapaxes(value, -2, -1)).max(axis=(-2, -1))
@@ -153,7 +153,7 @@ def inertia_tensors(name: str, value: Array) -> Array:
     symmetric = 0.5 * (value + np.swapaxes(value, -2, -1))
     moments = np.linalg.eigvalsh(symmetric)
     _raise_for_first(name, value, moments[..., 0] <= 1.0e-9 * moments[..., 2], "positive definite [kg·m²]")
-    # The tolerance lets a thin plate pass, for which equality holds, whatever its rounding.
+    # The tolerance accepts a thin plate, for which equality holds, with rounding errors.
     too_large = moments[..., 2] > (moments[..., 0] + moments[..., 1]) * (1.0 + 1.0e-6)
     _raise_for_first(name, value, too_large, "physical: no principal moment may exceed the sum of the other two")
     return symmetric
@@ -163,7 +163,7 @@ def _raise_for_first(name: str, value: Array, bad: NDArray[np.bool_], allowed: s
     where = np.argwhere(bad)
     if len(where):
         index = tuple(where[0])
-        # The last axes have one row where a user gave none.
+        # The last axes have length 1 if the user gave none; omit their indices.
         axes = max((axis + 1 for axis, length in enumerate(bad.shape) if length > 1), default=0)
         entry = f"{name}{list(map(int, index[:axes])) or ''}"
         raise ValueError(f"{entry} must be {allowed}, got {value[index].tolist()}")
@@ -178,7 +178,7 @@ def choice(name: str, value: Any, allowed: Sequence[str]) -> str:
 
 
 def new_name(kind: str, value: str | None, taken: Mapping[str, Any]) -> str:
-    """Returns ``value`` as the name of a new element, or one made from ``kind`` if it is ``None``."""
+    """Returns ``value`` as the name of a new element, or a name derived from ``kind`` if it is ``None``."""
     if value is None:
         value, number = kind, 1
         while value in taken:
@@ -196,7 +196,7 @@ def new_name(kind: str, value: str | None, taken: Mapping[str, Any]) -> str:
 
 
 def key(what: str, value: object) -> str:
-    """Returns ``value`` if it can be a name in a dictionary of names, or raises ``ValueError``."""
+    """Returns ``value`` if it is a valid key in a dictionary of names, or raises ``ValueError``."""
     if not isinstance(value, str) or not _NAME.fullmatch(value):
         raise ValueError(
             f"{what}: a name must be letters, digits, _ and -, not starting with a digit, got {value!r}"
@@ -206,7 +206,7 @@ def key(what: str, value: object) -> str:
 
 
 def check_length(what: str, name: str, most: int = MAX_NAME_LENGTH) -> None:
-    """Raises ``ValueError`` if a name is too long to be a part of the name of a file."""
+    """Raises ``ValueError`` if a name is too long for a file name."""
     size = len(name.encode(errors="surrogatepass"))
     if size > most:
         raise ValueError(
@@ -231,8 +231,8 @@ def find_entry(
         hint: Returns the end of the message from an unknown name and the entries. Default: similar names.
 
     Raises:
-        TypeError: If ``name`` is no string.
-        KeyError: If there is none; the message says what may have been meant.
+        TypeError: If ``name`` is not a string.
+        KeyError: If there is none; the message suggests names.
     """
     if not isinstance(name, str):
         raise TypeError(f"name of a {kind} must be a string, got {name!r}")
@@ -249,23 +249,23 @@ def similar(name: str, known: Collection[str]) -> str:
 
 
 def available_names(name: str, known: Iterable[str]) -> str:
-    """Returns in words what there is in place of ``name``: names of its element, or elements that have some."""
+    """Returns the available names as text: of the same element, or the elements with names if it has none."""
     first = name.partition(".")[0]
     names = list(known)
     listed = [one for one in names if one.startswith(f"{first}.")]
-    # Without dots the names are those of elements themselves.
+    # Names without dots are those of elements.
     listed = listed or list(dict.fromkeys(one.partition(".")[0] + ".*" * ("." in one) for one in names))
     return f"there are: {', '.join(listed[:MAX_LISTED]) or 'none'}{', …' * (len(listed) > MAX_LISTED)}"
 
 
 def element(value: Any) -> str:
-    """Returns in a few words what was given in place of an element of a scene."""
+    """Returns a short description of a value that was given instead of an element of a scene."""
     name = getattr(value, "name", None)
     return f"{type(value).__name__} {name!r}" if isinstance(name, str) else repr(value)
 
 
 def color(name: str, value: ArrayLike | None) -> Array | None:
-    """Returns an RGB colour with components from 0 to 1."""
+    """Returns an RGB color with components from 0 to 1."""
     if value is None:
         return None
     return numbers(name, value, (3,), limits("-", at_least=0.0, at_most=1.0))

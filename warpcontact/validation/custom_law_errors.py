@@ -1,4 +1,4 @@
-"""What to say where a user's formula does not compile."""
+"""Explains compile errors of user-defined laws and other device models."""
 
 import contextlib
 import dataclasses
@@ -14,15 +14,15 @@ from warpcontact import kernels
 from warpcontact.kernels.catalogue.device_model import Formula
 from warpcontact.validation.custom_law_hints import advice, mixes_types
 
-# Where Warp has been on its way to a mistake, and how it names types.
+# The steps of Warp's parser to an error, and Warp's names of types.
 _STEP = re.compile(r'Error while parsing function "([^"]*)" at ([^\n]*):(\d+):\n([^\n]*)\n;?')
 _TYPE = re.compile(r"<class '(?:\w+\.)*(\w+)'>|wp::| \((?:[\w<>]+\.)+\w+\)")
-# Functions in these are no user's.
+# Folders with code that is not user-defined.
 _LIBRARY_ERRORS = tuple(Path(str(package.__file__)).parent for package in (kernels, wp))
 
 
 def has_user_code(formulas: Iterable[type[Formula]]) -> bool:
-    """Returns whether any of these is a user's, which may not compile."""
+    """Whether any of these classes is user-defined, and may not compile."""
     return not all(formula.__module__.startswith("warpcontact.kernels.") for formula in formulas)
 
 
@@ -34,14 +34,14 @@ def explain_compile_errors(
     about_constants: str,
     about_results: str,
 ) -> Iterator[None]:
-    """Turns what goes wrong while a kernel compiles into a ``TypeError`` that tells what its formulas may use.
+    """Converts errors during compilation to a ``TypeError`` that lists what the functions of its classes can use.
 
     Args:
-        formulas: The formulas that the kernel is made of, by their part.
-        real: Precision.
-        state: Returns how the state that a part sees is called, and its struct.
-        about_constants: What to add about types that do not agree.
-        about_results: What to add about results of the wrong type.
+        formulas: Classes of the kernel, by part, such as ``"law"``.
+        real: Floating-point type of the simulation.
+        state: Returns name and struct of the state argument of a part.
+        about_constants: Advice for arguments of different types.
+        about_results: Advice for results of the wrong type.
     """
     try:
         yield
@@ -51,7 +51,7 @@ def explain_compile_errors(
         )
         hint = about_constants if mixes_types(text) else ""
         if _read(error)[1] is None:
-            # Each function compiles: what it returns is not what its caller takes.
+            # Each function compiles by itself: a return type does not match its caller.
             text = _return_types(formulas.values()) or text
             hint = about_results
         named = " with ".join(f"{part} {formula.__name__}" for part, formula in formulas.items())
@@ -65,12 +65,12 @@ def explain_compile_errors(
 def compile_error_text(
     error: BaseException, formulas: Iterable[type], states: Mapping[type, Any] | None = None
 ) -> str:
-    """Returns the message of Warp about a user's function with file, line, source, and what to write instead.
+    """Returns Warp's message about a user-defined function with file, line, source and advice.
 
     Args:
-        error: What Warp raised.
-        formulas: The classes of the functions.
-        states: Struct of the state that the functions of a class are given; ``None``: they have none.
+        error: Error raised by Warp.
+        formulas: Classes of the functions.
+        states: Struct of the state argument by class; ``None``: no state.
     """
     formulas = list(formulas)
     text, step = _read(error)
@@ -88,9 +88,9 @@ def compile_error_text(
 def _members(
     formulas: Iterable[type[Formula]], states: Mapping[type, Any]
 ) -> tuple[dict[str, list[str]], set[str], list[str]]:
-    """Returns the members of the arguments of functions, and which are vectors, or numbers of the state.
+    """Returns the members of function arguments, and those that are vectors, and the scalars of the state.
 
-    The arguments are called as the user called them, such as ``{"p": ["stiffness"]}``.
+    Arguments have the names that the user gave them, such as ``{"p": ["stiffness"]}``.
     """
     names: dict[str, list[str]] = {}
     vectors, numbers = set(), []
@@ -119,7 +119,7 @@ class _Step(NamedTuple):
 
 
 def _read(error: BaseException) -> tuple[str, _Step | None]:
-    """Returns what is wrong, and where in functions of a user: of those that call others in the innermost."""
+    """Returns the message, and the innermost step of the parser in user-defined code."""
     text = "; ".join(map(str, error.args)) or str(error)
     steps = [_Step(name, file, int(line), source) for name, file, line, source in _STEP.findall(text)]
     user_step = [step for step in steps if _is_user_file(step.file)]
@@ -134,8 +134,8 @@ def _is_user_file(file: str) -> bool:
 def _place(step: _Step, formulas: Iterable[type]) -> str:
     """Returns file and line of a step.
 
-    Warp counts the lines of most functions from where they begin, and compiles equal ones once: the file may be
-    another, with an equal function.
+    Warp counts the lines of most functions from their start, and compiles equal functions once: the file may be a
+    different one with an equal function.
     """
     for function in _functions(formulas):
         code, lines = function.func.__code__, getattr(function.adj, "source_lines", ())
@@ -148,7 +148,7 @@ def _place(step: _Step, formulas: Iterable[type]) -> str:
 
 
 def _functions(formulas: Iterable[type]) -> Iterator[wp.Function]:
-    """Iterates over the functions of classes, and over those that they may call."""
+    """Iterates over the functions of classes, and over the functions that these can call."""
     waiting = [value for formula in formulas for kind in formula.__mro__ for value in vars(kind).values()]
     seen = set()
     while waiting:
@@ -161,14 +161,14 @@ def _functions(formulas: Iterable[type]) -> Iterator[wp.Function]:
 
 
 def _enclosed(function: Callable[..., Any]) -> Iterator[Any]:
-    """Iterates over what a function has of those around it; of what is not there yet there is nothing."""
+    """Iterates over the objects in the closure of a function; unset ones are skipped."""
     for cell in function.__closure__ or ():
         with contextlib.suppress(ValueError):
             yield cell.cell_contents
 
 
 def _return_types(formulas: Iterable[type[Formula]]) -> str:
-    """Returns what the functions of a user's formulas return, as far as Warp knows."""
+    """Returns the return types of user-defined functions, as far as Warp has determined them."""
     return_types = []
     for formula in formulas:
         for name in formula.functions:
@@ -176,7 +176,7 @@ def _return_types(formulas: Iterable[type[Formula]]) -> str:
             if not _is_user_file(function.func.__code__.co_filename):
                 continue
             made = [getattr(one.adj, "return_var", None) for one in (function, *function.user_overloads.values())]
-            # What was made last is at hand.
+            # The overload that was compiled last.
             types = next((found for found in reversed(made) if found), ())
             names = ", ".join(wp.types.type_repr(variable.type) for variable in types)
             return_types += [f"{formula.__name__}.{name} returns {names}"] * bool(names)
@@ -184,14 +184,14 @@ def _return_types(formulas: Iterable[type[Formula]]) -> str:
 
 
 def _available_members(part: str, formula: type[Formula], letter: str, seen: Any) -> str:
-    """Returns in words what the functions of ``formula`` are given."""
+    """Returns the members of the arguments of the functions of ``formula``, as text."""
     given = _arguments(formula, letter, seen)
     parts = [f"{name} has {', '.join(names) or 'nothing'}" for name, names in given.items()]
     return f"In the {part}, {'; '.join(parts)}."
 
 
 def _arguments(formula: type[Formula], letter: str, seen: Any) -> dict[str, tuple[str, ...]]:
-    """Returns what the arguments of the functions of ``formula`` have."""
+    """Returns the members of the arguments of the functions of ``formula``, by argument."""
     given = {"p": formula.device_names(), letter: () if seen is None else tuple(seen.vars)}
     if formula.memories:
         given["m"] = (*formula.memories, "elapsed")

@@ -1,7 +1,7 @@
-"""Advice for lines of user-defined laws and other device functions that Warp cannot compile.
+"""Returns advice for lines of user-defined device functions that Warp cannot compile.
 
-Warp has no arithmetic of mixed types: an integer next to a number of the simulation is an error, and so are a
-power with an integer exponent, and a constant of float32 in a simulation of float64.
+Warp does not mix types in arithmetic: an integer next to a number of the simulation is an error, and so are a power
+with an integer exponent, and a float32 constant in a float64 simulation.
 """
 
 import ast
@@ -17,29 +17,29 @@ _ATTRIBUTE = re.compile(r"`(\w+)` is not an attribute of '(\w+)'")
 _SYMBOL = re.compile(r"Referencing undefined symbol: (\w+)")
 _FUNCTION = re.compile(r"Could not find function ([\w.]+)")
 _TYPES = re.compile(r"types must be the same|function overload for|must be of the same type|same scalar type")
-# Modules of Python in which users look for functions.
+# Python modules whose functions users call by mistake.
 _MODULES = ("math", "np", "numpy")
 _CONVERSION = re.compile(r"wp\.(float|int|uint)\d+|range")
-# Up to this exponent a power is written as a product, too.
+# Largest exponent for which a product is suggested instead of a power.
 _LONGEST_PRODUCT = 4
 
 
 def mixes_types(text: str) -> bool:
-    """Whether a message of Warp is about numbers of different types."""
+    """Whether a message of Warp is about arguments of different types."""
     return _TYPES.search(text) is not None or "returned different types" in text
 
 
 def advice(
     text: str, source: str, names: Mapping[str, Sequence[str]], vectors: Collection[str] = (), number: str = ""
 ) -> str:
-    """Returns what to write instead, beginning with ``"; "``, or nothing if the mistake is another one.
+    """Returns advice that begins with ``"; "``, or an empty string if there is none for the error.
 
     Args:
         text: Message of Warp.
-        source: The line that it is about.
+        source: The line of the error.
         names: Members of the arguments of the function, such as ``{"p": ["stiffness"]}``.
-        vectors: Those that are no numbers, such as ``s.velocity``.
-        number: A number of the simulation for lines without one, such as ``c.delta``.
+        vectors: Members that are no scalars, such as ``s.velocity``.
+        number: A scalar of the simulation for lines without one, such as ``c.delta``.
     """
     if found := _ATTRIBUTE.search(text):
         return suggestion(found[1], names.get(found[2], ()))
@@ -59,7 +59,7 @@ def advice(
 
 
 def _of_symbol(name: str, names: Mapping[str, Sequence[str]]) -> str:
-    """Returns where an undefined name is found."""
+    """Returns advice for an undefined name."""
     if name in _MODULES:
         return f"; use the functions of Warp: wp.sqrt instead of {name}.sqrt"
     meant = closest(name, [one for members in names.values() for one in members])
@@ -68,25 +68,25 @@ def _of_symbol(name: str, names: Mapping[str, Sequence[str]]) -> str:
 
 
 class _Line:
-    """A line of a function, with replacements of the constants and powers that Warp does not take."""
+    """A line of a function, with replacements for constants and powers that Warp does not accept."""
 
     def __init__(self, source: str, vectors: Collection[str], number: str) -> None:
         self.vectors, self.default = vectors, number
         self.source, self.tree = source, ast.parse("")
-        # The line may be the head of a block, or a part of a statement, of which nothing is said.
+        # The line may be the head of a block, or an incomplete statement, for which there is no advice.
         for text in (source, f"{source} pass", f"{source.removeprefix('el')} pass"):
             with contextlib.suppress(SyntaxError):
                 self.source, self.tree = text, ast.parse(text)
                 break
 
     def typed(self, value: float, within: ast.AST | None = None) -> str:
-        """Returns a constant with the type of a number in the line, or nothing if there is none."""
+        """Returns a constant converted to the type of a number in the line, or an empty string if there is none."""
         tree = self.tree if within is None else within
         number = next(self._numbers(tree), None) or next(self._numbers(self.tree), self.default)
         return f"type({number})({value})" if number else ""
 
     def replacements(self, node: ast.AST) -> Iterator[tuple[str, str]]:
-        """Iterates over what Warp does not take, and what to write instead."""
+        """Iterates over expressions that Warp does not accept, with their replacements."""
         if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow) and _constant(node.right) is not None:
             yield from self._power(node, node.left, node.right)
             yield from self.replacements(node.left)
@@ -110,7 +110,7 @@ class _Line:
             yield self._text(node), " or ".join(powers)
 
     def _numbers(self, tree: ast.AST) -> Iterator[str]:
-        """Iterates over expressions that are numbers of the simulation, such as ``c.delta``, attributes first."""
+        """Iterates over expressions that are scalars of the simulation, such as ``c.delta``, attributes first."""
         nodes = list(ast.walk(tree))
         parts = {id(node.func) for node in nodes if isinstance(node, ast.Call)}
         parts |= {id(node.value) for node in nodes if isinstance(node, ast.Attribute | ast.Subscript)}
@@ -126,7 +126,7 @@ class _Line:
 
 
 def _constant(node: ast.AST) -> float | None:
-    """Returns the value of a written number, also of ``-2`` and ``float(2)``; ``None``: it is no number."""
+    """Returns the value of a literal number, also of ``-2`` and ``float(2)``; ``None``: it is no literal number."""
     if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
         value = _constant(node.operand)
         return None if value is None else -value
@@ -138,7 +138,7 @@ def _constant(node: ast.AST) -> float | None:
 
 
 def _converts(node: ast.AST) -> bool:
-    """Whether a call gives a number its type already, such as ``type(c.delta)(2.0)`` and ``wp.float64(2.0)``."""
+    """Whether a call already converts the type, such as ``type(c.delta)(2.0)`` and ``wp.float64(2.0)``."""
     if not isinstance(node, ast.Call):
         return False
     return isinstance(node.func, ast.Call) or bool(_CONVERSION.fullmatch(ast.unparse(node.func)))

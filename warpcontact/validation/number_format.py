@@ -1,11 +1,11 @@
-"""Numbers and units as they are read."""
+"""Formats numbers and units for people."""
 
 import math
 import re
 from typing import Any
 
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-# Of units that begin with one of these, a multiple has a name of its own; not of kg, nor of m² or m³.
+# Units whose multiples have prefixes, at the start of a unit; not kg, m² or m³.
 _PREFIXED = re.compile(r"(m|s|N|J|W|Pa|Hz|rad)(?![²³⁴\w])")
 _PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 3: "k", 6: "M", 9: "G"}
 
@@ -13,7 +13,7 @@ _UNITS = ("B", "KiB", "MiB", "GiB", "TiB", "PiB")
 
 
 def number(value: Any, digits: int = 4) -> str:
-    """Returns a number with so many digits: ``1.234``, ``−1.2×10⁻⁵``."""
+    """Returns a number with ``digits`` significant digits: ``1.234``, ``−1.2×10⁻⁵``."""
     value = float(value)
     if math.isnan(value):
         return "–"
@@ -27,7 +27,7 @@ def number(value: Any, digits: int = 4) -> str:
 
 
 def count(value: int) -> str:
-    """Returns a whole number in groups of three digits."""
+    """Returns an integer in groups of three digits."""
     return f"{value:,}".replace(",", "\u202f")
 
 
@@ -37,7 +37,7 @@ def quantity(value: Any, unit: str, digits: int = 4) -> str:
 
 
 def unit_suffix(unit: str) -> str:
-    """Returns a unit as it follows a number."""
+    """Returns a unit with the space that separates it from a number."""
     return "" if unit in ("", "-") else f"\u202f{unit}"
 
 
@@ -46,12 +46,12 @@ def several(number_of: int, what: str) -> str:
     return f"{count(number_of)} {what}{'' if number_of == 1 else 's'}"
 
 
-#: What is smaller is drawn as nothing: powers of ten of it, and their inverses, are beyond numbers.
+#: Smaller values are not scaled, because powers of ten and their inverses would overflow.
 NOTHING = 1.0e-290
 
 
 def scaled(unit: str, largest: float) -> tuple[float, str]:
-    """Returns by what to multiply numbers up to ``largest`` so that they are easily read, and their unit then."""
+    """Returns a factor for numbers up to ``largest`` that makes them easy to read, and the unit of the result."""
     if not math.isfinite(largest) or largest < NOTHING or 0.1 <= largest < 1.0e4:
         return 1.0, "" if unit == "-" else unit
     exponent = 3 * math.floor(math.log10(largest) / 3.0)

@@ -1,4 +1,4 @@
-"""Texts of any length and content, such as names and paths in files of others, as people are shown them."""
+"""Sanitizes text of unknown origin, such as names and paths in files of others, for terminals and messages."""
 
 import contextlib
 import io
@@ -7,30 +7,30 @@ import sys
 from collections.abc import Iterable, Iterator
 from typing import Any, TextIO
 
-# Terminals obey control characters, other than newline and tab, and marks that change the direction of text; they
-# also break lines at U+2028 and U+2029.
+# Control characters that terminals interpret, except newline and tab; marks that change the direction of text; and
+# the line separators U+2028 and U+2029.
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
 
 
 def escape_controls(text: object) -> str:
-    """Returns a text with control characters other than newline and tab as escapes, such as those of Python."""
+    """Returns a text with control characters, except newline and tab, as escapes of Python."""
     return _CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode(), str(text))
 
 
 def escape_lines(lines: Iterable[object]) -> str:
-    """Returns lines as one text; newlines within a line are escapes, too, so that quoted text adds no line."""
+    """Returns lines as one text; newlines within a line are escaped, so that quoted text adds no line."""
     return "\n".join(escape_controls(line).replace("\n", "\\n") for line in lines)
 
 
 class SafeTextError(ValueError):
-    """An error whose message may quote files: control characters in it are escapes."""
+    """An error whose message may quote files; control characters in it are escaped."""
 
     def __init__(self, message: object) -> None:
         super().__init__(escape_controls(message))
 
 
 class SafeTextStream:
-    """A stream to a terminal that writes control characters as escapes.
+    """A stream to a terminal that escapes control characters.
 
     Args:
         stream: The stream.
@@ -55,9 +55,9 @@ class SafeTextStream:
 
 @contextlib.contextmanager
 def escape_output() -> Iterator[None]:
-    """Writes control characters to the output and error streams of this process as escapes.
+    """Escapes control characters in the output and error streams of this process.
 
-    So are characters that the encoding of the streams does not have, which would otherwise be an error.
+    Characters that the encoding of the streams does not have are escaped as well, and raise no error.
     """
     out, err = sys.stdout, sys.stderr
     for stream in (out, err):
@@ -71,18 +71,18 @@ def escape_output() -> Iterator[None]:
 
 
 def terminal() -> TextIO:
-    """Returns the error stream as it is, for progress bars, which move the cursor by control characters."""
+    """Returns the original error stream, for progress bars, which move the cursor with control characters."""
     stream: Any = sys.stderr
     return stream.stream if isinstance(stream, SafeTextStream) else stream
 
 
 def truncate(text: str, most: int, *, middle: bool = False) -> str:
-    """Returns a text of at most ``most`` characters; … stands for what is left out.
+    """Returns a text of at most ``most`` characters; … replaces the omitted part.
 
     Args:
         text: The text.
-        most: Most characters, at least 1.
-        middle: Whether its middle is left out, as of paths, whose ends tell them apart; otherwise its end.
+        most: Maximum number of characters, at least 1.
+        middle: Whether to omit the middle, for example of paths; otherwise the end is omitted.
     """
     if len(text) <= most:
         return text
@@ -91,5 +91,5 @@ def truncate(text: str, most: int, *, middle: bool = False) -> str:
 
 
 def single_line(text: object) -> str:
-    """Returns a text with spaces for its white space, and other control characters as escapes."""
+    """Returns a text with white space replaced by single spaces, and other control characters escaped."""
     return escape_controls(" ".join(str(text).split()))

@@ -1,10 +1,10 @@
-"""Objects that hold arrays of a device, and can be neither pickled nor copied."""
+"""Base class of objects that hold device arrays, and cannot be pickled or copied."""
 
 from typing import Any, ClassVar, NoReturn
 
 
 class Uncopied:
-    """Base of such classes. ``instead`` is what to do instead, the end of the message."""
+    """Base class that refuses pickling and copying; ``instead`` is the advice at the end of the message."""
 
     _instead: ClassVar[str]
 
@@ -17,9 +17,9 @@ class Uncopied:
         """Refuses ``pickle`` and ``copy``.
 
         Raises:
-            TypeError: Always; names what to do instead.
+            TypeError: Always; the message has the advice.
         """
         raise TypeError(
-            f"a {type(self).__name__} must not be pickled or copied, since it holds arrays of a device; "
+            f"a {type(self).__name__} must not be pickled or copied, because it holds device arrays; "
             f"{self._instead}"
         )

@@ -1,4 +1,4 @@
-"""Warnings and their levels. Warning filters import this module first, so it imports no kernels."""
+"""Warnings and their levels. Warning filters import this module, so it does not import kernels."""
 
 import enum
 
@@ -8,8 +8,8 @@ from warpcontact.validation.safe_text import escape_controls
 class WarningLevel(enum.StrEnum):
     """Level of a warning: its meaning for the results.
 
-    NOTE: results are as accurate as requested, and the warning is for information. CAUTION: results may be less
-    accurate than the user expects, or an output is missing. ERROR: a part of the results is wrong or missing.
+    NOTE: for information; results are as accurate as requested. CAUTION: results may be less accurate than the user
+    expects, or an output is missing. ERROR: a part of the results is wrong or missing.
     """
 
     NOTE = "note"
@@ -18,7 +18,7 @@ class WarningLevel(enum.StrEnum):
 
 
 class ContactWarning(UserWarning):
-    """Warns of a scene that can be simulated, but whose results are probably not those that its author expects.
+    """Warns that a scene can be simulated, but its results are probably not what the user expects.
 
     Args:
         message: The problem, its consequence, and the remedy.
@@ -44,12 +44,12 @@ class RunWarning(RuntimeWarning):
 
 
 def labeled(warning: Warning | str) -> str:
-    """Returns the text of a warning behind its level, such as ``caution: …``; without one it is a caution."""
+    """Returns the text of a warning prefixed with its level, such as ``caution: …``, which is the default level."""
     return escape_controls(f"{getattr(warning, 'level', WarningLevel.CAUTION)}: {warning}")
 
 
 def split_label(text: str) -> tuple[WarningLevel, str]:
-    """Returns level and text of what ``labeled`` returned; text without a level is a caution."""
+    """Returns level and text of a result of ``labeled``; text without a level is a caution."""
     level, colon, rest = text.partition(": ")
     if colon and level in list(WarningLevel):
         return WarningLevel(level), rest
