@@ -81,7 +81,10 @@ def test_laws_command_with_a_name_prints_that_entry_only(capsys):
             ["--compare", "Hooke", "Tanh", "Hertz", "--plot", "a.svg"],
             "laws and friction models cannot be compared with each other: Hooke, Hertz with Tanh",
         ),
-        (["--compare", "Hooke", "Herz", "--plot", "a.svg"], "no law or friction model 'Herz'; did you mean 'Hertz'?"),
+        (
+            ["--compare", "Hooke", "Herz", "--plot", "a.svg"],
+            "no law or friction model 'Herz'; did you mean 'Hertz'?",
+        ),
         (
             ["--plot", "a.svg", "--compare", *(law.__name__ for law in wc.laws.CATALOGUE[:9])],
             "a plot shows at most 8 laws, got 9: Hooke, Hertz,",
@@ -131,7 +134,10 @@ def test_laws_command_with_a_name_prints_that_entry_only(capsys):
             ["my_laws.py:Picky", "--plot", "a.svg", "--set", "stiffness=99"],
             f"my_laws.py: line {TOO_STIFF}: LookupError: too stiff",
         ),
-        (["--compare", "Cubic", "my_laws.py:Cubic", "--plot", "a.svg"], "there is no law or friction model 'Cubic'"),
+        (
+            ["--compare", "Cubic", "my_laws.py:Cubic", "--plot", "a.svg"],
+            "there is no law or friction model 'Cubic'",
+        ),
     ],
     ids=lambda value: " ".join(value)[:40] if isinstance(value, list) else None,
 )

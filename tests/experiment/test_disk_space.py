@@ -48,7 +48,7 @@ def test_plan_command_prints_free_disk_space(tmp_path, free, capsys, monkeypatch
     assert not (tmp_path / "other" / "out").exists()
 
 
-@pytest.mark.filterwarnings("always:the results")
+@pytest.mark.filterwarnings("always:the (remaining )?results")
 def test_run_warns_if_results_may_fill_the_disk(tmp_path, free):
     experiment = wc.Experiment.from_toml(sharded_runs.study(tmp_path))
 
@@ -68,10 +68,10 @@ def test_run_warns_if_results_may_fill_the_disk(tmp_path, free):
         (tmp_path / name / "commit" / "shard_000001.json").unlink()
     assert warnings(52 * KIB, tmp_path / "enough", resume=True) == []
     ((text, _),) = warnings(51 * KIB, tmp_path / "little", resume=True)
-    assert text.startswith("caution: the results that are left take up to 51.6 KiB before compression")
+    assert text.startswith("caution: the remaining results take up to 51.6 KiB before compression")
 
 
-@pytest.mark.filterwarnings("always:the results")
+@pytest.mark.filterwarnings("always:the (remaining )?results")
 @pytest.mark.parametrize("begun", [False, True])
 def test_full_disk_error_states_shard_size_and_stored_shards(begun, tmp_path, free, capsys, monkeypatch):
     free(3 * KIB)

@@ -127,7 +127,7 @@ def _repeat(work: Callable[[], None], count: int) -> None:
 
 
 def _median(works: Callable[[int], None], device: wp.Device) -> float:
-    """Returns the median time of ``works(count)`` divided by ``count`` [s]; ``count`` is large enough for the clock."""
+    """Returns the median time of ``works(count)`` per repetition [s]; ``count`` grows until the clock resolves it."""
     works(1)
     times: list[float] = []
     count = 1

@@ -16,8 +16,8 @@ def add_to(commands: Any) -> None:
     status = commands.add_parser(
         "status",
         help="progress of a run",
-        description="Print the progress of the run in a folder. Exit code 1: with --verify, its results differ from the "
-        "committed ones.",
+        description="Print the progress of the run in a folder. Exit code 1: with --verify, its results differ "
+        "from the committed ones.",
     )
     status.add_argument("folder", metavar="DIR", help="folder of the run")
     status.add_argument(

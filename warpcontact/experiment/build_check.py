@@ -97,7 +97,7 @@ def _user_formulas(parts: ExperimentParts) -> Iterator[tuple[str, int, str, Form
 
 
 def _find_fault(key: str, formula: Formula, precision: str) -> str | None:
-    """Returns the reason why ``formula``, with ``key`` of its table, cannot be evaluated or compiled; ``None``: it can."""
+    """Returns why ``formula``, as ``key`` of its table, cannot be evaluated or compiled; ``None``: it can."""
     cls = type(formula)
     if isinstance(formula, Motion):
         scene = Scene()

@@ -74,7 +74,7 @@ class ShapeMesh(Section):
 
 
 class DeviceModelSettings(Section):
-    """A law, friction model, spring, joint or shape: its class, by name or as ``FILE.py:CLASS``, and its parameters."""
+    """A law, friction model, spring, joint or shape: its class, as name or ``FILE.py:CLASS``, and its parameters."""
 
     model_config = ConfigDict(protected_namespaces=())  # parameters of user-defined classes can have any name
 

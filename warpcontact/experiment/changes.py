@@ -21,8 +21,8 @@ def apply_overrides(content: Mapping[str, Any], changes: Iterable[str]) -> dict[
     Args:
         content: The content.
         changes: Strings ``PATH=VALUE``; for equal paths the last one applies. The path has the form that messages use,
-            ``body[0].mass`` or ``variation."ball.mass".uniform``; entries of a list can also be named: ``body.ball.mass``.
-            Missing tables are created. The value is a TOML value.
+            ``body[0].mass`` or ``variation."ball.mass".uniform``; entries of a list can also be named:
+            ``body.ball.mass``. Missing tables are created. The value is a TOML value.
 
     Raises:
         ExperimentError: If an override is invalid, or its path does not exist.

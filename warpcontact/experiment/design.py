@@ -211,16 +211,17 @@ class Design:
     def rows(self, first: int, stop: int) -> dict[str, Array]:
         """Returns the values in environments ``first`` to ``stop``, exclusive.
 
-        Memory use is proportional to the result, except for a Latin hypercube, which is generated completely and cached.
+        Memory use is proportional to the result, except for a Latin hypercube, which is generated completely and
+        cached.
 
         Args:
             first: First environment.
             stop: End of the range.
 
         Returns:
-            Values by parameter name: (stop − first, …) with the shape of one value; for a set (stop − first, items, …),
-            or (stop − first, 1, …) if all items have the same value. They can be assigned to a model with stop − first
-            environments.
+            Values by parameter name: (stop − first, …) with the shape of one value; for a set
+            (stop − first, items, …), or (stop − first, 1, …) if all items have the same value. They can be assigned
+            to a model with stop − first environments.
 
         Raises:
             IndexError: If the range exceeds the environments of the design.

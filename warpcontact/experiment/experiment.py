@@ -388,7 +388,7 @@ class Experiment:
         problems.raise_if_any(self.source)
 
     def _check_with(self, model: Environments, parts: ExperimentParts, problems: Problems) -> None:
-        """Checks settings that refer to parameters and sensors of the model, and fills in defaults that depend on it."""
+        """Checks settings that refer to parameters and sensors of the model, and fills in its defaults."""
         present = set(model.scene.element_names())
 
         def is_invalid(name: str) -> bool:

@@ -120,8 +120,8 @@ def contour_step(grounds: list[GroundSurface], lower: Array, upper: Array) -> fl
 def draw_from_above(axes: Any, ground: GroundSurface, lower: Array, upper: Array, step: float) -> None:
     """Draws the faces within a window as a relief, from low to high, with contours of their height.
 
-    Faces are lighter the higher they are above the mean plane of all, and darker the steeper they are relative to it. A
-    directional light would hide ridges along its direction, and the inclination of the mean plane would hide the shape.
+    Faces are lighter the higher they are above the mean plane of all, and darker the steeper they are relative to it.
+    A directional light would hide ridges along its direction, and the inclination of the mean plane the shape.
 
     Args:
         axes: Axes of Matplotlib.
@@ -208,7 +208,7 @@ def _within(ground: GroundSurface, lower: Array, upper: Array) -> NDArray[np.boo
 
 
 def _cut(corners: Array, axis: int, value: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Returns the intersection of faces with a plane across an axis: segments (n, 2, 3) [m], and a mask of the faces."""
+    """Returns the section of faces by a plane across an axis: segments (n, 2, 3) [m], and a mask of the faces."""
     # Shifted, so that the plane does not contain vertices or edges.
     value += 1.0e-6 * float(np.ptp(corners[..., axis]) or 1.0)
     side = corners[..., axis] > value

@@ -189,7 +189,7 @@ OutcomeTable = Annotated[SerializeAsAny[OutcomeSettings], PlainValidator(_outcom
 
 
 def monitor_arguments(settings: "Settings") -> dict[str, Any]:
-    """Returns outcomes, stop conditions, events and quarantine policy of an experiment, as arguments of ``Simulation``."""
+    """Returns the outcomes, stop conditions, events and quarantine policy as arguments of ``Simulation``."""
     return {
         "outcomes": {name: one.make() for name, one in settings.outcome.items()},
         "stop": {name: one.make() for name, one in settings.stop.items()},

@@ -1,7 +1,7 @@
 """Draws the picture of a run: tracks of the bodies over the surfaces, and sensors over time.
 
-Tracks are projected onto the xy plane, or onto the xz plane if their extent along y is small. The picture is drawn from
-the recording alone, without a display and without the global state of matplotlib.
+Tracks are projected onto the xy plane, or onto the xz plane if their extent along y is small. The picture is drawn
+from the recording alone, without a display and without the global state of matplotlib.
 """
 
 import math

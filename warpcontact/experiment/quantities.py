@@ -1,7 +1,7 @@
 """Validators of values in an experiment file, based on the checks and ranges of the Python API.
 
-Messages of ``warpcontact.validation.checks`` begin with the name of the checked value. The name is empty here, so that the
-messages continue the key of the file: ``body[0].color`` and ``[1] must be at most 1, got 2``.
+Messages of ``warpcontact.validation.checks`` begin with the name of the checked value. The name is empty here, so
+that the messages continue the key of the file: ``body[0].color`` and ``[1] must be at most 1, got 2``.
 """
 
 import math

@@ -464,7 +464,7 @@ def _columns(array: "xr.DataArray") -> Iterator[tuple[list[str], NDArray[Any]]]:
 
 
 def _env_blocks(array: "xr.DataArray") -> Iterator[slice]:
-    """Iterates over ranges of environments of a stored array that fit into ``READ_AT_ONCE``, of whole chunks if possible.
+    """Iterates over ranges of environments of a stored array, up to ``READ_AT_ONCE``, of whole chunks if possible.
 
     Chunks that are larger are read several times, one part at a time.
     """

@@ -1,7 +1,7 @@
 """Panels of sensors over time in the picture of a run.
 
-Up to ``CURVES`` environments are drawn as one curve each, more as quantiles. Sensors of contacts come first, then those
-of couplings, joints and bodies. Headings contain the extreme values.
+Up to ``CURVES`` environments are drawn as one curve each, more as quantiles. Sensors of contacts come first, then
+those of couplings, joints and bodies. Headings contain the extreme values.
 """
 
 from dataclasses import dataclass

@@ -25,7 +25,7 @@ class RunStatus:
     Attributes:
         folder: Folder of the run.
         summary: Content of ``run.json``.
-        state: ``"running"``, ``"finished"``, ``"interrupted"``, ``"failed"``, or ``"stopped"``: its process was killed.
+        state: ``"running"``, ``"finished"``, ``"interrupted"``, ``"failed"``, or ``"stopped"`` (killed).
         shards: Number of shards.
         finished_shards: Number of finished shards.
         finished_envs: Number of finished environments.

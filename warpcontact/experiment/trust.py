@@ -1,7 +1,7 @@
 """Decides which Python files of run folders may be executed: those copied by a run of this user, or trusted ones.
 
-A run folder can come from elsewhere, with law files that contain any code. Therefore the SHA-256 of each file that a run
-copies into its folder is recorded outside of the folder, as the name of an empty file in the state folder of the user.
+A run folder can come from elsewhere, with law files that contain any code. Therefore the SHA-256 of each file that a
+run copies into its folder is recorded outside of it, as the name of an empty file in the state folder of the user.
 """
 
 import contextlib

@@ -103,8 +103,8 @@ class UserFiles:
         """Returns the file called ``name``, relative to the folder.
 
         Raises:
-            ValueError: If there is no such file, it is outside of the folder or cannot be loaded; the message continues
-                the key ``type``.
+            ValueError: If there is no such file, it is outside of the folder or cannot be loaded; the message
+                continues the key ``type``.
         """
         if name not in self._files and name not in self._failures:
             try:
@@ -278,8 +278,8 @@ def _run(path: Path, content: bytes) -> ModuleType:
     module = ModuleType(f"_warpcontact_own_{next(_NUMBERS)}_{re.sub(r'[^0-9A-Za-z_]', '_', path.stem)}")
     module.__file__ = str(path)
     sys.modules[module.__name__] = module  # dataclasses and Warp look up the module here
-    # Warp reads the source of functions through linecache when they are defined. The entry provides the executed content,
-    # even if the file has changed. Without a modification time, linecache does not compare it with the file.
+    # Warp reads the source of functions through linecache when they are defined. The entry provides the executed
+    # content, even if the file has changed. Without a modification time, linecache does not compare it with the file.
     lines = io.StringIO(importlib.util.decode_source(content)).readlines()
     linecache.cache[str(path)] = (len(content), None, lines, str(path))
     try:

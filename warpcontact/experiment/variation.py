@@ -1,7 +1,7 @@
 """Validates ``[variation]`` against a model and returns the design of the experiment.
 
-The random generator of each entry is seeded by the seed of the experiment and the name of the parameter, so that adding
-an entry does not change the values of others.
+The random generator of each entry is seeded by the seed of the experiment and the name of the parameter, so that
+adding an entry does not change the values of others.
 """
 
 import re
@@ -223,7 +223,7 @@ class Variation:
         return None if mass is None or radius is None else SphereInertia(mass, radius, target.single)
 
     def _source(self, path: str, source: str | float, target: Parameter) -> str | Array | None:
-        """Returns the name of a varied scalar parameter, or the values (1,) or (1, items) of another or of a number."""
+        """Returns the name of a varied scalar parameter, or the values (1,) or (1, items) of a constant one."""
         if not isinstance(source, str):
             return np.array([source]) if target.single else np.array([[source]])
         if source not in self.model:

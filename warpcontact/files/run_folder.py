@@ -211,7 +211,7 @@ class RunPath:
 
     @contextlib.contextmanager
     def replaced(self, partial: str | None = None) -> Iterator["RunPath"]:
-        """Yields a new, empty file to be written by name, which replaces this one when the block ends without an error.
+        """Yields a new, empty file to write by name; it replaces this one when the block ends without an error.
 
         Args:
             partial: Name of the new file; ``None``: the name of this file with ``.partial``.
