@@ -1,23 +1,24 @@
-"""Distance and side of points by looking at every triangle that can matter, in float64, from definitions.
+"""Brute-force distance and winding number of points and triangles, in float64.
 
-Shares no code and no idea with the kernels: the side comes from the winding number, not from pseudonormals.
+Reference for the closest-point kernels. Shares no code and no method with them: the side comes from the winding
+number, not from pseudonormals.
 """
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-# Pairs of point and triangle in one piece of work: a few tens of megabytes.
+# Number of point–triangle pairs evaluated together; they need a few tens of megabytes.
 PAIRS = 200_000
 
 
 class Surface:
-    """A set of triangles (F, 3, 3) in float64."""
+    """Triangles (F, 3, 3) in float64."""
 
     def __init__(self, corners):
         self.corners = np.asarray(corners, dtype=np.float64)
         self.low, self.high = self.corners.min(axis=(0, 1)), self.corners.max(axis=(0, 1))
         self.size = float((self.high - self.low).max())
-        # Bounding spheres, in classes of radii within a factor of two of each other.
+        # Bounding spheres, sorted into classes whose radii differ by at most a factor of two.
         middle = self.corners.mean(axis=1)
         radius = np.linalg.norm(self.corners - middle[:, None], axis=2).max(axis=1)
         order = np.floor(np.log2(radius)).astype(int)
@@ -29,8 +30,8 @@ class Surface:
     def nearest(self, points):
         """Returns the distance (N,), the nearest point (N, 3), and its face (N,).
 
-        No triangle is nearer to a point than the middle of its bounding sphere less its radius. So all that can
-        be nearest have their middle within the distance to any triangle at all plus their radius.
+        A triangle is at least as far away as the center of its bounding sphere minus the radius. So the center of
+        the nearest triangle is at most the distance to any triangle plus its radius away.
         """
         points = np.asarray(points, dtype=np.float64)
         reach = np.full(len(points), np.inf)
@@ -39,7 +40,7 @@ class Surface:
             for column in at.reshape(len(points), -1).T:
                 feet = nearest_on_triangles(points, self.corners[faces[column]])
                 reach = np.minimum(reach, np.linalg.norm(points - feet, axis=1))
-        # Far outside the rounding of a distance.
+        # The margin is far larger than the rounding error of a distance.
         reach = reach * (1 + 1e-12) + 1e-12 * self.size
         distance, foot = np.full(len(points), np.inf), np.zeros((len(points), 3))
         face = np.zeros(len(points), dtype=int)
@@ -51,7 +52,7 @@ class Surface:
                 found = faces[np.concatenate([np.asarray(one, dtype=int) for one in near])]
                 feet = nearest_on_triangles(points[owner], self.corners[found])
                 away = np.linalg.norm(points[owner] - feet, axis=1)
-                # The last written is the nearest.
+                # Sorted by decreasing distance: the last write, of the nearest face, remains.
                 order = np.argsort(-away, kind="stable")
                 order = order[away[order] < distance[owner[order]]]
                 best = np.full(len(points), -1)
@@ -62,7 +63,7 @@ class Surface:
         return distance, foot, face
 
     def winding(self, points):
-        """Returns how often the surface, closed, winds about each point: 0 outside, 1 inside (N,)."""
+        """Returns the winding number (N,) of the closed surface: 0 outside, 1 inside."""
         points = np.asarray(points, dtype=np.float64)
         turns = np.empty(len(points))
         for part in _pieces(np.full(len(points), len(self.corners))):
@@ -75,7 +76,7 @@ class Surface:
         return turns
 
     def first_hit(self, starts, directions):
-        """Returns how far along each direction the first triangle lies (N,); infinite: none."""
+        """Returns the distance (N,) to the first triangle along each direction; infinite without a hit."""
         a, b, c = (self.corners[None, :, k] for k in range(3))
         along = np.full(len(starts), np.inf)
         for part in _pieces(np.full(len(starts), len(self.corners))):
@@ -91,7 +92,7 @@ class Surface:
         return along
 
     def pseudonormals(self, point):
-        """Returns unit normals (n, 3) of the features of a closed surface that meet at a point of it."""
+        """Returns the pseudonormals (n, 3) of the features of a closed surface that contain a point."""
         near = np.linalg.norm(
             nearest_on_triangles(np.tile(point, (len(self.corners), 1)), self.corners) - point, axis=1
         )
@@ -99,7 +100,8 @@ class Surface:
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         arms = corners - point
-        # The angle of the face at the point: at a corner that of its sides, else π or 2π, so nearly.
+        # Angle of the face at the point: the interior angle at a vertex, π on an edge, 2π inside a face, to
+        # rounding.
         angles = np.zeros(len(corners))
         for k in range(3):
             a, b = arms[:, k], arms[:, (k + 1) % 3]
@@ -138,7 +140,7 @@ def _dot(a, b):
 
 
 def _pieces(counts):
-    """Splits points with so many pairs each into slices of a bounded number of pairs."""
+    """Yields slices of points with a bounded total of ``counts`` pairs."""
     total = np.cumsum(counts)
     start = 0
     while start < len(counts):

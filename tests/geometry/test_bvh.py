@@ -1,4 +1,4 @@
-"""The tree over the faces of a patch: it has all of them, bounds hold, and what it finds is the nearest."""
+"""BVH of the faces of a surface: it contains all faces, its bounds hold, and searches find the nearest face."""
 
 import functools
 
@@ -16,14 +16,14 @@ from warpcontact.geometry.bvh import BRANCHES, build_bvh, face_capacity, node_co
 
 
 def faces_of(mesh):
-    """Returns corners (F, 3, 3) and unit normals (F, 3)."""
+    """Returns vertices (F, 3, 3) and unit normals (F, 3) of the faces."""
     corner = np.asarray(mesh.vertices)[mesh.faces]
     across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     return corner, across / np.linalg.norm(across, axis=1, keepdims=True)
 
 
 def below(tree, node):
-    """Returns the places of the faces at or below what a branch leads to."""
+    """Returns the indices of the faces in the subtree of a node."""
     nodes = [node]
     while nodes[0] < len(tree.bounds):
         nodes = [child for node in nodes for child in children(tree, node)]
@@ -36,7 +36,7 @@ def children(tree, node):
 
 
 def sheets():
-    """Two sheets back to back: where they are one branch, normals add up to nothing."""
+    """Two coincident sheets with opposite normals. In a node that contains both, the normals sum to zero."""
     side = wc.meshes.grid((1.0, 1.0), (7, 7))
     vertices = np.concatenate([side.vertices, side.vertices - [0.0, 0.0, 0.01]])
     return wc.Mesh(vertices, np.concatenate([side.faces, side.faces[:, ::-1] + len(side.vertices)]))
@@ -57,7 +57,7 @@ MESHES = {
 def test_bvh_has_every_face_once_and_valid_bounds(mesh):
     corner, normal = faces_of(mesh)
     count = len(corner)
-    # Off the origin, where float32 rounds the corners of tables.
+    # Away from the origin, where float32 rounds the vertices of the mesh tables.
     corner = corner + np.array([3.0, -200.0, 17.0])
     tree = build_bvh(corner, normal)
     assert tree.bounds.shape == (node_count(count), 8, BRANCHES)
@@ -85,13 +85,15 @@ def test_bvh_has_every_face_once_and_valid_bounds(mesh):
 
 
 def test_bvh_disks_of_a_smooth_surface_thin_quadratically():
-    """Half as large, a quarter as thick: so a search of a fine mesh looks at few."""
+    """Per level the radius halves and the thickness shrinks to a quarter, so a search of a fine mesh tests few
+    faces.
+    """
     thick = []
     for cells in (32, 64):
         corner, normal = faces_of(wc.meshes.sinusoidal_terrain((4, 4), (cells, cells), 0.2, 2.5))
         tree, last = build_bvh(corner, normal), face_capacity(len(corner)) // BRANCHES
         of_faces, of_eight = tree.bounds[-last:, 7], tree.bounds[-last - last // BRANCHES : -last, 7]
-        # A face is flat, but for what widens all.
+        # A face is flat, up to the margin that is added to every disk.
         assert of_faces.max() < 1e-5
         thick.append(np.median(of_eight))
     assert 3.0 < thick[0] / thick[1] < 5.0
@@ -109,7 +111,7 @@ def over(mesh, real, points=((0.0, 0.0, 0.0),)):
 
 @functools.cache
 def searcher(real):
-    """Returns the kernel that searches from given faces on, and among all."""
+    """Returns a kernel that searches the BVH from given start faces, and by brute force."""
     t = structs(real)
     model_type, vec3, closest_on_face = t.Model, t.vec3, closest_points.functions(real).closest_on_face
     nearest = trees.functions(real).closest_in_bvh
@@ -137,7 +139,9 @@ def searcher(real):
 
 
 def searched(model, real, points, hints):
-    """Returns the distance and span of what is found of each of ``points``, and the least of all faces."""
+    """Returns the distance and span of the face found for each of ``points``, and the smallest distance to any
+    face.
+    """
     count = len(points)
     places = wp.array(points, dtype=structs(real).vec3, device="cpu")
     out = [wp.zeros(count, dtype=real, device="cpu") for _ in range(3)]
@@ -149,7 +153,7 @@ def searched(model, real, points, hints):
 @pytest.mark.parametrize("real", [wp.float32, wp.float64])
 @pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
 def test_bvh_nearest_face_matches_brute_force(mesh, real):
-    """Near the surface and far away, wherever one begins; of a point that is no number it is where one began."""
+    """Points near the surface and far away, from any start face. A non-finite point has a NaN distance."""
     rng = np.random.default_rng(3)
     count = 2000
     own = np.asarray(mesh.vertices)
@@ -157,12 +161,12 @@ def test_bvh_nearest_face_matches_brute_force(mesh, real):
     points = points + rng.exponential(0.1, (count, 1)) * rng.normal(size=(count, 3))
     points[::10] *= 30.0
     points[5] = np.nan
-    # Any face, or none.
+    # Any face, or an index out of range.
     hints = rng.integers(-1, len(mesh.faces) + 1, count)
     found, span, least = searched(over(mesh, real), real, points, hints)
     assert np.isnan(found[5])
     is_finite = np.arange(count) != 5
-    # One that is taken may be tied with the nearest.
+    # The face found may be tied with the nearest.
     tie = closest_points.TIE * np.finfo(found.dtype).eps * span
     assert (found[is_finite] >= least[is_finite]).all()
     assert (found[is_finite] <= (least + tie)[is_finite]).all()
@@ -171,7 +175,7 @@ def test_bvh_nearest_face_matches_brute_force(mesh, real):
 @pytest.mark.parametrize("real", [wp.float32, wp.float64])
 @pytest.mark.parametrize("height", [np.nan, np.inf, 1e20, 1e200])
 def test_cluster_with_non_finite_pose_has_no_clearance(height, real):
-    """What is no number, or whose square is none, is not free to move as far as it likes."""
+    """Clearance is −1 if the height or its square is not finite."""
     t, of_near = structs(real), contact_detection.functions(real, False, DETECT_ALL)
     model_type, state_type, cache_type = t.Model, t.State, t.Cache
     probe, frames_of_set = of_near.cluster_clearance, of_near.frames_of_set
@@ -180,7 +184,7 @@ def test_cluster_with_non_finite_pose_has_no_clearance(height, real):
     def probe_first(model: model_type, state: state_type, cache: cache_type, free: wp.array(dtype=real)):
         free[0] = probe(model, frames_of_set(model, state, 0, 0), cache, 0, 0)
 
-    # A box is closed: nothing but the distance limits how far one can move.
+    # A box is closed, so the clearance is the distance.
     model = over(wc.meshes.box((1.0, 1.0, 1.0)), real, np.eye(3) * 0.1)
     arrays = model.parts[0].arrays
     free = wp.zeros(1, dtype=real, device="cpu")
@@ -193,7 +197,7 @@ def test_cluster_with_non_finite_pose_has_no_clearance(height, real):
         wp.launch(probe_first, 1, [arrays.model, arrays.state, arrays.cache, free], device="cpu")
         return free.numpy()[0]
 
-    # Above the top, at 0.5, and less by what coordinates round.
+    # The top is at 0.5. The clearance is at most the distance, and smaller only by rounding of coordinates.
     above = 3.0 + arrays.model.cluster_center.numpy()[0, 0, 2] - 0.5
     assert above * (1.0 - 100 * np.finfo(free.numpy().dtype).eps) < probed(3.0) <= above
     with np.errstate(over="ignore"):

@@ -1,4 +1,4 @@
-"""Lists of near faces, made by a query for a GPU and by a tree for a CPU, hold the nearest of all places about."""
+"""Face caches, built by a mesh query (GPU) and by the BVH (CPU), contain the nearest face of all points nearby."""
 
 import numpy as np
 import pytest
@@ -16,9 +16,9 @@ POINTS = 2000
 
 
 def lister(real, room):
-    """Returns the kernel that makes the list of each of some places, and tells the row of its nearest face.
+    """Returns a kernel that builds the face cache at given positions and returns the row of the nearest face.
 
-    By a tree on a CPU if ``room`` is ``None``, or by a query with so many faces in registers.
+    Uses the BVH on a CPU if ``room`` is ``None``, else a mesh query with ``room`` faces in registers.
     """
     t = structs(real)
     model_type, cache_type, vec3 = t.Model, t.Cache, t.vec3
@@ -59,25 +59,25 @@ def lister(real, room):
 
 
 def over_terrain(real, points, device):
-    """Returns a model of points over a terrain, whose meshes live as long."""
+    """Returns a model of points over a terrain."""
     scene = wc.Scene()
     ground = scene.add_surface(wc.meshes.sinusoidal_terrain((4, 4), (40, 40), 0.2, 2.5))
     body = scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0))
     law = wc.laws.Hooke(stiffness=1e4)
-    # Faces near swept points are remembered on a GPU, too.
+    # A GPU caches faces of swept points as well.
     scene.add_contact(scene.add_points(body, points), ground, wc.ContactMaterial(law=law), radius=0.1, swept=True)
     precision = "float32" if real is wp.float32 else "float64"
     return scene.build(device=device, precision=precision)
 
 
 def room_in(model):
-    """Returns how many faces are remembered per contact."""
+    """Returns the capacity of the face cache per contact."""
     cache = model.parts[0].arrays.cache
     return cache.face.shape[1] // cache.face_count.shape[1]
 
 
 def closest_in_cell(real, room, model, points, device):
-    """Makes the lists of all points; returns the rows of their nearest faces."""
+    """Builds the caches of all points; returns the rows of their nearest faces."""
     arrays = model.parts[0].arrays
     places = wp.array(points, dtype=structs(real).vec3, device=device)
     best = wp.zeros(len(points), dtype=wp.int32, device=device)
@@ -95,10 +95,10 @@ def test_face_cache_in_registers_contains_the_nearest_faces(real, device):
     cache, apart = model.parts[0].arrays.cache, distances(real, model, points, device)
     skin = float(model.parts[0].arrays.model.query_mesh_skin.numpy()[0])
     count, reach = cache.face_count.numpy()[0], cache.uncached_bound.numpy()[0]
-    # Some have room left, and of others the farthest had to go.
+    # Some caches are not full, and others had to drop the farthest face.
     assert ((count > 0) & (count < room)).sum() > 50
     assert (count == room).sum() > 50
-    # Rounding of coordinates of two metres.
+    # Rounding of coordinates of 2 m.
     off = 1e-6 if real is wp.float32 else 1e-14
     nearest = apart.min(axis=1)
     assert (apart[np.arange(POINTS), best] <= nearest + off).all()
@@ -112,7 +112,7 @@ def test_face_cache_in_registers_contains_the_nearest_faces(real, device):
 
 
 def distances(real, model, points, device):
-    """Returns the distance of each face from each point (point, face)."""
+    """Returns the distances (point, face) of all faces from all points."""
     t = structs(real)
     model_type, vec3, closest_on_face = t.Model, t.vec3, closest_points.functions(real).closest_on_face
 
@@ -137,10 +137,10 @@ def test_face_cache_built_ahead_contains_faces_around_the_predicted_point(real):
     closest_in_cell(real, None, model, points, "cpu")
     np.testing.assert_array_equal(
         cache.list_center.numpy()[0], points.astype(cache.list_center.numpy().dtype)
-    )  # no way yet
+    )  # not yet moved
     reached = cache.uncached_bound.numpy()[0] - distances(real, model, points, "cpu").min(axis=1)
     displacement = rng.normal(size=points.shape)
-    # They leave their lists, but for those that jump, and one whose last place is not known.
+    # All points leave the valid region of their caches. Every eighth jumps, and point 5 has no valid cache center.
     length = 1.01 * reached
     length[::8] = 3.0 * model.parts[0].arrays.model.query_mesh_skin.numpy()[0]
     displacement *= (length / np.linalg.norm(displacement, axis=1))[:, None]
@@ -160,17 +160,17 @@ def test_face_cache_built_ahead_contains_faces_around_the_predicted_point(real):
     stay[::8] = stay[5] = True
     assert np.isfinite(place).all()
     assert ahead[stay].max() < 1e-6
-    # Each goes ahead by what the last list reached, except where the surface came nearer or fell away by much.
+    # The new center is ahead by the reach of the last cache, unless the surface came much nearer or fell away.
     forward = np.einsum("pk,pk->p", place - here, displacement) / np.linalg.norm(displacement, axis=1)
     assert (forward[~stay] > 0.4 * reached[~stay]).mean() > 0.7
     assert forward[~stay].min() > -1e-6
-    # Places within the skin of those of the lists, most of them almost as far as that.
+    # Points within the skin of the cache centers, most of them close to its limit.
     about = rng.normal(size=points.shape)
     skin = float(model.parts[0].arrays.model.query_mesh_skin.numpy()[0])
     gone = 0.99 * skin * rng.random(len(points)) ** 0.2
     about = place + about * (gone / np.linalg.norm(about, axis=1))[:, None]
     from_here, from_there, from_about = (distances(real, model, where, "cpu") for where in (here, place, about))
-    # Rounding of coordinates of two metres.
+    # Rounding of coordinates of 2 m.
     room, asked = 1e-6 if real is wp.float32 else 1e-14, 0
     assert (from_here[np.arange(len(here)), nearest] <= from_here.min(axis=1) + room).all()
     for point, number in enumerate(count):
@@ -178,7 +178,8 @@ def test_face_cache_built_ahead_contains_faces_around_the_predicted_point(real):
         faces, least = cache.face.numpy()[0][own], cache.distance.numpy()[0][own]
         assert len(set(faces)) == number > 0
         assert (least <= from_there[point, faces] + room).all()
-        # What is not in the list is farther than that of what is, wherever the list is said to do.
+        # Within the validity bound of the cache, every face that is not cached is farther than the nearest cached
+        # one.
         others = np.delete(from_about[point], faces).min()
         own = from_about[point, faces].min()
         if own < beyond[point] - gone[point]:
@@ -192,7 +193,7 @@ def test_face_cache_built_ahead_contains_faces_around_the_predicted_point(real):
     [(0.0, 1.0, 16, 16), (0.09, 1.0, 24, 32), (0.9, 10.0, 24, 32), (0.9, 1.0, 48, 48)],
 )
 def test_face_cache_is_larger_for_larger_spheres(radius, scale, least, most):
-    """By their edges, in the unit of the mesh; the surface and the sphere with the most tell for all."""
+    """Size relative to the edge lengths in units of the mesh. The mesh and the sphere that need most determine it."""
     scene = wc.Scene()
     coarse, fine = (wc.meshes.sinusoidal_terrain((3, 3), (n, n), 0.1, 1.0) for n in (10, 100))
     ground = scene.add_surface([coarse, fine], scale=scale)
@@ -205,12 +206,14 @@ def test_face_cache_is_larger_for_larger_spheres(radius, scale, least, most):
     assert room % WIDTH == 0
 
 
-# Along the axes products would not be rounded.
+# With axis-aligned sheets, products would not be rounded.
 ASKEW = Rotation.from_rotvec([0.7, -0.4, 1.1]).as_matrix()
 
 
 def two_sheets(apart):
-    """A triangle with an edge along x at y = 0, z = 0, and one ``apart`` below both of its sides, turned askew."""
+    """A triangle with an edge along x at y = z = 0, and one ``apart`` below that extends to both sides; both
+    rotated.
+    """
     upper = [(0.0, 0.0, 0.0), (0.5, -1.0, 0.0), (1.0, 0.0, 0.0)]
     lower = [(-0.1, -0.5, -apart), (1.1, -0.5, -apart), (0.5, 0.6, -apart)]
     return wc.Mesh(np.array(upper + lower) @ ASKEW.T, np.array([[0, 2, 1], [3, 4, 5]]))
@@ -220,10 +223,11 @@ def two_sheets(apart):
 @pytest.mark.parametrize("way_to_recall", ["nearest_candidate", "nearest_candidate_simd"])
 @pytest.mark.parametrize(("real", "epsilon"), [(wp.float32, 2.0**-23), (wp.float64, 2.0**-52)])
 def test_face_cache_gradients_behind_its_center_hide_no_face(real, epsilon, way_to_recall):
-    """Beside an edge a slope turns with rounding, and the way ahead, times that, is more than a tie of two faces.
+    """Near an edge, rounding turns the gradient, and that error times the displacement exceeds a tie of two faces.
 
-    A list is made ahead along the edge of one of two sheets, and asked at its place, where both are as near but
-    for some rounding: the sheet with the edge is nearer by 12 epsilon or more, and the other was nearest last.
+    The cache is built with its center displaced along the edge of one sheet, and queried at its center. There both
+    sheets are equally near but for rounding: the sheet with the edge is nearer by 12 epsilon or more, and the
+    other one was the previous nearest face.
     """
     t = structs(real)
     model_type, cache_type, vec3 = t.Model, t.Cache, t.vec3
@@ -264,7 +268,7 @@ def test_face_cache_gradients_behind_its_center_hide_no_face(real, epsilon, way_
     model = scene.build(device="cpu", precision="float32" if real is wp.float32 else "float64")
     own = model.parts[0].arrays
     cache = own.cache
-    # They come along the edge, and left a list that reached far.
+    # Points move along the edge and have a previous cache with a large reach.
     cache.list_center.assign((points - 0.1 * ASKEW[:, 0])[None].astype(cache.list_center.numpy().dtype))
     cache.uncached_bound.fill_(10.0)
     places = wp.array(points, dtype=vec3, device="cpu")
@@ -280,7 +284,7 @@ def test_face_cache_gradients_behind_its_center_hide_no_face(real, epsilon, way_
 
 
 def pit(sides):
-    """A pit with as many flat sides, all alike, about the axis of z, turned askew."""
+    """A pit with equal flat sides around the z axis, rotated."""
     angle = 2.0 * np.pi * np.arange(sides) / sides
     boundary_points = np.stack([np.cos(angle), np.sin(angle), np.full(sides, 0.5)], axis=1)
     vertices = np.concatenate([[(0.0, 0.0, 0.0)], boundary_points]) @ ASKEW.T
@@ -290,9 +294,9 @@ def pit(sides):
 
 @pytest.mark.parametrize(("real", "epsilon"), [(wp.float32, 2.0**-23), (wp.float64, 2.0**-52)])
 def test_tie_between_faces_does_not_depend_on_the_search_order(real, epsilon, device, monkeypatch):
-    """Two are tied with a third that is between them, and not with each other: one of them is not tied with all.
+    """Two faces are tied with a third between them but not with each other: ties are not transitive.
 
-    The axis of a pit is as far from all of its sides, and points beside it by some rounding.
+    The axis of a pit is equally far from all of its sides. Points near the axis differ by rounding.
     """
     t, sides, count = structs(real), 7, 20000
     model_type, vec3 = t.Model, t.vec3
@@ -334,7 +338,7 @@ def test_tie_between_faces_does_not_depend_on_the_search_order(real, epsilon, de
     found = found.numpy()
     assert len(np.unique(found)) == sides
     np.testing.assert_array_equal(found, found[:, :1].repeat(sides, axis=1))
-    # Cells tell the same, of which some had to begin again.
+    # The face grid gives the same result; some of its searches had to restart.
     row = wp.zeros(count, dtype=wp.int32, device=device)
     wp.launch(look_into_cells, count, [model.parts[0].arrays.model, places, 1e-4, row], device=device)
     np.testing.assert_array_equal(row.numpy(), found[:, 0])
@@ -359,7 +363,7 @@ def test_tie_between_faces_does_not_depend_on_the_search_order(real, epsilon, de
             0.004,
             3,
         ),
-        # Of one the other is never in the list.
+        # The cache of one sheet never contains the other.
         (two_sheets(0.9), ASKEW, (0.3, -0.5, -0.85), (0.7, -0.2, -0.05), 0.2, 1),
     ],
     ids=["terrain", "sheets"],
@@ -367,9 +371,10 @@ def test_tie_between_faces_does_not_depend_on_the_search_order(real, epsilon, de
 def test_certified_face_of_the_cache_is_the_nearest(
     mesh, axes, low, high, displacement, rivals, real, ways_to_recall
 ):
-    """Points go two ways: to where their list is gone through, and farther, to where one face is to do, or few.
+    """Points move twice: to where the whole cache is tested, then farther, to where one or few faces are
+    certified.
 
-    Or to where all bounds are held against the distance of one, both times.
+    The SIMD variant tests all bounds against the distance of one face, both times.
     """
     t, count = structs(real), 30000
     model_type, cache_type, vec3 = t.Model, t.Cache, t.vec3

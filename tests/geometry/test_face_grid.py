@@ -1,4 +1,4 @@
-"""Cells about meshes: what they say of the points in them, beside every face, and what they take."""
+"""Face grids: cell clearances and face lists are valid for points next to every face; memory and culling."""
 
 import functools
 from dataclasses import replace
@@ -21,13 +21,13 @@ POINTS = 3000
 
 
 def with_slivers(sheet):
-    """Moves the vertices at x = 0 to where those at 0.1 are, but for 4 mm."""
+    """Moves the vertices at x = 0 to 4 mm from those at x = 0.1, which makes slivers."""
     vertices = sheet.vertices.copy()
     vertices[np.abs(vertices[:, 0]) < 1e-9, 0] = 0.096
     return wc.Mesh(vertices, sheet.faces)
 
 
-# What is touched, the radius of what touches it, and whether its outer side is all that is outside.
+# Mesh, radius of the contact, and whether the mesh is closed.
 CASES = {
     "terrain": (wc.meshes.sinusoidal_terrain((4, 4), (40, 40), 0.2, 2.5), 0.1, False),
     "terrain, by points": (wc.meshes.sinusoidal_terrain((4, 4), (40, 40), 0.2, 2.5), 0.0, False),
@@ -54,7 +54,7 @@ def scene_of(mesh, radius, *, count=1, scale=1.0):
 
 
 def grids_of(scene):
-    """The grids that a model of the scene has."""
+    """Returns the grids of a model of the scene."""
     return cells.make_grids(make_query_meshes(scene.contacts), SimpleNamespace(is_cuda=True), structs(wp.float32))
 
 
@@ -73,7 +73,9 @@ def grids_of(scene):
     ids="-".join,
 )
 def celled(request, device):
-    """The faces of a mesh, its cells, points in them with the cell of each, and what is known of the mesh."""
+    """Face vertices, device model, points with the index of their cell, host model, and whether the mesh is
+    closed.
+    """
     name, precision = request.param
     mesh, radius, closed = CASES[name]
     with pytest.MonkeyPatch.context() as patched:
@@ -86,7 +88,7 @@ def celled(request, device):
     assert own.cells.size == np.prod(counts[:3])
     random = np.random.default_rng(3)
     points = origin + size * random.uniform(0.0, counts[:3], (POINTS, 3))
-    # Most of them where it matters, and some in the corners of cells.
+    # Most points are near the surface, and some are near vertices of cells.
     corners = own.face_corner.numpy()[:, :3].astype(float)
     faces = random.integers(len(corners), size=POINTS)
     near = np.einsum("nk,nkx->nx", random.dirichlet(np.ones(3), POINTS), corners[faces])
@@ -112,14 +114,14 @@ def distances(corners, points):
 
 
 def distance_and_side(corners, points):
-    """Distance of points from the nearest face, and how far they are on its outer side, times its area."""
+    """Distance from the nearest face, and signed distance from its plane times twice its area."""
     distance, closest_point, face = Surface(corners).nearest(points)
     normal = np.cross(corners[face, 1] - corners[face, 0], corners[face, 2] - corners[face, 0])
     return distance, np.einsum("nx,nx->n", points - closest_point, normal)
 
 
 def cell_face_lists(own, cell):
-    """The faces that are listed for cells; none where there is no list."""
+    """Returns the face list of each cell; ``None`` for a cell without a list."""
     faces = own.cells.numpy()["faces"][cell]
     start, count = np.divmod(faces, device_cells.LIST_STRIDE)
     start *= device_cells.LIST_ALIGNMENT
@@ -128,7 +130,7 @@ def cell_face_lists(own, cell):
 
 
 def test_face_grid_cell_lists_contain_the_nearest_faces(celled):
-    """All that are about as near, and few others."""
+    """A list contains all faces tied with the nearest, and few others."""
     corners, own, points, cell, *_ = celled
     lists = cell_face_lists(own, cell)
     listed = np.flatnonzero([faces is not None for faces in lists])
@@ -140,7 +142,7 @@ def test_face_grid_cell_lists_contain_the_nearest_faces(celled):
     some = listed[::4]
     for i, away in zip(some, distances(corners, points[some]), strict=True):
         assert set(np.flatnonzero(away < away.min() + 1e-7)) <= set(lists[i])
-    # Of the faces that a sphere about the cell sees the others are left out.
+    # Lists exclude most faces that merely intersect the bounding sphere of the cell.
     assert np.mean(counts) < 8.0
 
 
@@ -150,7 +152,7 @@ def test_face_grid_has_a_list_for_every_point_in_contact(celled):
     reach = model.scene.contacts[0].radius.max() + own.query_mesh_skin.numpy()[0]
     touching = (side > 0.0) & (distance < reach)
     assert touching.sum() > 100
-    # But for a few beside a rim, where the middle of a cell may be on the inner side.
+    # The exception is a few points next to a boundary, if the center of the cell is on the inner side.
     assert (own.cells.numpy()["faces"][cell[touching]] >= 0).mean() > 0.995
 
 
@@ -163,7 +165,7 @@ def test_face_grid_clearance_is_a_lower_bound_on_the_outer_side(celled):
     assert (distance > free[has_clearance]).all()
     if closed:
         assert np.abs(Surface(corners).winding(points[has_clearance])).max() < 0.5
-        # It is less than the distance by no more than a cell is wide, and rounding.
+        # The clearance is below the distance by at most about a cell size, and rounding.
         size = own.query_mesh_cell_size.numpy()[0]
         assert (distance - free[has_clearance] < 1.75 * size + 1e-4).all()
     else:
@@ -172,7 +174,7 @@ def test_face_grid_clearance_is_a_lower_bound_on_the_outer_side(celled):
 
 @functools.cache
 def query_kernel(real):
-    """The kernel that asks what is known of points, and for the nearest of listed faces."""
+    """Returns a kernel that queries the clearance of points, and the nearest of the listed faces."""
     t = structs(real)
     of_cells, Model, vec3 = device_cells.functions(real), t.Model, t.vec3
     cell_at, closest_in_cell = of_cells.cell_at, of_cells.closest_in_cell
@@ -225,7 +227,7 @@ def test_points_outside_the_face_grid_have_clearance_and_side_of_its_boundary(ce
     extent = counts * own.query_mesh_cell_size.numpy()[0]
     random = np.random.default_rng(5)
     points = random.uniform(-1.0, 2.0, (POINTS, 3))
-    # Many of them straight above.
+    # Half of them are directly above.
     points[::2] = random.uniform((0.3, 0.3, 1.01), (0.7, 0.7, 3.0), (POINTS // 2, 3))
     points = origin + extent * points
     inside = ((points > origin) & (points < origin + extent)).all(axis=1)
@@ -237,7 +239,7 @@ def test_points_outside_the_face_grid_have_clearance_and_side_of_its_boundary(ce
     assert (distance[has_clearance] > free[has_clearance]).all()
     if closed:
         assert has_clearance.all()
-        # Less by no more than the margin of the corner of a box is longer than that of a side.
+        # The clearance differs from the distance by at most the margin at a vertex of the box.
         assert (distance - free < 2.0 * extent.max()).all()
     else:
         assert has_clearance.mean() > 0.1
@@ -275,7 +277,7 @@ def test_face_grid_is_not_built_for_swept_contacts_and_stacked_sheets():
     scene = scene_of(mesh, radius)
     scene.add_contact(scene.points[0], scene.surfaces[0], wc.ContactMaterial(law=LAW), radius=radius, swept=True)
     assert grids_of(scene) is None
-    # Two sheets above each other: which of them is nearest tells nothing of the side.
+    # Two sheets above each other: the nearest one does not determine the side.
     sheet = wc.meshes.grid((1.0, 0.6), (10, 7))
     above = wc.Mesh(
         np.concatenate([sheet.vertices, sheet.vertices + np.array([0, 0, 0.3])]),
@@ -302,7 +304,7 @@ def test_memory_estimate_includes_face_grid(precision, device):
 
 
 def contact_counts(scene, steps, *, change=lambda model: None, **options):
-    """Status and number of contacts of a block after each 20 steps, with a change in the middle."""
+    """Detection status and number of active contacts of a cluster every 20 steps, with ``change`` applied halfway."""
     model = scene.build(device="cpu")
     sim = wc.Simulation(model, dt=1e-3, **options)
     seen = []
@@ -326,7 +328,7 @@ def falling_points(places, mesh, height, **options):
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
 @pytest.mark.parametrize("forget", [False, True], ids=["cached", "cache_cleared"])
 def test_points_pushed_through_a_plate_are_not_culled_by_the_face_grid(forget, monkeypatch):
-    """The middle of their block is far away on the outer side there."""
+    """The center of their cluster is far away on the outer side."""
 
     def change(model):
         if forget:
@@ -343,7 +345,7 @@ def test_points_pushed_through_a_plate_are_not_culled_by_the_face_grid(forget, m
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
 @pytest.mark.parametrize("beside", [1.5, 2.0, 2.1])
 def test_points_outside_the_boundary_do_not_delay_culling_of_others(beside):
-    """However far away they are: one is 2 m beside."""
+    """At any distance; one is 2 m outside the boundary."""
     plane = wc.Mesh([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], [(0, 1, 2), (0, 2, 3)])
     scene = falling_points([(0, 0, 0), (1.0 + beside, 0, 0.5)], plane, 0.05)
     seen = contact_counts(scene, 100)
@@ -351,14 +353,14 @@ def test_points_outside_the_boundary_do_not_delay_culling_of_others(beside):
 
 
 def block_with_a_gap(gap, cells=10, half=0.25, height=0.0137):
-    """A unit cube with a flat hollow of two sheets, and a rim between them."""
+    """A unit cube with a flat cavity of two sheets, and a boundary between them."""
     block = wc.meshes.box((1, 1, 1))
     side = np.linspace(-half, half, cells + 1)
     y, x = np.meshgrid(side, side)
     sheets = [np.stack([x, y, height + 0 * x + up], axis=-1).reshape(-1, 3) for up in (0.0, gap)]
     number = np.arange((cells + 1) ** 2).reshape(cells + 1, -1)
     a, b, c, d = (own.ravel() for own in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
-    # Seen from the hollow, the lower sheet faces up and the upper one down.
+    # Seen from the cavity, the lower sheet faces up and the upper one down.
     lower = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
     above = number.size
     rim = np.concatenate([number[:-1, 0], number[-1, :-1], number[:0:-1, -1], number[0, :0:-1]])
@@ -370,10 +372,10 @@ def block_with_a_gap(gap, cells=10, half=0.25, height=0.0137):
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 def test_face_grid_clearance_is_zero_around_a_narrow_gap_inside_a_body(precision, device):
-    """Of its two sides, as near as a query can tell, one shows the gap and the other the body."""
+    """Of the two faces of the gap, equally near to rounding, one has the gap on its side and the other the body."""
     near = block_with_a_gap(2e-6)
     faces = near.faces
-    # Of two meshes of a surface, far apart, coordinates are large.
+    # A surface of two meshes far apart has large coordinates.
     far = np.array([60.0, 0.0, 60.0])
     scene = wc.Scene()
     point = scene.add_point(scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0)), (0, 0, 0))
@@ -393,7 +395,7 @@ def test_face_grid_clearance_is_zero_around_a_narrow_gap_inside_a_body(precision
 
 
 def surface_centre(surface, middle):
-    """Where the middle of a mesh is in the frame of the tables."""
+    """Returns the center of a mesh in the frame of the mesh tables."""
     return middle - surface.centre
 
 
@@ -415,7 +417,7 @@ def test_face_grid_cells_without_list_capacity_have_no_list(device, monkeypatch)
 
 
 def test_face_grid_query_of_non_finite_state_finds_no_face(monkeypatch):
-    """Points near the surface are marked as if a face were remembered, and none is."""
+    """Cached face counts are nonzero for points near the surface, but no faces are stored."""
     build_all_face_grids(monkeypatch)
     use_work_queues(monkeypatch)
     monkeypatch.setattr("warpcontact.forces.execution_plan.SMALL_LAUNCH", 0)

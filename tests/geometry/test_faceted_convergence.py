@@ -1,4 +1,4 @@
-"""Faceted bodies: continuity over edges and corners, and convergence to the smooth body as facets shrink."""
+"""Faceted bodies: continuity across edges and vertices, and convergence to the smooth body with finer facets."""
 
 import numpy as np
 import pytest
@@ -16,14 +16,14 @@ CONVEX = {
 }
 
 
-# Half an epsilon on each coordinate of order one, on both ends of a step.
+# Half an epsilon per coordinate of order one, at both ends of a step.
 @pytest.mark.parametrize(("precision", "exact"), [("float32", 1e-6), ("float64", 2e-15)])
 @pytest.mark.parametrize("body", CONVEX)
 def test_gap_and_force_are_continuous_while_sphere_rolls_over_edges_and_vertices(body, precision, exact, device):
     mesh, radius = CONVEX[body](), 0.3
     rng = np.random.default_rng(8)
-    # Ways through the layer about the body in which a sphere touches with its centre outside: along edges, across
-    # them, and over corners.
+    # Paths through the layer around the body where a sphere is in contact with its center outside: along edges,
+    # across edges, and over vertices.
     corners = mesh.vertices[rng.integers(len(mesh.vertices), size=(30, 2))]
     away = corners - mesh.vertices.mean(axis=0)
     ends = corners + away * rng.uniform(0.1, 0.5, (30, 2, 1)) + rng.normal(size=(30, 2, 3)) * 0.1
@@ -37,7 +37,7 @@ def test_gap_and_force_are_continuous_while_sphere_rolls_over_edges_and_vertices
     moved = np.linalg.norm(np.diff(points.reshape(30, 1001, 3), axis=1), axis=2)
     assert (np.abs(np.diff(gap, axis=1)) <= moved + exact).all()
 
-    # Distance d from the body: the direction turns by |Δp|/d at most, outside a convex body.
+    # At distance d outside a convex body, the normal turns by at most |Δp|/d.
     distance = gap + radius
     outside = np.minimum(distance[:, 1:], distance[:, :-1])
     touching = (outside > 0.02) & (np.minimum(gap[:, 1:], gap[:, :-1]) < 0)
@@ -60,7 +60,7 @@ def orders(errors):
 
 
 def test_gap_and_force_on_faceted_sphere_converge_at_second_order(device):
-    """A sphere of 0.2 on one of 1.0, 20 mm deep: the force is that of two spheres."""
+    """A sphere of radius 0.2 in a sphere of radius 1.0, penetration 20 mm: the force is that of two spheres."""
     radius, depth = 0.2, 0.02
     points = (1.0 + radius - depth) * directions(2000)
     spring = wc.ContactMaterial(law=wc.laws.Hertz(stiffness=1e6))
@@ -72,19 +72,21 @@ def test_gap_and_force_on_faceted_sphere_converge_at_second_order(device):
         )  # fmt: skip
         gaps.append(np.abs(sensors["gap"] + depth).max())
         forces.append(np.abs(sensors["normal_force"] - 1e6 * depth**1.5).max() / (1e6 * depth**1.5))
-    # A facet with edges h lies up to h²/6 inside the sphere of radius 1.
+    # The center of a facet with edge length h is up to h²/6 inside the sphere of radius 1.
     assert gaps[-1] < 0.04**2 / 4
     assert (orders(gaps)[1:] > 1.9).all()
     assert (orders(forces)[2:] > 1.9).all()
 
 
 def test_bounce_on_faceted_sphere_converges_at_second_order(device):
-    """Duration, rebound and speed of a central impact, against the same impact on a plane: gap is gap."""
+    """Duration, rebound height and speed of a central impact equal those on a plane."""
     radius, speed, dt, steps = 0.2, 1.0, 2e-4, 400
     law = wc.laws.HuntCrossley(stiffness=1e5, exponent=1.5, restitution=0.7)
 
     def impact(model):
-        """Height and speed at the end, and time in contact, to a part of a step by the force's own decay."""
+        """Returns height and speed at the end, and the duration of contact to a fraction of a step, from the
+        force.
+        """
         sim = wc.Simulation(model, dt=dt)
         impulse, lasted = np.zeros(model.envs), np.zeros(model.envs)
         for _ in range(steps):
@@ -92,7 +94,7 @@ def test_bounce_on_faceted_sphere_converges_at_second_order(device):
             impulse += force * dt
             lasted += force**2 * dt
             sim.step()
-        # The duration of a pulse of unchanged shape: its impulse squared over the integral of its square.
+        # Duration of a pulse of known shape: squared impulse over the integral of the squared force.
         return impulse**2 / lasted
 
     plane = dropped_sphere(

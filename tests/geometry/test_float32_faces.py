@@ -1,4 +1,4 @@
-"""Faces that the search, in float32, would pass over: named as they are numbered in their mesh."""
+"""Faces that a float32 search would miss are reported with their index in the mesh."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from warpcontact.meshes.topology import angles, directions
 
 
 def far_apart():
-    """Boxes of a hundredth of a metre, of a metre, and of a hundredth again 900 km from them."""
+    """Three boxes: 0.01 m, 1 m, and 0.01 m at a distance of 900 km."""
     return Mesh(*joined(box((1e-2, 1e-2, 1e-2)), moved(box(), 3.0), moved(box((1e-2, 1e-2, 1e-2)), 9e5)))
 
 

@@ -1,4 +1,4 @@
-"""What bounds tell of a start: that nothing touches, only where a search finds so, too."""
+"""Initial clearance from bounds: contacts are reported clear only if an exact search finds no contact."""
 
 import subprocess
 import sys
@@ -18,7 +18,7 @@ CONTAINER = wc.meshes.box((2.0, 2.0, 1.0)).flipped()
 
 
 def surfaces(scene, kind):
-    """Adds a surface; returns it, and options of the contact with it."""
+    """Adds a surface; returns it with options of the contact."""
     if kind == "terrain":
         return scene.add_surface(TERRAIN, position=(0.1, 0.2, 0.3), scale=1.5), {}
     if kind == "turned terrain":
@@ -44,7 +44,7 @@ def turn(angle, axis):
 
 
 def points_of(scene, form):
-    """Adds what touches; returns its points, and a radius."""
+    """Adds points or spheres; returns them with their radius."""
     if form == "set of bodies":
         three = scene.add_bodies(np.zeros((3, 3)), 1.0, (1, 1, 1), name="body")
         return scene.add_points(three, np.zeros((3, 3))), 0.1
@@ -77,7 +77,7 @@ def test_initially_clear_contact_set_has_no_contacts(kind, form, device):
 
     clear, apart = 0, 0
     for number in range(100):
-        # All environments about as far away, since one that is not clear speaks for all.
+        # Similar distance in all environments, because one environment in contact makes the whole model not clear.
         place = rng.normal(size=3)
         place *= rng.uniform(0.0, 2.0) / np.linalg.norm(place)
         if number % 10 == 0:
@@ -89,7 +89,7 @@ def test_initially_clear_contact_set_has_no_contacts(kind, form, device):
             model[f"{name}.orientation"] = turns.reshape(*here.shape[:-1], 4)
         if kind == "one of two":
             model[f"{surface.name}.mesh"] = rng.integers(2, size=envs)
-        if number == 50:  # so far all environments had the same
+        if number == 50:  # until here all environments had the same
             vary(f"{surface.name}.position", 0.02)
             vary(f"{points.name}.position", 0.02)
             model[f"{surface.name}.scale"] = model[f"{surface.name}.scale"] * rng.uniform(0.9, 1.1, size=envs)
@@ -105,12 +105,12 @@ def test_initially_clear_contact_set_has_no_contacts(kind, form, device):
             assert (gap[~np.isnan(gap)] > 0.0).all()
         assert starts_clear(model, contact, envs) == (contacts_to_evaluate(model, None) is None)
     assert apart > 0
-    # What is seen from inside has no outer side beyond its bounds.
+    # A mesh seen from inside has no outer side beyond its bounds.
     assert (clear > 0) == (kind != "container")
 
 
 def test_initial_clearance_far_from_the_origin_includes_rounding():
-    """Of coordinates of kilometres float32 has tenths of millimetres."""
+    """At coordinates of kilometers, float32 resolves tenths of a millimeter."""
     tilted = turn(0.7, (1, 0.3, 0.2))
     corners = Rotation.from_quat(tilted).apply(np.array(wc.meshes.grid((1e4, 1e4)).vertices))
     scene = wc.Scene(gravity=(0, 0, 0))
@@ -136,7 +136,7 @@ def test_sphere_above_the_highest_vertex_is_initially_clear(height, expected):
     contact = scene.add_contact(scene.add_points(balls, np.zeros((2, 3))), ground, LAW, radius=0.1)
     model = scene.build(envs=3, device="cpu")
     assert starts_clear(model, contact, model.envs)
-    # As it is now, whoever wrote that.
+    # Uses the current state, also if the user writes it directly.
     model.state.body_position.numpy()[1, 1, 2] = height
     assert starts_clear(model, contact, model.envs) == expected
 
@@ -155,7 +155,7 @@ def test_sphere_beyond_the_boundary_is_not_initially_clear():
 @pytest.mark.slow
 @pytest.mark.launch_shapes
 def test_first_step_of_initially_clear_scene_compiles_no_sensor_kernel():
-    """Nor the force alone, whose law is of the library."""
+    """No kernel of the contact force alone is compiled for a law of the library."""
     code = """
 import sys, warpcontact as wc
 scene = wc.Scene()
@@ -196,7 +196,7 @@ def test_initial_search_covers_only_requested_contacts():
 
     assert search(0.05) == ["touch"]
     assert search(0.2) is None
-    # How deep a pile starts is a sensor that tells of contacts as well.
+    # The initial penetration of particles is read from a sensor, which evaluates contacts as well.
     assert search(0.2, piled=True) == []
     impulses = wc.integrators.MoreauJean()
     assert search(0.05, integrator=impulses) == ["touch"]
